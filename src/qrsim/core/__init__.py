@@ -1,0 +1,1 @@
+"""Mathematics under the simulator; imports only jax and numpy."""

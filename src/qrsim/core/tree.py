@@ -1,0 +1,124 @@
+"""Frozen records that are JAX PyTrees and know the unit, bounds and meaning of their fields.
+
+A component (a wind, a sensor, a vehicle) is a record whose fields are its parameters; a state or a
+reading is a record whose fields are quantities. The scenario schema and the logs are generated from
+this metadata, so that no parameter is declared twice.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import MISSING
+from typing import Any, TypeVar, dataclass_transform
+
+import jax
+import numpy as np
+
+T = TypeVar("T")
+INFO = "qrsim"
+
+
+@dataclasses.dataclass(frozen=True)
+class FieldInfo:
+    """What is known about one field of a record.
+
+    Attributes:
+        unit: SI unit, "" where there is none.
+        doc: one sentence.
+        minimum, maximum: inclusive bounds, None where open.
+        above: exclusive lower bound, None where open.
+        static: part of the program's structure (a new value compiles anew) rather than a number in it.
+        inherits: path of the parameter that supplies the value where the scenario leaves it out.
+    """
+
+    unit: str = ""
+    doc: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    above: float | None = None
+    static: bool = False
+    inherits: str | None = None
+
+
+def parameter(
+    default: Any = MISSING,
+    *,
+    unit: str,
+    doc: str,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    above: float | None = None,
+    inherits: str | None = None,
+) -> Any:
+    """Declare a number of a component: a leaf, so that changing it compiles nothing anew."""
+    info = FieldInfo(unit, doc, minimum, maximum, above, False, inherits)
+    return dataclasses.field(default=default, metadata={INFO: info})
+
+
+def setting(
+    default: Any = MISSING,
+    *,
+    unit: str = "",
+    doc: str,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    above: float | None = None,
+) -> Any:
+    """Declare a structural choice of a component (a period, an option): static under jit."""
+    info = FieldInfo(unit, doc, minimum, maximum, above, True)
+    return dataclasses.field(default=default, metadata={INFO: info})
+
+
+def quantity(default: Any = MISSING, *, unit: str = "", doc: str = "") -> Any:
+    """Declare an array, or a record of arrays, of a state or a reading."""
+    return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc)})
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(parameter, setting, quantity))
+def record(cls: type[T]) -> type[T]:
+    """Make a class a frozen dataclass and a PyTree; fields made with ``setting`` are static."""
+    cls = dataclasses.dataclass(frozen=True)(cls)
+    static = [f.name for f in dataclasses.fields(cls) if field_info(f).static]  # type: ignore[arg-type]
+    data = [f.name for f in dataclasses.fields(cls) if f.name not in static]  # type: ignore[arg-type]
+    return jax.tree_util.register_dataclass(cls, data_fields=data, meta_fields=static)
+
+
+def field_info(field: dataclasses.Field[Any]) -> FieldInfo:
+    """Return the metadata of a field, empty where none was given."""
+    return field.metadata.get(INFO, FieldInfo())
+
+
+def replace(item: T, **changes: Any) -> T:
+    """Return a copy of a record with some fields changed."""
+    return dataclasses.replace(item, **changes)  # type: ignore[type-var]
+
+
+def cast(item: T, dtype: Any) -> T:
+    """Return the tree with every floating-point leaf (Python floats included) as an array of ``dtype``."""
+
+    def convert(leaf: Any) -> Any:
+        array = np.asarray(leaf)
+        return np.asarray(array, dtype) if np.issubdtype(array.dtype, np.floating) else array
+
+    return jax.tree.map(convert, item)
+
+
+def select(condition: jax.Array, yes: T, no: T) -> T:
+    """Choose between two trees of the same structure, vehicle by vehicle (``condition`` has shape (n,))."""
+    return jax.tree.map(lambda a, b: jax.numpy.where(condition, a, b), yes, no)
+
+
+def walk(item: Any, prefix: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
+    """Yield (dotted name, leaf, metadata) for each array in a tree of records; a Vec3's axes inherit its unit."""
+    for field in dataclasses.fields(item):
+        info = field_info(field)
+        value = getattr(item, field.name)
+        name = f"{prefix}{field.name}"
+        if info.static:
+            continue
+        if dataclasses.is_dataclass(value):
+            for sub_name, leaf, sub in walk(value, f"{name}."):
+                yield sub_name, leaf, sub if sub.unit else dataclasses.replace(sub, unit=info.unit)
+        else:
+            yield name, value, info

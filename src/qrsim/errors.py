@@ -1,0 +1,52 @@
+"""Errors a user can cause, and the words used to explain them."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class QrsimError(Exception):
+    """Base of every error that qrsim raises on purpose; the command line prints it without a traceback."""
+
+    exit_code = 1
+
+
+class UsageError(QrsimError, ValueError):
+    """The input was wrong: a name, a value, a shape, a file's content. Exit code 2 on the command line."""
+
+    exit_code = 2
+
+
+class ScenarioError(UsageError):
+    """One or several faults of a scenario, each on its own line with its path.
+
+    Attributes:
+        problems: the faults, one sentence each.
+    """
+
+    def __init__(self, source: str, problems: Iterable[str]):
+        self.source = source
+        self.problems = list(problems)
+        count = len(self.problems)
+        head = f"{source}: {count} problem{'s' if count != 1 else ''}"
+        super().__init__("\n".join([head, *(f"  {problem}" for problem in self.problems)]))
+
+
+class RunError(QrsimError):
+    """A run that was well described could not be carried out (disk full, folder not writable, data missing)."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name closest to ``name``, or None where nothing is close."""
+    matches = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return matches[0] if matches else None
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return ``"; did you mean 'x'?"``, or the list of what is known where nothing is close."""
+    known = list(known)
+    match = nearest(name, known)
+    if match is not None:
+        return f"; did you mean '{match}'?"
+    return f"; known: {', '.join(known)}" if known else ""

@@ -1,0 +1,127 @@
+"""Where vehicles may be, and when a vehicle stops being valid (models.md section 8)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import parameter, quantity, record
+from qrsim.core.vectors import Euler, Vec3
+
+# Every way to become invalid: (kind, field). The position in this tuple is the code carried in the state; 0 is valid.
+REASONS: tuple[tuple[str, str], ...] = (
+    ("valid", ""),
+    ("not_finite", "state"),
+    ("out_of_area", "position_ned.x"),
+    ("out_of_area", "position_ned.y"),
+    ("out_of_area", "position_ned.z"),
+    ("state_limit", "attitude.roll"),
+    ("state_limit", "attitude.pitch"),
+    ("state_limit", "attitude.yaw"),
+    ("state_limit", "velocity_body.x"),
+    ("state_limit", "velocity_body.y"),
+    ("state_limit", "velocity_body.z"),
+    ("state_limit", "rates_body.x"),
+    ("state_limit", "rates_body.y"),
+    ("state_limit", "rates_body.z"),
+    ("collision", "distance"),
+)
+
+
+def reason_code(kind: str, field: str) -> int:
+    """Return the code of a reason."""
+    return REASONS.index((kind, field))
+
+
+@record
+class Violation:
+    """The first limit each vehicle breaks, (n,)."""
+
+    code: Array = quantity(doc="int32 index into REASONS, 0 where none")
+    value: Array = quantity(doc="the value that broke the limit, in its own unit; 0 where none")
+
+    @staticmethod
+    def first(checks: Sequence[tuple[int, Array, Array]], like: Array) -> Violation:
+        """Combine (code, value, broken) checks, the earliest in the list first."""
+        code, value = jnp.zeros(like.shape, jnp.int32), jnp.zeros_like(like)
+        for check_code, check_value, broken in reversed(checks):
+            code = jnp.where(broken, check_code, code)
+            value = jnp.where(broken, check_value, value)
+        return Violation(code, value)
+
+    def or_else(self, other: Violation) -> Violation:
+        """Keep this violation where there is one, else the other."""
+        here = self.code != 0
+        return Violation(jnp.where(here, self.code, other.code), jnp.where(here, self.value, other.value))
+
+
+@record
+class BoxArea:
+    """A box in NED; z = 0 is the ground, so z_max above 0 would be below it."""
+
+    x_min: Array = parameter(-1000.0, unit="m", doc="southern limit")
+    x_max: Array = parameter(1000.0, unit="m", doc="northern limit")
+    y_min: Array = parameter(-1000.0, unit="m", doc="western limit")
+    y_max: Array = parameter(1000.0, unit="m", doc="eastern limit")
+    z_min: Array = parameter(-120.0, unit="m", doc="ceiling, negative", maximum=0.0)
+    z_max: Array = parameter(0.0, unit="m", doc="floor; 0 is the ground", maximum=0.0)
+
+    def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
+        """Return the checks (code, value, broken) of positions (n,)."""
+        axes = (
+            ("x", position_ned.x, self.x_min, self.x_max),
+            ("y", position_ned.y, self.y_min, self.y_max),
+            ("z", position_ned.z, self.z_min, self.z_max),
+        )
+        return [
+            (reason_code("out_of_area", f"position_ned.{axis}"), value, (value < low) | (value > high))
+            for axis, value, low, high in axes
+        ]
+
+    def height_agl(self, position_ned: Vec3) -> Array:
+        """Return the height above ground [m] of positions (n,)."""
+        return -position_ned.z
+
+
+@record
+class StateLimits:
+    """Limits of what the identified model is trusted for."""
+
+    pitch: Array = parameter(math.radians(89.0), unit="rad", doc="largest |pitch|", above=0.0, maximum=math.pi / 2)
+    roll: Array = parameter(math.pi, unit="rad", doc="largest |roll|", above=0.0)
+    yaw: Array = parameter(10.0 * math.pi, unit="rad", doc="largest |yaw| (turns are counted)", above=0.0)
+    velocity: Array = parameter(15.0, unit="m/s", doc="largest component of the body velocity", above=0.0)
+    rate: Array = parameter(3.0, unit="rad/s", doc="largest component of the body rates", above=0.0)
+
+    def check(self, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> list[tuple[int, Array, Array]]:
+        """Return the checks (code, value, broken) of states (n,)."""
+        limited = [
+            ("attitude.roll", attitude.roll, self.roll),
+            ("attitude.pitch", attitude.pitch, self.pitch),
+            ("attitude.yaw", attitude.yaw, self.yaw),
+        ]
+        for axis in "xyz":
+            limited.append((f"velocity_body.{axis}", getattr(velocity_body, axis), self.velocity))
+        for axis in "xyz":
+            limited.append((f"rates_body.{axis}", getattr(rates_body, axis), self.rate))
+        return [(reason_code("state_limit", field), value, jnp.abs(value) > limit) for field, value, limit in limited]
+
+
+def collisions(position_ned: Vec3, collision_distance: Array) -> Violation:
+    """Return which of all vehicles of a world (n,) are closer to another than collision_distance [m].
+
+    Looks at all positions together, so the result does not depend on the order of the vehicles, and counts
+    vehicles that have already stopped.
+    """
+    x, y, z = position_ned.x, position_ned.y, position_ned.z
+    dx, dy, dz = x[:, None] - x[None, :], y[:, None] - y[None, :], z[:, None] - z[None, :]
+    squared = dx * dx + dy * dy + dz * dz
+    index = jnp.arange(x.shape[0])
+    itself = index[:, None] == index[None, :]
+    # Written so that a NaN position, which compares false, counts as far away.
+    apart = jnp.where((squared >= 0.0) & ~itself, squared, math.inf)
+    nearest = jnp.sqrt(jnp.min(apart, axis=1))
+    return Violation.first([(reason_code("collision", "distance"), nearest, nearest < collision_distance)], x)

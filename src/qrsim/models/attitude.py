@@ -1,0 +1,71 @@
+"""The autopilot's attitude estimate (models.md section 6)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from jax import Array
+
+from qrsim.core.noise import Noise, ou_step
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.vectors import Euler, Vec3
+
+
+@record
+class AttitudeReading:
+    """Attitude as the autopilot estimates it."""
+
+    attitude: Euler = quantity(unit="rad", doc="estimated ZYX Euler angles")
+
+
+@record
+class AttitudeState:
+    """What the estimator remembers."""
+
+    error: Vec3 = quantity(unit="rad", doc="error of roll, pitch and yaw")
+
+
+@record
+class AttitudeEstimator:
+    """True Euler angles plus three independent Ornstein-Uhlenbeck errors."""
+
+    std: Array = parameter(0.00354, unit="rad", doc="stationary std of each angle's error", minimum=0.0)
+    time_constant: Array = parameter(100.0, unit="s", doc="time constant of the errors", above=0.0)
+    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    reads: ClassVar[tuple[str, ...]] = ("attitude",)
+    normals: ClassVar[int] = 3
+
+    def init(self, draw: Noise, attitude: Euler) -> tuple[AttitudeState, AttitudeReading]:
+        """Return stationary first errors and the first estimate."""
+        return self._read(Vec3(*(self.std * normal for normal in draw.normals(3))), attitude)
+
+    def step(self, state: AttitudeState, draw: Noise, attitude: Euler) -> tuple[AttitudeState, AttitudeReading]:
+        """Advance one period for vehicles at ``attitude`` (n,)."""
+        errors = (state.error.x, state.error.y, state.error.z)
+        stepped = [
+            ou_step(error, normal, self.period, self.std, self.time_constant)
+            for error, normal in zip(errors, draw.normals(3), strict=True)
+        ]
+        return self._read(Vec3(*stepped), attitude)
+
+    @staticmethod
+    def _read(error: Vec3, attitude: Euler) -> tuple[AttitudeState, AttitudeReading]:
+        estimate = Euler(attitude.roll + error.x, attitude.pitch + error.y, attitude.yaw + error.z)
+        return AttitudeState(error), AttitudeReading(estimate)
+
+
+@record
+class IdealAttitude:
+    """The truth at the same period."""
+
+    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    reads: ClassVar[tuple[str, ...]] = ("attitude",)
+    normals: ClassVar[int] = 0
+
+    def init(self, draw: Noise, attitude: Euler) -> tuple[None, AttitudeReading]:
+        """Return the true attitude."""
+        return None, AttitudeReading(attitude)
+
+    def step(self, state: None, draw: Noise, attitude: Euler) -> tuple[None, AttitudeReading]:
+        """Return the true attitude."""
+        return self.init(draw, attitude)

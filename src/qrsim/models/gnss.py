@@ -1,0 +1,221 @@
+"""GNSS: a sky shared by all vehicles of a world, receivers, and the navigation solution (models.md section 5).
+
+The receivers of a world see the same satellites with the same time-correlated range errors, so vehicles
+near each other share most of their position error, as they do outdoors.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.fastmath import sincos
+from qrsim.core.noise import Draw, ou_step
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.vectors import Vec3
+from qrsim.models.orbits import Orbits
+
+
+@record
+class OrnsteinUhlenbeckErrors:
+    """One Ornstein-Uhlenbeck range error per satellite: ionosphere, troposphere, ephemeris and clock in one.
+
+    The defaults are the reference implementation's: 0.1746 m per step of 0.2 s, 12.35 m stationary.
+    """
+
+    std: Array = parameter(12.35, unit="m", doc="stationary std of each satellite's range error", minimum=0.0)
+    time_constant: Array = parameter(2000.0, unit="s", doc="time constant of the range errors", above=0.0)
+
+    def init(self, draw: Draw) -> Array:
+        """Return stationary first errors (S,) [m]."""
+        return self.std * draw.normals(1)[0]
+
+    def step(self, error: Array, draw: Draw, dt: float) -> Array:
+        """Advance the errors (S,) [m] by dt [s]."""
+        return ou_step(error, draw.normals(1)[0], dt, self.std, self.time_constant)
+
+
+@record
+class SkyState:
+    """The space segment at one epoch; S satellites."""
+
+    satellites_ned: Vec3 = quantity(unit="m", doc="(S,) satellite positions at transmission, in the site's frame")
+    range_error: Array = quantity(unit="m", doc="(S,) error of each satellite's pseudorange, common to all receivers")
+
+
+@record
+class Sky:
+    """The shared space segment."""
+
+    orbits: Orbits = quantity(doc="satellite positions as seen from the site")
+    errors: OrnsteinUhlenbeckErrors = quantity(doc="range errors")
+    ids: Array = quantity(doc="(S,) uint32 number of each satellite, which its randomness belongs to")
+    period: float = setting(0.2, unit="s", doc="interval between epochs, a multiple of the time step", above=0.0)
+
+    def init(self, draw: Draw) -> SkyState:
+        """Return the sky at the start."""
+        start = self.orbits.positions_ned(jnp.int32(0), jnp.zeros_like(draw.like))
+        return SkyState(start, self.errors.init(draw))
+
+    def step(self, state: SkyState, draw: Draw, seconds: Array, fraction: Array) -> SkyState:
+        """Advance one period to ``seconds`` (whole, int32) plus ``fraction`` [s] since the start."""
+        satellites = self.orbits.positions_ned(seconds, fraction)
+        return SkyState(satellites, self.errors.step(state.range_error, draw, self.period))
+
+
+@record
+class GnssReading:
+    """What a receiver reports; NaN where there is no fix."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="position in the site's frame")
+    velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
+    satellites: Array = quantity(unit="1", doc="satellites used")
+    hdop: Array = quantity(unit="1", doc="horizontal dilution of precision")
+    vdop: Array = quantity(unit="1", doc="vertical dilution of precision")
+
+
+@record
+class Fix:
+    """One navigation solution."""
+
+    offset_ned: Vec3 = quantity(unit="m", doc="solution minus true position")
+    satellites: Array = quantity(unit="1", doc="satellites used")
+    hdop: Array = quantity(unit="1", doc="horizontal dilution of precision")
+    vdop: Array = quantity(unit="1", doc="vertical dilution of precision")
+
+
+def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> Fix:
+    """Solve for position and receiver clock by least squares.
+
+    The residual form: rho_i - |p_i - p| = -u_i . d + c dt, with d the offset from the true position p in NED.
+    The neglected term is d^2 / (2 rho): 1e-5 m at 20 m. The clock is eliminated by taking means over the used
+    satellites, which leaves symmetric 3 x 3 equations in closed form.
+
+    Args:
+        line_of_sight: unit vectors from receiver to satellite, (S, n) each.
+        range_residual: pseudorange minus geometric range, (S, n) [m].
+        used: (S, n) bool.
+
+    Returns:
+        The fix of each receiver, (n,); NaN where fewer than 4 satellites are used.
+    """
+    weight = used.astype(range_residual.dtype)
+    count = jnp.sum(weight, axis=0)
+
+    def centred(value: Array) -> Array:
+        mean = jnp.sum(weight * value, axis=0) / jnp.maximum(count, 1.0)
+        return weight * (value - mean[None, :])
+
+    ux, uy, uz = centred(line_of_sight.x), centred(line_of_sight.y), centred(line_of_sight.z)
+    residual = centred(range_residual)
+    inverse = _inverse_symmetric(
+        *(jnp.sum(a * b, axis=0) for a, b in ((ux, ux), (ux, uy), (ux, uz), (uy, uy), (uy, uz), (uz, uz)))
+    )
+    xx, xy, xz, yy, yz, zz = inverse
+    bx, by, bz = (-jnp.sum(u * residual, axis=0) for u in (ux, uy, uz))
+    offset = Vec3(xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz)
+    enough = count >= 4.0
+
+    def or_nan(value: Array) -> Array:
+        return jnp.where(enough, value, math.nan)
+
+    return Fix(
+        offset.map(or_nan),
+        count,
+        or_nan(jnp.sqrt(jnp.maximum(xx + yy, 0.0))),
+        or_nan(jnp.sqrt(jnp.maximum(zz, 0.0))),
+    )
+
+
+def _inverse_symmetric(a: Array, b: Array, c: Array, d: Array, e: Array, f: Array) -> tuple[Array, ...]:
+    """Invert [[a, b, c], [b, d, e], [c, e, f]] by cofactors; returns the same six entries of the inverse."""
+    co_a, co_b, co_c = d * f - e * e, c * e - b * f, b * e - c * d
+    scale = 1.0 / (a * co_a + b * co_b + c * co_c)
+    return (
+        co_a * scale,
+        co_b * scale,
+        co_c * scale,
+        (a * f - c * c) * scale,
+        (b * c - a * e) * scale,
+        (a * d - b * b) * scale,
+    )
+
+
+@record
+class ReceiverState:
+    """What a receiver remembers: the last fix, and the fixes still on their way to the user."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="last solution")
+    pending: tuple[GnssReading, ...] = quantity(doc="readings that the delay holds back, oldest first")
+
+
+@record
+class GnssReceiver:
+    """A single-frequency receiver: all satellites above a mask, least squares, velocity from successive fixes."""
+
+    range_noise_std: Array = parameter(0.002, unit="m", doc="white noise of each pseudorange", minimum=0.0)
+    elevation_mask_rad: Array = parameter(
+        math.radians(10.0), unit="rad", doc="satellites below this elevation are not used", minimum=0.0,
+        maximum=math.pi / 2,
+    )  # fmt: skip
+    delay: int = setting(1, unit="periods", doc="age of a fix when it is reported", minimum=0, maximum=50)
+    period: float = setting(0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0)
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky")
+
+    def init(
+        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
+    ) -> tuple[ReceiverState, GnssReading]:
+        """Return the first fix, as if it had been reported for a while; its velocity is the true one."""
+        fix = self.fix(draw, position_ned, sky)
+        position = position_ned + fix.offset_ned
+        reading = GnssReading(position, velocity_ned, fix.satellites, fix.hdop, fix.vdop)
+        return ReceiverState(position, (reading,) * self.delay), reading
+
+    def step(
+        self, state: ReceiverState, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
+    ) -> tuple[ReceiverState, GnssReading]:
+        """Compute a fix for receivers at position_ned (n,) and report the one of ``delay`` periods ago."""
+        fix = self.fix(draw, position_ned, sky)
+        position = position_ned + fix.offset_ned
+        velocity = (position - state.position_ned) * (1.0 / self.period)
+        fresh = GnssReading(position, velocity, fix.satellites, fix.hdop, fix.vdop)
+        queue = (*state.pending, fresh)
+        return ReceiverState(position, queue[1:]), queue[0]
+
+    def fix(self, draw: Draw, position_ned: Vec3, sky: SkyState) -> Fix:
+        """Return the navigation solution of each receiver (n,)."""
+        satellites = sky.satellites_ned
+        ray = Vec3(
+            satellites.x[:, None] - position_ned.x[None, :],
+            satellites.y[:, None] - position_ned.y[None, :],
+            satellites.z[:, None] - position_ned.z[None, :],
+        )
+        line_of_sight = ray * (1.0 / ray.norm())
+        mask = jnp.broadcast_to(sincos(jnp.asarray(self.elevation_mask_rad))[0], position_ned.x.shape)
+        noise = jnp.broadcast_to(jnp.asarray(self.range_noise_std), position_ned.x.shape)
+        count = sky.range_error.shape[0]
+        residual = sky.range_error[:, None] + noise[None, :] * draw.normal_rows(count)
+        return solve_position(line_of_sight, residual, -line_of_sight.z > mask[None, :])
+
+
+@record
+class IdealGnss:
+    """The truth at the same period, without delay."""
+
+    period: float = setting(0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0)
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky")
+
+    def init(self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState) -> tuple[None, GnssReading]:
+        """Return the true position and velocity; satellites and DOP are those of the sky without a mask."""
+        zero = jnp.zeros_like(position_ned.x)
+        count = jnp.full_like(zero, sky.range_error.shape[0])
+        return None, GnssReading(position_ned, velocity_ned, count, zero, zero)
+
+    def step(
+        self, state: None, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
+    ) -> tuple[None, GnssReading]:
+        """Return the true position and velocity."""
+        return self.init(draw, position_ned, velocity_ned, sky)

@@ -1,0 +1,100 @@
+"""Gyroscope and accelerometer (models.md section 6)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from jax import Array
+
+from qrsim.core.noise import Noise
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.vectors import Vec3
+
+
+@record
+class GyroscopeReading:
+    """Body rates as measured."""
+
+    rates_body: Vec3 = quantity(unit="rad/s", doc="measured body rates (p, q, r)")
+
+
+@record
+class AccelerometerReading:
+    """Specific force as measured."""
+
+    specific_force: Vec3 = quantity(unit="m/s^2", doc="measured specific force in body axes; -g along z at rest")
+
+
+def _with_white(value: Vec3, std: Array, draw: Noise) -> Vec3:
+    x, y, z = draw.normals(3)
+    return Vec3(value.x + std * x, value.y + std * y, value.z + std * z)
+
+
+@record
+class Gyroscope:
+    """Body rates plus white noise."""
+
+    white_std: Array = parameter(0.0002, unit="rad/s", doc="white noise of each reading, per axis", minimum=0.0)
+    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    reads: ClassVar[tuple[str, ...]] = ("rates_body",)
+    normals: ClassVar[int] = 3
+
+    def init(self, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
+        """Return the first reading."""
+        return None, GyroscopeReading(_with_white(rates_body, self.white_std, draw))
+
+    def step(self, state: None, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
+        """Return a reading of the rates (n,)."""
+        return self.init(draw, rates_body)
+
+
+@record
+class IdealGyroscope:
+    """The truth at the same period."""
+
+    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    reads: ClassVar[tuple[str, ...]] = ("rates_body",)
+    normals: ClassVar[int] = 0
+
+    def init(self, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
+        """Return the true rates."""
+        return None, GyroscopeReading(rates_body)
+
+    def step(self, state: None, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
+        """Return the true rates."""
+        return self.init(draw, rates_body)
+
+
+@record
+class Accelerometer:
+    """Mean specific force over the last step plus white noise."""
+
+    white_std: Array = parameter(0.0025, unit="m/s^2", doc="white noise of each reading, per axis", minimum=0.0)
+    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    reads: ClassVar[tuple[str, ...]] = ("specific_force",)
+    normals: ClassVar[int] = 3
+
+    def init(self, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
+        """Return the first reading."""
+        return None, AccelerometerReading(_with_white(specific_force, self.white_std, draw))
+
+    def step(self, state: None, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
+        """Return a reading of the specific force (n,)."""
+        return self.init(draw, specific_force)
+
+
+@record
+class IdealAccelerometer:
+    """The truth at the same period."""
+
+    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    reads: ClassVar[tuple[str, ...]] = ("specific_force",)
+    normals: ClassVar[int] = 0
+
+    def init(self, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
+        """Return the true specific force."""
+        return None, AccelerometerReading(specific_force)
+
+    def step(self, state: None, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
+        """Return the true specific force."""
+        return self.init(draw, specific_force)

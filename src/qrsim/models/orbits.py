@@ -1,0 +1,291 @@
+"""Satellite orbits: the interface every ephemeris has, and a GPS constellation that needs no file.
+
+An ephemeris works in float64 at load, for any time. ``at`` makes of it what a tick uses: a record of arrays that
+gives the satellites as they are seen from the site, accurate in single precision.
+"""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from jax import Array
+
+from qrsim.core.fastmath import sincos
+from qrsim.core.tree import cast, quantity, record
+from qrsim.core.vectors import Vec3
+from qrsim.errors import UsageError
+from qrsim.models.site import Float64, Site
+
+SPEED_OF_LIGHT = 299792458.0  # m/s
+EARTH_ROTATION_RATE = 7.2921151467e-5  # rad/s, IS-GPS-200
+EARTH_GRAVITY = 3.986005e14  # m^3/s^2, IS-GPS-200
+EARTH_RADIUS = 6378137.0  # m, equatorial, WGS-84
+EARTH_J2 = 1.0826298e-3  # WGS-84
+
+# Travel times lie between 67 ms at the zenith and 86 ms at the horizon.
+_TYPICAL_FLIGHT_S = 0.077
+_UNITS_PER_RAD = 2.0**32 / (2.0 * math.pi)
+
+
+class Orbits(Protocol):
+    """What a tick needs of an ephemeris: a record of arrays made for one site and one start time."""
+
+    def positions_ned(self, seconds: Array, fraction: Array) -> Vec3:
+        """Return the satellites' positions [m], Vec3 of (S,), in the site's NED frame.
+
+        The signals are received at the site at the time asked for. Each position is the one at transmission,
+        expressed in the Earth-fixed frame of the time of reception.
+
+        Args:
+            seconds: () int32, whole seconds since the start. A float32 of two days' seconds would be 8 ms off, in
+                which a satellite moves 30 m; hence the two parts, for which ``split_time`` is made.
+            fraction: () float in the run's precision, the rest of the time [s], usually in [0, 1).
+        """
+        ...
+
+
+class Ephemeris(Protocol):
+    """Satellite positions by time, in float64: an embedded constellation, or a file."""
+
+    @property
+    def satellites(self) -> tuple[str, ...]:
+        """Name of each of the S satellites."""
+        ...
+
+    @property
+    def span_gps_seconds(self) -> tuple[float, float]:
+        """First and last time [GPS s] with positions; infinite where there is no limit."""
+        ...
+
+    def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
+        """Return Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]."""
+        ...
+
+    def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike) -> Orbits:
+        """Return the record that a tick uses, for a run that starts at a time [GPS s]."""
+        ...
+
+
+@record
+class Phase:
+    """An angle that grows evenly, counted in units of 2^-32 turns so that it stays exact for years.
+
+    Whole units are int32 and overflow on purpose: that drops whole turns. What is left over of angle and rate,
+    less than half a unit, is kept as floats.
+    """
+
+    units: Array = quantity(unit="2^-32 turns", doc="(S,) int32, angle at the start")
+    units_per_s: Array = quantity(unit="2^-32 turns/s", doc="(S,) int32, rate")
+    rest: Array = quantity(unit="2^-32 turns", doc="(S,) what is left over of the angle")
+    rest_per_s: Array = quantity(unit="2^-32 turns/s", doc="(S,) what is left over of the rate")
+
+    @staticmethod
+    def of(angle: Any, rate: Any) -> Phase:
+        """Return the phase, in float64, of angles (S,) [rad] that grow at rates (S,) [rad/s], |rate| < pi."""
+        units, units_per_s = np.rint(angle * _UNITS_PER_RAD), np.rint(rate * _UNITS_PER_RAD)
+        return Phase(
+            units.astype(np.int64).astype(np.int32),
+            units_per_s.astype(np.int32),
+            angle * _UNITS_PER_RAD - units,
+            rate * _UNITS_PER_RAD - units_per_s,
+        )
+
+    def angle(self, seconds: Array, fraction: Array) -> Array:
+        """Return the angle (S,) [rad] near [-pi, pi] at whole seconds () int32 plus a fraction, () or (S,) [s]."""
+        dtype = fraction.dtype
+        units = self.units + self.units_per_s * seconds
+        rest = self.rest + self.rest_per_s * seconds.astype(dtype)
+        rest = rest + (self.units_per_s.astype(dtype) + self.rest_per_s) * fraction
+        return (units.astype(dtype) + rest) * (1.0 / _UNITS_PER_RAD)
+
+
+@record
+class KeplerOrbits:
+    """Circular orbits of S satellites as seen from a site; ``NominalConstellation.at`` makes it."""
+
+    argument: Phase = quantity(doc="(S,) argument of latitude, from the ascending node along the orbit")
+    node: Phase = quantity(doc="(S,) longitude of the ascending node, Earth-fixed, east positive")
+    radius: Array = quantity(unit="m", doc="(S,) distance from the Earth's centre")
+    cos_inclination: Array = quantity(unit="1", doc="(S,)")
+    sin_inclination: Array = quantity(unit="1", doc="(S,)")
+    origin_ecef: Vec3 = quantity(unit="m", doc="() the site")
+    north: Vec3 = quantity(unit="1", doc="() the site's north axis, Earth-fixed")
+    east: Vec3 = quantity(unit="1", doc="() the site's east axis, Earth-fixed")
+    down: Vec3 = quantity(unit="1", doc="() the site's down axis, Earth-fixed")
+
+    def positions_ned(self, seconds: Array, fraction: Array) -> Vec3:
+        """Return the satellites' positions as received at a time; see ``Orbits.positions_ned``.
+
+        The travel time comes from one fixed-point step, which leaves a satellite less than 1 mm off its place.
+        """
+        nearly = self._received(seconds, fraction, _TYPICAL_FLIGHT_S)
+        return self._received(seconds, fraction, nearly.norm() * (1.0 / SPEED_OF_LIGHT))
+
+    def _received(self, seconds: Array, fraction: Array, flight: Array | float) -> Vec3:
+        """Return positions in NED [m] for travel times [s], () or (S,)."""
+        sin_u, cos_u = sincos(self.argument.angle(seconds, fraction - flight))
+        # While the signal travels the Earth turns on, and what is fixed in space falls back to the west.
+        node = self.node.angle(seconds, fraction - flight) - EARTH_ROTATION_RATE * flight
+        sin_node, cos_node = sincos(node)
+        across = sin_u * self.cos_inclination
+        ray = Vec3(
+            self.radius * (cos_u * cos_node - across * sin_node) - self.origin_ecef.x,
+            self.radius * (cos_u * sin_node + across * cos_node) - self.origin_ecef.y,
+            self.radius * (sin_u * self.sin_inclination) - self.origin_ecef.z,
+        )
+        return Vec3(self.north.dot(ray), self.east.dot(ray), self.down.dot(ray))
+
+
+# Global Positioning System Standard Positioning Service Performance Standard, October 2001, table 3-1: right ascension
+# of the ascending node of each plane, and argument of latitude of its four slots [deg], at 1993-07-01 00:00 UTC.
+_PLANES: dict[str, tuple[float, tuple[float, ...]]] = {
+    "A": (272.847, (268.126, 161.786, 11.676, 41.806)),
+    "B": (332.847, (80.956, 173.336, 309.976, 204.376)),
+    "C": (32.847, (111.876, 11.796, 339.666, 241.556)),
+    "D": (92.847, (135.226, 265.446, 35.156, 167.356)),
+    "E": (152.847, (197.046, 302.596, 66.066, 333.686)),
+    "F": (212.847, (238.886, 345.226, 105.206, 135.346)),
+}
+_SEMI_MAJOR_AXIS = 26559710.0  # m
+_INCLINATION = math.radians(55.0)
+# 1993-07-01 00:00 UTC is 4925 days and 9 leap seconds after the GPS epoch.
+_EPOCH_GPS_SECONDS = 4925 * 86400.0 + 9.0
+_EPOCH_GREENWICH_RAD = math.radians(15.0 * (18.0 + 36.0 / 60.0 + 14.4 / 3600.0))
+
+_MEAN_MOTION = math.sqrt(EARTH_GRAVITY / _SEMI_MAJOR_AXIS**3)
+_J2_FACTOR = 1.5 * EARTH_J2 * (EARTH_RADIUS / _SEMI_MAJOR_AXIS) ** 2
+# Secular rates of a circular orbit [rad/s] (Brouwer 1959, first order; argument of perigee and mean anomaly together).
+_NODE_RATE = -_J2_FACTOR * _MEAN_MOTION * math.cos(_INCLINATION)
+_ARGUMENT_RATE = _MEAN_MOTION * (1.0 + _J2_FACTOR * (3.0 - 4.0 * math.sin(_INCLINATION) ** 2))
+
+
+@record
+class NominalConstellation:
+    """The nominal GPS constellation: 24 slots in 6 planes, circular orbits, secular J2 rates; any time.
+
+    It has the geometry of GPS, not today's satellites; UT1 - UTC, precession and polar motion are left out.
+    """
+
+    @property
+    def satellites(self) -> tuple[str, ...]:
+        """Slot names, A1 to F4."""
+        return tuple(f"{plane}{slot}" for plane, (_, slots) in _PLANES.items() for slot in range(1, len(slots) + 1))
+
+    @property
+    def span_gps_seconds(self) -> tuple[float, float]:
+        """No limit."""
+        return -math.inf, math.inf
+
+    def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
+        """Return Earth-fixed positions (..., 24, 3) [m] at times (...) [GPS s]; rounding is below 0.01 m until 2100."""
+        argument, node = self._angles(np.asarray(gps_seconds, np.float64)[..., None])
+        cos_u, across = np.cos(argument), np.sin(argument) * math.cos(_INCLINATION)
+        cos_node, sin_node = np.cos(node), np.sin(node)
+        return _SEMI_MAJOR_AXIS * np.stack(
+            (
+                cos_u * cos_node - across * sin_node,
+                cos_u * sin_node + across * cos_node,
+                np.sin(argument) * math.sin(_INCLINATION),
+            ),
+            axis=-1,
+        )
+
+    def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike) -> KeplerOrbits:
+        """Return the orbits as a tick uses them.
+
+        Args:
+            site: where the signals are received.
+            start_gps_seconds: time of tick 0 [GPS s].
+            dtype: float32 or float64, the run's precision.
+
+        Raises:
+            UsageError: the start is not finite.
+        """
+        if not math.isfinite(start_gps_seconds):
+            raise UsageError(f"start_gps_seconds: {start_gps_seconds} is not a finite time")
+        argument, node = self._angles(np.array([start_gps_seconds]))
+        like: Any = np.ones_like(argument)
+        orbits = KeplerOrbits(
+            Phase.of(argument, _ARGUMENT_RATE * like),
+            Phase.of(node, (_NODE_RATE - EARTH_ROTATION_RATE) * like),
+            _SEMI_MAJOR_AXIS * like,
+            math.cos(_INCLINATION) * like,
+            math.sin(_INCLINATION) * like,
+            Vec3(*site.origin_ecef()),
+            *(Vec3(*axis) for axis in site.ned_from_ecef_rotation()),
+        )
+        return cast(orbits, dtype)
+
+    @staticmethod
+    def _angles(gps_seconds: Float64) -> tuple[Float64, Float64]:
+        """Return argument of latitude and Earth-fixed longitude of the node [rad]; times (..., 1) give (..., 24)."""
+        age = gps_seconds - _EPOCH_GPS_SECONDS
+        slots = np.radians([angle for _, angles in _PLANES.values() for angle in angles])
+        planes = np.radians([ascension for ascension, angles in _PLANES.values() for _ in angles])
+        node = planes - _EPOCH_GREENWICH_RAD + (_NODE_RATE - EARTH_ROTATION_RATE) * age
+        return slots + _ARGUMENT_RATE * age, node
+
+
+def split_time(tick: Array, time_step: float, dtype: Any) -> tuple[Array, Array]:
+    """Return the time of a tick as (whole seconds int32, fraction in [0, 1) of ``dtype``), without rounding drift.
+
+    Args:
+        tick: () int32 or uint32, at least 0.
+        time_step: length of a tick [s]: a ratio of whole numbers below 10000, such as 0.02 or 1/30.
+        dtype: the run's precision.
+
+    Raises:
+        UsageError: the step is no such ratio.
+    """
+    ratio = Fraction(time_step).limit_denominator(9999) if math.isfinite(time_step) else Fraction(0)
+    top, bottom = ratio.numerator, ratio.denominator
+    # With both below 10000 the products fit an int32.
+    if not 0 < top < 10000 or abs(float(ratio) - time_step) > 1e-12 * time_step:
+        raise UsageError(f"time_step: {time_step} s is not a ratio of whole numbers below 10000, such as 0.02 or 1/30")
+    rest = (tick % bottom) * top
+    seconds = (tick // bottom) * top + rest // bottom
+    return seconds.astype(np.int32), (rest % bottom).astype(dtype) / bottom
+
+
+def elevation_azimuth(satellites_ned: npt.ArrayLike) -> tuple[Float64, Float64]:
+    """Return elevation (...) [rad] and azimuth (...) [rad, 0 to 2 pi, clockwise from north] of positions (..., 3).
+
+    Args:
+        satellites_ned: satellite minus receiver, in NED, in any unit.
+    """
+    north, east, down = np.moveaxis(_vectors("satellites_ned", satellites_ned), -1, 0)
+    return np.arctan2(-down, np.hypot(north, east)), np.arctan2(east, north) % (2.0 * math.pi)
+
+
+def dilution_of_precision(line_of_sight_ned: npt.ArrayLike) -> tuple[float, float, float, float]:
+    """Return (HDOP, VDOP, PDOP, TDOP): standard deviations of a fix for range errors of standard deviation 1.
+
+    Args:
+        line_of_sight_ned: (S, 3) unit vectors from the receiver to the satellites used.
+
+    Raises:
+        UsageError: fewer than 4 satellites, vectors that are not of length 1, or a geometry that gives no fix.
+    """
+    directions = _vectors("line_of_sight_ned", line_of_sight_ned)
+    if directions.ndim != 2 or len(directions) < 4:
+        raise UsageError(f"line_of_sight_ned: at least 4 satellites needed, as (S, 3); got shape {directions.shape}")
+    lengths = np.linalg.norm(directions, axis=-1)
+    if not np.all(np.abs(lengths - 1.0) < 1e-3):
+        raise UsageError(f"line_of_sight_ned: expected unit vectors, got lengths {lengths.min()} to {lengths.max()}")
+    design = np.column_stack((-directions, np.ones(len(directions))))
+    if np.linalg.matrix_rank(design) < 4:
+        raise UsageError("line_of_sight_ned: the satellites lie on a cone around the receiver, which gives no fix")
+    variance: Any = np.diag(np.linalg.inv(design.T @ design))
+    pdop = math.sqrt(variance[:3].sum())
+    return math.sqrt(variance[0] + variance[1]), math.sqrt(variance[2]), pdop, math.sqrt(variance[3])
+
+
+def _vectors(name: str, values: npt.ArrayLike) -> Float64:
+    array = np.asarray(values, np.float64)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise UsageError(f"{name}: expected an array of shape (..., 3), got {array.shape}")
+    return array

@@ -1,0 +1,166 @@
+"""The geodetic site: where the local NED frame touches the Earth, and the GPS time scale.
+
+Geodesy is pymap3d's, in float64, at load and in logs only; inside a tick everything is local NED. The
+functions import pymap3d when they are called: its import takes 10 ms or more, and brings in astropy where that is
+installed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from qrsim.errors import UsageError
+
+Float64 = npt.NDArray[np.float64]
+
+GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
+# First day on which GPS - UTC, 0 at the GPS epoch, was one second more (IERS Bulletin C).
+LEAP_SECOND_DAYS = (
+    "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
+    "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01", "2009-01-01", "2012-07-01",
+    "2015-07-01", "2017-01-01",
+)  # fmt: skip
+_LEAPS_UTC = tuple(datetime.fromisoformat(day).replace(tzinfo=UTC) for day in LEAP_SECOND_DAYS)
+_MICROSECOND = timedelta(microseconds=1)
+
+
+@dataclass(frozen=True)
+class Site:
+    """Origin of the NED frame on the WGS-84 ellipsoid.
+
+    Attributes:
+        latitude_rad: geodetic latitude [rad], north positive.
+        longitude_rad: longitude [rad], east positive.
+        height: above the ellipsoid [m].
+
+    The default is the flying field of Symington et al., IROS 2014.
+    """
+
+    latitude_rad: float = math.radians(51.71190)
+    longitude_rad: float = math.radians(-0.21052)
+    height: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            UsageError: an angle that is out of range (degrees, perhaps) or a value that is not finite.
+        """
+        for name, limit, words in (
+            ("latitude_rad", 0.5 * math.pi, "[-pi/2, pi/2]"),
+            ("longitude_rad", 2.0 * math.pi, "[-2 pi, 2 pi]"),
+        ):
+            value = getattr(self, name)
+            # NaN fails this comparison too.
+            if not abs(value) <= limit:
+                raise UsageError(f"site.{name}: {value} is outside {words} rad; for degrees use Site.from_degrees")
+        if not math.isfinite(self.height):
+            raise UsageError(f"site.height: {self.height} is not a finite number of metres")
+
+    @staticmethod
+    def from_degrees(latitude_deg: float, longitude_deg: float, height: float = 0.0) -> Site:
+        """Return the site at a latitude and longitude in degrees; raises UsageError as the constructor does."""
+        return Site(math.radians(latitude_deg), math.radians(longitude_deg), height)
+
+    def ned_to_geodetic(self, position_ned: npt.ArrayLike) -> tuple[Float64, Float64, Float64]:
+        """Return (latitude [rad], longitude [rad], height [m]), each (...), of positions (..., 3) in NED [m]."""
+        from pymap3d import ned2geodetic
+
+        return _apply(ned2geodetic, "position_ned", position_ned, *self._origin)
+
+    def geodetic_to_ned(
+        self, latitude_rad: npt.ArrayLike, longitude_rad: npt.ArrayLike, height: npt.ArrayLike
+    ) -> Float64:
+        """Return positions (..., 3) in NED [m]; the arguments [rad, rad, m] broadcast to a shape (...)."""
+        from pymap3d import geodetic2ned
+
+        geodetic = np.stack(np.broadcast_arrays(latitude_rad, longitude_rad, height), axis=-1)
+        return np.stack(_apply(geodetic2ned, "geodetic", geodetic, *self._origin), axis=-1)
+
+    def ecef_to_ned(self, points_ecef: npt.ArrayLike) -> Float64:
+        """Return points (..., 3) in this site's NED frame [m] from Earth-fixed coordinates (..., 3) [m]."""
+        from pymap3d import ecef2ned
+
+        return np.stack(_apply(ecef2ned, "points_ecef", points_ecef, *self._origin), axis=-1)
+
+    def ned_from_ecef_rotation(self) -> Float64:
+        """Return the matrix (3, 3) that takes an Earth-fixed vector to NED; its rows are north, east and down."""
+        from pymap3d import ecef2nedv
+
+        axes = _apply(ecef2nedv, "axes", np.eye(3), self.latitude_rad, self.longitude_rad)
+        return np.stack(axes, axis=0)
+
+    def origin_ecef(self) -> Float64:
+        """Return the origin (3,) in Earth-fixed coordinates [m]."""
+        from pymap3d import geodetic2ecef
+
+        return np.asarray(geodetic2ecef(*self._origin, deg=False), np.float64)
+
+    @property
+    def _origin(self) -> tuple[float, float, float]:
+        return self.latitude_rad, self.longitude_rad, self.height
+
+
+def _apply(
+    function: Callable[..., Any], name: str, points: npt.ArrayLike, *origin: float
+) -> tuple[Float64, Float64, Float64]:
+    """Call a pymap3d function on points (..., 3); returns its three results, each (...)."""
+    array = np.asarray(points, np.float64)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise UsageError(f"{name}: expected an array of shape (..., 3), got {array.shape}")
+    results = function(*(array[..., i] for i in range(3)), *origin, deg=False)
+    # pymap3d drops axes of length one from some results.
+    first, second, third = (np.reshape(np.asarray(result, np.float64), array.shape[:-1]) for result in results)
+    return first, second, third
+
+
+def gps_minus_utc(when: datetime) -> int:
+    """Return GPS - UTC [s] at a time; the last known value (18 since 2017) holds after the table.
+
+    Raises:
+        UsageError: the time is naive.
+    """
+    return sum(leap <= _aware(when) for leap in _LEAPS_UTC)
+
+
+def gps_seconds_from_utc(when: datetime) -> float:
+    """Return GPS seconds since 1980-01-06 00:00 of a time in any time zone, to a microsecond.
+
+    Raises:
+        UsageError: the time is naive, or before GPS time began.
+    """
+    if _aware(when) < GPS_EPOCH:
+        raise UsageError(f"{when.isoformat()} is before GPS time began, {GPS_EPOCH.isoformat()}")
+    return (when - GPS_EPOCH) // _MICROSECOND / 1e6 + gps_minus_utc(when)
+
+
+def utc_from_gps_seconds(gps_seconds: float) -> datetime:
+    """Return the UTC time of GPS seconds since 1980-01-06 00:00, to a microsecond.
+
+    A datetime cannot say 23:59:60, so a time within a leap second reads 23:59:59 a second time.
+
+    Raises:
+        UsageError: the time is negative, not finite, or after the year 9999.
+    """
+    if not 0.0 <= gps_seconds < math.inf:
+        raise UsageError(f"GPS seconds {gps_seconds}: expected a finite number that is not negative")
+    try:
+        gps = GPS_EPOCH + timedelta(microseconds=round(gps_seconds * 1e6))
+    except OverflowError:
+        raise UsageError(f"GPS seconds {gps_seconds}: after the year 9999") from None
+    # On the GPS scale a leap begins after the seconds that went before it.
+    offset = sum(leap + timedelta(seconds=before) <= gps for before, leap in enumerate(_LEAPS_UTC))
+    return gps - timedelta(seconds=offset)
+
+
+def _aware(when: datetime) -> datetime:
+    if when.utcoffset() is None:
+        raise UsageError(f"{when.isoformat()} has no time zone; give one, for UTC '{when.isoformat()}+00:00'")
+    return when

@@ -1,0 +1,1 @@
+"""Vehicles, one per file."""

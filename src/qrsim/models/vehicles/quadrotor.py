@@ -1,0 +1,208 @@
+"""The identified quadrotor: a second-order model that includes the platform's own stabilisation.
+
+Symington, De Nardi, Julier, Hailes, "Simulating Quadrotor UAVs in Outdoor Scenarios", IROS 2014, eqs. 1-6;
+the defaults are the constants identified there for an AscTec Pelican. Where the paper and its reference
+implementation differ or err, docs/models.md says what is built here and why.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, ClassVar, Literal
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.integrate import INTEGRATORS
+from qrsim.core.noise import Noise
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, euler_rates
+
+PITCH_ROLL_RAD_PER_RAW = -math.radians(0.025)
+THROTTLE_RAW_PER_UNIT = 4097.0
+YAW_RATE_RAD_S_PER_RAW = -math.radians(254.760 / 2047.0)
+# The process noise is quoted per step of this length; as a spectral density it holds for any step.
+PROCESS_NOISE_STEP_S = 0.02
+
+
+@record
+class Command:
+    """What the autopilot is asked for; each of shape (n,)."""
+
+    pitch: Array = quantity(unit="rad", doc="pitch angle, nose up positive")
+    roll: Array = quantity(unit="rad", doc="roll angle, right side down positive")
+    throttle: Array = quantity(unit="1", doc="collective throttle")
+    yaw_rate: Array = quantity(unit="rad/s", doc="yaw rate, clockwise seen from above positive")
+    battery: Array = quantity(unit="V", doc="battery voltage, which limits the thrust")
+
+
+COMMAND_FIELDS = ("pitch", "roll", "throttle", "yaw_rate", "battery")
+COMMAND_LIMITS = {
+    "pitch": (-0.9, 0.9),
+    "roll": (-0.9, 0.9),
+    "throttle": (0.0, 1.0),
+    "yaw_rate": (-4.5, 4.5),
+    "battery": (9.0, 12.0),
+}
+
+
+def clip_command(command: Command) -> tuple[Command, Array]:
+    """Bring a command into COMMAND_LIMITS; also say, with a bool of shape (n,), whether that changed it."""
+    clipped = Command(*(jnp.clip(getattr(command, name), *COMMAND_LIMITS[name]) for name in COMMAND_FIELDS))
+    changed = [getattr(clipped, name) != getattr(command, name) for name in COMMAND_FIELDS]
+    return clipped, jnp.any(jnp.stack(changed), axis=0)
+
+
+@record
+class QuadrotorState:
+    """The 13 states; each array of shape (n,)."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="position in the local tangent plane")
+    attitude: Euler = quantity(unit="rad", doc="ZYX Euler angles")
+    velocity_body: Vec3 = quantity(unit="m/s", doc="velocity over ground in body axes (u, v, w)")
+    rates_body: Vec3 = quantity(unit="rad/s", doc="body rates (p, q, r)")
+    thrust: Array = quantity(unit="N", doc="collective thrust, positive up")
+
+
+@record
+class ProcessNoise:
+    """White accelerations of one step; each of shape (n,)."""
+
+    linear: Vec3 = quantity(unit="m/s^2", doc="in body axes")
+    angular: Vec3 = quantity(unit="rad/s^2", doc="in body axes")
+
+
+@record
+class Quadrotor:
+    """Parameters of the identified model; a number, or one per vehicle (n,)."""
+
+    mass: Array = parameter(1.68, unit="kg", doc="take-off mass", above=0.0)
+    gravity: Array = parameter(9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    kpq0: Array = parameter(-3.25060e-04, unit="rad/raw", doc="roll and pitch command scale (Kpq0)")
+    kpq1: Array = parameter(1.79797e02, unit="1/s^2", doc="roll and pitch stiffness (Kpq1)")
+    kpq2: Array = parameter(-24.3536, unit="1/s", doc="roll and pitch damping (Kpq2)")
+    kr0: Array = parameter(-4.81783e-03, unit="rad/s^2/raw", doc="yaw-rate command scale (Kr0)")
+    kr1: Array = parameter(-5.08944, unit="1/s", doc="yaw-rate damping (Kr1)")
+    kuv: Array = parameter(-0.497391, unit="1/s", doc="drag along body x and y (Kuv)", maximum=0.0)
+    kw: Array = parameter(-1.35341, unit="1/s", doc="drag along body z (Kw)", maximum=0.0)
+    cth0: Array = parameter(6.63881e-01, unit="N", doc="throttle to thrust, constant (Cth0)")
+    cth1: Array = parameter(7.44649e-04, unit="N/raw", doc="throttle to thrust, linear (Cth1)")
+    cth2: Array = parameter(2.39855e-06, unit="N/raw^2", doc="throttle to thrust, quadratic (Cth2)")
+    cvb0: Array = parameter(-18.0007, unit="N", doc="largest thrust at a battery voltage, constant (Cvb0)")
+    cvb1: Array = parameter(4.23754, unit="N/V", doc="largest thrust at a battery voltage, linear (Cvb1)")
+    tau0: Array = parameter(3.07321, unit="1/s", doc="thrust response below throttle_min_raw (tau0)", minimum=0.0)
+    tau1: Array = parameter(46.8004, unit="N/s", doc="fastest change of thrust (tau1)", minimum=0.0)
+    throttle_min_raw: Array = parameter(300.0, unit="raw", doc="throttle below which the rotors idle (u_min)")
+    rate_max: Array = parameter(math.radians(150.0), unit="rad/s", doc="autopilot's roll and pitch rate limit", above=0)
+    process_noise: Array = parameter(
+        0.2, unit="m/s^2, rad/s^2", doc="std of the six white accelerations at a step of 0.02 s", minimum=0.0
+    )
+    integrator: Literal["heun", "rk4"] = setting("heun", doc="fixed-step rule")
+    normals: ClassVar[int] = 6
+
+    def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
+        """Return a state whose thrust carries the weight."""
+        weight = jnp.asarray(self.mass * self.gravity)
+        thrust = jnp.broadcast_to(weight, position_ned.x.shape)
+        return QuadrotorState(position_ned, attitude, velocity_body, rates_body, thrust)
+
+    def draw_noise(self, draw: Noise, dt: float) -> ProcessNoise:
+        """Draw the process noise of one step: a white spectral density, sigma(T) = sigma sqrt(0.02/T)."""
+        scale = self.process_noise * math.sqrt(PROCESS_NOISE_STEP_S / dt)
+        drawn = [normal * scale for normal in draw.normals(6)]
+        return ProcessNoise(Vec3(*drawn[:3]), Vec3(*drawn[3:]))
+
+    def step(
+        self,
+        state: QuadrotorState,
+        command: Command,
+        air_velocity: Callable[[AttitudeTrig], Vec3],
+        noise: ProcessNoise,
+        dt: float,
+    ) -> tuple[QuadrotorState, Vec3]:
+        """Advance one step.
+
+        Args:
+            state: arrays of shape (n,).
+            command: within COMMAND_LIMITS, applied during the whole step.
+            air_velocity: attitude -> air velocity in body axes [m/s].
+            noise: held during the whole step.
+            dt: step [s].
+
+        Returns:
+            The state after the step and the mean specific force [m/s^2] during it, in body axes.
+        """
+
+        def slope(current: QuadrotorState) -> tuple[QuadrotorState, Vec3]:
+            return self.derivative(current, command, air_velocity, noise, dt)
+
+        return INTEGRATORS[self.integrator](slope, state, dt)  # type: ignore[return-value]
+
+    def derivative(
+        self,
+        state: QuadrotorState,
+        command: Command,
+        air_velocity: Callable[[AttitudeTrig], Vec3],
+        noise: ProcessNoise,
+        dt: float,
+    ) -> tuple[QuadrotorState, Vec3]:
+        """Return the state's slope and the specific force (eqs. 1-6)."""
+        trig = AttitudeTrig.of(state.attitude)
+        direction = trig.rotation()
+        thrust_rate = self.thrust_rate(state.thrust, command.throttle, command.battery, dt)
+        velocity, rates = state.velocity_body, state.rates_body
+        relative = velocity - air_velocity(trig)
+        lift = (state.thrust + dt * thrust_rate) / self.mass
+        aerodynamic = Vec3(self.kuv * relative.x, self.kuv * relative.y, self.kw * relative.z - lift)
+        # Process noise is a real force, so an accelerometer feels it.
+        force = aerodynamic + noise.linear
+        weight = Vec3(direction.forward.z, direction.right.z, direction.down.z) * self.gravity
+        acceleration = force + weight - rates.cross(velocity)
+        slope = QuadrotorState(
+            direction.to_ned(velocity),
+            euler_rates(trig, rates),
+            acceleration,
+            self.angular_acceleration(state, command) + noise.angular,
+            thrust_rate,
+        )
+        return slope, force
+
+    def thrust_rate(self, thrust: Array, throttle: Array, battery: Array, dt: float) -> Array:
+        """Return dF/dt [N/s] (eqs. 1-3) from thrust [N], throttle [0, 1] and battery [V]."""
+        raw = throttle * THROTTLE_RAW_PER_UNIT
+        wanted = self.cth0 + raw * (self.cth1 + raw * self.cth2)
+        ceiling = self.cvb0 + self.cvb1 * battery
+        missing = jnp.minimum(wanted, ceiling) - thrust
+        limited = jnp.clip(missing / dt, -self.tau1, self.tau1)
+        return jnp.where(raw < self.throttle_min_raw, self.tau0 * missing, limited)
+
+    def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
+        """Return the stabilised body's angular acceleration [rad/s^2] (eqs. 4-5)."""
+        rates, attitude = state.rates_body, state.attitude
+        roll_raw = command.roll / PITCH_ROLL_RAD_PER_RAW
+        pitch_raw = command.pitch / PITCH_ROLL_RAD_PER_RAW
+        yaw_raw = command.yaw_rate / YAW_RATE_RAD_S_PER_RAW
+        roll = self.kpq1 * (self.kpq0 * roll_raw - attitude.roll) + self.kpq2 * rates.x
+        pitch = self.kpq1 * (self.kpq0 * pitch_raw - attitude.pitch) + self.kpq2 * rates.y
+        return Vec3(
+            self._rate_limited(roll, rates.x),
+            self._rate_limited(pitch, rates.y),
+            self.kr0 * yaw_raw + self.kr1 * rates.z,
+        )
+
+    def _rate_limited(self, acceleration: Array, rate: Array) -> Array:
+        """Stop only what would drive a rate further beyond the limit; the paper's form would freeze it there."""
+        outward = (jnp.abs(rate) >= self.rate_max) & (acceleration * rate > 0.0)
+        return jnp.where(outward, 0.0, acceleration)
+
+
+def raw_to_command(pitch: Array, roll: Array, throttle: Array, yaw: Array, battery: Array) -> Command:
+    """Convert recorded raw units (models.md section 1) to SI."""
+    return Command(
+        pitch * PITCH_ROLL_RAD_PER_RAW,
+        roll * PITCH_ROLL_RAD_PER_RAW,
+        throttle / THROTTLE_RAW_PER_UNIT,
+        yaw * YAW_RATE_RAD_S_PER_RAW,
+        battery,
+    )

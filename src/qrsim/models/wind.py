@@ -1,0 +1,55 @@
+"""Mean wind as a function of height.
+
+Wind axes: x along the moving air, y across it, z down. ``wind_from_rad`` is the bearing the wind comes
+FROM, clockwise from north, as meteorologists give it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.fastmath import log, sincos
+from qrsim.core.tree import parameter, record
+from qrsim.core.vectors import Vec3
+
+FEET_PER_METRE = 1.0 / 0.3048
+ROUGHNESS_FT = 0.15
+REFERENCE_FT = 20.0
+
+
+def wind_to_ned(along: Array, across: Array, down: Array, wind_from_rad: Array) -> Vec3:
+    """Rotate a vector in wind axes to NED (models.md section 3)."""
+    sine, cosine = sincos(jnp.asarray(wind_from_rad))
+    return Vec3(sine * across - cosine * along, -sine * along - cosine * across, down)
+
+
+@record
+class Calm:
+    """No mean wind."""
+
+    def velocity_ned(self, height_agl: Array) -> Vec3:
+        """Return zero [m/s] at every height (n,)."""
+        return Vec3.zeros(height_agl.shape, height_agl.dtype)
+
+
+@record
+class LogShear:
+    """A steady wind whose speed grows with the logarithm of height."""
+
+    speed_20ft: Array = parameter(unit="m/s", doc="speed 20 ft (6.096 m) above the ground", minimum=0.0, maximum=50.0)
+    wind_from_rad: Array = parameter(
+        unit="rad", doc="bearing the wind comes from, clockwise from north", minimum=-2 * math.pi, maximum=2 * math.pi
+    )
+
+    def velocity_ned(self, height_agl: Array) -> Vec3:
+        """Return the air's velocity [m/s] at heights (n,) [m] above ground; zero at and below the roughness height.
+
+        |w(h)| = u20 ln(h/z0)/ln(20/z0), h in feet, z0 = 0.15 ft (MIL-F-8785C, section 3.7.3.2).
+        """
+        ratio = jnp.maximum(height_agl * (FEET_PER_METRE / ROUGHNESS_FT), 1.0)
+        speed = self.speed_20ft * log(ratio) * (1.0 / math.log(REFERENCE_FT / ROUGHNESS_FT))
+        zero = jnp.zeros_like(speed)
+        return wind_to_ned(speed, zero, zero, self.wind_from_rad)

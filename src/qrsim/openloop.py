@@ -1,0 +1,74 @@
+"""Drive the vehicle model alone with recorded commands: no world, no sensors, no noise."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qrsim.core.tree import cast
+from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.vehicles.quadrotor import Command, ProcessNoise, Quadrotor, QuadrotorState
+
+
+@partial(jax.jit, static_argnames="dt")
+def _scan(vehicle: Quadrotor, initial: jax.Array, commands: jax.Array, wind_body: jax.Array, dt: float) -> jax.Array:
+    like = initial[0]
+    still = Vec3.zeros((), like.dtype)
+    noise = ProcessNoise(still, still)
+    wind = Vec3.of(wind_body)
+
+    def tick(state: QuadrotorState, row: jax.Array) -> tuple[QuadrotorState, jax.Array]:
+        state, force = vehicle.step(state, Command(*(row[i] for i in range(5))), lambda trig: wind, noise, dt)
+        return state, jnp.stack([*jax.tree.leaves(state), force.x, force.y, force.z])
+
+    leaves = [initial[i] for i in range(13)]
+    start = QuadrotorState(Vec3(*leaves[:3]), Euler(*leaves[3:6]), Vec3(*leaves[6:9]), Vec3(*leaves[9:12]), leaves[12])
+    return jax.lax.scan(tick, start, commands)[1]
+
+
+def simulate_open_loop(
+    vehicle: Quadrotor,
+    commands: np.ndarray[Any, Any],
+    initial_state: np.ndarray[Any, Any],
+    *,
+    wind_body: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    dt: float = 0.02,
+    precision: str = "float64",
+) -> np.ndarray[Any, Any]:
+    """Integrate the model under a sequence of commands.
+
+    Args:
+        vehicle: parameters.
+        commands: (T, 5) SI commands (pitch, roll, throttle, yaw rate, battery), row i applied during step i.
+        initial_state: (13,) state before the first row (position NED, Euler angles, body velocity, rates, thrust).
+        wind_body: air velocity in body axes [m/s], constant in the body frame.
+        dt: step [s].
+        precision: "float64" or "float32".
+
+    Returns:
+        (T, 16): the state after each row, then the mean specific force [m/s^2] during it.
+    """
+    dtype = np.dtype(precision)
+    with jax.enable_x64(dtype == np.float64):
+        rows = _scan(
+            cast(vehicle, dtype),
+            jnp.asarray(initial_state, dtype),
+            jnp.asarray(commands, dtype),
+            jnp.asarray(wind_body, dtype),
+            dt,
+        )
+        return np.asarray(rows)
+
+
+def hover_state(
+    vehicle: Quadrotor, position_ned: tuple[float, float, float] = (0.0, 0.0, -10.0)
+) -> np.ndarray[Any, Any]:
+    """Return the (13,) state of a vehicle at rest whose thrust carries its weight."""
+    state = np.zeros(13)
+    state[:3] = position_ned
+    state[12] = float(vehicle.mass) * float(vehicle.gravity)
+    return state

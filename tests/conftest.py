@@ -1,0 +1,32 @@
+"""Strict mode for every test: silent rank or type promotion raises."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+DATA_INSTALL_LINE = "run 'qrsim data fetch' and set QRSIM_DATA_DIR to the folder it prints"
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """The folder of recordings; skips where it is absent."""
+    folder = Path(os.environ.get("QRSIM_DATA_DIR", ""))
+    if not os.environ.get("QRSIM_DATA_DIR") or not (folder / "rotation_rig.csv").is_file():
+        pytest.skip(f"no recordings: QRSIM_DATA_DIR is not set to a folder that holds them; {DATA_INSTALL_LINE}")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def golden(recordings: Path) -> Path:
+    """The folder of golden trajectories, beside the recordings; skips where it is absent."""
+    folder = recordings.parent / "golden"
+    if not (folder / "varied.csv").is_file():
+        pytest.skip(f"no golden trajectories: expected {folder}; {DATA_INSTALL_LINE}")
+    return folder
