@@ -1,0 +1,170 @@
+"""What a user sees of a state: readings and truth as plain NumPy arrays, vehicles first."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.world import FleetState, State, World
+
+Floats = np.ndarray[Any, Any]
+
+
+def as_array(value: Any) -> Any:
+    """Return a Vec3 or Euler as (n, 3), anything else as it is."""
+    if isinstance(value, Vec3):
+        return np.stack((value.x, value.y, value.z), axis=-1)
+    if isinstance(value, Euler):
+        return np.stack((value.roll, value.pitch, value.yaw), axis=-1)
+    return value
+
+
+class SensorReading:
+    """The last reading of one sensor of n vehicles; its fields are attributes, see ``fields``."""
+
+    def __init__(self, name: str, reading: Any):
+        self._name = name
+        self._reading = reading
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of what the sensor reports."""
+        return tuple(field.name for field in dataclasses.fields(self._reading))
+
+    def __getattr__(self, field: str) -> Floats:
+        if field.startswith("__"):
+            raise AttributeError(field)
+        if field not in self.fields:
+            raise AttributeError(f"sensor '{self._name}' has no '{field}'{did_you_mean(field, self.fields)}")
+        return as_array(getattr(self._reading, field))  # type: ignore[no-any-return]
+
+    def __repr__(self) -> str:
+        return f"<reading of {self._name}: {', '.join(self.fields)}>"
+
+
+class FleetReading:
+    """The last reading of every sensor of one fleet; its sensors are attributes, see ``sensors``."""
+
+    def __init__(self, names: tuple[str, ...], state: FleetState):
+        self._sensors = dict(zip(names, state.readings, strict=True))
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the sensors."""
+        return tuple(self._sensors)
+
+    def __getattr__(self, sensor: str) -> SensorReading:
+        if sensor.startswith("__"):
+            raise AttributeError(sensor)
+        if sensor not in self._sensors:
+            raise AttributeError(f"no sensor is called '{sensor}'{did_you_mean(sensor, self._sensors)}")
+        return SensorReading(sensor, self._sensors[sensor])
+
+    def __repr__(self) -> str:
+        return f"<readings of {', '.join(self.sensors)}>"
+
+
+class Reading:
+    """What the sensors of all fleets say at one time; NaN for vehicles that are no longer valid.
+
+    ``reading["pelicans"].gnss.position_ned`` is (n, 3). With a single fleet its name can be left out:
+    ``reading.gnss.position_ned``.
+
+    Attributes:
+        time: simulated time [s].
+    """
+
+    def __init__(self, world: World, state: State, time: float):
+        self.time = time
+        self._fleets = {
+            fleet.name: FleetReading(fleet.sensor_names, fleet_state)
+            for fleet, fleet_state in zip(world.fleets, state.fleets, strict=True)
+        }
+        self._state = state
+
+    @property
+    def fleets(self) -> tuple[str, ...]:
+        """Names of the fleets."""
+        return tuple(self._fleets)
+
+    def __getitem__(self, fleet: str) -> FleetReading:
+        if fleet not in self._fleets:
+            raise UsageError(f"no fleet is called '{fleet}'{did_you_mean(str(fleet), self._fleets)}")
+        return self._fleets[fleet]
+
+    def __getattr__(self, sensor: str) -> SensorReading:
+        if sensor.startswith("__"):
+            raise AttributeError(sensor)
+        if len(self._fleets) != 1:
+            raise AttributeError(
+                f"'{sensor}': there are several fleets; name one, reading['{self.fleets[0]}'].{sensor}"
+            )
+        return getattr(next(iter(self._fleets.values())), sensor)  # type: ignore[no-any-return]
+
+    def __repr__(self) -> str:
+        return f"<reading at {self.time:.3f} s: {', '.join(f'{k}: {v!r}' for k, v in self._fleets.items())}>"
+
+
+class Truth:
+    """The true state of all n vehicles, fleets one after the other."""
+
+    def __init__(self, state: State):
+        self._fleets = state.fleets
+
+    def _gather(self, pick: Any) -> Floats:
+        return np.concatenate([as_array(pick(fleet)) for fleet in self._fleets])
+
+    @property
+    def position_ned(self) -> Floats:
+        """(n, 3) position [m]."""
+        return self._gather(lambda fleet: fleet.vehicle.position_ned)
+
+    @property
+    def attitude(self) -> Floats:
+        """(n, 3) roll, pitch, yaw [rad]."""
+        return self._gather(lambda fleet: fleet.vehicle.attitude)
+
+    @property
+    def velocity_body(self) -> Floats:
+        """(n, 3) velocity over ground in body axes [m/s]."""
+        return self._gather(lambda fleet: fleet.vehicle.velocity_body)
+
+    @property
+    def velocity_ned(self) -> Floats:
+        """(n, 3) velocity over ground [m/s]."""
+        return self._gather(lambda fleet: rotation(fleet.vehicle.attitude).to_ned(fleet.vehicle.velocity_body))
+
+    @property
+    def rates_body(self) -> Floats:
+        """(n, 3) body rates [rad/s]."""
+        return self._gather(lambda fleet: fleet.vehicle.rates_body)
+
+    @property
+    def thrust(self) -> Floats:
+        """(n,) collective thrust [N]."""
+        return self._gather(lambda fleet: fleet.vehicle.thrust)
+
+    @property
+    def specific_force(self) -> Floats:
+        """(n, 3) mean specific force of the last step in body axes [m/s^2]."""
+        return self._gather(lambda fleet: fleet.specific_force)
+
+    @property
+    def wind_ned(self) -> Floats:
+        """(n, 3) air velocity at the vehicle during the last step [m/s], gusts included."""
+        return self._gather(lambda fleet: fleet.mean_wind_ned + fleet.gust_ned)
+
+    @property
+    def command(self) -> Floats:
+        """(n, 5) the last command as flown: pitch, roll, throttle, yaw rate, battery."""
+        return self._gather(lambda f: np.stack(list(vars(f.command).values()), axis=-1))
+
+    @property
+    def state(self) -> Floats:
+        """(n, 13) position, Euler angles, body velocity, body rates, thrust."""
+        parts = (self.position_ned, self.attitude, self.velocity_body, self.rates_body, self.thrust[:, None])
+        return np.concatenate(parts, axis=1)

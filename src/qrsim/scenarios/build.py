@@ -1,0 +1,206 @@
+"""From a checked scenario to a World: parameters as arrays, routes padded, cross-checks between the parts."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from qrsim.control import Route
+from qrsim.core.tree import cast, field_info
+from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.area import StateLimits
+from qrsim.models.gnss import Sky
+from qrsim.models.orbits import split_time
+from qrsim.models.site import Site, gps_seconds_from_utc
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.world import Fleet, Start, World
+
+# What a controller fed with measurements needs, and the sensors that measure it.
+NEEDED = {"position_ned": "gnss_receiver", "height": "barometer", "attitude": "attitude_estimator"}
+PROVIDED = {
+    "position_ned": {"gnss_receiver", "ideal_gnss"},
+    "height": {"barometer", "ideal_barometer"},
+    "attitude": {"attitude_estimator", "ideal_attitude"},
+}
+
+
+def component(spec: BaseModel, choices: Mapping[str, type] | type, scenario: ScenarioSpec) -> Any:
+    """Return the component that a part of a scenario describes, its inherited parameters filled in."""
+    cls = choices if isinstance(choices, type) else choices[spec.type]  # type: ignore[attr-defined]
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(cls):
+        value = getattr(spec, field.name)
+        inherits = field_info(field).inherits
+        if isinstance(value, BaseModel):
+            value = component(value, type(field.default), scenario)
+        elif value is None and inherits:
+            value = inherited(scenario, inherits)
+        values[field.name] = value
+    return cls(**values)
+
+
+def inherited(scenario: ScenarioSpec, path: str) -> Any:
+    """Return the value at a dotted path of the scenario, None where there is none."""
+    value: Any = scenario
+    for part in path.split("."):
+        value = getattr(value, part, None)
+    return value
+
+
+def problems(scenario: ScenarioSpec) -> list[str]:
+    """Return every fault that involves more than one parameter, one sentence each."""
+    return [*_timing_problems(scenario), *_inheritance_problems(scenario), *_fleet_problems(scenario)]
+
+
+def _timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    dt = scenario.time_step
+    try:
+        split_time(np.int32(0), dt, np.float32)  # type: ignore[arg-type]
+    except ValueError as error:
+        yield str(error)
+    if not _is_multiple(scenario.duration, dt):
+        yield f"duration: {scenario.duration:g} s is not a multiple of the time step {dt:g} s"
+    sky = scenario.world.sky.period
+    if not _is_multiple(sky, dt):
+        yield f"world.sky.period: {sky:g} s is not a multiple of the time step {dt:g} s"
+    for name, fleet in scenario.fleets.items():
+        for sensor_name, sensor in fleet.sensors.items():
+            path = f"fleets.{name}.sensors.{sensor_name}.period"
+            if not _is_multiple(sensor.period, dt):
+                yield f"{path}: {sensor.period:g} s is not a multiple of the time step {dt:g} s"
+            elif "gnss" in sensor.type and not _is_multiple(sensor.period, sky):
+                yield f"{path}: {sensor.period:g} s is not a multiple of world.sky.period, {sky:g} s"
+
+
+def _is_multiple(period: float, step: float) -> bool:
+    ratio = period / step
+    return round(ratio) >= 1 and math.isclose(ratio, round(ratio), rel_tol=1e-9)
+
+
+def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    turbulence = scenario.world.turbulence
+    cls = known.TURBULENCES[turbulence.type]
+    for field in dataclasses.fields(cls):
+        path = field_info(field).inherits
+        if path and getattr(turbulence, field.name) is None and inherited(scenario, path) is None:
+            yield (
+                f"world.turbulence.{field.name}: missing; it would be taken from {path}, "
+                f"but world.wind is '{scenario.world.wind.type}', which has none"
+            )
+
+
+def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    area = scenario.world.area
+    starts: list[tuple[str, list[float]]] = []
+    names: dict[str, str] = {}
+    for axis in "xyz":
+        low, high = getattr(area, f"{axis}_min"), getattr(area, f"{axis}_max")
+        if low >= high:
+            yield f"world.area.{axis}_min: {low:g} m is not below {axis}_max, {high:g} m"
+    for fleet_name, fleet in scenario.fleets.items():
+        yield from _feed_problems(fleet_name, fleet)
+        for i, vehicle in enumerate(fleet.vehicles):
+            path = f"fleets.{fleet_name}.vehicles.{i}"
+            name = vehicle.name or f"{fleet_name}_{i}"
+            if name in names:
+                yield f"{path}.name: '{name}' is also the name of {names[name]}"
+            names[name] = path
+            yield from _outside(f"{path}.position_ned", vehicle.position_ned, area)
+            for j, waypoint in enumerate(vehicle.waypoints_ned):
+                yield from _outside(f"{path}.waypoints_ned.{j}", waypoint, area)
+            for other_path, other in starts:
+                distance = math.dist(other, vehicle.position_ned)
+                if distance < scenario.world.collision_distance:
+                    yield (
+                        f"{path}.position_ned: starts {distance:.3g} m from {other_path}; "
+                        f"allowed: at least {scenario.world.collision_distance:g} m (world.collision_distance)"
+                    )
+            starts.append((path, vehicle.position_ned))
+
+
+def _outside(path: str, point: list[float], area: Any) -> Iterator[str]:
+    for axis, value in zip("xyz", point, strict=True):
+        low, high = getattr(area, f"{axis}_min"), getattr(area, f"{axis}_max")
+        if not low <= value <= high:
+            yield f"{path}: {axis} = {value:g} m is outside world.area; allowed: {low:g} to {high:g}"
+
+
+def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
+    if fleet.controller.feed != "measurements":  # type: ignore[attr-defined]
+        return
+    types = {sensor.type for sensor in fleet.sensors.values()}
+    for quantity, suggestion in NEEDED.items():
+        if not types & PROVIDED[quantity]:
+            yield (
+                f"fleets.{name}.sensors: the controller is fed with measurements, but no sensor gives {quantity}; "
+                f"add one of type {suggestion}, or set fleets.{name}.controller.feed to truth"
+            )
+
+
+def build_world(scenario: ScenarioSpec, precision: str) -> World:
+    """Return the World of a scenario without problems; ``precision`` is float32 or float64."""
+    dtype = np.dtype(precision)
+    world = scenario.world
+    site = Site.from_degrees(scenario.site.latitude_deg, scenario.site.longitude_deg, scenario.site.height)
+    ephemeris = component(world.sky.orbits, known.ORBITS, scenario)
+    orbits = ephemeris.at(site, gps_seconds_from_utc(scenario.start_time), dtype)
+    ids = np.arange(len(ephemeris.satellites), dtype=np.uint32)
+    sky = Sky(orbits, component(world.sky.errors, known.SKY_ERRORS, scenario), ids, world.sky.period)  # type: ignore[arg-type]
+    built = World(
+        wind=component(world.wind, known.WINDS, scenario),
+        turbulence=component(world.turbulence, known.TURBULENCES, scenario),
+        sky=sky,
+        area=component(world.area, known.AREAS, scenario),
+        fleets=tuple(_fleet(name, fleet, scenario) for name, fleet in scenario.fleets.items()),
+        collision_distance=world.collision_distance,  # type: ignore[arg-type]
+        time_step=scenario.time_step,
+    )
+    return cast(built, dtype)
+
+
+def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec) -> Fleet:
+    return Fleet(
+        vehicle=component(spec.vehicle, known.VEHICLES, scenario),
+        controller=component(spec.controller, known.CONTROLLERS, scenario),
+        guidance=component(spec.guidance, known.GUIDANCE, scenario),
+        route=_route(spec),
+        start=_start(spec),
+        limits=component(spec.limits, StateLimits, scenario),
+        sensors=tuple(component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()),
+        name=name,
+        sensor_names=tuple(spec.sensors),
+        vehicle_names=tuple(vehicle.name or f"{name}_{i}" for i, vehicle in enumerate(spec.vehicles)),
+    )
+
+
+def _columns(rows: list[list[float]]) -> Vec3:
+    array = np.asarray(rows, np.float64)
+    return Vec3(*(np.ascontiguousarray(array[:, axis]) for axis in range(3)))  # type: ignore[arg-type]
+
+
+def _start(spec: FleetSpec) -> Start:
+    yaw = np.array([vehicle.yaw_rad for vehicle in spec.vehicles])
+    zero = np.zeros_like(yaw)
+    return Start(
+        _columns([vehicle.position_ned for vehicle in spec.vehicles]),
+        Euler(zero, zero, yaw),  # type: ignore[arg-type]
+        _columns([vehicle.velocity_body for vehicle in spec.vehicles]),
+        Vec3(zero, zero, zero),  # type: ignore[arg-type]
+    )
+
+
+def _route(spec: FleetSpec) -> Route:
+    """A vehicle without waypoints holds its start position."""
+    routes = [vehicle.waypoints_ned or [vehicle.position_ned] for vehicle in spec.vehicles]
+    longest = max(map(len, routes))
+    padded = np.array([route + [route[-1]] * (longest - len(route)) for route in routes])
+    yaw = np.tile([vehicle.yaw_rad for vehicle in spec.vehicles], (longest, 1))
+    count = np.array([len(route) for route in routes], np.int32)
+    axes = (np.ascontiguousarray(padded[:, :, axis].T) for axis in range(3))
+    return Route(Vec3(*axes), yaw, count)  # type: ignore[arg-type]

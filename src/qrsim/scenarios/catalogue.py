@@ -1,0 +1,37 @@
+"""Every component a scenario can name. A new component is one file in models/ and one line here."""
+
+from __future__ import annotations
+
+from qrsim.control import RouteFollower, WaypointController
+from qrsim.models.area import BoxArea
+from qrsim.models.attitude import AttitudeEstimator, IdealAttitude
+from qrsim.models.barometer import Barometer, IdealBarometer
+from qrsim.models.gnss import GnssReceiver, IdealGnss, OrnsteinUhlenbeckErrors
+from qrsim.models.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
+from qrsim.models.orbits import NominalConstellation
+from qrsim.models.turbulence import DrydenFirstOrder, Still
+from qrsim.models.vehicles.quadrotor import Quadrotor
+from qrsim.models.wind import Calm, LogShear
+
+Catalogue = dict[str, type]
+
+WINDS: Catalogue = {"calm": Calm, "log_shear": LogShear}
+TURBULENCES: Catalogue = {"still": Still, "dryden_first_order": DrydenFirstOrder}
+ORBITS: Catalogue = {"nominal_constellation": NominalConstellation}
+SKY_ERRORS: Catalogue = {"ou": OrnsteinUhlenbeckErrors}
+AREAS: Catalogue = {"box": BoxArea}
+VEHICLES: Catalogue = {"pelican": Quadrotor}
+CONTROLLERS: Catalogue = {"waypoint": WaypointController}
+GUIDANCE: Catalogue = {"route": RouteFollower}
+SENSORS: Catalogue = {
+    "gnss_receiver": GnssReceiver,
+    "ideal_gnss": IdealGnss,
+    "barometer": Barometer,
+    "ideal_barometer": IdealBarometer,
+    "attitude_estimator": AttitudeEstimator,
+    "ideal_attitude": IdealAttitude,
+    "gyroscope": Gyroscope,
+    "ideal_gyroscope": IdealGyroscope,
+    "accelerometer": Accelerometer,
+    "ideal_accelerometer": IdealAccelerometer,
+}

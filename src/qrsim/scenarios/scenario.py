@@ -1,0 +1,87 @@
+"""Loading a scenario: reading, overriding, checking, building."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from qrsim.errors import ScenarioError
+from qrsim.models.site import Site
+from qrsim.scenarios import build
+from qrsim.scenarios.problems import describe
+from qrsim.scenarios.reading import apply_override, built_in_names, read_scenario
+from qrsim.scenarios.schema import ScenarioSpec, json_schema
+from qrsim.world import World
+
+__all__ = ["Scenario", "built_in_names", "json_schema", "load_scenario"]
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A checked scenario.
+
+    Attributes:
+        spec: its content, every default filled in.
+    """
+
+    spec: ScenarioSpec
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return self.spec.name
+
+    @property
+    def duration(self) -> float:
+        """Simulated time [s]."""
+        return self.spec.duration
+
+    @property
+    def ticks(self) -> int:
+        """Number of steps of the whole scenario."""
+        return round(self.spec.duration / self.spec.time_step)
+
+    @property
+    def site(self) -> Site:
+        """Origin of the local frame."""
+        site = self.spec.site
+        return Site.from_degrees(site.latitude_deg, site.longitude_deg, site.height)
+
+    def world(self, precision: str = "float32") -> World:
+        """Return the World it describes, its numbers as arrays of ``precision`` (float32 or float64)."""
+        return build.build_world(self.spec, precision)
+
+    def to_yaml(self) -> str:
+        """Return the scenario as YAML, every default written out; loading it gives the same scenario."""
+        return yaml.safe_dump(self.spec.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=100)
+
+
+def load_scenario(source: str | Path | dict[str, Any], overrides: Iterable[str] = ()) -> Scenario:
+    """Read and check a scenario.
+
+    Args:
+        source: a built-in name, the path of a YAML file, or the content as a dict.
+        overrides: assignments such as "world.wind.speed_20ft=7", applied before the check.
+
+    Raises:
+        UsageError: there is no such scenario.
+        ScenarioError: its content is wrong; the message lists every fault.
+    """
+    name, content = read_scenario(source)
+    content = copy.deepcopy(content)
+    for assignment in overrides:
+        apply_override(content, assignment)
+    try:
+        spec = ScenarioSpec.model_validate(content)
+    except ValidationError as error:
+        raise ScenarioError(name, describe(error, ScenarioSpec, content)) from None
+    found = build.problems(spec)
+    if found:
+        raise ScenarioError(name, found)
+    return Scenario(spec)

@@ -1,0 +1,180 @@
+"""The pydantic schema of a scenario, generated from the fields of the components in the catalogue."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Annotated, Any, Literal, Union, get_type_hints
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, create_model, model_validator
+
+from qrsim.core.tree import FieldInfo, field_info
+from qrsim.models.area import StateLimits
+from qrsim.scenarios import catalogue as known
+
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+Position = Annotated[list[Finite], Field(min_length=3, max_length=3)]
+
+
+def _add_degrees(schema: dict[str, Any]) -> None:
+    """Say in the JSON schema that every angle can be given in degrees instead."""
+    properties = schema.get("properties", {})
+    for name in [name for name in properties if name.endswith("_rad")]:
+        twin = name.removesuffix("_rad") + "_deg"
+        properties[twin] = {"type": "number", "description": f"{name} in degrees; give one of the two"}
+        if name in schema.get("required", []):
+            schema["required"].remove(name)
+
+
+class Strict(BaseModel):
+    """Base of every part of a scenario: nothing unknown, nothing coerced, angles in degrees welcome."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra=_add_degrees)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _degrees_to_radians(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        converted = dict(data)
+        for name in cls.model_fields:
+            twin = name.removesuffix("_rad") + "_deg"
+            if name.endswith("_rad") and twin in converted:
+                if name in converted:
+                    raise ValueError(f"gives both '{name}' and '{twin}'; give one")
+                value = converted.pop(twin)
+                is_number = isinstance(value, int | float) and not isinstance(value, bool)
+                converted[name] = math.radians(value) if is_number else value
+        return converted
+
+
+def _bounds(info: FieldInfo) -> dict[str, Any]:
+    bounds = {"ge": info.minimum, "le": info.maximum, "gt": info.above}
+    return {name: bound for name, bound in bounds.items() if bound is not None}
+
+
+def _described(info: FieldInfo) -> dict[str, Any]:
+    inherited = f" (default: that of {info.inherits})" if info.inherits else ""
+    return {"description": info.doc + inherited, "json_schema_extra": {"unit": info.unit}}
+
+
+def _field(name: str, hint: Any, field: dataclasses.Field[Any]) -> tuple[Any, Any]:
+    info = field_info(field)
+    required = field.default is dataclasses.MISSING
+    if dataclasses.is_dataclass(field.default):
+        nested = component_model(type(field.default).__name__, type(field.default), tagged=False)
+        return nested, Field(default_factory=nested, **_described(info))
+    if info.static:
+        constraints = Field(strict=True, allow_inf_nan=False) if hint is float else Field(strict=True)
+        annotation: Any = Annotated[hint, constraints] if hint in (float, int, bool) else hint
+    else:
+        annotation = Finite
+    if info.inherits:
+        annotation = annotation | None
+    default = ... if required else field.default
+    return annotation, Field(default, **_bounds(info), **_described(info))
+
+
+def component_model(name: str, component: type, *, tagged: bool = True) -> type[Strict]:
+    """Return the schema of one component.
+
+    Args:
+        name: its name in the catalogue.
+        component: a record class whose fields carry metadata.
+        tagged: whether a scenario names it by a ``type`` key.
+    """
+    hints = get_type_hints(component)
+    fields: dict[str, Any] = {}
+    if tagged:
+        fields["type"] = (Literal[name], Field(description="what it is"))
+    for field in dataclasses.fields(component):
+        fields[field.name] = _field(field.name, hints[field.name], field)
+    doc = (component.__doc__ or "").split("\n\n")[0].strip()
+    return create_model(name, __base__=Strict, __doc__=doc, **fields)
+
+
+def _slot(choices: Mapping[str, type]) -> Any:
+    """Return the annotation of a place where one of several components goes."""
+    models = [component_model(name, component) for name, component in choices.items()]
+    return Annotated[Union[tuple(models)], Field(discriminator="type")] if len(models) > 1 else models[0]  # noqa: UP007
+
+
+class VehicleSpec(Strict):
+    """One vehicle: where it starts and where it flies."""
+
+    name: str | None = Field(None, description="default: the fleet's name and a number", min_length=1)
+    position_ned: Position = Field(description="start position [m]: north, east, down")
+    yaw_rad: Finite = Field(0.0, description="heading at the start and along the route [rad]", ge=-6.3, le=6.3)
+    velocity_body: Position = Field([0.0, 0.0, 0.0], description="initial velocity in body axes [m/s]")
+    waypoints_ned: list[Position] = Field([], description="route [m]; empty: hold the start position", max_length=200)
+
+
+WindSlot = _slot(known.WINDS)
+TurbulenceSlot = _slot(known.TURBULENCES)
+SensorSlot = _slot(known.SENSORS)
+OrbitsModel = _slot(known.ORBITS)
+SkyErrorsModel = _slot(known.SKY_ERRORS)
+AreaModel = _slot(known.AREAS)
+VehicleModel = _slot(known.VEHICLES)
+ControllerModel = _slot(known.CONTROLLERS)
+GuidanceModel = _slot(known.GUIDANCE)
+LimitsModel = component_model("limits", StateLimits, tagged=False)
+
+
+class SkySpec(Strict):
+    """The GNSS space segment, shared by all receivers."""
+
+    orbits: OrbitsModel = Field({"type": "nominal_constellation"}, description="orbits", validate_default=True)  # type: ignore[valid-type]
+    errors: SkyErrorsModel = Field({"type": "ou"}, description="range errors", validate_default=True)  # type: ignore[valid-type]
+    period: Finite = Field(0.2, description="interval between epochs [s], a multiple of the time step", gt=0)
+
+
+class WorldSpec(Strict):
+    """What is around the vehicles."""
+
+    area: AreaModel = Field({"type": "box"}, description="where vehicles may be", validate_default=True)  # type: ignore[valid-type]
+    wind: WindSlot = Field({"type": "calm"}, description="mean wind", validate_default=True)
+    turbulence: TurbulenceSlot = Field({"type": "still"}, description="gusts", validate_default=True)
+    sky: SkySpec = Field(default_factory=SkySpec, description="GNSS space segment")
+    collision_distance: Finite = Field(2.0, description="vehicles closer than this [m] collide", ge=0)
+
+
+class FleetSpec(Strict):
+    """Vehicles of one kind with the same sensors and controller."""
+
+    vehicle: VehicleModel = Field({"type": "pelican"}, description="vehicle model", validate_default=True)  # type: ignore[valid-type]
+    controller: ControllerModel = Field({"type": "waypoint"}, description="control loops", validate_default=True)  # type: ignore[valid-type]
+    guidance: GuidanceModel = Field({"type": "route"}, description="route following", validate_default=True)  # type: ignore[valid-type]
+    limits: LimitsModel = Field(default_factory=LimitsModel, description="state limits")  # type: ignore[valid-type]
+    sensors: dict[str, SensorSlot] = Field({}, description="sensors by name")
+    vehicles: list[VehicleSpec] = Field(description="vehicles", min_length=1)
+
+
+class SiteSpec(Strict):
+    """Where the local frame touches the Earth."""
+
+    latitude_deg: Finite = Field(51.71190, description="geodetic latitude [deg]", ge=-90, le=90)
+    longitude_deg: Finite = Field(-0.21052, description="longitude [deg], east positive", ge=-180, le=180)
+    height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=-500, le=9000)
+
+
+class ScenarioSpec(Strict):
+    """A scenario: site, world and fleets."""
+
+    name: str = Field(description="short name, used in folders", pattern=r"^[A-Za-z0-9_.-]+$")
+    description: str = Field("", description="one or two sentences")
+    duration: Finite = Field(60.0, description="simulated time [s]", gt=0, le=1e7)
+    time_step: Finite = Field(0.02, description="simulation step [s]", ge=1e-4, le=0.1)
+    start_time: AwareDatetime = Field(
+        datetime(2026, 6, 21, 10, tzinfo=UTC), description="time of the start, with its offset from UTC"
+    )
+    site: SiteSpec = Field(default_factory=SiteSpec, description="origin of the local frame")
+    world: WorldSpec = Field(default_factory=WorldSpec, description="what is around the vehicles")
+    fleets: dict[str, FleetSpec] = Field(description="fleets by name", min_length=1)
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON schema of scenario files."""
+    return ScenarioSpec.model_json_schema()

@@ -1,0 +1,349 @@
+"""Simulation: the stateful, friendly object over world.py, and the only place where worlds are compiled."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from qrsim import world as ticks_of
+from qrsim.control import WaypointSetpoint
+from qrsim.core.noise import Key
+from qrsim.core.pack import Buffers, Packer
+from qrsim.core.vectors import Vec3
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.area import REASONS
+from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
+from qrsim.readings import Reading, Truth
+from qrsim.world import Action, State, World
+
+FloatArray = np.ndarray[Any, Any]
+LARGEST_TICK = 2**31 - 2
+
+
+@partial(jax.jit, static_argnums=0)
+def _reset(world_layout: Packer, world: Buffers, key: Key) -> State:
+    return ticks_of.reset(world_layout.unpack(world), key)
+
+
+@partial(jax.jit, static_argnums=0)
+def _pack(layout: Packer, tree: Any) -> Buffers:
+    return layout.pack(tree)
+
+
+@partial(jax.jit, static_argnums=(0, 1), donate_argnums=3)
+def _advance(
+    world_layout: Packer, layout: Packer, world: Buffers, state: Buffers, tick: Any, count: Any, actions: Any
+) -> Buffers:
+    """Run ``count`` ticks and return the packed state."""
+    parameters = world_layout.unpack(world)
+
+    def body(i: Any, current: State) -> State:
+        return ticks_of.step(parameters, current, tick + i, actions)
+
+    return layout.pack(lax.fori_loop(jnp.int32(0), count, body, layout.unpack(state)))
+
+
+@partial(jax.jit, static_argnums=(0, 1, 7), donate_argnums=3)
+def _record(
+    world_layout: Packer,
+    layout: Packer,
+    world: Buffers,
+    state: Buffers,
+    tick: Any,
+    count: Any,
+    actions: Any,
+    capacity: int,
+) -> tuple[Buffers, Buffers]:
+    """Run ``count`` <= capacity ticks; return the packed state and every packed state on the way."""
+    parameters = world_layout.unpack(world)
+    rows = tuple(jnp.zeros((capacity, buffer.shape[0]), buffer.dtype) for buffer in state)
+
+    def body(i: Any, carry: tuple[State, Buffers]) -> tuple[State, Buffers]:
+        current = ticks_of.step(parameters, carry[0], tick + i, actions)
+        packed = layout.pack(current)
+        kept = tuple(lax.dynamic_update_index_in_dim(r, p, i, 0) for r, p in zip(carry[1], packed, strict=True))
+        return current, kept  # type: ignore[return-value]
+
+    final, kept = lax.fori_loop(jnp.int32(0), count, body, (layout.unpack(state), rows))
+    return layout.pack(final), kept
+
+
+class History:
+    """The states of consecutive ticks, as NumPy arrays with the tick as first axis.
+
+    Attributes:
+        ticks: (T,) tick numbers.
+        time: (T,) simulated time [s].
+        state: the State, each leaf with a leading axis T.
+    """
+
+    def __init__(self, ticks: FloatArray, time_step: float, state: State):
+        self.ticks = ticks
+        self.time = ticks * time_step
+        self.state = state
+
+
+class Simulation:
+    """A world that flies.
+
+    Args:
+        world: its parameters, as arrays of one floating-point type.
+        seed: of all randomness, 0 <= seed < 2**63.
+        name: what to call it in messages and logs.
+
+    Attributes:
+        world: the parameters.
+        seed: the seed of this episode.
+        tick: steps done since the reset.
+        vehicle_names: name of each of the n vehicles of all fleets.
+    """
+
+    def __init__(self, world: World, *, seed: int = 0, name: str = "world"):
+        _use_compilation_cache()
+        self.world = world
+        self.name = name
+        self.dtype = np.dtype(world.fleets[0].start.position_ned.x.dtype)
+        self.vehicle_names = tuple(name for fleet in world.fleets for name in fleet.vehicle_names)
+        self.tick = 0
+        self.seed = _checked_seed(seed)
+        self._world_layout = Packer(world)
+        with self._precision():
+            self._world: Buffers = jax.device_put(self._world_layout.pack(world))
+        self._layout: Packer | None = None
+        self._state: Buffers | None = None
+        self._host: State | None = None
+
+    @property
+    def precision(self) -> str:
+        """float32 or float64."""
+        return self.dtype.name
+
+    @property
+    def size(self) -> int:
+        """Number of vehicles of all fleets, n."""
+        return len(self.vehicle_names)
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the reset [s]."""
+        return self.tick * self.world.time_step
+
+    def reset(self, seed: int | None = None) -> Reading:
+        """Start an episode and return its first reading; a new seed makes another episode."""
+        if seed is not None:
+            self.seed = _checked_seed(seed)
+        with self._precision():
+            state = _reset(self._world_layout, self._world, Key.root(self.seed))
+            self._layout = Packer(state)
+            self._state = _pack(self._layout, state)
+        self.tick = 0
+        self._host = None
+        return self.reading
+
+    def step(self, command: Any = None, ticks: int = 1) -> Reading:
+        """Advance and return the reading at the end.
+
+        Args:
+            command: None lets every fleet's own guidance and controller fly; an array (n, 5) of SI commands (pitch,
+                roll, throttle, yaw rate, battery) is flown as it is; a WaypointSetpoint is handed to the controllers.
+            ticks: how many steps the command is held.
+
+        Raises:
+            UsageError: wrong shape, a value that is not finite or outside its range (field, value and range are
+                named), or a number of ticks that is not a positive integer.
+        """
+        actions = self._actions(command)
+        count = self._checked_ticks(ticks)
+        layout, state = self._running()
+        with self._precision():
+            self._state = _advance(
+                self._world_layout, layout, self._world, state, np.int32(self.tick), np.int32(count), actions
+            )
+        self.tick += count
+        self._host = None
+        return self.reading
+
+    def record(self, ticks: int, command: Any = None, capacity: int = 50) -> History:
+        """Advance as ``step`` does and return the state of every tick on the way.
+
+        Args:
+            ticks: how many, at most ``capacity``.
+            command: as in ``step``.
+            capacity: length the program is compiled for.
+        """
+        actions = self._actions(command)
+        count = self._checked_ticks(ticks)
+        if count > capacity:
+            raise UsageError(f"ticks: {count} is more than the capacity, {capacity}")
+        layout, state = self._running()
+        with self._precision():
+            self._state, rows = _record(
+                self._world_layout, layout, self._world, state, np.int32(self.tick), np.int32(count), actions, capacity
+            )
+        numbers = np.arange(self.tick + 1, self.tick + count + 1)
+        self.tick += count
+        self._host = None
+        host = tuple(np.asarray(buffer)[:count] for buffer in rows)
+        return History(numbers, self.world.time_step, layout.unpack(host))  # type: ignore[arg-type]
+
+    @property
+    def state(self) -> State:
+        """The whole state as NumPy arrays (read-only views)."""
+        if self._host is None:
+            layout, state = self._running()
+            # A copy, because the buffer itself is handed back to the next step.
+            self._host = layout.unpack(tuple(np.array(buffer) for buffer in state))  # type: ignore[arg-type]
+        return self._host
+
+    @property
+    def history(self) -> History:
+        """The present state as a History of one tick."""
+        layout, state = self._running()
+        host = tuple(np.array(buffer)[None] for buffer in state)
+        return History(np.array([self.tick]), self.world.time_step, layout.unpack(host))  # type: ignore[arg-type]
+
+    @property
+    def reading(self) -> Reading:
+        """What the sensors say now."""
+        return Reading(self.world, self.state, self.time)
+
+    @property
+    def truth(self) -> Truth:
+        """What is really the case now, all fleets one after the other."""
+        return Truth(self.state)
+
+    @property
+    def valid(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """(n,) whether each vehicle still flies."""
+        return np.concatenate([fleet.violation.code == 0 for fleet in self.state.fleets])
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why each of the n vehicles is invalid, "" while it is valid; kind, field and value."""
+        codes = np.concatenate([fleet.violation.code for fleet in self.state.fleets])
+        values = np.concatenate([fleet.violation.value for fleet in self.state.fleets])
+        return [reason_text(int(code), float(value)) for code, value in zip(codes, values, strict=True)]
+
+    def waypoint(self, position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:
+        """Return a set-point for ``step``: positions (n, 3) or (3,) [m] and headings (n,) or one [rad]."""
+        position = self._finite("position_ned", position_ned, (self.size, 3))
+        yaw = self._finite("yaw_rad", yaw_rad, (self.size,))
+        axes = (np.ascontiguousarray(position[:, axis]) for axis in range(3))
+        return WaypointSetpoint(Vec3(*axes), yaw)  # type: ignore[arg-type]
+
+    def _finite(self, what: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
+        try:
+            array = np.broadcast_to(np.asarray(values, self.dtype), shape)
+        except (TypeError, ValueError):
+            raise UsageError(f"{what}: expected numbers of shape {shape}, found {_shape_of(values)}") from None
+        if not np.all(np.isfinite(array)):
+            row = int(np.argwhere(~np.isfinite(array))[0][0])
+            raise UsageError(f"{what}: not finite for vehicle {row} ('{self.vehicle_names[row]}')")
+        return array
+
+    def _actions(self, command: Any) -> tuple[Action, ...]:
+        fleets = self.world.fleets
+        if command is None:
+            return (None,) * len(fleets)
+        if isinstance(command, WaypointSetpoint):
+            whole: Any = command
+        elif isinstance(command, str | bytes | dict):
+            raise UsageError(f"command: expected an array ({self.size}, 5), a set-point or None, found {command!r}")
+        else:
+            whole = self._checked_command(command)
+        ends = np.cumsum([fleet.size for fleet in fleets])
+        return tuple(
+            jax.tree.map(lambda leaf, start=end - fleet.size, end=end: leaf[start:end], whole)
+            for fleet, end in zip(fleets, ends, strict=True)
+        )
+
+    def _checked_command(self, command: Any) -> Command:
+        shape = (self.size, len(COMMAND_FIELDS))
+        try:
+            array = np.asarray(command, self.dtype)
+        except (TypeError, ValueError):
+            array = np.zeros(0)
+        if array.shape != shape:
+            raise UsageError(
+                f"command: expected shape {shape} (vehicles; {', '.join(COMMAND_FIELDS)}), found {_shape_of(command)}"
+            )
+        columns = []
+        for i, field in enumerate(COMMAND_FIELDS):
+            low, high = COMMAND_LIMITS[field]
+            column = np.ascontiguousarray(array[:, i])
+            # Rounding to single precision must not push 0.9 out of its own range.
+            wrong = ~((column >= self.dtype.type(low)) & (column <= self.dtype.type(high)))
+            if wrong.any():
+                row = int(np.argmax(wrong))
+                raise UsageError(
+                    f"command: {field} of vehicle {row} ('{self.vehicle_names[row]}') is {column[row]:g}; "
+                    f"allowed: {low:g} to {high:g}"
+                )
+            columns.append(column)
+        return Command(*columns)
+
+    def _checked_ticks(self, ticks: Any) -> int:
+        if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 1:
+            raise UsageError(f"ticks: {ticks!r} is not a positive integer")
+        if self.tick + int(ticks) > LARGEST_TICK:
+            raise UsageError(f"ticks: {ticks} would pass the last tick, {LARGEST_TICK}")
+        return int(ticks)
+
+    def _running(self) -> tuple[Packer, Buffers]:
+        if self._layout is None or self._state is None:
+            raise UsageError("the simulation has not started: call reset() first")
+        return self._layout, self._state
+
+    def _precision(self) -> contextlib.AbstractContextManager[Any]:
+        return jax.enable_x64(self.dtype == np.float64)
+
+
+def reason_text(code: int, value: float) -> str:
+    """Return a reason in words: kind, field and value; "" for code 0."""
+    if code == 0:
+        return ""
+    kind, field = REASONS[code]
+    return f"{kind}: {field}" if kind == "not_finite" else f"{kind}: {field} = {value:.4g}"
+
+
+def check_precision(precision: str) -> str:
+    """Return a precision that exists.
+
+    Raises:
+        UsageError: it is neither float32 nor float64.
+    """
+    known = ("float32", "float64")
+    if precision not in known:
+        raise UsageError(f"precision: '{precision}' is not known{did_you_mean(str(precision), known)}")
+    return precision
+
+
+def _checked_seed(seed: Any) -> int:
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
+        raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
+    return int(seed)
+
+
+def _shape_of(values: Any) -> str:
+    try:
+        return f"shape {np.shape(values)}"
+    except ValueError:
+        return "rows of different lengths"
+
+
+def _use_compilation_cache() -> None:
+    """Keep compiled programs in the user's cache, unless JAX was told otherwise or QRSIM_COMPILATION_CACHE is off."""
+    if jax.config.jax_compilation_cache_dir or os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
+        return
+    from platformdirs import user_cache_path
+
+    jax.config.update("jax_compilation_cache_dir", str(user_cache_path("qrsim") / "compiled"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -1,0 +1,340 @@
+"""A world: its parameters (World), everything in it that changes (State), and the order of one tick.
+
+Read ``step`` from top to bottom: sky, then for each fleet wind, controller and dynamics, then all new
+positions together, then the sensors that are due. Nothing here compiles; simulation.py does.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from qrsim.control import Estimate, Route, RouteFollower, RouteState, WaypointController, WaypointSetpoint
+from qrsim.core.noise import Draw, Drawn, Key, Noise, Stream, StreamKeys, draw_together
+from qrsim.core.tree import parameter, quantity, record, replace, select, setting
+from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.models.area import BoxArea, StateLimits, Violation, collisions, reason_code
+from qrsim.models.gnss import Sky, SkyState
+from qrsim.models.orbits import split_time
+from qrsim.models.vehicles.quadrotor import Command, Quadrotor, clip_command
+
+S = TypeVar("S")
+Action = Command | WaypointSetpoint | None
+
+
+@record
+class Start:
+    """Where and how each vehicle (n,) of a fleet starts."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="position")
+    attitude: Euler = quantity(unit="rad", doc="Euler angles")
+    velocity_body: Vec3 = quantity(unit="m/s", doc="velocity in body axes")
+    rates_body: Vec3 = quantity(unit="rad/s", doc="body rates")
+
+
+@record
+class Fleet:
+    """Vehicles of one kind with the same sensors and controller."""
+
+    vehicle: Quadrotor = quantity(doc="vehicle model")
+    controller: WaypointController = quantity(doc="control loops")
+    guidance: RouteFollower = quantity(doc="what hands out set-points")
+    route: Route = quantity(doc="waypoints")
+    start: Start = quantity(doc="initial state")
+    limits: StateLimits = quantity(doc="state limits")
+    sensors: tuple[Any, ...] = quantity(doc="sensors, in the order of sensor_names")
+    name: str = setting(doc="name, part of the names of its noise streams")
+    sensor_names: tuple[str, ...] = setting(doc="names of the sensors, part of the names of their streams")
+    vehicle_names: tuple[str, ...] = setting(doc="name of each vehicle")
+
+    @property
+    def size(self) -> int:
+        """Number of vehicles."""
+        return len(self.vehicle_names)
+
+
+@record
+class World:
+    """Read-only parameters of everything."""
+
+    wind: Any = quantity(doc="mean wind")
+    turbulence: Any = quantity(doc="gusts")
+    sky: Sky = quantity(doc="GNSS space segment")
+    area: BoxArea = quantity(doc="where vehicles may be")
+    fleets: tuple[Fleet, ...] = quantity(doc="fleets")
+    collision_distance: Array = parameter(2.0, unit="m", doc="vehicles closer than this collide", minimum=0.0)
+    time_step: float = setting(0.02, unit="s", doc="simulation step", above=0.0)
+
+
+@record
+class FleetState:
+    """Everything that changes in a fleet of n vehicles."""
+
+    vehicle: Any = quantity(doc="true state")
+    specific_force: Vec3 = quantity(unit="m/s^2", doc="mean specific force of the last step, body axes")
+    turbulence: Any = quantity(doc="gust filters")
+    mean_wind_ned: Vec3 = quantity(unit="m/s", doc="mean wind at the vehicle during the last step")
+    gust_ned: Vec3 = quantity(unit="m/s", doc="gust at the vehicle during the last step")
+    controller: Any = quantity(doc="control loops")
+    guidance: RouteState = quantity(doc="progress along the route")
+    setpoint: WaypointSetpoint = quantity(doc="last set-point")
+    command: Command = quantity(doc="last command, as flown")
+    command_clipped: Array = quantity(doc="bool: the last command was outside its range and was clipped")
+    violation: Violation = quantity(doc="why a vehicle is invalid; code 0 while it is valid")
+    sensors: tuple[Any, ...] = quantity(doc="sensor states")
+    readings: tuple[Any, ...] = quantity(doc="last reading of each sensor, NaN once a vehicle is invalid")
+
+
+@record
+class State:
+    """Everything that changes in a world."""
+
+    sky: SkyState = quantity(doc="GNSS space segment")
+    fleets: tuple[FleetState, ...] = quantity(doc="fleets")
+    sky_keys: StreamKeys = quantity(doc="keys of the sky's randomness, constant during an episode")
+    fleet_keys: tuple[StreamKeys, ...] = quantity(doc="keys of each fleet's randomness, constant during an episode")
+
+
+def reset(world: World, key: Key) -> State:
+    """Return the state at tick 0: noise processes stationary, every sensor with a first reading."""
+    like = jnp.zeros((), world.fleets[0].start.position_ned.x.dtype)
+    sky = world.sky.init(_draw_sky(world, key.streams(["sky/start"]), jnp.int32(0), like))
+    fleets = tuple(_start(world, fleet, key, sky) for fleet in world.fleets)
+    return State(sky, fleets, key.streams(["sky"]), tuple(_stream_keys(fleet, key) for fleet in world.fleets))
+
+
+def step(world: World, state: State, tick: Array, actions: tuple[Action, ...]) -> State:
+    """Advance a world from tick to tick + 1.
+
+    Args:
+        world, state: of one world; vmap over worlds from outside.
+        tick: () int32, the tick the step starts from; unbatched under vmap, so slow sensors are really skipped.
+        actions: for each fleet a Command (flown as it is, clipped to its range), a WaypointSetpoint (handed to the
+            controller) or None (the fleet's guidance hands out the set-point).
+    """
+    after = tick + 1
+    sky = _step_sky(world, state, after)
+    noise = [_draw_fleet(world, fleet, keys, after) for fleet, keys in zip(world.fleets, state.fleet_keys, strict=True)]
+    flown = tuple(
+        _fly(world, fleet, fleet_state, drawn, action)
+        for fleet, fleet_state, drawn, action in zip(world.fleets, state.fleets, noise, actions, strict=True)
+    )
+    checked = _check(world, state.fleets, flown)
+    sensed = tuple(
+        _sense(world, fleet, fleet_state, sky, drawn, after)
+        for fleet, fleet_state, drawn in zip(world.fleets, checked, noise, strict=True)
+    )
+    return replace(state, sky=sky, fleets=sensed)
+
+
+def period_ticks(period: float, time_step: float) -> int:
+    """Return a period as a number of ticks (checked to be whole when the scenario is loaded)."""
+    return max(1, round(period / time_step))
+
+
+def _step_sky(world: World, state: State, after: Array) -> SkyState:
+    draw = _draw_sky(world, state.sky_keys, after, state.sky.range_error[0])
+    seconds, fraction = split_time(after, world.time_step, draw.like.dtype)
+    ticks = period_ticks(world.sky.period, world.time_step)
+    return _when_due(ticks, after, lambda: world.sky.step(state.sky, draw, seconds, fraction), state.sky)
+
+
+def _fly(world: World, fleet: Fleet, state: FleetState, noise: dict[str, Any], action: Action) -> FleetState:
+    """Wind, set-point, command and dynamics of one fleet; invalid vehicles are put back by ``_check``."""
+    dt = world.time_step
+    truth = state.vehicle
+    direction = rotation(truth.attitude)
+    height = world.area.height_agl(truth.position_ned)
+    mean_wind = world.wind.velocity_ned(height)
+    turbulence = world.turbulence.step(
+        state.turbulence, noise["turbulence"], height, direction.to_ned(truth.velocity_body), mean_wind, dt
+    )
+    gust = world.turbulence.gust_ned(turbulence, height)
+    air = mean_wind + gust
+
+    guidance, setpoint, controller = state.guidance, state.setpoint, state.controller
+    if isinstance(action, Command):
+        wanted = action
+    else:
+        estimate = _estimate(fleet, state)
+        if action is None:
+            guidance, setpoint = fleet.guidance.step(guidance, fleet.route, estimate.position_ned)
+        else:
+            setpoint = action
+        controller, wanted = fleet.controller.step(controller, estimate, setpoint, dt)
+    command, clipped = clip_command(wanted)
+    vehicle, force = fleet.vehicle.step(
+        truth, command, lambda trig: trig.rotation().to_body(air), fleet.vehicle.draw_noise(noise["process"], dt), dt
+    )
+    return replace(
+        state, vehicle=vehicle, specific_force=force, turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
+        guidance=guidance, setpoint=setpoint, controller=controller, command=command, command_clipped=clipped,
+    )  # fmt: skip
+
+
+def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:
+    """Look at all new positions together; a vehicle that breaks a limit stays where it was, at rest."""
+    positions = []
+    for old, new in zip(before, flown, strict=True):
+        moving = old.violation.code == 0
+        positions.append(select(moving, new.vehicle.position_ned, old.vehicle.position_ned))
+    together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *positions)
+    collided = collisions(together, world.collision_distance)
+    checked, first = [], 0
+    for fleet, old, new in zip(world.fleets, before, flown, strict=True):
+        vehicle = new.vehicle
+        finite = jnp.all(jnp.stack([jnp.isfinite(leaf) for leaf in jax.tree.leaves(vehicle)]), axis=0)
+        own = Violation.first(
+            [
+                (reason_code("not_finite", "state"), jnp.zeros_like(vehicle.thrust), ~finite),
+                *world.area.check(vehicle.position_ned),
+                *fleet.limits.check(vehicle.attitude, vehicle.velocity_body, vehicle.rates_body),
+            ],
+            vehicle.thrust,
+        )
+        in_collision = jax.tree.map(lambda leaf: leaf[first : first + fleet.size], collided)  # noqa: B023
+        first += fleet.size
+        violation = old.violation.or_else(own.or_else(in_collision))
+        rest = Vec3.zeros(vehicle.thrust.shape, vehicle.thrust.dtype)
+        stopped = replace(old.vehicle, velocity_body=rest, rates_body=rest)
+        valid = violation.code == 0
+        # Only the vehicle itself is put back: what else a stopped vehicle computes goes nowhere.
+        kept = select(valid, vehicle, stopped)
+        checked.append(replace(new, vehicle=kept, violation=violation, command_clipped=new.command_clipped & valid))
+    return tuple(checked)
+
+
+def _sense(
+    world: World, fleet: Fleet, state: FleetState, sky: SkyState, noise: dict[str, Any], after: Array
+) -> FleetState:
+    """Step the sensors that are due; the readings of invalid vehicles are NaN."""
+    scene = _scene(state, sky)
+    valid = state.violation.code == 0
+    states, readings = [], []
+    for name, sensor, memory, held in zip(
+        fleet.sensor_names, fleet.sensors, state.sensors, state.readings, strict=True
+    ):
+        draw = noise[name]
+        inputs = {item: scene[item] for item in sensor.reads}
+
+        def fresh(sensor: Any = sensor, memory: Any = memory, draw: Any = draw, inputs: Any = inputs) -> Any:
+            return sensor.step(memory, draw, **inputs)
+
+        memory, reading = _when_due(period_ticks(sensor.period, world.time_step), after, fresh, (memory, held))
+        states.append(memory)
+        readings.append(jax.tree.map(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
+    return replace(state, sensors=tuple(states), readings=tuple(readings))
+
+
+def _start(world: World, fleet: Fleet, key: Key, sky: SkyState) -> FleetState:
+    start = fleet.start
+    vehicle = fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
+    like = vehicle.thrust
+    zero_tick = jnp.int32(0)
+    streams = _streams(fleet, _stream_keys(fleet, key, "/start"))
+    draws = {name: Draw(stream, zero_tick, jnp.zeros((), like.dtype)) for name, stream in streams.items()}
+    height = world.area.height_agl(vehicle.position_ned)
+    mean_wind = world.wind.velocity_ned(height)
+    turbulence = world.turbulence.init(draws["turbulence"])
+    gust = world.turbulence.gust_ned(turbulence, height)
+    zero = jnp.zeros_like(like)
+    hover = jnp.broadcast_to(jnp.asarray(fleet.controller.height.hover_throttle), like.shape)
+    battery = jnp.broadcast_to(jnp.asarray(fleet.controller.battery), like.shape)
+    command = Command(zero, zero, hover, zero, battery)
+    still = Vec3(zero, zero, zero)
+    noiseless = fleet.vehicle.draw_noise(Drawn((zero,) * fleet.vehicle.normals), 1.0)
+    air = mean_wind + gust
+    _, force = fleet.vehicle.derivative(
+        vehicle, command, lambda trig: trig.rotation().to_body(air), noiseless, world.time_step
+    )
+    violation = Violation(jnp.zeros(like.shape, jnp.int32), zero)
+    guidance = fleet.guidance.init(fleet.route)
+    controller = fleet.controller.init(Estimate(vehicle.position_ned, still, vehicle.attitude))
+    setpoint = fleet.guidance.setpoint(guidance, fleet.route)
+    state = FleetState(
+        vehicle, force, turbulence, mean_wind, gust, controller, guidance, setpoint, command,
+        jnp.zeros(like.shape, bool), violation, (), (),
+    )  # fmt: skip
+    scene = _scene(state, sky)
+    firsts = [
+        sensor.init(draws[name], **{item: scene[item] for item in sensor.reads})
+        for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True)
+    ]
+    return replace(state, sensors=tuple(first for first, _ in firsts), readings=tuple(reading for _, reading in firsts))
+
+
+def _scene(state: FleetState, sky: SkyState) -> dict[str, Any]:
+    """Everything a sensor may declare in ``reads``."""
+    vehicle = state.vehicle
+    return {
+        "position_ned": vehicle.position_ned,
+        "velocity_ned": rotation(vehicle.attitude).to_ned(vehicle.velocity_body),
+        "attitude": vehicle.attitude,
+        "velocity_body": vehicle.velocity_body,
+        "rates_body": vehicle.rates_body,
+        "specific_force": state.specific_force,
+        "wind_ned": state.mean_wind_ned + state.gust_ned,
+        "sky": sky,
+    }
+
+
+def _estimate(fleet: Fleet, state: FleetState) -> Estimate:
+    """Return what the controller is fed with: the truth, or horizontal GNSS, barometric height and the attitude."""
+    truth = state.vehicle
+    if fleet.controller.feed == "truth":
+        velocity = rotation(truth.attitude).to_ned(truth.velocity_body)
+        return Estimate(truth.position_ned, velocity, truth.attitude)
+    measured = measured_quantities(state.readings)
+    position = measured["position_ned"]
+    return Estimate(Vec3(position.x, position.y, -measured["height"]), measured["velocity_ned"], measured["attitude"])
+
+
+def measured_quantities(readings: tuple[Any, ...]) -> dict[str, Any]:
+    """Merge the fields of all readings by name; of two sensors with the same field the first counts."""
+    merged: dict[str, Any] = {}
+    for reading in readings:
+        for name in reading.__dataclass_fields__:
+            merged.setdefault(name, getattr(reading, name))
+    return merged
+
+
+def _stream_names(fleet: Fleet) -> tuple[str, ...]:
+    """What draws noise in a fleet."""
+    return ("turbulence", "process", *fleet.sensor_names)
+
+
+def _stream_keys(fleet: Fleet, key: Key, suffix: str = "") -> StreamKeys:
+    return key.streams([f"{fleet.name}/{name}{suffix}" for name in _stream_names(fleet)])
+
+
+def _streams(fleet: Fleet, keys: StreamKeys) -> dict[str, Stream]:
+    """Return the streams of a fleet; a vehicle's id is its number in its own fleet."""
+    ids = jnp.arange(fleet.size, dtype=jnp.uint32)
+    return {name: keys.stream(i, ids) for i, name in enumerate(_stream_names(fleet))}
+
+
+def _draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array) -> dict[str, Noise]:
+    """Return the noise of one tick: drawn together for what steps at every tick, on demand for the others."""
+    like = jnp.zeros((), fleet.start.position_ned.x.dtype)
+    streams = _streams(fleet, keys)
+    users: dict[str, Any] = {"turbulence": world.turbulence, "process": fleet.vehicle}
+    for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
+        if period_ticks(sensor.period, world.time_step) == 1 and hasattr(sensor, "normals"):
+            users[name] = sensor
+    drawn = draw_together([streams[name] for name in users], [user.normals for user in users.values()], tick, like)
+    on_demand = {name: Draw(stream, tick, like) for name, stream in streams.items() if name not in users}
+    return {**dict(zip(users, drawn, strict=True)), **on_demand}
+
+
+def _draw_sky(world: World, keys: StreamKeys, tick: Array, like: Array) -> Draw:
+    return Draw(keys.stream(0, world.sky.ids), tick, jnp.zeros((), like.dtype))
+
+
+def _when_due(ticks: int, after: Array, fresh: Any, held: S) -> S:
+    """Return fresh() on every multiple of ``ticks``, else what is held."""
+    if ticks == 1:
+        return fresh()
+    return lax.cond(after % ticks == 0, fresh, lambda: held)
