@@ -1,0 +1,224 @@
+"""What a run folder consists of: shared by its writer and its reader."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+
+from qrsim.errors import UsageError
+
+FORMAT = 1
+RUN_FILE, SCENARIO_FILE, EVENTS = "run.json", "scenario.yaml", "events"
+
+FinalState = Literal["finished", "failed", "interrupted"]
+RunState = Literal["running", "finished", "failed", "interrupted"]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One quantity of a stream.
+
+    Attributes:
+        name: unique in its stream; not ``time``, ``tick`` or ``vehicle``, which every stream has.
+        unit: SI unit, "" where there is none.
+        doc: one sentence.
+        dtype: NumPy name of a floating-point (32 or 64 bits), integer or boolean type.
+    """
+
+    name: str
+    unit: str = ""
+    doc: str = ""
+    dtype: str = "float64"
+
+
+INDEX = (
+    Column("time", "s", "simulated time since the start of the run", "float64"),
+    Column("tick", "", "number of the simulation step", "int64"),
+    Column("vehicle", "", "name of the vehicle", "str"),
+)
+EVENT_COLUMNS = (
+    *INDEX,
+    Column("kind", "", "what happened", "str"),
+    Column("field", "", "the quantity concerned, null where there is none", "str"),
+    Column("value", "", "value of that quantity, in its own unit", "float64"),
+    Column("message", "", "one sentence for people", "str"),
+)
+NAME, TEXT = pa.dictionary(pa.int32(), pa.string()), pa.string()
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened once: a limit broken, a collision, a task done.
+
+    Attributes:
+        time: simulated time [s].
+        tick: number of the simulation step.
+        vehicle: name, None where the event concerns no single vehicle.
+        kind: what happened, one word.
+        field: the quantity concerned, None where there is none.
+        value: its value in its own unit, None where there is none.
+        message: one sentence.
+    """
+
+    time: float
+    tick: int
+    vehicle: str | None
+    kind: str
+    field: str | None
+    value: float | None
+    message: str
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """What was run, on what, and how far it got: the content of ``run.json``.
+
+    Attributes:
+        scenario: name of the scenario.
+        seed: seed of every random stream.
+        precision: "float32" or "float64".
+        time_step: simulation step [s].
+        vehicles: names, in the order of every (T, n) array.
+        state: "running" also where the process was killed: nobody was left to write another word.
+        ticks: number of the last tick up to which all streams are on disk (0 before the first).
+        parts: stream -> Parquet parts that were on disk when this was written; a later part is valid too.
+        versions: qrsim, python, jax and numpy.
+        platform: operating system and processor.
+        command_line: as typed, quoted for a shell.
+        started, ended: wall time, UTC, ISO 8601; ``ended`` is None while running.
+        message: why the run failed or was interrupted, "" otherwise.
+    """
+
+    scenario: str
+    seed: int
+    precision: str
+    time_step: float
+    vehicles: tuple[str, ...]
+    state: RunState = "running"
+    ticks: int = 0
+    parts: Mapping[str, int] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    platform: str = ""
+    command_line: str = ""
+    started: str = ""
+    ended: str | None = None
+    message: str = ""
+
+    @classmethod
+    def collect(
+        cls,
+        *,
+        scenario: str,
+        seed: int,
+        precision: str,
+        time_step: float,
+        vehicles: Sequence[str],
+        command_line: Sequence[str] | None = None,
+    ) -> RunInfo:
+        """Describe a run that starts now in this process.
+
+        Args:
+            scenario, seed, precision, time_step, vehicles: see the class.
+            command_line: words of the command; by default those of this process.
+        """
+        words = list(sys.argv if command_line is None else command_line)
+        words[:1] = [Path(word).name for word in words[:1]]
+        return cls(
+            scenario=scenario,
+            seed=seed,
+            precision=precision,
+            time_step=time_step,
+            vehicles=tuple(vehicles),
+            versions={
+                "qrsim": installed_version("qrsim"),
+                "python": platform.python_version(),
+                "jax": installed_version("jax"),
+                "numpy": np.__version__,
+            },
+            platform=platform.platform(),
+            command_line=shlex.join(words),
+            started=utc_now(),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields by name, without copying, in the order a person wants to read them."""
+        first = ("state", "message", "scenario", "seed", "ticks", "time_step")
+        names = [*first, *(item.name for item in fields(self) if item.name not in first)]
+        return {"format": FORMAT, **{name: getattr(self, name) for name in names}}
+
+
+def installed_version(package: str) -> str:
+    """Return the version of an installed distribution, "unknown" where there is none (it is not imported)."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def utc_now() -> str:
+    """Return the wall time as ISO 8601 in UTC, to the millisecond."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def part_name(number: int) -> str:
+    """Return the file name of a part."""
+    return f"part-{number:05d}.parquet"
+
+
+def stream_schema(stream: str, columns: Sequence[Column], info: RunInfo) -> pa.Schema:
+    """Return the Arrow schema of a stream, with units and docs as field metadata.
+
+    Raises:
+        UsageError: a column's name is taken twice, or its dtype cannot be stored.
+    """
+    every = EVENT_COLUMNS if stream == EVENTS else (*INDEX, *columns)
+    seen: set[str] = set()
+    for column in every:
+        if column.name in seen or not column.name:
+            raise UsageError(f"stream '{stream}': the column name '{column.name}' is empty or used twice")
+        seen.add(column.name)
+    metadata = {
+        "qrsim.format": str(FORMAT),
+        "qrsim.version": info.versions.get("qrsim", "unknown"),
+        "qrsim.stream": stream,
+        "qrsim.scenario": info.scenario,
+        "qrsim.seed": str(info.seed),
+    }
+    return pa.schema([_arrow_field(stream, column) for column in every], metadata)
+
+
+def _arrow_field(stream: str, column: Column) -> pa.Field:
+    if column.dtype == "str":
+        kind = NAME if column.name in ("vehicle", "kind", "field") else TEXT
+        if stream != EVENTS and column not in INDEX:
+            raise UsageError(f"stream '{stream}', column '{column.name}': text cannot be recorded here, use an event")
+    else:
+        try:
+            dtype = np.dtype(column.dtype)
+        except TypeError:
+            dtype = np.dtype(object)
+        if dtype.kind not in "fiub" or dtype.name in ("float16", "longdouble", "float128"):
+            raise UsageError(
+                f"stream '{stream}', column '{column.name}': no dtype '{column.dtype}' in a log; "
+                "allowed: float32, float64, bool and the integer types"
+            )
+        kind = pa.from_numpy_dtype(dtype)
+    return pa.field(column.name, kind, metadata={"unit": column.unit, "doc": column.doc})
+
+
+def column_of(item: pa.Field) -> Column:
+    """Return the description of a stored column."""
+    metadata = item.metadata or {}
+    is_text = pa.types.is_dictionary(item.type) or pa.types.is_string(item.type)
+    dtype = "str" if is_text else np.dtype(item.type.to_pandas_dtype()).name
+    return Column(item.name, metadata.get(b"unit", b"").decode(), metadata.get(b"doc", b"").decode(), dtype)
