@@ -44,11 +44,13 @@ class HeightState:
 class HeightLoop:
     """PID from height error to throttle around the hover throttle."""
 
-    hover_throttle: Array = parameter(0.59, unit="1", doc="throttle that carries the weight", minimum=0.0, maximum=1.0)
-    kp: Array = parameter(0.03, unit="1/m", doc="proportional gain")
-    ki: Array = parameter(0.0008, unit="1/(m s)", doc="integral gain")
-    kd: Array = parameter(0.04, unit="s/m", doc="derivative gain")
-    anti_windup: Array = parameter(2.0, unit="m s", doc="taken off the integral per unit of clipped throttle")
+    hover_throttle: Array = parameter(
+        default=0.59, unit="1", doc="throttle that carries the weight", minimum=0.0, maximum=1.0
+    )
+    kp: Array = parameter(default=0.03, unit="1/m", doc="proportional gain")
+    ki: Array = parameter(default=0.0008, unit="1/(m s)", doc="integral gain")
+    kd: Array = parameter(default=0.04, unit="s/m", doc="derivative gain")
+    anti_windup: Array = parameter(default=2.0, unit="m s", doc="taken off the integral per unit of clipped throttle")
 
     def init(self, z: Array) -> HeightState:
         """Return a state that has not seen a set-point; z is (n,) [m]."""
@@ -69,15 +71,21 @@ class HeightLoop:
 class WaypointController:
     """Flies to a waypoint at a limited speed, holding height and heading."""
 
-    position_gain: Array = parameter(0.9, unit="1/s", doc="wanted speed per metre of error")
-    speed_limit: Array = parameter(5.0, unit="m/s", doc="largest wanted speed along each heading axis", above=0.0)
-    velocity_gain: Array = parameter(0.09, unit="rad s/m", doc="tilt per speed error")
-    tilt_limit: Array = parameter(0.34, unit="rad", doc="largest commanded tilt per axis", above=0.0, maximum=0.9)
-    yaw_gain: Array = parameter(6.0, unit="1/s", doc="yaw rate per heading error")
-    yaw_rate_limit: Array = parameter(4.4, unit="rad/s", doc="largest commanded yaw rate", above=0.0, maximum=4.5)
-    battery: Array = parameter(12.0, unit="V", doc="battery voltage", minimum=9.0, maximum=12.0)
-    height: HeightLoop = quantity(HeightLoop(), doc="height loop")
-    feed: Literal["measurements", "truth"] = setting("measurements", doc="what the controller is fed with")
+    position_gain: Array = parameter(default=0.9, unit="1/s", doc="wanted speed per metre of error")
+    speed_limit: Array = parameter(
+        default=5.0, unit="m/s", doc="largest wanted speed along each heading axis", above=0.0
+    )
+    velocity_gain: Array = parameter(default=0.09, unit="rad s/m", doc="tilt per speed error")
+    tilt_limit: Array = parameter(
+        default=0.34, unit="rad", doc="largest commanded tilt per axis", above=0.0, maximum=0.9
+    )
+    yaw_gain: Array = parameter(default=6.0, unit="1/s", doc="yaw rate per heading error")
+    yaw_rate_limit: Array = parameter(
+        default=4.4, unit="rad/s", doc="largest commanded yaw rate", above=0.0, maximum=4.5
+    )
+    battery: Array = parameter(default=12.0, unit="V", doc="battery voltage", minimum=9.0, maximum=12.0)
+    height: HeightLoop = quantity(default=HeightLoop(), doc="height loop")
+    feed: Literal["measurements", "truth"] = setting(default="measurements", doc="what the controller is fed with")
 
     def init(self, estimate: Estimate) -> HeightState:
         """Return the state of a controller that has not run."""
@@ -126,8 +134,10 @@ class RouteState:
 class RouteFollower:
     """Hands out the next waypoint when the current one is near."""
 
-    acceptance_radius: Array = parameter(3.0, unit="m", doc="distance at which a waypoint counts as reached", above=0.0)
-    repeat: bool = setting(True, doc="start again after the last waypoint, else hold there")
+    acceptance_radius: Array = parameter(
+        default=3.0, unit="m", doc="distance at which a waypoint counts as reached", above=0.0
+    )
+    repeat: bool = setting(default=True, doc="start again after the last waypoint, else hold there")
 
     def init(self, route: Route) -> RouteState:
         """Return the start of each route."""

@@ -40,7 +40,7 @@ class SensorReading:
             raise AttributeError(field)
         if field not in self.fields:
             raise AttributeError(f"sensor '{self._name}' has no '{field}'{did_you_mean(field, self.fields)}")
-        return as_array(getattr(self._reading, field))  # type: ignore[no-any-return]
+        return as_array(getattr(self._reading, field))
 
     def __repr__(self) -> str:
         return f"<reading of {self._name}: {', '.join(self.fields)}>"
@@ -103,7 +103,7 @@ class Reading:
             raise AttributeError(
                 f"'{sensor}': there are several fleets; name one, reading['{self.fleets[0]}'].{sensor}"
             )
-        return getattr(next(iter(self._fleets.values())), sensor)  # type: ignore[no-any-return]
+        return getattr(next(iter(self._fleets.values())), sensor)
 
     def __repr__(self) -> str:
         return f"<reading at {self.time:.3f} s: {', '.join(f'{k}: {v!r}' for k, v in self._fleets.items())}>"

@@ -69,7 +69,7 @@ def _record(
         current = ticks_of.step(parameters, carry[0], tick + i, actions)
         packed = layout.pack(current)
         kept = tuple(lax.dynamic_update_index_in_dim(r, p, i, 0) for r, p in zip(carry[1], packed, strict=True))
-        return current, kept  # type: ignore[return-value]
+        return current, kept
 
     final, kept = lax.fori_loop(jnp.int32(0), count, body, (layout.unpack(state), rows))
     return layout.pack(final), kept
@@ -274,7 +274,7 @@ class Simulation:
             raise UsageError(
                 f"command: expected shape {shape} (vehicles; {', '.join(COMMAND_FIELDS)}), found {_shape_of(command)}"
             )
-        columns = []
+        columns: list[Any] = []
         for i, field in enumerate(COMMAND_FIELDS):
             low, high = COMMAND_LIMITS[field]
             column = np.ascontiguousarray(array[:, i])
@@ -340,10 +340,11 @@ def _shape_of(values: Any) -> str:
 
 def _use_compilation_cache() -> None:
     """Keep compiled programs in the user's cache, unless JAX was told otherwise or QRSIM_COMPILATION_CACHE is off."""
-    if jax.config.jax_compilation_cache_dir or os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
+    config: Any = jax.config
+    if config.jax_compilation_cache_dir or os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
         return
     from platformdirs import user_cache_path
 
-    jax.config.update("jax_compilation_cache_dir", str(user_cache_path("qrsim") / "compiled"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    config.update("jax_compilation_cache_dir", str(user_cache_path("qrsim") / "compiled"))
+    config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    config.update("jax_persistent_cache_min_entry_size_bytes", -1)

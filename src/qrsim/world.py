@@ -65,8 +65,8 @@ class World:
     sky: Sky = quantity(doc="GNSS space segment")
     area: BoxArea = quantity(doc="where vehicles may be")
     fleets: tuple[Fleet, ...] = quantity(doc="fleets")
-    collision_distance: Array = parameter(2.0, unit="m", doc="vehicles closer than this collide", minimum=0.0)
-    time_step: float = setting(0.02, unit="s", doc="simulation step", above=0.0)
+    collision_distance: Array = parameter(default=2.0, unit="m", doc="vehicles closer than this collide", minimum=0.0)
+    time_step: float = setting(default=0.02, unit="s", doc="simulation step", above=0.0)
 
 
 @record

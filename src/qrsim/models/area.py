@@ -62,12 +62,12 @@ class Violation:
 class BoxArea:
     """A box in NED; z = 0 is the ground, so z_max above 0 would be below it."""
 
-    x_min: Array = parameter(-1000.0, unit="m", doc="southern limit")
-    x_max: Array = parameter(1000.0, unit="m", doc="northern limit")
-    y_min: Array = parameter(-1000.0, unit="m", doc="western limit")
-    y_max: Array = parameter(1000.0, unit="m", doc="eastern limit")
-    z_min: Array = parameter(-120.0, unit="m", doc="ceiling, negative", maximum=0.0)
-    z_max: Array = parameter(0.0, unit="m", doc="floor; 0 is the ground", maximum=0.0)
+    x_min: Array = parameter(default=-1000.0, unit="m", doc="southern limit")
+    x_max: Array = parameter(default=1000.0, unit="m", doc="northern limit")
+    y_min: Array = parameter(default=-1000.0, unit="m", doc="western limit")
+    y_max: Array = parameter(default=1000.0, unit="m", doc="eastern limit")
+    z_min: Array = parameter(default=-120.0, unit="m", doc="ceiling, negative", maximum=0.0)
+    z_max: Array = parameter(default=0.0, unit="m", doc="floor; 0 is the ground", maximum=0.0)
 
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
         """Return the checks (code, value, broken) of positions (n,)."""
@@ -90,11 +90,13 @@ class BoxArea:
 class StateLimits:
     """Limits of what the identified model is trusted for."""
 
-    pitch: Array = parameter(math.radians(89.0), unit="rad", doc="largest |pitch|", above=0.0, maximum=math.pi / 2)
-    roll: Array = parameter(math.pi, unit="rad", doc="largest |roll|", above=0.0)
-    yaw: Array = parameter(10.0 * math.pi, unit="rad", doc="largest |yaw| (turns are counted)", above=0.0)
-    velocity: Array = parameter(15.0, unit="m/s", doc="largest component of the body velocity", above=0.0)
-    rate: Array = parameter(3.0, unit="rad/s", doc="largest component of the body rates", above=0.0)
+    pitch: Array = parameter(
+        default=math.radians(89.0), unit="rad", doc="largest |pitch|", above=0.0, maximum=math.pi / 2
+    )
+    roll: Array = parameter(default=math.pi, unit="rad", doc="largest |roll|", above=0.0)
+    yaw: Array = parameter(default=10.0 * math.pi, unit="rad", doc="largest |yaw| (turns are counted)", above=0.0)
+    velocity: Array = parameter(default=15.0, unit="m/s", doc="largest component of the body velocity", above=0.0)
+    rate: Array = parameter(default=3.0, unit="rad/s", doc="largest component of the body rates", above=0.0)
 
     def check(self, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> list[tuple[int, Array, Array]]:
         """Return the checks (code, value, broken) of states (n,)."""

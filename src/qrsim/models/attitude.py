@@ -29,9 +29,11 @@ class AttitudeState:
 class AttitudeEstimator:
     """True Euler angles plus three independent Ornstein-Uhlenbeck errors."""
 
-    std: Array = parameter(0.00354, unit="rad", doc="stationary std of each angle's error", minimum=0.0)
-    time_constant: Array = parameter(100.0, unit="s", doc="time constant of the errors", above=0.0)
-    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    std: Array = parameter(default=0.00354, unit="rad", doc="stationary std of each angle's error", minimum=0.0)
+    time_constant: Array = parameter(default=100.0, unit="s", doc="time constant of the errors", above=0.0)
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
     reads: ClassVar[tuple[str, ...]] = ("attitude",)
     normals: ClassVar[int] = 3
 
@@ -58,7 +60,9 @@ class AttitudeEstimator:
 class IdealAttitude:
     """The truth at the same period."""
 
-    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
     reads: ClassVar[tuple[str, ...]] = ("attitude",)
     normals: ClassVar[int] = 0
 

@@ -35,10 +35,12 @@ class Barometer:
     is the time constant, with the same 0.003 m per step.
     """
 
-    drift_std: Array = parameter(0.26, unit="m", doc="stationary std of the drift", minimum=0.0)
-    drift_time_constant: Array = parameter(300.0, unit="s", doc="time constant of the drift", above=0.0)
-    white_std: Array = parameter(0.0, unit="m", doc="white noise of each reading", minimum=0.0)
-    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    drift_std: Array = parameter(default=0.26, unit="m", doc="stationary std of the drift", minimum=0.0)
+    drift_time_constant: Array = parameter(default=300.0, unit="s", doc="time constant of the drift", above=0.0)
+    white_std: Array = parameter(default=0.0, unit="m", doc="white noise of each reading", minimum=0.0)
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned")
     normals: ClassVar[int] = 2
 
@@ -63,7 +65,9 @@ class Barometer:
 class IdealBarometer:
     """The truth at the same period."""
 
-    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned")
     normals: ClassVar[int] = 0
 

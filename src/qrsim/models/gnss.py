@@ -26,8 +26,8 @@ class OrnsteinUhlenbeckErrors:
     The defaults are the reference implementation's: 0.1746 m per step of 0.2 s, 12.35 m stationary.
     """
 
-    std: Array = parameter(12.35, unit="m", doc="stationary std of each satellite's range error", minimum=0.0)
-    time_constant: Array = parameter(2000.0, unit="s", doc="time constant of the range errors", above=0.0)
+    std: Array = parameter(default=12.35, unit="m", doc="stationary std of each satellite's range error", minimum=0.0)
+    time_constant: Array = parameter(default=2000.0, unit="s", doc="time constant of the range errors", above=0.0)
 
     def init(self, draw: Draw) -> Array:
         """Return stationary first errors (S,) [m]."""
@@ -53,7 +53,9 @@ class Sky:
     orbits: Orbits = quantity(doc="satellite positions as seen from the site")
     errors: OrnsteinUhlenbeckErrors = quantity(doc="range errors")
     ids: Array = quantity(doc="(S,) uint32 number of each satellite, which its randomness belongs to")
-    period: float = setting(0.2, unit="s", doc="interval between epochs, a multiple of the time step", above=0.0)
+    period: float = setting(
+        default=0.2, unit="s", doc="interval between epochs, a multiple of the time step", above=0.0
+    )
 
     def init(self, draw: Draw) -> SkyState:
         """Return the sky at the start."""
@@ -156,13 +158,18 @@ class ReceiverState:
 class GnssReceiver:
     """A single-frequency receiver: all satellites above a mask, least squares, velocity from successive fixes."""
 
-    range_noise_std: Array = parameter(0.002, unit="m", doc="white noise of each pseudorange", minimum=0.0)
+    range_noise_std: Array = parameter(default=0.002, unit="m", doc="white noise of each pseudorange", minimum=0.0)
     elevation_mask_rad: Array = parameter(
-        math.radians(10.0), unit="rad", doc="satellites below this elevation are not used", minimum=0.0,
+        default=math.radians(10.0),
+        unit="rad",
+        doc="satellites below this elevation are not used",
+        minimum=0.0,
         maximum=math.pi / 2,
-    )  # fmt: skip
-    delay: int = setting(1, unit="periods", doc="age of a fix when it is reported", minimum=0, maximum=50)
-    period: float = setting(0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0)
+    )
+    delay: int = setting(default=1, unit="periods", doc="age of a fix when it is reported", minimum=0, maximum=50)
+    period: float = setting(
+        default=0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0
+    )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky")
 
     def init(
@@ -205,7 +212,9 @@ class GnssReceiver:
 class IdealGnss:
     """The truth at the same period, without delay."""
 
-    period: float = setting(0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0)
+    period: float = setting(
+        default=0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0
+    )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky")
 
     def init(self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState) -> tuple[None, GnssReading]:

@@ -34,8 +34,10 @@ def _with_white(value: Vec3, std: Array, draw: Noise) -> Vec3:
 class Gyroscope:
     """Body rates plus white noise."""
 
-    white_std: Array = parameter(0.0002, unit="rad/s", doc="white noise of each reading, per axis", minimum=0.0)
-    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    white_std: Array = parameter(default=0.0002, unit="rad/s", doc="white noise of each reading, per axis", minimum=0.0)
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
     reads: ClassVar[tuple[str, ...]] = ("rates_body",)
     normals: ClassVar[int] = 3
 
@@ -52,7 +54,9 @@ class Gyroscope:
 class IdealGyroscope:
     """The truth at the same period."""
 
-    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
     reads: ClassVar[tuple[str, ...]] = ("rates_body",)
     normals: ClassVar[int] = 0
 
@@ -69,8 +73,10 @@ class IdealGyroscope:
 class Accelerometer:
     """Mean specific force over the last step plus white noise."""
 
-    white_std: Array = parameter(0.0025, unit="m/s^2", doc="white noise of each reading, per axis", minimum=0.0)
-    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    white_std: Array = parameter(default=0.0025, unit="m/s^2", doc="white noise of each reading, per axis", minimum=0.0)
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
     reads: ClassVar[tuple[str, ...]] = ("specific_force",)
     normals: ClassVar[int] = 3
 
@@ -87,7 +93,9 @@ class Accelerometer:
 class IdealAccelerometer:
     """The truth at the same period."""
 
-    period: float = setting(0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0)
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
     reads: ClassVar[tuple[str, ...]] = ("specific_force",)
     normals: ClassVar[int] = 0
 

@@ -69,19 +69,27 @@ class DrydenFirstOrder:
     """First-order gusts of Symington 2014, eqs. 7-8: a Gauss-Markov process per axis with tau = L/V."""
 
     speed_20ft: Array = parameter(
-        None, unit="m/s", doc="wind speed 20 ft above ground that drives the turbulence", minimum=0.0, maximum=50.0,
+        default=None,
+        unit="m/s",
+        doc="wind speed 20 ft above ground that drives the turbulence",
+        minimum=0.0,
+        maximum=50.0,
         inherits="world.wind.speed_20ft",
-    )  # fmt: skip
+    )
     wind_from_rad: Array = parameter(
-        None, unit="rad", doc="bearing of the turbulence's own axes", minimum=-2 * math.pi, maximum=2 * math.pi,
+        default=None,
+        unit="rad",
+        doc="bearing of the turbulence's own axes",
+        minimum=-2 * math.pi,
+        maximum=2 * math.pi,
         inherits="world.wind.wind_from_rad",
-    )  # fmt: skip
+    )
     discretisation: Literal["exact", "euler"] = setting(
-        "exact", doc="'euler' is the published recursion, whose variance is 0.8 to 22 % too large"
+        default="exact", doc="'euler' is the published recursion, whose variance is 0.8 to 22 % too large"
     )
     airspeed: Literal["relative", "ground"] = setting(
-        "relative",
-        doc="speed that carries the gusts past: through the mean wind, or the reference's 0.5 m/s + over ground",
+        default="relative",
+        doc="speed that carries the gusts past: through the mean wind; 'ground': 0.5 m/s + speed over ground",
     )
 
     normals: ClassVar[int] = 3

@@ -132,7 +132,7 @@ def _outside(path: str, point: list[float], area: Any) -> Iterator[str]:
 
 
 def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
-    if fleet.controller.feed != "measurements":  # type: ignore[attr-defined]
+    if fleet.controller.feed != "measurements":
         return
     types = {sensor.type for sensor in fleet.sensors.values()}
     for quantity, suggestion in NEEDED.items():

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Annotated, Any, Literal, Union, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_type_hints
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, create_model, model_validator
 
@@ -111,43 +111,56 @@ class VehicleSpec(Strict):
     waypoints_ned: list[Position] = Field([], description="route [m]; empty: hold the start position", max_length=200)
 
 
-WindSlot = _slot(known.WINDS)
-TurbulenceSlot = _slot(known.TURBULENCES)
-SensorSlot = _slot(known.SENSORS)
-OrbitsModel = _slot(known.ORBITS)
-SkyErrorsModel = _slot(known.SKY_ERRORS)
-AreaModel = _slot(known.AREAS)
-VehicleModel = _slot(known.VEHICLES)
-ControllerModel = _slot(known.CONTROLLERS)
-GuidanceModel = _slot(known.GUIDANCE)
-LimitsModel = component_model("limits", StateLimits, tagged=False)
+if TYPE_CHECKING:
+    # Made at run time from the catalogue, so a type checker cannot see into them.
+    WindSlot: TypeAlias = Any
+    TurbulenceSlot: TypeAlias = Any
+    SensorSlot: TypeAlias = Any
+    OrbitsSlot: TypeAlias = Any
+    SkyErrorsSlot: TypeAlias = Any
+    AreaSlot: TypeAlias = Any
+    VehicleSlot: TypeAlias = Any
+    ControllerSlot: TypeAlias = Any
+    GuidanceSlot: TypeAlias = Any
+    LimitsModel: TypeAlias = Any
+else:
+    WindSlot = _slot(known.WINDS)
+    TurbulenceSlot = _slot(known.TURBULENCES)
+    SensorSlot = _slot(known.SENSORS)
+    OrbitsSlot = _slot(known.ORBITS)
+    SkyErrorsSlot = _slot(known.SKY_ERRORS)
+    AreaSlot = _slot(known.AREAS)
+    VehicleSlot = _slot(known.VEHICLES)
+    ControllerSlot = _slot(known.CONTROLLERS)
+    GuidanceSlot = _slot(known.GUIDANCE)
+    LimitsModel = component_model("limits", StateLimits, tagged=False)
 
 
 class SkySpec(Strict):
     """The GNSS space segment, shared by all receivers."""
 
-    orbits: OrbitsModel = Field({"type": "nominal_constellation"}, description="orbits", validate_default=True)  # type: ignore[valid-type]
-    errors: SkyErrorsModel = Field({"type": "ou"}, description="range errors", validate_default=True)  # type: ignore[valid-type]
+    orbits: OrbitsSlot = Field({"type": "nominal_constellation"}, description="orbits", validate_default=True)
+    errors: SkyErrorsSlot = Field({"type": "ou"}, description="range errors", validate_default=True)
     period: Finite = Field(0.2, description="interval between epochs [s], a multiple of the time step", gt=0)
 
 
 class WorldSpec(Strict):
     """What is around the vehicles."""
 
-    area: AreaModel = Field({"type": "box"}, description="where vehicles may be", validate_default=True)  # type: ignore[valid-type]
+    area: AreaSlot = Field({"type": "box"}, description="where vehicles may be", validate_default=True)
     wind: WindSlot = Field({"type": "calm"}, description="mean wind", validate_default=True)
     turbulence: TurbulenceSlot = Field({"type": "still"}, description="gusts", validate_default=True)
-    sky: SkySpec = Field(default_factory=SkySpec, description="GNSS space segment")
+    sky: SkySpec = Field(default_factory=lambda: SkySpec.model_validate({}), description="GNSS space segment")
     collision_distance: Finite = Field(2.0, description="vehicles closer than this [m] collide", ge=0)
 
 
 class FleetSpec(Strict):
     """Vehicles of one kind with the same sensors and controller."""
 
-    vehicle: VehicleModel = Field({"type": "pelican"}, description="vehicle model", validate_default=True)  # type: ignore[valid-type]
-    controller: ControllerModel = Field({"type": "waypoint"}, description="control loops", validate_default=True)  # type: ignore[valid-type]
-    guidance: GuidanceModel = Field({"type": "route"}, description="route following", validate_default=True)  # type: ignore[valid-type]
-    limits: LimitsModel = Field(default_factory=LimitsModel, description="state limits")  # type: ignore[valid-type]
+    vehicle: VehicleSlot = Field({"type": "pelican"}, description="vehicle model", validate_default=True)
+    controller: ControllerSlot = Field({"type": "waypoint"}, description="control loops", validate_default=True)
+    guidance: GuidanceSlot = Field({"type": "route"}, description="route following", validate_default=True)
+    limits: LimitsModel = Field(default_factory=LimitsModel, description="state limits")
     sensors: dict[str, SensorSlot] = Field({}, description="sensors by name")
     vehicles: list[VehicleSpec] = Field(description="vehicles", min_length=1)
 
@@ -170,8 +183,10 @@ class ScenarioSpec(Strict):
     start_time: AwareDatetime = Field(
         datetime(2026, 6, 21, 10, tzinfo=UTC), description="time of the start, with its offset from UTC"
     )
-    site: SiteSpec = Field(default_factory=SiteSpec, description="origin of the local frame")
-    world: WorldSpec = Field(default_factory=WorldSpec, description="what is around the vehicles")
+    site: SiteSpec = Field(default_factory=lambda: SiteSpec.model_validate({}), description="origin of the local frame")
+    world: WorldSpec = Field(
+        default_factory=lambda: WorldSpec.model_validate({}), description="what is around the vehicles"
+    )
     fleets: dict[str, FleetSpec] = Field(description="fleets by name", min_length=1)
 
 

@@ -77,28 +77,32 @@ class ProcessNoise:
 class Quadrotor:
     """Parameters of the identified model; a number, or one per vehicle (n,)."""
 
-    mass: Array = parameter(1.68, unit="kg", doc="take-off mass", above=0.0)
-    gravity: Array = parameter(9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
-    kpq0: Array = parameter(-3.25060e-04, unit="rad/raw", doc="roll and pitch command scale (Kpq0)")
-    kpq1: Array = parameter(1.79797e02, unit="1/s^2", doc="roll and pitch stiffness (Kpq1)")
-    kpq2: Array = parameter(-24.3536, unit="1/s", doc="roll and pitch damping (Kpq2)")
-    kr0: Array = parameter(-4.81783e-03, unit="rad/s^2/raw", doc="yaw-rate command scale (Kr0)")
-    kr1: Array = parameter(-5.08944, unit="1/s", doc="yaw-rate damping (Kr1)")
-    kuv: Array = parameter(-0.497391, unit="1/s", doc="drag along body x and y (Kuv)", maximum=0.0)
-    kw: Array = parameter(-1.35341, unit="1/s", doc="drag along body z (Kw)", maximum=0.0)
-    cth0: Array = parameter(6.63881e-01, unit="N", doc="throttle to thrust, constant (Cth0)")
-    cth1: Array = parameter(7.44649e-04, unit="N/raw", doc="throttle to thrust, linear (Cth1)")
-    cth2: Array = parameter(2.39855e-06, unit="N/raw^2", doc="throttle to thrust, quadratic (Cth2)")
-    cvb0: Array = parameter(-18.0007, unit="N", doc="largest thrust at a battery voltage, constant (Cvb0)")
-    cvb1: Array = parameter(4.23754, unit="N/V", doc="largest thrust at a battery voltage, linear (Cvb1)")
-    tau0: Array = parameter(3.07321, unit="1/s", doc="thrust response below throttle_min_raw (tau0)", minimum=0.0)
-    tau1: Array = parameter(46.8004, unit="N/s", doc="fastest change of thrust (tau1)", minimum=0.0)
-    throttle_min_raw: Array = parameter(300.0, unit="raw", doc="throttle below which the rotors idle (u_min)")
-    rate_max: Array = parameter(math.radians(150.0), unit="rad/s", doc="autopilot's roll and pitch rate limit", above=0)
-    process_noise: Array = parameter(
-        0.2, unit="m/s^2, rad/s^2", doc="std of the six white accelerations at a step of 0.02 s", minimum=0.0
+    mass: Array = parameter(default=1.68, unit="kg", doc="take-off mass", above=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    kpq0: Array = parameter(default=-3.25060e-04, unit="rad/raw", doc="roll and pitch command scale (Kpq0)")
+    kpq1: Array = parameter(default=1.79797e02, unit="1/s^2", doc="roll and pitch stiffness (Kpq1)")
+    kpq2: Array = parameter(default=-24.3536, unit="1/s", doc="roll and pitch damping (Kpq2)")
+    kr0: Array = parameter(default=-4.81783e-03, unit="rad/s^2/raw", doc="yaw-rate command scale (Kr0)")
+    kr1: Array = parameter(default=-5.08944, unit="1/s", doc="yaw-rate damping (Kr1)")
+    kuv: Array = parameter(default=-0.497391, unit="1/s", doc="drag along body x and y (Kuv)", maximum=0.0)
+    kw: Array = parameter(default=-1.35341, unit="1/s", doc="drag along body z (Kw)", maximum=0.0)
+    cth0: Array = parameter(default=6.63881e-01, unit="N", doc="throttle to thrust, constant (Cth0)")
+    cth1: Array = parameter(default=7.44649e-04, unit="N/raw", doc="throttle to thrust, linear (Cth1)")
+    cth2: Array = parameter(default=2.39855e-06, unit="N/raw^2", doc="throttle to thrust, quadratic (Cth2)")
+    cvb0: Array = parameter(default=-18.0007, unit="N", doc="largest thrust at a battery voltage, constant (Cvb0)")
+    cvb1: Array = parameter(default=4.23754, unit="N/V", doc="largest thrust at a battery voltage, linear (Cvb1)")
+    tau0: Array = parameter(
+        default=3.07321, unit="1/s", doc="thrust response below throttle_min_raw (tau0)", minimum=0.0
     )
-    integrator: Literal["heun", "rk4"] = setting("heun", doc="fixed-step rule")
+    tau1: Array = parameter(default=46.8004, unit="N/s", doc="fastest change of thrust (tau1)", minimum=0.0)
+    throttle_min_raw: Array = parameter(default=300.0, unit="raw", doc="throttle below which the rotors idle (u_min)")
+    rate_max: Array = parameter(
+        default=math.radians(150.0), unit="rad/s", doc="autopilot's roll and pitch rate limit", above=0
+    )
+    process_noise: Array = parameter(
+        default=0.2, unit="m/s^2, rad/s^2", doc="std of the six white accelerations at a step of 0.02 s", minimum=0.0
+    )
+    integrator: Literal["heun", "rk4"] = setting(default="heun", doc="fixed-step rule")
     normals: ClassVar[int] = 6
 
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:

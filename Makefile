@@ -1,0 +1,64 @@
+# Everything a developer runs. 'make help' lists it; each target brings the environment up to date first.
+
+PYTHON ?= python3
+ARGS ?=
+BIN := .venv/bin
+STAMP := .venv/.installed
+CODE := src tests $(wildcard benchmarks) $(wildcard evidence)
+
+.DEFAULT_GOAL := help
+.PHONY: install run test lint bench evidence clean help
+
+# 'make evidence NAME ...': the words after it are names, not targets.
+ifeq (evidence,$(firstword $(MAKECMDGOALS)))
+NAMES := $(wordlist 2,$(words $(MAKECMDGOALS)),$(MAKECMDGOALS))
+ifneq ($(NAMES),)
+.PHONY: $(NAMES)
+$(NAMES): evidence
+	@:
+endif
+endif
+
+install: $(STAMP)  ## make .venv and install qrsim with its pinned dependencies (PYTHON=python3.12 chooses another Python)
+
+# Both variables, because older and newer pip differ in which one pins what a build needs.
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || { \
+		echo "qrsim needs Python 3.11, 3.12 or 3.13, and '$(PYTHON)' is not one: $$($(PYTHON) --version 2>&1)"; \
+		echo "name another: make $(or $(firstword $(MAKECMDGOALS)),install) PYTHON=python3.12"; exit 1; }
+	@$(PYTHON) -m venv .venv || { echo "no .venv could be made: on Debian or Ubuntu, install python3-venv"; exit 1; }
+	PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
+		$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+run: $(STAMP)  ## run the default scenario (ARGS='...' is handed to 'qrsim run')
+	@$(BIN)/qrsim run $(ARGS)
+
+test: lint  ## all checks, then all tests
+	@echo "== pytest"
+	@$(BIN)/python -m pytest -n 2 $(ARGS)
+
+lint: $(STAMP)  ## formatting, lint, types, layers of imports
+	@echo "== ruff check"
+	@$(BIN)/ruff check $(CODE)
+	@echo "== ruff format"
+	@$(BIN)/ruff format --check $(CODE)
+	@echo "== mypy"
+	@$(BIN)/mypy
+	@echo "== import-linter"
+	@$(BIN)/lint-imports --no-logo
+
+bench: $(STAMP)  ## run every benchmarks/*.py
+	@set -e; for script in $(filter-out benchmarks/_%,$(sort $(wildcard benchmarks/*.py))); do \
+		echo "== $$script"; $(BIN)/python $$script; done
+
+evidence: $(STAMP)  ## run every study of evidence/, or those named: make evidence turbulence
+	@$(BIN)/python -m evidence $(NAMES)
+
+clean:  ## remove caches and build output (.venv stays)
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	find $(CODE) -name __pycache__ -type d -prune -exec rm -rf {} +
+
+help:  ## list the targets
+	@grep -hE '^[a-z]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*  ## (.*)/\1|\2/' | \
+		while IFS='|' read -r target text; do printf '  make %-9s %s\n' "$$target" "$$text"; done

@@ -1,0 +1,1 @@
+"""Programs on top of the library; they are independent of each other."""

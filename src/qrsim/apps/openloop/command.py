@@ -1,0 +1,153 @@
+"""``qrsim openloop``."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from qrsim.errors import RunError, UsageError, did_you_mean
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from qrsim.apps.openloop.command_file import CommandTable
+    from qrsim.models.vehicles.quadrotor import Quadrotor
+
+_INITIAL_FORMS = "6 (position, Euler angles), 12 (and body velocity, rates) or 13 (and thrust)"
+
+
+@dataclass(frozen=True)
+class OpenLoop:
+    """Drive one vehicle with the commands of a CSV file: no world, no sensors, no noise.
+
+    The file has a header and the columns pitch, roll, throttle, yaw and battery, in any order; row i holds during
+    step i. Raw units are those of the autopilot; SI units are rad, rad, 0 to 1, rad/s (yaw or yaw_rate) and V.
+    The output has one row per step: the 13 states after it and the mean specific force during it.
+
+    Example:
+      qrsim openloop commands.csv --units raw -o states.csv
+      qrsim openloop commands.csv --units si --wind-body=1,-0.5,0.2 -o - | head
+    """
+
+    commands: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="COMMANDS.csv")]
+    """File of commands."""
+    units: Literal["raw", "si"]
+    """Units of the commands."""
+    output: Annotated[str, tyro.conf.arg(aliases=["-o"], metavar="STATES.csv")]
+    """File of states to write; '-' is standard output."""
+    vehicle: Annotated[str, tyro.conf.arg(metavar="NAME")] = "pelican"
+    """Vehicle model."""
+    wind_body: Annotated[str, tyro.conf.arg(metavar="U,V,W")] = "0,0,0"
+    """Air velocity [m/s], constant in body axes."""
+    initial: Annotated[
+        str | None, tyro.conf.arg(metavar="NUMBERS", help_behavior_hint="(default: at rest, 10 m up, thrust m g)")
+    ] = None
+    """State before the first step, numbers separated by commas: position NED [m], Euler angles [rad]; or these and
+    body velocity [m/s], rates [rad/s]; or these and thrust [N]. What is left out is zero, the thrust m g."""
+    precision: Literal["float64", "float32"] = "float64"
+    """Arithmetic."""
+    time_step: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 0.02
+    """Length of a step."""
+    clip: bool = False
+    """Bring commands that are out of range into it (and say how many rows) instead of refusing them."""
+    overwrite: bool = False
+    """Replace the output file where it exists."""
+
+    def run(self) -> None:
+        """Check everything, then simulate, then write."""
+        from qrsim.apps.openloop.command_file import read_commands
+        from qrsim.apps.openloop.state_file import STANDARD_OUTPUT, check_output, write_states
+
+        check_output(self.output, self.overwrite, self.commands)
+        if not (math.isfinite(self.time_step) and self.time_step > 0.0):
+            raise UsageError(f"--time-step {self.time_step}: expected a positive number of seconds")
+        wind = _numbers("--wind-body", self.wind_body, (3,), "3 (u, v, w)")
+        initial = None
+        if self.initial is not None:
+            initial = _numbers("--initial", self.initial, (6, 12, 13), _INITIAL_FORMS)
+        table = read_commands(self.commands, self.units)
+        if table.ignored:
+            _note(f"{self.commands}: columns not used: {', '.join(table.ignored)}")
+        states = self._simulate(table, wind, initial)
+        write_states(states, self.output)
+        if self.output != STANDARD_OUTPUT:
+            print(f"{self.output}: {len(states)} steps, {len(states) * self.time_step:g} s")
+
+    def _simulate(self, table: CommandTable, wind: list[float], initial: list[float] | None) -> np.ndarray[Any, Any]:
+        """Return the (T, 16) states and specific forces."""
+        import numpy as np
+
+        from qrsim.apps.openloop.units import si_within_limits
+        from qrsim.openloop import simulate_open_loop
+
+        vehicle = _vehicle(self.vehicle)
+        commands, clipped = si_within_limits(table, self.units, self.clip)
+        if clipped.any():
+            first = table.lines[clipped.argmax()]
+            _note(f"{self.commands}: {clipped.sum()} of {len(clipped)} rows clipped, the first on line {first}")
+        states = simulate_open_loop(
+            vehicle,
+            commands,
+            _initial_state(vehicle, initial),
+            wind_body=(wind[0], wind[1], wind[2]),
+            dt=self.time_step,
+            precision=self.precision,
+        )
+        finite = np.isfinite(states).all(axis=1)
+        if not finite.all():
+            row = int(finite.argmin())
+            raise RunError(
+                f"the state is not finite from step {row + 1} on (line {table.lines[row]} of {self.commands});"
+                " nothing was written. A pitch of 90 degrees does this, and so does a --time-step that is too long"
+            )
+        return states
+
+
+def known_vehicles() -> dict[str, Any]:
+    """Return the classes of vehicle models by name."""
+    from qrsim.scenarios.catalogue import VEHICLES
+
+    return VEHICLES
+
+
+def _vehicle(name: str) -> Quadrotor:
+    vehicles = known_vehicles()
+    if name not in vehicles:
+        raise UsageError(f"--vehicle {name}: no such vehicle{did_you_mean(name, vehicles)}")
+    return vehicles[name]()
+
+
+def _initial_state(vehicle: Quadrotor, initial: list[float] | None) -> np.ndarray[Any, Any]:
+    """Return the (13,) state; what ``initial`` leaves out is zero, thrust the weight."""
+    from qrsim.openloop import hover_state
+
+    state = hover_state(vehicle)
+    if initial is not None:
+        state[: len(initial)] = initial
+    return state
+
+
+def _numbers(option: str, text: str, counts: tuple[int, ...], expected: str) -> list[float]:
+    """Parse finite numbers separated by commas."""
+    fields = text.split(",")
+    numbers = []
+    for place, field in enumerate(fields, start=1):
+        try:
+            number = float(field)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise UsageError(f"{option}={text}: number {place}, {field.strip()!r}, is not a finite number")
+        numbers.append(number)
+    if len(numbers) not in counts:
+        raise UsageError(f"{option}={text}: {len(numbers)} numbers; expected {expected}, separated by commas")
+    return numbers
+
+
+def _note(text: str) -> None:
+    print(f"note: {text}", file=sys.stderr)

@@ -1,0 +1,62 @@
+"""Commands in a file's units to SI, within the limits of the vehicle."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from qrsim.apps.openloop.command_file import CommandTable, Units
+from qrsim.errors import UsageError
+from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, raw_to_command
+
+_LIMITS = np.array([COMMAND_LIMITS[name] for name in COMMAND_FIELDS])
+
+
+def to_si(values: np.ndarray[Any, Any], units: Units) -> np.ndarray[Any, Any]:
+    """Convert commands of shape (T, 5); no limits are applied."""
+    if units == "si":
+        return values
+    command: Any = raw_to_command(*values.T)
+    return np.column_stack([getattr(command, name) for name in COMMAND_FIELDS])
+
+
+def limits_in(units: Units) -> np.ndarray[Any, Any]:
+    """Return the (5, 2) lowest and highest commands in the given units."""
+    scale = to_si(np.ones((1, 5)), units)[0]
+    return np.sort(_LIMITS / scale[:, None], axis=1)
+
+
+def si_within_limits(
+    table: CommandTable, units: Units, clip: bool
+) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Return the commands in SI, (T, 5), and a bool per row, (T,), that says whether it was clipped.
+
+    Raises:
+        UsageError: a command is out of its range and ``clip`` is off; names the first one's line and column.
+    """
+    commands = to_si(table.values, units)
+    clipped = np.clip(commands, _LIMITS[:, 0], _LIMITS[:, 1])
+    changed = clipped != commands
+    rows = changed.any(axis=1)
+    if rows.any() and not clip:
+        row = int(rows.argmax())
+        _refuse(table, units, row, int(changed[row].argmax()), int(rows.sum()))
+    return clipped, rows
+
+
+def _refuse(table: CommandTable, units: Units, row: int, column: int, count: int) -> None:
+    low, high = limits_in(units)[column]
+    # Rounded towards the inside, so that a bound copied from the message is itself allowed.
+    low, high = math.ceil(low * 100.0) / 100.0, math.floor(high * 100.0) / 100.0
+    others = f" ({count} such rows)" if count > 1 else ""
+    raise UsageError(
+        f"{table.source}: line {table.lines[row]}: column '{table.names[column]}':"
+        f" {_shown(table.values[row, column])} is outside {_shown(low)} to {_shown(high)}"
+        f" (--units {units}){others}; --clip brings commands into their range"
+    )
+
+
+def _shown(value: float) -> str:
+    return repr(float(value)).removesuffix(".0")

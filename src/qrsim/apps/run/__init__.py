@@ -1,0 +1,1 @@
+"""Flying a scenario and recording it."""

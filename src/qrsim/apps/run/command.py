@@ -1,0 +1,215 @@
+"""``qrsim run``."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from qrsim.errors import RunError, UsageError
+
+if TYPE_CHECKING:
+    from qrsim.apps.run.recorder import Pace
+    from qrsim.logs import Run as RecordedRun
+    from qrsim.logs.summary import VehicleSummary
+    from qrsim.scenarios.scenario import Scenario
+
+FIGURE = "figure.png"
+
+
+@dataclass(frozen=True)
+class Run:
+    """Fly a scenario, record it, and show what happened.
+
+    Writes a run folder (Parquet logs of every tick, the resolved scenario, seed and versions, a figure) and prints a
+    table: distance flown, tracking error (from the leg being flown), GNSS error (reported minus true, the delay of
+    the fix included), worst wind, waypoints reached, and why a vehicle stopped.
+
+    Example:
+      qrsim run
+      qrsim run outdoor_patrol --seed 7 --duration 60
+      qrsim run outdoor_patrol --set world.wind.speed_20ft=7 --set world.turbulence=still
+      qrsim run my_scenario.yaml --out runs/first --json
+    """
+
+    scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "outdoor_patrol"
+    """Name (see 'qrsim list') or YAML file."""
+    seed: int = 0
+    """Seed of all randomness."""
+    duration: Annotated[
+        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the scenario's)")
+    ] = None
+    """Simulated time."""
+    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
+        default_factory=list
+    )
+    """Change one value of the scenario; can be given several times."""
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/SCENARIO-seedSEED-TIME)"),
+    ] = None
+    """Run folder to write; must not exist."""
+    realtime: bool = False
+    """Fly at the speed of the wall clock instead of as fast as possible."""
+    precision: Literal["float32", "float64"] = "float32"
+    """Arithmetic."""
+    no_figure: bool = False
+    """Leave out the figure."""
+    json: bool = False
+    """Print the result as JSON."""
+
+    def run(self) -> None:
+        """Check, fly, summarise."""
+        from qrsim.scenarios.scenario import load_scenario
+
+        if self.seed < 0 or self.seed >= 2**63:
+            raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
+        overrides = list(self.set)
+        if self.duration is not None:
+            if not (math.isfinite(self.duration) and self.duration > 0):
+                raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
+            overrides.append(f"duration={self.duration!r}")
+        scenario = load_scenario(self.scenario, overrides)
+        folder = self.out or _new_folder(scenario.name, self.seed)
+        pace = self._fly(scenario, folder)
+        self._report(folder, pace)
+
+    def _fly(self, scenario: Scenario, folder: Path) -> Pace:
+        from qrsim.apps.run.recorder import fly
+
+        # The folder is checked before anything is compiled.
+        if folder.exists():
+            raise UsageError(f"run folder {folder} exists and is never overwritten; choose another --out")
+        try:
+            with _progress(scenario) as progress:
+                return fly(
+                    scenario,
+                    folder,
+                    seed=self.seed,
+                    precision=self.precision,
+                    realtime=self.realtime,
+                    progress=progress,
+                )
+        except KeyboardInterrupt:
+            if folder.exists():
+                print(f"interrupted; the log so far is in {folder}", file=sys.stderr)
+            raise
+
+    def _report(self, folder: Path, pace: Pace) -> None:
+        from qrsim.logs import open_run
+        from qrsim.logs.summary import summarise
+
+        recorded = open_run(folder)
+        summaries = summarise(recorded)
+        figure = None
+        if not self.no_figure:
+            from qrsim.logs.figure import save_figure
+
+            figure = folder / FIGURE
+            save_figure(recorded, figure)
+        if self.json:
+            _print_json(recorded, summaries, pace, folder, figure)
+            return
+        _print_table(recorded, summaries)
+        factor = f"{pace.real_time_factor:.0f} times real time" if not self.realtime else "real time"
+        print(f"{pace.simulated_s:g} s flown in {pace.wall_s:.2f} s ({factor}), start-up {pace.start_up_s:.1f} s")
+        if pace.overruns:
+            print(f"{pace.overruns} chunks were late: this machine is too slow for real time here")
+        print(f"run folder: {folder}")
+        if figure:
+            print(f"figure:     {figure}")
+
+
+def _new_folder(name: str, seed: int) -> Path:
+    from datetime import datetime
+
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    base = Path("runs") / f"{name}-seed{seed}-{stamp}"
+    folder, number = base, 1
+    while folder.exists():
+        number += 1
+        folder = base.with_name(f"{base.name}-{number}")
+    return folder
+
+
+@contextmanager
+def _progress(scenario: Scenario) -> Iterator[Callable[[float, float], None]]:
+    """Show a bar with the real-time factor while the context lasts, on a terminal only."""
+    if not sys.stderr.isatty():
+        yield lambda simulated_s, wall_s: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f} of {task.total:g} s"),
+        TextColumn("{task.fields[factor]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(scenario.name, total=scenario.duration, factor="compiling")
+
+        def show(simulated_s: float, wall_s: float) -> None:
+            bar.update(task, completed=simulated_s, factor=f"{simulated_s / max(wall_s, 1e-9):.0f} x real time")
+
+        yield show
+
+
+def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{recorded.info.scenario}, seed {recorded.info.seed}")
+    table.add_column("vehicle")
+    headings = ("distance [m]", "tracking error RMS [m]", "GNSS error RMS, horizontal / vertical [m]")
+    for heading in (*headings, "worst wind [m/s]", "waypoints"):
+        table.add_column(heading, justify="right")
+    table.add_column("stopped")
+    for row in summaries:
+        gnss = f"{_number(row.gnss_horizontal_rms_m)} / {_number(row.gnss_vertical_rms_m)}"
+        cells = [_number(row.distance_m, 1), _number(row.tracking_error_rms_m), gnss, _number(row.worst_wind_m_s, 1)]
+        table.add_row(row.vehicle, *cells, str(row.waypoints), row.stopped or "no")
+    console = Console()
+    # Not folded to 80 columns where the output goes to a file.
+    console.print(table, width=None if console.is_terminal else 130)
+    for event in recorded.events:
+        if event.kind not in ("waypoint_reached", "command_clipped"):
+            print(event.message)
+
+
+def _number(value: float, digits: int = 2) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def _print_json(
+    recorded: RecordedRun, summaries: list[VehicleSummary], pace: Pace, folder: Path, figure: Path | None
+) -> None:
+    import json
+    from dataclasses import asdict
+
+    result: dict[str, Any] = {
+        "scenario": recorded.info.scenario,
+        "seed": recorded.info.seed,
+        "precision": recorded.info.precision,
+        "run": str(folder),
+        "figure": str(figure) if figure else None,
+        "simulated_s": pace.simulated_s,
+        "wall_s": round(pace.wall_s, 6),
+        "start_up_s": round(pace.start_up_s, 6),
+        "real_time_factor": round(pace.real_time_factor, 3),
+        "overruns": pace.overruns,
+        "vehicles": [summary.to_json() for summary in summaries],
+        "events": [asdict(event) for event in recorded.events],
+    }
+    try:
+        print(json.dumps(result, indent=2, allow_nan=False))
+    except ValueError:
+        raise RunError(f"{folder}: an event holds a value that is not finite, which JSON cannot say") from None

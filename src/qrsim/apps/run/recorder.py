@@ -1,0 +1,110 @@
+"""Flies a simulation and records it, at full speed or against the wall clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from qrsim.apps.run.streams import STREAMS, EventFinder, columns, values
+from qrsim.logs import RunInfo, RunWriter
+from qrsim.scenarios.scenario import Scenario
+from qrsim.simulation import History, Simulation
+
+CHUNK_TICKS = 50
+REALTIME_CHUNK_S = 0.1
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How a recording went.
+
+    Attributes:
+        simulated_s: simulated time.
+        wall_s: wall time of the flight, without start-up.
+        start_up_s: wall time until the first tick was done, from the call of ``fly``.
+        overruns: chunks that were finished too late in real time.
+    """
+
+    simulated_s: float
+    wall_s: float
+    start_up_s: float
+    overruns: int
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated seconds per wall second."""
+        return self.simulated_s / self.wall_s if self.wall_s > 0 else 0.0
+
+
+def fly(
+    scenario: Scenario,
+    folder: Path,
+    *,
+    seed: int,
+    precision: str,
+    realtime: bool = False,
+    progress: Callable[[float, float], None] = lambda simulated_s, wall_s: None,
+    command_line: Sequence[str] | None = None,
+) -> Pace:
+    """Fly a scenario from start to end and record every tick.
+
+    Args:
+        scenario: what to fly.
+        folder: the run folder; must not exist.
+        seed: of all randomness.
+        precision: float32 or float64.
+        realtime: pace the flight against the wall clock.
+        progress: called after every chunk with simulated and wall time [s].
+        command_line: words to note in the run folder, by default those of this process.
+
+    Raises:
+        UsageError: the folder exists.
+        RunError: the log cannot be written; what was flushed before stays readable.
+    """
+    begun = time.perf_counter()
+    simulation = Simulation(scenario.world(precision), seed=seed, name=scenario.name)
+    info = RunInfo.collect(
+        scenario=scenario.name, seed=seed, precision=precision, time_step=scenario.spec.time_step,
+        vehicles=simulation.vehicle_names, command_line=command_line,
+    )  # fmt: skip
+    simulation.reset()
+    wanted = columns(simulation.world, simulation.history)
+    with RunWriter.create(folder, info=info, scenario_yaml=scenario.to_yaml(), columns=wanted) as writer:
+        finder = EventFinder(simulation)
+
+        def keep(history: History) -> None:
+            arrays = values(simulation.world, history, wanted)
+            for stream in STREAMS:
+                writer.append(stream, history.ticks, history.time, arrays[stream])
+            for event in finder.find(history):
+                writer.append_event(**event)
+
+        keep(simulation.history)
+        return _loop(simulation, scenario.ticks, begun, realtime, keep, progress)
+
+
+def _loop(
+    simulation: Simulation,
+    ticks: int,
+    begun: float,
+    realtime: bool,
+    keep: Callable[[History], None],
+    progress: Callable[[float, float], None],
+) -> Pace:
+    chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step))) if realtime else CHUNK_TICKS
+    # The first tick alone, so that compiling does not count as flying.
+    keep(simulation.record(1, capacity=CHUNK_TICKS))
+    start = time.perf_counter()
+    first = simulation.time
+    overruns = 0
+    while simulation.tick < ticks:
+        keep(simulation.record(min(chunk, ticks - simulation.tick), capacity=CHUNK_TICKS))
+        flown, wall = simulation.time - first, time.perf_counter() - start
+        if realtime and flown > wall:
+            time.sleep(flown - wall)
+        elif realtime:
+            overruns += 1
+        progress(simulation.time, time.perf_counter() - start)
+    return Pace(simulation.time, time.perf_counter() - start, start - begun, overruns)

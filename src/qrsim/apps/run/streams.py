@@ -1,0 +1,124 @@
+"""From a History to the streams of a run folder: which columns there are, and their values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.tree import walk
+from qrsim.logs import Column
+from qrsim.models.area import REASONS
+from qrsim.simulation import History, Simulation, reason_text
+from qrsim.world import FleetState, World
+
+Values = dict[str, np.ndarray[Any, Any]]
+STREAMS = ("truth", "measurements", "commands", "wind")
+
+
+def _tree(stream: str, names: tuple[str, ...], state: FleetState) -> list[tuple[str, Any, str, str]]:
+    """Return (column, array (T, n), unit, doc) of one fleet's part of a stream."""
+    roots: dict[str, list[tuple[str, Any]]] = {
+        "truth": [("", state.vehicle), ("specific_force.", state.specific_force)],
+        "measurements": [(f"{name}.", reading) for name, reading in zip(names, state.readings, strict=True)],
+        "commands": [("", state.command), ("setpoint.", state.setpoint)],
+        "wind": [("mean_ned.", state.mean_wind_ned), ("gust_ned.", state.gust_ned)],
+    }
+    units = {"specific_force.": "m/s^2", "mean_ned.": "m/s", "gust_ned.": "m/s"}
+    items = [
+        (name, leaf, info.unit or units.get(prefix, ""), info.doc)
+        for prefix, root in roots[stream]
+        for name, leaf, info in walk(root, prefix)
+    ]
+    if stream == "truth":
+        items.append(("valid", state.violation.code == 0, "", "whether the vehicle still flies"))
+    if stream == "commands":
+        items.append(("clipped", state.command_clipped, "", "the command was outside its range and was clipped"))
+        items.append(("waypoint", state.guidance.index, "", "index of the waypoint flown to"))
+    return items
+
+
+def columns(world: World, history: History) -> dict[str, list[Column]]:
+    """Return the columns of every stream; a quantity that only some fleets have is one column for all."""
+    found: dict[str, dict[str, Column]] = {stream: {} for stream in STREAMS}
+    for stream in STREAMS:
+        for fleet, state in zip(world.fleets, history.state.fleets, strict=True):
+            for name, leaf, unit, doc in _tree(stream, fleet.sensor_names, state):
+                found[stream].setdefault(name, Column(name, unit, doc, leaf.dtype.name))
+    return {stream: list(by_name.values()) for stream, by_name in found.items()}
+
+
+def values(world: World, history: History, wanted: dict[str, list[Column]]) -> dict[str, Values]:
+    """Return (T, n) arrays for every column of every stream; NaN where a fleet lacks the quantity."""
+    result: dict[str, Values] = {}
+    for stream in STREAMS:
+        parts = []
+        for fleet, state in zip(world.fleets, history.state.fleets, strict=True):
+            own = {name: leaf for name, leaf, _, _ in _tree(stream, fleet.sensor_names, state)}
+            shape = (len(history.ticks), fleet.size)
+            parts.append({c.name: own.get(c.name, np.full(shape, np.nan, c.dtype)) for c in wanted[stream]})
+        result[stream] = {c.name: np.concatenate([part[c.name] for part in parts], axis=1) for c in wanted[stream]}
+    return result
+
+
+class EventFinder:
+    """Notices what happens once: a vehicle becomes invalid, reaches a waypoint, or has its command clipped."""
+
+    def __init__(self, simulation: Simulation):
+        self.names = simulation.vehicle_names
+        self.time_step = simulation.world.time_step
+        start = simulation.history
+        self.before = {key: pick(start)[-1] for key, pick in self._sources().items()}
+
+    @staticmethod
+    def _sources() -> dict[str, Callable[[History], Any]]:
+        def together(pick: Callable[[FleetState], Any]) -> Callable[[History], Any]:
+            return lambda history: np.concatenate([pick(fleet) for fleet in history.state.fleets], axis=1)
+
+        return {
+            "code": together(lambda fleet: fleet.violation.code),
+            "reached": together(lambda fleet: fleet.guidance.reached),
+            "clipped": together(lambda fleet: fleet.command_clipped),
+        }
+
+    def find(self, history: History) -> list[dict[str, Any]]:
+        """Return the events of a history as arguments of ``RunWriter.append_event``, in order of time."""
+        found: list[tuple[int, int, dict[str, Any]]] = []
+        for key, pick in self._sources().items():
+            now = pick(history)
+            previous = np.concatenate([self.before[key][None], now[:-1]])
+            self.before[key] = now[-1]
+            for row, vehicle in np.argwhere(now > previous):
+                found.append((int(row), int(vehicle), self._event(key, history, int(row), int(vehicle))))
+        found.sort(key=lambda item: item[:2])
+        return [event for _, _, event in found]
+
+    def _event(self, key: str, history: History, row: int, vehicle: int) -> dict[str, Any]:
+        name, time = self.names[vehicle], float(history.time[row])
+        event = {"time": time, "tick": int(history.ticks[row]), "vehicle": name}
+        if key == "reached":
+            count = int(self._sources()["reached"](history)[row, vehicle])
+            message = f"{name} reached its waypoint number {count} at {time:.2f} s"
+            return {**event, "kind": "waypoint_reached", "field": "waypoint", "value": float(count), "message": message}
+        if key == "clipped":
+            return {**event, "kind": "command_clipped", "message": f"{name}: command clipped at {time:.2f} s"}
+        code = int(self._sources()["code"](history)[row, vehicle])
+        value = float(np.concatenate([f.violation.value for f in history.state.fleets], axis=1)[row, vehicle])
+        kind, field = REASONS[code]
+        message = f"{name} stopped at {time:.2f} s, {reason_text(code, value)}"
+        if kind == "collision":
+            message += f" m to {self._nearest(history, row, vehicle)}"
+        return {**event, "kind": kind, "field": field, "value": value, "message": message}
+
+    def _nearest(self, history: History, row: int, vehicle: int) -> str:
+        axes = "xyz"
+        position = np.stack(
+            [
+                np.concatenate([getattr(f.vehicle.position_ned, axis)[row] for f in history.state.fleets])
+                for axis in axes
+            ]
+        )
+        distance = np.linalg.norm(position - position[:, [vehicle]], axis=0)
+        distance[vehicle] = np.inf
+        return self.names[int(np.argmin(distance))]

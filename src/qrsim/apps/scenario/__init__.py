@@ -1,0 +1,1 @@
+"""Looking at scenarios and their schema."""

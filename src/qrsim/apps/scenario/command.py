@@ -1,0 +1,85 @@
+"""``qrsim list``, ``qrsim show`` and ``qrsim schema``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True)
+class List:
+    """List the scenarios that come with qrsim.
+
+    Example:
+      qrsim list
+      qrsim list --json
+    """
+
+    json: bool = False
+    """Print JSON: name, description, duration and number of vehicles."""
+
+    def run(self) -> None:
+        """Print one line per scenario."""
+        from qrsim.scenarios.scenario import built_in_names, load_scenario
+
+        rows = []
+        for name in built_in_names():
+            spec = load_scenario(name).spec
+            vehicles = sum(len(fleet.vehicles) for fleet in spec.fleets.values())
+            rows.append(
+                {"name": name, "vehicles": vehicles, "duration_s": spec.duration, "description": spec.description}
+            )
+        if self.json:
+            import json
+
+            print(json.dumps(rows, indent=2))
+            return
+        width = max(len(str(row["name"])) for row in rows)
+        for row in rows:
+            counts = f"{row['vehicles']:>3} vehicles  {row['duration_s']:>6g} s"
+            print(f"{row['name']:<{width}}  {counts}  {row['description']}")
+
+
+@dataclass(frozen=True)
+class Show:
+    """Print a scenario with every default filled in, as YAML that can be saved and changed.
+
+    Example:
+      qrsim show outdoor_patrol > mine.yaml
+      qrsim show my_scenario.yaml --set world.wind.speed_20ft=7
+    """
+
+    scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "outdoor_patrol"
+    """Name (see 'qrsim list') or YAML file."""
+    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
+        default_factory=list
+    )
+    """Change one value of the scenario; can be given several times."""
+    json: bool = False
+    """Print JSON instead."""
+
+    def run(self) -> None:
+        """Print the resolved scenario."""
+        from qrsim.scenarios.scenario import load_scenario
+
+        scenario = load_scenario(self.scenario, self.set)
+        print(scenario.spec.model_dump_json(indent=2) if self.json else scenario.to_yaml().rstrip())
+
+
+@dataclass(frozen=True)
+class Schema:
+    """Print the JSON schema of scenario files, for editors and other programs.
+
+    Example:
+      qrsim schema > scenario.schema.json
+    """
+
+    def run(self) -> None:
+        """Print the schema."""
+        import json
+
+        from qrsim.scenarios.scenario import json_schema
+
+        print(json.dumps(json_schema(), indent=2))

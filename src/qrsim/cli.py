@@ -1,0 +1,196 @@
+"""The ``qrsim`` command: finds the subcommand, hands it its options, and turns errors into messages and exit codes.
+
+A subcommand is a dataclass whose fields are its options and whose ``run`` does the work and returns an exit code
+(None: 0). Its docstring is its help: the first line stands in the list of commands, an Example section at the end.
+To add one, import it here and add it to COMMANDS. Modules of commands import what is slow inside ``run``, so that
+the help stays quick.
+
+Exit codes: 0 fine, 1 the run failed, 2 wrong usage, 130 interrupted, 141 the reader of the output went away.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, make_dataclass
+from typing import Annotated, Any, Protocol, Union
+
+import tyro
+
+from qrsim.apps.data.command import Fetch, Where
+from qrsim.apps.openloop.command import OpenLoop
+from qrsim.apps.plot.command import Plot
+from qrsim.apps.run.command import Run
+from qrsim.apps.scenario.command import List, Schema, Show
+from qrsim.errors import QrsimError, UsageError, did_you_mean
+
+DESCRIPTION = """A simulator of several unmanned aerial vehicles outdoors.
+
+Example:
+  qrsim run
+  qrsim run outdoor_patrol --seed 7 --set world.wind.speed_20ft=7
+  qrsim plot runs/NAME"""
+
+_TYRO_CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
+
+
+class Command(Protocol):
+    """What every subcommand is."""
+
+    def run(self) -> int | None:
+        """Do the work; return the exit code, None for 0."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Subcommands under a common name (``qrsim data fetch``)."""
+
+    description: str
+    commands: Mapping[str, type[Command]]
+
+
+@dataclass(frozen=True)
+class Version:
+    """Print the versions of qrsim, Python and the libraries that numbers depend on (for bug reports).
+
+    Example:
+      qrsim version
+    """
+
+    def run(self) -> None:
+        """Print one line per program."""
+        import platform
+        from importlib.metadata import version
+
+        rows = {"qrsim": version("qrsim"), "python": platform.python_version()}
+        rows |= {name: version(name) for name in ("jax", "jaxlib", "numpy")}
+        rows["platform"] = platform.platform()
+        for name, text in rows.items():
+            print(f"{name:<9} {text}")
+
+
+DATA = Group(
+    """Fetch the public recordings that validation and tests use, or say where they are.
+
+Example:
+  qrsim data fetch
+  qrsim data where""",
+    {"fetch": Fetch, "where": Where},
+)
+
+COMMANDS: dict[str, type[Command] | Group] = {
+    "run": Run,
+    "list": List,
+    "show": Show,
+    "schema": Schema,
+    "plot": Plot,
+    "openloop": OpenLoop,
+    "data": DATA,
+    "version": Version,
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line ``argv`` (default: the process's own) and return the exit code; raises nothing."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _dispatch(arguments)
+        sys.stdout.flush()
+    except QrsimError as error:
+        _print_error(str(error))
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        _discard_output()
+        return 141
+    except Exception:
+        import traceback
+
+        traceback.print_exc()
+        _print_error("this is a bug in qrsim: please report it with the lines above and the output of 'qrsim version'")
+        return 1
+    return code
+
+
+def _dispatch(arguments: list[str]) -> int:
+    if arguments[:1] == ["--version"]:
+        from importlib.metadata import version
+
+        print(f"qrsim {version('qrsim')}")
+        return 0
+    try:
+        command = _parse(arguments, COMMANDS, "qrsim", DESCRIPTION)
+    except SystemExit as leaving:  # tyro has printed its help (0) or its complaint (2)
+        return leaving.code if isinstance(leaving.code, int) else 2
+    return command.run() or 0
+
+
+def _parse(
+    arguments: list[str], commands: Mapping[str, type[Command] | Group], program: str, description: str
+) -> Command:
+    """Return the chosen command with its options filled in; raises SystemExit where tyro printed something."""
+    name = arguments[0] if arguments else ""
+    entry = commands.get(name)
+    if isinstance(entry, Group):
+        return _parse(arguments[1:], entry.commands, f"{program} {name}", entry.description)
+    if entry is not None:
+        return tyro.cli(
+            entry,
+            prog=f"{program} {name}",
+            description=_help_text(inspect.getdoc(entry) or ""),
+            args=arguments[1:],
+            config=_TYRO_CONFIG,
+        )
+    if name and not name.startswith("-"):
+        raise UsageError(f"{program}: no such command '{name}'{did_you_mean(name, commands)}")
+    return tyro.cli(_menu(commands), prog=program, description=description, args=arguments, config=_TYRO_CONFIG)
+
+
+def _help_text(docstring: str) -> str:
+    """Lay out a docstring for the terminal: tyro drops Example sections, joins lines and does not wrap."""
+    import shutil
+    import textwrap
+
+    width = min(shutil.get_terminal_size().columns, 100)
+    first, *others = docstring.split("\n\n")
+    text = first
+    for paragraph in others:
+        if "\n  " in paragraph:
+            text += f"\n\n{paragraph}"
+        else:  # tyro leaves a line alone that begins with a space, and adds an empty line where there was one
+            text += "\n" + textwrap.fill(paragraph, width, initial_indent="  ", subsequent_indent="  ")
+    return text
+
+
+def _menu(commands: Mapping[str, type[Command] | Group]) -> Any:
+    """Return a type whose tyro help lists the commands with the first line of their descriptions."""
+    choices: list[Any] = []
+    for name, entry in commands.items():
+        text = entry.description if isinstance(entry, Group) else inspect.getdoc(entry) or ""
+        placeholder = make_dataclass(name, [])
+        choices.append(Annotated[placeholder, tyro.conf.subcommand(name, description=text.partition("\n")[0])])
+    return Union[tuple(choices)]  # noqa: UP007 (built from a list)
+
+
+def _print_error(message: str) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    text = Text.assemble(("error: ", "bold red"), message)
+    Console(stderr=True, soft_wrap=True, highlight=False).print(text)
+
+
+def _discard_output() -> None:
+    """Point standard output at the null device, so that the flush at exit does not complain again."""
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (OSError, ValueError):  # standard output has no descriptor (it was replaced, as in tests)
+        return
+
+
+if __name__ == "__main__":
+    sys.exit(main())
