@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from qrsim.control import WaypointSetpoint
     from qrsim.logs import Run, open_run
+    from qrsim.models.vehicles.quadrotor import Command
     from qrsim.scenarios.scenario import Scenario, load_scenario
     from qrsim.simulation import Simulation
     from qrsim.world import State, World
@@ -26,6 +27,7 @@ __version__ = metadata.version("qrsim")
 
 # Imported on first use, so that a command pays only for what it needs.
 _LAZY = {
+    "Command": "qrsim.models.vehicles.quadrotor",
     "Run": "qrsim.logs",
     "Scenario": "qrsim.scenarios.scenario",
     "Simulation": "qrsim.simulation",
@@ -37,6 +39,7 @@ _LAZY = {
 }
 
 __all__ = [
+    "Command",
     "Run",
     "Scenario",
     "Simulation",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import jax
 import numpy as np
 
 from qrsim.core.vectors import Euler, Vec3, rotation
@@ -136,7 +137,11 @@ class Truth:
     @property
     def velocity_ned(self) -> Floats:
         """(n, 3) velocity over ground [m/s]."""
-        return self._gather(lambda fleet: rotation(fleet.vehicle.attitude).to_ned(fleet.vehicle.velocity_body))
+        # JAX would silently compute in single precision otherwise.
+        with jax.enable_x64(True):
+            return np.asarray(
+                self._gather(lambda fleet: rotation(fleet.vehicle.attitude).to_ned(fleet.vehicle.velocity_body))
+            )
 
     @property
     def rates_body(self) -> Floats:

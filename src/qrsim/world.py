@@ -23,6 +23,10 @@ from qrsim.models.vehicles.quadrotor import Command, Quadrotor, clip_command
 
 S = TypeVar("S")
 Action = Command | WaypointSetpoint | None
+# Names of noise streams are FLEET/USER; a fleet has no slash in its name, so this is no fleet's.
+SKY = "/sky"
+# Users of noise in a fleet beside its sensors, whose names are therefore taken.
+TURBULENCE, PROCESS = "turbulence", "process"
 
 
 @record
@@ -78,6 +82,9 @@ class FleetState:
     turbulence: Any = quantity(doc="gust filters")
     mean_wind_ned: Vec3 = quantity(unit="m/s", doc="mean wind at the vehicle during the last step")
     gust_ned: Vec3 = quantity(unit="m/s", doc="gust at the vehicle during the last step")
+    estimate: Estimate = quantity(
+        doc="what the controller was last fed with; keeps its last value where a reading is NaN"
+    )
     controller: Any = quantity(doc="control loops")
     guidance: RouteState = quantity(doc="progress along the route")
     setpoint: WaypointSetpoint = quantity(doc="last set-point")
@@ -101,9 +108,9 @@ class State:
 def reset(world: World, key: Key) -> State:
     """Return the state at tick 0: noise processes stationary, every sensor with a first reading."""
     like = jnp.zeros((), world.fleets[0].start.position_ned.x.dtype)
-    sky = world.sky.init(_draw_sky(world, key.streams(["sky/start"]), jnp.int32(0), like))
+    sky = world.sky.init(_draw_sky(world, key.streams([f"{SKY}/start"]), jnp.int32(0), like))
     fleets = tuple(_start(world, fleet, key, sky) for fleet in world.fleets)
-    return State(sky, fleets, key.streams(["sky"]), tuple(_stream_keys(fleet, key) for fleet in world.fleets))
+    return State(sky, fleets, key.streams([SKY]), tuple(_stream_keys(fleet, key) for fleet in world.fleets))
 
 
 def step(world: World, state: State, tick: Array, actions: tuple[Action, ...]) -> State:
@@ -150,16 +157,18 @@ def _fly(world: World, fleet: Fleet, state: FleetState, noise: dict[str, Any], a
     height = world.area.height_agl(truth.position_ned)
     mean_wind = world.wind.velocity_ned(height)
     turbulence = world.turbulence.step(
-        state.turbulence, noise["turbulence"], height, direction.to_ned(truth.velocity_body), mean_wind, dt
+        state.turbulence, noise[TURBULENCE], height, direction.to_ned(truth.velocity_body), mean_wind, dt
     )
     gust = world.turbulence.gust_ned(turbulence, height)
     air = mean_wind + gust
 
-    guidance, setpoint, controller = state.guidance, state.setpoint, state.controller
+    guidance, setpoint, controller, estimate = state.guidance, state.setpoint, state.controller, state.estimate
     if isinstance(action, Command):
         wanted = action
     else:
-        estimate = _estimate(fleet, state)
+        estimate = jax.tree.map(
+            lambda new, old: jnp.where(jnp.isfinite(new), new, old), _estimate(fleet, state), estimate
+        )
         if action is None:
             guidance, setpoint = fleet.guidance.step(guidance, fleet.route, estimate.position_ned)
         else:
@@ -167,11 +176,12 @@ def _fly(world: World, fleet: Fleet, state: FleetState, noise: dict[str, Any], a
         controller, wanted = fleet.controller.step(controller, estimate, setpoint, dt)
     command, clipped = clip_command(wanted)
     vehicle, force = fleet.vehicle.step(
-        truth, command, lambda trig: trig.rotation().to_body(air), fleet.vehicle.draw_noise(noise["process"], dt), dt
+        truth, command, lambda trig: trig.rotation().to_body(air), fleet.vehicle.draw_noise(noise[PROCESS], dt), dt
     )
     return replace(
         state, vehicle=vehicle, specific_force=force, turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
-        guidance=guidance, setpoint=setpoint, controller=controller, command=command, command_clipped=clipped,
+        estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=command,
+        command_clipped=clipped,
     )  # fmt: skip
 
 
@@ -233,18 +243,15 @@ def _start(world: World, fleet: Fleet, key: Key, sky: SkyState) -> FleetState:
     start = fleet.start
     vehicle = fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
     like = vehicle.thrust
-    zero_tick = jnp.int32(0)
-    streams = _streams(fleet, _stream_keys(fleet, key, "/start"))
-    draws = {name: Draw(stream, zero_tick, jnp.zeros((), like.dtype)) for name, stream in streams.items()}
+    draws = _draw_fleet(world, fleet, _stream_keys(fleet, key, "/start"), jnp.int32(0))
     height = world.area.height_agl(vehicle.position_ned)
     mean_wind = world.wind.velocity_ned(height)
-    turbulence = world.turbulence.init(draws["turbulence"])
+    turbulence = world.turbulence.init(draws[TURBULENCE])
     gust = world.turbulence.gust_ned(turbulence, height)
     zero = jnp.zeros_like(like)
     hover = jnp.broadcast_to(jnp.asarray(fleet.controller.height.hover_throttle), like.shape)
     battery = jnp.broadcast_to(jnp.asarray(fleet.controller.battery), like.shape)
     command = Command(zero, zero, hover, zero, battery)
-    still = Vec3(zero, zero, zero)
     noiseless = fleet.vehicle.draw_noise(Drawn((zero,) * fleet.vehicle.normals), 1.0)
     air = mean_wind + gust
     _, force = fleet.vehicle.derivative(
@@ -252,10 +259,14 @@ def _start(world: World, fleet: Fleet, key: Key, sky: SkyState) -> FleetState:
     )
     violation = Violation(jnp.zeros(like.shape, jnp.int32), zero)
     guidance = fleet.guidance.init(fleet.route)
-    controller = fleet.controller.init(Estimate(vehicle.position_ned, still, vehicle.attitude))
+    # Until a sensor speaks, the controller believes what was true at the start.
+    estimate = Estimate(
+        vehicle.position_ned, rotation(vehicle.attitude).to_ned(vehicle.velocity_body), vehicle.attitude
+    )
+    controller = fleet.controller.init(estimate)
     setpoint = fleet.guidance.setpoint(guidance, fleet.route)
     state = FleetState(
-        vehicle, force, turbulence, mean_wind, gust, controller, guidance, setpoint, command,
+        vehicle, force, turbulence, mean_wind, gust, estimate, controller, guidance, setpoint, command,
         jnp.zeros(like.shape, bool), violation, (), (),
     )  # fmt: skip
     scene = _scene(state, sky)
@@ -303,7 +314,7 @@ def measured_quantities(readings: tuple[Any, ...]) -> dict[str, Any]:
 
 def _stream_names(fleet: Fleet) -> tuple[str, ...]:
     """What draws noise in a fleet."""
-    return ("turbulence", "process", *fleet.sensor_names)
+    return (TURBULENCE, PROCESS, *fleet.sensor_names)
 
 
 def _stream_keys(fleet: Fleet, key: Key, suffix: str = "") -> StreamKeys:
@@ -320,9 +331,10 @@ def _draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array) -> di
     """Return the noise of one tick: drawn together for what steps at every tick, on demand for the others."""
     like = jnp.zeros((), fleet.start.position_ned.x.dtype)
     streams = _streams(fleet, keys)
-    users: dict[str, Any] = {"turbulence": world.turbulence, "process": fleet.vehicle}
+    users: dict[str, Any] = {TURBULENCE: world.turbulence, PROCESS: fleet.vehicle}
     for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
-        if period_ticks(sensor.period, world.time_step) == 1 and hasattr(sensor, "normals"):
+        every_tick = period_ticks(sensor.period, world.time_step) == 1
+        if every_tick and hasattr(sensor, "normals"):
             users[name] = sensor
     drawn = draw_together([streams[name] for name in users], [user.normals for user in users.values()], tick, like)
     on_demand = {name: Draw(stream, tick, like) for name, stream in streams.items() if name not in users}

@@ -27,12 +27,15 @@ def _polynomial(x: Array, coefficients: tuple[float, ...]) -> Array:
     return result
 
 
-def _sincos_f32(x: Array) -> tuple[Array, Array]:
-    """Both functions from the tangent of half the reduced angle, t: 2t/(1 + t^2) and (1 - t^2)/(1 + t^2).
+def sincos_ratio(x: Array) -> tuple[Array, Array, Array]:
+    """Return (a, b, c) with sin x = a/c and cos x = b/c, any shape, x in rad.
 
-    Divisions come last on purpose: XLA on a CPU computes a result that ends in a division once, and repeats one
-    that ends in anything cheaper inside every consumer.
+    From the tangent t of half the reduced angle: 2t/(1 + t^2) and (1 - t^2)/(1 + t^2). The division is left for
+    last on purpose: XLA on a CPU computes a result that ends in a division once, and repeats one that ends in
+    anything cheaper inside every consumer.
     """
+    if x.dtype != jnp.float32:
+        return jnp.sin(x), jnp.cos(x), jnp.ones_like(x)
     turns = jnp.round(x * (2.0 / math.pi))
     half = 0.5 * (((x - turns * _PIO2_HIGH) - turns * _PIO2_MID) - turns * _PIO2_LOW)
     quadrant = turns.astype(jnp.int32)
@@ -40,20 +43,19 @@ def _sincos_f32(x: Array) -> tuple[Array, Array]:
     # Chebyshev fit of tan(y)/y on |y| <= pi/8, relative error 2e-9.
     t = half * _polynomial(z, (0.025671956095, 0.05343703505, 0.133363104741, 0.333332753321, 1.000000001803))
     square = t * t
-    sine, cosine, scale = t + t, 1.0 - square, 1.0 + square
+    sine, cosine = t + t, 1.0 - square
     swap = (quadrant & 1) == 1
     sin_part, cos_part = jnp.where(swap, cosine, sine), jnp.where(swap, sine, cosine)
     sin_part = jnp.where((quadrant & 2) == 2, -sin_part, sin_part)
     cos_part = jnp.where(((quadrant + 1) & 2) == 2, -cos_part, cos_part)
-    return sin_part / scale, cos_part / scale
+    return sin_part, cos_part, 1.0 + square
 
 
 @jax.custom_jvp
 def sincos(x: Array) -> tuple[Array, Array]:
     """Return (sin x, cos x), any shape, x in rad; float32 error below 2e-7 for |x| < 1e4."""
-    if x.dtype == jnp.float32:
-        return _sincos_f32(x)
-    return jnp.sin(x), jnp.cos(x)
+    sine, cosine, scale = sincos_ratio(x)
+    return sine / scale, cosine / scale
 
 
 @sincos.defjvp

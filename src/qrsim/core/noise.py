@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from qrsim.core.fastmath import exp, log, sincos
+from qrsim.core.fastmath import exp, log, sincos_ratio
 from qrsim.core.tree import quantity, record
 
 ROUNDS = 13
@@ -53,11 +53,11 @@ def _box_muller(word0: Array, word1: Array, dtype: jnp.dtype) -> tuple[Array, Ar
     uniform = ((word0 >> 1).astype(jnp.int32).astype(dtype) + 0.5) * 2.0**-31
     # The angle lies in [-pi, pi): all 32 bits, read as a signed number.
     angle = lax.bitcast_convert_type(word1, jnp.int32).astype(dtype) / (2.0**31 / math.pi)
-    inverse_radius = lax.rsqrt(jnp.maximum(-2.0 * log(uniform), 0.0))
-    sine, cosine = sincos(angle)
+    radius = jnp.sqrt(jnp.maximum(-2.0 * log(uniform), 0.0))
+    sine, cosine, scale = sincos_ratio(angle)
     # Divisions here and for the angle, because XLA on a CPU repeats anything cheaper inside every consumer of
     # the result: with multiplications a step would compute its words some thirty times over.
-    return cosine / inverse_radius, sine / inverse_radius
+    return radius * cosine / scale, radius * sine / scale
 
 
 @record
@@ -72,13 +72,13 @@ class Key:
         """Return the key of one world of a batch.
 
         Args:
-            seed: 0 <= seed < 2**63 (a traced seed: uint32).
+            seed: 0 <= seed < 2**63, or its low and high words as an array (2,) of uint32.
             world: index of the world in its batch, 0 <= world < 2**32.
         """
         if isinstance(seed, int):
             low, high = jnp.uint32(seed & 0xFFFFFFFF), jnp.uint32(seed >> 32)
         else:
-            low, high = seed.astype(jnp.uint32), jnp.uint32(0)
+            low, high = seed[0], seed[1]
         return Key(*threefry2x32((low, high), (jnp.asarray(world, jnp.uint32), jnp.uint32(0)), 20))
 
     def streams(self, names: Sequence[str]) -> StreamKeys:

@@ -50,31 +50,28 @@ class Packer:
         return hash(self._identity())
 
     def pack(self, tree: Any) -> Buffers:
-        """Return the two flat buffers of a tree (traced or concrete)."""
-        floats, integers = [jnp.zeros(0, self.dtype)], [jnp.zeros(0, jnp.int32)]
-        for leaf, is_float in zip(jax.tree.leaves(tree), self.is_float, strict=True):
+        """Return the two flat buffers of a tree; a tree of NumPy arrays gives NumPy buffers."""
+        leaves = jax.tree.leaves(tree)
+        numpy: Any = np if all(isinstance(leaf, np.ndarray | np.generic) for leaf in leaves) else jnp
+        floats, integers = [numpy.zeros(0, self.dtype)], [numpy.zeros(0, np.int32)]
+        for leaf, is_float in zip(leaves, self.is_float, strict=True):
             if is_float:
-                floats.append(jnp.reshape(leaf, (-1,)))
+                floats.append(numpy.reshape(leaf, (-1,)))
             elif leaf.dtype == np.uint32:
-                integers.append(jnp.reshape(jax.lax.bitcast_convert_type(jnp.asarray(leaf), jnp.int32), (-1,)))
+                integers.append(numpy.reshape(numpy.asarray(leaf).view(np.int32), (-1,)))
             else:
-                integers.append(jnp.reshape(leaf, (-1,)).astype(jnp.int32))
-        return jnp.concatenate(floats), jnp.concatenate(integers)
+                integers.append(numpy.reshape(leaf, (-1,)).astype(np.int32))
+        return numpy.concatenate(floats), numpy.concatenate(integers)
 
     def unpack(self, buffers: Buffers) -> Any:
         """Return the tree of two buffers whose last axis is the packed one; NumPy in gives NumPy views out."""
-        on_host = isinstance(buffers[0], np.ndarray)
         leaves = []
         for i, part in enumerate(self.slices):
             flat = buffers[0 if self.is_float[i] else 1][..., part]
             leaf = flat.reshape((*flat.shape[:-1], *self.shapes[i]))
-            if not self.is_float[i] and self.dtypes[i] != np.int32:
-                leaf = self._restore(leaf, self.dtypes[i], on_host)
+            if self.dtypes[i] == np.uint32:
+                leaf = leaf.view(np.uint32)
+            elif not self.is_float[i] and self.dtypes[i] != np.int32:
+                leaf = leaf.astype(self.dtypes[i])
             leaves.append(leaf)
         return jax.tree.unflatten(self.structure, leaves)
-
-    @staticmethod
-    def _restore(leaf: Any, dtype: np.dtype[Any], on_host: bool) -> Any:
-        if dtype == np.uint32:
-            return leaf.view(np.uint32) if on_host else jax.lax.bitcast_convert_type(leaf, jnp.uint32)
-        return leaf.astype(dtype)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -19,7 +20,7 @@ from qrsim.models.orbits import split_time
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
-from qrsim.world import Fleet, Start, World
+from qrsim.world import PROCESS, TURBULENCE, Fleet, Start, World
 
 # What a controller fed with measurements needs, and the sensors that measure it.
 NEEDED = {"position_ned": "gnss_receiver", "height": "barometer", "attitude": "attitude_estimator"}
@@ -104,6 +105,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
         if low >= high:
             yield f"world.area.{axis}_min: {low:g} m is not below {axis}_max, {high:g} m"
     for fleet_name, fleet in scenario.fleets.items():
+        yield from _name_problems(fleet_name, fleet)
         yield from _feed_problems(fleet_name, fleet)
         for i, vehicle in enumerate(fleet.vehicles):
             path = f"fleets.{fleet_name}.vehicles.{i}"
@@ -122,6 +124,16 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
                         f"allowed: at least {scenario.world.collision_distance:g} m (world.collision_distance)"
                     )
             starts.append((path, vehicle.position_ned))
+
+
+def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
+    """Names become parts of paths, columns and noise streams."""
+    for path, name in [("fleets", fleet_name), *((f"fleets.{fleet_name}.sensors", name) for name in fleet.sensors)]:
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+            yield f"{path}.{name}: '{name}' is no name; allowed: letters, digits, '_' and '-'"
+    for name in fleet.sensors:
+        if name in (TURBULENCE, PROCESS):
+            yield f"fleets.{fleet_name}.sensors.{name}: the name '{name}' is taken by the simulator; choose another"
 
 
 def _outside(path: str, point: list[float], area: Any) -> Iterator[str]:

@@ -3,13 +3,34 @@
 from __future__ import annotations
 
 import math
-from typing import Any, get_args
+import re
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from qrsim.errors import did_you_mean
+
+_RANGES = ("greater_than_equal", "less_than_equal", "greater_than", "less_than")
+_LENGTHS = ("too_short", "too_long")
+_PARTS = ("model_type", "model_attributes_type", "dict_type")
+_TIME = "write for example 2026-06-21T10:00:00Z"
+# What is said after the value of a fault that needs nothing else to explain it.
+_PLAIN = {
+    "finite_number": "is not a finite number",
+    "float_type": "is not a number",
+    "int_type": "is not a whole number",
+    "int_from_float": "is not a whole number",
+    "bool_type": "is neither true nor false",
+    "string_type": "is not a text",
+    "string_too_short": "is empty",
+    "timezone_aware": f"has no offset from UTC; {_TIME}",
+    "datetime_type": f"is not a date and time; {_TIME}",
+    "datetime_parsing": f"is not a date and time; {_TIME}",
+    "datetime_from_date_parsing": f"is not a date and time; {_TIME}",
+    "datetime_object_invalid": f"is not a date and time; {_TIME}",
+}
 
 
 def describe(error: ValidationError, model: type[BaseModel], data: Any) -> list[str]:
@@ -23,29 +44,39 @@ class _Fault:
     def __init__(self, details: ErrorDetails, model: type[BaseModel], data: Any):
         self.details = details
         self.path: list[str] = []
-        self.owner: type[BaseModel] | None = model
-        self.owner_name = "scenario"
+        self.owner: type[BaseModel] | None = None
+        self.owner_name = ""
         self.field: FieldInfo | None = None
+        self.annotation: Any = model
         self.in_degrees = False
-        self._locate(model, data)
+        self._locate(data)
 
-    def _locate(self, model: type[BaseModel], data: Any) -> None:
-        annotation: Any = model
+    def _locate(self, data: Any) -> None:
         for part in self.details["loc"]:
-            if isinstance(data, dict) and part == data.get("type") and part not in self._names(annotation):
-                annotation = self._choose(annotation, part)
-                self.owner, self.owner_name = annotation, str(part)
+            models = _models(self.annotation)
+            if len(models) > 1:
+                # pydantic puts the type of a component into the path; the file does not.
+                self.annotation = next(model for model in models if model.__name__ == part)
                 continue
-            chosen = self._choose(annotation, data.get("type") if isinstance(data, dict) else None)
-            if chosen is not None:
-                self.owner = chosen
-                self.owner_name = self.owner_name if chosen.__name__ == self.owner_name else self._label(chosen)
-                self.field = chosen.model_fields.get(str(part))
-                annotation = self.field.annotation if self.field else None
+            if part == "[key]":
+                continue
+            if models:
+                self.owner, self.owner_name = models[0], self._name_of(models[0])
+                self.field = models[0].model_fields.get(str(part))
+                self.annotation = self.field.annotation if self.field else None
             else:
-                self.owner, self.field = None, None
-                annotation = (get_args(annotation) or (None,))[-1]
+                # An entry of a list or a mapping: what is said about the whole holds for it too.
+                self.owner = None
+                self.annotation = (get_args(_bare(self.annotation)) or (None,))[-1]
             data = self._descend(part, data)
+
+    def _name_of(self, model: type[BaseModel]) -> str:
+        """Return what a user calls a part: its type, or its kind, or the field it stands in."""
+        if "type" in model.model_fields:
+            return model.__name__
+        if model.__name__.endswith("Spec"):
+            return model.__name__.removesuffix("Spec").lower()
+        return self.path[-1]
 
     def _descend(self, part: Any, data: Any) -> Any:
         name = str(part)
@@ -58,100 +89,148 @@ class _Fault:
         self.path.append(name)
         return data[part] if isinstance(data, list) and isinstance(part, int) and part < len(data) else None
 
-    @staticmethod
-    def _models(annotation: Any) -> list[type[BaseModel]]:
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            return [annotation]
-        if getattr(annotation, "__origin__", None) in (dict, list):
-            return []
-        return [model for argument in get_args(annotation) for model in _Fault._models(argument)]
-
-    @staticmethod
-    def _choose(annotation: Any, tag: Any) -> type[BaseModel] | None:
-        models = _Fault._models(annotation)
-        if len(models) == 1:
-            return models[0]
-        return next((model for model in models if model.__name__ == tag), None)
-
-    @staticmethod
-    def _names(annotation: Any) -> set[str]:
-        models = _Fault._models(annotation)
-        return set(models[0].model_fields) if len(models) == 1 else set()
-
-    @staticmethod
-    def _label(model: type[BaseModel]) -> str:
-        return model.__name__.removesuffix("Spec").lower() or "scenario"
-
     def sentence(self) -> str:
         """Return the fault in words."""
         kind, where = self.details["type"], ".".join(self.path) or "scenario"
         value = self.details["input"]
         context = self.details.get("ctx", {})
         if kind == "extra_forbidden":
-            names = self._known_names()
-            return f"{where}: no such parameter of '{self.owner_name}'{did_you_mean(self.path[-1], names)}"
+            return f"{where}: no such parameter of '{self.owner_name}'{did_you_mean(self.path[-1], self._known())}"
         if kind == "missing":
-            return f"{where}: missing{self._meaning()}"
-        if kind == "union_tag_invalid":
-            known = [name.strip(" '") for name in str(context["expected_tags"]).split(",")]
-            return f"{where}.type: no such type '{context['tag']}'{did_you_mean(str(context['tag']), known)}"
+            return f"{where}: missing{self._types() if self.path[-1] == 'type' else self._meaning() + self._twin()}"
         if kind == "union_tag_not_found":
-            return f"{where}.type: missing; it names what this is"
+            return f"{where}.type: missing{self._types()}"
+        if kind == "union_tag_invalid":
+            return f"{where}.type: no such type '{context['tag']}'{did_you_mean(str(context['tag']), self._choices())}"
         if kind == "literal_error":
-            allowed = [name.strip(" '") for name in str(context["expected"]).replace(" or ", ",").split(",")]
-            if len(allowed) == 1:
-                return f"{where}: {value!r} is not allowed; allowed: {allowed[0]}"
-            return f"{where}: {value!r} is not allowed; allowed: {', '.join(allowed)}{self._near(value, allowed)}"
-        return f"{where}: {self._shown(value)} {self._fault(kind)}"
+            allowed = self._choices()
+            if self.path[-1] == "type":
+                return f"{where}: no such type {value!r}{did_you_mean(str(value), allowed)}"
+            hint = did_you_mean(str(value), allowed)
+            return f"{where}: {value!r} is not allowed; allowed: {', '.join(allowed)}{hint if 'mean' in hint else ''}"
+        if kind == "value_error":
+            return f"{where}: {context['error']}"
+        if kind == "invalid_key" or self.details["loc"][-1:] == ("[key]",):
+            return f"{where}: the key {value!r} is not a text"
+        if kind in _PARTS:
+            return (
+                f"{where}: expected keys and values{self._example(value)}, found {self._shown(value)}{self._meaning()}"
+            )
+        if kind == "list_type":
+            expected = self._length() if self._holds_numbers() else "a list"
+            return f"{where}: expected {expected}, found {self._shown(value)}{self._meaning()}"
+        if kind in _LENGTHS:
+            return f"{where}: expected {self._length()}, found {len(value) or 'none'}{self._meaning()}"
+        if value is None:
+            return f"{where}: has no value{self._meaning()}"
+        return f"{where}: {self._shown(value)} {self._fault(kind, context)}{self._meaning()}"
 
-    @staticmethod
-    def _near(value: Any, allowed: list[str]) -> str:
-        hint = did_you_mean(str(value), allowed)
-        return hint if "did you mean" in hint else ""
+    def _fault(self, kind: str, context: dict[str, Any]) -> str:
+        if kind in _RANGES:
+            return f"is out of range; allowed: {self._range()}"
+        if kind == "string_pattern_mismatch":
+            return f"is no name; allowed: {_characters(str(context['pattern']))}"
+        return _PLAIN.get(kind, f"is not right: {self.details['msg']}")
 
-    def _known_names(self) -> list[str]:
+    def _known(self) -> list[str]:
         names = [name for name in (self.owner.model_fields if self.owner else {}) if name != "type"]
         twins = [name.removesuffix("_rad") + "_deg" for name in names if name.endswith("_rad")]
         return names + twins
 
-    def _fault(self, kind: str) -> str:
-        if kind in ("greater_than_equal", "less_than_equal", "greater_than", "less_than"):
-            return f"is out of range; allowed: {self._range()}{self._meaning()}"
-        if kind == "finite_number":
-            return f"is not a finite number{self._meaning()}"
-        if kind in ("float_type", "float_parsing"):
-            return f"is not a number{self._meaning()}"
-        if kind == "value_error":
-            return str(self.details["ctx"]["error"])
-        return f"is not right: {self.details['msg'].lower()}{self._meaning()}"
+    def _choices(self) -> list[str]:
+        """Return what may stand here: the types of the components, or the options."""
+        models = _models(self.annotation)
+        return [model.__name__ for model in models] or [str(option) for option in get_args(_bare(self.annotation))]
+
+    def _types(self) -> str:
+        return f"; it names what this is: {', '.join(self._choices())}"
+
+    def _twin(self) -> str:
+        name = self.path[-1]
+        return f"; or give {name.removesuffix('_rad')}_deg in degrees" if name.endswith("_rad") else ""
+
+    def _example(self, value: Any) -> str:
+        """Show how a component is written to those who gave only its type."""
+        models = [model for model in _models(self.annotation) if "type" in model.model_fields]
+        if not models or not isinstance(value, str):
+            return ""
+        names = [model.__name__ for model in models]
+        return f" such as {{type: {value if value in names else names[0]}}}"
 
     def _shown(self, value: Any) -> str:
         if self.in_degrees and isinstance(value, float):
             return f"{math.degrees(value):g}"
+        if value is None:
+            return "nothing"
         if isinstance(value, dict):
-            return "this part"
+            return "keys and values"
         text = repr(value)
         return text if len(text) <= 60 else f"{text[:57]}..."
 
+    def _rule(self, name: str) -> Any:
+        """Return a bound of the field or of the entry of a list, None where there is none."""
+        rules = [*(self.field.metadata if self.field else []), *_rules(self.annotation)]
+        found = [getattr(rule, name) for rule in rules if getattr(rule, name, None) is not None]
+        return found[-1] if found else None
+
+    def _holds_numbers(self) -> bool:
+        entry = (get_args(_bare(self.annotation)) or (None,))[-1]
+        return _bare(entry) is float
+
+    def _length(self) -> str:
+        low, high = self._rule("min_length"), self._rule("max_length")
+        what = "numbers" if self._holds_numbers() else "entries"
+        if low == high:
+            return f"{low} {what}"
+        return f"at most {high} {what}" if low is None else f"at least {low}"
+
     def _range(self) -> str:
-        low, high, open_low = -math.inf, math.inf, False
-        for rule in self.field.metadata if self.field else []:
-            low = getattr(rule, "ge", low)
-            high = getattr(rule, "le", high)
-            if getattr(rule, "gt", None) is not None:
-                low, open_low = rule.gt, True
+        low, high, above = self._rule("ge"), self._rule("le"), self._rule("gt")
         if self.in_degrees:
-            low, high = math.degrees(low), math.degrees(high)
-        if high == math.inf:
-            return f"{'above' if open_low else 'at least'} {low:g}"
-        if low == -math.inf:
-            return f"at most {high:g}"
-        return f"{'above ' if open_low else ''}{low:g} to {high:g}"
+            low, high, above = (None if bound is None else math.degrees(bound) for bound in (low, high, above))
+        if above is not None:
+            return f"above {_number(above)}{'' if high is None else f', at most {_number(high)}'}"
+        if low is not None and high is not None:
+            return f"{_number(low)} to {_number(high)}"
+        return f"at least {_number(low)}" if low is not None else f"at most {_number(high)}"
 
     def _meaning(self) -> str:
         if self.field is None or not self.field.description:
             return ""
         extra = self.field.json_schema_extra
         unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
-        unit = unit.replace("rad", "deg") if self.in_degrees else unit
-        return f" ({self.field.description}{f', {unit}' if unit and unit != '1' else ''})"
+        text = f"{self.field.description}{f', {unit}' if unit and unit != '1' else ''}"
+        if self.in_degrees:
+            text = text.removesuffix("rad") + "deg" if unit == "rad" else text.replace("[rad]", "[deg]")
+        return f" ({text})"
+
+
+def _number(value: float) -> str:
+    """Write a bound so that it can be read at a glance: 0.5, 1.5708, 10 000 000."""
+    return f"{value:,.0f}".replace(",", " ") if 1e4 <= abs(value) < 1e12 else f"{value:g}"
+
+
+def _characters(pattern: str) -> str:
+    """Say in words what a pattern such as ^[A-Za-z0-9_-]+$ allows."""
+    match = re.fullmatch(r"\^\[A-Za-z0-9(.*)\]\+\$", pattern)
+    return f"letters, digits and any of {' '.join(match[1])}" if match else pattern
+
+
+def _bare(annotation: Any) -> Any:
+    """Return a type without what Annotated says about it."""
+    return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
+
+
+def _rules(annotation: Any) -> list[Any]:
+    """Return the bounds that Annotated says about a type."""
+    infos = get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()
+    return [rule for info in infos for rule in (info.metadata if isinstance(info, FieldInfo) else [info])]
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """Return the parts of a scenario that may stand in a place; none for a number, a list or a mapping."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if get_origin(annotation) in (dict, list):
+        return []
+    return [model for argument in get_args(annotation) for model in _models(argument)]

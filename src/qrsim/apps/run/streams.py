@@ -57,9 +57,14 @@ def values(world: World, history: History, wanted: dict[str, list[Column]]) -> d
         for fleet, state in zip(world.fleets, history.state.fleets, strict=True):
             own = {name: leaf for name, leaf, _, _ in _tree(stream, fleet.sensor_names, state)}
             shape = (len(history.ticks), fleet.size)
-            parts.append({c.name: own.get(c.name, np.full(shape, np.nan, c.dtype)) for c in wanted[stream]})
+            parts.append({c.name: own[c.name] if c.name in own else _absent(shape, c) for c in wanted[stream]})
         result[stream] = {c.name: np.concatenate([part[c.name] for part in parts], axis=1) for c in wanted[stream]}
     return result
+
+
+def _absent(shape: tuple[int, int], column: Column) -> np.ndarray[Any, Any]:
+    """Return what is logged for a quantity that a fleet lacks: NaN, or 0 where the type has no NaN."""
+    return np.full(shape, np.nan if column.dtype.startswith("float") else 0, column.dtype)
 
 
 class EventFinder:

@@ -1,0 +1,46 @@
+"""Every example in README.md and docs/*.md runs: Python blocks as they are, qrsim commands in a temporary folder."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from qrsim import cli
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks(language: str) -> list[tuple[str, str]]:
+    """Return (page and number, text) of every fenced block of a language."""
+    found = []
+    for page in PAGES:
+        matches = [text for kind, text in FENCE.findall(page.read_text("utf-8")) if kind == language]
+        found += [(f"{page.name}-{number}", text) for number, text in enumerate(matches, start=1)]
+    return found
+
+
+def test_the_pages_have_examples() -> None:
+    assert blocks("python")
+    assert blocks("bash")
+
+
+@pytest.mark.parametrize(("name", "text"), [pytest.param(*block, id=block[0]) for block in blocks("python")])
+def test_python_example(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(text, name, "exec"), {"__name__": "example"})
+
+
+@pytest.mark.parametrize(("name", "text"), [pytest.param(*block, id=block[0]) for block in blocks("bash")])
+def test_commands(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for line in text.splitlines():
+        words = shlex.split(line, comments=True)
+        if not words or words[0] == "make":
+            continue
+        assert words[0] == "qrsim", line
+        assert cli.main(words[1:]) == 0, line
