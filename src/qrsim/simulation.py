@@ -313,6 +313,8 @@ def reason_text(code: int, value: float) -> str:
     if code == 0:
         return ""
     kind, field = REASONS[code]
+    if field == "obstacle":
+        return f"{kind}: obstacle {value:.0f}"
     return f"{kind}: {field}" if kind == "not_finite" else f"{kind}: {field} = {value:.4g}"
 
 

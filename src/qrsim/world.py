@@ -18,6 +18,7 @@ from qrsim.core.tree import parameter, quantity, record, replace, select, settin
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.area import BoxArea, StateLimits, Violation, collisions, reason_code
 from qrsim.models.gnss import Sky, SkyState
+from qrsim.models.obstacles import Obstacles
 from qrsim.models.orbits import split_time
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor, clip_command
 
@@ -69,7 +70,10 @@ class World:
     sky: Sky = quantity(doc="GNSS space segment")
     area: BoxArea = quantity(doc="where vehicles may be")
     fleets: tuple[Fleet, ...] = quantity(doc="fleets")
-    collision_distance: Array = parameter(default=2.0, unit="m", doc="vehicles closer than this collide", minimum=0.0)
+    obstacles: Obstacles = quantity(doc="solid things in the area")
+    collision_distance: Array = parameter(
+        default=2.0, unit="m", doc="vehicles closer than this collide; half of it counts against obstacles", minimum=0.0
+    )
     time_step: float = setting(default=0.02, unit="s", doc="simulation step", above=0.0)
 
 
@@ -201,6 +205,7 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
             [
                 (reason_code("not_finite", "state"), jnp.zeros_like(vehicle.thrust), ~finite),
                 *world.area.check(vehicle.position_ned),
+                _hits_obstacle(world, vehicle.position_ned),
                 *fleet.limits.check(vehicle.attitude, vehicle.velocity_body, vehicle.rates_body),
             ],
             vehicle.thrust,
@@ -215,6 +220,12 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
         kept = select(valid, vehicle, stopped)
         checked.append(replace(new, vehicle=kept, violation=violation, command_clipped=new.command_clipped & valid))
     return tuple(checked)
+
+
+def _hits_obstacle(world: World, position_ned: Vec3) -> tuple[int, Array, Array]:
+    """Return the check (code, number of the obstacle, hit) of positions (n,)."""
+    distance, number = world.obstacles.nearest(position_ned)
+    return reason_code("collision", "obstacle"), number, distance < 0.5 * world.collision_distance
 
 
 def _sense(

@@ -28,6 +28,7 @@ REASONS: tuple[tuple[str, str], ...] = (
     ("state_limit", "rates_body.y"),
     ("state_limit", "rates_body.z"),
     ("collision", "distance"),
+    ("collision", "obstacle"),
 )
 
 

@@ -16,6 +16,7 @@ from qrsim.core.tree import cast, field_info
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.area import StateLimits
 from qrsim.models.gnss import Sky
+from qrsim.models.obstacles import Obstacles
 from qrsim.models.orbits import split_time
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.scenarios import catalogue as known
@@ -56,7 +57,12 @@ def inherited(scenario: ScenarioSpec, path: str) -> Any:
 
 def problems(scenario: ScenarioSpec) -> list[str]:
     """Return every fault that involves more than one parameter, one sentence each."""
-    return [*_timing_problems(scenario), *_inheritance_problems(scenario), *_fleet_problems(scenario)]
+    return [
+        *_timing_problems(scenario),
+        *_inheritance_problems(scenario),
+        *_obstacle_problems(scenario),
+        *_fleet_problems(scenario),
+    ]
 
 
 def _timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
@@ -114,6 +120,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
                 yield f"{path}.name: '{name}' is also the name of {names[name]}"
             names[name] = path
             yield from _outside(f"{path}.position_ned", vehicle.position_ned, area)
+            yield from _inside_obstacle(f"{path}.position_ned", vehicle.position_ned, scenario)
             for j, waypoint in enumerate(vehicle.waypoints_ned):
                 yield from _outside(f"{path}.waypoints_ned.{j}", waypoint, area)
             for other_path, other in starts:
@@ -169,11 +176,47 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         turbulence=component(world.turbulence, known.TURBULENCES, scenario),
         sky=sky,
         area=component(world.area, known.AREAS, scenario),
+        obstacles=_obstacles(scenario),
         fleets=tuple(_fleet(name, fleet, scenario) for name, fleet in scenario.fleets.items()),
         collision_distance=world.collision_distance,  # type: ignore[arg-type]
         time_step=scenario.time_step,
     )
     return cast(built, dtype)
+
+
+def _obstacles(scenario: ScenarioSpec) -> Obstacles:
+    """Gather the obstacles of each kind into one record of arrays."""
+
+    def gather(kind: str) -> Any:
+        cls = known.OBSTACLES[kind]
+        specs = [spec for spec in scenario.world.obstacles if spec.type == kind]
+        names = [field.name for field in dataclasses.fields(cls)]
+        return cls(**{name: np.array([getattr(spec, name) for spec in specs], np.float64) for name in names})
+
+    numbers = [
+        i for kind in ("box", "cylinder") for i, spec in enumerate(scenario.world.obstacles) if spec.type == kind
+    ]
+    return Obstacles(gather("box"), gather("cylinder"), np.array(numbers, np.float64))  # type: ignore[arg-type]
+
+
+def _obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    for i, obstacle in enumerate(scenario.world.obstacles):
+        for axis in "xyz":
+            low, high = getattr(obstacle, f"{axis}_min", None), getattr(obstacle, f"{axis}_max", None)
+            if low is not None and high is not None and low >= high:
+                yield f"world.obstacles.{i}.{axis}_min: {low:g} m is not below {axis}_max, {high:g} m"
+
+
+def _inside_obstacle(path: str, point: list[float], scenario: ScenarioSpec) -> Iterator[str]:
+    clearance = scenario.world.collision_distance / 2
+    position = Vec3(*(np.array(value) for value in point))  # type: ignore[arg-type]
+    for i, spec in enumerate(scenario.world.obstacles):
+        distance = float(component(spec, known.OBSTACLES, scenario).distance(position))
+        if distance < clearance:
+            yield (
+                f"{path}: {distance:.3g} m from world.obstacles.{i}; "
+                f"allowed: at least {clearance:g} m (half of world.collision_distance)"
+            )
 
 
 def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec) -> Fleet:

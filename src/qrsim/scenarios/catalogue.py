@@ -8,6 +8,7 @@ from qrsim.models.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.barometer import Barometer, IdealBarometer
 from qrsim.models.gnss import GnssReceiver, IdealGnss, OrnsteinUhlenbeckErrors
 from qrsim.models.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
+from qrsim.models.obstacles import BoxObstacle, CylinderObstacle
 from qrsim.models.orbits import NominalConstellation
 from qrsim.models.turbulence import DrydenFirstOrder, Still
 from qrsim.models.vehicles.quadrotor import Quadrotor
@@ -19,6 +20,7 @@ WINDS: Catalogue = {"calm": Calm, "log_shear": LogShear}
 TURBULENCES: Catalogue = {"still": Still, "dryden_first_order": DrydenFirstOrder}
 ORBITS: Catalogue = {"nominal_constellation": NominalConstellation}
 SKY_ERRORS: Catalogue = {"ou": OrnsteinUhlenbeckErrors}
+OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}
 AREAS: Catalogue = {"box": BoxArea}
 VEHICLES: Catalogue = {"pelican": Quadrotor}
 CONTROLLERS: Catalogue = {"waypoint": WaypointController}

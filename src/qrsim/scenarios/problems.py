@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from datetime import date
 from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -164,7 +165,7 @@ class _Fault:
             return "nothing"
         if isinstance(value, dict):
             return "keys and values"
-        text = repr(value)
+        text = str(value) if isinstance(value, date) else repr(value)
         return text if len(text) <= 60 else f"{text[:57]}..."
 
     def _rule(self, name: str) -> Any:

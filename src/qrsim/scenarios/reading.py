@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from importlib import resources
 from pathlib import Path
@@ -18,6 +19,9 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: dict[Any, int] = {}
         for key_node, _ in node.value:
+            if key_node.tag == "tag:yaml.org,2002:merge":
+                problem = "'<<' is not supported; write the values out"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key_node.start_mark)
             key = self.construct_object(key_node, deep=True)
             line = key_node.start_mark.line + 1
             if not isinstance(key, str):
@@ -33,6 +37,22 @@ _Loader.yaml_implicit_resolvers = {key: list(value) for key, value in yaml.SafeL
 _FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
 for _first in "-+.0123456789":
     _Loader.yaml_implicit_resolvers.setdefault(_first, []).append(("tag:yaml.org,2002:float", _FLOAT))
+
+# Where a component stands, so that ``--set world.wind=calm`` can name one by its type alone.
+_SLOTS = [
+    slot.split(".")
+    for slot in (
+        "world.wind",
+        "world.turbulence",
+        "world.area",
+        "world.sky.orbits",
+        "world.sky.errors",
+        "fleets.*.vehicle",
+        "fleets.*.controller",
+        "fleets.*.guidance",
+        "fleets.*.sensors.*",
+    )
+]
 
 
 def parse_yaml(text: str, source: str) -> Any:
@@ -57,6 +77,8 @@ def read_scenario(source: str | Path | dict[str, Any]) -> tuple[str, dict[str, A
     """Return (what to call the source in messages, its content) of a name, a YAML path or a dict."""
     if isinstance(source, dict):
         return "scenario", source
+    if not isinstance(source, str | os.PathLike):
+        raise UsageError(f"scenario: expected a name, the path of a .yaml file or a dict, found {source!r}")
     name = str(source)
     if name in built_in_names():
         text = (resources.files("qrsim.scenarios") / f"{name}.yaml").read_text("utf-8")
@@ -69,8 +91,8 @@ def read_scenario(source: str | Path | dict[str, Any]) -> tuple[str, dict[str, A
         text = path.read_text("utf-8")
     except FileNotFoundError:
         near = [str(item) for item in path.parent.glob("*.y*ml")] if path.parent.is_dir() else []
-        hint = did_you_mean(name, near) if near else ""
-        raise UsageError(f"scenario file {path}: no such file{hint}") from None
+        hint = did_you_mean(name, [*near, *built_in_names()])
+        raise UsageError(f"scenario file {path}: no such file{hint if 'mean' in hint else ''}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"scenario file {path}: cannot be read: {error}") from None
     return _as_mapping(parse_yaml(text, name), name)
@@ -78,7 +100,9 @@ def read_scenario(source: str | Path | dict[str, Any]) -> tuple[str, dict[str, A
 
 def _as_mapping(content: Any, source: str) -> tuple[str, dict[str, Any]]:
     if not isinstance(content, dict):
-        raise ScenarioError(source, [f"expected keys and values, found {type(content).__name__}"])
+        kinds = {type(None): "nothing", list: "a list", str: "a text"}
+        found = kinds.get(type(content), repr(content))
+        raise ScenarioError(source, [f"expected keys and values such as name: hover, found {found}"])
     return source, content
 
 
@@ -86,6 +110,10 @@ def apply_override(content: dict[str, Any], assignment: str) -> None:
     """Set one value by its path, for example ``world.wind.speed_20ft=7`` or ``world.wind=calm``.
 
     A list entry is named by its index; a component is replaced by naming another type.
+
+    Raises:
+        UsageError: no path=value, or a path through something that is not there or has no parts.
+        ScenarioError: the value is no YAML.
     """
     path, equals, text = assignment.partition("=")
     parts = path.strip().split(".")
@@ -93,18 +121,21 @@ def apply_override(content: dict[str, Any], assignment: str) -> None:
         raise UsageError(f"--set {assignment}: expected path=value, for example world.wind.speed_20ft=7")
     value = parse_yaml(text, f"--set {path}") if text.strip() else ""
     target: Any = content
-    for depth, part in enumerate(parts[:-1]):
-        target = _enter(target, part, ".".join(parts[: depth + 1]), assignment)
+    for depth in range(len(parts) - 1):
+        target = _enter(target, parts, depth, assignment)
     last = parts[-1]
     if isinstance(target, list):
-        index = _index(target, last, path, assignment)
-        target[index] = value
+        target[_index(target, parts, len(parts) - 1, assignment)] = value
         return
     _drop_twin(target, last)
-    current = target.get(last)
-    names_type = isinstance(value, str) and (isinstance(current, dict) and "type" in current)
-    in_world = parts[:-1] == ["world"] and last in ("wind", "turbulence", "area")
-    target[last] = {"type": value} if names_type or (in_world and isinstance(value, str)) else value
+    target[last] = {"type": value} if isinstance(value, str) and _is_slot(parts) else value
+
+
+def _is_slot(parts: list[str]) -> bool:
+    return any(
+        len(slot) == len(parts) and all(want in ("*", part) for want, part in zip(slot, parts, strict=True))
+        for slot in _SLOTS
+    )
 
 
 def _drop_twin(target: dict[str, Any], name: str) -> None:
@@ -114,16 +145,31 @@ def _drop_twin(target: dict[str, Any], name: str) -> None:
             target.pop(name.removesuffix(unit) + other, None)
 
 
-def _enter(target: Any, part: str, path: str, assignment: str) -> Any:
+def _enter(target: Any, parts: list[str], depth: int, assignment: str) -> Any:
+    """Return the part of ``target`` that the path names at ``depth``; what is missing is made."""
+    name = parts[depth]
     if isinstance(target, list):
-        return target[_index(target, part, path, assignment)]
-    child = target.setdefault(part, {})
+        child = target[_index(target, parts, depth, assignment)]
+    else:
+        _check_name(target, parts, depth, assignment)
+        child = target.setdefault(name, {})
     if not isinstance(child, dict | list):
-        raise UsageError(f"--set {assignment}: {path} is the value {child!r}, it has no parts")
+        raise UsageError(f"--set {assignment}: {'.'.join(parts[: depth + 1])} is the value {child!r}, it has no parts")
     return child
 
 
-def _index(target: list[Any], part: str, path: str, assignment: str) -> int:
-    if part.isdigit() and int(part) < len(target):
-        return int(part)
-    raise UsageError(f"--set {assignment}: {path}: expected an index from 0 to {len(target) - 1}, found '{part}'")
+def _check_name(target: dict[str, Any], parts: list[str], depth: int, assignment: str) -> None:
+    """A mistyped fleet or sensor would otherwise be made, and complained about for what it lacks."""
+    is_fleet = depth == 1 and parts[0] == "fleets"
+    is_sensor = depth == 3 and parts[0] == "fleets" and parts[2] == "sensors" and parts[4:] != ["type"]
+    if (is_fleet or is_sensor) and parts[depth] not in target:
+        hint = did_you_mean(parts[depth], [str(name) for name in target])
+        raise UsageError(f"--set {assignment}: no {'fleet' if is_fleet else 'sensor'} is called '{parts[depth]}'{hint}")
+
+
+def _index(target: list[Any], parts: list[str], depth: int, assignment: str) -> int:
+    text = parts[depth]
+    if re.fullmatch("[0-9]+", text) and int(text) < len(target):
+        return int(text)
+    allowed = f"an index from 0 to {len(target) - 1}" if target else "nothing, the list is empty"
+    raise UsageError(f"--set {assignment}: {'.'.join(parts[: depth + 1])}: expected {allowed}, found '{text}'")

@@ -122,6 +122,7 @@ if TYPE_CHECKING:
     VehicleSlot: TypeAlias = Any
     ControllerSlot: TypeAlias = Any
     GuidanceSlot: TypeAlias = Any
+    ObstacleSlot: TypeAlias = Any
     LimitsModel: TypeAlias = Any
 else:
     WindSlot = _slot(known.WINDS)
@@ -130,6 +131,7 @@ else:
     OrbitsSlot = _slot(known.ORBITS)
     SkyErrorsSlot = _slot(known.SKY_ERRORS)
     AreaSlot = _slot(known.AREAS)
+    ObstacleSlot = _slot(known.OBSTACLES)
     VehicleSlot = _slot(known.VEHICLES)
     ControllerSlot = _slot(known.CONTROLLERS)
     GuidanceSlot = _slot(known.GUIDANCE)
@@ -151,7 +153,10 @@ class WorldSpec(Strict):
     wind: WindSlot = Field({"type": "calm"}, description="mean wind", validate_default=True)
     turbulence: TurbulenceSlot = Field({"type": "still"}, description="gusts", validate_default=True)
     sky: SkySpec = Field(default_factory=lambda: SkySpec.model_validate({}), description="GNSS space segment")
-    collision_distance: Finite = Field(2.0, description="vehicles closer than this [m] collide", ge=0)
+    obstacles: list[ObstacleSlot] = Field([], description="solid things", max_length=10_000)
+    collision_distance: Finite = Field(
+        2.0, description="vehicles closer than this [m] collide; half of it counts against obstacles", ge=0
+    )
 
 
 class FleetSpec(Strict):

@@ -163,26 +163,39 @@ def _progress(scenario: Scenario) -> Iterator[Callable[[float, float], None]]:
         yield show
 
 
+# Each heading in lines, as narrow as its numbers: with names of up to 17 letters the table has 80 columns.
+HEADINGS = ("flown\n[m]", "tracking\nRMS [m]", "GNSS\nhor. [m]", "GNSS\nvert. [m]", "wind max\n[m/s]", "way-\npoints")
+LEGEND = """tracking: distance from the leg being flown; GNSS: reported minus true position,
+RMS over the fixes, horizontal and vertical; wind max: gusts included."""
+
+
 def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None:
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=f"{recorded.info.scenario}, seed {recorded.info.seed}")
-    table.add_column("vehicle")
-    headings = ("distance [m]", "tracking error RMS [m]", "GNSS error RMS, horizontal / vertical [m]")
-    for heading in (*headings, "worst wind [m/s]", "waypoints"):
-        table.add_column(heading, justify="right")
-    table.add_column("stopped")
+    from qrsim.logs.summary import NOT_A_STOP
+
+    stops = [event for event in recorded.events if event.kind not in NOT_A_STOP]
+    stopped_at = {event.vehicle: f"{event.time:.2f}" for event in reversed(stops)}
+    table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+    # As Text, because in a plain string rich takes [m] for a style.
+    table.add_column(Text("\nvehicle"), overflow="fold")
+    for heading in (*HEADINGS, "stopped\nat [s]"):
+        table.add_column(Text(heading), justify="right", no_wrap=True)
     for row in summaries:
-        gnss = f"{_number(row.gnss_horizontal_rms_m)} / {_number(row.gnss_vertical_rms_m)}"
-        cells = [_number(row.distance_m, 1), _number(row.tracking_error_rms_m), gnss, _number(row.worst_wind_m_s, 1)]
-        table.add_row(row.vehicle, *cells, str(row.waypoints), row.stopped or "no")
+        errors = (row.tracking_error_rms_m, row.gnss_horizontal_rms_m, row.gnss_vertical_rms_m)
+        cells = [_number(row.distance_m, 1), *map(_number, errors), _number(row.worst_wind_m_s, 1), str(row.waypoints)]
+        table.add_row(Text(row.vehicle), *cells, stopped_at.get(row.vehicle, "-"))
+    print(f"{recorded.info.scenario}, seed {recorded.info.seed}\n")
     console = Console()
-    # Not folded to 80 columns where the output goes to a file.
-    console.print(table, width=None if console.is_terminal else 130)
-    for event in recorded.events:
-        if event.kind not in ("waypoint_reached", "command_clipped"):
-            print(event.message)
+    # Below 80 columns the terminal breaks the lines, and no number is lost; a file has no width.
+    console.width = max(console.width, 80) if console.is_terminal else 200
+    console.print(table)
+    print(f"\n{LEGEND}")
+    for event in stops:
+        print(event.message)
 
 
 def _number(value: float, digits: int = 2) -> str:

@@ -112,7 +112,7 @@ class EventFinder:
         value = float(np.concatenate([f.violation.value for f in history.state.fleets], axis=1)[row, vehicle])
         kind, field = REASONS[code]
         message = f"{name} stopped at {time:.2f} s, {reason_text(code, value)}"
-        if kind == "collision":
+        if kind == "collision" and field == "distance":
             message += f" m to {self._nearest(history, row, vehicle)}"
         return {**event, "kind": kind, "field": field, "value": value, "message": message}
 

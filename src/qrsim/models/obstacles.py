@@ -1,0 +1,88 @@
+"""Solid things in an area: boxes and upright cylinders (models.md section 8)."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import parameter, quantity, record
+from qrsim.core.vectors import Vec3
+
+T = TypeVar("T")
+
+
+@record
+class BoxObstacle:
+    """A box with its faces along north, east and down."""
+
+    x_min: Array = parameter(unit="m", doc="southern face")
+    x_max: Array = parameter(unit="m", doc="northern face")
+    y_min: Array = parameter(unit="m", doc="western face")
+    y_max: Array = parameter(unit="m", doc="eastern face")
+    z_min: Array = parameter(unit="m", doc="top, negative above ground")
+    z_max: Array = parameter(default=0.0, unit="m", doc="bottom; 0 is the ground")
+
+    def distance(self, position_ned: Vec3) -> Array:
+        """Return the distance [m] of positions (n,) from the box, 0 inside."""
+        return _length(
+            _beyond(position_ned.x, self.x_min, self.x_max),
+            _beyond(position_ned.y, self.y_min, self.y_max),
+            _beyond(position_ned.z, self.z_min, self.z_max),
+        )
+
+
+@record
+class CylinderObstacle:
+    """An upright cylinder, such as a mast or a tree."""
+
+    x: Array = parameter(unit="m", doc="north coordinate of the axis")
+    y: Array = parameter(unit="m", doc="east coordinate of the axis")
+    radius: Array = parameter(unit="m", doc="radius", above=0.0)
+    z_min: Array = parameter(unit="m", doc="top, negative above ground")
+    z_max: Array = parameter(default=0.0, unit="m", doc="bottom; 0 is the ground")
+
+    def distance(self, position_ned: Vec3) -> Array:
+        """Return the distance [m] of positions (n,) from the cylinder, 0 inside."""
+        dx, dy = position_ned.x - self.x, position_ned.y - self.y
+        radial = jnp.maximum(jnp.sqrt(dx * dx + dy * dy) - self.radius, 0.0)
+        vertical = _beyond(position_ned.z, self.z_min, self.z_max)
+        return _length(radial, vertical, jnp.zeros_like(radial))
+
+
+@record
+class Obstacles:
+    """All obstacles of a world; the parameters of each kind are arrays with one entry per obstacle."""
+
+    boxes: BoxObstacle = quantity(doc="(B,) boxes")
+    cylinders: CylinderObstacle = quantity(doc="(C,) cylinders")
+    numbers: Array = quantity(doc="(B + C,) number of each in the scenario, boxes first")
+
+    def nearest(self, position_ned: Vec3) -> tuple[Array, Array]:
+        """Return for positions (n,) the distance [m] of the nearest obstacle and its number in the scenario.
+
+        Without any obstacle the distance is infinite and the number -1.
+        """
+        row = position_ned.map(lambda axis: axis[None, :])
+        rows = [
+            kind.distance(row) for kind in (_as_columns(self.boxes), _as_columns(self.cylinders)) if kind.z_min.shape[0]
+        ]
+        if not rows:
+            return jnp.full_like(position_ned.x, jnp.inf), jnp.full_like(position_ned.x, -1.0)
+        distance = jnp.concatenate(rows, axis=0)
+        return jnp.min(distance, axis=0), self.numbers[jnp.argmin(distance, axis=0)]
+
+
+def _as_columns(item: T) -> T:
+    return jax.tree.map(lambda leaf: leaf[:, None], item)
+
+
+def _beyond(value: Array, low: Array, high: Array) -> Array:
+    """Return how far a coordinate is outside an interval."""
+    return jnp.maximum(jnp.maximum(low - value, value - high), 0.0)
+
+
+def _length(x: Array, y: Array, z: Array) -> Array:
+    return jnp.sqrt(x * x + y * y + z * z)
