@@ -17,6 +17,7 @@ from qrsim.core.noise import Draw, Drawn, Key, Noise, Stream, StreamKeys, draw_t
 from qrsim.core.tree import parameter, quantity, record, replace, select, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.area import BoxArea, StateLimits, Violation, collisions, reason_code
+from qrsim.models.faults import Fault
 from qrsim.models.gnss import Sky, SkyState
 from qrsim.models.obstacles import Obstacles
 from qrsim.models.orbits import split_time
@@ -51,6 +52,8 @@ class Fleet:
     start: Start = quantity(doc="initial state")
     limits: StateLimits = quantity(doc="state limits")
     sensors: tuple[Any, ...] = quantity(doc="sensors, in the order of sensor_names")
+    battery: Any = quantity(doc="where the battery voltage comes from")
+    faults: tuple[Fault, ...] = quantity(doc="sensor faults, in the order in which they are applied")
     name: str = setting(doc="name, part of the names of its noise streams")
     sensor_names: tuple[str, ...] = setting(doc="names of the sensors, part of the names of their streams")
     vehicle_names: tuple[str, ...] = setting(doc="name of each vehicle")
@@ -96,7 +99,9 @@ class FleetState:
     command_clipped: Array = quantity(doc="bool: the last command was outside its range and was clipped")
     violation: Violation = quantity(doc="why a vehicle is invalid; code 0 while it is valid")
     sensors: tuple[Any, ...] = quantity(doc="sensor states")
-    readings: tuple[Any, ...] = quantity(doc="last reading of each sensor, NaN once a vehicle is invalid")
+    battery: Any = quantity(doc="battery")
+    readings: tuple[Any, ...] = quantity(doc="last reading of each sensor as delivered; NaN once a vehicle is invalid")
+    true_readings: tuple[Any, ...] = quantity(doc="for sensors with faults, the reading without them; else None")
 
 
 @record
@@ -178,14 +183,17 @@ def _fly(world: World, fleet: Fleet, state: FleetState, noise: dict[str, Any], a
         else:
             setpoint = action
         controller, wanted = fleet.controller.step(controller, estimate, setpoint, dt)
-    command, clipped = clip_command(wanted)
+    weight = fleet.vehicle.mass * fleet.vehicle.gravity
+    voltage = fleet.battery.voltage(state.battery, truth.thrust, weight, wanted.battery)
+    command, clipped = clip_command(replace(wanted, battery=voltage))
+    battery = fleet.battery.step(state.battery, truth.thrust, weight, dt)
     vehicle, force = fleet.vehicle.step(
         truth, command, lambda trig: trig.rotation().to_body(air), fleet.vehicle.draw_noise(noise[PROCESS], dt), dt
     )
     return replace(
         state, vehicle=vehicle, specific_force=force, turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
         estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=command,
-        command_clipped=clipped,
+        command_clipped=clipped, battery=battery,
     )  # fmt: skip
 
 
@@ -206,6 +214,7 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
                 (reason_code("not_finite", "state"), jnp.zeros_like(vehicle.thrust), ~finite),
                 *world.area.check(vehicle.position_ned),
                 _hits_obstacle(world, vehicle.position_ned),
+                *_empty_battery(new.battery, vehicle.thrust),
                 *fleet.limits.check(vehicle.attitude, vehicle.velocity_body, vehicle.rates_body),
             ],
             vehicle.thrust,
@@ -222,6 +231,13 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
     return tuple(checked)
 
 
+def _empty_battery(battery: Any, like: Array) -> list[tuple[int, Array, Array]]:
+    """Return the check (code, charge, empty) of vehicles (n,) with a battery that can run out."""
+    if not hasattr(battery, "charge"):
+        return []
+    return [(reason_code("battery_empty", "charge"), battery.charge, battery.charge <= 0.0)]
+
+
 def _hits_obstacle(world: World, position_ned: Vec3) -> tuple[int, Array, Array]:
     """Return the check (code, number of the obstacle, hit) of positions (n,)."""
     distance, number = world.obstacles.nearest(position_ned)
@@ -234,20 +250,23 @@ def _sense(
     """Step the sensors that are due; the readings of invalid vehicles are NaN."""
     scene = _scene(state, sky)
     valid = state.violation.code == 0
-    states, readings = [], []
-    for name, sensor, memory, held in zip(
-        fleet.sensor_names, fleet.sensors, state.sensors, state.readings, strict=True
-    ):
-        draw = noise[name]
+    states, delivered, undisturbed = [], [], []
+    for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
+        faults = [fault for fault in fleet.faults if fault.sensor == name]
+        held = state.true_readings[i] if faults else state.readings[i]
         inputs = {item: scene[item] for item in sensor.reads}
 
-        def fresh(sensor: Any = sensor, memory: Any = memory, draw: Any = draw, inputs: Any = inputs) -> Any:
-            return sensor.step(memory, draw, **inputs)
+        def fresh(sensor: Any = sensor, memory: Any = state.sensors[i], name: str = name, inputs: Any = inputs) -> Any:
+            return sensor.step(memory, noise[name], **inputs)
 
-        memory, reading = _when_due(period_ticks(sensor.period, world.time_step), after, fresh, (memory, held))
+        ticks = period_ticks(sensor.period, world.time_step)
+        memory, reading = _when_due(ticks, after, fresh, (state.sensors[i], held))
         states.append(memory)
-        readings.append(jax.tree.map(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
-    return replace(state, sensors=tuple(states), readings=tuple(readings))
+        undisturbed.append(reading if faults else None)
+        for fault in faults:
+            reading = fault.apply(reading, state.readings[i], after)
+        delivered.append(jax.tree.map(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
+    return replace(state, sensors=tuple(states), readings=tuple(delivered), true_readings=tuple(undisturbed))
 
 
 def _start(world: World, fleet: Fleet, key: Key, sky: SkyState) -> FleetState:
@@ -278,14 +297,33 @@ def _start(world: World, fleet: Fleet, key: Key, sky: SkyState) -> FleetState:
     setpoint = fleet.guidance.setpoint(guidance, fleet.route)
     state = FleetState(
         vehicle, force, turbulence, mean_wind, gust, estimate, controller, guidance, setpoint, command,
-        jnp.zeros(like.shape, bool), violation, (), (),
+        jnp.zeros(like.shape, bool), violation, (), fleet.battery.init(like), (), (),
     )  # fmt: skip
     scene = _scene(state, sky)
     firsts = [
         sensor.init(draws[name], **{item: scene[item] for item in sensor.reads})
         for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True)
     ]
-    return replace(state, sensors=tuple(first for first, _ in firsts), readings=tuple(reading for _, reading in firsts))
+    faulty = {fault.sensor for fault in fleet.faults}
+    readings = tuple(reading for _, reading in firsts)
+    return replace(
+        state,
+        sensors=tuple(memory for memory, _ in firsts),
+        readings=tuple(
+            _faulted(fleet, name, reading) for name, reading in zip(fleet.sensor_names, readings, strict=True)
+        ),
+        true_readings=tuple(
+            reading if name in faulty else None for name, reading in zip(fleet.sensor_names, readings, strict=True)
+        ),
+    )
+
+
+def _faulted(fleet: Fleet, name: str, reading: Any) -> Any:
+    """Return the first reading of a sensor as delivered: a fault can be there from the start."""
+    for fault in fleet.faults:
+        if fault.sensor == name:
+            reading = fault.apply(reading, reading, jnp.int32(0))
+    return reading
 
 
 def _scene(state: FleetState, sky: SkyState) -> dict[str, Any]:

@@ -29,6 +29,7 @@ REASONS: tuple[tuple[str, str], ...] = (
     ("state_limit", "rates_body.z"),
     ("collision", "distance"),
     ("collision", "obstacle"),
+    ("battery_empty", "charge"),
 )
 
 

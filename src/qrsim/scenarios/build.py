@@ -20,6 +20,7 @@ from qrsim.models.obstacles import Obstacles
 from qrsim.models.orbits import split_time
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.faults import fault_problems, faults, vehicle_names
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.world import PROCESS, TURBULENCE, Fleet, Start, World
 
@@ -62,6 +63,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_inheritance_problems(scenario),
         *_obstacle_problems(scenario),
         *_fleet_problems(scenario),
+        *fault_problems(scenario),
     ]
 
 
@@ -228,9 +230,11 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec) -> Fleet:
         start=_start(spec),
         limits=component(spec.limits, StateLimits, scenario),
         sensors=tuple(component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()),
+        battery=component(spec.battery, known.BATTERIES, scenario),
+        faults=faults(name, spec, scenario),
         name=name,
         sensor_names=tuple(spec.sensors),
-        vehicle_names=tuple(vehicle.name or f"{name}_{i}" for i, vehicle in enumerate(spec.vehicles)),
+        vehicle_names=vehicle_names(name, spec),
     )
 
 

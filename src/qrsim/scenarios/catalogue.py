@@ -6,6 +6,7 @@ from qrsim.control import RouteFollower, WaypointController
 from qrsim.models.area import BoxArea
 from qrsim.models.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.barometer import Barometer, IdealBarometer
+from qrsim.models.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.gnss import GnssReceiver, IdealGnss, OrnsteinUhlenbeckErrors
 from qrsim.models.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
 from qrsim.models.obstacles import BoxObstacle, CylinderObstacle
@@ -23,6 +24,7 @@ SKY_ERRORS: Catalogue = {"ou": OrnsteinUhlenbeckErrors}
 OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}
 AREAS: Catalogue = {"box": BoxArea}
 VEHICLES: Catalogue = {"pelican": Quadrotor}
+BATTERIES: Catalogue = {"given": GivenVoltage, "lithium_polymer": LithiumPolymer}
 CONTROLLERS: Catalogue = {"waypoint": WaypointController}
 GUIDANCE: Catalogue = {"route": RouteFollower}
 SENSORS: Catalogue = {

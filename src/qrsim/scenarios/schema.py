@@ -123,6 +123,7 @@ if TYPE_CHECKING:
     ControllerSlot: TypeAlias = Any
     GuidanceSlot: TypeAlias = Any
     ObstacleSlot: TypeAlias = Any
+    BatterySlot: TypeAlias = Any
     LimitsModel: TypeAlias = Any
 else:
     WindSlot = _slot(known.WINDS)
@@ -132,6 +133,7 @@ else:
     SkyErrorsSlot = _slot(known.SKY_ERRORS)
     AreaSlot = _slot(known.AREAS)
     ObstacleSlot = _slot(known.OBSTACLES)
+    BatterySlot = _slot(known.BATTERIES)
     VehicleSlot = _slot(known.VEHICLES)
     ControllerSlot = _slot(known.CONTROLLERS)
     GuidanceSlot = _slot(known.GUIDANCE)
@@ -159,6 +161,18 @@ class WorldSpec(Strict):
     )
 
 
+class FaultSpec(Strict):
+    """A time during which the readings of a sensor are lost, frozen or biased."""
+
+    sensor: str = Field(description="name of the sensor")
+    kind: Literal["lost", "frozen", "biased"] = Field(description="what happens to its readings")
+    start: Finite = Field(description="start [s]", ge=0)
+    end: Finite | None = Field(None, description="end [s]; default: the end of the run", gt=0)
+    vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
+    field: str | None = Field(None, description="what is biased, for example position_ned.x or height")
+    bias: Finite | None = Field(None, description="what is added, in the unit of the field")
+
+
 class FleetSpec(Strict):
     """Vehicles of one kind with the same sensors and controller."""
 
@@ -167,6 +181,8 @@ class FleetSpec(Strict):
     guidance: GuidanceSlot = Field({"type": "route"}, description="route following", validate_default=True)
     limits: LimitsModel = Field(default_factory=LimitsModel, description="state limits")
     sensors: dict[str, SensorSlot] = Field({}, description="sensors by name")
+    battery: BatterySlot = Field({"type": "given"}, description="battery", validate_default=True)
+    faults: list[FaultSpec] = Field([], description="sensor faults, applied in this order", max_length=100)
     vehicles: list[VehicleSpec] = Field(description="vehicles", min_length=1)
 
 

@@ -1,0 +1,52 @@
+"""Sensors that fail at a given time: what reaches the user is lost, frozen or biased."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import parameter, quantity, record, replace, setting
+
+Kind = Literal["lost", "frozen", "biased"]
+
+
+@record
+class Fault:
+    """One fault of one sensor of some vehicles (n,) of a fleet during [start, end)."""
+
+    start_tick: Array = quantity(doc="() int32 first tick of the fault")
+    end_tick: Array = quantity(doc="() int32 first tick after it")
+    affected: Array = quantity(doc="(n,) bool: the vehicles it concerns")
+    bias: Array = parameter(unit="that of the field", doc="what is added, for kind biased")
+    sensor: str = setting(doc="name of the sensor")
+    kind: Kind = setting(doc="what happens to its readings")
+    field: str = setting(doc="dotted field of the reading, for kind biased")
+
+    def active(self, tick: Array) -> Array:
+        """Return whether the fault concerns each vehicle (n,) at a tick."""
+        return self.affected & (tick >= self.start_tick) & (tick < self.end_tick)
+
+    def apply(self, reading: Any, delivered_before: Any, tick: Array) -> Any:
+        """Return what reaches the user.
+
+        Args:
+            reading: what the sensor says at ``tick``.
+            delivered_before: what reached the user at the tick before.
+            tick: () int32.
+        """
+        active = self.active(tick)
+        if self.kind == "lost":
+            return jax.tree.map(lambda leaf: jnp.where(active, jnp.nan, leaf), reading)
+        if self.kind == "frozen":
+            return jax.tree.map(lambda leaf, old: jnp.where(active, old, leaf), reading, delivered_before)
+        return _add(reading, self.field.split("."), jnp.where(active, self.bias, 0.0))
+
+
+def _add(item: Any, path: list[str], amount: Array) -> Any:
+    """Return a record with an amount added to one of its leaves."""
+    if not path:
+        return item + amount
+    return replace(item, **{path[0]: _add(getattr(item, path[0]), path[1:], amount)})

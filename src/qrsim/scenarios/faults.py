@@ -1,0 +1,96 @@
+"""The faults of a scenario: checked against sensors, vehicles and readings, and built."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.vectors import Euler, Vec3
+from qrsim.errors import did_you_mean
+from qrsim.models.faults import Fault
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.schema import FaultSpec, FleetSpec, ScenarioSpec
+
+LAST_TICK = 2**31 - 1
+
+
+def vehicle_names(fleet_name: str, fleet: FleetSpec) -> tuple[str, ...]:
+    """Return the name of each vehicle of a fleet."""
+    return tuple(vehicle.name or f"{fleet_name}_{i}" for i, vehicle in enumerate(fleet.vehicles))
+
+
+def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[Fault, ...]:
+    """Return the faults of a fleet."""
+    names = vehicle_names(fleet_name, fleet)
+
+    def ticks(seconds: float | None) -> Any:
+        return np.array(LAST_TICK if seconds is None else round(seconds / scenario.time_step), np.int32)
+
+    return tuple(
+        Fault(
+            start_tick=ticks(spec.start),
+            end_tick=ticks(spec.end),
+            affected=_mask(names, spec.vehicles),
+            bias=_number(spec.bias),
+            sensor=spec.sensor,
+            kind=spec.kind,
+            field=spec.field or "",
+        )
+        for spec in fleet.faults
+    )
+
+
+def _mask(names: tuple[str, ...], chosen: list[str] | None) -> Any:
+    return np.array([chosen is None or name in chosen for name in names])
+
+
+def _number(value: float | None) -> Any:
+    return 0.0 if value is None else value
+
+
+def reading_fields(sensor_type: str) -> list[str]:
+    """Return the dotted names of what a type of sensor reports."""
+    sensor: Any = known.SENSORS[sensor_type]
+    step = typing.get_type_hints(sensor.step)["return"]
+    reading = typing.get_args(step)[1]
+    found: list[str] = []
+    for name, hint in typing.get_type_hints(reading).items():
+        if hint in (Vec3, Euler):
+            found += [f"{name}.{field.name}" for field in dataclasses.fields(hint)]
+        else:
+            found.append(name)
+    return found
+
+
+def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield what is wrong with the faults of a scenario."""
+    for fleet_name, fleet in scenario.fleets.items():
+        for i, fault in enumerate(fleet.faults):
+            yield from _problems(f"fleets.{fleet_name}.faults.{i}", fault, fleet, vehicle_names(fleet_name, fleet))
+
+
+def _problems(path: str, fault: FaultSpec, fleet: FleetSpec, names: tuple[str, ...]) -> Iterator[str]:
+    if fault.end is not None and fault.end <= fault.start:
+        yield f"{path}.end: {fault.end:g} s is not after the start, {fault.start:g} s"
+    for name in fault.vehicles or []:
+        if name not in names:
+            yield f"{path}.vehicles: no vehicle of the fleet is called '{name}'{did_you_mean(name, names)}"
+    if fault.sensor not in fleet.sensors:
+        yield f"{path}.sensor: no sensor is called '{fault.sensor}'{did_you_mean(fault.sensor, fleet.sensors)}"
+        return
+    if fault.kind != "biased":
+        for extra in ("field", "bias"):
+            if getattr(fault, extra) is not None:
+                yield f"{path}.{extra}: only for kind 'biased', not '{fault.kind}'"
+        return
+    fields = reading_fields(fleet.sensors[fault.sensor].type)
+    if fault.bias is None:
+        yield f"{path}.bias: missing; kind 'biased' needs it"
+    if fault.field is None:
+        yield f"{path}.field: missing; kind 'biased' needs one of {', '.join(fields)}"
+    elif fault.field not in fields:
+        yield f"{path}.field: the sensor does not report '{fault.field}'{did_you_mean(fault.field, fields)}"
