@@ -9,6 +9,7 @@ In double precision they are the library's own, because there accuracy is what i
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -19,16 +20,43 @@ _PIO2_HIGH, _PIO2_MID, _PIO2_LOW = 1.5703125, 4.837512969970703125e-4, 7.5497899
 _LN2_HIGH, _LN2_LOW = 0.693359375, -2.12194440e-4
 
 
-def _polynomial(x: Array, coefficients: tuple[float, ...]) -> Array:
+Rounding = Callable[[Array], Array]
+
+
+def freely(product: Array) -> Array:
+    """Leave it to the compiler whether a product is rounded before it is added to something."""
+    return product
+
+
+def rounded_with(zero: Array) -> Rounding:
+    """Return a function that makes the compiler round a product before it is added to something.
+
+    XLA contracts a * b + c to one rounding where it happens to see both operations together, so the last bit of a
+    result depends on the program around it. An integer operation between the two prevents that.
+
+    Args:
+        zero: uint32, zero at run time in a way that the compiler cannot know.
+    """
+
+    def rounding(product: Array) -> Array:
+        if product.dtype != jnp.float32:
+            return product
+        bits = lax.bitcast_convert_type(product, jnp.uint32) ^ zero
+        return lax.bitcast_convert_type(bits, jnp.float32)
+
+    return rounding
+
+
+def _polynomial(x: Array, coefficients: tuple[float, ...], rounded: Rounding = freely) -> Array:
     """Evaluate by Horner's rule, highest power first."""
     result = jnp.full_like(x, coefficients[0])
     for coefficient in coefficients[1:]:
-        result = result * x + coefficient
+        result = rounded(result * x) + coefficient
     return result
 
 
-def sincos_ratio(x: Array) -> tuple[Array, Array, Array]:
-    """Return (a, b, c) with sin x = a/c and cos x = b/c, any shape, x in rad.
+def sincos_ratio(x: Array, rounded: Rounding = freely) -> tuple[Array, Array, Array]:
+    """Return (a, b, c) with sin x = a/c and cos x = b/c, any shape, x in rad; ``rounded``: see ``rounded_with``.
 
     From the tangent t of half the reduced angle: 2t/(1 + t^2) and (1 - t^2)/(1 + t^2). The division is left for
     last on purpose: XLA on a CPU computes a result that ends in a division once, and repeats one that ends in
@@ -41,8 +69,10 @@ def sincos_ratio(x: Array) -> tuple[Array, Array, Array]:
     quadrant = turns.astype(jnp.int32)
     z = half * half
     # Chebyshev fit of tan(y)/y on |y| <= pi/8, relative error 2e-9.
-    t = half * _polynomial(z, (0.025671956095, 0.05343703505, 0.133363104741, 0.333332753321, 1.000000001803))
-    square = t * t
+    t = rounded(
+        half * _polynomial(z, (0.025671956095, 0.05343703505, 0.133363104741, 0.333332753321, 1.000000001803), rounded)
+    )
+    square = rounded(t * t)
     sine, cosine = t + t, 1.0 - square
     swap = (quadrant & 1) == 1
     sin_part, cos_part = jnp.where(swap, cosine, sine), jnp.where(swap, sine, cosine)
@@ -64,7 +94,8 @@ def _sincos_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Ar
     return (sine, cosine), (cosine * tangents[0], -sine * tangents[0])
 
 
-def _log_f32(x: Array) -> Array:
+def log_f32(x: Array, rounded: Rounding = freely) -> Array:
+    """Return the natural logarithm of positive, normal x in single precision; ``rounded``: see ``rounded_with``."""
     bits = lax.bitcast_convert_type(x, jnp.int32)
     # Split so that the mantissa lies in [sqrt(1/2), sqrt(2)), where the polynomial is centred.
     exponent = (bits - 0x3F3504F3) >> 23
@@ -85,14 +116,16 @@ def _log_f32(x: Array) -> Array:
             -2.4999993993e-1,
             3.3333331174e-1,
         ),
+        rounded,
     )
-    return (f + (e * _LN2_LOW + (f * z * tail - 0.5 * z))) + e * _LN2_HIGH
+    # The products not named below are exact, so it does not matter how they are rounded.
+    return (f + ((rounded(f * z * tail) + rounded(e * _LN2_LOW)) - 0.5 * z)) + e * _LN2_HIGH
 
 
 @jax.custom_jvp
 def log(x: Array) -> Array:
     """Return the natural logarithm of positive, normal x of any shape."""
-    return _log_f32(x) if x.dtype == jnp.float32 else jnp.log(x)
+    return log_f32(x) if x.dtype == jnp.float32 else jnp.log(x)
 
 
 @log.defjvp

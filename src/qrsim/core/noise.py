@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from qrsim.core.fastmath import exp, log, sincos_ratio
+from qrsim.core.fastmath import exp, log, log_f32, rounded_with, sincos_ratio
 from qrsim.core.tree import quantity, record
 
 ROUNDS = 13
@@ -47,16 +47,22 @@ def threefry2x32(key: tuple[Array, Array], counter: tuple[Array, Array], rounds:
     return x0, x1
 
 
-def _box_muller(word0: Array, word1: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
-    """Return two independent standard normals, of magnitude 6.66 at most, from two words."""
+def _box_muller(words: tuple[Array, Array], counter: tuple[Array, Array], dtype: jnp.dtype) -> tuple[Array, Array]:
+    """Return two independent standard normals, of magnitude 6.66 at most, from two words.
+
+    Every operation is rounded on its own, so the result is the same in whatever program it is computed. The
+    counter's words are below 2**31, which the compiler does not know: their top bits serve as its unknown zero.
+    """
+    rounded = rounded_with((counter[0] | counter[1]) >> 31)
     # Shifted to 31 bits because signed conversion is one vector instruction everywhere.
-    uniform = ((word0 >> 1).astype(jnp.int32).astype(dtype) + 0.5) * 2.0**-31
+    uniform = ((words[0] >> 1).astype(jnp.int32).astype(dtype) + 0.5) * 2.0**-31
     # The angle lies in [-pi, pi): all 32 bits, read as a signed number.
-    angle = lax.bitcast_convert_type(word1, jnp.int32).astype(dtype) / (2.0**31 / math.pi)
-    radius = jnp.sqrt(jnp.maximum(-2.0 * log(uniform), 0.0))
-    sine, cosine, scale = sincos_ratio(angle)
-    # Divisions here and for the angle, because XLA on a CPU repeats anything cheaper inside every consumer of
-    # the result: with multiplications a step would compute its words some thirty times over.
+    angle = rounded(lax.bitcast_convert_type(words[1], jnp.int32).astype(dtype) * (math.pi * 2.0**-31))
+    logarithm = log_f32(uniform, rounded) if dtype == jnp.float32 else log(uniform)
+    radius = jnp.sqrt(jnp.maximum(-2.0 * logarithm, 0.0))
+    sine, cosine, scale = sincos_ratio(angle, rounded)
+    # Divisions last, because XLA on a CPU repeats anything cheaper inside every consumer of the result: with
+    # multiplications a step would compute its words some thirty times over.
     return radius * cosine / scale, radius * sine / scale
 
 
@@ -108,7 +114,7 @@ class StreamKeys:
 
 @record
 class Stream:
-    """One named stream: normals for each id at each tick."""
+    """One named stream: normals for each id at each tick, both below 2**31."""
 
     high: Array = quantity(doc="uint32 key word")
     low: Array = quantity(doc="uint32 key word")
@@ -116,25 +122,25 @@ class Stream:
 
     def words(self, tick: Array, index: Array | int) -> tuple[Array, Array]:
         """Return the two words of shape (n,) of draw ``index`` at ``tick``."""
-        ticks = jnp.broadcast_to(jnp.asarray(tick).astype(jnp.uint32), self.ids.shape)
-        key_low = self.low + jnp.asarray(index, jnp.uint32)
-        return threefry2x32((self.high, key_low), (ticks, self.ids))
+        return threefry2x32((self.high, self.low + jnp.asarray(index, jnp.uint32)), self._counter(tick))
+
+    def _counter(self, tick: Array) -> tuple[Array, Array]:
+        return jnp.broadcast_to(jnp.asarray(tick).astype(jnp.uint32), self.ids.shape), self.ids
 
     def normals(self, tick: Array, count: int, dtype: jnp.dtype) -> tuple[Array, ...]:
         """Return ``count`` arrays of shape (n,) of independent standard normals."""
         drawn: list[Array] = []
         for pair in range((count + 1) // 2):
-            drawn.extend(_box_muller(*self.words(tick, pair), dtype))
+            drawn.extend(_box_muller(self.words(tick, pair), self._counter(tick), dtype))
         return tuple(drawn[:count])
 
     def normal_rows(self, tick: Array, rows: int, dtype: jnp.dtype) -> Array:
         """Return standard normals of shape (rows, n), one independent draw per row (satellites, channels)."""
         index = jnp.arange((rows + 1) // 2, dtype=jnp.uint32)[:, None]
         shape = (index.shape[0], *self.ids.shape)
-        ticks = jnp.broadcast_to(jnp.asarray(tick).astype(jnp.uint32), shape)
-        ids = jnp.broadcast_to(self.ids, shape)
-        words = threefry2x32((self.high, jnp.broadcast_to(self.low + index, shape)), (ticks, ids))
-        return jnp.concatenate(_box_muller(*words, dtype), axis=0)[:rows]
+        counter = tuple(jnp.broadcast_to(word, shape) for word in self._counter(tick))
+        words = threefry2x32((self.high, jnp.broadcast_to(self.low + index, shape)), (counter[0], counter[1]))
+        return jnp.concatenate(_box_muller(words, (counter[0], counter[1]), dtype), axis=0)[:rows]
 
 
 @record
@@ -200,7 +206,7 @@ def draw_together(streams: Sequence[Stream], counts: Sequence[int], tick: Array,
     shape = (sum(pairs), *ids.shape)
     counter = (jnp.broadcast_to(tick.astype(jnp.uint32), shape), jnp.broadcast_to(ids, shape))
     key = (jnp.broadcast_to(high[:, None], shape), jnp.broadcast_to(low[:, None], shape))
-    cosines, sines = _box_muller(*threefry2x32(key, counter), like.dtype)
+    cosines, sines = _box_muller(threefry2x32(key, counter), counter, like.dtype)
     drawn, row = [], 0
     for count, pair in zip(counts, pairs, strict=True):
         normals = [half[row + i] for i in range(pair) for half in (cosines, sines)]
