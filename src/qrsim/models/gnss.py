@@ -7,7 +7,7 @@ near each other share most of their position error, as they do outdoors.
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
@@ -37,6 +37,10 @@ class OrnsteinUhlenbeckErrors:
         """Advance the errors (S,) [m] by dt [s]."""
         return ou_step(error, draw.normals(1)[0], dt, self.std, self.time_constant)
 
+    def value(self, error: Array) -> Array:
+        """Return the range errors (S,) [m] of a state: the state itself."""
+        return error
+
 
 @record
 class SkyState:
@@ -44,6 +48,9 @@ class SkyState:
 
     satellites_ned: Vec3 = quantity(unit="m", doc="(S,) satellite positions at transmission, in the site's frame")
     range_error: Array = quantity(unit="m", doc="(S,) error of each satellite's pseudorange, common to all receivers")
+    range_rate_error: Array = quantity(default=None, unit="m/s", doc="(S,) its mean rate over the last period")
+    memory: Any = quantity(default=None, doc="state of the range errors")
+    ids: Array = quantity(default=None, doc="(S,) uint32 number of each satellite")
 
 
 @record
@@ -51,7 +58,7 @@ class Sky:
     """The shared space segment."""
 
     orbits: Orbits = quantity(doc="satellite positions as seen from the site")
-    errors: OrnsteinUhlenbeckErrors = quantity(doc="range errors")
+    errors: Any = quantity(doc="range errors")
     ids: Array = quantity(doc="(S,) uint32 number of each satellite, which its randomness belongs to")
     period: float = setting(
         default=0.2, unit="s", doc="interval between epochs, a multiple of the time step", above=0.0
@@ -60,12 +67,16 @@ class Sky:
     def init(self, draw: Draw) -> SkyState:
         """Return the sky at the start."""
         start = self.orbits.positions_ned(jnp.int32(0), jnp.zeros_like(draw.like))
-        return SkyState(start, self.errors.init(draw))
+        memory = self.errors.init(draw)
+        error = self.errors.value(memory)
+        return SkyState(start, error, jnp.zeros_like(error), memory, self.ids)
 
     def step(self, state: SkyState, draw: Draw, seconds: Array, fraction: Array) -> SkyState:
         """Advance one period to ``seconds`` (whole, int32) plus ``fraction`` [s] since the start."""
-        satellites = self.orbits.positions_ned(seconds, fraction)
-        return SkyState(satellites, self.errors.step(state.range_error, draw, self.period))
+        memory = self.errors.step(state.memory, draw, self.period)
+        error = self.errors.value(memory)
+        rate = (error - state.range_error) * (1.0 / self.period)
+        return SkyState(self.orbits.positions_ned(seconds, fraction), error, rate, memory, self.ids)
 
 
 @record
@@ -108,8 +119,9 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
     count = jnp.sum(weight, axis=0)
 
     def centred(value: Array) -> Array:
-        mean = jnp.sum(weight * value, axis=0) / jnp.maximum(count, 1.0)
-        return weight * (value - mean[None, :])
+        # Selected, not multiplied by the weight, because a satellite without a position is NaN.
+        mean = jnp.sum(jnp.where(used, value, 0.0), axis=0) / jnp.maximum(count, 1.0)
+        return jnp.where(used, value - mean[None, :], 0.0)
 
     ux, uy, uz = centred(line_of_sight.x), centred(line_of_sight.y), centred(line_of_sight.z)
     residual = centred(range_residual)
@@ -152,11 +164,22 @@ class ReceiverState:
 
     position_ned: Vec3 = quantity(unit="m", doc="last solution")
     pending: tuple[GnssReading, ...] = quantity(doc="readings that the delay holds back, oldest first")
+    listed: Any = quantity(default=None, doc="(S, n) bool: satellites kept of the hand list, else None")
+
+
+# The satellites "from a typical flight day" of the reference implementation; each receiver keeps 10 to 13 of them.
+HAND_LIST = (3, 5, 6, 7, 13, 16, 18, 19, 20, 22, 24, 29, 31)
+FEWEST_LISTED = 10
 
 
 @record
 class GnssReceiver:
-    """A single-frequency receiver: all satellites above a mask, least squares, velocity from successive fixes."""
+    """A single-frequency receiver: all satellites above a mask, solved by least squares.
+
+    ``velocity: differenced`` is the published one, from successive fixes; ``doppler`` solves range rates, whose errors
+    are the drift of the range errors and white noise. ``satellites: hand_list`` is the published choice: a random 10
+    to 13 of a fixed list, also below the horizon; it needs satellites with PRN numbers (an SP3 file).
+    """
 
     range_noise_std: Array = parameter(default=0.002, unit="m", doc="white noise of each pseudorange", minimum=0.0)
     elevation_mask_rad: Array = parameter(
@@ -166,7 +189,12 @@ class GnssReceiver:
         minimum=0.0,
         maximum=math.pi / 2,
     )
+    doppler_noise_std: Array = parameter(
+        default=0.05, unit="m/s", doc="white noise of each range rate, for velocity 'doppler'", minimum=0.0
+    )
     delay: int = setting(default=1, unit="periods", doc="age of a fix when it is reported", minimum=0, maximum=50)
+    velocity: Literal["differenced", "doppler"] = setting(default="differenced", doc="where the velocity comes from")
+    satellites: Literal["mask", "hand_list"] = setting(default="mask", doc="which satellites are used")
     period: float = setting(
         default=0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0
     )
@@ -176,24 +204,32 @@ class GnssReceiver:
         self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
     ) -> tuple[ReceiverState, GnssReading]:
         """Return the first fix, as if it had been reported for a while; its velocity is the true one."""
-        fix = self.fix(draw, position_ned, sky)
+        listed = self._choose_listed(draw, sky) if self.satellites == "hand_list" else None
+        fix, _ = self._solve(draw, position_ned, sky, listed)
         position = position_ned + fix.offset_ned
         reading = GnssReading(position, velocity_ned, fix.satellites, fix.hdop, fix.vdop)
-        return ReceiverState(position, (reading,) * self.delay), reading
+        return ReceiverState(position, (reading,) * self.delay, listed), reading
 
     def step(
         self, state: ReceiverState, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
     ) -> tuple[ReceiverState, GnssReading]:
         """Compute a fix for receivers at position_ned (n,) and report the one of ``delay`` periods ago."""
-        fix = self.fix(draw, position_ned, sky)
+        fix, velocity_error = self._solve(draw, position_ned, sky, state.listed)
         position = position_ned + fix.offset_ned
-        velocity = (position - state.position_ned) * (1.0 / self.period)
+        if velocity_error is not None:
+            velocity = velocity_ned + velocity_error
+        else:
+            velocity = (position - state.position_ned) * (1.0 / self.period)
         fresh = GnssReading(position, velocity, fix.satellites, fix.hdop, fix.vdop)
         queue = (*state.pending, fresh)
-        return ReceiverState(position, queue[1:]), queue[0]
+        return ReceiverState(position, queue[1:], state.listed), queue[0]
 
     def fix(self, draw: Draw, position_ned: Vec3, sky: SkyState) -> Fix:
-        """Return the navigation solution of each receiver (n,)."""
+        """Return the navigation solution of each receiver (n,) from the satellites above the mask."""
+        return self._solve(draw, position_ned, sky, None)[0]
+
+    def _solve(self, draw: Draw, position_ned: Vec3, sky: SkyState, listed: Any) -> tuple[Fix, Vec3 | None]:
+        """Return the fix of each receiver (n,) and, for 'doppler', the error of its velocity."""
         satellites = sky.satellites_ned
         ray = Vec3(
             satellites.x[:, None] - position_ned.x[None, :],
@@ -201,11 +237,32 @@ class GnssReceiver:
             satellites.z[:, None] - position_ned.z[None, :],
         )
         line_of_sight = ray * (1.0 / ray.norm())
-        mask = jnp.broadcast_to(sincos(jnp.asarray(self.elevation_mask_rad))[0], position_ned.x.shape)
-        noise = jnp.broadcast_to(jnp.asarray(self.range_noise_std), position_ned.x.shape)
+        shape, count = position_ned.x.shape, sky.range_error.shape[0]
+        mask = jnp.broadcast_to(sincos(jnp.asarray(self.elevation_mask_rad))[0], shape)
+        # A satellite without a position compares false.
+        used = -line_of_sight.z > mask[None, :] if listed is None else listed & jnp.isfinite(line_of_sight.z)
+        noise = jnp.broadcast_to(jnp.asarray(self.range_noise_std), shape)
+        doppler = self.velocity == "doppler"
+        normals = draw.normal_rows(2 * count if doppler else count)
+        fix = solve_position(line_of_sight, sky.range_error[:, None] + noise[None, :] * normals[:count], used)
+        if not doppler:
+            return fix, None
+        rate_noise = jnp.broadcast_to(jnp.asarray(self.doppler_noise_std), shape)
+        rates = sky.range_rate_error[:, None] + rate_noise[None, :] * normals[count:]
+        return fix, solve_position(line_of_sight, rates, used).offset_ned
+
+    def _choose_listed(self, draw: Draw, sky: SkyState) -> Array:
+        """Return (S, n) bool: a random 10 to 13 satellites of the hand list for each receiver."""
+        # The lower byte of a number is the PRN.
+        prn = sky.ids & jnp.uint32(0xFF)
+        on_list = jnp.any(jnp.stack([prn == jnp.uint32(number) for number in HAND_LIST]), axis=0)
         count = sky.range_error.shape[0]
-        residual = sky.range_error[:, None] + noise[None, :] * draw.normal_rows(count)
-        return solve_position(line_of_sight, residual, -line_of_sight.z > mask[None, :])
+        # Rows that no fix uses; the last one says how many to keep, 10, 11, 12 or 13, equally likely.
+        normals = draw.normal_rows(2 * count + 2)[count + 1 :]
+        quartile = jnp.sum(jnp.stack([normals[count] > edge for edge in (-0.6744898, 0.0, 0.6744898)]), axis=0)
+        score = jnp.where(on_list[:, None], normals[:count], -math.inf)
+        rank = jnp.sum((score[None, :, :] > score[:, None, :]).astype(jnp.int32), axis=1)
+        return on_list[:, None] & (rank < (FEWEST_LISTED + quartile)[None, :])
 
 
 @record

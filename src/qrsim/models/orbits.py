@@ -65,8 +65,13 @@ class Ephemeris(Protocol):
         """Return Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]."""
         ...
 
-    def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike) -> Orbits:
-        """Return the record that a tick uses, for a run that starts at a time [GPS s]."""
+    @property
+    def satellite_ids(self) -> npt.NDArray[np.uint32]:
+        """A number (S,) for each satellite, to which its randomness belongs; the lower byte is the PRN, if any."""
+        ...
+
+    def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf) -> Orbits:
+        """Return the record that a tick uses, for a run that starts at a time [GPS s] and lasts so long."""
         ...
 
 
@@ -194,13 +199,21 @@ class NominalConstellation:
             axis=-1,
         )
 
-    def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike) -> KeplerOrbits:
+    @property
+    def satellite_ids(self) -> npt.NDArray[np.uint32]:
+        """Slots counted from 0; they are no PRNs, which the upper byte says."""
+        return np.arange(len(self.satellites), dtype=np.uint32) * np.uint32(256)
+
+    def at(
+        self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf
+    ) -> KeplerOrbits:
         """Return the orbits as a tick uses them.
 
         Args:
             site: where the signals are received.
             start_gps_seconds: time of tick 0 [GPS s].
             dtype: float32 or float64, the run's precision.
+            duration_s: not needed, these orbits last.
 
         Raises:
             UsageError: the start is not finite.

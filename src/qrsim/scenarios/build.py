@@ -14,11 +14,12 @@ from pydantic import BaseModel
 from qrsim.control import Route
 from qrsim.core.tree import cast, field_info
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.errors import UsageError
 from qrsim.models.area import StateLimits
 from qrsim.models.gnss import Sky
 from qrsim.models.obstacles import Obstacles
 from qrsim.models.orbits import split_time
-from qrsim.models.site import Site, gps_seconds_from_utc
+from qrsim.models.site import Site, gps_seconds_from_utc, utc_from_gps_seconds
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.faults import fault_problems, faults, vehicle_names
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
@@ -61,6 +62,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
     return [
         *_timing_problems(scenario),
         *_inheritance_problems(scenario),
+        *_orbit_problems(scenario),
         *_obstacle_problems(scenario),
         *_fleet_problems(scenario),
         *fault_problems(scenario),
@@ -170,9 +172,9 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
     world = scenario.world
     site = Site.from_degrees(scenario.site.latitude_deg, scenario.site.longitude_deg, scenario.site.height)
     ephemeris = component(world.sky.orbits, known.ORBITS, scenario)
-    orbits = ephemeris.at(site, gps_seconds_from_utc(scenario.start_time), dtype)
-    ids = np.arange(len(ephemeris.satellites), dtype=np.uint32)
-    sky = Sky(orbits, component(world.sky.errors, known.SKY_ERRORS, scenario), ids, world.sky.period)  # type: ignore[arg-type]
+    orbits = ephemeris.at(site, gps_seconds_from_utc(scenario.start_time), dtype, scenario.duration)
+    errors = component(world.sky.errors, known.SKY_ERRORS, scenario)
+    sky = Sky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
     built = World(
         wind=component(world.wind, known.WINDS, scenario),
         turbulence=component(world.turbulence, known.TURBULENCES, scenario),
@@ -199,6 +201,32 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
         i for kind in ("box", "cylinder") for i, spec in enumerate(scenario.world.obstacles) if spec.type == kind
     ]
     return Obstacles(gather("box"), gather("cylinder"), np.array(numbers, np.float64))  # type: ignore[arg-type]
+
+
+def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Read the ephemeris and see that it spans the run."""
+    orbits = scenario.world.sky.orbits
+    try:
+        ephemeris = component(orbits, known.ORBITS, scenario)
+        first, last = ephemeris.span_gps_seconds
+        start = gps_seconds_from_utc(scenario.start_time)
+    except UsageError as error:
+        yield f"world.sky.orbits: {error}"
+        return
+    if not first <= start <= start + scenario.duration <= last:
+        span = f"{utc_from_gps_seconds(first):%Y-%m-%d %H:%M:%S} to {utc_from_gps_seconds(last):%Y-%m-%d %H:%M:%S} UTC"
+        yield (
+            f"start_time: the run, {scenario.start_time:%Y-%m-%d %H:%M:%S} and {scenario.duration:g} s, is not inside "
+            f"what world.sky.orbits covers; allowed: {span}"
+        )
+    if orbits.type == "nominal_constellation":
+        for name, fleet in scenario.fleets.items():
+            for sensor_name, sensor in fleet.sensors.items():
+                if getattr(sensor, "satellites", "") == "hand_list":
+                    yield (
+                        f"fleets.{name}.sensors.{sensor_name}.satellites: 'hand_list' names satellites by PRN, "
+                        "which the nominal constellation has not; use world.sky.orbits of type sp3"
+                    )
 
 
 def _obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:

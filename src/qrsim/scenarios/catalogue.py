@@ -8,9 +8,11 @@ from qrsim.models.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.barometer import Barometer, IdealBarometer
 from qrsim.models.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.gnss import GnssReceiver, IdealGnss, OrnsteinUhlenbeckErrors
+from qrsim.models.gnss_errors import GaussMarkov2
 from qrsim.models.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
 from qrsim.models.obstacles import BoxObstacle, CylinderObstacle
 from qrsim.models.orbits import NominalConstellation
+from qrsim.models.sp3 import Sp3Ephemeris
 from qrsim.models.turbulence import DrydenFirstOrder, Still
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.models.wind import Calm, LogShear
@@ -19,8 +21,8 @@ Catalogue = dict[str, type]
 
 WINDS: Catalogue = {"calm": Calm, "log_shear": LogShear}
 TURBULENCES: Catalogue = {"still": Still, "dryden_first_order": DrydenFirstOrder}
-ORBITS: Catalogue = {"nominal_constellation": NominalConstellation}
-SKY_ERRORS: Catalogue = {"ou": OrnsteinUhlenbeckErrors}
+ORBITS: Catalogue = {"nominal_constellation": NominalConstellation, "sp3": Sp3Ephemeris}
+SKY_ERRORS: Catalogue = {"ou": OrnsteinUhlenbeckErrors, "gauss_markov_2": GaussMarkov2}
 OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}
 AREAS: Catalogue = {"box": BoxArea}
 VEHICLES: Catalogue = {"pelican": Quadrotor}
