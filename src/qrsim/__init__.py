@@ -77,7 +77,7 @@ def load(
 
     check_precision(precision)
     scenario = load_scenario(source, overrides)
-    return Simulation(scenario.world(precision), seed=seed, name=scenario.name)
+    return Simulation(scenario.world(precision), seed=seed, name=scenario.name, site=scenario.site)
 
 
 def __getattr__(name: str) -> Any:

@@ -10,6 +10,9 @@ import numpy as np
 
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.attitude import AttitudeReading
+from qrsim.models.gnss import GnssReading
+from qrsim.models.site import Site
 from qrsim.world import FleetState, State, World
 
 Floats = np.ndarray[Any, Any]
@@ -24,24 +27,60 @@ def as_array(value: Any) -> Any:
     return value
 
 
-class SensorReading:
-    """The last reading of one sensor of n vehicles; its fields are attributes, see ``fields``."""
+def quaternion_of(attitude: Floats) -> Floats:
+    """Return unit quaternions (n, 4), w first and w >= 0, of Euler angles (n, 3) [rad]: body to NED, ZYX."""
+    half = 0.5 * np.asarray(attitude, np.float64)
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
+    quaternion = np.stack(
+        (
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ),
+        axis=-1,
+    )
+    return np.where(quaternion[:, :1] < 0.0, -quaternion, quaternion)
 
-    def __init__(self, name: str, reading: Any):
+
+class SensorReading:
+    """The last reading of one sensor of n vehicles; its fields are attributes, see ``fields``.
+
+    Beside what the sensor's model gives, a GNSS reading has ``latitude_deg``, ``longitude_deg``, ``height`` [m above
+    the ellipsoid] (float64, each (n,)) and ``fix_type`` (3: three-dimensional, 0: none), and an attitude reading has
+    ``quaternion`` (n, 4), w first.
+    """
+
+    def __init__(self, name: str, reading: Any, site: Site):
         self._name = name
         self._reading = reading
+        self._site = site
 
     @property
     def fields(self) -> tuple[str, ...]:
         """Names of what the sensor reports."""
-        return tuple(field.name for field in dataclasses.fields(self._reading))
+        own = tuple(field.name for field in dataclasses.fields(self._reading))
+        if isinstance(self._reading, GnssReading):
+            return (*own, "latitude_deg", "longitude_deg", "height", "fix_type")
+        return (*own, "quaternion") if isinstance(self._reading, AttitudeReading) else own
 
     def __getattr__(self, field: str) -> Floats:
         if field.startswith("__"):
             raise AttributeError(field)
         if field not in self.fields:
             raise AttributeError(f"sensor '{self._name}' has no '{field}'{did_you_mean(field, self.fields)}")
-        return as_array(getattr(self._reading, field))
+        if hasattr(self._reading, field):
+            return as_array(getattr(self._reading, field))
+        return self._derived(field)
+
+    def _derived(self, field: str) -> Floats:
+        if field == "quaternion":
+            return quaternion_of(as_array(self._reading.attitude))
+        position = as_array(self._reading.position_ned)
+        if field == "fix_type":
+            return np.where(np.isfinite(position).all(axis=1), 3, 0)
+        latitude, longitude, height = self._site.ned_to_geodetic(position)
+        return {"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude), "height": height}[field]
 
     def __repr__(self) -> str:
         return f"<reading of {self._name}: {', '.join(self.fields)}>"
@@ -50,8 +89,9 @@ class SensorReading:
 class FleetReading:
     """The last reading of every sensor of one fleet; its sensors are attributes, see ``sensors``."""
 
-    def __init__(self, names: tuple[str, ...], state: FleetState):
+    def __init__(self, names: tuple[str, ...], state: FleetState, site: Site):
         self._sensors = dict(zip(names, state.readings, strict=True))
+        self._site = site
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -63,7 +103,7 @@ class FleetReading:
             raise AttributeError(sensor)
         if sensor not in self._sensors:
             raise AttributeError(f"no sensor is called '{sensor}'{did_you_mean(sensor, self._sensors)}")
-        return SensorReading(sensor, self._sensors[sensor])
+        return SensorReading(sensor, self._sensors[sensor], self._site)
 
     def __repr__(self) -> str:
         return f"<readings of {', '.join(self.sensors)}>"
@@ -79,13 +119,12 @@ class Reading:
         time: simulated time [s].
     """
 
-    def __init__(self, world: World, state: State, time: float):
+    def __init__(self, world: World, state: State, time: float, site: Site):
         self.time = time
         self._fleets = {
-            fleet.name: FleetReading(fleet.sensor_names, fleet_state)
+            fleet.name: FleetReading(fleet.sensor_names, fleet_state, site)
             for fleet, fleet_state in zip(world.fleets, state.fleets, strict=True)
         }
-        self._state = state
 
     @property
     def fleets(self) -> tuple[str, ...]:

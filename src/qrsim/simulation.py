@@ -19,6 +19,7 @@ from qrsim.core.pack import Buffers, Packer
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.area import REASONS
+from qrsim.models.site import Site
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
 from qrsim.readings import Reading, Truth
 from qrsim.world import Action, State, World
@@ -96,6 +97,8 @@ class Simulation:
         world: its parameters, as arrays of one floating-point type.
         seed: of all randomness, 0 <= seed < 2**63.
         name: what to call it in messages and logs.
+        site: origin of the local frame, for readings in latitude and longitude; default: the flying field of
+            Symington 2014.
 
     Attributes:
         world: the parameters.
@@ -104,10 +107,11 @@ class Simulation:
         vehicle_names: name of each of the n vehicles of all fleets.
     """
 
-    def __init__(self, world: World, *, seed: int = 0, name: str = "world"):
+    def __init__(self, world: World, *, seed: int = 0, name: str = "world", site: Site | None = None):
         _use_compilation_cache()
         self.world = world
         self.name = name
+        self.site = site or Site()
         self.dtype = np.dtype(world.fleets[0].start.position_ned.x.dtype)
         self.vehicle_names = tuple(name for fleet in world.fleets for name in fleet.vehicle_names)
         self.tick = 0
@@ -213,7 +217,7 @@ class Simulation:
     @property
     def reading(self) -> Reading:
         """What the sensors say now."""
-        return Reading(self.world, self.state, self.time)
+        return Reading(self.world, self.state, self.time, self.site)
 
     @property
     def truth(self) -> Truth:

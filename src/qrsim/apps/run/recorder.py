@@ -64,7 +64,7 @@ def fly(
         RunError: the log cannot be written; what was flushed before stays readable.
     """
     begun = time.perf_counter()
-    simulation = Simulation(scenario.world(precision), seed=seed, name=scenario.name)
+    simulation = Simulation(scenario.world(precision), seed=seed, name=scenario.name, site=scenario.site)
     info = RunInfo.collect(
         scenario=scenario.name, seed=seed, precision=precision, time_step=scenario.spec.time_step,
         vehicles=simulation.vehicle_names, command_line=command_line,

@@ -1,0 +1,53 @@
+"""What readings add to the sensors' models: geodetic positions, fix type, quaternions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.attitude import AttitudeReading
+from qrsim.models.gnss import GnssReading
+from qrsim.models.site import Site
+from qrsim.readings import SensorReading, quaternion_of
+
+SITE = Site.from_degrees(51.7119, -0.21052, 30.0)
+
+
+def gnss(position: list[list[float]]) -> SensorReading:
+    axes = np.array(position, np.float32).T
+    other = np.zeros(len(position), np.float32)
+    reading = GnssReading(Vec3(*axes), Vec3(other, other, other), other, other, other)  # type: ignore[arg-type]
+    return SensorReading("gnss", reading, SITE)
+
+
+def test_geodetic_position() -> None:
+    reading = gnss([[0.0, 0.0, -10.0], [111.0, 0.0, 0.0]])
+    assert reading.latitude_deg[0] == pytest.approx(51.7119, abs=1e-9)
+    assert reading.longitude_deg[0] == pytest.approx(-0.21052, abs=1e-9)
+    assert reading.height[0] == pytest.approx(40.0, abs=1e-3)
+    # 111 m north is 111 m over the meridian's radius of curvature.
+    a, e2 = 6378137.0, 6.69437999014e-3
+    radius = a * (1 - e2) / (1 - e2 * np.sin(np.radians(51.7119)) ** 2) ** 1.5 + 30.0
+    assert reading.latitude_deg[1] - 51.7119 == pytest.approx(np.degrees(111.0 / radius), rel=1e-4)
+
+
+def test_fix_type_is_zero_without_a_fix() -> None:
+    np.testing.assert_array_equal(gnss([[1.0, 2.0, 3.0], [np.nan, np.nan, np.nan]]).fix_type, [3, 0])
+
+
+def test_quaternion_is_that_of_the_euler_angles() -> None:
+    angles = np.random.default_rng(3).uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (50, 3))
+    found = quaternion_of(angles)
+    expected = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat(canonical=True)[:, [3, 0, 1, 2]]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    reading = SensorReading("attitude", AttitudeReading(Euler(*angles.T)), SITE)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(reading.quaternion, found)
+
+
+def test_fields_name_what_is_there_and_a_typo_gets_a_suggestion() -> None:
+    reading = gnss([[0.0, 0.0, 0.0]])
+    assert {"position_ned", "latitude_deg", "fix_type", "hdop"} <= set(reading.fields)
+    with pytest.raises(AttributeError, match="did you mean 'latitude_deg'"):
+        _ = reading.latitud_deg
