@@ -69,7 +69,8 @@ class World:
     """Read-only parameters of everything."""
 
     wind: Any = quantity(doc="mean wind")
-    turbulence: Any = quantity(doc="gusts")
+    turbulence: Any = quantity(doc="random gusts")
+    gust: Any = quantity(doc="discrete gust")
     sky: Sky = quantity(doc="GNSS space segment")
     area: BoxArea = quantity(doc="where vehicles may be")
     fleets: tuple[Fleet, ...] = quantity(doc="fleets")
@@ -88,7 +89,8 @@ class FleetState:
     specific_force: Vec3 = quantity(unit="m/s^2", doc="mean specific force of the last step, body axes")
     turbulence: Any = quantity(doc="gust filters")
     mean_wind_ned: Vec3 = quantity(unit="m/s", doc="mean wind at the vehicle during the last step")
-    gust_ned: Vec3 = quantity(unit="m/s", doc="gust at the vehicle during the last step")
+    gust_ned: Vec3 = quantity(unit="m/s", doc="gusts at the vehicle during the last step, random and discrete")
+    gust_rates_ned: Any = quantity(unit="rad/s", doc="rotation of the air; None where the turbulence gives none")
     estimate: Estimate = quantity(
         doc="what the controller was last fed with; keeps its last value where a reading is NaN"
     )
@@ -135,7 +137,7 @@ def step(world: World, state: State, tick: Array, actions: tuple[Action, ...]) -
     sky = _step_sky(world, state, after)
     noise = [_draw_fleet(world, fleet, keys, after) for fleet, keys in zip(world.fleets, state.fleet_keys, strict=True)]
     flown = tuple(
-        _fly(world, fleet, fleet_state, drawn, action)
+        _fly(world, fleet, fleet_state, tick, drawn, action)
         for fleet, fleet_state, drawn, action in zip(world.fleets, state.fleets, noise, actions, strict=True)
     )
     checked = _check(world, state.fleets, flown)
@@ -158,17 +160,20 @@ def _step_sky(world: World, state: State, after: Array) -> SkyState:
     return _when_due(ticks, after, lambda: world.sky.step(state.sky, draw, seconds, fraction), state.sky)
 
 
-def _fly(world: World, fleet: Fleet, state: FleetState, noise: dict[str, Any], action: Action) -> FleetState:
+def _fly(
+    world: World, fleet: Fleet, state: FleetState, tick: Array, noise: dict[str, Any], action: Action
+) -> FleetState:
     """Wind, set-point, command and dynamics of one fleet; invalid vehicles are put back by ``_check``."""
     dt = world.time_step
     truth = state.vehicle
     direction = rotation(truth.attitude)
     height = world.area.height_agl(truth.position_ned)
-    mean_wind = world.wind.velocity_ned(height)
+    time = split_time(tick, dt, height.dtype)
+    mean_wind = world.wind.velocity_ned(height, *time)
     turbulence = world.turbulence.step(
         state.turbulence, noise[TURBULENCE], height, direction.to_ned(truth.velocity_body), mean_wind, dt
     )
-    gust = world.turbulence.gust_ned(turbulence, height)
+    gust = world.turbulence.gust_ned(turbulence, height) + world.gust.velocity_ned(truth.position_ned, *time)
     air = mean_wind + gust
 
     guidance, setpoint, controller, estimate = state.guidance, state.setpoint, state.controller, state.estimate
@@ -192,9 +197,18 @@ def _fly(world: World, fleet: Fleet, state: FleetState, noise: dict[str, Any], a
     )
     return replace(
         state, vehicle=vehicle, specific_force=force, turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
+        gust_rates_ned=_gust_rates(world, turbulence, height),
         estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=command,
         command_clipped=clipped, battery=battery,
     )  # fmt: skip
+
+
+def _gust_rates(world: World, turbulence: Any, height_agl: Array) -> Vec3 | None:
+    """Return the rotation of the air at each vehicle (n,) [rad/s], None where the turbulence gives none."""
+    if not hasattr(world.turbulence, "gust_rates_ned"):
+        return None
+    rates: Vec3 = world.turbulence.gust_rates_ned(turbulence, height_agl)
+    return rates
 
 
 def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:
@@ -275,9 +289,10 @@ def _start(world: World, fleet: Fleet, key: Key, sky: SkyState) -> FleetState:
     like = vehicle.thrust
     draws = _draw_fleet(world, fleet, _stream_keys(fleet, key, "/start"), jnp.int32(0))
     height = world.area.height_agl(vehicle.position_ned)
-    mean_wind = world.wind.velocity_ned(height)
+    time = split_time(jnp.int32(0), world.time_step, height.dtype)
+    mean_wind = world.wind.velocity_ned(height, *time)
     turbulence = world.turbulence.init(draws[TURBULENCE])
-    gust = world.turbulence.gust_ned(turbulence, height)
+    gust = world.turbulence.gust_ned(turbulence, height) + world.gust.velocity_ned(vehicle.position_ned, *time)
     zero = jnp.zeros_like(like)
     hover = jnp.broadcast_to(jnp.asarray(fleet.controller.height.hover_throttle), like.shape)
     battery = jnp.broadcast_to(jnp.asarray(fleet.controller.battery), like.shape)
@@ -296,9 +311,24 @@ def _start(world: World, fleet: Fleet, key: Key, sky: SkyState) -> FleetState:
     controller = fleet.controller.init(estimate)
     setpoint = fleet.guidance.setpoint(guidance, fleet.route)
     state = FleetState(
-        vehicle, force, turbulence, mean_wind, gust, estimate, controller, guidance, setpoint, command,
-        jnp.zeros(like.shape, bool), violation, (), fleet.battery.init(like), (), (),
-    )  # fmt: skip
+        vehicle=vehicle,
+        specific_force=force,
+        turbulence=turbulence,
+        mean_wind_ned=mean_wind,
+        gust_ned=gust,
+        gust_rates_ned=_gust_rates(world, turbulence, height),
+        estimate=estimate,
+        controller=controller,
+        guidance=guidance,
+        setpoint=setpoint,
+        command=command,
+        command_clipped=jnp.zeros(like.shape, bool),
+        violation=violation,
+        sensors=(),
+        battery=fleet.battery.init(like),
+        readings=(),
+        true_readings=(),
+    )
     scene = _scene(state, sky)
     firsts = [
         sensor.init(draws[name], **{item: scene[item] for item in sensor.reads})

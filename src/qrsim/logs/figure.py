@@ -158,17 +158,18 @@ def _plan(axes: Any, data: _Data) -> None:
         axes.plot(east[:1], north[:1], "o", color=colour, ms=7 if data.few else 4, mec="white")
         if not data.few and len(data.names) <= MOST_NUMBERED:
             axes.annotate(
-                str(i), (east[0], north[0]), (4, 3), textcoords="offset points", fontsize=8, color="black", zorder=4
+                str(i), (east[0], north[0]), (4, 3), textcoords="offset points", fontsize=8, color="black", zorder=6
             )
         if i in data.stops:
             axes.plot(east[-1:], north[-1:], "X", color=colour, ms=11 if data.few else 7, mec="black", zorder=5)
     _wind_arrow(axes, data)
-    thin = ", GNSS (thin)" if data.few and data.reported is not None else ""
+    path = "true path (thick), GNSS (thin)" if data.few and data.reported is not None else "true path"
     numbers = ", numbers: order" if not data.few and len(data.names) <= MOST_NUMBERED else ""
-    title = f"plan: true path (thick){thin}, start o, waypoints +{numbers}"
+    title = f"plan: {path}, start o, waypoints +{numbers}"
     seen = [data.position, data.setpoint, *([] if data.reported is None or not data.few else [data.reported])]
-    for points, limit in zip(np.moveaxis(np.concatenate(seen), -1, 0), (axes.set_ylim, axes.set_xlim), strict=False):
-        limit(*_span(points, 4.0))
+    south_north, west_east = (_span(np.stack(seen)[..., axis], 4.0) for axis in (0, 1))
+    axes.update_datalim(list(zip(west_east, south_north, strict=True)))
+    axes.margins(0.0)
     axes.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", adjustable="datalim", title=title)
     axes.grid(alpha=0.3)
 
@@ -214,8 +215,8 @@ def _height(axes: Any, data: _Data) -> None:
         axes.plot(data.time, height[:, i], color=colour, lw=1.6 if data.few else 0.9)
         if i in data.stops:
             axes.plot(data.stops[i].time, -data.position[-1, i, 2], "X", color=colour, ms=11, mec="black", zorder=5)
-    thin = ", barometer (thin)" if data.few and data.barometer is not None else ""
-    _over_time(axes, data, "height [m]", f"height: true (thick){thin}, set-point (dashed)")
+    lines = "true (thick), barometer (thin)" if data.few and data.barometer is not None else "true (solid)"
+    _over_time(axes, data, "height [m]", f"height: {lines}, set-point (dashed)")
     seen = [height, -data.setpoint[..., 2], *([] if data.barometer is None or not data.few else [data.barometer])]
     axes.set_ylim(_span(np.concatenate(seen), 1.0))
 
@@ -241,7 +242,7 @@ def _wind(axes: Any, data: _Data) -> None:
     if not np.nansum(total):
         axes.text(0.5, 0.5, "still air", transform=axes.transAxes, ha="center", fontsize=12)
     _lines(axes, data, data.time, total, mean)
-    _over_time(axes, data, "wind speed [m/s]", f"wind at the vehicle: {_key(data, 'with gusts', 'mean')}", low=0.0)
+    _over_time(axes, data, "wind speed [m/s]", f"wind: {_key(data, 'with gusts', 'mean')}", low=0.0)
 
 
 def _lines(axes: Any, data: _Data, time: Floats, solid: Floats, dotted: Floats) -> None:
@@ -263,7 +264,7 @@ def _lines(axes: Any, data: _Data, time: Floats, solid: Floats, dotted: Floats) 
 def _key(data: _Data, solid: str, dotted: str) -> str:
     if data.few:
         return f"{solid} (solid), {dotted} (dotted)"
-    return f"median and range, {solid} (blue), {dotted} (orange)"
+    return f"median, range; {solid} (blue), {dotted} (orange)"
 
 
 def _over_time(axes: Any, data: _Data, label: str, title: str, low: float | None = None) -> None:

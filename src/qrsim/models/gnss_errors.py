@@ -101,7 +101,7 @@ class GaussMarkov2:
     and the correction for the step), y of standard deviation 0.00972 m, and a correlation of 1/e after 44.3 s.
     """
 
-    std: Array = parameter(default=0.5888, unit="m", doc="stationary std of each satellite's range error", minimum=0.0)
+    std: Array = parameter(default=0.58878, unit="m", doc="stationary std of each satellite's range error", minimum=0.0)
     time_constant: Array = parameter(default=40.1, unit="s", doc="time constant of the error itself", above=0.0)
     drive_time_constant: Array = parameter(default=4.0, unit="s", doc="time constant of what drives it", above=0.0)
     normals: ClassVar[int] = 2
@@ -127,7 +127,7 @@ class GaussMarkov2:
         """Return the range errors (S,) [m]."""
         return self.std * state.error
 
-    def discretise(self, dt: float) -> GaussMarkov2Step:
+    def discretise(self, dt: float | Array) -> GaussMarkov2Step:
         """Return transition and Cholesky factor of the noise covariance of a step over dt [s], at any dt.
 
         With rates a = 1/tau_1 and b = 1/tau_2, unit variances need k' = sqrt(a (a + b)) and noise of intensity 2 b.
@@ -180,8 +180,9 @@ class GaussMarkov2:
         """Return (weight [m^2], time constant [s]) of the two exponentials of the autocovariance."""
         std, slow, quick = float(self.std), float(self.time_constant), float(self.drive_time_constant)
         if abs(slow - quick) < 1e-5 * slow:
-            # Equal ones are a limit; so close to it the relative error is 1e-10.
-            quick = slow * (1.0 - 1e-5)
+            # Equal ones are a limit: moved apart about their mean they change the result by 1e-10 of itself.
+            mean = 0.5 * (slow + quick)
+            slow, quick = mean * (1.0 + 5e-6), mean * (1.0 - 5e-6)
         return (std**2 * slow / (slow - quick), slow), (-(std**2) * quick / (slow - quick), quick)
 
 

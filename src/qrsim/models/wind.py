@@ -30,8 +30,8 @@ def wind_to_ned(along: Array, across: Array, down: Array, wind_from_rad: Array) 
 class Calm:
     """No mean wind."""
 
-    def velocity_ned(self, height_agl: Array) -> Vec3:
-        """Return zero [m/s] at every height (n,)."""
+    def velocity_ned(self, height_agl: Array, seconds: Array | None = None, fraction: Array | None = None) -> Vec3:
+        """Return zero [m/s] at every height (n,) and time."""
         return Vec3.zeros(height_agl.shape, height_agl.dtype)
 
 
@@ -44,9 +44,10 @@ class LogShear:
         unit="rad", doc="bearing the wind comes from, clockwise from north", minimum=-2 * math.pi, maximum=2 * math.pi
     )
 
-    def velocity_ned(self, height_agl: Array) -> Vec3:
+    def velocity_ned(self, height_agl: Array, seconds: Array | None = None, fraction: Array | None = None) -> Vec3:
         """Return the air's velocity [m/s] at heights (n,) [m] above ground; zero at and below the roughness height.
 
+        The same at any time (``seconds`` and ``fraction``, which other winds need).
         |w(h)| = u20 ln(h/z0)/ln(20/z0), h in feet, z0 = 0.15 ft (MIL-F-8785C, section 3.7.3.2).
         """
         ratio = jnp.maximum(height_agl * (FEET_PER_METRE / ROUGHNESS_FT), 1.0)

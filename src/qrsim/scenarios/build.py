@@ -62,6 +62,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
     return [
         *_timing_problems(scenario),
         *_inheritance_problems(scenario),
+        *_wind_problems(scenario),
         *_orbit_problems(scenario),
         *_obstacle_problems(scenario),
         *_fleet_problems(scenario),
@@ -176,8 +177,9 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
     errors = component(world.sky.errors, known.SKY_ERRORS, scenario)
     sky = Sky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
     built = World(
-        wind=component(world.wind, known.WINDS, scenario),
+        wind=wind_of(scenario),
         turbulence=component(world.turbulence, known.TURBULENCES, scenario),
+        gust=component(world.gust, known.GUSTS, scenario),
         sky=sky,
         area=component(world.area, known.AREAS, scenario),
         obstacles=_obstacles(scenario),
@@ -201,6 +203,19 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
         i for kind in ("box", "cylinder") for i, spec in enumerate(scenario.world.obstacles) if spec.type == kind
     ]
     return Obstacles(gather("box"), gather("cylinder"), np.array(numbers, np.float64))  # type: ignore[arg-type]
+
+
+def wind_of(scenario: ScenarioSpec) -> Any:
+    """Return the wind; one that comes from a file is read for the length of the run."""
+    wind = component(scenario.world.wind, known.WINDS, scenario)
+    return wind.at(scenario.duration) if hasattr(wind, "at") else wind
+
+
+def _wind_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    try:
+        wind_of(scenario)
+    except UsageError as error:
+        yield f"world.wind: {error}"
 
 
 def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:

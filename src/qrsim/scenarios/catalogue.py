@@ -7,8 +7,10 @@ from qrsim.models.area import BoxArea
 from qrsim.models.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.barometer import Barometer, IdealBarometer
 from qrsim.models.battery import GivenVoltage, LithiumPolymer
+from qrsim.models.dryden import Dryden
 from qrsim.models.gnss import GnssReceiver, IdealGnss, OrnsteinUhlenbeckErrors
 from qrsim.models.gnss_errors import GaussMarkov2
+from qrsim.models.gust import DiscreteGust, NoGust
 from qrsim.models.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
 from qrsim.models.obstacles import BoxObstacle, CylinderObstacle
 from qrsim.models.orbits import NominalConstellation
@@ -16,11 +18,13 @@ from qrsim.models.sp3 import Sp3Ephemeris
 from qrsim.models.turbulence import DrydenFirstOrder, Still
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.models.wind import Calm, LogShear
+from qrsim.models.wind_series import VeeringShear, WindFile
 
 Catalogue = dict[str, type]
 
-WINDS: Catalogue = {"calm": Calm, "log_shear": LogShear}
-TURBULENCES: Catalogue = {"still": Still, "dryden_first_order": DrydenFirstOrder}
+WINDS: Catalogue = {"calm": Calm, "log_shear": LogShear, "veering_shear": VeeringShear, "series": WindFile}
+TURBULENCES: Catalogue = {"still": Still, "dryden_first_order": DrydenFirstOrder, "dryden": Dryden}
+GUSTS: Catalogue = {"none": NoGust, "discrete": DiscreteGust}
 ORBITS: Catalogue = {"nominal_constellation": NominalConstellation, "sp3": Sp3Ephemeris}
 SKY_ERRORS: Catalogue = {"ou": OrnsteinUhlenbeckErrors, "gauss_markov_2": GaussMarkov2}
 OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}

@@ -123,6 +123,7 @@ if TYPE_CHECKING:
     ControllerSlot: TypeAlias = Any
     GuidanceSlot: TypeAlias = Any
     ObstacleSlot: TypeAlias = Any
+    GustSlot: TypeAlias = Any
     BatterySlot: TypeAlias = Any
     LimitsModel: TypeAlias = Any
 else:
@@ -133,6 +134,7 @@ else:
     SkyErrorsSlot = _slot(known.SKY_ERRORS)
     AreaSlot = _slot(known.AREAS)
     ObstacleSlot = _slot(known.OBSTACLES)
+    GustSlot = _slot(known.GUSTS)
     BatterySlot = _slot(known.BATTERIES)
     VehicleSlot = _slot(known.VEHICLES)
     ControllerSlot = _slot(known.CONTROLLERS)
@@ -153,7 +155,8 @@ class WorldSpec(Strict):
 
     area: AreaSlot = Field({"type": "box"}, description="where vehicles may be", validate_default=True)
     wind: WindSlot = Field({"type": "calm"}, description="mean wind", validate_default=True)
-    turbulence: TurbulenceSlot = Field({"type": "still"}, description="gusts", validate_default=True)
+    turbulence: TurbulenceSlot = Field({"type": "still"}, description="random gusts", validate_default=True)
+    gust: GustSlot = Field({"type": "none"}, description="discrete gust", validate_default=True)
     sky: SkySpec = Field(default_factory=lambda: SkySpec.model_validate({}), description="GNSS space segment")
     obstacles: list[ObstacleSlot] = Field([], description="solid things", max_length=10_000)
     collision_distance: Finite = Field(

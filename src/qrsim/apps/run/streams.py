@@ -25,7 +25,11 @@ def _tree(stream: str, names: tuple[str, ...], state: FleetState) -> list[tuple[
         "commands": [("", state.command), ("setpoint.", state.setpoint)],
         "wind": [("mean_ned.", state.mean_wind_ned), ("gust_ned.", state.gust_ned)],
     }
-    units = {"specific_force.": "m/s^2", "mean_ned.": "m/s", "gust_ned.": "m/s"}
+    if state.gust_rates_ned is not None:
+        roots["wind"].append(("gust_rates_ned.", state.gust_rates_ned))
+    if hasattr(state.battery, "charge"):
+        roots["truth"].append(("battery.", state.battery))
+    units = {"specific_force.": "m/s^2", "mean_ned.": "m/s", "gust_ned.": "m/s", "gust_rates_ned.": "rad/s"}
     items = [
         (name, leaf, info.unit or units.get(prefix, ""), info.doc)
         for prefix, root in roots[stream]
