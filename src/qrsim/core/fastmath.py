@@ -28,35 +28,26 @@ def freely(product: Array) -> Array:
     return product
 
 
-def rounded_with(zero: Array) -> Rounding:
-    """Return a function that makes the compiler round a product before it is added to something.
+def rounded(product: Array) -> Array:
+    """Make the compiler round a product, of magnitude below 1e30, before it is added to something.
 
     XLA contracts a * b + c to one rounding where it happens to see both operations together, so the last bit of a
-    result depends on the program around it. An integer operation between the two prevents that.
-
-    Args:
-        zero: uint32, zero at run time in a way that the compiler cannot know.
+    result depends on the program around it. An operation between the two, which the compiler cannot know to be
+    idle, prevents that.
     """
-
-    def rounding(product: Array) -> Array:
-        if product.dtype != jnp.float32:
-            return product
-        bits = lax.bitcast_convert_type(product, jnp.uint32) ^ zero
-        return lax.bitcast_convert_type(bits, jnp.float32)
-
-    return rounding
+    return jnp.minimum(product, 1e30)
 
 
-def _polynomial(x: Array, coefficients: tuple[float, ...], rounded: Rounding = freely) -> Array:
+def _polynomial(x: Array, coefficients: tuple[float, ...], rounding: Rounding = freely) -> Array:
     """Evaluate by Horner's rule, highest power first."""
     result = jnp.full_like(x, coefficients[0])
     for coefficient in coefficients[1:]:
-        result = rounded(result * x) + coefficient
+        result = rounding(result * x) + coefficient
     return result
 
 
-def sincos_ratio(x: Array, rounded: Rounding = freely) -> tuple[Array, Array, Array]:
-    """Return (a, b, c) with sin x = a/c and cos x = b/c, any shape, x in rad; ``rounded``: see ``rounded_with``.
+def sincos_ratio(x: Array, rounding: Rounding = freely) -> tuple[Array, Array, Array]:
+    """Return (a, b, c) with sin x = a/c and cos x = b/c, any shape, x in rad; ``rounding``: see ``rounded``.
 
     From the tangent t of half the reduced angle: 2t/(1 + t^2) and (1 - t^2)/(1 + t^2). The division is left for
     last on purpose: XLA on a CPU computes a result that ends in a division once, and repeats one that ends in
@@ -69,10 +60,10 @@ def sincos_ratio(x: Array, rounded: Rounding = freely) -> tuple[Array, Array, Ar
     quadrant = turns.astype(jnp.int32)
     z = half * half
     # Chebyshev fit of tan(y)/y on |y| <= pi/8, relative error 2e-9.
-    t = rounded(
-        half * _polynomial(z, (0.025671956095, 0.05343703505, 0.133363104741, 0.333332753321, 1.000000001803), rounded)
+    t = rounding(
+        half * _polynomial(z, (0.025671956095, 0.05343703505, 0.133363104741, 0.333332753321, 1.000000001803), rounding)
     )
-    square = rounded(t * t)
+    square = rounding(t * t)
     sine, cosine = t + t, 1.0 - square
     swap = (quadrant & 1) == 1
     sin_part, cos_part = jnp.where(swap, cosine, sine), jnp.where(swap, sine, cosine)
@@ -94,8 +85,8 @@ def _sincos_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Ar
     return (sine, cosine), (cosine * tangents[0], -sine * tangents[0])
 
 
-def log_f32(x: Array, rounded: Rounding = freely) -> Array:
-    """Return the natural logarithm of positive, normal x in single precision; ``rounded``: see ``rounded_with``."""
+def log_f32(x: Array, rounding: Rounding = freely) -> Array:
+    """Return the natural logarithm of positive, normal x in single precision; ``rounding``: see ``rounded``."""
     bits = lax.bitcast_convert_type(x, jnp.int32)
     # Split so that the mantissa lies in [sqrt(1/2), sqrt(2)), where the polynomial is centred.
     exponent = (bits - 0x3F3504F3) >> 23
@@ -116,10 +107,10 @@ def log_f32(x: Array, rounded: Rounding = freely) -> Array:
             -2.4999993993e-1,
             3.3333331174e-1,
         ),
-        rounded,
+        rounding,
     )
     # The products not named below are exact, so it does not matter how they are rounded.
-    return (f + ((rounded(f * z * tail) + rounded(e * _LN2_LOW)) - 0.5 * z)) + e * _LN2_HIGH
+    return (f + ((rounding(f * z * tail) + rounding(e * _LN2_LOW)) - 0.5 * z)) + e * _LN2_HIGH
 
 
 @jax.custom_jvp

@@ -11,7 +11,7 @@ import numpy as np
 from qrsim.logs.reader import Run, Stream
 
 Floats = np.ndarray[Any, Any]
-NOT_A_STOP = ("waypoint_reached", "command_clipped")
+NOT_A_STOP = ("waypoint_reached", "command_clipped", "fault_begins", "fault_ends", "fix_lost", "fix_found")
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from qrsim.simulation import History, Simulation, reason_text
 from qrsim.world import FleetState, World
 
 Values = dict[str, np.ndarray[Any, Any]]
+FEWEST_SATELLITES = 4.0
 STREAMS = ("truth", "measurements", "commands", "wind")
 
 
@@ -72,9 +73,10 @@ def _absent(shape: tuple[int, int], column: Column) -> np.ndarray[Any, Any]:
 
 
 class EventFinder:
-    """Notices what happens once: a vehicle becomes invalid, reaches a waypoint, or has its command clipped."""
+    """Notices what happens once: a vehicle becomes invalid, reaches a waypoint, loses a sensor, and the like."""
 
     def __init__(self, simulation: Simulation):
+        self.world = simulation.world
         self.names = simulation.vehicle_names
         self.time_step = simulation.world.time_step
         start = simulation.history
@@ -100,12 +102,60 @@ class EventFinder:
             self.before[key] = now[-1]
             for row, vehicle in np.argwhere(now > previous):
                 found.append((int(row), int(vehicle), self._event(key, history, int(row), int(vehicle))))
+        found += self._faults(history)
+        found += self._losses(history)
         found.sort(key=lambda item: item[:2])
         return [event for _, _, event in found]
 
+    def _faults(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+        """Return the scheduled faults that begin or end."""
+        found, first = [], 0
+        for fleet in self.world.fleets:
+            for fault in fleet.faults:
+                for edge, word in ((fault.start_tick, "begins"), (fault.end_tick, "ends")):
+                    for row in np.flatnonzero(history.ticks == int(edge)):
+                        for i in np.flatnonzero(fault.affected):
+                            event = self._at(history, int(row), first + int(i))
+                            message = (
+                                f"{event['vehicle']}: {fault.sensor} {fault.kind}, {word} at {event['time']:.2f} s"
+                            )
+                            event |= {"kind": f"fault_{word}", "field": fault.sensor, "message": message}
+                            found.append((int(row), first + int(i), event))
+            first += fleet.size
+        return found
+
+    def _losses(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+        """Return where a GNSS receiver of a flying vehicle loses its fix for want of satellites, or finds it again."""
+        found, first = [], 0
+        for fleet, state in zip(self.world.fleets, history.state.fleets, strict=True):
+            for sensor, reading in zip(fleet.sensor_names, state.readings, strict=True):
+                if not hasattr(reading, "satellites"):
+                    continue
+                key = f"{fleet.name}/{sensor}"
+                lost = np.isnan(reading.position_ned.x) & (reading.satellites < FEWEST_SATELLITES)
+                before = self.before.get(key, np.zeros(fleet.size, bool))
+                previous = np.concatenate([before[None], lost[:-1]])
+                self.before[key] = lost[-1]
+                for row, i in np.argwhere(lost != previous):
+                    event = self._at(history, int(row), first + int(i))
+                    count = float(reading.satellites[row, i])
+                    kind = "fix_lost" if lost[row, i] else "fix_found"
+                    counted = f"{count:.0f} satellites" if np.isfinite(count) else "the vehicle has stopped"
+                    message = (
+                        f"{event['vehicle']}: {sensor} {kind.replace('_', ' ')} at {event['time']:.2f} s, {counted}"
+                    )
+                    value = count if np.isfinite(count) else None
+                    event |= {"kind": kind, "field": f"{sensor}.satellites", "value": value, "message": message}
+                    found.append((int(row), first + int(i), event))
+            first += fleet.size
+        return found
+
+    def _at(self, history: History, row: int, vehicle: int) -> dict[str, Any]:
+        return {"time": float(history.time[row]), "tick": int(history.ticks[row]), "vehicle": self.names[vehicle]}
+
     def _event(self, key: str, history: History, row: int, vehicle: int) -> dict[str, Any]:
-        name, time = self.names[vehicle], float(history.time[row])
-        event = {"time": time, "tick": int(history.ticks[row]), "vehicle": name}
+        event = self._at(history, row, vehicle)
+        name, time = event["vehicle"], event["time"]
         if key == "reached":
             count = int(self._sources()["reached"](history)[row, vehicle])
             message = f"{name} reached its waypoint number {count} at {time:.2f} s"
