@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -22,6 +23,7 @@ from qrsim.models.area import REASONS
 from qrsim.models.site import Site
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
 from qrsim.readings import Reading, Truth
+from qrsim.saved import SavedState, fingerprint, write
 from qrsim.world import Action, State, World
 
 FloatArray = np.ndarray[Any, Any]
@@ -197,6 +199,38 @@ class Simulation:
         self._host = None
         host = tuple(np.asarray(buffer)[:count] for buffer in rows)
         return History(numbers, self.world.time_step, layout.unpack(host))  # type: ignore[arg-type]
+
+    def save(self, path: str | Path | None = None) -> bytes:
+        """Return the whole state as bytes, and write them to a file where a path is given.
+
+        Raises:
+            UsageError: the simulation has not started.
+            RunError: the file cannot be written.
+        """
+        _, state = self._running()
+        floats, integers = (np.array(buffer) for buffer in state)
+        data = SavedState(floats, integers, self.tick, self.seed, self.name, self._fingerprint()).to_bytes()
+        if path is not None:
+            write(path, data)
+        return data
+
+    def load(self, source: bytes | str | Path) -> Reading:
+        """Continue from a saved state, of this scenario with these parameters; the future is that of the original.
+
+        Raises:
+            UsageError: it is no saved state, or one of another scenario or version.
+        """
+        saved = SavedState.of(source)
+        saved.check(self.name, self._fingerprint())
+        if self._layout is None:
+            self.reset(saved.seed)
+        with self._precision():
+            self._state = jax.device_put((saved.floats, saved.integers))
+        self.tick, self.seed, self._host = saved.tick, saved.seed, None
+        return self.reading
+
+    def _fingerprint(self) -> str:
+        return fingerprint(self._world_layout, self._world)
 
     @property
     def state(self) -> State:

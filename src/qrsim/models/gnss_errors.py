@@ -52,11 +52,11 @@ def _typical_std(budget: dict[str, tuple[float, float]]) -> float:
 
 # What world.sky.errors of a scenario says for a receiver of each kind.
 # - std: of the budget above. One number for all elevations, because the errors know of none.
-# - time_constant: 1100 s, Beard and McLain, "Small Unmanned Aircraft", 2012, table 7.2 (1/k_GPS), who take it from
-#   Rankin, "GPS and differential GPS: an error model for sensor simulation", PLANS 1994. The budgets name none.
-# - drive_time_constant: 100 s, the smoothing of code by carrier phase that airborne receivers have as a standard (RTCA
-#   DO-253). The budgets are those of smoothed code, as their row for code-carrier divergence shows, so that noise and
-#   multipath come correlated: the receiver's own range_noise_std stays what it is.
+# - time_constant: 1100 s, Beard and McLain, "Small Unmanned Aircraft", 2012, section 7.5 (1/k_GPS). The budgets name
+#   none.
+# - drive_time_constant: 100 s, the time over which airborne receivers smooth code by carrier phase as a standard (RTCA
+#   DO-253). The budgets are those of smoothed code, as the row for code-carrier divergence shows, so that noise and
+#   multipath come correlated: the receiver's own white range_noise_std stays what it is.
 PRESETS: dict[str, dict[str, float | str]] = {
     name: {
         "type": "gauss_markov_2",

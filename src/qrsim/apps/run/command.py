@@ -107,23 +107,36 @@ class Run:
 
         recorded = open_run(folder)
         summaries = summarise(recorded)
-        figure = None
-        if not self.no_figure:
-            from qrsim.logs.figure import save_figure
-
-            figure = folder / FIGURE
-            save_figure(recorded, figure)
+        figure, failure = (None, None) if self.no_figure else _draw(recorded, folder / FIGURE)
         if self.json:
             _print_json(recorded, summaries, pace, folder, figure)
-            return
+        else:
+            self._print_result(recorded, summaries, pace, figure)
+        if failure:
+            raise failure
+
+    def _print_result(
+        self, recorded: RecordedRun, summaries: list[VehicleSummary], pace: Pace, figure: Path | None
+    ) -> None:
         _print_table(recorded, summaries)
         factor = f"{pace.real_time_factor:.0f} times real time" if not self.realtime else "real time"
         print(f"{pace.simulated_s:g} s flown in {pace.wall_s:.2f} s ({factor}), start-up {pace.start_up_s:.1f} s")
         if pace.overruns:
             print(f"{pace.overruns} chunks were late: this machine is too slow for real time here")
-        print(f"run folder: {folder}")
+        print(f"run folder: {recorded.folder}")
         if figure:
             print(f"figure:     {figure}")
+
+
+def _draw(recorded: RecordedRun, path: Path) -> tuple[Path | None, RunError | None]:
+    """Return where the figure is, or why there is none: the numbers of a long run must not be lost with it."""
+    from qrsim.logs.figure import save_figure
+
+    try:
+        save_figure(recorded, path)
+    except RunError as error:
+        return None, error
+    return path, None
 
 
 def _new_folder(name: str, seed: int) -> Path:
@@ -192,8 +205,9 @@ def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None
     console = Console()
     # Below 80 columns the terminal breaks the lines, and no number is lost; a file has no width.
     console.width = max(console.width, 80) if console.is_terminal else 200
-    console.print(table)
-    print(f"\n{LEGEND}")
+    with console.capture() as captured:  # printed here, because rich ends the process where the reader is gone
+        console.print(table)
+    print(f"{captured.get()}\n{LEGEND}")
     for event in stops:
         print(event.message)
 
