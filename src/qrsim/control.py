@@ -150,7 +150,9 @@ class RouteFollower:
         following = state.index + 1
         last = jnp.zeros_like(following) if self.repeat else route.count - 1
         following = jnp.where(following >= route.count, last, following)
-        moved = RouteState(jnp.where(arrived, following, state.index), state.reached + arrived.astype(jnp.int32))
+        # Where a vehicle stays, at the last waypoint or the only one, it arrives once.
+        counts = arrived & ((following != state.index) | (state.reached < route.count))
+        moved = RouteState(jnp.where(arrived, following, state.index), state.reached + counts.astype(jnp.int32))
         return moved, self.setpoint(moved, route)
 
     @staticmethod

@@ -257,8 +257,8 @@ class GnssReceiver:
         prn = sky.ids & jnp.uint32(0xFF)
         on_list = jnp.any(jnp.stack([prn == jnp.uint32(number) for number in HAND_LIST]), axis=0)
         count = sky.range_error.shape[0]
-        # Rows that no fix uses; the last one says how many to keep, 10, 11, 12 or 13, equally likely.
-        normals = draw.normal_rows(2 * count + 2)[count + 1 :]
+        # Rows that no fix uses: cosines of pairs from 3 S on. The last one says how many to keep, each equally likely.
+        normals = draw.normal_rows(2 * (4 * count + 1))[3 * count : 4 * count + 1]
         quartile = jnp.sum(jnp.stack([normals[count] > edge for edge in (-0.6744898, 0.0, 0.6744898)]), axis=0)
         score = jnp.where(on_list[:, None], normals[:count], -math.inf)
         rank = jnp.sum((score[None, :, :] > score[:, None, :]).astype(jnp.int32), axis=1)
@@ -275,7 +275,7 @@ class IdealGnss:
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky")
 
     def init(self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState) -> tuple[None, GnssReading]:
-        """Return the true position and velocity; satellites and DOP are those of the sky without a mask."""
+        """Return the true position and velocity, with all satellites of the sky and no dilution of precision."""
         zero = jnp.zeros_like(position_ned.x)
         count = jnp.full_like(zero, sky.range_error.shape[0])
         return None, GnssReading(position_ned, velocity_ned, count, zero, zero)

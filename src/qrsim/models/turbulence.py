@@ -103,7 +103,9 @@ class DrydenFirstOrder:
     ) -> GustState:
         """Advance by dt [s] for vehicles at heights (n,) [m] moving over ground at velocity_ned (n,) [m/s]."""
         if self.airspeed == "relative":
-            speed = jnp.maximum((velocity_ned - mean_wind_ned).norm(), SLOWEST_AIRSPEED)
+            through_air = velocity_ned - mean_wind_ned
+            # The root of a limited square, because the root of zero has no gradient.
+            speed = jnp.sqrt(jnp.maximum(through_air.dot(through_air), SLOWEST_AIRSPEED**2))
         else:
             speed = velocity_ned.norm() + SLOWEST_AIRSPEED
         lengths, _ = low_altitude_scales(height_agl)
