@@ -170,6 +170,7 @@ class ReceiverState:
 # The satellites "from a typical flight day" of the reference implementation; each receiver keeps 10 to 13 of them.
 HAND_LIST = (3, 5, 6, 7, 13, 16, 18, 19, 20, 22, 24, 29, 31)
 FEWEST_LISTED = 10
+ABSENT_HEIGHT = 2.66e7
 
 
 @record
@@ -230,7 +231,9 @@ class GnssReceiver:
 
     def _solve(self, draw: Draw, position_ned: Vec3, sky: SkyState, listed: Any) -> tuple[Fix, Vec3 | None]:
         """Return the fix of each receiver (n,) and, for 'doppler', the error of its velocity."""
-        satellites = sky.satellites_ned
+        # A satellite without a position is put somewhere and not used, so that no NaN comes near a gradient.
+        present = jnp.isfinite(sky.satellites_ned.z)
+        satellites = sky.satellites_ned.map(lambda axis: jnp.where(present, axis, -ABSENT_HEIGHT))
         ray = Vec3(
             satellites.x[:, None] - position_ned.x[None, :],
             satellites.y[:, None] - position_ned.y[None, :],
@@ -239,8 +242,7 @@ class GnssReceiver:
         line_of_sight = ray * (1.0 / ray.norm())
         shape, count = position_ned.x.shape, sky.range_error.shape[0]
         mask = jnp.broadcast_to(sincos(jnp.asarray(self.elevation_mask_rad))[0], shape)
-        # A satellite without a position compares false.
-        used = -line_of_sight.z > mask[None, :] if listed is None else listed & jnp.isfinite(line_of_sight.z)
+        used = present[:, None] & (-line_of_sight.z > mask[None, :] if listed is None else listed)
         noise = jnp.broadcast_to(jnp.asarray(self.range_noise_std), shape)
         doppler = self.velocity == "doppler"
         normals = draw.normal_rows(2 * count if doppler else count)

@@ -192,3 +192,25 @@ def _lag(a: Array, b: Array, s: Array) -> Array:
     small = z < 1e-3
     ratio = jnp.where(small, 1.0 - z * (0.5 - z * (1.0 / 6.0 - z / 24.0)), -jnp.expm1(-z) / jnp.where(small, 1.0, z))
     return s * exp(-jnp.minimum(a, b) * s) * ratio
+
+
+@record
+class ConsumerErrors(GaussMarkov2):
+    """Range errors of an ordinary single-frequency receiver: PRESETS["consumer"], with its sources."""
+
+    std: Array = parameter(
+        default=PRESETS["consumer"]["std"], unit="m", doc="stationary std of each satellite's range error", minimum=0.0
+    )
+    time_constant: Array = parameter(default=1100.0, unit="s", doc="time constant of the error itself", above=0.0)
+    drive_time_constant: Array = parameter(default=100.0, unit="s", doc="time constant of what drives it", above=0.0)
+
+
+@record
+class SurveyErrors(GaussMarkov2):
+    """Range errors of a dual-frequency receiver without corrections: PRESETS["survey"], with its sources."""
+
+    std: Array = parameter(
+        default=PRESETS["survey"]["std"], unit="m", doc="stationary std of each satellite's range error", minimum=0.0
+    )
+    time_constant: Array = parameter(default=1100.0, unit="s", doc="time constant of the error itself", above=0.0)
+    drive_time_constant: Array = parameter(default=100.0, unit="s", doc="time constant of what drives it", above=0.0)

@@ -224,6 +224,7 @@ def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
     try:
         ephemeris = component(orbits, known.ORBITS, scenario)
         first, last = ephemeris.span_gps_seconds
+        _ = ephemeris.satellites
         start = gps_seconds_from_utc(scenario.start_time)
     except UsageError as error:
         yield f"world.sky.orbits: {error}"

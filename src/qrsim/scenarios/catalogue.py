@@ -9,7 +9,7 @@ from qrsim.models.barometer import Barometer, IdealBarometer
 from qrsim.models.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.dryden import Dryden
 from qrsim.models.gnss import GnssReceiver, IdealGnss, OrnsteinUhlenbeckErrors
-from qrsim.models.gnss_errors import GaussMarkov2
+from qrsim.models.gnss_errors import ConsumerErrors, GaussMarkov2, SurveyErrors
 from qrsim.models.gust import DiscreteGust, NoGust
 from qrsim.models.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
 from qrsim.models.obstacles import BoxObstacle, CylinderObstacle
@@ -26,7 +26,12 @@ WINDS: Catalogue = {"calm": Calm, "log_shear": LogShear, "veering_shear": Veerin
 TURBULENCES: Catalogue = {"still": Still, "dryden_first_order": DrydenFirstOrder, "dryden": Dryden}
 GUSTS: Catalogue = {"none": NoGust, "discrete": DiscreteGust}
 ORBITS: Catalogue = {"nominal_constellation": NominalConstellation, "sp3": Sp3Ephemeris}
-SKY_ERRORS: Catalogue = {"ou": OrnsteinUhlenbeckErrors, "gauss_markov_2": GaussMarkov2}
+SKY_ERRORS: Catalogue = {
+    "ou": OrnsteinUhlenbeckErrors,
+    "gauss_markov_2": GaussMarkov2,
+    "consumer": ConsumerErrors,
+    "survey": SurveyErrors,
+}
 OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}
 AREAS: Catalogue = {"box": BoxArea}
 VEHICLES: Catalogue = {"pelican": Quadrotor}

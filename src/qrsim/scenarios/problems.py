@@ -39,6 +39,19 @@ def describe(error: ValidationError, model: type[BaseModel], data: Any) -> list[
     return [_Fault(details, model, data).sentence() for details in error.errors()]
 
 
+def component_types(model: type[BaseModel], path: list[str]) -> list[str]:
+    """Return the types of the components that may stand at a path of a scenario; none where no component does."""
+    annotation: Any = model
+    for part in path:
+        models = _models(annotation)
+        if models:
+            field = models[0].model_fields.get(part) if len(models) == 1 else None
+            annotation = field.annotation if field else None
+        else:
+            annotation = _entry(annotation)
+    return [part.__name__ for part in _models(annotation) if "type" in part.model_fields]
+
+
 class _Fault:
     """One fault, with its place found again in the data and in the schema."""
 
@@ -68,7 +81,7 @@ class _Fault:
             else:
                 # An entry of a list or a mapping: what is said about the whole holds for it too.
                 self.owner = None
-                self.annotation = (get_args(_bare(self.annotation)) or (None,))[-1]
+                self.annotation = _entry(self.annotation)
             data = self._descend(part, data)
 
     def _name_of(self, model: type[BaseModel]) -> str:
@@ -175,8 +188,7 @@ class _Fault:
         return found[-1] if found else None
 
     def _holds_numbers(self) -> bool:
-        entry = (get_args(_bare(self.annotation)) or (None,))[-1]
-        return _bare(entry) is float
+        return _bare(_entry(self.annotation)) is float
 
     def _length(self) -> str:
         low, high = self._rule("min_length"), self._rule("max_length")
@@ -220,6 +232,11 @@ def _characters(pattern: str) -> str:
 def _bare(annotation: Any) -> Any:
     """Return a type without what Annotated says about it."""
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
+
+
+def _entry(annotation: Any) -> Any:
+    """Return the type of an entry of a list or a mapping, None where it is neither."""
+    return (get_args(_bare(annotation)) or (None,))[-1]
 
 
 def _rules(annotation: Any) -> list[Any]:

@@ -11,6 +11,8 @@ from typing import Any
 import yaml
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.scenarios.problems import component_types
+from qrsim.scenarios.schema import ScenarioSpec
 
 
 class _Loader(yaml.SafeLoader):
@@ -37,22 +39,6 @@ _Loader.yaml_implicit_resolvers = {key: list(value) for key, value in yaml.SafeL
 _FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
 for _first in "-+.0123456789":
     _Loader.yaml_implicit_resolvers.setdefault(_first, []).append(("tag:yaml.org,2002:float", _FLOAT))
-
-# Where a component stands, so that ``--set world.wind=calm`` can name one by its type alone.
-_SLOTS = [
-    slot.split(".")
-    for slot in (
-        "world.wind",
-        "world.turbulence",
-        "world.area",
-        "world.sky.orbits",
-        "world.sky.errors",
-        "fleets.*.vehicle",
-        "fleets.*.controller",
-        "fleets.*.guidance",
-        "fleets.*.sensors.*",
-    )
-]
 
 
 def parse_yaml(text: str, source: str) -> Any:
@@ -124,18 +110,13 @@ def apply_override(content: dict[str, Any], assignment: str) -> None:
     for depth in range(len(parts) - 1):
         target = _enter(target, parts, depth, assignment)
     last = parts[-1]
+    if isinstance(value, str) and component_types(ScenarioSpec, parts):
+        value = {"type": value}
     if isinstance(target, list):
         target[_index(target, parts, len(parts) - 1, assignment)] = value
         return
     _drop_twin(target, last)
-    target[last] = {"type": value} if isinstance(value, str) and _is_slot(parts) else value
-
-
-def _is_slot(parts: list[str]) -> bool:
-    return any(
-        len(slot) == len(parts) and all(want in ("*", part) for want, part in zip(slot, parts, strict=True))
-        for slot in _SLOTS
-    )
+    target[last] = value
 
 
 def _drop_twin(target: dict[str, Any], name: str) -> None:
