@@ -332,6 +332,8 @@ def test_presets_are_what_a_scenario_says(name: str) -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_is_also_a_type_of_its_own(name: str) -> None:
+    from qrsim.scenarios.schema import SkySpec
+
     spec = SkySpec.model_validate({"errors": {"type": name}}).errors
     same = SkySpec.model_validate({"errors": PRESETS[name]}).errors
     assert spec.model_dump(exclude={"type"}) == same.model_dump(exclude={"type"})
