@@ -10,6 +10,7 @@ Exit codes: 0 fine, 1 the run failed, 2 wrong usage, 130 interrupted, 141 the re
 
 from __future__ import annotations
 
+import errno
 import inspect
 import os
 import sys
@@ -95,6 +96,9 @@ COMMANDS: dict[str, type[Command] | Group] = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line ``argv`` (default: the process's own) and return the exit code; raises nothing."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if sys.stdout is None:  # the caller closed it
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (it stays open until the process ends)
+    _plain_warnings()
     try:
         code = _dispatch(arguments)
         sys.stdout.flush()
@@ -107,13 +111,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         _discard_output()
         return 141
-    except Exception:
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+            _discard_output()
+            _print_error(f"cannot write the output: {error.strerror}")
+            return 1
         import traceback
 
         traceback.print_exc()
         _print_error("this is a bug in qrsim: please report it with the lines above and the output of 'qrsim version'")
         return 1
     return code
+
+
+def _plain_warnings() -> None:
+    """Show a warning as one line, not with the place in the code that gave it."""
+    import warnings
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        print(f"warning: {message}", file=sys.stderr)
+
+    warnings.showwarning = show
 
 
 def _dispatch(arguments: list[str]) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +30,28 @@ FloatArray = np.ndarray[Any, Any]
 LARGEST_TICK = 2**31 - 2
 
 
-# The older code generator of XLA:CPU compiles a step in half the time of the newer one and runs it as fast.
-_COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+# The older code generator of XLA:CPU compiles a step in half the time of the newer one. It runs a few vehicles as
+# fast, hundreds more slowly.
+FEW_VEHICLES = 64
+_QUICK_TO_COMPILE = {"xla_cpu_use_fusion_emitters": False}
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=_COMPILER_OPTIONS)
-def _reset(world_layout: Packer, world: Buffers, seed: Any) -> State:
+class _Program:
+    """A function compiled with the code generator that suits the number of vehicles."""
+
+    def __init__(self, function: Callable[..., Any], **options: Any):
+        self._few = jax.jit(function, compiler_options=_QUICK_TO_COMPILE, **options)
+        self._many = jax.jit(function, **options)
+
+    def __call__(self, vehicles: int, *arguments: Any) -> Any:
+        return (self._few if vehicles <= FEW_VEHICLES else self._many)(*arguments)
+
+
+def _reset_world(world_layout: Packer, world: Buffers, seed: Any) -> State:
     return ticks_of.reset(world_layout.unpack(world), Key.root(seed))
 
 
-@partial(jax.jit, static_argnums=(0, 1), donate_argnums=3, compiler_options=_COMPILER_OPTIONS)
-def _advance(
+def _advance_world(
     world_layout: Packer, layout: Packer, world: Buffers, state: Buffers, tick: Any, count: Any, actions: Any
 ) -> Buffers:
     """Run ``count`` ticks and return the packed state."""
@@ -52,8 +63,7 @@ def _advance(
     return layout.pack(lax.fori_loop(jnp.int32(0), count, body, layout.unpack(state)))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 7), donate_argnums=3, compiler_options=_COMPILER_OPTIONS)
-def _record(
+def _record_world(
     world_layout: Packer,
     layout: Packer,
     world: Buffers,
@@ -75,6 +85,11 @@ def _record(
 
     final, kept = lax.fori_loop(jnp.int32(0), count, body, (layout.unpack(state), rows))
     return layout.pack(final), kept
+
+
+_reset = _Program(_reset_world, static_argnums=0)
+_advance = _Program(_advance_world, static_argnums=(0, 1), donate_argnums=3)
+_record = _Program(_record_world, static_argnums=(0, 1, 7), donate_argnums=3)
 
 
 class History:
@@ -146,7 +161,7 @@ class Simulation:
             self.seed = _checked_seed(seed)
         with self._precision():
             # Packed on the host, because a program for it would cost more to compile than it ever saves.
-            state = jax.tree.map(np.asarray, _reset(self._world_layout, self._world, _seed_words(self.seed)))
+            state = jax.tree.map(np.asarray, _reset(self.size, self._world_layout, self._world, _seed_words(self.seed)))
             self._layout = Packer(state)
             self._state = jax.device_put(self._layout.pack(state))
         self.tick = 0
@@ -171,7 +186,7 @@ class Simulation:
         layout, state = self._running()
         with self._precision():
             self._state = _advance(
-                self._world_layout, layout, self._world, state, np.int32(self.tick), np.int32(count), actions
+                self.size, self._world_layout, layout, self._world, state, np.int32(self.tick), np.int32(count), actions
             )
         self.tick += count
         self._host = None
@@ -192,7 +207,15 @@ class Simulation:
         layout, state = self._running()
         with self._precision():
             self._state, rows = _record(
-                self._world_layout, layout, self._world, state, np.int32(self.tick), np.int32(count), actions, capacity
+                self.size,
+                self._world_layout,
+                layout,
+                self._world,
+                state,
+                np.int32(self.tick),
+                np.int32(count),
+                actions,
+                capacity,
             )
         numbers = np.arange(self.tick + 1, self.tick + count + 1)
         self.tick += count

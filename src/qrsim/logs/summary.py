@@ -24,7 +24,7 @@ class VehicleSummary:
         tracking_error_rms_m: distance of the true position from the leg being flown (a point while it is held).
         gnss_horizontal_rms_m, gnss_vertical_rms_m: what the receiver reports minus the truth at that moment, so the
             delay of the fix counts, over the epochs at which a new fix was reported.
-        worst_wind_m_s: largest speed of the air at the vehicle, gusts included.
+        worst_wind_m_s: largest speed of the air at the vehicle while it flies, gusts included.
         waypoints: how many it reached.
         stopped: why it stopped flying, "" if it did not.
     """
@@ -46,10 +46,15 @@ class VehicleSummary:
         }
 
 
-def vectors(stream: Stream, name: str) -> Floats:
-    """Return (T, n, 3) of a quantity recorded as NAME.x, NAME.y, NAME.z."""
+def vectors(stream: Stream, name: str, length: int | None = None) -> Floats:
+    """Return (T, n, 3) of a quantity recorded as NAME.x, NAME.y, NAME.z; the first ``length`` rows, or all."""
     arrays = stream.arrays([f"{name}.{axis}" for axis in "xyz"])
-    return np.stack([np.asarray(array, np.float64) for array in arrays.values()], axis=-1)
+    return np.stack([np.asarray(array, np.float64)[:length] for array in arrays.values()], axis=-1)
+
+
+def common_length(run: Run) -> int:
+    """Return how many ticks all streams have; they differ by some where a disk ran full."""
+    return min(len(run[stream].time) for stream in ("truth", "measurements", "commands", "wind"))
 
 
 def gnss_sensor(run: Run) -> str | None:
@@ -62,15 +67,15 @@ def gnss_sensor(run: Run) -> str | None:
 
 def gnss_error(run: Run) -> tuple[Floats, Floats]:
     """Return (times (E,), errors (E, n, 3) [m] in NED) at the epochs E at which any receiver reported a new fix."""
-    sensor = gnss_sensor(run)
-    truth = vectors(run["truth"], "position_ned")
+    sensor, length = gnss_sensor(run), common_length(run)
+    truth = vectors(run["truth"], "position_ned", length)
     if sensor is None:
         return np.zeros(0), np.zeros((0, truth.shape[1], 3))
-    reported = vectors(run["measurements"], f"{sensor}.position_ned")
+    reported = vectors(run["measurements"], f"{sensor}.position_ned", length)
     fresh = np.ones(len(reported), bool)
     changed = (reported[1:] != reported[:-1]) & np.isfinite(reported[1:])
     fresh[1:] = changed.any(axis=(1, 2))
-    return run["truth"].time[fresh], (reported - truth)[fresh]
+    return run["truth"].time[:length][fresh], (reported - truth)[fresh]
 
 
 def tracking_error(position: Floats, setpoint: Floats) -> Floats:
@@ -100,13 +105,14 @@ def _rms(values: Floats, axis: int | tuple[int, ...] = 0) -> Floats:
 
 def summarise(run: Run) -> list[VehicleSummary]:
     """Return one summary per vehicle, in the order of the run's vehicles."""
-    position = vectors(run["truth"], "position_ned")
-    valid = run["truth"]["valid"].astype(bool)
-    flying = np.where(valid, 1.0, np.nan)
-    tracking = _rms(tracking_error(position, vectors(run["commands"], "setpoint.position_ned")) * flying)
+    length = common_length(run)
+    position = vectors(run["truth"], "position_ned", length)
+    flying = np.where(run["truth"]["valid"][:length].astype(bool), 1.0, np.nan)
+    tracking = _rms(tracking_error(position, vectors(run["commands"], "setpoint.position_ned", length)) * flying)
     _, gnss = gnss_error(run)
     horizontal, vertical = _rms(np.linalg.norm(gnss[..., :2], axis=-1)), _rms(gnss[..., 2])
-    wind = np.linalg.norm(vectors(run["wind"], "mean_ned") + vectors(run["wind"], "gust_ned"), axis=-1)
+    air = vectors(run["wind"], "mean_ned", length) + vectors(run["wind"], "gust_ned", length)
+    wind = np.linalg.norm(air, axis=-1) * flying
     distance = np.linalg.norm(np.diff(position, axis=0), axis=-1).sum(axis=0)
     events = run.events
     summaries = []
@@ -120,7 +126,7 @@ def summarise(run: Run) -> list[VehicleSummary]:
                 float(tracking[i]),
                 float(horizontal[i]),
                 float(vertical[i]),
-                float(np.max(wind[:, i])),
+                float(np.nanmax(wind[:, i], initial=0.0)),
                 sum(event.kind == "waypoint_reached" for event in own),
                 f"{stops[0].kind} at {stops[0].time:.2f} s" if stops else "",
             )

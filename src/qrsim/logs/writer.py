@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -182,6 +182,7 @@ class RunWriter:
         self._rows = 0
         self._last_tick = 0
         self._time_on_disk: float | None = None
+        self._held = False
         self._flushed_at = time.monotonic()
         self._closed = False
 
@@ -286,6 +287,20 @@ class RunWriter:
         events.last_time = float(time)
         self._added(1, int(tick))
 
+    @contextlib.contextmanager
+    def together(self) -> Iterator[None]:
+        """Put off what is due to be written until the block ends, so that all streams reach the same tick on disk.
+
+        Raises as ``append``, when the block ends.
+        """
+        self._held = True
+        try:
+            yield
+        finally:
+            self._held = False
+        if not self._closed:
+            self._added(0, self._last_tick)
+
     def flush(self) -> None:
         """Write what is buffered as one part per stream, then ``run.json``.
 
@@ -338,6 +353,8 @@ class RunWriter:
     def _added(self, rows: int, last_tick: int) -> None:
         self._rows += rows
         self._last_tick = max(self._last_tick, last_tick)
+        if self._held:
+            return
         if self._rows >= self._flush_rows or time.monotonic() - self._flushed_at >= self._flush_seconds:
             self.flush()
 

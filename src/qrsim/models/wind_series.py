@@ -42,32 +42,33 @@ class WindSeries:
             height_agl: (n,) [m].
             seconds, fraction: () int32 and float, time since the start of the run [s].
         """
-        before = self._last_before(seconds, fraction)
-        after = before + 1
-        interval = self._since(before, self.seconds[after], self.fraction[after])
-        share = jnp.clip(self._since(before, seconds, fraction) / interval, 0.0, 1.0)
+        rows, parts = jnp.asarray(self.seconds), jnp.asarray(self.fraction)
+        before = _last_before(rows, parts, seconds, fraction)
+
+        def since(index: Array, seconds: Array, fraction: Array) -> Array:
+            return (seconds - rows[index]).astype(parts.dtype) + (fraction - parts[index])
+
+        interval = since(before, rows[before + 1], parts[before + 1])
+        share = jnp.clip(since(before, seconds, fraction) / interval, 0.0, 1.0)
 
         def at(axis: Array) -> Array:
-            return jnp.broadcast_to(axis[before] + share * (axis[after] - axis[before]), height_agl.shape)
+            axis = jnp.asarray(axis)
+            return jnp.broadcast_to(axis[before] + share * (axis[before + 1] - axis[before]), height_agl.shape)
 
         return self.air_ned.map(at)
 
-    def _since(self, index: Array, seconds: Array, fraction: Array) -> Array:
-        """Return the time [s] from a row to a time."""
-        return (seconds - self.seconds[index]).astype(fraction.dtype) + (fraction - self.fraction[index])
 
-    def _last_before(self, seconds: Array, fraction: Array) -> Array:
-        """Return the last row, but for the very last, that is not after a time; bisection on both parts of it."""
-        rows = self.seconds.shape[0]
+def _last_before(rows: Array, parts: Array, seconds: Array, fraction: Array) -> Array:
+    """Return the last row, but for the very last, that is not after a time; bisection on both parts of it."""
 
-        def halve(_: Any, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-            low, high = bounds
-            middle = (low + high) // 2
-            same_second = self.seconds[middle] == seconds
-            passed = (self.seconds[middle] < seconds) | (same_second & (self.fraction[middle] <= fraction))
-            return jnp.where(passed, middle, low), jnp.where(passed, high, middle)
+    def halve(_: Any, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bounds
+        middle = (low + high) // 2
+        passed = (rows[middle] < seconds) | ((rows[middle] == seconds) & (parts[middle] <= fraction))
+        return jnp.where(passed, middle, low), jnp.where(passed, high, middle)
 
-        return lax.fori_loop(0, (rows - 1).bit_length(), halve, (jnp.int32(0), jnp.int32(rows - 1)))[0]
+    last = rows.shape[0] - 1
+    return lax.fori_loop(0, last.bit_length(), halve, (jnp.int32(0), jnp.int32(last)))[0]
 
 
 @record

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from qrsim.scenarios.scenario import Scenario
 
 FIGURE = "figure.png"
+MOST_EVENTS = 20
 
 
 @dataclass(frozen=True)
@@ -208,8 +209,16 @@ def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None
     with console.capture() as captured:  # printed here, because rich ends the process where the reader is gone
         console.print(table)
     print(f"{captured.get()}\n{LEGEND}")
-    for event in stops:
+    _print_events(recorded)
+
+
+def _print_events(recorded: RecordedRun) -> None:
+    """Say what went wrong or came back; reached waypoints are in the table."""
+    notable = [event for event in recorded.events if event.kind not in ("waypoint_reached", "command_clipped")]
+    for event in notable[:MOST_EVENTS]:
         print(event.message)
+    if len(notable) > MOST_EVENTS:
+        print(f"... and {len(notable) - MOST_EVENTS} more, in the run folder's events")
 
 
 def _number(value: float, digits: int = 2) -> str:

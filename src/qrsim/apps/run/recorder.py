@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from qrsim.apps.run.streams import STREAMS, EventFinder, columns, values
+from qrsim.errors import RunError
 from qrsim.logs import RunInfo, RunWriter
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation import History, Simulation
@@ -22,12 +24,14 @@ class Pace:
 
     Attributes:
         simulated_s: simulated time.
-        wall_s: wall time of the flight, without start-up.
+        timed_s: the part of it that ``wall_s`` measures: all but the first tick.
+        wall_s: wall time of the flight, without start-up and the first tick.
         start_up_s: wall time until the first tick was done, from the call of ``fly``.
         overruns: chunks that were finished too late in real time.
     """
 
     simulated_s: float
+    timed_s: float
     wall_s: float
     start_up_s: float
     overruns: int
@@ -35,7 +39,7 @@ class Pace:
     @property
     def real_time_factor(self) -> float:
         """Simulated seconds per wall second."""
-        return self.simulated_s / self.wall_s if self.wall_s > 0 else 0.0
+        return self.timed_s / self.wall_s if self.wall_s > 0 else 0.0
 
 
 def fly(
@@ -69,6 +73,7 @@ def fly(
         scenario=scenario.name, seed=seed, precision=precision, time_step=scenario.spec.time_step,
         vehicles=simulation.vehicle_names, command_line=command_line,
     )  # fmt: skip
+    make_parent(folder)
     simulation.reset()
     wanted = columns(simulation.world, simulation.history)
     with RunWriter.create(folder, info=info, scenario_yaml=scenario.to_yaml(), columns=wanted) as writer:
@@ -76,13 +81,28 @@ def fly(
 
         def keep(history: History) -> None:
             arrays = values(simulation.world, history, wanted)
-            for stream in STREAMS:
-                writer.append(stream, history.ticks, history.time, arrays[stream])
-            for event in finder.find(history):
-                writer.append_event(**event)
+            with writer.together():
+                for stream in STREAMS:
+                    writer.append(stream, history.ticks, history.time, arrays[stream])
+                for event in finder.find(history):
+                    writer.append_event(**event)
 
         keep(simulation.history)
         return _loop(simulation, scenario.ticks, begun, realtime, keep, progress)
+
+
+def make_parent(folder: Path) -> None:
+    """Make the folder that the run folder goes into, before anything is compiled.
+
+    Raises:
+        RunError: it cannot be made or written to.
+    """
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"cannot create the run folder {folder}: {error.strerror or error}") from None
+    if not os.access(folder.parent, os.W_OK):
+        raise RunError(f"cannot create the run folder {folder}: {folder.parent} is not writable")
 
 
 def _loop(
@@ -107,4 +127,4 @@ def _loop(
         elif realtime:
             overruns += 1
         progress(simulation.time, time.perf_counter() - start)
-    return Pace(simulation.time, time.perf_counter() - start, start - begun, overruns)
+    return Pace(simulation.time, simulation.time - first, time.perf_counter() - start, start - begun, overruns)

@@ -1,0 +1,99 @@
+"""How long a user waits: whole processes, from the shell and back.
+
+``qrsim run --duration 0.02 --no-figure`` makes one tick and prints its table, so its time is an upper bound of the
+time to the first tick.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import _common
+
+COLD_TARGET_S, WARM_TARGET_S = 10.0, 3.0
+HEADINGS = {
+    "what": "process",
+    "runs": "runs",
+    "wall_s": "wall [s]",
+    "wall_max_s": "slowest [s]",
+    "cpu_s": "CPU [s]",
+    "target_s": "target [s]",
+}
+
+
+def timed(command: Sequence[str], environment: Mapping[str, str]) -> tuple[float, float]:
+    """Run a command and return the wall and CPU seconds it took; raises CalledProcessError where it fails."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    begun = time.perf_counter()
+    subprocess.run(command, check=True, env=dict(environment), stdout=subprocess.DEVNULL)
+    wall = time.perf_counter() - begun
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def row(what: str, times: Sequence[tuple[float, float]], target: float | None = None) -> dict[str, Any]:
+    """Return a row of the table: medians over the runs, and the slowest."""
+    walls, cpus = [wall for wall, _ in times], [cpu for _, cpu in times]
+    return {
+        "what": what,
+        "runs": len(times),
+        "wall_s": round(statistics.median(walls), 3),
+        "wall_max_s": round(max(walls), 3),
+        "cpu_s": round(statistics.median(cpus), 3),
+        "target_s": target,
+    }
+
+
+def flights(folder: Path, runs: int, scenario: str, cache: Path | None) -> list[tuple[float, float]]:
+    """Time ``qrsim run`` of one tick.
+
+    Args:
+        folder: for the run folders and the caches.
+        runs: how many.
+        scenario: its name.
+        cache: the compilation cache of all runs; None gives each an empty one.
+    """
+    times = []
+    for _ in range(runs):
+        number = len(list(folder.iterdir()))
+        # The two limits are those that qrsim sets for the cache in the user's folder.
+        environment = os.environ | {
+            "JAX_COMPILATION_CACHE_DIR": str(cache or folder / f"cache-{number}"),
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+            "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+        }
+        words = ["run", scenario, "--duration", "0.02", "--no-figure", "--out", str(folder / f"run-{number}")]
+        times.append(timed([sys.executable, "-m", "qrsim.cli", *words], environment))
+    return times
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    chosen = _common.options(__doc__.splitlines()[0], arguments)
+    scenario, cold, warm, small = ("hover", 1, 1, 1) if chosen.quick else ("outdoor_patrol", 3, 5, 7)
+    on = _common.machine()
+    python = [sys.executable]
+    results = [
+        row("python -c 'import qrsim'", [timed([*python, "-c", "import qrsim"], os.environ) for _ in range(small)]),
+        row("qrsim --help", [timed([*python, "-m", "qrsim.cli", "--help"], os.environ) for _ in range(small)]),
+    ]
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        results.append(row("qrsim run, empty cache", flights(folder, cold, scenario, None), COLD_TARGET_S))
+        filled = next(folder.glob("cache-*"))
+        results.append(row("qrsim run, filled cache", flights(folder, warm, scenario, filled), WARM_TARGET_S))
+    title = f"Start-up: whole processes, medians; 'qrsim run {scenario}' of one tick, without a figure"
+    _common.publish("startup", title, on, results, HEADINGS, chosen.json)
+
+
+if __name__ == "__main__":
+    main()

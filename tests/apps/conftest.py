@@ -1,0 +1,74 @@
+"""Fixtures of the command-line tests: one short flight of the default scenario, which everything looks at."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from qrsim import cli
+
+SEED, DURATION = 3, 10.0
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A run folder, and what was said about it."""
+
+    folder: Path
+    code: int
+    printed: str
+    complaints: str
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """The output of --json."""
+        return json.loads(self.printed)
+
+
+@pytest.fixture(scope="session")
+def fly(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Flight]:
+    """Return a function that flies in this process into a new folder, and captures what is printed."""
+
+    def run(*words: str) -> Flight:
+        folder = tmp_path_factory.mktemp("runs") / "run"
+        out, err = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = cli.main(["run", *words, "--out", str(folder)])
+        return Flight(folder, code, out.getvalue(), err.getvalue())
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def flown(fly: Callable[..., Flight]) -> Flight:
+    """The default scenario, 10 s, with --json."""
+    return fly("--seed", str(SEED), "--duration", f"{DURATION:g}", "--json")
+
+
+@pytest.fixture(scope="session")
+def flown_again(fly: Callable[..., Flight], flown: Flight) -> Flight:
+    """The resolved scenario of ``flown`` with the same seed, as a table."""
+    return fly(str(flown.folder / "scenario.yaml"), "--seed", str(SEED), "--no-figure")
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., None]:
+    """Return a function that runs a command and checks its exit code, its one error, and every given part of it."""
+
+    def check(words: list[str], *parts: str, code: int = 2) -> None:
+        assert cli.main(words) == code
+        printed = capsys.readouterr()
+        assert printed.err.count("error: ") == 1
+        assert "Traceback" not in printed.err
+        assert printed.out == ""
+        for part in parts:
+            assert part in printed.err
+
+    return check
