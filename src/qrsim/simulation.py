@@ -315,9 +315,9 @@ class Simulation:
         if command is None:
             return (None,) * len(fleets)
         if isinstance(command, WaypointSetpoint):
-            whole: Any = command
+            whole: Any = self._checked_setpoint(command)
         elif isinstance(command, Command):
-            whole = self._checked_command(np.stack([getattr(command, field) for field in COMMAND_FIELDS], axis=-1))
+            whole = self._checked_command(self._columns({field: getattr(command, field) for field in COMMAND_FIELDS}))
         elif isinstance(command, str | bytes | dict):
             raise UsageError(f"command: expected an array ({self.size}, 5), a set-point or None, found {command!r}")
         else:
@@ -352,6 +352,20 @@ class Simulation:
                 )
             columns.append(column)
         return Command(*columns)
+
+    def _checked_setpoint(self, setpoint: WaypointSetpoint) -> WaypointSetpoint:
+        position = setpoint.position_ned
+        rows = self._columns(
+            {f"position_ned.{axis}": getattr(position, axis) for axis in "xyz"} | {"yaw": setpoint.yaw}
+        )
+        return self.waypoint(rows[:, :3], rows[:, 3])
+
+    def _columns(self, columns: dict[str, Any]) -> FloatArray:
+        """Return columns (n,) side by side."""
+        for name, column in columns.items():
+            if np.shape(column) != (self.size,):
+                raise UsageError(f"command: {name}: expected shape {(self.size,)}, found {_shape_of(column)}")
+        return np.stack([np.asarray(column, self.dtype) for column in columns.values()], axis=-1)
 
     def _checked_ticks(self, ticks: Any) -> int:
         if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 1:

@@ -134,9 +134,12 @@ class Stream:
             drawn.extend(_box_muller(self.words(tick, pair), dtype))
         return tuple(drawn[:count])
 
-    def normal_rows(self, tick: Array, rows: int, dtype: jnp.dtype) -> Array:
-        """Return standard normals of shape (rows, n), one independent draw per row (satellites, channels)."""
-        index = jnp.arange((rows + 1) // 2, dtype=jnp.uint32)[:, None]
+    def normal_rows(self, tick: Array, rows: int, dtype: jnp.dtype, first: int = 0) -> Array:
+        """Return standard normals of shape (rows, n), one independent draw per row (satellites, channels).
+
+        They come in pairs from pair ``first`` on: calls at one tick that must be independent use different pairs.
+        """
+        index = jnp.uint32(first) + jnp.arange((rows + 1) // 2, dtype=jnp.uint32)[:, None]
         shape = (index.shape[0], *self.ids.shape)
         counter = tuple(jnp.broadcast_to(word, shape) for word in self._counter(tick))
         words = threefry2x32((self.high, jnp.broadcast_to(self.low + index, shape)), (counter[0], counter[1]))
@@ -160,9 +163,9 @@ class Draw:
         """Return ``count`` arrays of shape (n,) of independent standard normals."""
         return self.stream.normals(self.tick, count, self.like.dtype)
 
-    def normal_rows(self, rows: int) -> Array:
-        """Return standard normals of shape (rows, n)."""
-        return self.stream.normal_rows(self.tick, rows, self.like.dtype)
+    def normal_rows(self, rows: int, first: int = 0) -> Array:
+        """Return standard normals of shape (rows, n), from pair ``first`` on; see ``Stream.normal_rows``."""
+        return self.stream.normal_rows(self.tick, rows, self.like.dtype, first)
 
 
 class Noise(Protocol):

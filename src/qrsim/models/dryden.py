@@ -266,7 +266,7 @@ class Dryden:
         default=0.6, unit="m", doc="span of the vehicle, over which angular gusts are averaged", minimum=0.01
     )
     severity: int = setting(
-        default=3, doc="MIL-F-8785C figure 7, above 1000 ft: 1 light to 7 extreme", minimum=1, maximum=7
+        default=3, unit="1", doc="MIL-F-8785C figure 7, above 1000 ft: 1 light to 7 extreme", minimum=1, maximum=7
     )
     airspeed: Literal["relative", "ground"] = setting(
         default="relative",

@@ -259,8 +259,8 @@ class GnssReceiver:
         prn = sky.ids & jnp.uint32(0xFF)
         on_list = jnp.any(jnp.stack([prn == jnp.uint32(number) for number in HAND_LIST]), axis=0)
         count = sky.range_error.shape[0]
-        # Rows that no fix uses: cosines of pairs from 3 S on. The last one says how many to keep, each equally likely.
-        normals = draw.normal_rows(2 * (4 * count + 1))[3 * count : 4 * count + 1]
+        # Beyond the pairs that a fix uses. The last row says how many to keep, each number equally likely.
+        normals = draw.normal_rows(count + 1, first=count)
         quartile = jnp.sum(jnp.stack([normals[count] > edge for edge in (-0.6744898, 0.0, 0.6744898)]), axis=0)
         score = jnp.where(on_list[:, None], normals[:count], -math.inf)
         rank = jnp.sum((score[None, :, :] > score[:, None, :]).astype(jnp.int32), axis=1)

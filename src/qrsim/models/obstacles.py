@@ -47,7 +47,7 @@ class CylinderObstacle:
     def distance(self, position_ned: Vec3) -> Array:
         """Return the distance [m] of positions (n,) from the cylinder, 0 inside."""
         dx, dy = position_ned.x - self.x, position_ned.y - self.y
-        radial = jnp.maximum(jnp.sqrt(dx * dx + dy * dy) - self.radius, 0.0)
+        radial = jnp.maximum(_length(dx, dy, jnp.zeros_like(dx)) - self.radius, 0.0)
         vertical = _beyond(position_ned.z, self.z_min, self.z_max)
         return _length(radial, vertical, jnp.zeros_like(radial))
 
@@ -85,4 +85,5 @@ def _beyond(value: Array, low: Array, high: Array) -> Array:
 
 
 def _length(x: Array, y: Array, z: Array) -> Array:
-    return jnp.sqrt(x * x + y * y + z * z)
+    # The root of a limited square, because the root of zero has no gradient.
+    return jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12))

@@ -144,7 +144,7 @@ def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
         if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
             yield f"{path}.{name}: '{name}' is no name; allowed: letters, digits, '_' and '-'"
     for name in fleet.sensors:
-        if name in (TURBULENCE, PROCESS):
+        if name in (TURBULENCE, PROCESS, "sensors", "fleets", "time"):
             yield f"fleets.{fleet_name}.sensors.{name}: the name '{name}' is taken by the simulator; choose another"
 
 

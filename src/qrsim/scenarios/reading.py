@@ -41,6 +41,18 @@ for _first in "-+.0123456789":
     _Loader.yaml_implicit_resolvers.setdefault(_first, []).append(("tag:yaml.org,2002:float", _FLOAT))
 
 
+class _Dumper(yaml.SafeDumper):
+    """Quotes what ``_Loader`` would take for a number."""
+
+
+_Dumper.yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
+
+
+def dump_yaml(content: Any) -> str:
+    """Return YAML text that ``parse_yaml`` reads back as it was."""
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)
+
+
 def parse_yaml(text: str, source: str) -> Any:
     """Parse YAML text; a fault names its line and column."""
     try:

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from qrsim.errors import ScenarioError
 from qrsim.models.site import Site
 from qrsim.scenarios import build
 from qrsim.scenarios.problems import describe
-from qrsim.scenarios.reading import apply_override, built_in_names, read_scenario
+from qrsim.scenarios.reading import apply_override, built_in_names, dump_yaml, read_scenario
 from qrsim.scenarios.schema import ScenarioSpec, json_schema
 from qrsim.world import World
 
@@ -59,7 +58,7 @@ class Scenario:
 
     def to_yaml(self) -> str:
         """Return the scenario as YAML, every default written out; loading it gives the same scenario."""
-        return yaml.safe_dump(self.spec.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=100)
+        return dump_yaml(self.spec.model_dump(mode="json"))
 
 
 def load_scenario(source: str | Path | dict[str, Any], overrides: Iterable[str] = ()) -> Scenario:

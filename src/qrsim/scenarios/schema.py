@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_type_hints
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic import AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
 
 from qrsim.core.tree import FieldInfo, field_info
 from qrsim.models.area import StateLimits
@@ -26,6 +26,20 @@ def _add_degrees(schema: dict[str, Any]) -> None:
         properties[twin] = {"type": "number", "description": f"{name} in degrees; give one of the two"}
         if name in schema.get("required", []):
             schema["required"].remove(name)
+
+
+def _radians(degrees: float) -> float:
+    try:
+        return math.radians(degrees)
+    except OverflowError:
+        return math.inf
+
+
+def _time_of_day(value: Any) -> Any:
+    """Refuse numbers, which pydantic would take for seconds since 1970."""
+    if isinstance(value, datetime) or (isinstance(value, str) and not value.strip().lstrip("+-").isdigit()):
+        return value
+    raise ValueError("is not a time; expected for example 2026-06-21T10:00:00Z")
 
 
 class Strict(BaseModel):
@@ -46,7 +60,7 @@ class Strict(BaseModel):
                     raise ValueError(f"gives both '{name}' and '{twin}'; give one")
                 value = converted.pop(twin)
                 is_number = isinstance(value, int | float) and not isinstance(value, bool)
-                converted[name] = math.radians(value) if is_number else value
+                converted[name] = _radians(value) if is_number else value
         return converted
 
 
@@ -204,7 +218,7 @@ class ScenarioSpec(Strict):
     description: str = Field("", description="one or two sentences")
     duration: Finite = Field(60.0, description="simulated time [s]", gt=0, le=1e7)
     time_step: Finite = Field(0.02, description="simulation step [s]", ge=1e-4, le=0.1)
-    start_time: AwareDatetime = Field(
+    start_time: Annotated[AwareDatetime, BeforeValidator(_time_of_day)] = Field(
         datetime(2026, 6, 21, 10, tzinfo=UTC), description="time of the start, with its offset from UTC"
     )
     site: SiteSpec = Field(default_factory=lambda: SiteSpec.model_validate({}), description="origin of the local frame")

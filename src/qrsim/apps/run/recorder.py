@@ -99,6 +99,8 @@ def make_parent(folder: Path) -> None:
     """
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise RunError(f"cannot create the run folder {folder}: Not a directory: {folder.parent}") from None
     except OSError as error:
         raise RunError(f"cannot create the run folder {folder}: {error.strerror or error}") from None
     if not os.access(folder.parent, os.W_OK):

@@ -1,0 +1,361 @@
+"""One case per component of the catalogue: an example of it, and a function that makes it do all it does."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+import typing
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from qrsim.control import Estimate, Route, WaypointSetpoint
+from qrsim.core.noise import Draw, Key, StreamKeys
+from qrsim.core.tree import FieldInfo, cast, field_info
+from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.gnss import SkyState
+from qrsim.models.orbits import NominalConstellation
+from qrsim.models.site import Site, gps_seconds_from_utc
+from qrsim.models.vehicles.quadrotor import Command
+from qrsim.scenarios import catalogue
+from qrsim.world import _scene
+
+DT = 0.02
+# Spread and middle of waypoints along north, east and down [m].
+TARGETS = ((60.0, 0.0), (60.0, 0.0), (5.0, -30.0))
+VEHICLES, SATELLITES = 3, 24
+GROUPS: dict[str, dict[str, type]] = {
+    name: group
+    for name, group in vars(catalogue).items()
+    if name.isupper() and isinstance(group, dict) and all(isinstance(item, type) for item in group.values())
+}
+COMPONENTS = [(group, name) for group, members in GROUPS.items() for name in members]
+# Scenarios start then unless they say otherwise.
+START = datetime(2026, 6, 21, 10, tzinfo=UTC)
+_FOLDER = tempfile.TemporaryDirectory()
+
+
+@cache
+def sp3_file() -> str:
+    """Write the nominal constellation as an SP3-c file of five hours around START, and return its path."""
+    first, epochs = START - timedelta(hours=2.5), 21
+    seconds = gps_seconds_from_utc(first) + 900.0 * np.arange(epochs)
+    names = [f"G{i:02}" for i in range(1, SATELLITES + 1)]
+    # UTC in the file, so that its epochs are those above.
+    lines = [
+        f"#cP{first:%Y %m %d %H %M}  0.00000000 {epochs:7} ORBIT IGS14 HLM  IGS",
+        "## 2424  36000.00000000   900.00000000 61212 0.4166666666667",
+        *(
+            f"+  {SATELLITES if not row else '':>3}   " + "".join((names + ["  0"] * 61)[17 * row :][:17])
+            for row in range(5)
+        ),
+        *["++         0" + "  0" * 16] * 5,
+        "%c G  cc UTC ccc cccc cccc cccc cccc ccccc ccccc ccccc ccccc",
+        "%c cc cc ccc ccc cccc cccc cccc cccc ccccc ccccc ccccc ccccc",
+        *["%f  1.2500000  1.025000000  0.00000000000  0.000000000000000"] * 2,
+        *["%i    0    0    0    0      0      0      0      0         0"] * 2,
+        *["/* nominal constellation"] * 4,
+    ]
+    for epoch, positions in enumerate(NominalConstellation().positions_ecef(seconds) / 1000.0):
+        lines.append(f"*  {first + timedelta(seconds=900 * epoch):%Y %m %d %H %M}  0.00000000")
+        for name, (x, y, z) in zip(names, positions, strict=True):
+            lines.append(f"P{name}{x:14.6f}{y:14.6f}{z:14.6f}{100.0:14.6f}")
+    path = Path(_FOLDER.name) / "nominal.sp3"
+    path.write_text("\n".join([*lines, "EOF", ""]))
+    return str(path)
+
+
+@cache
+def wind_file() -> str:
+    """Write a wind that changes every second for half a minute, and return its path."""
+    path = Path(_FOLDER.name) / "wind.csv"
+    rows = [f"{second},{2.0 + 0.1 * second},{-1.0 + 0.05 * second},{0.01 * second}" for second in range(31)]
+    path.write_text("\n".join(["time,north,east,down", *rows, ""]))
+    return str(path)
+
+
+FILES = {("ORBITS", "sp3"): sp3_file, ("WINDS", "series"): wind_file}
+# What a scenario must give where neither a default nor bounds say what is sensible.
+EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
+    ("OBSTACLES", "box"): {"x_min": -3.0, "x_max": 4.0, "y_min": -5.0, "y_max": 6.0, "z_min": -12.0},
+    # Half way up, 1.25 s after its start.
+    ("GUSTS", "discrete"): {"start_time": 16.0, "length": 12.5, "speed": 5.0, "along": 4.0, "across": 2.0, "down": 1.0},
+    ("OBSTACLES", "cylinder"): {"x": 5.0, "y": -7.0, "radius": 2.0, "z_min": -9.0},
+}
+# Where a scenario has components of each group.
+SLOTS = {
+    "WINDS": "world.wind",
+    "TURBULENCES": "world.turbulence",
+    "GUSTS": "world.gust",
+    "ORBITS": "world.sky.orbits",
+    "SKY_ERRORS": "world.sky.errors",
+    "OBSTACLES": "world.obstacles.0",
+    "AREAS": "world.area",
+    "VEHICLES": "fleets.a.vehicle",
+    "BATTERIES": "fleets.a.battery",
+    "CONTROLLERS": "fleets.a.controller",
+    "GUIDANCE": "fleets.a.guidance",
+    "SENSORS": "fleets.a.sensors.tested",
+}
+
+
+def fields_of(component: Any, prefix: str = "") -> list[tuple[str, Any, FieldInfo]]:
+    """Return (dotted name, default, metadata) of every parameter and setting, those of nested parts included."""
+    found = []
+    for field in dataclasses.fields(component):
+        if dataclasses.is_dataclass(field.default):
+            found += fields_of(type(field.default), f"{prefix}{field.name}.")
+        else:
+            found.append((f"{prefix}{field.name}", field.default, field_info(field)))
+    return found
+
+
+def parameters_needed(group: str, name: str) -> dict[str, Any]:
+    """Return what a scenario must write: the examples, or a value a third into the bounds."""
+    given = dict(EXAMPLES.get((group, name), {}))
+    if (group, name) in FILES:
+        given["file"] = FILES[group, name]()
+    for field in dataclasses.fields(GROUPS[group][name]):  # type: ignore[arg-type]
+        info = field_info(field)
+        if field.name in given or (field.default is not dataclasses.MISSING and field.default is not None):
+            continue
+        if info.minimum is None or info.maximum is None:
+            raise AssertionError(f"give an example of '{field.name}' of {group}['{name}'] in EXAMPLES")
+        given[field.name] = info.minimum + (info.maximum - info.minimum) / 3.0
+    return given
+
+
+def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> Any:
+    """Return the component with its numbers as arrays, ready to be traced."""
+    component = GROUPS[group][name](**parameters_needed(group, name), **settings)
+    if group == "ORBITS":
+        return jax.tree.map(jnp.asarray, component.at(Site(), gps_seconds_from_utc(START), dtype))
+    return jax.tree.map(jnp.asarray, cast(component.at(30.0) if hasattr(component, "at") else component, dtype))
+
+
+def options(group: str, name: str) -> list[dict[str, Any]]:
+    """Return the settings of a component one by one with each of their options: {}, then {setting: option}."""
+    found: list[dict[str, Any]] = [{}]
+    hints = typing.get_type_hints(GROUPS[group][name])
+    for field in dataclasses.fields(GROUPS[group][name]):  # type: ignore[arg-type]
+        choices = (True, False) if hints[field.name] is bool else typing.get_args(hints[field.name])
+        if field_info(field).static and choices:
+            found += [{field.name: choice} for choice in choices if choice != field.default]
+    return found
+
+
+class Recorder:
+    """Hands out the normals of a Draw and remembers what was asked for."""
+
+    def __init__(self, draw: Draw):
+        self.draw = draw
+        self.counts: list[int] = []
+        self.rows: list[int] = []
+        self.drawn: list[Any] = []
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.draw.shape
+
+    @property
+    def like(self) -> Array:
+        return self.draw.like
+
+    def normals(self, count: int) -> tuple[Array, ...]:
+        self.counts.append(count)
+        drawn = self.draw.normals(count)
+        self.drawn.append(drawn)
+        return drawn
+
+    def normal_rows(self, rows: int, first: int = 0) -> Array:
+        self.rows.append(rows)
+        drawn = self.draw.normal_rows(rows, first)
+        self.drawn.append(drawn)
+        return drawn
+
+
+CALLS = ("init", "step")
+
+
+def stream_keys(world: int) -> StreamKeys:
+    """Return the keys of the noise of one of several worlds, one for each of CALLS."""
+    keys: StreamKeys = jax.tree.map(np.asarray, _stream_keys(world))
+    return keys
+
+
+@jax.jit
+def _stream_keys(world: Any) -> StreamKeys:
+    return Key.root(5, world).streams(CALLS)
+
+
+class Draws:
+    """Makes the Recorder of each call of a component, named as in CALLS."""
+
+    def __init__(self, keys: StreamKeys, dtype: Any):
+        self.keys, self.dtype = keys, dtype
+        self.recorders: dict[str, Recorder] = {}
+
+    def __call__(self, call: str, ids: int = VEHICLES) -> Recorder:
+        stream = self.keys.stream(CALLS.index(call), jnp.arange(ids, dtype=jnp.uint32))
+        recorder = Recorder(Draw(stream, jnp.int32(7), jnp.zeros((), self.dtype)))
+        self.recorders[call] = recorder
+        return recorder
+
+
+def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
+    """Return what is around the components in one of several worlds.
+
+    The first vehicle of each stands on the ground at the origin, in still air; "later" it has moved.
+    """
+    numbers = np.random.default_rng(world)
+
+    def axis(spread: float, first: float = 0.0, offset: float = 0.0) -> Any:
+        values = offset + spread * numbers.uniform(-1.0, 1.0, VEHICLES)
+        values[0] = first
+        return np.asarray(values, dtype)
+
+    def vector(spread: float) -> Vec3:
+        return Vec3(axis(spread), axis(spread), axis(spread))
+
+    # Near the origin, because what a difference of positions loses to rounding grows with the distance.
+    position = Vec3(axis(10.0), axis(10.0), axis(6.0, offset=-12.0))
+    angles = numbers.uniform(0.0, 2.0 * np.pi, SATELLITES), numbers.uniform(0.1, 1.5, SATELLITES)
+    up = 2.2e7 * np.sin(angles[1])
+    across = 2.2e7 * np.cos(angles[1])
+    satellites = Vec3(*(np.asarray(v, dtype) for v in (across * np.cos(angles[0]), across * np.sin(angles[0]), -up)))
+    errors = [np.asarray(scale * numbers.standard_normal(SATELLITES), dtype) for scale in (3.0, 0.01)]
+    sky = SkyState(satellites, *errors, ids=np.arange(1, SATELLITES + 1, dtype=np.uint32))  # type: ignore[arg-type]
+    vehicle = SimpleNamespace(
+        position_ned=position,
+        attitude=Euler(axis(0.3), axis(0.3), axis(3.0)),
+        velocity_body=vector(4.0),
+        rates_body=vector(0.5),
+    )
+    state = SimpleNamespace(
+        vehicle=vehicle,
+        specific_force=Vec3(axis(2.0), axis(2.0), axis(2.0, first=-9.81, offset=-9.81)),
+        mean_wind_ned=vector(3.0),
+        gust_ned=vector(1.0),
+    )
+    command = Command(axis(0.3), axis(0.3), axis(0.1, offset=0.6, first=0.59), axis(0.5), axis(0.5, 11.0, 11.0))
+    scene = jax.tree.map(np.asarray, _scene(state, sky))  # type: ignore[arg-type]
+    moved = jax.tree.map(lambda leaf: leaf + dtype(3.0), scene["position_ned"])
+    return {
+        "scene": scene,
+        "later": {**scene, "position_ned": moved},
+        "mean_wind_ned": state.mean_wind_ned,
+        "command": command,
+        "thrust": axis(5.0, first=16.4808, offset=16.0),
+        "waypoints": Vec3(*(np.stack([axis(spread, offset=z), axis(spread, offset=z)]) for spread, z in TARGETS)),
+        "time": (np.int32(17 + world), np.asarray(0.25, dtype)),
+    }
+
+
+def _wind(wind: Any, given: Any, draws: Draws) -> Any:
+    height = -given["scene"]["position_ned"].z
+    return {"wind": wind.velocity_ned(height, *map(jnp.asarray, given["time"]))}
+
+
+def _gust(gust: Any, given: Any, draws: Draws) -> Any:
+    return {"gust": gust.velocity_ned(given["scene"]["position_ned"], *map(jnp.asarray, given["time"]))}
+
+
+def _turbulence(turbulence: Any, given: Any, draws: Draws) -> Any:
+    height = -given["scene"]["position_ned"].z
+    start = turbulence.init(draws("init"))
+    velocity = given["scene"]["velocity_ned"]
+    after = turbulence.step(start, draws("step"), height, velocity, given["mean_wind_ned"], DT)
+    rates = turbulence.gust_rates_ned(after, height) if hasattr(turbulence, "gust_rates_ned") else None
+    return {"start": start, "after": after, "gust": turbulence.gust_ned(after, height), "rates": rates}
+
+
+def _orbits(orbits: Any, given: Any, draws: Draws) -> Any:
+    return {"satellites": orbits.positions_ned(*map(jnp.asarray, given["time"]))}
+
+
+def _sky_errors(errors: Any, given: Any, draws: Draws) -> Any:
+    start = errors.init(draws("init", SATELLITES))
+    after = errors.step(start, draws("step", SATELLITES), 0.2)
+    return {"start": start, "after": after, "value": errors.value(after)}
+
+
+def _obstacle(obstacle: Any, given: Any, draws: Draws) -> Any:
+    return {"distance": obstacle.distance(given["scene"]["position_ned"])}
+
+
+def _area(area: Any, given: Any, draws: Draws) -> Any:
+    position = given["scene"]["position_ned"]
+    broken = [broken for _, _, broken in area.check(position)]
+    return {"height": area.height_agl(position), "broken": broken}
+
+
+def _vehicle(vehicle: Any, given: Any, draws: Draws) -> Any:
+    scene = given["scene"]
+    start = vehicle.initial_state(scene["position_ned"], scene["attitude"], scene["velocity_body"], scene["rates_body"])
+    wind = given["mean_wind_ned"]
+    noise = vehicle.draw_noise(draws("step"), DT)
+    after, force = vehicle.step(start, given["command"], lambda trig: trig.rotation().to_body(wind), noise, DT)
+    return {"start": start, "after": after, "force": force}
+
+
+def _battery(battery: Any, given: Any, draws: Draws) -> Any:
+    thrust, voltage = given["thrust"], given["command"].battery
+    weight = jnp.full_like(thrust, 16.4808)
+    after = battery.step(battery.init(thrust), thrust, weight, DT)
+    return {"after": after, "voltage": battery.voltage(after, thrust, weight, voltage)}
+
+
+def _controller(controller: Any, given: Any, draws: Draws) -> Any:
+    scene = given["scene"]
+    estimate = Estimate(scene["position_ned"], scene["velocity_ned"], scene["attitude"])
+    waypoint = given["waypoints"].map(lambda rows: rows[0])
+    # The first vehicle is exactly where it should be.
+    setpoint = WaypointSetpoint(waypoint, scene["attitude"].yaw)
+    state = controller.init(estimate)
+    state, first = controller.step(state, estimate, setpoint, DT)
+    state, second = controller.step(state, estimate, setpoint, DT)
+    return {"state": state, "commands": (first, second)}
+
+
+def _guidance(guidance: Any, given: Any, draws: Draws) -> Any:
+    yaw = jnp.zeros_like(given["waypoints"].x)
+    route = Route(given["waypoints"], yaw, jnp.full(VEHICLES, 2, jnp.int32))
+    state, setpoint = guidance.step(guidance.init(route), route, given["scene"]["position_ned"])
+    return {"state": state, "setpoint": setpoint}
+
+
+def _sensor(sensor: Any, given: Any, draws: Draws) -> Any:
+    start, first = sensor.init(draws("init"), **{name: given["scene"][name] for name in sensor.reads})
+    after, second = sensor.step(start, draws("step"), **{name: given["later"][name] for name in sensor.reads})
+    return {"start": start, "first": first, "after": after, "second": second}
+
+
+EVALUATE: dict[str, Callable[[Any, Any, Draws], Any]] = {
+    "WINDS": _wind,
+    "TURBULENCES": _turbulence,
+    "GUSTS": _gust,
+    "ORBITS": _orbits,
+    "SKY_ERRORS": _sky_errors,
+    "OBSTACLES": _obstacle,
+    "AREAS": _area,
+    "VEHICLES": _vehicle,
+    "BATTERIES": _battery,
+    "CONTROLLERS": _controller,
+    "GUIDANCE": _guidance,
+    "SENSORS": _sensor,
+}
+
+
+def evaluate(group: str, component: Any, given: Any, keys: StreamKeys) -> dict[str, Any]:
+    """Return everything the component computes, and under "noise" every normal it drew."""
+    draws = Draws(keys, given["thrust"].dtype)
+    results = EVALUATE[group](component, given, draws)
+    return {"results": results, "noise": {call: recorder.drawn for call, recorder in draws.recorders.items()}}

@@ -1,0 +1,103 @@
+"""The built-in scenarios, the YAML they are written back as, and the JSON schema."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+import qrsim
+from qrsim.scenarios import catalogue
+from qrsim.scenarios.reading import parse_yaml
+from qrsim.scenarios.scenario import built_in_names, json_schema, load_scenario
+
+
+@pytest.mark.parametrize("name", built_in_names())
+def test_a_built_in_scenario_flies_for_a_second(name: str) -> None:
+    simulation = qrsim.load(name, seed=1)
+    start = simulation.reset()
+    assert simulation.valid.all()
+    simulation.step(ticks=round(1.0 / simulation.world.time_step))
+    assert simulation.time == pytest.approx(1.0)
+    assert simulation.valid.all(), simulation.reasons
+    assert np.isfinite(simulation.truth.state).all()
+    for fleet in start.fleets:
+        for sensor in simulation.reading[fleet].sensors:
+            reading = getattr(simulation.reading[fleet], sensor)
+            for field in reading.fields:
+                assert np.isfinite(getattr(reading, field)).all(), (fleet, sensor, field)
+
+
+@pytest.mark.parametrize("name", built_in_names())
+def test_a_scenario_written_as_yaml_is_the_same_scenario(name: str) -> None:
+    scenario = load_scenario(name)
+    text = scenario.to_yaml()
+    again = load_scenario(parse_yaml(text, "again.yaml"))
+    assert again.spec == scenario.spec
+    assert again.to_yaml() == text
+
+
+@pytest.mark.parametrize("name", built_in_names())
+def test_every_default_is_written_out(name: str) -> None:
+    content = parse_yaml(load_scenario(name).to_yaml(), "all.yaml")
+    for fleet in content["fleets"].values():
+        assert {"vehicle", "controller", "guidance", "limits", "sensors", "vehicles"} <= set(fleet)
+        assert "mass" in fleet["vehicle"]
+        assert "kp" in fleet["controller"]["height"]
+    assert {"area", "wind", "turbulence", "sky", "collision_distance"} <= set(content["world"])
+
+
+@pytest.mark.parametrize("name", ["1e3", "007", "on", "null", "1.5", "2026-06-21"])
+def test_a_name_that_looks_like_something_else_survives_the_round_trip(name: str) -> None:
+    content: dict[str, Any] = {
+        "name": name,
+        "fleets": {
+            name: {"controller": {"type": "waypoint", "feed": "truth"}, "vehicles": [{"position_ned": [0.0] * 3}]}
+        },
+    }
+    if "." in name:
+        content["fleets"] = {"a": content["fleets"][name]}
+    scenario = load_scenario(content)
+    assert load_scenario(parse_yaml(scenario.to_yaml(), "again.yaml")).spec == scenario.spec
+
+
+def resolved(schema: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
+    reference = part.get("$ref")
+    return schema["$defs"][reference.rpartition("/")[2]] if reference else part
+
+
+def test_the_json_schema_is_json_with_units_and_bounds() -> None:
+    schema = json_schema()
+    assert json.loads(json.dumps(schema)) == schema
+    assert schema["type"] == "object"
+    assert {"name", "fleets"} <= set(schema["required"])
+    assert schema["additionalProperties"] is False
+    mass = schema["$defs"]["pelican"]["properties"]["mass"]
+    assert (mass["unit"], mass["exclusiveMinimum"], mass["default"]) == ("kg", 0.0, 1.68)
+    speed = schema["$defs"]["log_shear"]["properties"]["speed_20ft"]
+    assert (speed["unit"], speed["minimum"], speed["maximum"]) == ("m/s", 0.0, 50.0)
+    assert "20 ft" in speed["description"]
+
+
+def test_the_json_schema_knows_every_component_of_the_catalogue() -> None:
+    known = json.dumps(json_schema())
+    for group in vars(catalogue).values():
+        if isinstance(group, dict) and group and all(isinstance(item, type) for item in group.values()):
+            for name in group:
+                assert f'"const": "{name}"' in known, name
+
+
+def test_the_json_schema_takes_angles_in_degrees_too() -> None:
+    wind = json_schema()["$defs"]["log_shear"]
+    assert {"wind_from_rad", "wind_from_deg"} <= set(wind["properties"])
+    assert "wind_from_rad" not in wind["required"]
+    assert "speed_20ft" in wind["required"]
+
+
+def test_the_json_schema_has_a_description_of_every_parameter() -> None:
+    schema = json_schema()
+    for title, part in [("scenario", schema), *schema["$defs"].items()]:
+        for name, entry in part.get("properties", {}).items():
+            assert entry.get("description"), f"{title}.{name}"
