@@ -159,6 +159,7 @@ class Recorder:
         self.draw = draw
         self.counts: list[int] = []
         self.rows: list[int] = []
+        self.pairs: list[range] = []
         self.drawn: list[Any] = []
 
     @property
@@ -171,12 +172,14 @@ class Recorder:
 
     def normals(self, count: int) -> tuple[Array, ...]:
         self.counts.append(count)
+        self.pairs.append(range((count + 1) // 2))
         drawn = self.draw.normals(count)
         self.drawn.append(drawn)
         return drawn
 
     def normal_rows(self, rows: int, first: int = 0) -> Array:
         self.rows.append(rows)
+        self.pairs.append(range(first, first + (rows + 1) // 2))
         drawn = self.draw.normal_rows(rows, first)
         self.drawn.append(drawn)
         return drawn
