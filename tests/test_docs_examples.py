@@ -44,3 +44,10 @@ def test_commands(name: str, text: str, tmp_path: Path, monkeypatch: pytest.Monk
             continue
         assert words[0] == "qrsim", line
         assert cli.main(words[1:]) == 0, line
+
+
+@pytest.mark.parametrize(("name", "text"), [pytest.param(*block, id=block[0]) for block in blocks("yaml")])
+def test_scenario_flies(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("example.yaml").write_text(text, "utf-8")
+    assert cli.main(["run", "example.yaml", "--out", "flown", "--no-figure"]) == 0
