@@ -24,7 +24,7 @@ from qrsim.models.site import Site
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
 from qrsim.readings import Reading, Truth
 from qrsim.saved import SavedState, fingerprint, write
-from qrsim.world import Action, State, World
+from qrsim.world import Action, State, World, WorldKeys, keys_of
 
 FloatArray = np.ndarray[Any, Any]
 LARGEST_TICK = 2**31 - 2
@@ -47,8 +47,8 @@ class _Program:
         return (self._few if vehicles <= FEW_VEHICLES else self._many)(*arguments)
 
 
-def _reset_world(world_layout: Packer, world: Buffers, seed: Any) -> State:
-    return ticks_of.reset(world_layout.unpack(world), Key.root(seed))
+def _reset_world(world_layout: Packer, world: Buffers, keys: WorldKeys) -> State:
+    return ticks_of.reset(world_layout.unpack(world), keys)
 
 
 def _advance_world(
@@ -160,8 +160,9 @@ class Simulation:
         if seed is not None:
             self.seed = _checked_seed(seed)
         with self._precision():
+            keys = keys_of(self.world, Key.root(self.seed))
             # Packed on the host, because a program for it would cost more to compile than it ever saves.
-            state = jax.tree.map(np.asarray, _reset(self.size, self._world_layout, self._world, _seed_words(self.seed)))
+            state = jax.tree.map(np.asarray, _reset(self.size, self._world_layout, self._world, keys))
             self._layout = Packer(state)
             self._state = jax.device_put(self._layout.pack(state))
         self.tick = 0
@@ -409,11 +410,6 @@ def _checked_seed(seed: Any) -> int:
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
         raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
     return int(seed)
-
-
-def _seed_words(seed: int) -> FloatArray:
-    """Return a seed as (low, high) uint32 words."""
-    return np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32)
 
 
 def _shape_of(values: Any) -> str:

@@ -116,12 +116,34 @@ class State:
     fleet_keys: tuple[StreamKeys, ...] = quantity(doc="keys of each fleet's randomness, constant during an episode")
 
 
-def reset(world: World, key: Key) -> State:
+@record
+class WorldKeys:
+    """The keys of all random streams of an episode."""
+
+    sky: StreamKeys = quantity(doc="of the sky")
+    sky_start: StreamKeys = quantity(doc="of the sky's first value")
+    fleets: tuple[StreamKeys, ...] = quantity(doc="of each fleet")
+    fleets_start: tuple[StreamKeys, ...] = quantity(doc="of each fleet's first values")
+
+
+def keys_of(world: World, key: Key) -> WorldKeys:
+    """Return the keys of all streams of a world; on the host if the key is there."""
+    return WorldKeys(
+        key.streams([SKY]),
+        key.streams([f"{SKY}/start"]),
+        tuple(_stream_keys(fleet, key) for fleet in world.fleets),
+        tuple(_stream_keys(fleet, key, "/start") for fleet in world.fleets),
+    )
+
+
+def reset(world: World, keys: WorldKeys) -> State:
     """Return the state at tick 0: noise processes stationary, every sensor with a first reading."""
     like = jnp.zeros((), world.fleets[0].start.position_ned.x.dtype)
-    sky = world.sky.init(_draw_sky(world, key.streams([f"{SKY}/start"]), jnp.int32(0), like))
-    fleets = tuple(_start(world, fleet, key, sky) for fleet in world.fleets)
-    return State(sky, fleets, key.streams([SKY]), tuple(_stream_keys(fleet, key) for fleet in world.fleets))
+    sky = world.sky.init(_draw_sky(world, keys.sky_start, jnp.int32(0), like))
+    fleets = tuple(
+        _start(world, fleet, start, sky) for fleet, start in zip(world.fleets, keys.fleets_start, strict=True)
+    )
+    return State(sky, fleets, keys.sky, keys.fleets)
 
 
 def step(world: World, state: State, tick: Array, actions: tuple[Action, ...]) -> State:
@@ -283,11 +305,11 @@ def _sense(
     return replace(state, sensors=tuple(states), readings=tuple(delivered), true_readings=tuple(undisturbed))
 
 
-def _start(world: World, fleet: Fleet, key: Key, sky: SkyState) -> FleetState:
+def _start(world: World, fleet: Fleet, keys: StreamKeys, sky: SkyState) -> FleetState:
     start = fleet.start
     vehicle = fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
     like = vehicle.thrust
-    draws = _draw_fleet(world, fleet, _stream_keys(fleet, key, "/start"), jnp.int32(0))
+    draws = _draw_fleet(world, fleet, keys, jnp.int32(0))
     height = world.area.height_agl(vehicle.position_ned)
     time = split_time(jnp.int32(0), world.time_step, height.dtype)
     mean_wind = world.wind.velocity_ned(height, *time)

@@ -72,17 +72,10 @@ def sincos_ratio(x: Array, rounding: Rounding = freely) -> tuple[Array, Array, A
     return sin_part, cos_part, 1.0 + square
 
 
-@jax.custom_jvp
 def sincos(x: Array) -> tuple[Array, Array]:
     """Return (sin x, cos x), any shape, x in rad; float32 error below 2e-7 for |x| < 1e4."""
     sine, cosine, scale = sincos_ratio(x)
     return sine / scale, cosine / scale
-
-
-@sincos.defjvp
-def _sincos_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    sine, cosine = sincos(*primals)
-    return (sine, cosine), (cosine * tangents[0], -sine * tangents[0])
 
 
 def log_f32(x: Array, rounding: Rounding = freely) -> Array:
@@ -135,16 +128,9 @@ def _exp_f32(x: Array) -> Array:
     return (1.0 + (r + r * r * tail)) * scale
 
 
-@jax.custom_jvp
 def exp(x: Array) -> Array:
     """Return e**x, any shape; in float32 the argument is limited to [-87, 88], the range of normal results."""
     return _exp_f32(x) if x.dtype == jnp.float32 else jnp.exp(x)
-
-
-@exp.defjvp
-def _exp_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    value = exp(*primals)
-    return value, value * tangents[0]
 
 
 def power(x: Array, exponent: float) -> Array:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import jax.numpy as jnp
 import numpy as np
@@ -35,16 +35,16 @@ def threefry2x32(key: tuple[Array, Array], counter: tuple[Array, Array], rounds:
         counter: two uint32 arrays of a common shape.
         rounds: 13 in the simulator; 20 is the generator's conservative form.
     """
-    schedule = (key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(_PARITY))
+    schedule = (key[0], key[1], key[0] ^ key[1] ^ np.uint32(_PARITY))
     x0, x1 = counter[0] + schedule[0], counter[1] + schedule[1]
     for i in range(rounds):
         x0 = x0 + x1
         rotation = _ROTATIONS[i % 8]
-        x1 = ((x1 << jnp.uint32(rotation)) | (x1 >> jnp.uint32(32 - rotation))) ^ x0
+        x1 = ((x1 << np.uint32(rotation)) | (x1 >> np.uint32(32 - rotation))) ^ x0
         if i % 4 == 3:
             group = i // 4 + 1
             x0 = x0 + schedule[group % 3]
-            x1 = x1 + schedule[(group + 1) % 3] + jnp.uint32(group)
+            x1 = x1 + schedule[(group + 1) % 3] + np.uint32(group)
     return x0, x1
 
 
@@ -81,6 +81,11 @@ class Key:
             seed: 0 <= seed < 2**63, or its low and high words as an array (2,) of uint32.
             world: index of the world in its batch, 0 <= world < 2**32.
         """
+        if isinstance(seed, int) and isinstance(world, int):
+            # On the host: what is known before a program runs is not worth compiling.
+            words = [np.array([word], np.uint32) for word in (seed & 0xFFFFFFFF, seed >> 32, world, 0)]
+            high, low = threefry2x32((words[0], words[1]), (words[2], words[3]), 20)  # type: ignore[arg-type]
+            return Key(high[0], low[0])
         if isinstance(seed, int):
             low, high = jnp.uint32(seed & 0xFFFFFFFF), jnp.uint32(seed >> 32)
         else:
@@ -92,8 +97,9 @@ class Key:
         digests = b"".join(hashlib.sha256(name.encode()).digest()[:8] for name in names)
         hashes = np.frombuffer(digests, "<u4").reshape(-1, 2)
         shape = (len(names),)
-        key = (jnp.broadcast_to(self.high, shape), jnp.broadcast_to(self.low, shape))
-        return StreamKeys(*threefry2x32(key, (jnp.asarray(hashes[:, 0]), jnp.asarray(hashes[:, 1])), 20))
+        library: Any = np if isinstance(self.high, np.ndarray | np.generic) else jnp
+        key = (library.broadcast_to(self.high, shape), library.broadcast_to(self.low, shape))
+        return StreamKeys(*threefry2x32(key, (library.asarray(hashes[:, 0]), library.asarray(hashes[:, 1])), 20))
 
     def stream(self, name: str, ids: Array) -> Stream:
         """Return one named stream for the vehicles (or satellites) ``ids``, uint32 of shape (n,)."""

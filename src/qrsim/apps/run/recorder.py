@@ -75,9 +75,12 @@ def fly(
     )  # fmt: skip
     make_parent(folder)
     simulation.reset()
-    wanted = columns(simulation.world, simulation.history)
+    beginning, finder = simulation.history, EventFinder(simulation)
+    wanted = columns(simulation.world, beginning)
+    # The first tick alone, so that compiling does not count as flying.
+    first = simulation.record(1, capacity=CHUNK_TICKS)
+    start_up = time.perf_counter() - begun
     with RunWriter.create(folder, info=info, scenario_yaml=scenario.to_yaml(), columns=wanted) as writer:
-        finder = EventFinder(simulation)
 
         def keep(history: History) -> None:
             arrays = values(simulation.world, history, wanted)
@@ -87,8 +90,9 @@ def fly(
                 for event in finder.find(history):
                     writer.append_event(**event)
 
-        keep(simulation.history)
-        return _loop(simulation, scenario.ticks, begun, realtime, keep, progress)
+        keep(beginning)
+        keep(first)
+        return _loop(simulation, scenario.ticks, start_up, realtime, keep, progress)
 
 
 def make_parent(folder: Path) -> None:
@@ -110,14 +114,12 @@ def make_parent(folder: Path) -> None:
 def _loop(
     simulation: Simulation,
     ticks: int,
-    begun: float,
+    start_up: float,
     realtime: bool,
     keep: Callable[[History], None],
     progress: Callable[[float, float], None],
 ) -> Pace:
     chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step))) if realtime else CHUNK_TICKS
-    # The first tick alone, so that compiling does not count as flying.
-    keep(simulation.record(1, capacity=CHUNK_TICKS))
     start = time.perf_counter()
     first = simulation.time
     overruns = 0
@@ -129,4 +131,4 @@ def _loop(
         elif realtime:
             overruns += 1
         progress(simulation.time, time.perf_counter() - start)
-    return Pace(simulation.time, simulation.time - first, time.perf_counter() - start, start - begun, overruns)
+    return Pace(simulation.time, simulation.time - first, time.perf_counter() - start, start_up, overruns)
