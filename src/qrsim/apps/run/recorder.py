@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -27,6 +28,7 @@ class Pace:
         timed_s: the part of it that ``wall_s`` measures: all but the first tick.
         wall_s: wall time of the flight, without start-up and the first tick.
         start_up_s: wall time until the first tick was done, from the call of ``fly``.
+        first_tick_unix_s: when the first tick was done [s since 1970], for whoever started the process.
         overruns: chunks that were finished too late in real time.
     """
 
@@ -34,6 +36,7 @@ class Pace:
     timed_s: float
     wall_s: float
     start_up_s: float
+    first_tick_unix_s: float
     overruns: int
 
     @property
@@ -79,7 +82,8 @@ def fly(
     wanted = columns(simulation.world, beginning)
     # The first tick alone, so that compiling does not count as flying.
     first = simulation.record(1, capacity=CHUNK_TICKS)
-    start_up = time.perf_counter() - begun
+    start_up, first_tick = time.perf_counter() - begun, time.time()
+    gc.enable()
     with RunWriter.create(folder, info=info, scenario_yaml=scenario.to_yaml(), columns=wanted) as writer:
 
         def keep(history: History) -> None:
@@ -92,7 +96,7 @@ def fly(
 
         keep(beginning)
         keep(first)
-        return _loop(simulation, scenario.ticks, start_up, realtime, keep, progress)
+        return _loop(simulation, scenario.ticks, (start_up, first_tick), realtime, keep, progress)
 
 
 def make_parent(folder: Path) -> None:
@@ -114,7 +118,7 @@ def make_parent(folder: Path) -> None:
 def _loop(
     simulation: Simulation,
     ticks: int,
-    start_up: float,
+    begun: tuple[float, float],
     realtime: bool,
     keep: Callable[[History], None],
     progress: Callable[[float, float], None],
@@ -131,4 +135,4 @@ def _loop(
         elif realtime:
             overruns += 1
         progress(simulation.time, time.perf_counter() - start)
-    return Pace(simulation.time, simulation.time - first, time.perf_counter() - start, start_up, overruns)
+    return Pace(simulation.time, simulation.time - first, time.perf_counter() - start, *begun, overruns)
