@@ -136,8 +136,14 @@ def keys_of(world: World, key: Key) -> WorldKeys:
     )
 
 
-def reset(world: World, keys: WorldKeys) -> State:
-    """Return the state at tick 0: noise processes stationary, every sensor with a first reading."""
+def reset(world: World, key: Key | WorldKeys) -> State:
+    """Return the state at tick 0: noise processes stationary, every sensor with a first reading.
+
+    Args:
+        world: its parameters.
+        key: of all randomness, or what ``keys_of`` made of it.
+    """
+    keys = keys_of(world, key) if isinstance(key, Key) else key
     like = jnp.zeros((), world.fleets[0].start.position_ned.x.dtype)
     sky = world.sky.init(_draw_sky(world, keys.sky_start, jnp.int32(0), like))
     fleets = tuple(
