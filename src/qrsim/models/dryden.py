@@ -23,7 +23,7 @@ from qrsim.core.fastmath import exp, power
 from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.models.turbulence import HIGHEST_FT, SLOWEST_AIRSPEED, low_altitude_scales
+from qrsim.models.turbulence import HIGHEST_FT, carrying_speed, low_altitude_scales
 from qrsim.models.wind import FEET_PER_METRE, wind_to_ned
 
 # From here on one length and a severity table; between HIGHEST_FT and this height both are blended.
@@ -286,7 +286,7 @@ class Dryden:
         """Advance by dt [s], L and V held, for vehicles at heights (n,) [m] and ground velocities (n,) [m/s]."""
         u, v1, v2, w1, w2, p, v3, w3 = draw.normals(8)
         lengths, _ = self._scales(height_agl)
-        way = dt * self._airspeed(velocity_ned, mean_wind_ned)
+        way = dt * carrying_speed(self.airspeed, velocity_ned, mean_wind_ned)
         # u and v have the same length, p and q the same lag.
         x_across, x_down = way / lengths.y, way / lengths.z
         x_yaw, x_pitch = way / self._yaw_length(), way / self._pitch_length()
@@ -334,10 +334,3 @@ class Dryden:
     def _yaw_length(self) -> Array:
         """Return V times the lag of r [m]."""
         return _YAW_SPANS * self.span
-
-    def _airspeed(self, velocity_ned: Vec3, mean_wind_ned: Vec3) -> Array:
-        # The root of a limited square, because the root of zero has no gradient.
-        if self.airspeed == "relative":
-            through_air = velocity_ned - mean_wind_ned
-            return jnp.sqrt(jnp.maximum(through_air.dot(through_air), SLOWEST_AIRSPEED**2))
-        return SLOWEST_AIRSPEED + jnp.sqrt(jnp.maximum(velocity_ned.dot(velocity_ned), 1e-12))

@@ -57,6 +57,15 @@ def low_altitude_scales(height_agl: Array) -> tuple[Vec3, Vec3]:
     return Vec3(horizontal, horizontal, feet * (1.0 / FEET_PER_METRE)), Vec3(ratio, ratio, jnp.ones_like(ratio))
 
 
+def carrying_speed(airspeed: Literal["relative", "ground"], velocity_ned: Vec3, mean_wind_ned: Vec3) -> Array:
+    """Return the speed [m/s] that carries the gusts past each of (n,) vehicles, for an ``airspeed`` option."""
+    # Roots of limited squares, because the root of zero has no gradient.
+    if airspeed == "relative":
+        through_air = velocity_ned - mean_wind_ned
+        return jnp.sqrt(jnp.maximum(through_air.dot(through_air), SLOWEST_AIRSPEED**2))
+    return SLOWEST_AIRSPEED + jnp.sqrt(jnp.maximum(velocity_ned.dot(velocity_ned), 1e-12))
+
+
 @record
 class GustState:
     """Gusts along, across and down the mean wind, each (n,), in units of their standard deviation."""
@@ -102,12 +111,7 @@ class DrydenFirstOrder:
         self, state: GustState, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> GustState:
         """Advance by dt [s] for vehicles at heights (n,) [m] moving over ground at velocity_ned (n,) [m/s]."""
-        if self.airspeed == "relative":
-            through_air = velocity_ned - mean_wind_ned
-            # The root of a limited square, because the root of zero has no gradient.
-            speed = jnp.sqrt(jnp.maximum(through_air.dot(through_air), SLOWEST_AIRSPEED**2))
-        else:
-            speed = velocity_ned.norm() + SLOWEST_AIRSPEED
+        speed = carrying_speed(self.airspeed, velocity_ned, mean_wind_ned)
         lengths, _ = low_altitude_scales(height_agl)
         normals = Vec3(*draw.normals(3))
 
