@@ -11,6 +11,7 @@ from qrsim.models.attitude import AttitudeReading
 from qrsim.models.gnss import GnssReading
 from qrsim.models.site import Site
 from qrsim.readings import SensorReading, quaternion_of
+from small_worlds import noisy, simulate
 
 SITE = Site.from_degrees(51.7119, -0.21052, 30.0)
 
@@ -35,6 +36,27 @@ def test_geodetic_position() -> None:
 
 def test_fix_type_is_zero_without_a_fix() -> None:
     np.testing.assert_array_equal(gnss([[1.0, 2.0, 3.0], [np.nan, np.nan, np.nan]]).fix_type, [3, 0])
+
+
+def test_a_reading_that_is_missing_says_why() -> None:
+    """A mask of 90 degrees leaves no satellite; one barometer is lost for a while; one vehicle hits the mast."""
+    content = noisy()
+    fleet = content["fleets"]["pelicans"]
+    fleet["sensors"]["gnss"]["elevation_mask_rad"] = 1.55
+    fleet["faults"] = [
+        {"sensor": "barometer", "kind": "lost", "start": 0.04, "end": 0.08, "vehicles": ["pelicans_1"]},
+    ]
+    fleet["vehicles"][0]["velocity_body"] = [0.0, 0.0, 14.9]
+    fleet["vehicles"][0]["position_ned"] = [-60.0, -60.0, -0.1]
+    simulation = simulate(content)
+    reading = simulation.step(ticks=2)
+    stopped = reading.barometer.reasons[0]
+    assert stopped.startswith("stopped, out_of_area: position_ned.z = 0.")
+    assert reading.barometer.reasons[1:] == ["lost, by a fault of the scenario", "", "", ""]
+    assert np.isnan(reading.barometer.height[:2]).all()
+    assert reading.gnss.reasons == [stopped, *["no fix: 0 satellites, at least 4 needed"] * 4]
+    assert (reading.gnss.fix_type == 0).all()
+    assert simulation.step(ticks=2).barometer.reasons == [stopped, "", "", "", ""]
 
 
 def test_quaternion_is_that_of_the_euler_angles() -> None:

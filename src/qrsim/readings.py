@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -10,10 +11,11 @@ import numpy as np
 
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.area import reason_text
 from qrsim.models.attitude import AttitudeReading
-from qrsim.models.gnss import GnssReading
+from qrsim.models.gnss import FEWEST_SATELLITES, GnssReading
 from qrsim.models.site import Site
-from qrsim.world import FleetState, State, World
+from qrsim.world import Fleet, FleetState, State, World
 
 Floats = np.ndarray[Any, Any]
 
@@ -46,15 +48,18 @@ def quaternion_of(attitude: Floats) -> Floats:
 class SensorReading:
     """The last reading of one sensor of n vehicles; its fields are attributes, see ``fields``.
 
+    Where a reading is NaN, ``reasons`` says why.
+
     Beside what the sensor's model gives, a GNSS reading has ``latitude_deg``, ``longitude_deg``, ``height`` [m above
     the ellipsoid] (float64, each (n,)) and ``fix_type`` (3: three-dimensional, 0: none), and an attitude reading has
     ``quaternion`` (n, 4), w first.
     """
 
-    def __init__(self, name: str, reading: Any, site: Site):
+    def __init__(self, name: str, reading: Any, site: Site, withheld: Sequence[str] = ()):
         self._name = name
         self._reading = reading
         self._site = site
+        self._withheld = withheld
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -63,6 +68,24 @@ class SensorReading:
         if isinstance(self._reading, GnssReading):
             return (*own, "latitude_deg", "longitude_deg", "height", "fix_type")
         return (*own, "quaternion") if isinstance(self._reading, AttitudeReading) else own
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why each of the n vehicles has no complete reading, "" where it has one."""
+        leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(self._reading)]
+        complete = np.all([np.isfinite(leaf) for leaf in leaves], axis=0)
+        withheld = self._withheld or [""] * len(complete)
+        return [
+            "" if whole else why or self._own_reason(i)
+            for i, (whole, why) in enumerate(zip(complete, withheld, strict=True))
+        ]
+
+    def _own_reason(self, vehicle: int) -> str:
+        """Return why the sensor itself has nothing to say about a vehicle."""
+        satellites = getattr(self._reading, "satellites", None)
+        if satellites is not None and satellites[vehicle] < FEWEST_SATELLITES:
+            return f"no fix: {satellites[vehicle]:.0f} satellites, at least {FEWEST_SATELLITES} needed"
+        return "not available"
 
     def __getattr__(self, field: str) -> Floats:
         if field.startswith("__"):
@@ -89,9 +112,9 @@ class SensorReading:
 class FleetReading:
     """The last reading of every sensor of one fleet; its sensors are attributes, see ``sensors``."""
 
-    def __init__(self, names: tuple[str, ...], state: FleetState, site: Site):
-        self._sensors = dict(zip(names, state.readings, strict=True))
-        self._site = site
+    def __init__(self, fleet: Fleet, state: FleetState, tick: int, site: Site):
+        self._sensors = dict(zip(fleet.sensor_names, state.readings, strict=True))
+        self._fleet, self._violation, self._tick, self._site = fleet, state.violation, tick, site
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -103,7 +126,21 @@ class FleetReading:
             raise AttributeError(sensor)
         if sensor not in self._sensors:
             raise AttributeError(f"no sensor is called '{sensor}'{did_you_mean(sensor, self._sensors)}")
-        return SensorReading(sensor, self._sensors[sensor], self._site)
+        return SensorReading(sensor, self._sensors[sensor], self._site, self._withheld(sensor))
+
+    def _withheld(self, sensor: str) -> list[str]:
+        """Return why nothing of a sensor reaches the user, for each vehicle; "" where its readings do."""
+        stopped = [
+            f"stopped, {reason_text(int(code), float(value))}" if code else ""
+            for code, value in zip(self._violation.code, self._violation.value, strict=True)
+        ]
+        lost = np.zeros(len(stopped), bool)
+        for fault in self._fleet.faults:
+            if fault.sensor == sensor and fault.kind == "lost":
+                lost |= np.asarray(fault.active(self._tick))  # type: ignore[arg-type]
+        return [
+            why or ("lost, by a fault of the scenario" if gone else "") for why, gone in zip(stopped, lost, strict=True)
+        ]
 
     def __repr__(self) -> str:
         return f"<readings of {', '.join(self.sensors)}>"
@@ -119,10 +156,10 @@ class Reading:
         time: simulated time [s].
     """
 
-    def __init__(self, world: World, state: State, time: float, site: Site):
-        self.time = time
+    def __init__(self, world: World, state: State, tick: int, site: Site):
+        self.time = tick * world.time_step
         self._fleets = {
-            fleet.name: FleetReading(fleet.sensor_names, fleet_state, site)
+            fleet.name: FleetReading(fleet, fleet_state, tick, site)
             for fleet, fleet_state in zip(world.fleets, state.fleets, strict=True)
         }
 

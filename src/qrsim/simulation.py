@@ -19,7 +19,7 @@ from qrsim.core.noise import Key
 from qrsim.core.pack import Buffers, Packer
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.models.area import REASONS
+from qrsim.models.area import reason_text
 from qrsim.models.site import Site
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
 from qrsim.readings import Reading, Truth
@@ -275,7 +275,7 @@ class Simulation:
     @property
     def reading(self) -> Reading:
         """What the sensors say now."""
-        return Reading(self.world, self.state, self.time, self.site)
+        return Reading(self.world, self.state, self.tick, self.site)
 
     @property
     def truth(self) -> Truth:
@@ -382,16 +382,6 @@ class Simulation:
 
     def _precision(self) -> contextlib.AbstractContextManager[Any]:
         return jax.enable_x64(self.dtype == np.float64)
-
-
-def reason_text(code: int, value: float) -> str:
-    """Return a reason in words: kind, field and value; "" for code 0."""
-    if code == 0:
-        return ""
-    kind, field = REASONS[code]
-    if field == "obstacle":
-        return f"{kind}: obstacle {value:.0f}"
-    return f"{kind}: {field}" if kind == "not_finite" else f"{kind}: {field} = {value:.4g}"
 
 
 def check_precision(precision: str) -> str:

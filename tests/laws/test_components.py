@@ -33,21 +33,7 @@ from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import load_scenario
 
 WORLDS = (0, 1)
-ROUNDED = pytest.mark.xfail(
-    strict=True,
-    reason="Dryden in float32: third_row's l33 is what cancellation leaves, wrong by up to 3e-5, so that "
-    "z3 differs between programs by more than 1e-6",
-)
-
-
-def components(faults: dict[tuple[str, str], Any] | None = None) -> Any:
-    """Return the mark that runs a test for every component; ``faults``: those known to fail, and why."""
-    marks = faults or {}
-    cases = [pytest.param(*case, id="-".join(case), marks=marks.get(case, [])) for case in COMPONENTS]
-    return pytest.mark.parametrize(("group", "name"), cases)
-
-
-every_component = components()
+every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-".join(case) for case in COMPONENTS])
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 
 
@@ -99,7 +85,7 @@ def computed(group: str, name: str) -> tuple[list[Any], Any]:
     return [found for _, found in both], both[-1][0]
 
 
-@components({("TURBULENCES", "dryden"): ROUNDED})
+@every_component
 def test_outputs_are_finite_and_eager_and_jitted_agree(group: str, name: str) -> None:
     alone, _ = computed(group, name)
     for found in alone:
@@ -109,7 +95,7 @@ def test_outputs_are_finite_and_eager_and_jitted_agree(group: str, name: str) ->
     assert_close(alone[0], eager, 1e-6)
 
 
-@components({("TURBULENCES", "dryden"): ROUNDED})
+@every_component
 def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str) -> None:
     """The same values to 1e-6, and the same noise to the bit."""
     alone = stacked(computed(group, name)[0])
@@ -121,7 +107,7 @@ def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str) -> None:
         np.testing.assert_array_equal(got, want, err_msg=path)
 
 
-@components()
+@every_component
 def test_slopes_in_every_parameter_are_finite(group: str, name: str) -> None:
     for path, leaf in leaves(computed(group, name)[1]):
         if np.issubdtype(leaf.dtype, np.floating):
@@ -153,7 +139,7 @@ def test_what_is_drawn_is_what_is_declared(group: str, name: str, settings: dict
         assert hasattr(component, "normals"), "drawn at every tick, together with the others"
 
 
-@components()
+@every_component
 def test_parameters_have_unit_meaning_and_a_default_within_bounds(group: str, name: str) -> None:
     for field, default, info in fields_of(GROUPS[group][name]):
         assert info.doc, f"{field}: no doc"

@@ -196,6 +196,38 @@ def test_closed_forms_are_the_matrix_exponential(precision: str, tolerance: floa
     np.testing.assert_allclose(found / sizes, covariances / sizes, rtol=0.0, atol=tolerance)
 
 
+@pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-9), ("float32", 3e-6)])
+def test_third_noise_keeps_its_digits(precision: str, tolerance: float) -> None:
+    """l33 is (r x)^2.5 small: the root of a quotient of Gram determinants, to 100 digits, relative to itself."""
+    usual = (X_GRID > 1e-4) & (X_GRID < 0.9) & (X_GRID * RATIO_GRID < 20.0) & (RATIO_GRID >= 4.0)
+    _, factors = filter_matrices(X_GRID[usual], RATIO_GRID[usual], precision)
+    exact = [third_noise(x, ratio) for x, ratio in zip(X_GRID[usual], RATIO_GRID[usual], strict=True)]
+    np.testing.assert_allclose(factors[:, 2, 2] / exact, 1.0, rtol=0.0, atol=tolerance)
+
+
+def third_noise(x: float, ratio: float) -> float:
+    """sqrt(det Q / det Q2) of the noise covariance over a step, as integrals of the three impulse responses."""
+    with decimal.localcontext(decimal.Context(prec=100)):
+        r = Decimal(ratio)
+        # exp(-r s), exp(-s), s exp(-s) span the responses; z3 has sqrt(2 r) ((1 + r)/(1 - r))^2 exp(-r s) of its own.
+        poles, powers = (r, Decimal(1), Decimal(1)), (0, 0, 1)
+
+        def moment(rate: Decimal, power: int) -> Decimal:
+            """Integral of s^power exp(-rate s) over the step."""
+            y, factorial = rate * Decimal(x), Decimal(math.factorial(power))
+            tail = sum((y**k / Decimal(math.factorial(k)) for k in range(power + 1)), Decimal(0))
+            return factorial / rate ** (power + 1) * (1 - (-y).exp() * tail)
+
+        gram = [
+            [moment(p + q, i + j) for q, j in zip(poles, powers, strict=True)]
+            for p, i in zip(poles, powers, strict=True)
+        ]
+        (a, b, c), (_, d, e), (_, _, f) = gram
+        small = d * f - e * e
+        whole = a * small - b * (b * f - e * c) + c * (b * e - d * c)
+        return float((2 * r * ((1 + r) / (1 - r)) ** 4 * whole / small).sqrt())
+
+
 @pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-12), ("float32", 2e-6)])
 def test_cholesky_factor_keeps_its_digits_at_any_step(precision: str, tolerance: float) -> None:
     """l22 is x^1.5 small; 60 digits leave enough after the cancellation that the closed form avoids."""

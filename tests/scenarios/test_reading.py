@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from qrsim.errors import ScenarioError, UsageError
-from qrsim.scenarios.reading import apply_override, built_in_names, parse_yaml, read_scenario
+from qrsim.scenarios.reading import anchor_files, apply_override, built_in_names, dump_yaml, parse_yaml, read_scenario
 from qrsim.scenarios.scenario import load_scenario
 
 SMALLEST = "name: small\nfleets:\n  a:\n    controller: {type: waypoint, feed: truth}\n    vehicles:\n"
@@ -264,3 +264,36 @@ def test_overrides_leave_the_content_they_are_applied_to_alone() -> None:
     content = parse_yaml(SMALLEST, "small.yaml")
     load_scenario(content, ["duration=5"])
     assert "duration" not in content
+
+
+def test_a_file_is_looked_for_beside_the_scenario_that_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "field").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    series = "time,north,east,down\n" + "".join(f"{10 * i},1,2,0\n" for i in range(8))
+    (tmp_path / "field" / "wind.csv").write_text(series, "utf-8")
+    content = dump_yaml({**parse_yaml(SMALLEST, "small"), "world": {"wind": {"type": "series", "file": "wind.csv"}}})
+    (tmp_path / "field" / "windy.yaml").write_text(content, "utf-8")
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    scenario = load_scenario("../field/windy.yaml")
+    assert scenario.spec.world.wind.file == str(tmp_path / "field" / "wind.csv")
+    # On the command line it is relative to where the command is typed, and the saved scenario says where it was.
+    (tmp_path / "elsewhere" / "calm.csv").write_text(series, "utf-8")
+    overridden = load_scenario("../field/windy.yaml", ["world.wind.file=calm.csv"])
+    assert f"file: {tmp_path}/elsewhere/calm.csv" in overridden.to_yaml()
+    with pytest.raises(ScenarioError, match=r"world\.wind: .*elsewhere/wind\.csv"):
+        load_scenario({**parse_yaml(SMALLEST, "small"), "world": {"wind": {"type": "series", "file": "wind.csv"}}})
+
+
+def test_a_recording_is_found_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("QRSIM_DATA_DIR", str(tmp_path / "recordings"))
+    name = "ngs15992_16to17.sp3"
+    content = {"world": {"sky": {"orbits": {"type": "sp3", "file": name}}}}
+    anchor_files(content, tmp_path)
+    assert content["world"]["sky"]["orbits"]["file"] == str(tmp_path / "recordings" / name)
+    # One that lies beside the scenario comes first.
+    (tmp_path / name).touch()
+    content = {"world": {"sky": {"orbits": {"type": "sp3", "file": name}}}}
+    anchor_files(content, tmp_path)
+    assert content["world"]["sky"]["orbits"]["file"] == str(tmp_path / name)

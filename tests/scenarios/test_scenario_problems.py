@@ -203,7 +203,7 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
     ("name", 3, "name: 3 is not a text ("),
     ("name", "a b", "name: 'a b' is no name; allowed: letters, digits and any of _ . - ("),
     ("name", "../x", "name: '../x' is no name; allowed: letters, digits and any of _ . - ("),
-    ("fleets.alpha.vehicles.0.name", "", "fleets.alpha.vehicles.0.name: '' is empty ("),
+    ("fleets.alpha.vehicles.0.name", "", "fleets.alpha.vehicles.0.name: '' is no name; allowed: "),
     ("world", None, "world: expected keys and values, found nothing ("),
     ("fleets.alpha", None, "fleets.alpha: expected keys and values, found nothing ("),
     ("fleets.alpha.controller.height", 3, "fleets.alpha.controller.height: expected keys and values, found 3 ("),
@@ -286,6 +286,17 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
         "fleets.alpha.vehicles.1.name: 'alpha_1' is also the name of fleets.alpha.vehicles.0",
     ),
     ("world.area.x_min", 1000.0, "world.area.x_min: 1000 m is not below x_max, 1000 m"),
+    ("name", "a" * 101, f"name: {'a' * 101!r:.57}... is too long; allowed: at most 100 characters"),
+    (
+        "fleets.alpha.vehicles.0.name",
+        "one/two",
+        "fleets.alpha.vehicles.0.name: 'one/two' is no name; allowed: letters, digits and any of _ . -",
+    ),
+    (
+        "fleets.alpha.vehicles.0.velocity_body",
+        [0.0, -16.0, 0.0],
+        "fleets.alpha.vehicles.0.velocity_body: v = -16 m/s; allowed: -15 to 15 (limits.velocity of the fleet)",
+    ),
     (
         "fleets.alpha.sensors.barometer",
         REMOVED,

@@ -38,6 +38,16 @@ def reason_code(kind: str, field: str) -> int:
     return REASONS.index((kind, field))
 
 
+def reason_text(code: int, value: float) -> str:
+    """Return a reason in words: kind, field and value; "" for code 0."""
+    if code == 0:
+        return ""
+    kind, field = REASONS[code]
+    if field == "obstacle":
+        return f"{kind}: obstacle {value:.0f}"
+    return f"{kind}: {field}" if kind == "not_finite" else f"{kind}: {field} = {value:.4g}"
+
+
 @record
 class Violation:
     """The first limit each vehicle breaks, (n,)."""

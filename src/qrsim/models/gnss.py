@@ -18,6 +18,9 @@ from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.orbits import Orbits
 
+# Position and clock are four unknowns.
+FEWEST_SATELLITES = 4
+
 
 @record
 class OrnsteinUhlenbeckErrors:
@@ -131,7 +134,7 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
     xx, xy, xz, yy, yz, zz = inverse
     bx, by, bz = (-jnp.sum(u * residual, axis=0) for u in (ux, uy, uz))
     offset = Vec3(xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz)
-    enough = count >= 4.0
+    enough = count >= FEWEST_SATELLITES
 
     def or_nan(value: Array) -> Array:
         return jnp.where(enough, value, math.nan)

@@ -126,6 +126,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
             names[name] = path
             yield from _outside(f"{path}.position_ned", vehicle.position_ned, area)
             yield from _inside_obstacle(f"{path}.position_ned", vehicle.position_ned, scenario)
+            yield from _too_fast(f"{path}.velocity_body", vehicle.velocity_body, fleet)
             for j, waypoint in enumerate(vehicle.waypoints_ned):
                 yield from _outside(f"{path}.waypoints_ned.{j}", waypoint, area)
             for other_path, other in starts:
@@ -153,6 +154,13 @@ def _outside(path: str, point: list[float], area: Any) -> Iterator[str]:
         low, high = getattr(area, f"{axis}_min"), getattr(area, f"{axis}_max")
         if not low <= value <= high:
             yield f"{path}: {axis} = {value:g} m is outside world.area; allowed: {low:g} to {high:g}"
+
+
+def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec) -> Iterator[str]:
+    limit = fleet.limits.velocity
+    for axis, value in zip("uvw", velocity_body, strict=True):
+        if abs(value) > limit:
+            yield f"{path}: {axis} = {value:g} m/s; allowed: -{limit:g} to {limit:g} (limits.velocity of the fleet)"
 
 
 def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:

@@ -144,6 +144,8 @@ class _Fault:
             return f"is out of range; allowed: {self._range()}"
         if kind == "string_pattern_mismatch":
             return f"is no name; allowed: {_characters(str(context['pattern']))}"
+        if kind == "string_too_long":
+            return f"is too long; allowed: at most {context['max_length']} characters"
         return _PLAIN.get(kind, f"is not right: {self.details['msg']}")
 
     def _known(self) -> list[str]:

@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.recordings import RECORDINGS, data_folder
 from qrsim.scenarios.problems import component_types
 from qrsim.scenarios.schema import ScenarioSpec
 
@@ -93,7 +94,23 @@ def read_scenario(source: str | Path | dict[str, Any]) -> tuple[str, dict[str, A
         raise UsageError(f"scenario file {path}: no such file{hint if 'mean' in hint else ''}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"scenario file {path}: cannot be read: {error}") from None
-    return _as_mapping(parse_yaml(text, name), name)
+    name, content = _as_mapping(parse_yaml(text, name), name)
+    anchor_files(content, path.parent)
+    return name, content
+
+
+def anchor_files(content: Any, folder: Path) -> None:
+    """Make every ``file:`` of a scenario absolute, in place: relative ones are relative to the scenario's folder.
+
+    A name that is not there but is one of the public recordings means the recording.
+    """
+    parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
+    for part in parts:
+        anchor_files(part, folder)
+    if isinstance(content, dict) and isinstance(content.get("file"), str):
+        file = Path(os.path.abspath(folder / Path(content["file"]).expanduser()))
+        recorded = content["file"] in RECORDINGS and not file.exists()
+        content["file"] = str(data_folder() / content["file"] if recorded else file)
 
 
 def _as_mapping(content: Any, source: str) -> tuple[str, dict[str, Any]]:

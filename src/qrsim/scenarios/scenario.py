@@ -14,7 +14,7 @@ from qrsim.errors import ScenarioError
 from qrsim.models.site import Site
 from qrsim.scenarios import build
 from qrsim.scenarios.problems import describe
-from qrsim.scenarios.reading import apply_override, built_in_names, dump_yaml, read_scenario
+from qrsim.scenarios.reading import anchor_files, apply_override, built_in_names, dump_yaml, read_scenario
 from qrsim.scenarios.schema import ScenarioSpec, json_schema
 from qrsim.world import World
 
@@ -76,6 +76,8 @@ def load_scenario(source: str | Path | dict[str, Any], overrides: Iterable[str] 
     content = copy.deepcopy(content)
     for assignment in overrides:
         apply_override(content, assignment)
+    # Files named in Python or by an override are relative to the working folder.
+    anchor_files(content, Path.cwd())
     try:
         spec = ScenarioSpec.model_validate(content)
     except ValidationError as error:

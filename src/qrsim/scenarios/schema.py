@@ -15,6 +15,8 @@ from qrsim.models.area import StateLimits
 from qrsim.scenarios import catalogue as known
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+# Of scenarios and vehicles: they become parts of paths, columns and topics.
+NAME = r"^[A-Za-z0-9_.-]+$"
 Position = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 
 
@@ -118,7 +120,7 @@ def _slot(choices: Mapping[str, type]) -> Any:
 class VehicleSpec(Strict):
     """One vehicle: where it starts and where it flies."""
 
-    name: str | None = Field(None, description="default: the fleet's name and a number", min_length=1)
+    name: str | None = Field(None, description="default: the fleet's name and a number", pattern=NAME, max_length=64)
     position_ned: Position = Field(description="start position [m]: north, east, down")
     yaw_rad: Finite = Field(0.0, description="heading at the start and along the route [rad]", ge=-6.3, le=6.3)
     velocity_body: Position = Field([0.0, 0.0, 0.0], description="initial velocity in body axes [m/s]")
@@ -214,7 +216,7 @@ class SiteSpec(Strict):
 class ScenarioSpec(Strict):
     """A scenario: site, world and fleets."""
 
-    name: str = Field(description="short name, used in folders", pattern=r"^[A-Za-z0-9_.-]+$")
+    name: str = Field(description="short name, used in folders", pattern=NAME, max_length=100)
     description: str = Field("", description="one or two sentences")
     duration: Finite = Field(60.0, description="simulated time [s]", gt=0, le=1e7)
     time_step: Finite = Field(0.02, description="simulation step [s]", ge=1e-4, le=0.1)

@@ -9,12 +9,12 @@ import numpy as np
 
 from qrsim.core.tree import walk
 from qrsim.logs import Column
-from qrsim.models.area import REASONS
-from qrsim.simulation import History, Simulation, reason_text
+from qrsim.models.area import REASONS, reason_text
+from qrsim.models.gnss import FEWEST_SATELLITES
+from qrsim.simulation import History, Simulation
 from qrsim.world import FleetState, World
 
 Values = dict[str, np.ndarray[Any, Any]]
-FEWEST_SATELLITES = 4.0
 STREAMS = ("truth", "measurements", "commands", "wind")
 
 
