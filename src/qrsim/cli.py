@@ -21,6 +21,7 @@ from typing import Annotated, Any, Protocol, Union
 import tyro
 
 from qrsim.apps.data.command import Fetch, Where
+from qrsim.apps.export.command import Export
 from qrsim.apps.openloop.command import OpenLoop
 from qrsim.apps.plot.command import Plot
 from qrsim.apps.run.command import Run
@@ -87,6 +88,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "show": Show,
     "schema": Schema,
     "plot": Plot,
+    "export": Export,
     "openloop": OpenLoop,
     "data": DATA,
     "version": Version,

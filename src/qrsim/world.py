@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from qrsim.control import Estimate, Route, RouteFollower, RouteState, WaypointController, WaypointSetpoint
+from qrsim.control import Estimate, Route, RouteState, Setpoint
 from qrsim.core.noise import Draw, Drawn, Key, Noise, Stream, StreamKeys, draw_together
 from qrsim.core.tree import parameter, quantity, record, replace, select, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
@@ -24,7 +24,7 @@ from qrsim.models.orbits import split_time
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor, clip_command
 
 S = TypeVar("S")
-Action = Command | WaypointSetpoint | None
+Action = Command | Setpoint | None
 # Names of noise streams are FLEET/USER; a fleet has no slash in its name, so this is no fleet's.
 SKY = "/sky"
 # Users of noise in a fleet beside its sensors, whose names are therefore taken.
@@ -46,8 +46,8 @@ class Fleet:
     """Vehicles of one kind with the same sensors and controller."""
 
     vehicle: Quadrotor = quantity(doc="vehicle model")
-    controller: WaypointController = quantity(doc="control loops")
-    guidance: RouteFollower = quantity(doc="what hands out set-points")
+    controller: Any = quantity(doc="control loops")
+    guidance: Any = quantity(doc="what hands out set-points")
     route: Route = quantity(doc="waypoints")
     start: Start = quantity(doc="initial state")
     limits: StateLimits = quantity(doc="state limits")
@@ -96,7 +96,7 @@ class FleetState:
     )
     controller: Any = quantity(doc="control loops")
     guidance: RouteState = quantity(doc="progress along the route")
-    setpoint: WaypointSetpoint = quantity(doc="last set-point")
+    setpoint: Any = quantity(doc="last set-point")
     command: Command = quantity(doc="last command, as flown")
     command_clipped: Array = quantity(doc="bool: the last command was outside its range and was clipped")
     violation: Violation = quantity(doc="why a vehicle is invalid; code 0 while it is valid")
@@ -152,21 +152,30 @@ def reset(world: World, key: Key | WorldKeys) -> State:
     return State(sky, fleets, keys.sky, keys.fleets)
 
 
-def step(world: World, state: State, tick: Array, actions: tuple[Action, ...]) -> State:
+def step(
+    world: World,
+    state: State,
+    tick: Array,
+    actions: tuple[Action, ...],
+    estimates: tuple[Estimate | None, ...] | None = None,
+) -> State:
     """Advance a world from tick to tick + 1.
 
     Args:
         world, state: of one world; vmap over worlds from outside.
         tick: () int32, the tick the step starts from; unbatched under vmap, so slow sensors are really skipped.
-        actions: for each fleet a Command (flown as it is, clipped to its range), a WaypointSetpoint (handed to the
-            controller) or None (the fleet's guidance hands out the set-point).
+        actions: for each fleet a Command (flown as it is, clipped to its range), a set-point (handed to the
+            controller, which must take its kind) or None (the fleet's guidance hands out the set-point).
+        estimates: for each fleet what its controller is fed with; None: what ``controller.feed`` says.
     """
     after = tick + 1
     sky = _step_sky(world, state, after)
     noise = [_draw_fleet(world, fleet, keys, after) for fleet, keys in zip(world.fleets, state.fleet_keys, strict=True)]
     flown = tuple(
-        _fly(world, fleet, fleet_state, tick, drawn, action)
-        for fleet, fleet_state, drawn, action in zip(world.fleets, state.fleets, noise, actions, strict=True)
+        _fly(world, fleet, fleet_state, tick, drawn, action, estimate)
+        for fleet, fleet_state, drawn, action, estimate in zip(
+            world.fleets, state.fleets, noise, actions, estimates or (None,) * len(actions), strict=True
+        )
     )
     checked = _check(world, state.fleets, flown)
     sensed = tuple(
@@ -189,7 +198,13 @@ def _step_sky(world: World, state: State, after: Array) -> SkyState:
 
 
 def _fly(
-    world: World, fleet: Fleet, state: FleetState, tick: Array, noise: dict[str, Any], action: Action
+    world: World,
+    fleet: Fleet,
+    state: FleetState,
+    tick: Array,
+    noise: dict[str, Any],
+    action: Action,
+    believed: Estimate | None,
 ) -> FleetState:
     """Wind, set-point, command and dynamics of one fleet; invalid vehicles are put back by ``_check``."""
     dt = world.time_step
@@ -208,14 +223,13 @@ def _fly(
     if isinstance(action, Command):
         wanted = action
     else:
-        estimate = jax.tree.map(
-            lambda new, old: jnp.where(jnp.isfinite(new), new, old), _estimate(fleet, state), estimate
-        )
-        if action is None:
-            guidance, setpoint = fleet.guidance.step(guidance, fleet.route, estimate.position_ned)
-        else:
-            setpoint = action
-        controller, wanted = fleet.controller.step(controller, estimate, setpoint, dt)
+        fed = _estimate(fleet, state) if believed is None else believed
+        estimate = jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(new), new, old), fed, estimate)
+        asked = action
+        if asked is None:
+            guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned)
+        controller, wanted = fleet.controller.step(controller, estimate, asked, dt)
+        setpoint = _shown(fleet, asked)
     weight = fleet.vehicle.mass * fleet.vehicle.gravity
     voltage = fleet.battery.voltage(state.battery, truth.thrust, weight, wanted.battery)
     command, clipped = clip_command(replace(wanted, battery=voltage))
@@ -229,6 +243,11 @@ def _fly(
         estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=command,
         command_clipped=clipped, battery=battery,
     )  # fmt: skip
+
+
+def _shown(fleet: Fleet, setpoint: Setpoint) -> Any:
+    """Return a set-point as the state keeps it: of one structure, also where a controller takes several kinds."""
+    return fleet.controller.shown(setpoint) if hasattr(fleet.controller, "shown") else setpoint
 
 
 def _gust_rates(world: World, turbulence: Any, height_agl: Array) -> Vec3 | None:
@@ -322,7 +341,7 @@ def _start(world: World, fleet: Fleet, keys: StreamKeys, sky: SkyState) -> Fleet
     turbulence = world.turbulence.init(draws[TURBULENCE])
     gust = world.turbulence.gust_ned(turbulence, height) + world.gust.velocity_ned(vehicle.position_ned, *time)
     zero = jnp.zeros_like(like)
-    hover = jnp.broadcast_to(jnp.asarray(fleet.controller.height.hover_throttle), like.shape)
+    hover = jnp.broadcast_to(jnp.asarray(fleet.controller.hover_throttle), like.shape)
     battery = jnp.broadcast_to(jnp.asarray(fleet.controller.battery), like.shape)
     command = Command(zero, zero, hover, zero, battery)
     noiseless = fleet.vehicle.draw_noise(Drawn((zero,) * fleet.vehicle.normals), 1.0)
@@ -337,7 +356,7 @@ def _start(world: World, fleet: Fleet, keys: StreamKeys, sky: SkyState) -> Fleet
         vehicle.position_ned, rotation(vehicle.attitude).to_ned(vehicle.velocity_body), vehicle.attitude
     )
     controller = fleet.controller.init(estimate)
-    setpoint = fleet.guidance.setpoint(guidance, fleet.route)
+    setpoint = _shown(fleet, fleet.guidance.setpoint(guidance, fleet.route))
     state = FleetState(
         vehicle=vehicle,
         specific_force=force,
@@ -400,14 +419,18 @@ def _scene(state: FleetState, sky: SkyState) -> dict[str, Any]:
 
 
 def _estimate(fleet: Fleet, state: FleetState) -> Estimate:
-    """Return what the controller is fed with: the truth, or horizontal GNSS, barometric height and the attitude."""
+    """Return what the controller is fed with: the truth, or horizontal GNSS, the barometer and the attitude."""
     truth = state.vehicle
     if fleet.controller.feed == "truth":
         velocity = rotation(truth.attitude).to_ned(truth.velocity_body)
         return Estimate(truth.position_ned, velocity, truth.attitude)
     measured = measured_quantities(state.readings)
-    position = measured["position_ned"]
-    return Estimate(Vec3(position.x, position.y, -measured["height"]), measured["velocity_ned"], measured["attitude"])
+    position, velocity = measured["position_ned"], measured["velocity_ned"]
+    return Estimate(
+        Vec3(position.x, position.y, -measured["height"]),
+        Vec3(velocity.x, velocity.y, -measured["height_rate"]),
+        measured["attitude"],
+    )
 
 
 def measured_quantities(readings: tuple[Any, ...]) -> dict[str, Any]:

@@ -17,7 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from qrsim.control import Estimate, Route, WaypointSetpoint
+from qrsim.control import (
+    AttitudeHeightSetpoint,
+    AttitudeSetpoint,
+    Estimate,
+    Route,
+    VelocityHeightSetpoint,
+    VelocitySetpoint,
+    WaypointSetpoint,
+)
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import FieldInfo, cast, field_info
 from qrsim.core.vectors import Euler, Vec3
@@ -316,16 +324,30 @@ def _battery(battery: Any, given: Any, draws: Draws) -> Any:
     return {"after": after, "voltage": battery.voltage(after, thrust, weight, voltage)}
 
 
+def _setpoints(scene: Any, waypoint: Vec3) -> dict[type, Any]:
+    """Return a set-point of every kind; the first vehicle has exactly what it is asked for."""
+    velocity, attitude = scene["velocity_ned"], scene["attitude"]
+    height = -waypoint.z
+    throttle = jnp.full_like(height, 0.6)
+    return {
+        WaypointSetpoint: WaypointSetpoint(waypoint, attitude.yaw),
+        VelocitySetpoint: VelocitySetpoint(velocity.map(lambda axis: 0.8 * axis), attitude.yaw),
+        VelocityHeightSetpoint: VelocityHeightSetpoint(0.8 * velocity.x, 0.8 * velocity.y, height, attitude.yaw),
+        AttitudeHeightSetpoint: AttitudeHeightSetpoint(attitude.roll, attitude.pitch, height, attitude.yaw),
+        AttitudeSetpoint: AttitudeSetpoint(attitude.roll, attitude.pitch, attitude.yaw, throttle),
+    }
+
+
 def _controller(controller: Any, given: Any, draws: Draws) -> Any:
     scene = given["scene"]
     estimate = Estimate(scene["position_ned"], scene["velocity_ned"], scene["attitude"])
-    waypoint = given["waypoints"].map(lambda rows: rows[0])
-    # The first vehicle is exactly where it should be.
-    setpoint = WaypointSetpoint(waypoint, scene["attitude"].yaw)
-    state = controller.init(estimate)
-    state, first = controller.step(state, estimate, setpoint, DT)
-    state, second = controller.step(state, estimate, setpoint, DT)
-    return {"state": state, "commands": (first, second)}
+    setpoints = _setpoints(scene, given["waypoints"].map(lambda rows: rows[0]))
+    state, commands = controller.init(estimate), []
+    for kind in controller.setpoints:
+        for _ in range(2):
+            state, command = controller.step(state, estimate, setpoints[kind], DT)
+            commands.append(command)
+    return {"state": state, "commands": commands}
 
 
 def _guidance(guidance: Any, given: Any, draws: Draws) -> Any:

@@ -114,6 +114,25 @@ def test_slopes_in_every_parameter_are_finite(group: str, name: str) -> None:
             assert np.isfinite(leaf).all(), path
 
 
+OF_A_FLEET = [case for case in COMPONENTS if SLOTS[case[0]].startswith("fleets.")]
+
+
+@pytest.mark.parametrize(("group", "name"), OF_A_FLEET, ids=["-".join(case) for case in OF_A_FLEET])
+def test_numbers_may_differ_from_vehicle_to_vehicle(group: str, name: str) -> None:
+    """With a list in place of each number, every vehicle is as in a fleet where all have its numbers."""
+    component, given, keys = example(group, name), inputs(0), stream_keys(0)
+    factors = np.linspace(0.8, 1.0, VEHICLES).astype(np.float32)
+    lists = jax.tree.map(lambda leaf: leaf * factors, component)
+    run = compiled(partial(evaluate, group))
+    together = leaves(run(lists, given, keys)["results"])
+    for i, factor in enumerate(factors):
+        alone = run(jax.tree.map(lambda leaf, f=factor: leaf * f, component), given, keys)["results"]
+        for (path, got), (_, want) in zip(together, leaves(alone), strict=True):
+            assert got.shape == want.shape, path
+            scale = np.max(np.abs(want), initial=0.0)
+            np.testing.assert_allclose(got[..., i], want[..., i], rtol=0.0, atol=1e-6 * scale, err_msg=path)
+
+
 def option_cases() -> list[Any]:
     cases = []
     for group, name in COMPONENTS:
@@ -171,6 +190,9 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
     # The wind is there for the turbulence to inherit from.
     wind = {"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 10.0}
     fleet = {"sensors": sensors, "vehicles": [{"position_ned": [30.0, 30.0, -10.0]}]}
+    if group == "GUIDANCE":
+        # The one controller that takes whatever a guidance gives.
+        fleet["controller"] = {"type": "offboard"}
     content: dict[str, Any] = {
         "name": "x",
         "duration": 1.0,

@@ -75,7 +75,11 @@ def test_the_json_schema_is_json_with_units_and_bounds() -> None:
     assert {"name", "fleets"} <= set(schema["required"])
     assert schema["additionalProperties"] is False
     mass = schema["$defs"]["pelican"]["properties"]["mass"]
-    assert (mass["unit"], mass["exclusiveMinimum"], mass["default"]) == ("kg", 0.0, 1.68)
+    assert (mass["unit"], mass["default"]) == ("kg", 1.68)
+    # One for all vehicles of a fleet, or one for each.
+    one, each = mass["oneOf"]
+    assert (one, each["type"]) == (each["items"], "array")
+    assert (one["type"], one["exclusiveMinimum"]) == ("number", 0.0)
     speed = schema["$defs"]["log_shear"]["properties"]["speed_20ft"]
     assert (speed["unit"], speed["minimum"], speed["maximum"]) == ("m/s", 0.0, 50.0)
     assert "20 ft" in speed["description"]

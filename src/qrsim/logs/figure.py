@@ -17,7 +17,7 @@ from matplotlib.transforms import ScaledTranslation
 from qrsim.errors import RunError, UsageError, did_you_mean
 from qrsim.logs.layout import Event
 from qrsim.logs.reader import Run
-from qrsim.logs.summary import NOT_A_STOP, gnss_sensor, vectors
+from qrsim.logs.summary import NOT_A_STOP, gnss_sensor, vectors, waypoints_of
 from qrsim.logs.writer import write_atomically
 
 Floats = np.ndarray[Any, Any]
@@ -126,7 +126,7 @@ def _read(run: Run) -> _Data:
         # Half a step of tolerance, because the two times were rounded on different ways.
         flying=np.where(time[:, None] <= np.add(ends, run.info.time_step / 2), 1.0, np.nan),
         position=vectors(run["truth"], "position_ned")[:ticks],
-        setpoint=vectors(run["commands"], "setpoint.position_ned")[:ticks],
+        setpoint=waypoints_of(run, ticks),
         reported=vectors(measured, f"{sensor}.position_ned")[:ticks] if sensor else None,
         barometer=measured[height][:ticks] if height else None,
         mean=vectors(run["wind"], "mean_ned")[:ticks],
@@ -183,6 +183,7 @@ def _span(values: Floats, least: float) -> tuple[float, float]:
 
 def _without_repeats(points: Floats) -> Floats:
     """Return (L, 2) points in the order in which they were flown to."""
+    points = points[np.isfinite(points).all(axis=1)]
     fresh = np.ones(len(points), bool)
     fresh[1:] = np.any(points[1:] != points[:-1], axis=1)
     return np.asarray(points[fresh])

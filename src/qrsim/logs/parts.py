@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -53,8 +53,12 @@ class StreamParts:
             UsageError: unknown column.
             RunError: a part is damaged or missing.
         """
+        return pa.concat_tables(self.tables(names))
+
+    def tables(self, names: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """Return the parts one after the other, each read when its turn comes; raises as ``table``."""
         chosen = [column.name for column in self.columns] if names is None else [self.column(n).name for n in names]
-        return pa.concat_tables([self._read(number, self._schema, chosen) for number in self._usable])
+        return (self._read(number, self._schema, chosen) for number in self._usable)
 
     @cached_property
     def _schema(self) -> pa.Schema:

@@ -99,6 +99,10 @@ class Run:
         """
         return self._stream_parts(stream).table(columns)
 
+    def batches(self, stream: str, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """Return the rows of ``table`` piece by piece, for logs that do not fit into memory; raises as table."""
+        return self._stream_parts(stream).tables(columns)
+
     def describe(self, stream: str) -> tuple[Column, ...]:
         """Return name, unit, meaning and type of each column, time, tick and vehicle included; raises as table."""
         return self._stream_parts(stream).columns

@@ -21,7 +21,8 @@ class VehicleSummary:
     Attributes:
         vehicle: name.
         distance_m: length of the true path.
-        tracking_error_rms_m: distance of the true position from the leg being flown (a point while it is held).
+        tracking_error_rms_m: distance of the true position from the leg being flown (a point while it is held); NaN
+            where no waypoint was.
         gnss_horizontal_rms_m, gnss_vertical_rms_m: what the receiver reports minus the truth at that moment, so the
             delay of the fix counts, over the epochs at which a new fix was reported.
         worst_wind_m_s: largest speed of the air at the vehicle while it flies, gusts included.
@@ -52,6 +53,14 @@ def vectors(stream: Stream, name: str, length: int | None = None) -> Floats:
     return np.stack([np.asarray(array, np.float64)[:length] for array in arrays.values()], axis=-1)
 
 
+def waypoints_of(run: Run, length: int | None = None) -> Floats:
+    """Return (T, n, 3) the waypoint each vehicle was asked to fly to [m], NaN where it was asked for something else."""
+    commands = run["commands"]
+    if "setpoint.position_ned.x" in commands:
+        return vectors(commands, "setpoint.position_ned", length)
+    return np.full((len(commands.time[:length]), len(run.vehicles), 3), np.nan)
+
+
 def common_length(run: Run) -> int:
     """Return how many ticks all streams have; they differ by some where a disk ran full."""
     return min(len(run[stream].time) for stream in ("truth", "measurements", "commands", "wind"))
@@ -78,12 +87,13 @@ def gnss_error(run: Run) -> tuple[Floats, Floats]:
     return run["truth"].time[:length][fresh], (reported - truth)[fresh]
 
 
-def tracking_error(position: Floats, setpoint: Floats) -> Floats:
-    """Return the distance (T, n) [m] of positions (T, n, 3) from the leg that leads to each set-point (T, n, 3)."""
+def tracking_error(position: Floats, waypoint: Floats) -> Floats:
+    """Return the distance (T, n) [m] of positions (T, n, 3) from the leg that leads to each waypoint (T, n, 3)."""
     error = np.empty(position.shape[:2])
     for vehicle in range(position.shape[1]):
-        target, place = setpoint[:, vehicle], position[:, vehicle]
-        changes = 1 + np.flatnonzero(np.any(target[1:] != target[:-1], axis=1))
+        target, place = waypoint[:, vehicle], position[:, vehicle]
+        same = (target[1:] == target[:-1]) | np.isnan(target[1:]) & np.isnan(target[:-1])
+        changes = 1 + np.flatnonzero(~np.all(same, axis=1))
         bounds = [0, *changes, len(target)]
         origin = place[0]
         for begin, end in pairwise(bounds):
@@ -92,7 +102,7 @@ def tracking_error(position: Floats, setpoint: Floats) -> Floats:
             length_squared = float(leg @ leg)
             along = np.clip(offset @ leg / length_squared, 0.0, 1.0) if length_squared > 0 else np.zeros(end - begin)
             error[begin:end, vehicle] = np.linalg.norm(offset - along[:, None] * leg, axis=1)
-            origin = goal
+            origin = goal if np.isfinite(goal).all() else place[end - 1]
     return error
 
 
@@ -108,7 +118,7 @@ def summarise(run: Run) -> list[VehicleSummary]:
     length = common_length(run)
     position = vectors(run["truth"], "position_ned", length)
     flying = np.where(run["truth"]["valid"][:length].astype(bool), 1.0, np.nan)
-    tracking = _rms(tracking_error(position, vectors(run["commands"], "setpoint.position_ned", length)) * flying)
+    tracking = _rms(tracking_error(position, waypoints_of(run, length)) * flying)
     _, gnss = gnss_error(run)
     horizontal, vertical = _rms(np.linalg.norm(gnss[..., :2], axis=-1)), _rms(gnss[..., 2])
     air = vectors(run["wind"], "mean_ned", length) + vectors(run["wind"], "gust_ned", length)

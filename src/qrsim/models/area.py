@@ -30,6 +30,7 @@ REASONS: tuple[tuple[str, str], ...] = (
     ("collision", "distance"),
     ("collision", "obstacle"),
     ("battery_empty", "charge"),
+    ("out_of_area", "fence"),
 )
 
 

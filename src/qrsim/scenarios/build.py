@@ -43,6 +43,8 @@ def component(spec: BaseModel, choices: Mapping[str, type] | type, scenario: Sce
         inherits = field_info(field).inherits
         if isinstance(value, BaseModel):
             value = component(value, type(field.default), scenario)
+        elif isinstance(value, list):
+            value = np.array(value, np.float64)
         elif value is None and inherits:
             value = inherited(scenario, inherits)
         values[field.name] = value
@@ -117,6 +119,8 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
             yield f"world.area.{axis}_min: {low:g} m is not below {axis}_max, {high:g} m"
     for fleet_name, fleet in scenario.fleets.items():
         yield from _name_problems(fleet_name, fleet)
+        yield from _length_problems(fleet_name, fleet)
+        yield from _guidance_problems(fleet_name, fleet)
         yield from _feed_problems(fleet_name, fleet)
         for i, vehicle in enumerate(fleet.vehicles):
             path = f"fleets.{fleet_name}.vehicles.{i}"
@@ -126,7 +130,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
             names[name] = path
             yield from _outside(f"{path}.position_ned", vehicle.position_ned, area)
             yield from _inside_obstacle(f"{path}.position_ned", vehicle.position_ned, scenario)
-            yield from _too_fast(f"{path}.velocity_body", vehicle.velocity_body, fleet)
+            yield from _too_fast(f"{path}.velocity_body", vehicle.velocity_body, fleet, i)
             for j, waypoint in enumerate(vehicle.waypoints_ned):
                 yield from _outside(f"{path}.waypoints_ned.{j}", waypoint, area)
             for other_path, other in starts:
@@ -149,6 +153,37 @@ def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
             yield f"fleets.{fleet_name}.sensors.{name}: the name '{name}' is taken by the simulator; choose another"
 
 
+def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
+    """A list of numbers has one for each vehicle."""
+    size = len(fleet.vehicles)
+    parts = {name: getattr(fleet, name) for name in ("vehicle", "controller", "guidance", "limits", "battery")}
+    parts |= {f"sensors.{name}": sensor for name, sensor in fleet.sensors.items()}
+    for name, part in parts.items():
+        for path, value in _numbers(part, f"fleets.{fleet_name}.{name}"):
+            if isinstance(value, list) and len(value) != size:
+                yield f"{path}: {len(value)} numbers in a list; allowed: {size}, one for each vehicle, or a number"
+
+
+def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, Any]]:
+    for name in type(part).model_fields:
+        value = getattr(part, name)
+        if isinstance(value, BaseModel):
+            yield from _numbers(value, f"{path}.{name}")
+        else:
+            yield f"{path}.{name}", value
+
+
+def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
+    """The controller must take what the guidance gives."""
+    accepted = known.CONTROLLERS[fleet.controller.type].setpoints  # type: ignore[attr-defined]
+    fitting = [name for name, cls in known.GUIDANCE.items() if cls.gives in accepted]  # type: ignore[attr-defined]
+    if fleet.guidance.type not in fitting:
+        yield (
+            f"fleets.{fleet_name}.guidance: '{fleet.guidance.type}' does not fit the controller "
+            f"'{fleet.controller.type}'; allowed: {', '.join(fitting)}"
+        )
+
+
 def _outside(path: str, point: list[float], area: Any) -> Iterator[str]:
     for axis, value in zip("xyz", point, strict=True):
         low, high = getattr(area, f"{axis}_min"), getattr(area, f"{axis}_max")
@@ -156,8 +191,11 @@ def _outside(path: str, point: list[float], area: Any) -> Iterator[str]:
             yield f"{path}: {axis} = {value:g} m is outside world.area; allowed: {low:g} to {high:g}"
 
 
-def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec) -> Iterator[str]:
-    limit = fleet.limits.velocity
+def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -> Iterator[str]:
+    limits = fleet.limits.velocity
+    limit = limits[i] if isinstance(limits, list) and i < len(limits) else limits
+    if isinstance(limit, list):
+        return
     for axis, value in zip("uvw", velocity_body, strict=True):
         if abs(value) > limit:
             yield f"{path}: {axis} = {value:g} m/s; allowed: -{limit:g} to {limit:g} (limits.velocity of the fleet)"

@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
-from qrsim.control import RouteFollower, WaypointController
+from qrsim.control import (
+    AttitudeController,
+    AttitudeGuidance,
+    AttitudeHeightController,
+    AttitudeHeightGuidance,
+    OffboardController,
+    RouteFollower,
+    VelocityController,
+    VelocityGuidance,
+    VelocityHeightController,
+    VelocityHeightGuidance,
+    WaypointController,
+)
 from qrsim.models.area import BoxArea
 from qrsim.models.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.barometer import Barometer, IdealBarometer
@@ -36,8 +48,21 @@ OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}
 AREAS: Catalogue = {"box": BoxArea}
 VEHICLES: Catalogue = {"pelican": Quadrotor}
 BATTERIES: Catalogue = {"given": GivenVoltage, "lithium_polymer": LithiumPolymer}
-CONTROLLERS: Catalogue = {"waypoint": WaypointController}
-GUIDANCE: Catalogue = {"route": RouteFollower}
+CONTROLLERS: Catalogue = {
+    "waypoint": WaypointController,
+    "velocity": VelocityController,
+    "velocity_height": VelocityHeightController,
+    "attitude_height": AttitudeHeightController,
+    "attitude": AttitudeController,
+    "offboard": OffboardController,
+}
+GUIDANCE: Catalogue = {
+    "route": RouteFollower,
+    "velocity": VelocityGuidance,
+    "velocity_height": VelocityHeightGuidance,
+    "attitude_height": AttitudeHeightGuidance,
+    "attitude": AttitudeGuidance,
+}
 SENSORS: Catalogue = {
     "gnss_receiver": GnssReceiver,
     "ideal_gnss": IdealGnss,

@@ -7,7 +7,7 @@ import re
 from datetime import date
 from typing import Annotated, Any, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -73,6 +73,11 @@ class _Fault:
                 self.annotation = next(model for model in models if model.__name__ == part)
                 continue
             if part == "[key]":
+                continue
+            branch = _tagged(self.annotation, part)
+            if branch is not None:
+                # Likewise whether one number is given or one for each vehicle.
+                self.annotation = branch
                 continue
             if models:
                 self.owner, self.owner_name = models[0], self._name_of(models[0])
@@ -234,6 +239,14 @@ def _characters(pattern: str) -> str:
 def _bare(annotation: Any) -> Any:
     """Return a type without what Annotated says about it."""
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
+
+
+def _tagged(annotation: Any, tag: Any) -> Any:
+    """Return the alternative of a union that carries a tag, None where there is none."""
+    for branch in get_args(_bare(annotation)):
+        if any(isinstance(note, Tag) and note.tag == tag for note in get_args(branch)[1:]):
+            return branch
+    return None
 
 
 def _entry(annotation: Any) -> Any:

@@ -8,7 +8,17 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_type_hints
 
-from pydantic import AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
+from pydantic import (
+    AwareDatetime,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    create_model,
+    model_validator,
+)
 
 from qrsim.core.tree import FieldInfo, field_info
 from qrsim.models.area import StateLimits
@@ -30,7 +40,12 @@ def _add_degrees(schema: dict[str, Any]) -> None:
             schema["required"].remove(name)
 
 
-def _radians(degrees: float) -> float:
+def _radians(degrees: Any) -> Any:
+    """Convert a number or each of a list; anything else is left for the check to find."""
+    if isinstance(degrees, list):
+        return [_radians(entry) for entry in degrees]
+    if isinstance(degrees, bool) or not isinstance(degrees, int | float):
+        return degrees
     try:
         return math.radians(degrees)
     except OverflowError:
@@ -60,9 +75,7 @@ class Strict(BaseModel):
             if name.endswith("_rad") and twin in converted:
                 if name in converted:
                     raise ValueError(f"gives both '{name}' and '{twin}'; give one")
-                value = converted.pop(twin)
-                is_number = isinstance(value, int | float) and not isinstance(value, bool)
-                converted[name] = _radians(value) if is_number else value
+                converted[name] = _radians(converted.pop(twin))
         return converted
 
 
@@ -76,12 +89,28 @@ def _described(info: FieldInfo) -> dict[str, Any]:
     return {"description": info.doc + inherited, "json_schema_extra": {"unit": info.unit}}
 
 
-def _field(name: str, hint: Any, field: dataclasses.Field[Any]) -> tuple[Any, Any]:
+def _one_or_each(value: Any) -> str:
+    return "each" if isinstance(value, list) else "one"
+
+
+def _for_each(info: FieldInfo) -> Any:
+    """Return the annotation of a number of a fleet: one for all vehicles, or a list with one for each."""
+    number = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
+    entry = number | None if info.inherits else number
+    return Annotated[
+        Annotated[entry, Tag("one")] | Annotated[list[number], Tag("each")],
+        Discriminator(_one_or_each),
+    ]
+
+
+def _field(name: str, hint: Any, field: dataclasses.Field[Any], each: bool) -> tuple[Any, Any]:
     info = field_info(field)
     required = field.default is dataclasses.MISSING
     if dataclasses.is_dataclass(field.default):
-        nested = component_model(type(field.default).__name__, type(field.default), tagged=False)
+        nested = component_model(type(field.default).__name__, type(field.default), tagged=False, each=each)
         return nested, Field(default_factory=nested, **_described(info))
+    if each and not info.static:
+        return _for_each(info), Field(... if required else field.default, **_described(info))
     if info.static:
         constraints = Field(strict=True, allow_inf_nan=False) if hint is float else Field(strict=True)
         annotation: Any = Annotated[hint, constraints] if hint in (float, int, bool) else hint
@@ -93,27 +122,28 @@ def _field(name: str, hint: Any, field: dataclasses.Field[Any]) -> tuple[Any, An
     return annotation, Field(default, **_bounds(info), **_described(info))
 
 
-def component_model(name: str, component: type, *, tagged: bool = True) -> type[Strict]:
+def component_model(name: str, component: type, *, tagged: bool = True, each: bool = False) -> type[Strict]:
     """Return the schema of one component.
 
     Args:
         name: its name in the catalogue.
         component: a record class whose fields carry metadata.
         tagged: whether a scenario names it by a ``type`` key.
+        each: whether it belongs to a fleet, so that a number may be a list with one entry for each vehicle.
     """
     hints = get_type_hints(component)
     fields: dict[str, Any] = {}
     if tagged:
         fields["type"] = (Literal[name], Field(description="what it is"))
     for field in dataclasses.fields(component):
-        fields[field.name] = _field(field.name, hints[field.name], field)
+        fields[field.name] = _field(field.name, hints[field.name], field, each)
     doc = (component.__doc__ or "").split("\n\n")[0].strip()
     return create_model(name, __base__=Strict, __doc__=doc, **fields)
 
 
-def _slot(choices: Mapping[str, type]) -> Any:
+def _slot(choices: Mapping[str, type], *, each: bool = False) -> Any:
     """Return the annotation of a place where one of several components goes."""
-    models = [component_model(name, component) for name, component in choices.items()]
+    models = [component_model(name, component, each=each) for name, component in choices.items()]
     return Annotated[Union[tuple(models)], Field(discriminator="type")] if len(models) > 1 else models[0]  # noqa: UP007
 
 
@@ -145,17 +175,17 @@ if TYPE_CHECKING:
 else:
     WindSlot = _slot(known.WINDS)
     TurbulenceSlot = _slot(known.TURBULENCES)
-    SensorSlot = _slot(known.SENSORS)
+    SensorSlot = _slot(known.SENSORS, each=True)
     OrbitsSlot = _slot(known.ORBITS)
     SkyErrorsSlot = _slot(known.SKY_ERRORS)
     AreaSlot = _slot(known.AREAS)
     ObstacleSlot = _slot(known.OBSTACLES)
     GustSlot = _slot(known.GUSTS)
-    BatterySlot = _slot(known.BATTERIES)
-    VehicleSlot = _slot(known.VEHICLES)
-    ControllerSlot = _slot(known.CONTROLLERS)
-    GuidanceSlot = _slot(known.GUIDANCE)
-    LimitsModel = component_model("limits", StateLimits, tagged=False)
+    BatterySlot = _slot(known.BATTERIES, each=True)
+    VehicleSlot = _slot(known.VEHICLES, each=True)
+    ControllerSlot = _slot(known.CONTROLLERS, each=True)
+    GuidanceSlot = _slot(known.GUIDANCE, each=True)
+    LimitsModel = component_model("limits", StateLimits, tagged=False, each=True)
 
 
 class SkySpec(Strict):
@@ -197,12 +227,25 @@ class FleetSpec(Strict):
 
     vehicle: VehicleSlot = Field({"type": "pelican"}, description="vehicle model", validate_default=True)
     controller: ControllerSlot = Field({"type": "waypoint"}, description="control loops", validate_default=True)
-    guidance: GuidanceSlot = Field({"type": "route"}, description="route following", validate_default=True)
+    guidance: GuidanceSlot = Field(
+        {"type": "route"},
+        description="what hands out set-points; default: that of the controller's name, 'route' for waypoints",
+        validate_default=True,
+    )
     limits: LimitsModel = Field(default_factory=LimitsModel, description="state limits")
     sensors: dict[str, SensorSlot] = Field({}, description="sensors by name")
     battery: BatterySlot = Field({"type": "given"}, description="battery", validate_default=True)
     faults: list[FaultSpec] = Field([], description="sensor faults, applied in this order", max_length=100)
     vehicles: list[VehicleSpec] = Field(description="vehicles", min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _guidance_of_the_controller(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or "guidance" in data:
+            return data
+        controller = data.get("controller")
+        name = controller.get("type") if isinstance(controller, dict) else None
+        return {**data, "guidance": {"type": name if name in known.GUIDANCE else "route"}}
 
 
 class SiteSpec(Strict):

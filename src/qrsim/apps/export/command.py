@@ -1,0 +1,115 @@
+"""``qrsim export``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from qrsim.errors import UsageError
+
+if TYPE_CHECKING:
+    from qrsim.apps.export.output import Written
+    from qrsim.logs import Run
+
+TRACK_PERIOD_S = 0.2
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a recorded run for other programs: csv, geojson, gpx, kml or mcap.
+
+    csv: one table per stream, every column with its unit, full precision. geojson, gpx and kml: the true and the
+    GNSS-reported track of every vehicle and the events, on WGS-84. mcap: poses, fixes, wind and events for Foxglove,
+    east-north-up.
+
+    Heights are above the WGS-84 ellipsoid in every format. A run that is running, was interrupted or killed is
+    exported up to its last flush; what is damaged is left out with a warning.
+
+    Example:
+      qrsim export runs/first --format csv
+      qrsim export runs/first --format csv --stream truth --every 10 --out truth.csv
+      qrsim export runs/first --format kml --out first.kml
+    """
+
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    """Run folder."""
+    format: Literal["csv", "geojson", "gpx", "kml", "mcap"]
+    """What to write."""
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(metavar="PATH", help_behavior_hint="(default: RUN/export/NAME.FORMAT, csv: RUN/export)"),
+    ] = None
+    """File to write; for csv of all streams, the folder of its files."""
+    stream: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = None
+    """The only stream to write, csv only."""
+    every: Annotated[
+        int | None,
+        tyro.conf.arg(metavar="N", help_behavior_hint="(default: 1 for csv and mcap, 5 Hz for the others)"),
+    ] = None
+    """Keep the ticks that N divides; events are all kept."""
+    force: bool = False
+    """Overwrite files that exist."""
+    json: bool = False
+    """Print what was written as JSON."""
+
+    def run(self) -> None:
+        """Check, write, and say what was written."""
+        from qrsim.logs import open_run
+
+        if self.every is not None and self.every < 1:
+            raise UsageError(f"--every {self.every}: expected an integer from 1")
+        if self.stream is not None and self.format != "csv":
+            raise UsageError(f"--stream chooses among the tables of csv; {self.format} has no such choice")
+        recorded = open_run(self.run_folder, skip_damaged=True)
+        every = self.every or self._usual_every(recorded)
+        written = self._write_tables(recorded, every) if self.format == "csv" else [self._write_file(recorded, every)]
+        self._report(written, every)
+
+    def _usual_every(self, recorded: Run) -> int:
+        if self.format in ("csv", "mcap"):
+            return 1
+        return max(1, round(TRACK_PERIOD_S / recorded.info.time_step))
+
+    def _write_tables(self, recorded: Run, every: int) -> list[Written]:
+        from qrsim.apps.export.csv_files import write_stream
+        from qrsim.apps.export.output import check_target, readable_streams
+
+        streams = readable_streams(recorded, self.stream)
+        if self.stream is not None and self.out is not None:
+            targets = [self.out]
+        else:
+            folder = self.out or self.run_folder / "export"
+            if folder.is_file():
+                raise UsageError(f"--out {folder} is a file; csv of all streams needs a folder, or give --stream")
+            targets = [folder / f"{stream}.csv" for stream in streams]
+        for target in targets:
+            check_target(target, self.force)
+        return [write_stream(recorded, *pair, every) for pair in zip(streams, targets, strict=True)]
+
+    def _write_file(self, recorded: Run, every: int) -> Written:
+        from qrsim.apps.export import geojson, gpx, kml, mcap_file
+        from qrsim.apps.export.output import check_target
+        from qrsim.apps.export.place import place_of
+        from qrsim.apps.export.tracks import read_tracks
+
+        target = self.out or self.run_folder / "export" / f"{self.run_folder.resolve().name}.{self.format}"
+        check_target(target, self.force)
+        place = place_of(recorded)
+        if self.format == "mcap":
+            return mcap_file.write(recorded, place, target, every)
+        write = {"geojson": geojson.write, "gpx": gpx.write, "kml": kml.write}[self.format]
+        return write(read_tracks(recorded, place, every), target)
+
+    def _report(self, written: list[Written], every: int) -> None:
+        import json
+
+        if self.json:
+            files = [{"path": str(item.path), **item.counts} for item in written]
+            result = {"run": str(self.run_folder), "format": self.format, "every": every, "files": files}
+            print(json.dumps(result, indent=2))
+            return
+        for item in written:
+            print(f"{item.path}: {', '.join(f'{count} {what}' for what, count in item.counts.items())}")

@@ -1,0 +1,65 @@
+"""Control loops of the reference implementation, and what hands out their set-points (models.md section 7).
+
+``setpoints`` says what can be asked for, ``loops`` holds the parts that controllers share, ``controllers`` has one
+record for each kind of set-point and one for all kinds, ``guidance`` what flies a fleet that nobody commands.
+"""
+
+from qrsim.control.controllers import (
+    AttitudeController,
+    AttitudeHeightController,
+    OffboardController,
+    VelocityController,
+    VelocityHeightController,
+    WaypointController,
+)
+from qrsim.control.guidance import (
+    AttitudeGuidance,
+    AttitudeHeightGuidance,
+    Route,
+    RouteFollower,
+    RouteState,
+    VelocityGuidance,
+    VelocityHeightGuidance,
+)
+from qrsim.control.loops import ClimbLoop, HeightLoop, HeightState, VelocityLoop, VelocityState
+from qrsim.control.setpoints import (
+    SETPOINTS,
+    AttitudeHeightSetpoint,
+    AttitudeSetpoint,
+    Estimate,
+    OffboardSetpoint,
+    Setpoint,
+    VelocityHeightSetpoint,
+    VelocitySetpoint,
+    WaypointSetpoint,
+)
+
+__all__ = [
+    "SETPOINTS",
+    "AttitudeController",
+    "AttitudeGuidance",
+    "AttitudeHeightController",
+    "AttitudeHeightGuidance",
+    "AttitudeHeightSetpoint",
+    "AttitudeSetpoint",
+    "ClimbLoop",
+    "Estimate",
+    "HeightLoop",
+    "HeightState",
+    "OffboardController",
+    "OffboardSetpoint",
+    "Route",
+    "RouteFollower",
+    "RouteState",
+    "Setpoint",
+    "VelocityController",
+    "VelocityGuidance",
+    "VelocityHeightController",
+    "VelocityHeightGuidance",
+    "VelocityHeightSetpoint",
+    "VelocityLoop",
+    "VelocitySetpoint",
+    "VelocityState",
+    "WaypointController",
+    "WaypointSetpoint",
+]

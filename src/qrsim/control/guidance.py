@@ -1,0 +1,179 @@
+"""What hands out set-points to a fleet that nobody commands: a route, or one constant set-point."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control.setpoints import (
+    AttitudeHeightSetpoint,
+    AttitudeSetpoint,
+    VelocityHeightSetpoint,
+    VelocitySetpoint,
+    WaypointSetpoint,
+)
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.vectors import Vec3
+
+
+@record
+class Route:
+    """Waypoints of each vehicle, padded to the longest route: W waypoints, n vehicles."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="(W, n) waypoints")
+    yaw: Array = quantity(unit="rad", doc="(W, n) heading towards and at each waypoint")
+    count: Array = quantity(doc="(n,) int32 number of waypoints")
+
+
+@record
+class RouteState:
+    """Which waypoint each vehicle (n,) flies to."""
+
+    index: Array = quantity(doc="int32")
+    reached: Array = quantity(doc="int32 waypoints reached so far")
+
+    @staticmethod
+    def start(route: Route) -> RouteState:
+        """Return the start of each route."""
+        zero = jnp.zeros(route.count.shape, jnp.int32)
+        return RouteState(zero, zero)
+
+
+@record
+class RouteFollower:
+    """Hands out the next waypoint when the current one is near."""
+
+    acceptance_radius: Array = parameter(
+        default=3.0, unit="m", doc="distance at which a waypoint counts as reached", above=0.0
+    )
+    repeat: bool = setting(default=True, doc="start again after the last waypoint, else hold there")
+
+    gives: ClassVar[type] = WaypointSetpoint
+
+    def init(self, route: Route) -> RouteState:
+        """Return the start of each route."""
+        return RouteState.start(route)
+
+    def step(self, state: RouteState, route: Route, position_ned: Vec3) -> tuple[RouteState, WaypointSetpoint]:
+        """Return the new state and the set-point for vehicles that believe to be at position_ned (n,)."""
+        arrived = (self.setpoint(state, route).position_ned - position_ned).norm() < self.acceptance_radius
+        following = state.index + 1
+        last = jnp.zeros_like(following) if self.repeat else route.count - 1
+        following = jnp.where(following >= route.count, last, following)
+        # Where a vehicle stays, at the last waypoint or the only one, it arrives once.
+        counts = arrived & ((following != state.index) | (state.reached < route.count))
+        moved = RouteState(jnp.where(arrived, following, state.index), state.reached + counts.astype(jnp.int32))
+        return moved, self.setpoint(moved, route)
+
+    @staticmethod
+    def setpoint(state: RouteState, route: Route) -> WaypointSetpoint:
+        """Return the current waypoint of each vehicle (n,)."""
+        # A sum over a one-hot mask, because gathers are slow on a CPU and routes are short.
+        rows = jnp.arange(route.yaw.shape[0], dtype=jnp.int32)[:, None]
+        chosen = rows == state.index[None, :]
+
+        def pick(values: Array) -> Array:
+            return jnp.sum(jnp.where(chosen, values, 0.0), axis=0)
+
+        return WaypointSetpoint(route.position_ned.map(pick), pick(route.yaw))
+
+
+def _each(value: Array, route: Route) -> Array:
+    """Return a parameter for each vehicle (n,)."""
+    return jnp.broadcast_to(jnp.asarray(value), route.count.shape)
+
+
+@record
+class VelocityGuidance:
+    """Asks for one velocity, at the vehicle's own heading."""
+
+    velocity_north: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, north")
+    velocity_east: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, east")
+    velocity_down: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, down")
+
+    gives: ClassVar[type] = VelocitySetpoint
+
+    def init(self, route: Route) -> RouteState:
+        """Return the start of each route, where it stays."""
+        return RouteState.start(route)
+
+    def step(self, state: RouteState, route: Route, position_ned: Vec3) -> tuple[RouteState, VelocitySetpoint]:
+        """Return the same state and set-point."""
+        return state, self.setpoint(state, route)
+
+    def setpoint(self, state: RouteState, route: Route) -> VelocitySetpoint:
+        """Return the set-point of each vehicle (n,)."""
+        wanted = Vec3(self.velocity_north, self.velocity_east, self.velocity_down)
+        return VelocitySetpoint(wanted.map(lambda axis: _each(axis, route)), route.yaw[0])
+
+
+@record
+class VelocityHeightGuidance:
+    """Asks for one horizontal velocity at the height of the first waypoint (of the start without one)."""
+
+    velocity_north: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, north")
+    velocity_east: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, east")
+
+    gives: ClassVar[type] = VelocityHeightSetpoint
+
+    def init(self, route: Route) -> RouteState:
+        """Return the start of each route, where it stays."""
+        return RouteState.start(route)
+
+    def step(self, state: RouteState, route: Route, position_ned: Vec3) -> tuple[RouteState, VelocityHeightSetpoint]:
+        """Return the same state and set-point."""
+        return state, self.setpoint(state, route)
+
+    def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
+        """Return the set-point of each vehicle (n,)."""
+        north, east = _each(self.velocity_north, route), _each(self.velocity_east, route)
+        return VelocityHeightSetpoint(north, east, -route.position_ned.z[0], route.yaw[0])
+
+
+@record
+class AttitudeHeightGuidance:
+    """Asks for one tilt at the height of the first waypoint (of the start without one)."""
+
+    roll_rad: Array = parameter(default=0.0, unit="rad", doc="commanded roll", minimum=-0.9, maximum=0.9)
+    pitch_rad: Array = parameter(default=0.0, unit="rad", doc="commanded pitch", minimum=-0.9, maximum=0.9)
+
+    gives: ClassVar[type] = AttitudeHeightSetpoint
+
+    def init(self, route: Route) -> RouteState:
+        """Return the start of each route, where it stays."""
+        return RouteState.start(route)
+
+    def step(self, state: RouteState, route: Route, position_ned: Vec3) -> tuple[RouteState, AttitudeHeightSetpoint]:
+        """Return the same state and set-point."""
+        return state, self.setpoint(state, route)
+
+    def setpoint(self, state: RouteState, route: Route) -> AttitudeHeightSetpoint:
+        """Return the set-point of each vehicle (n,)."""
+        roll, pitch = _each(self.roll_rad, route), _each(self.pitch_rad, route)
+        return AttitudeHeightSetpoint(roll, pitch, -route.position_ned.z[0], route.yaw[0])
+
+
+@record
+class AttitudeGuidance:
+    """Asks for one tilt and one thrust."""
+
+    roll_rad: Array = parameter(default=0.0, unit="rad", doc="commanded roll", minimum=-0.9, maximum=0.9)
+    pitch_rad: Array = parameter(default=0.0, unit="rad", doc="commanded pitch", minimum=-0.9, maximum=0.9)
+    throttle: Array = parameter(default=0.59, unit="1", doc="normalised thrust", minimum=0.0, maximum=1.0)
+
+    gives: ClassVar[type] = AttitudeSetpoint
+
+    def init(self, route: Route) -> RouteState:
+        """Return the start of each route, where it stays."""
+        return RouteState.start(route)
+
+    def step(self, state: RouteState, route: Route, position_ned: Vec3) -> tuple[RouteState, AttitudeSetpoint]:
+        """Return the same state and set-point."""
+        return state, self.setpoint(state, route)
+
+    def setpoint(self, state: RouteState, route: Route) -> AttitudeSetpoint:
+        """Return the set-point of each vehicle (n,)."""
+        roll, pitch = _each(self.roll_rad, route), _each(self.pitch_rad, route)
+        return AttitudeSetpoint(roll, pitch, route.yaw[0], _each(self.throttle, route))

@@ -1,0 +1,177 @@
+"""Reading the polygons of KML 2.2 files, for fences."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.fence import polygon_problems
+
+GEOMETRIES = ("Point", "LineString", "LinearRing", "Polygon", "Model", "Track", "MultiTrack")
+
+
+@dataclass(frozen=True)
+class KmlPolygon:
+    """A polygon of a KML file.
+
+    Attributes:
+        name: of its placemark, "" where it has none.
+        vertices: latitude and longitude [deg] of each corner; the last is joined to the first, which is not repeated.
+        altitudes: of each corner [m], as written, 0 where the file has none; a fence does not use them.
+    """
+
+    name: str
+    vertices: tuple[tuple[float, float], ...]
+    altitudes: tuple[float, ...]
+
+
+class _Builder(ElementTree.TreeBuilder):
+    """Refuses a document type before any of its entities is read: entities can grow without bound."""
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> NoReturn:
+        raise _DocumentTypeError
+
+
+class _DocumentTypeError(Exception):
+    pass
+
+
+def read_fence(path: str | Path, name: str | None = None) -> KmlPolygon:
+    """Return the polygon of a KML file, or the one of a name.
+
+    Points, lines and other features are passed over.
+
+    Args:
+        path: the file.
+        name: of the polygon's placemark; may be left out where the file has one polygon only.
+
+    Raises:
+        UsageError: the file is no KML, has no such polygon or several, or one that has a hole or is not simple.
+    """
+    found = _polygon_elements(str(path))
+    names = list(dict.fromkeys(each for each, _ in found))
+    if name is not None and name not in names:
+        raise UsageError(f"{path}: no polygon is called '{name}'{did_you_mean(name, [each for each in names if each])}")
+    chosen = [each for each in found if name is None or each[0] == name]
+    if len(chosen) > 1:
+        if name is not None:
+            raise UsageError(f"{path}: {len(chosen)} polygons are called '{name}'; a fence is one polygon")
+        counts = ", ".join(_called(each) + (f" ({n} times)" if n > 1 else "") for each, n in _count(found).items())
+        raise UsageError(f"{path}: has {len(found)} polygons; choose one by its name: {counts}")
+    return _polygon(str(path), *chosen[0])
+
+
+def read_polygons(path: str | Path) -> list[KmlPolygon]:
+    """Return every polygon of a KML file, in its order.
+
+    Raises:
+        UsageError: the file is no KML, has no polygon, or one that has a hole or is not simple.
+    """
+    return [_polygon(str(path), name, element) for name, element in _polygon_elements(str(path))]
+
+
+def _count(found: list[tuple[str, Element]]) -> Counter[str]:
+    return Counter(name for name, _ in found)
+
+
+def _called(name: str) -> str:
+    return f"'{name}'" if name else "(without a name)"
+
+
+def _root(path: str) -> Element:
+    """Return the document's first element."""
+    try:
+        data = Path(path).expanduser().read_bytes()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
+    if data.startswith(b"PK"):
+        raise UsageError(f"{path}: is a KMZ archive; unpack it and give the KML file inside, usually doc.kml")
+    parser = ElementTree.XMLParser(target=_Builder())
+    try:
+        parser.feed(data)
+        root: Element = parser.close()
+    except _DocumentTypeError:
+        raise UsageError(f"{path}: has a document type (<!DOCTYPE), which KML has not; remove it") from None
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise UsageError(f"{path}: is not XML: {error}") from None
+    if _tag(root) != "kml":
+        raise UsageError(f"{path}: is not KML: its first element is <{_tag(root)}>, expected <kml>")
+    return root
+
+
+def _tag(element: Element) -> str:
+    """Return the tag without its namespace."""
+    return element.tag.rpartition("}")[2]
+
+
+def _children(element: Element, tag: str) -> list[Element]:
+    return [child for child in element if _tag(child) == tag]
+
+
+def _text(element: Element, tag: str) -> str:
+    return "".join((child.text or "").strip() for child in _children(element, tag)[:1])
+
+
+def _polygon_elements(path: str) -> list[tuple[str, Element]]:
+    """Return (name of the placemark, element) of each polygon; at least one."""
+    placemarks = [element for element in _root(path).iter() if _tag(element) == "Placemark"]
+    found = [
+        (_text(placemark, "name"), element)
+        for placemark in placemarks
+        for element in placemark.iter()
+        if _tag(element) == "Polygon"
+    ]
+    if not found:
+        others = Counter(
+            _tag(part) for placemark in placemarks for part in placemark.iter() if _tag(part) in GEOMETRIES
+        )
+        words = ", ".join(f"{count} {tag}" for tag, count in others.items()) or "no geometry at all"
+        raise UsageError(f"{path}: has no Polygon in a Placemark; found {words}")
+    return found
+
+
+def _polygon(path: str, name: str, element: Element) -> KmlPolygon:
+    """Return the outer boundary of a Polygon element."""
+    where = f"{path}: polygon {_called(name)}"
+    if _children(element, "innerBoundaryIs"):
+        raise UsageError(
+            f"{where}: has a hole (innerBoundaryIs), and holes are not supported; "
+            "draw what is to be kept out of as a polygon of its own"
+        )
+    rings = [ring for outer in _children(element, "outerBoundaryIs") for ring in _children(outer, "LinearRing")]
+    texts = [_text(ring, "coordinates") for ring in rings]
+    if len(texts) != 1 or not texts[0]:
+        raise UsageError(f"{where}: expected one outerBoundaryIs with a LinearRing with coordinates")
+    corners = list(_corners(where, texts[0]))
+    if len(corners) > 1 and corners[0] == corners[-1]:
+        corners.pop()
+    vertices = tuple((latitude, longitude) for latitude, longitude, _ in corners)
+    for problem in polygon_problems(vertices):
+        raise UsageError(f"{where}: {problem}")
+    return KmlPolygon(name, vertices, tuple(altitude for _, _, altitude in corners))
+
+
+def _corners(where: str, text: str) -> Iterator[tuple[float, float, float]]:
+    """Yield (latitude [deg], longitude [deg], altitude [m]) of each tuple of a coordinates element."""
+    for i, words in enumerate(text.split()):
+        try:
+            numbers = [float(word) for word in words.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+            raise UsageError(
+                f"{where}: corner {i}, '{words}': expected longitude,latitude or longitude,latitude,altitude"
+            )
+        longitude, latitude = numbers[:2]
+        if abs(longitude) > 180.0 or abs(latitude) > 90.0:
+            raise UsageError(
+                f"{where}: corner {i}, '{words}': longitude comes first, within 180 degrees, then latitude, within 90"
+            )
+        yield latitude, longitude, numbers[2] if len(numbers) == 3 else 0.0

@@ -1,0 +1,409 @@
+"""Reading QGroundControl .plan files: home, waypoints and fence, and what of a plan is not flown.
+
+The format is that of QGroundControl's developer guide, "Plan File Format"; commands and frames are MAVLink's MAV_CMD
+and MAV_FRAME. Altitudes are taken from an item's parameters and frame, as a vehicle takes them.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from qrsim.errors import ScenarioError, UsageError
+from qrsim.models.fence import polygon_problems
+
+WAYPOINT, LOITER_FOREVER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
+# Commands that are flown, and what their first four parameters ask for, which is not; "" where nothing is defined.
+FLOWN: dict[int, tuple[str, tuple[str, str, str, str]]] = {
+    WAYPOINT: ("NAV_WAYPOINT", ("hold for {:g} s", "acceptance radius {:g} m", "pass at {:g} m", "yaw {:g} deg")),
+    LOITER_FOREVER: ("NAV_LOITER_UNLIM", ("", "", "loiter radius {:g} m", "yaw {:g} deg")),
+    LOITER_TURNS: ("NAV_LOITER_TURNS", ("{:g} turns", "", "loiter radius {:g} m", "")),
+    LOITER_TIME: ("NAV_LOITER_TIME", ("loiter for {:g} s", "", "loiter radius {:g} m", "")),
+    RETURN: ("NAV_RETURN_TO_LAUNCH", ("", "", "", "")),
+    LAND: ("NAV_LAND", ("abort altitude {:g} m", "precision landing mode {:g}", "", "yaw {:g} deg")),
+    TAKEOFF: ("NAV_TAKEOFF", ("pitch {:g} deg", "", "", "yaw {:g} deg")),
+}  # fmt: skip
+# Commands that change no path.
+NOT_FLOWN = {
+    93: "NAV_DELAY", 112: "CONDITION_DELAY", 114: "CONDITION_DISTANCE", 115: "CONDITION_YAW", 178: "DO_CHANGE_SPEED",
+    181: "DO_SET_RELAY", 182: "DO_REPEAT_RELAY", 183: "DO_SET_SERVO", 184: "DO_REPEAT_SERVO", 189: "DO_LAND_START",
+    195: "DO_SET_ROI_LOCATION", 196: "DO_SET_ROI_WPNEXT_OFFSET", 197: "DO_SET_ROI_NONE", 200: "DO_CONTROL_VIDEO",
+    201: "DO_SET_ROI", 202: "DO_DIGICAM_CONFIGURE", 203: "DO_DIGICAM_CONTROL", 204: "DO_MOUNT_CONFIGURE",
+    205: "DO_MOUNT_CONTROL", 206: "DO_SET_CAM_TRIGG_DIST", 207: "DO_FENCE_ENABLE", 211: "DO_GRIPPER",
+    214: "DO_SET_CAM_TRIGG_INTERVAL", 530: "SET_CAMERA_MODE", 531: "SET_CAMERA_ZOOM", 532: "SET_CAMERA_FOCUS",
+    1000: "DO_GIMBAL_MANAGER_PITCHYAW", 2000: "IMAGE_START_CAPTURE", 2001: "IMAGE_STOP_CAPTURE",
+    2003: "DO_TRIGGER_CONTROL", 2500: "VIDEO_START_CAPTURE", 2501: "VIDEO_STOP_CAPTURE",
+}  # fmt: skip
+# Names, for messages, of others that occur in plans.
+_OTHERS = {
+    31: "NAV_LOITER_TO_ALT", 82: "NAV_SPLINE_WAYPOINT", 84: "NAV_VTOL_TAKEOFF", 85: "NAV_VTOL_LAND",
+    94: "NAV_PAYLOAD_PLACE", 113: "CONDITION_CHANGE_ALT", 176: "DO_SET_MODE", 177: "DO_JUMP", 179: "DO_SET_HOME",
+    208: "DO_PARACHUTE", 3000: "DO_VTOL_TRANSITION",
+}  # fmt: skip
+_ABOVE_SEA, _ABOVE_HOME = (0, 5), (3, 6)
+_FRAMES = {
+    1: "LOCAL_NED", 2: "MISSION", 4: "LOCAL_ENU", 10: "GLOBAL_TERRAIN_ALT", 11: "GLOBAL_TERRAIN_ALT_INT",
+}  # fmt: skip
+_KINDS = {dict: "an object", list: "a list", bool: "true or false", int: "a whole number"}
+_LARGEST_LENGTH, _LARGEST_PARAMETER = 1e5, 1e9
+
+
+@dataclass(frozen=True)
+class Home:
+    """Where the plan starts: geodetic [deg], and altitude above mean sea level [m]."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl: float
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """One place to fly to.
+
+    Attributes:
+        latitude_deg, longitude_deg: geodetic [deg].
+        height_above_home: [m].
+        item: number of the mission item, from 1 as QGroundControl shows it; those inside a survey count.
+        command: MAV_CMD without its prefix, for example NAV_LAND.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_above_home: float
+    item: int
+    command: str
+
+
+@dataclass(frozen=True)
+class FencePolygon:
+    """A simple polygon to stay in (inclusion) or out of; corners as (latitude, longitude) [deg]."""
+
+    inclusion: bool
+    vertices: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class FenceCircle:
+    """A circle to stay in (inclusion) or out of; centre [deg], radius [m]."""
+
+    inclusion: bool
+    latitude_deg: float
+    longitude_deg: float
+    radius: float
+
+
+@dataclass(frozen=True)
+class Ignored:
+    """Something in the plan that no waypoint and no fence says.
+
+    Attributes:
+        item: number of the mission item, None where it is not one.
+        name: of its command, or of the part of the file.
+        what: the words for what is not flown.
+    """
+
+    item: int | None
+    name: str
+    what: str
+
+    @property
+    def text(self) -> str:
+        """A line for a warning."""
+        return f"{self.name}: {self.what}" if self.item is None else f"item {self.item}, {self.name}: {self.what}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a .plan file says about where to fly; waypoints are in the order of flight."""
+
+    home: Home
+    waypoints: tuple[Waypoint, ...]
+    polygons: tuple[FencePolygon, ...]
+    circles: tuple[FenceCircle, ...]
+    ignored: tuple[Ignored, ...]
+
+
+class _FaultError(Exception):
+    """One fault: the path of a value, and what is wrong with it."""
+
+
+def read_plan(path: str | Path) -> Plan:
+    """Read a .plan file, version 1 with a mission of version 2 and a fence of version 2.
+
+    A take-off without a place is above the last waypoint, or above home; a return is a waypoint above home at the
+    height of the last. Landings are waypoints at the height they have. Speeds, cameras and the like are in ``ignored``.
+
+    Raises:
+        UsageError: the file cannot be read or is no JSON.
+        ScenarioError: it is no plan, of another version, or asks for what cannot be flown; every fault with its path.
+    """
+    source = str(path)
+    content = _content(source)
+    try:
+        _check_kind(content)
+        mission = _section(content, "mission", 2)
+        home = Home(*_place(_get(mission, "plannedHomePosition", list, "mission"), "mission.plannedHomePosition", 3))
+        items = _get(mission, "items", list, "mission")
+    except _FaultError as fault:
+        raise ScenarioError(source, [str(fault)]) from None
+    route, fence = _Route(home), _Fence()
+    route.add_all(items, "mission.items")
+    fence.add_all(content)
+    if problems := route.problems + fence.problems:
+        raise ScenarioError(source, problems)
+    return Plan(
+        home, tuple(route.waypoints), tuple(fence.polygons), tuple(fence.circles), (*route.ignored, *fence.ignored)
+    )
+
+
+def _content(source: str) -> Any:
+    try:
+        text = Path(source).expanduser().read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise UsageError(f"{source}: is not JSON: it is no UTF-8 text") from None
+    try:
+        return json.loads(text, object_pairs_hook=_without_twins)
+    except json.JSONDecodeError as error:
+        raise UsageError(f"{source}: is not JSON: line {error.lineno}, column {error.colno}: {error.msg}") from None
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{source}: is no plan: {error}") from None
+    except _FaultError as fault:
+        raise ScenarioError(source, [str(fault)]) from None
+
+
+def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise _FaultError(f"'{key}' is given twice in one object")
+        found[key] = value
+    return found
+
+
+def _check_kind(content: Any) -> None:
+    if not isinstance(content, dict) or "fileType" not in content:
+        raise _FaultError("is no plan; expected an object with fileType 'Plan'")
+    if content["fileType"] != "Plan":
+        raise _FaultError(f"fileType: is {_shown(content['fileType'])}; supported: 'Plan'")
+    _check_version(content, 1, "")
+
+
+def _shown(value: Any) -> str:
+    """Return a value for a message: short, and null as JSON writes it."""
+    return "null" if value is None else f"{value!r:.60}"
+
+
+def _get(parent: dict[str, Any], key: str, kind: type, where: str) -> Any:
+    """Return a value of an object at a path, checked to be of a kind."""
+    path = f"{where}.{key}" if where else key
+    if key not in parent:
+        raise _FaultError(f"{path}: is missing; expected {_KINDS[kind]}")
+    return _of_kind(parent[key], kind, path)
+
+
+def _of_kind(value: Any, kind: type, where: str) -> Any:
+    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+        raise _FaultError(f"{where}: expected {_KINDS[kind]}, found {_shown(value)}")
+    return value
+
+
+def _check_version(parent: dict[str, Any], supported: int, where: str) -> None:
+    found = _get(parent, "version", int, where)
+    if found != supported:
+        path = f"{where}.version" if where else "version"
+        raise _FaultError(f"{path}: version {found} is not supported; supported: {supported}")
+
+
+def _section(content: dict[str, Any], key: str, version: int) -> dict[str, Any]:
+    section: dict[str, Any] = _get(content, key, dict, "")
+    _check_version(section, version, key)
+    return section
+
+
+def _number(value: Any, where: str, limit: float, unit: str) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        meaning = ", which stands for 'the current one'" if value is None else ""
+        raise _FaultError(f"{where}: expected a number, found {_shown(value)}{meaning}")
+    # NaN fails this comparison too.
+    if not -limit <= value <= limit:
+        raise _FaultError(f"{where}: {_shown(value)} is out of range; allowed: {-limit:g} to {limit:g} {unit}")
+    return float(value)
+
+
+def _place(values: list[Any], where: str, count: int) -> tuple[float, ...]:
+    """Return latitude, longitude and, where ``count`` is 3, altitude."""
+    if len(values) != count:
+        words = "latitude, longitude, altitude" if count == 3 else "latitude, longitude"
+        raise _FaultError(f"{where}: expected [{words}], found {len(values)} values")
+    kinds = (("latitude", 90.0, "deg"), ("longitude", 180.0, "deg"), ("altitude", _LARGEST_LENGTH, "m"))
+    return tuple(
+        _number(value, f"{where}: {name}", limit, unit)
+        for value, (name, limit, unit) in zip(values, kinds, strict=False)
+    )
+
+
+class _Route:
+    """The waypoints so far, and what was found wrong or is not flown."""
+
+    def __init__(self, home: Home):
+        self.home = home
+        self.waypoints: list[Waypoint] = []
+        self.ignored: list[Ignored] = []
+        self.problems: list[str] = []
+        self.number = 0
+        self.ended_by = ""
+
+    def add_all(self, items: list[Any], where: str, inside: bool = False) -> None:
+        """Add mission items; those of a survey are ``inside`` another item."""
+        for i, item in enumerate(items):
+            path = f"{where}.{i}"
+            try:
+                kind = _of_kind(item, dict, path).get("type")
+                if kind == "ComplexItem" and not inside:
+                    self._add_survey(item, path)
+                elif kind == "SimpleItem":
+                    self.number += 1
+                    self._add(item, path)
+                else:
+                    supported = "'SimpleItem'" if inside else "'SimpleItem', 'ComplexItem'"
+                    raise _FaultError(f"{path}.type: is {_shown(kind)}; supported: {supported}")
+            except _FaultError as fault:
+                self.problems.append(str(fault))
+
+    def _add_survey(self, item: dict[str, Any], path: str) -> None:
+        key = "TransectStyleComplexItem"
+        if key not in item:
+            raise _FaultError(
+                f"{path}: a ComplexItem of type {_shown(item.get('complexItemType'))} cannot be flown; "
+                f"supported: those with {key}.Items, such as 'survey' and 'CorridorScan'"
+            )
+        inner = _get(item, key, dict, path)
+        if inner.get("version", 1) not in (1, 2):
+            raise _FaultError(
+                f"{path}.{key}.version: version {_shown(inner['version'])} is not supported; supported: 1, 2"
+            )
+        self.add_all(_get(inner, "Items", list, f"{path}.{key}"), f"{path}.{key}.Items", inside=True)
+
+    def _add(self, item: dict[str, Any], path: str) -> None:
+        """Add a simple item: a waypoint, or something not flown."""
+        command = _get(item, "command", int, path)
+        if command in NOT_FLOWN:
+            self.ignored.append(Ignored(self.number, NOT_FLOWN[command], "not carried out"))
+            return
+        if command not in FLOWN:
+            name = f" ({_OTHERS[command]})" if command in _OTHERS else ""
+            flown = ", ".join(f"{each} ({words})" for each, (words, _) in FLOWN.items())
+            raise _FaultError(f"{path}.command: {command}{name} cannot be flown; flown: {flown}")
+        name, _ = FLOWN[command]
+        if self.ended_by:
+            raise _FaultError(f"{path}: {name} is never reached, because {self.ended_by} before it ends the route")
+        params = _get(item, "params", list, path)
+        if len(params) != 7:
+            raise _FaultError(f"{path}.params: expected 7 values, found {len(params)}")
+        where = self._over_home(path) if command == RETURN else self._target(item, command, params, path)
+        self.waypoints.append(Waypoint(*where, self.number, name))
+        self._note_params(item, command, params, path)
+        if command in (RETURN, LOITER_FOREVER):
+            self.ended_by = f"{name} (item {self.number})"
+
+    def _over_home(self, path: str) -> tuple[float, float, float]:
+        if not self.waypoints:
+            raise _FaultError(f"{path}: NAV_RETURN_TO_LAUNCH has no waypoint before it, whose height it would keep")
+        return self.home.latitude_deg, self.home.longitude_deg, self.waypoints[-1].height_above_home
+
+    def _target(self, item: dict[str, Any], command: int, params: list[Any], path: str) -> tuple[float, float, float]:
+        """Return latitude, longitude [deg] and height above home [m] of an item."""
+        frame = _get(item, "frame", int, path)
+        if frame not in (*_ABOVE_SEA, *_ABOVE_HOME):
+            name = f" ({_FRAMES[frame]})" if frame in _FRAMES else ""
+            raise _FaultError(
+                f"{path}.frame: {frame}{name} is not supported; "
+                "supported: 0 and 5 (altitude above sea level), 3 and 6 (above home)"
+            )
+        places = [f"{path}.params.{i}" for i in (4, 5, 6)]
+        altitude = _number(params[6], f"{places[2]} (altitude)", _LARGEST_LENGTH, "m")
+        height = altitude - self.home.altitude_amsl if frame in _ABOVE_SEA else altitude
+        # MAVLink has two ways to say 'where the vehicle is'.
+        if (params[4] is None and params[5] is None) or (params[4] == 0.0 and params[5] == 0.0):
+            if command != TAKEOFF:
+                raise _FaultError(
+                    f"{places[0]}: latitude and longitude are {_shown(params[4])}, which stands for the current "
+                    "place; only NAV_TAKEOFF may leave its place out"
+                )
+            here: Home | Waypoint = self.waypoints[-1] if self.waypoints else self.home
+            return here.latitude_deg, here.longitude_deg, height
+        latitude = _number(params[4], f"{places[0]} (latitude)", 90.0, "deg")
+        longitude = _number(params[5], f"{places[1]} (longitude)", 180.0, "deg")
+        return latitude, longitude, height
+
+    def _note_params(self, item: dict[str, Any], command: int, params: list[Any], path: str) -> None:
+        """Record what an item asks for beside its place; null and 0 ask for nothing."""
+        name, words = FLOWN[command]
+        asked = []
+        for i, (value, word) in enumerate(zip(params, words, strict=False)):
+            if value is None or _number(value, f"{path}.params.{i}", _LARGEST_PARAMETER, "") == 0.0:
+                continue
+            asked.append((word or f"parameter {i + 1} = {{:g}}").format(value))
+        if item.get("autoContinue") is False:
+            asked.append("stop after it (autoContinue is false)")
+        if asked:
+            self.ignored.append(Ignored(self.number, name, ", ".join(asked)))
+
+
+class _Fence:
+    """The fence so far, and what was found wrong or is not used."""
+
+    def __init__(self) -> None:
+        self.polygons: list[FencePolygon] = []
+        self.circles: list[FenceCircle] = []
+        self.ignored: list[Ignored] = []
+        self.problems: list[str] = []
+
+    def add_all(self, content: dict[str, Any]) -> None:
+        """Add the fence of a plan; plans may have none, and no rally points."""
+        has_rally = "rallyPoints" in content
+        try:
+            fence = _section(content, "geoFence", 2) if "geoFence" in content else {"polygons": [], "circles": []}
+            polygons, circles = (_get(fence, key, list, "geoFence") for key in ("polygons", "circles"))
+            rally = _get(_get(content, "rallyPoints", dict, ""), "points", list, "rallyPoints") if has_rally else []
+        except _FaultError as fault:
+            self.problems.append(str(fault))
+            return
+        for key, entries, add in (("polygons", polygons, self._add_polygon), ("circles", circles, self._add_circle)):
+            for i, entry in enumerate(entries):
+                path = f"geoFence.{key}.{i}"
+                try:
+                    _check_version(_of_kind(entry, dict, path), 1, path)
+                    add(entry, path)
+                except _FaultError as fault:
+                    self.problems.append(str(fault))
+        if fence.get("breachReturn"):
+            self.ignored.append(Ignored(None, "geoFence.breachReturn", "not used"))
+        if rally:
+            self.ignored.append(Ignored(None, "rallyPoints.points", f"{len(rally)} not used"))
+
+    def _add_polygon(self, entry: dict[str, Any], path: str) -> None:
+        inclusion = _get(entry, "inclusion", bool, path)
+        where = f"{path}.polygon"
+        corners = []
+        for i, corner in enumerate(_get(entry, "polygon", list, path)):
+            latitude, longitude = _place(_of_kind(corner, list, f"{where}.{i}"), f"{where}.{i}", 2)
+            corners.append((latitude, longitude))
+        for problem in polygon_problems(corners):
+            raise _FaultError(f"{where}: {problem}")
+        self.polygons.append(FencePolygon(inclusion, tuple(corners)))
+
+    def _add_circle(self, entry: dict[str, Any], path: str) -> None:
+        inclusion = _get(entry, "inclusion", bool, path)
+        circle = _get(entry, "circle", dict, path)
+        where = f"{path}.circle"
+        latitude, longitude = _place(_get(circle, "center", list, where), f"{where}.center", 2)
+        radius = _number(circle.get("radius"), f"{where}.radius", _LARGEST_LENGTH, "m")
+        if radius <= 0.0:
+            raise _FaultError(f"{where}.radius: {radius:g} m is not above 0")
+        self.circles.append(FenceCircle(inclusion, latitude, longitude, radius))

@@ -1,0 +1,425 @@
+"""Reading QGroundControl plans: what is flown, what is only noted, and every bad file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from qrsim.errors import ScenarioError, UsageError
+from qrsim.scenarios.plan_file import FLOWN, NOT_FLOWN, FencePolygon, Plan, read_plan
+
+HOME = [47.0, 8.0, 500.0]
+ABOVE_SEA, ABOVE_HOME, MISSION = 0, 3, 2
+Write = Callable[[Any], str]
+
+
+def item(command: int, *params: float | None, frame: int = ABOVE_HOME, **more: Any) -> dict[str, Any]:
+    """A simple item; of fewer than seven parameters the first are zero."""
+    padded = [0] * (7 - len(params)) + list(params)
+    return {
+        "type": "SimpleItem", "command": command, "frame": frame, "params": padded, "autoContinue": True, **more,
+    }  # fmt: skip
+
+
+def survey(*items: Any, **inner: Any) -> dict[str, Any]:
+    """A survey as QGroundControl writes it, without what only its editor needs."""
+    transects = {"version": 2, "TurnAroundDistance": 10, "Items": list(items), **inner}
+    return {"type": "ComplexItem", "complexItemType": "survey", "version": 5, "TransectStyleComplexItem": transects}
+
+
+def plan(*items: Any, **more: Any) -> dict[str, Any]:
+    mission = {
+        "version": 2, "cruiseSpeed": 15, "hoverSpeed": 5, "firmwareType": 12, "vehicleType": 2,
+        "globalPlanAltitudeMode": 1, "plannedHomePosition": HOME, "items": list(items),
+    }  # fmt: skip
+    return {
+        "fileType": "Plan", "version": 1, "groundStation": "QGroundControl", "mission": mission,
+        "geoFence": {"version": 2, "circles": [], "polygons": []}, "rallyPoints": {"version": 2, "points": []}, **more,
+    }  # fmt: skip
+
+
+def fenced(polygons: Any = (), circles: Any = (), **more: Any) -> dict[str, Any]:
+    return plan(geoFence={"version": 2, "polygons": list(polygons), "circles": list(circles), **more})
+
+
+def polygon(*corners: list[float], inclusion: Any = True, **more: Any) -> dict[str, Any]:
+    return {"version": 1, "inclusion": inclusion, "polygon": list(corners), **more}
+
+
+def circle(radius: Any, center: Any = (47.0, 8.0), **more: Any) -> dict[str, Any]:
+    return {"version": 1, "inclusion": False, "circle": {"center": list(center), "radius": radius}, **more}
+
+
+TRIANGLE = [[47.0, 8.0], [47.0, 8.01], [47.01, 8.0]]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def write_it(content: Any) -> str:
+        path = tmp_path / "field.plan"
+        path.write_text(content if isinstance(content, str) else json.dumps(content, indent=4))
+        return str(path)
+
+    return write_it
+
+
+def waypoints(read: Plan) -> list[tuple[float, float, float, int, str]]:
+    return [(w.latitude_deg, w.longitude_deg, w.height_above_home, w.item, w.command) for w in read.waypoints]
+
+
+def ignored(read: Plan) -> list[str]:
+    return [each.text for each in read.ignored]
+
+
+# Good plans
+
+
+def test_a_plan_with_everything(write: Write) -> None:
+    """Numbers of items are those that QGroundControl shows: from 1, those inside a survey too."""
+    content = plan(
+        item(22, None, 47.0, 8.0, 20.0),
+        item(178, 1, 6, -1, 0, 0, 0, 0, frame=MISSION),
+        item(16, None, 47.001, 8.001, 30.0),
+        survey(
+            item(16, None, 47.002, 8.001, 40.0),
+            item(206, 25, 0, 1, 0, 0, 0, 0, frame=MISSION),
+            item(16, None, 47.002, 8.002, 40.0),
+            item(206, 0, 0, 1, 0, 0, 0, 0, frame=MISSION),
+        ),
+        item(16, None, 47.003, 8.003, 545.0, frame=ABOVE_SEA),
+        item(20, frame=MISSION),
+        geoFence={
+            "version": 2,
+            "polygons": [polygon(*TRIANGLE), polygon(*TRIANGLE[::-1], inclusion=False)],
+            "circles": [circle(50)],
+            "breachReturn": [47.0, 8.0, 30.0],
+        },
+        rallyPoints={"version": 2, "points": [[47.0, 8.0, 30.0]]},
+    )
+    read = read_plan(write(content))
+    assert (read.home.latitude_deg, read.home.longitude_deg, read.home.altitude_amsl) == (47.0, 8.0, 500.0)
+    assert waypoints(read) == [
+        (47.0, 8.0, 20.0, 1, "NAV_TAKEOFF"),
+        (47.001, 8.001, 30.0, 3, "NAV_WAYPOINT"),
+        (47.002, 8.001, 40.0, 4, "NAV_WAYPOINT"),
+        (47.002, 8.002, 40.0, 6, "NAV_WAYPOINT"),
+        (47.003, 8.003, 45.0, 8, "NAV_WAYPOINT"),
+        (47.0, 8.0, 45.0, 9, "NAV_RETURN_TO_LAUNCH"),
+    ]
+    assert ignored(read) == [
+        "item 2, DO_CHANGE_SPEED: not carried out",
+        "item 5, DO_SET_CAM_TRIGG_DIST: not carried out",
+        "item 7, DO_SET_CAM_TRIGG_DIST: not carried out",
+        "geoFence.breachReturn: not used",
+        "rallyPoints.points: 1 not used",
+    ]
+    corners = tuple((latitude, longitude) for latitude, longitude in TRIANGLE)
+    assert read.polygons == (FencePolygon(True, corners), FencePolygon(False, corners[::-1]))
+    (around,) = read.circles
+    assert (around.inclusion, around.latitude_deg, around.longitude_deg, around.radius) == (False, 47.0, 8.0, 50.0)
+
+
+def test_nothing_but_a_mission_is_needed(write: Write) -> None:
+    content = plan()
+    del content["geoFence"], content["rallyPoints"], content["groundStation"]
+    path = write(content)
+    # As some editors on Windows write it.
+    Path(path).write_bytes(b"\xef\xbb\xbf" + Path(path).read_bytes())
+    read = read_plan(path)
+    assert (read.waypoints, read.polygons, read.circles, read.ignored) == ((), (), (), ())
+
+
+@pytest.mark.parametrize(("frame", "height"), [(0, 60.0), (5, 60.0), (3, 560.0), (6, 560.0)])
+@pytest.mark.parametrize("command", [16, 17, 18, 19, 21, 22])
+def test_altitudes_by_frame(write: Write, frame: int, height: float, command: int) -> None:
+    # AltitudeMode is for the editor: the vehicle is told frame and parameters only.
+    content = plan(item(command, 47.1, 8.1, 560.0, frame=frame, AltitudeMode=1, Altitude=1.0))
+    read = read_plan(write(content))
+    assert waypoints(read) == [(47.1, 8.1, height, 1, FLOWN[command][0])]
+    assert read.ignored == ()
+
+
+@pytest.mark.parametrize("place", [0, None])
+def test_a_take_off_without_a_place_is_where_the_vehicle_is(write: Write, place: Any) -> None:
+    content = plan(
+        item(22, place, place, 15.0), item(16, 47.1, 8.1, 20.0), item(21, 47.1, 8.1, 0.0), item(22, place, place, 25.0)
+    )
+    flown = [(latitude, height) for latitude, _, height, _, _ in waypoints(read_plan(write(content)))]
+    assert flown == [(47.0, 15.0), (47.1, 20.0), (47.1, 0.0), (47.1, 25.0)]
+
+
+def test_what_an_item_asks_for_beside_its_place_is_noted(write: Write) -> None:
+    content = plan(
+        item(22, 15, 0, 0, 90, 47.0, 8.0, 20.0),
+        item(16, 5, 2, 1.5, None, 47.1, 8.0, 20.0),
+        item(18, 3, 1, -50, 0, 47.1, 8.0, 20.0),
+        item(19, 30, 0, 50, 0, 47.1, 8.0, 20.0, autoContinue=False),
+        item(21, 10, 2, 0, None, 47.1, 8.0, 0.0),
+        item(17, 0, 0, 25, None, 47.1, 8.0, 20.0),
+    )
+    assert ignored(read_plan(write(content))) == [
+        "item 1, NAV_TAKEOFF: pitch 15 deg, yaw 90 deg",
+        "item 2, NAV_WAYPOINT: hold for 5 s, acceptance radius 2 m, pass at 1.5 m",
+        "item 3, NAV_LOITER_TURNS: 3 turns, parameter 2 = 1, loiter radius -50 m",
+        "item 4, NAV_LOITER_TIME: loiter for 30 s, loiter radius 50 m, stop after it (autoContinue is false)",
+        "item 5, NAV_LAND: abort altitude 10 m, precision landing mode 2",
+        "item 6, NAV_LOITER_UNLIM: loiter radius 25 m",
+    ]
+
+
+def test_every_command_that_changes_no_path_is_noted_by_name(write: Write) -> None:
+    read = read_plan(write(plan(*(item(command, None, None, None) for command in NOT_FLOWN))))
+    assert read.waypoints == ()
+    assert [(each.item, each.name) for each in read.ignored] == list(enumerate(NOT_FLOWN.values(), 1))
+
+
+def test_older_surveys_and_other_scans_are_read(write: Write) -> None:
+    content = plan(survey(item(16, 47.1, 8.0, 20.0), version=1), survey(item(16, 47.2, 8.0, 20.0)))
+    content["mission"]["items"][1]["complexItemType"] = "CorridorScan"
+    assert [w.latitude_deg for w in read_plan(write(content)).waypoints] == [47.1, 47.2]
+
+
+# Bad plans
+
+
+def without(content: dict[str, Any], *path: Any) -> dict[str, Any]:
+    target: Any = content
+    for part in path[:-1]:
+        target = target[part]
+    del target[path[-1]]
+    return content
+
+
+def altered(content: dict[str, Any], value: Any, *path: Any) -> dict[str, Any]:
+    target: Any = content
+    for part in path[:-1]:
+        target = target[part]
+    target[path[-1]] = value
+    return content
+
+
+GOOD = (47.1, 8.1, 20.0)
+FIRST = ("mission", "items", 0)
+RTL = item(20, frame=MISSION)
+SUPPORTED_FRAMES = "supported: 0 and 5 (altitude above sea level), 3 and 6 (above home)"
+BAD: dict[str, tuple[Any, str]] = {
+    # No plan, or another version.
+    "a list": ([1, 2], "is no plan; expected an object with fileType 'Plan'"),
+    "other JSON": ({"type": "FeatureCollection"}, "is no plan; expected an object with fileType 'Plan'"),
+    "old mission": ({"fileType": "Mission"}, "fileType: is 'Mission'; supported: 'Plan'"),
+    "version": (plan(version=2), "version: version 2 is not supported; supported: 1"),
+    "no version": (without(plan(), "version"), "version: is missing; expected a whole number"),
+    "a version that is true": (plan(version=True), "version: expected a whole number, found True"),
+    "mission version": (
+        altered(plan(), 3, "mission", "version"),
+        "mission.version: version 3 is not supported; supported: 2",
+    ),
+    "fence version": (plan(geoFence={"version": 1}), "geoFence.version: version 1 is not supported; supported: 2"),
+    "survey version": (
+        plan(survey(version=3)),
+        "mission.items.0.TransectStyleComplexItem.version: version 3 is not supported; supported: 1, 2",
+    ),
+    # Parts that are missing or are something else.
+    "no mission": (without(plan(), "mission"), "mission: is missing; expected an object"),
+    "no items": (without(plan(), "mission", "items"), "mission.items: is missing; expected a list"),
+    "items": (altered(plan(), "all", "mission", "items"), "mission.items: expected a list, found 'all'"),
+    "no home": (
+        without(plan(), "mission", "plannedHomePosition"),
+        "mission.plannedHomePosition: is missing; expected a list",
+    ),
+    "home without altitude": (
+        altered(plan(), [47.0, 8.0], "mission", "plannedHomePosition"),
+        "mission.plannedHomePosition: expected [latitude, longitude, altitude], found 2 values",
+    ),
+    "home null": (
+        altered(plan(), [47.0, 8.0, None], "mission", "plannedHomePosition"),
+        "mission.plannedHomePosition: altitude: expected a number, found null, which stands for 'the current one'",
+    ),
+    "item": (plan(5), "mission.items.0: expected an object, found 5"),
+    "item type": (
+        plan({"type": "missionItem"}),
+        "mission.items.0.type: is 'missionItem'; supported: 'SimpleItem', 'ComplexItem'",
+    ),
+    "no item type": (plan({}), "mission.items.0.type: is null; supported: 'SimpleItem', 'ComplexItem'"),
+    "survey in a survey": (
+        plan(survey(survey())),
+        "mission.items.0.TransectStyleComplexItem.Items.0.type: is 'ComplexItem'; supported: 'SimpleItem'",
+    ),
+    "no command": (
+        without(plan(item(16, *GOOD)), *FIRST, "command"),
+        "mission.items.0.command: is missing; expected a whole number",
+    ),
+    "no frame": (
+        without(plan(item(16, *GOOD)), *FIRST, "frame"),
+        "mission.items.0.frame: is missing; expected a whole number",
+    ),
+    "no params": (
+        without(plan(item(16, *GOOD)), *FIRST, "params"),
+        "mission.items.0.params: is missing; expected a list",
+    ),
+    "older params": (
+        altered(plan(item(16, *GOOD)), [0, 0, 0, 0], *FIRST, "params"),
+        "mission.items.0.params: expected 7 values, found 4",
+    ),
+    # What cannot be flown.
+    "jump": (
+        plan(item(16, *GOOD), item(177, 1, 3, 0)),
+        "mission.items.1.command: 177 (DO_JUMP) cannot be flown; flown: 16 (NAV_WAYPOINT), 17 (NAV_LOITER_UNLIM), "
+        "18 (NAV_LOITER_TURNS), 19 (NAV_LOITER_TIME), 20 (NAV_RETURN_TO_LAUNCH), 21 (NAV_LAND), 22 (NAV_TAKEOFF)",
+    ),
+    "unknown command": (plan(item(999)), "mission.items.0.command: 999 cannot be flown; flown: 16 (NAV_WAYPOINT), 17"),
+    "terrain": (
+        plan(item(16, *GOOD, frame=10)),
+        f"mission.items.0.frame: 10 (GLOBAL_TERRAIN_ALT) is not supported; {SUPPORTED_FRAMES}",
+    ),
+    "unknown frame": (
+        plan(item(21, *GOOD, frame=99)),
+        f"mission.items.0.frame: 99 is not supported; {SUPPORTED_FRAMES}",
+    ),
+    "structure scan": (
+        plan({"type": "ComplexItem", "complexItemType": "StructureScan"}),
+        "mission.items.0: a ComplexItem of type 'StructureScan' cannot be flown; supported: those with "
+        "TransectStyleComplexItem.Items, such as 'survey' and 'CorridorScan'",
+    ),
+    "return first": (
+        plan(item(178), RTL),
+        "mission.items.1: NAV_RETURN_TO_LAUNCH has no waypoint before it, whose height it would keep",
+    ),
+    "after the return": (
+        plan(item(16, *GOOD), RTL, item(203), item(16, *GOOD)),
+        "mission.items.3: NAV_WAYPOINT is never reached, "
+        "because NAV_RETURN_TO_LAUNCH (item 2) before it ends the route",
+    ),
+    "after loitering": (
+        plan(item(17, *GOOD), RTL),
+        "mission.items.1: NAV_RETURN_TO_LAUNCH is never reached, "
+        "because NAV_LOITER_UNLIM (item 1) before it ends the route",
+    ),
+    # Places.
+    "null place": (
+        plan(item(19, None, None, 20.0)),
+        "mission.items.0.params.4: latitude and longitude are null, which stands for the current place; "
+        "only NAV_TAKEOFF may leave its place out",
+    ),
+    "zero place": (
+        plan(item(21, 0, 0, 0)),
+        "mission.items.0.params.4: latitude and longitude are 0, which stands for the current place",
+    ),
+    "null longitude": (
+        plan(item(16, 47.0, None, 20.0)),
+        "mission.items.0.params.5 (longitude): expected a number, found null, which stands for 'the current one'",
+    ),
+    "null altitude": (
+        plan(item(22, None, None, None)),
+        "mission.items.0.params.6 (altitude): expected a number, found null, which stands for 'the current one'",
+    ),
+    "NaN": (
+        plan(item(16, math.nan, 8.0, 20.0)),
+        "mission.items.0.params.4 (latitude): nan is out of range; allowed: -90 to 90 deg",
+    ),
+    "latitude": (
+        plan(item(16, 91.0, 8.0, 20.0)),
+        "mission.items.0.params.4 (latitude): 91.0 is out of range; allowed: -90 to 90 deg",
+    ),
+    "longitude": (
+        plan(item(16, 47.0, -181, 20.0)),
+        "mission.items.0.params.5 (longitude): -181 is out of range; allowed: -180 to 180 deg",
+    ),
+    "altitude": (plan(item(16, 47.0, 8.0, 10**400)), "mission.items.0.params.6 (altitude): 1000"),
+    "text": (plan(item(16, "47", 8.0, 20.0)), "mission.items.0.params.4 (latitude): expected a number, found '47'"),  # type: ignore[arg-type]
+    "a hold that is a text": (
+        plan(item(16, "long", 0, 0, 0, *GOOD)),
+        "mission.items.0.params.0: expected a number, found 'long'",  # type: ignore[arg-type]
+    ),
+    # Fences.
+    "fence without circles": (without(plan(), "geoFence", "circles"), "geoFence.circles: is missing; expected a list"),
+    "polygon version": (
+        fenced([polygon(*TRIANGLE, version=2)]),
+        "geoFence.polygons.0.version: version 2 is not supported; supported: 1",
+    ),
+    "polygon inclusion": (
+        fenced([polygon(*TRIANGLE, inclusion=1)]),
+        "geoFence.polygons.0.inclusion: expected true or false, found 1",
+    ),
+    "two corners": (
+        fenced([polygon(*TRIANGLE[:2])]),
+        "geoFence.polygons.0.polygon: has 2 corners; a polygon needs at least 3",
+    ),
+    "crossing": (
+        fenced([polygon([47, 8], [48, 9], [47, 9], [48, 8])]),
+        "geoFence.polygons.0.polygon: crosses itself: the edge from corner 0 to 1 meets the edge from corner 2 to 3",
+    ),
+    "corner null": (
+        fenced([polygon(*TRIANGLE[:2], [None, 8.0])]),  # type: ignore[list-item]
+        "geoFence.polygons.0.polygon.2: latitude: expected a number, found null",
+    ),
+    "corner of three": (
+        fenced([polygon(*TRIANGLE[:2], [47.0, 8.0, 9.0])]),
+        "geoFence.polygons.0.polygon.2: expected [latitude, longitude], found 3 values",
+    ),
+    "circle": (
+        fenced(circles=[{"version": 1, "inclusion": True}]),
+        "geoFence.circles.0.circle: is missing; expected an object",
+    ),
+    "no radius": (fenced(circles=[circle(0)]), "geoFence.circles.0.circle.radius: 0 m is not above 0"),
+    "radius null": (fenced(circles=[circle(None)]), "geoFence.circles.0.circle.radius: expected a number, found null"),
+    "rally points": (plan(rallyPoints={"version": 2}), "rallyPoints.points: is missing; expected a list"),
+    "twice": ('{"fileType": "Plan", "version": 1, "version": 2}', "'version' is given twice in one object"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_plans(write: Write, case: str) -> None:
+    content, words = BAD[case]
+    path = write(content)
+    with pytest.raises(ScenarioError) as caught:
+        read_plan(path)
+    assert str(caught.value).startswith(f"{path}: 1 problem\n  ")
+    (problem,) = caught.value.problems
+    assert problem.startswith(words)
+
+
+def test_all_problems_are_reported_at_once(write: Write) -> None:
+    content = plan(
+        item(177), item(16, *GOOD, frame=10), item(16, *GOOD), survey(item(82, *GOOD)),
+        geoFence={"version": 2, "polygons": [polygon()], "circles": [circle(-1)]},
+    )  # fmt: skip
+    with pytest.raises(ScenarioError) as caught:
+        read_plan(write(content))
+    assert [problem.split(":")[0] for problem in caught.value.problems] == [
+        "mission.items.0.command", "mission.items.1.frame", "mission.items.3.TransectStyleComplexItem.Items.0.command",
+        "geoFence.polygons.0.polygon", "geoFence.circles.0.circle.radius",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is not JSON: line 1, column 1: Expecting value"),
+        ('{"fileType": "Plan",\n "version" 1}', "is not JSON: line 2, column 12: Expecting ':' delimiter"),
+        ("QGC WPL 110\n", "is not JSON: line 1, column 1"),
+        ("[" * 100_000, "is no plan: "),
+        ("1" * 5000, "is no plan: "),
+    ],
+)
+def test_files_that_are_no_json(write: Write, text: str, words: str) -> None:
+    path = write(text)
+    with pytest.raises(UsageError) as caught:
+        read_plan(path)
+    assert str(caught.value).startswith(f"{path}: {words}")
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"nowhere\.plan: cannot be read: No such file"):
+        read_plan(tmp_path / "nowhere.plan")
+    with pytest.raises(UsageError, match="cannot be read: Is a directory"):
+        read_plan(tmp_path)
+    binary = tmp_path / "binary.plan"
+    binary.write_bytes(b"\xff\xfe{")
+    with pytest.raises(UsageError, match=r"binary\.plan: is not JSON: it is no UTF-8 text"):
+        read_plan(binary)
