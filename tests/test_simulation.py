@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import qrsim
-from qrsim.control import WaypointSetpoint
+from qrsim.control import Estimate, VelocitySetpoint, WaypointSetpoint
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
 from qrsim.scenarios.scenario import load_scenario
@@ -290,9 +290,55 @@ def test_a_command_of_the_wrong_shape_is_refused(shared: Simulation, command: An
     assert shared.tick == 0
 
 
-@pytest.mark.parametrize("command", ["hover", b"hover", {"throttle": 0.5}])
+@pytest.mark.parametrize("command", ["hover", b"hover"])
 def test_a_command_of_another_kind_is_refused(shared: Simulation, command: Any) -> None:
-    assert said(shared.step, command) == (f"command: expected an array (5, 5), a set-point or None, found {command!r}")
+    assert said(shared.step, command) == (
+        "command: expected an array (5, 5), a set-point, one of these for each fleet by name, or None, "
+        f"found {command!r}"
+    )
+
+
+def test_each_fleet_can_be_asked_for_something_else(flying: Simulation) -> None:
+    """Fleet alpha flies to waypoints while bravo is commanded, as in a simulation where all are."""
+    start = flying.save()
+    everybody = np.concatenate([flying.truth.position_ned[:3] + np.array([3.0, 0.0, -1.0]), np.zeros((2, 3))])
+    flying.step(flying.waypoint(everybody), ticks=20)
+    alpha = flying.truth.state[:3]
+    flying.load(start)
+    flying.step(hover(), ticks=20)
+    bravo = flying.truth.state[3:]
+    flying.load(start)
+    flying.step({"alpha": WaypointSetpoint.of(everybody[:3]), "bravo": hover()[3:]}, ticks=20)
+    np.testing.assert_allclose(flying.truth.state, np.concatenate([alpha, bravo]), rtol=1e-6, atol=1e-6)
+    flying.load(start)
+
+
+def test_an_unknown_fleet_and_a_set_point_of_another_kind_are_refused(shared: Simulation) -> None:
+    assert said(shared.step, {"alpa": None}) == "command: no fleet is called 'alpa'; did you mean 'alpha'?"
+    setpoint = VelocitySetpoint.of(np.zeros((5, 3)))
+    assert said(shared.step, setpoint) == (
+        "command: a VelocitySetpoint is not for WaypointController, which takes WaypointSetpoint; "
+        "a controller of type 'offboard' takes them all"
+    )
+    assert said(shared.step, {"bravo": hover()}).startswith("command: expected shape (2, 5)")
+
+
+def test_controllers_can_be_fed_with_the_estimate_of_a_users_filter(flying: Simulation) -> None:
+    """With an estimate 5 m north of the truth, the vehicles settle 5 m south of where they are asked to be."""
+    start, truth = flying.save(), flying.truth
+    asked = truth.position_ned + np.array([0.0, 0.0, -1.0])
+    for _ in range(400):
+        now = flying.truth
+        estimate = Estimate.of(now.position_ned + np.array([5.0, 0.0, 0.0]), now.velocity_ned, now.attitude)
+        flying.step(flying.waypoint(asked), ticks=2, estimate=estimate)
+    offset = flying.truth.position_ned - asked
+    np.testing.assert_allclose(offset[:, 0], -5.0, atol=0.3)
+    np.testing.assert_allclose(offset[:, 1], 0.0, atol=0.3)
+    flying.load(start)
+    assert said(flying.step, None, 1, Estimate.of(np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 3)))).startswith(
+        "estimate: position_ned.x: expected shape (5,), found shape (4,)"
+    )
+    assert said(flying.step, None, 1, np.zeros((5, 3))).startswith("estimate: expected a qrsim.Estimate, found ")
 
 
 @pytest.mark.parametrize("field", COMMAND_FIELDS)
@@ -365,3 +411,63 @@ def test_a_set_point_made_by_hand_is_checked_too(yaw: Any) -> None:
     simulation.reset()
     setpoint = simulation.waypoint([0.0, 0.0, -10.0])
     assert "yaw" in said(simulation.step, WaypointSetpoint(setpoint.position_ned, yaw))
+
+
+class TestSetState:
+    """Vehicles put somewhere else between two ticks."""
+
+    def test_vehicles_are_where_they_were_put_and_the_others_are_left_alone(self, flying: Simulation) -> None:
+        start, before = flying.save(), flying.truth.state
+        rows = np.full((5, 13), np.nan)
+        rows[1] = [1.0, 2.0, -15.0, 0.1, -0.1, 0.5, 1.0, 0.0, -0.5, 0.1, 0.2, 0.3, 20.0]
+        flying.set_state(rows)
+        expected = np.where(np.isnan(rows), before, rows)
+        np.testing.assert_array_equal(flying.truth.state, expected.astype(np.float32))
+        flying.step(ticks=5)
+        assert np.isfinite(flying.truth.state).all()
+        flying.load(start)
+
+    @pytest.mark.parametrize("width", [3, 6, 12])
+    def test_what_is_left_out_is_at_rest_with_the_thrust_of_hover(self, flying: Simulation, width: int) -> None:
+        start = flying.save()
+        rows = np.zeros((5, 12))
+        rows[:, :3] = [[10.0 * i, 0.0, -20.0] for i in range(5)]
+        flying.set_state(rows[:, :width])
+        np.testing.assert_array_equal(flying.truth.state[:, :12], rows)
+        np.testing.assert_allclose(flying.truth.thrust, 1.68 * 9.81, rtol=1e-6)
+        flying.load(start)
+
+    def test_a_stopped_vehicle_flies_again(self, flying: Simulation) -> None:
+        start = flying.save()
+        command = hover()
+        command[0, 2] = 0.0
+        while flying.valid.all():
+            flying.step(command, ticks=10)
+        assert not flying.valid[0]
+        rows = np.full((5, 3), np.nan)
+        rows[0] = [0.0, 0.0, -20.0]
+        flying.set_state(rows)
+        assert flying.valid.all()
+        flying.step(ticks=20)
+        assert np.isfinite(flying.reading["alpha"].gnss.position_ned).all()
+        flying.load(start)
+
+    def test_bad_states_are_refused(self, shared: Simulation) -> None:
+        assert said(shared.set_state, np.zeros((5, 7))).startswith(
+            "state: expected shape (5, 13), 12, 6 or 3 columns, "
+        )
+        assert said(shared.set_state, "up").startswith("state: expected shape (5, 13)")
+        apart = np.array([[10.0 * i, 0.0, -20.0] for i in range(5)])
+        partly = apart.copy()
+        partly[2, 1] = np.nan
+        assert said(shared.set_state, partly).startswith("state: the row of vehicle 2 ('alpha_2') is partly not finite")
+        for row, value, why in [
+            (1, [0.0, 60.0, -20.0], "out_of_area: position_ned.y = 60"),
+            (3, [10.5, 0.0, -20.0], "collision: distance = 0.5"),
+            (4, [-40.0, 40.0, -10.0], "collision: obstacle 0"),
+        ]:
+            wrong = apart.copy()
+            wrong[row] = value
+            first = 1 if row == 3 else row  # The first of two that collide is named.
+            expected = f"state: vehicle {first} ('{shared.vehicle_names[first]}') would be invalid: {why}"
+            assert said(shared.set_state, wrong) == expected

@@ -14,17 +14,17 @@ import numpy as np
 from jax import lax
 
 from qrsim import world as ticks_of
-from qrsim.control import WaypointSetpoint
+from qrsim.actions import ActionChecker
+from qrsim.placing import placed
+from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
 from qrsim.core.pack import Buffers, Packer
-from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.area import reason_text
 from qrsim.models.site import Site
-from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
 from qrsim.readings import Reading, Truth
 from qrsim.saved import SavedState, fingerprint, write
-from qrsim.world import Action, State, World, WorldKeys, keys_of
+from qrsim.world import State, World, WorldKeys, keys_of
 
 FloatArray = np.ndarray[Any, Any]
 LARGEST_TICK = 2**31 - 2
@@ -52,13 +52,20 @@ def _reset_world(world_layout: Packer, world: Buffers, keys: WorldKeys) -> State
 
 
 def _advance_world(
-    world_layout: Packer, layout: Packer, world: Buffers, state: Buffers, tick: Any, count: Any, actions: Any
+    world_layout: Packer,
+    layout: Packer,
+    world: Buffers,
+    state: Buffers,
+    tick: Any,
+    count: Any,
+    actions: Any,
+    estimates: Any,
 ) -> Buffers:
     """Run ``count`` ticks and return the packed state."""
     parameters = world_layout.unpack(world)
 
     def body(i: Any, current: State) -> State:
-        return ticks_of.step(parameters, current, tick + i, actions)
+        return ticks_of.step(parameters, current, tick + i, actions, estimates)
 
     return layout.pack(lax.fori_loop(jnp.int32(0), count, body, layout.unpack(state)))
 
@@ -71,6 +78,7 @@ def _record_world(
     tick: Any,
     count: Any,
     actions: Any,
+    estimates: Any,
     capacity: int,
 ) -> tuple[Buffers, Buffers]:
     """Run ``count`` <= capacity ticks; return the packed state and every packed state on the way."""
@@ -78,7 +86,7 @@ def _record_world(
     rows = tuple(jnp.zeros((capacity, buffer.shape[0]), buffer.dtype) for buffer in state)
 
     def body(i: Any, carry: tuple[State, Buffers]) -> tuple[State, Buffers]:
-        current = ticks_of.step(parameters, carry[0], tick + i, actions)
+        current = ticks_of.step(parameters, carry[0], tick + i, actions, estimates)
         packed = layout.pack(current)
         kept = tuple(lax.dynamic_update_index_in_dim(r, p, i, 0) for r, p in zip(carry[1], packed, strict=True))
         return current, kept
@@ -89,7 +97,7 @@ def _record_world(
 
 _reset = _Program(_reset_world, static_argnums=0)
 _advance = _Program(_advance_world, static_argnums=(0, 1), donate_argnums=3)
-_record = _Program(_record_world, static_argnums=(0, 1, 7), donate_argnums=3)
+_record = _Program(_record_world, static_argnums=(0, 1, 8), donate_argnums=3)
 
 
 class History:
@@ -133,6 +141,7 @@ class Simulation:
         self.vehicle_names = tuple(name for fleet in world.fleets for name in fleet.vehicle_names)
         self.tick = 0
         self.seed = _checked_seed(seed)
+        self._checker = ActionChecker(world, self.dtype)
         self._world_layout = Packer(world)
         with self._precision():
             self._world: Buffers = jax.device_put(self._world_layout.pack(world))
@@ -169,39 +178,43 @@ class Simulation:
         self._host = None
         return self.reading
 
-    def step(self, command: Any = None, ticks: int = 1) -> Reading:
+    def step(self, command: Any = None, ticks: int = 1, estimate: Estimate | None = None) -> Reading:
         """Advance and return the reading at the end.
 
         Args:
             command: None lets every fleet's own guidance and controller fly; an array (n, 5) of SI commands (pitch,
-                roll, throttle, yaw rate, battery) or a Command is flown as it is; a set-point made by ``waypoint``
-                is handed to the controllers.
+                roll, throttle, yaw rate, battery) or a Command is flown as it is; a set-point (``WaypointSetpoint``,
+                ``VelocitySetpoint``, ...) is handed to the controllers, which must take its kind. A dict has one of
+                these for each fleet by name.
             ticks: how many steps the command is held.
+            estimate: what the controllers are fed with in place of the sensors, for all n vehicles: the output of
+                your own filter.
 
         Raises:
             UsageError: wrong shape, a value that is not finite or outside its range (field, value and range are
                 named), or a number of ticks that is not a positive integer.
         """
-        actions = self._actions(command)
+        actions, estimates = self._checker.actions(command), self._checker.estimates(estimate)
         count = self._checked_ticks(ticks)
         layout, state = self._running()
+        tick, number = np.int32(self.tick), np.int32(count)
         with self._precision():
             self._state = _advance(
-                self.size, self._world_layout, layout, self._world, state, np.int32(self.tick), np.int32(count), actions
+                self.size, self._world_layout, layout, self._world, state, tick, number, actions, estimates
             )
         self.tick += count
         self._host = None
         return self.reading
 
-    def record(self, ticks: int, command: Any = None, capacity: int = 50) -> History:
+    def record(self, ticks: int, command: Any = None, capacity: int = 50, estimate: Estimate | None = None) -> History:
         """Advance as ``step`` does and return the state of every tick on the way.
 
         Args:
             ticks: how many, at most ``capacity``.
-            command: as in ``step``.
+            command, estimate: as in ``step``.
             capacity: length the program is compiled for.
         """
-        actions = self._actions(command)
+        actions, estimates = self._checker.actions(command), self._checker.estimates(estimate)
         count = self._checked_ticks(ticks)
         if count > capacity:
             raise UsageError(f"ticks: {count} is more than the capacity, {capacity}")
@@ -216,6 +229,7 @@ class Simulation:
                 np.int32(self.tick),
                 np.int32(count),
                 actions,
+                estimates,
                 capacity,
             )
         numbers = np.arange(self.tick + 1, self.tick + count + 1)
@@ -223,6 +237,26 @@ class Simulation:
         self._host = None
         host = tuple(np.asarray(buffer)[:count] for buffer in rows)
         return History(numbers, self.world.time_step, layout.unpack(host))  # type: ignore[arg-type]
+
+    def set_state(self, state: Any) -> Reading:
+        """Put the vehicles into given states, flying again where they had stopped; their controllers start anew.
+
+        Sensors keep their errors and speak again at their next reading; until then they say what they last said.
+
+        Args:
+            state: (n, 13) position NED [m], roll, pitch, yaw [rad], body velocity [m/s], body rates [rad/s] and thrust
+                [N]; (n, 12) without thrust, which is then the weight; (n, 6) at rest; or (n, 3) level and facing north
+                too. A row of NaN leaves its vehicle as it is.
+
+        Raises:
+            UsageError: another shape, a row that is partly NaN, or a state beyond area and limits or in collision.
+        """
+        layout, _ = self._running()
+        with self._precision():
+            changed = placed(self.world, self.state, state, self.vehicle_names)
+            self._state = jax.device_put(layout.pack(changed))
+        self._host = None
+        return self.reading
 
     def save(self, path: str | Path | None = None) -> bytes:
         """Return the whole state as bytes, and write them to a file where a path is given.
@@ -296,77 +330,7 @@ class Simulation:
 
     def waypoint(self, position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:
         """Return a set-point for ``step``: positions (n, 3) or (3,) [m] and headings (n,) or one [rad]."""
-        position = self._finite("position_ned", position_ned, (self.size, 3))
-        yaw = self._finite("yaw_rad", yaw_rad, (self.size,))
-        axes = (np.ascontiguousarray(position[:, axis]) for axis in range(3))
-        return WaypointSetpoint(Vec3(*axes), yaw)  # type: ignore[arg-type]
-
-    def _finite(self, what: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
-        try:
-            array = np.broadcast_to(np.asarray(values, self.dtype), shape)
-        except (TypeError, ValueError):
-            raise UsageError(f"{what}: expected numbers of shape {shape}, found {_shape_of(values)}") from None
-        if not np.all(np.isfinite(array)):
-            row = int(np.argwhere(~np.isfinite(array))[0][0])
-            raise UsageError(f"{what}: not finite for vehicle {row} ('{self.vehicle_names[row]}')")
-        return array
-
-    def _actions(self, command: Any) -> tuple[Action, ...]:
-        fleets = self.world.fleets
-        if command is None:
-            return (None,) * len(fleets)
-        if isinstance(command, WaypointSetpoint):
-            whole: Any = self._checked_setpoint(command)
-        elif isinstance(command, Command):
-            whole = self._checked_command(self._columns({field: getattr(command, field) for field in COMMAND_FIELDS}))
-        elif isinstance(command, str | bytes | dict):
-            raise UsageError(f"command: expected an array ({self.size}, 5), a set-point or None, found {command!r}")
-        else:
-            whole = self._checked_command(command)
-        ends = np.cumsum([fleet.size for fleet in fleets])
-        return tuple(
-            jax.tree.map(lambda leaf, start=end - fleet.size, end=end: leaf[start:end], whole)
-            for fleet, end in zip(fleets, ends, strict=True)
-        )
-
-    def _checked_command(self, command: Any) -> Command:
-        shape = (self.size, len(COMMAND_FIELDS))
-        try:
-            array = np.asarray(command, self.dtype)
-        except (TypeError, ValueError):
-            array = np.zeros(0)
-        if array.shape != shape:
-            raise UsageError(
-                f"command: expected shape {shape} (vehicles; {', '.join(COMMAND_FIELDS)}), found {_shape_of(command)}"
-            )
-        columns: list[Any] = []
-        for i, field in enumerate(COMMAND_FIELDS):
-            low, high = COMMAND_LIMITS[field]
-            column = np.ascontiguousarray(array[:, i])
-            # Rounding to single precision must not push 0.9 out of its own range.
-            wrong = ~((column >= self.dtype.type(low)) & (column <= self.dtype.type(high)))
-            if wrong.any():
-                row = int(np.argmax(wrong))
-                raise UsageError(
-                    f"command: {field} of vehicle {row} ('{self.vehicle_names[row]}') is {column[row]:g}; "
-                    f"allowed: {low:g} to {high:g}"
-                )
-            columns.append(column)
-        return Command(*columns)
-
-    def _checked_setpoint(self, setpoint: WaypointSetpoint) -> WaypointSetpoint:
-        position = setpoint.position_ned
-        rows = self._columns(
-            {f"position_ned.{axis}": getattr(position, axis) for axis in "xyz"} | {"yaw": setpoint.yaw}
-        )
-        return self.waypoint(rows[:, :3], rows[:, 3])
-
-    def _columns(self, columns: dict[str, Any]) -> FloatArray:
-        """Return columns (n,) side by side."""
-        for name, column in columns.items():
-            if np.shape(column) != (self.size,):
-                raise UsageError(f"command: {name}: expected shape {(self.size,)}, found {_shape_of(column)}")
-        return np.stack([np.asarray(column, self.dtype) for column in columns.values()], axis=-1)
+        return self._checker.waypoint(position_ned, yaw_rad)
 
     def _checked_ticks(self, ticks: Any) -> int:
         if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 1:
@@ -400,13 +364,6 @@ def _checked_seed(seed: Any) -> int:
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
         raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
     return int(seed)
-
-
-def _shape_of(values: Any) -> str:
-    try:
-        return f"shape {np.shape(values)}"
-    except ValueError:
-        return "rows of different lengths"
 
 
 def _use_compilation_cache() -> None:

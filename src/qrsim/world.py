@@ -269,17 +269,7 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
     checked, first = [], 0
     for fleet, old, new in zip(world.fleets, before, flown, strict=True):
         vehicle = new.vehicle
-        finite = jnp.all(jnp.stack([jnp.isfinite(leaf) for leaf in jax.tree.leaves(vehicle)]), axis=0)
-        own = Violation.first(
-            [
-                (reason_code("not_finite", "state"), jnp.zeros_like(vehicle.thrust), ~finite),
-                *world.area.check(vehicle.position_ned),
-                _hits_obstacle(world, vehicle.position_ned),
-                *_empty_battery(new.battery, vehicle.thrust),
-                *fleet.limits.check(vehicle.attitude, vehicle.velocity_body, vehicle.rates_body),
-            ],
-            vehicle.thrust,
-        )
+        own = Violation.first(own_checks(world, fleet, new), vehicle.thrust)
         in_collision = jax.tree.map(lambda leaf: leaf[first : first + fleet.size], collided)  # noqa: B023
         first += fleet.size
         violation = old.violation.or_else(own.or_else(in_collision))
@@ -290,6 +280,19 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
         kept = select(valid, vehicle, stopped)
         checked.append(replace(new, vehicle=kept, violation=violation, command_clipped=new.command_clipped & valid))
     return tuple(checked)
+
+
+def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Array]]:
+    """Return the checks (code, value, broken) of each vehicle (n,) of a fleet on its own, without the others."""
+    vehicle = state.vehicle
+    finite = jnp.all(jnp.stack([jnp.isfinite(leaf) for leaf in jax.tree.leaves(vehicle)]), axis=0)
+    return [
+        (reason_code("not_finite", "state"), jnp.zeros_like(vehicle.thrust), ~finite),
+        *world.area.check(vehicle.position_ned),
+        _hits_obstacle(world, vehicle.position_ned),
+        *_empty_battery(state.battery, vehicle.thrust),
+        *fleet.limits.check(vehicle.attitude, vehicle.velocity_body, vehicle.rates_body),
+    ]
 
 
 def _empty_battery(battery: Any, like: Array) -> list[tuple[int, Array, Array]]:

@@ -3,12 +3,41 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import Euler, Vec3
+
+
+def library(*values: Any) -> Any:
+    """Return jax.numpy where a value is a JAX array, else NumPy."""
+    return jnp if any(isinstance(value, Array) for value in values) else np
+
+
+def number(values: Any) -> Any:
+    """Return values as an array of floating-point numbers."""
+    lib = library(values)
+    array = lib.asarray(values)
+    return array if lib.issubdtype(array.dtype, lib.floating) else array.astype(float)
+
+
+def axes(array: Any, count: int = 3) -> Any:
+    """Split an array (..., count): a Vec3 for three axes, else a tuple."""
+    array = number(array)
+    if array.ndim == 0 or array.shape[-1] != count:
+        raise ValueError(f"expected an array (..., {count}), found shape {array.shape}")
+    parts = [array[..., axis] for axis in range(count)]
+    return Vec3(*parts) if count == 3 else tuple(parts)
+
+
+def like(array: Any, value: Any) -> Any:
+    """Return a value for each vehicle of an array (n,), of its type."""
+    lib = library(array, value)
+    return lib.broadcast_to(lib.asarray(value, array.dtype), array.shape)
 
 
 @record
@@ -19,6 +48,12 @@ class Estimate:
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
     attitude: Euler = quantity(unit="rad", doc="Euler angles")
 
+    @staticmethod
+    def of(position_ned: Any, velocity_ned: Any, attitude: Any) -> Estimate:
+        """Return the estimate of arrays (n, 3) each: [m], [m/s] and roll, pitch, yaw [rad]; NumPy or JAX."""
+        angles = axes(attitude)
+        return Estimate(axes(position_ned), axes(velocity_ned), Euler(angles.x, angles.y, angles.z))
+
 
 @record
 class WaypointSetpoint:
@@ -27,6 +62,12 @@ class WaypointSetpoint:
     position_ned: Vec3 = quantity(unit="m", doc="waypoint")
     yaw: Array = quantity(unit="rad", doc="heading")
 
+    @staticmethod
+    def of(position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:
+        """Return the set-point of positions (n, 3) [m] and headings (n,) or one [rad]; NumPy or JAX."""
+        position = axes(position_ned)
+        return WaypointSetpoint(position, like(position.x, yaw_rad))
+
 
 @record
 class VelocitySetpoint:
@@ -34,6 +75,12 @@ class VelocitySetpoint:
 
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
     yaw: Array = quantity(unit="rad", doc="heading")
+
+    @staticmethod
+    def of(velocity_ned: Any, yaw_rad: Any = 0.0) -> VelocitySetpoint:
+        """Return the set-point of velocities (n, 3) [m/s] and headings (n,) or one [rad]; NumPy or JAX."""
+        velocity = axes(velocity_ned)
+        return VelocitySetpoint(velocity, like(velocity.x, yaw_rad))
 
 
 @record
@@ -44,6 +91,12 @@ class VelocityHeightSetpoint:
     velocity_east: Array = quantity(unit="m/s", doc="velocity over ground, east")
     height: Array = quantity(unit="m", doc="height above the origin of the local frame, positive up")
     yaw: Array = quantity(unit="rad", doc="heading")
+
+    @staticmethod
+    def of(velocity_north_east: Any, height: Any, yaw_rad: Any = 0.0) -> VelocityHeightSetpoint:
+        """Return the set-point of velocities (n, 2) [m/s], and heights [m] and headings [rad], (n,) or one."""
+        north, east = axes(velocity_north_east, 2)
+        return VelocityHeightSetpoint(north, east, like(north, height), like(north, yaw_rad))
 
 
 @record
@@ -58,6 +111,12 @@ class AttitudeHeightSetpoint:
     height: Array = quantity(unit="m", doc="height above the origin of the local frame, positive up")
     yaw: Array = quantity(unit="rad", doc="heading")
 
+    @staticmethod
+    def of(roll_rad: Any, pitch_rad: Any, height: Any, yaw_rad: Any = 0.0) -> AttitudeHeightSetpoint:
+        """Return the set-point of roll (n,) [rad], and pitch [rad], height [m] and heading [rad], (n,) or one."""
+        roll = number(roll_rad)
+        return AttitudeHeightSetpoint(roll, like(roll, pitch_rad), like(roll, height), like(roll, yaw_rad))
+
 
 @record
 class AttitudeSetpoint:
@@ -67,6 +126,12 @@ class AttitudeSetpoint:
     pitch: Array = quantity(unit="rad", doc="commanded pitch")
     yaw: Array = quantity(unit="rad", doc="heading")
     throttle: Array = quantity(unit="1", doc="normalised thrust, 0 to 1")
+
+    @staticmethod
+    def of(roll_rad: Any, pitch_rad: Any, yaw_rad: Any, throttle: Any) -> AttitudeSetpoint:
+        """Return the set-point of roll (n,) [rad], and pitch, heading [rad] and thrust [0, 1], (n,) or one."""
+        roll = number(roll_rad)
+        return AttitudeSetpoint(roll, like(roll, pitch_rad), like(roll, yaw_rad), like(roll, throttle))
 
 
 @record

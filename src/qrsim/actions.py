@@ -1,0 +1,162 @@
+"""What a user asks of the vehicles, checked and cut into one action for each fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from qrsim.control import SETPOINTS, Estimate, WaypointSetpoint
+from qrsim.core.tree import walk
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
+from qrsim.world import Action, World
+
+FloatArray = np.ndarray[Any, Any]
+_NAME_OF = {cls: name for name, cls in SETPOINTS.items()}
+
+
+class ActionChecker:
+    """Checks commands and set-points for the fleets of a world.
+
+    Args:
+        world: whose vehicles are commanded.
+        dtype: of its numbers.
+    """
+
+    def __init__(self, world: World, dtype: np.dtype[Any]):
+        self.fleets, self.dtype = world.fleets, dtype
+        self.names = [name for fleet in world.fleets for name in fleet.vehicle_names]
+
+    def actions(self, command: Any) -> tuple[Action, ...]:
+        """Return one action for each fleet; see ``Simulation.step`` for what a command may be.
+
+        Raises:
+            UsageError: wrong kind or shape, a number that is not finite or out of its range (vehicle, field, value
+                and range are named), or an unknown fleet.
+        """
+        if command is None:
+            return (None,) * len(self.fleets)
+        if isinstance(command, Mapping):
+            return self._by_fleet(command)
+        whole = self._checked(command, self.names, [fleet.controller for fleet in self.fleets])
+        return tuple(self._cut(whole))
+
+    def estimates(self, estimate: Any) -> tuple[Estimate | None, ...]:
+        """Return what the controller of each fleet is fed with, None for what its own ``feed`` says.
+
+        Raises:
+            UsageError: no Estimate, or arrays of another shape.
+        """
+        if estimate is None:
+            return (None,) * len(self.fleets)
+        if not isinstance(estimate, Estimate):
+            raise UsageError(f"estimate: expected a qrsim.Estimate, found {estimate!r}")
+        return tuple(self._cut(self._cast(estimate, "estimate", len(self.names))))
+
+    def waypoint(self, position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:
+        """Return a set-point of positions (n, 3) or (3,) [m] and headings (n,) or one [rad], for all vehicles."""
+        position = self._broadcast("position_ned", position_ned, (len(self.names), 3))
+        return WaypointSetpoint.of(position, self._broadcast("yaw_rad", yaw_rad, (len(self.names),)))
+
+    def _by_fleet(self, commands: Mapping[Any, Any]) -> tuple[Action, ...]:
+        known = [fleet.name for fleet in self.fleets]
+        for name in commands:
+            if name not in known:
+                raise UsageError(f"command: no fleet is called '{name}'{did_you_mean(str(name), known)}")
+        return tuple(
+            None
+            if commands.get(fleet.name) is None
+            else self._checked(commands[fleet.name], list(fleet.vehicle_names), [fleet.controller])
+            for fleet in self.fleets
+        )
+
+    def _cut(self, whole: Any) -> list[Any]:
+        ends = np.cumsum([fleet.size for fleet in self.fleets])
+        return [
+            jax.tree.map(lambda leaf, start=end - fleet.size, end=end: leaf[start:end], whole)
+            for fleet, end in zip(self.fleets, ends, strict=True)
+        ]
+
+    def _checked(self, command: Any, names: list[str], controllers: list[Any]) -> Any:
+        if isinstance(command, Command):
+            columns = self._cast(command, "command", len(names))
+            array = np.stack([getattr(columns, field) for field in COMMAND_FIELDS], axis=-1)
+            return self._command(array, names)
+        if type(command) in _NAME_OF:
+            return self._setpoint(command, names, controllers)
+        if isinstance(command, str | bytes):
+            raise UsageError(
+                f"command: expected an array ({len(names)}, 5), a set-point, one of these for each fleet by name, "
+                f"or None, found {command!r}"
+            )
+        return self._command(command, names)
+
+    def _setpoint(self, setpoint: Any, names: list[str], controllers: list[Any]) -> Any:
+        for controller in controllers:
+            if type(setpoint) not in controller.setpoints:
+                taken = ", ".join(cls.__name__ for cls in controller.setpoints)
+                raise UsageError(
+                    f"command: a {type(setpoint).__name__} is not for {type(controller).__name__}, which takes "
+                    f"{taken}; a controller of type 'offboard' takes them all"
+                )
+        checked = self._cast(setpoint, "command", len(names))
+        for field, values, _ in walk(checked):
+            if not np.all(np.isfinite(values)):
+                row = int(np.argmin(np.isfinite(values)))
+                raise UsageError(f"command: {field} of vehicle {row} ('{names[row]}') is not finite")
+        return checked
+
+    def _cast(self, record: Any, what: str, size: int) -> Any:
+        """Return a record of arrays (n,) in the simulation's type."""
+
+        def convert(path: Any, leaf: Any) -> FloatArray:
+            name = "".join(str(part) for part in path).lstrip(".")
+            if np.shape(leaf) != (size,):
+                raise UsageError(f"{what}: {name}: expected shape {(size,)}, found {shape_of(leaf)}")
+            return np.ascontiguousarray(leaf, self.dtype)
+
+        return jax.tree_util.tree_map_with_path(convert, record)
+
+    def _command(self, command: Any, names: list[str]) -> Command:
+        shape = (len(names), len(COMMAND_FIELDS))
+        try:
+            array = np.asarray(command, self.dtype)
+        except (TypeError, ValueError):
+            array = np.zeros(0)
+        if array.shape != shape:
+            raise UsageError(
+                f"command: expected shape {shape} (vehicles; {', '.join(COMMAND_FIELDS)}), found {shape_of(command)}"
+            )
+        columns: list[Any] = []
+        for i, field in enumerate(COMMAND_FIELDS):
+            low, high = COMMAND_LIMITS[field]
+            column = np.ascontiguousarray(array[:, i])
+            # Rounding to single precision must not push 0.9 out of its own range.
+            wrong = ~((column >= self.dtype.type(low)) & (column <= self.dtype.type(high)))
+            if wrong.any():
+                row = int(np.argmax(wrong))
+                what = f"{field} of vehicle {row} ('{names[row]}')"
+                raise UsageError(f"command: {what} is {column[row]:g}; allowed: {low:g} to {high:g}")
+            columns.append(column)
+        return Command(*columns)
+
+    def _broadcast(self, what: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
+        try:
+            array = np.broadcast_to(np.asarray(values, self.dtype), shape)
+        except (TypeError, ValueError):
+            raise UsageError(f"{what}: expected numbers of shape {shape}, found {shape_of(values)}") from None
+        if not np.all(np.isfinite(array)):
+            row = int(np.argwhere(~np.isfinite(array))[0][0])
+            raise UsageError(f"{what}: not finite for vehicle {row} ('{self.names[row]}')")
+        return array
+
+
+def shape_of(values: Any) -> str:
+    """Return the shape of what a user gave, in words."""
+    try:
+        return f"shape {np.shape(values)}"
+    except ValueError:
+        return "rows of different lengths"
