@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.attitude import AttitudeReading
 from qrsim.models.gnss import GnssReading
 from qrsim.models.site import Site
-from qrsim.readings import SensorReading, quaternion_of
+from qrsim.readings import Reading, SensorReading, quaternion_of
 from small_worlds import noisy, simulate
 
 SITE = Site.from_degrees(51.7119, -0.21052, 30.0)
@@ -38,11 +39,20 @@ def test_fix_type_is_zero_without_a_fix() -> None:
     np.testing.assert_array_equal(gnss([[1.0, 2.0, 3.0], [np.nan, np.nan, np.nan]]).fix_type, [3, 0])
 
 
+def test_a_first_fix_has_no_velocity() -> None:
+    """One that is differenced needs the fix before."""
+    axes, nothing, one = np.ones((3, 2), np.float32), np.full(2, np.nan, np.float32), np.ones(2, np.float32)
+    velocity = Vec3(nothing, nothing, nothing)
+    reading = GnssReading(Vec3(*axes), velocity, 7.0 * one, one, one)  # type: ignore[arg-type]
+    assert SensorReading("gnss", reading, SITE).reasons == ["no velocity: the fix before is missing"] * 2
+    assert gnss([[1.0, 2.0, 3.0]]).reasons == [""]
+
+
 def test_a_reading_that_is_missing_says_why() -> None:
-    """A mask of 90 degrees leaves no satellite; one barometer is lost for a while; one vehicle hits the mast."""
+    """A mask of 90 degrees leaves no satellite; one barometer is lost for a while; one vehicle flies aground."""
     content = noisy()
     fleet = content["fleets"]["pelicans"]
-    fleet["sensors"]["gnss"]["elevation_mask_rad"] = 1.55
+    fleet["sensors"]["gnss"]["elevation_mask_deg"] = 90.0
     fleet["faults"] = [
         {"sensor": "barometer", "kind": "lost", "start": 0.04, "end": 0.08, "vehicles": ["pelicans_1"]},
     ]
@@ -56,6 +66,9 @@ def test_a_reading_that_is_missing_says_why() -> None:
     assert np.isnan(reading.barometer.height[:2]).all()
     assert reading.gnss.reasons == [stopped, *["no fix: 0 satellites, at least 4 needed"] * 4]
     assert (reading.gnss.fix_type == 0).all()
+    dark = replace(simulation.state.sky, satellites_ned=Vec3(*np.full((3, 24), np.nan, np.float32)))  # type: ignore[arg-type]
+    beyond = Reading(simulation.world, replace(simulation.state, sky=dark), 2, SITE)
+    assert beyond.gnss.reasons == [stopped, *["no fix: the orbits give no satellite's position at this time"] * 4]
     assert simulation.step(ticks=2).barometer.reasons == [stopped, "", "", "", ""]
 
 

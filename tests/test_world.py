@@ -115,6 +115,16 @@ REASON_CASES: dict[tuple[str, str], dict[str, Any]] = {
 ALLOWED = {"x": (-50.0, 50.0), "y": (-50.0, 50.0), "z": (-40.0, 0.0)}
 
 
+def test_without_a_collision_distance_an_obstacle_is_still_solid() -> None:
+    content = quiet(bravo=bravo([-40.0, 35.0, -10.0], [-40.0, 45.0, -10.0]))
+    content["world"]["collision_distance"] = 0.0
+    simulation = simulate(content)
+    before = until_stopped(simulation)
+    assert simulation.reasons[3] == "collision: obstacle 0"
+    # The mast's radius is 1 m; at 5.5 m/s a step is 0.11 m.
+    assert 0.0 < 39.0 - before[3, 1] < 0.11
+
+
 def test_every_reason_is_flown() -> None:
     # The fence is flown into below: it is another area, and another program.
     assert set(REASON_CASES) == set(REASONS) - {("valid", ""), ("out_of_area", "fence")}

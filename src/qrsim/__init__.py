@@ -16,9 +16,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from qrsim.control import WaypointSetpoint
+    from qrsim.apps.run.recorder import fly
+    from qrsim.configuration import configure
+    from qrsim.control import (
+        AttitudeHeightSetpoint,
+        AttitudeSetpoint,
+        Estimate,
+        VelocityHeightSetpoint,
+        VelocitySetpoint,
+        WaypointSetpoint,
+    )
     from qrsim.logs import Run, open_run
     from qrsim.models.vehicles.quadrotor import Command
+    from qrsim.rollouts import Rollout, rollout
+    from qrsim.scenarios.making import make_scenario, make_world
     from qrsim.scenarios.scenario import Scenario, load_scenario
     from qrsim.simulation import Simulation
     from qrsim.world import State, World
@@ -27,29 +38,51 @@ __version__ = metadata.version("qrsim")
 
 # Imported on first use, so that a command pays only for what it needs.
 _LAZY = {
+    "AttitudeHeightSetpoint": "qrsim.control",
+    "AttitudeSetpoint": "qrsim.control",
     "Command": "qrsim.models.vehicles.quadrotor",
+    "Estimate": "qrsim.control",
+    "Rollout": "qrsim.rollouts",
     "Run": "qrsim.logs",
     "Scenario": "qrsim.scenarios.scenario",
     "Simulation": "qrsim.simulation",
     "State": "qrsim.world",
+    "VelocityHeightSetpoint": "qrsim.control",
+    "VelocitySetpoint": "qrsim.control",
     "WaypointSetpoint": "qrsim.control",
     "World": "qrsim.world",
+    "configure": "qrsim.configuration",
+    "fly": "qrsim.apps.run.recorder",
     "load_scenario": "qrsim.scenarios.scenario",
+    "make_scenario": "qrsim.scenarios.making",
+    "make_world": "qrsim.scenarios.making",
     "open_run": "qrsim.logs",
+    "rollout": "qrsim.rollouts",
 }
 
 __all__ = [
+    "AttitudeHeightSetpoint",
+    "AttitudeSetpoint",
     "Command",
+    "Estimate",
+    "Rollout",
     "Run",
     "Scenario",
     "Simulation",
     "State",
+    "VelocityHeightSetpoint",
+    "VelocitySetpoint",
     "WaypointSetpoint",
     "World",
     "__version__",
+    "configure",
+    "fly",
     "load",
     "load_scenario",
+    "make_scenario",
+    "make_world",
     "open_run",
+    "rollout",
 ]
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from qrsim.control import SETPOINTS, Estimate, WaypointSetpoint
@@ -24,10 +25,13 @@ class ActionChecker:
     Args:
         world: whose vehicles are commanded.
         dtype: of its numbers.
+        values: "checked" refuses commands out of their range; "finite" leaves clipping them to the tick, which flags
+            it; "traced" is for a program that is being compiled, where kinds and shapes can be seen but no values.
     """
 
-    def __init__(self, world: World, dtype: np.dtype[Any]):
-        self.fleets, self.dtype = world.fleets, dtype
+    def __init__(self, world: World, dtype: np.dtype[Any], values: Literal["checked", "finite", "traced"] = "checked"):
+        self.fleets, self.dtype, self.values = world.fleets, dtype, values
+        self.traced = values == "traced"
         self.names = [name for fleet in world.fleets for name in fleet.vehicle_names]
 
     def actions(self, command: Any) -> tuple[Action, ...]:
@@ -83,8 +87,7 @@ class ActionChecker:
     def _checked(self, command: Any, names: list[str], controllers: list[Any]) -> Any:
         if isinstance(command, Command):
             columns = self._cast(command, "command", len(names))
-            array = np.stack([getattr(columns, field) for field in COMMAND_FIELDS], axis=-1)
-            return self._command(array, names)
+            return self._in_range([getattr(columns, field) for field in COMMAND_FIELDS], names)
         if type(command) in _NAME_OF:
             return self._setpoint(command, names, controllers)
         if isinstance(command, str | bytes):
@@ -103,7 +106,7 @@ class ActionChecker:
                     f"{taken}; a controller of type 'offboard' takes them all"
                 )
         checked = self._cast(setpoint, "command", len(names))
-        for field, values, _ in walk(checked):
+        for field, values, _ in () if self.traced else walk(checked):
             if not np.all(np.isfinite(values)):
                 row = int(np.argmin(np.isfinite(values)))
                 raise UsageError(f"command: {field} of vehicle {row} ('{names[row]}') is not finite")
@@ -112,36 +115,44 @@ class ActionChecker:
     def _cast(self, record: Any, what: str, size: int) -> Any:
         """Return a record of arrays (n,) in the simulation's type."""
 
-        def convert(path: Any, leaf: Any) -> FloatArray:
+        def convert(path: Any, leaf: Any) -> Any:
             name = "".join(str(part) for part in path).lstrip(".")
             if np.shape(leaf) != (size,):
                 raise UsageError(f"{what}: {name}: expected shape {(size,)}, found {shape_of(leaf)}")
-            return np.ascontiguousarray(leaf, self.dtype)
+            return jnp.asarray(leaf, self.dtype) if self.traced else np.ascontiguousarray(leaf, self.dtype)
 
         return jax.tree_util.tree_map_with_path(convert, record)
 
     def _command(self, command: Any, names: list[str]) -> Command:
         shape = (len(names), len(COMMAND_FIELDS))
         try:
-            array = np.asarray(command, self.dtype)
+            array = (jnp if self.traced else np).asarray(command, self.dtype)
         except (TypeError, ValueError):
             array = np.zeros(0)
         if array.shape != shape:
             raise UsageError(
                 f"command: expected shape {shape} (vehicles; {', '.join(COMMAND_FIELDS)}), found {shape_of(command)}"
             )
-        columns: list[Any] = []
-        for i, field in enumerate(COMMAND_FIELDS):
+        return self._in_range([array[:, i] for i in range(len(COMMAND_FIELDS))], names)
+
+    def _in_range(self, columns: list[Any], names: list[str]) -> Command:
+        """Return the command of columns (n,); a traced one is clipped by the tick itself."""
+        if self.traced:
+            return Command(*columns)
+        checked: list[Any] = []
+        for field, values in zip(COMMAND_FIELDS, columns, strict=True):
             low, high = COMMAND_LIMITS[field]
-            column = np.ascontiguousarray(array[:, i])
+            column = np.ascontiguousarray(values)
             # Rounding to single precision must not push 0.9 out of its own range.
             wrong = ~((column >= self.dtype.type(low)) & (column <= self.dtype.type(high)))
+            if self.values == "finite":
+                wrong = ~np.isfinite(column)
             if wrong.any():
                 row = int(np.argmax(wrong))
                 what = f"{field} of vehicle {row} ('{names[row]}')"
                 raise UsageError(f"command: {what} is {column[row]:g}; allowed: {low:g} to {high:g}")
-            columns.append(column)
-        return Command(*columns)
+            checked.append(column)
+        return Command(*checked)
 
     def _broadcast(self, what: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
         try:

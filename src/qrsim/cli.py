@@ -20,6 +20,8 @@ from typing import Annotated, Any, Protocol, Union
 
 import tyro
 
+from qrsim.apps.check.command import Check
+from qrsim.apps.compare.command import Compare
 from qrsim.apps.data.command import Fetch, Where
 from qrsim.apps.export.command import Export
 from qrsim.apps.openloop.command import OpenLoop
@@ -84,10 +86,12 @@ Example:
 
 COMMANDS: dict[str, type[Command] | Group] = {
     "run": Run,
+    "check": Check,
     "list": List,
     "show": Show,
     "schema": Schema,
     "plot": Plot,
+    "compare": Compare,
     "export": Export,
     "openloop": OpenLoop,
     "data": DATA,

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import sys
+import warnings
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class QrsimError(Exception):
@@ -50,3 +53,23 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     if match is not None:
         return f"; did you mean '{match}'?"
     return f"; known: {', '.join(known)}" if known else ""
+
+
+def did_you_mean_file(path: Path) -> str:
+    """Return ``"; did you mean 'x'?"`` where a file of the same kind in the same folder has a similar name, else ""."""
+    try:
+        known = sorted(found.name for found in path.parent.glob(f"*{path.suffix}"))
+    except OSError:
+        return ""
+    match = nearest(path.name, known)
+    return f"; did you mean '{match}'?" if match and match != path.name else ""
+
+
+def warn_user(message: str) -> None:
+    """Warn of something unusual; the warning names the line outside qrsim that led here."""
+    depth = 1
+    while sys._getframe(depth).f_globals.get("__name__", "").partition(".")[0] == "qrsim":
+        if sys._getframe(depth).f_back is None:
+            break
+        depth += 1
+    warnings.warn(message, UserWarning, stacklevel=depth + 1)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from qrsim.control.setpoints import library
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.area import reason_text
 from qrsim.models.attitude import AttitudeReading
-from qrsim.models.gnss import FEWEST_SATELLITES, GnssReading
+from qrsim.models.gnss import FEWEST_SATELLITES, GnssReading, SkyState
 from qrsim.models.site import Site
 from qrsim.world import Fleet, FleetState, State, World
 
@@ -21,19 +23,19 @@ Floats = np.ndarray[Any, Any]
 
 
 def as_array(value: Any) -> Any:
-    """Return a Vec3 or Euler as (n, 3), anything else as it is."""
-    if isinstance(value, Vec3):
-        return np.stack((value.x, value.y, value.z), axis=-1)
-    if isinstance(value, Euler):
-        return np.stack((value.roll, value.pitch, value.yaw), axis=-1)
+    """Return a Vec3 or Euler as (n, 3), anything else as it is; in a program that is being compiled too."""
+    if isinstance(value, Vec3 | Euler):
+        axes = jax.tree.leaves(value)
+        return library(*axes).stack(axes, axis=-1)
     return value
 
 
 def quaternion_of(attitude: Floats) -> Floats:
     """Return unit quaternions (n, 4), w first and w >= 0, of Euler angles (n, 3) [rad]: body to NED, ZYX."""
-    half = 0.5 * np.asarray(attitude, np.float64)
-    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
-    quaternion = np.stack(
+    lib = library(attitude)
+    half = 0.5 * (attitude if lib is jnp else np.asarray(attitude, np.float64))
+    (cr, cp, cy), (sr, sp, sy) = lib.cos(half).T, lib.sin(half).T
+    quaternion = lib.stack(
         (
             cr * cp * cy + sr * sp * sy,
             sr * cp * cy - cr * sp * sy,
@@ -42,7 +44,7 @@ def quaternion_of(attitude: Floats) -> Floats:
         ),
         axis=-1,
     )
-    return np.where(quaternion[:, :1] < 0.0, -quaternion, quaternion)
+    return lib.where(quaternion[:, :1] < 0.0, -quaternion, quaternion)
 
 
 class SensorReading:
@@ -55,7 +57,7 @@ class SensorReading:
     ``quaternion`` (n, 4), w first.
     """
 
-    def __init__(self, name: str, reading: Any, site: Site, withheld: Sequence[str] = ()):
+    def __init__(self, name: str, reading: Any, site: Site, withheld: Callable[[], Sequence[str]] = tuple):
         self._name = name
         self._reading = reading
         self._site = site
@@ -74,7 +76,7 @@ class SensorReading:
         """Why each of the n vehicles has no complete reading, "" where it has one."""
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(self._reading)]
         complete = np.all([np.isfinite(leaf) for leaf in leaves], axis=0)
-        withheld = self._withheld or [""] * len(complete)
+        withheld = self._withheld() or [""] * len(complete)
         return [
             "" if whole else why or self._own_reason(i)
             for i, (whole, why) in enumerate(zip(complete, withheld, strict=True))
@@ -85,6 +87,8 @@ class SensorReading:
         satellites = getattr(self._reading, "satellites", None)
         if satellites is not None and satellites[vehicle] < FEWEST_SATELLITES:
             return f"no fix: {satellites[vehicle]:.0f} satellites, at least {FEWEST_SATELLITES} needed"
+        if satellites is not None and np.isfinite(as_array(self._reading.position_ned)[vehicle]).all():
+            return "no velocity: the fix before is missing"
         return "not available"
 
     def __getattr__(self, field: str) -> Floats:
@@ -101,7 +105,10 @@ class SensorReading:
             return quaternion_of(as_array(self._reading.attitude))
         position = as_array(self._reading.position_ned)
         if field == "fix_type":
-            return np.where(np.isfinite(position).all(axis=1), 3, 0)
+            lib = library(position)
+            return lib.where(lib.isfinite(position).all(axis=1), 3, 0)
+        if isinstance(position, jax.core.Tracer):
+            raise UsageError(f"{self._name}.{field}: not available in a compiled function; use position_ned")
         latitude, longitude, height = self._site.ned_to_geodetic(position)
         return {"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude), "height": height}[field]
 
@@ -112,9 +119,9 @@ class SensorReading:
 class FleetReading:
     """The last reading of every sensor of one fleet; its sensors are attributes, see ``sensors``."""
 
-    def __init__(self, fleet: Fleet, state: FleetState, tick: int, site: Site):
+    def __init__(self, fleet: Fleet, state: FleetState, sky: SkyState, tick: int, site: Site):
         self._sensors = dict(zip(fleet.sensor_names, state.readings, strict=True))
-        self._fleet, self._violation, self._tick, self._site = fleet, state.violation, tick, site
+        self._fleet, self._state, self._sky, self._tick, self._site = fleet, state, sky, tick, site
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -126,21 +133,38 @@ class FleetReading:
             raise AttributeError(sensor)
         if sensor not in self._sensors:
             raise AttributeError(f"no sensor is called '{sensor}'{did_you_mean(sensor, self._sensors)}")
-        return SensorReading(sensor, self._sensors[sensor], self._site, self._withheld(sensor))
+        return SensorReading(sensor, self._sensors[sensor], self._site, lambda: self._withheld(sensor))
 
     def _withheld(self, sensor: str) -> list[str]:
         """Return why nothing of a sensor reaches the user, for each vehicle; "" where its readings do."""
+        violation = self._state.violation
         stopped = [
             f"stopped, {reason_text(int(code), float(value))}" if code else ""
-            for code, value in zip(self._violation.code, self._violation.value, strict=True)
+            for code, value in zip(violation.code, violation.value, strict=True)
         ]
-        lost = np.zeros(len(stopped), bool)
-        for fault in self._fleet.faults:
-            if fault.sensor == sensor and fault.kind == "lost":
-                lost |= np.asarray(fault.active(self._tick))  # type: ignore[arg-type]
-        return [
-            why or ("lost, by a fault of the scenario" if gone else "") for why, gone in zip(stopped, lost, strict=True)
-        ]
+        others = zip(self._faults(sensor), self._without_orbits(sensor), strict=True)
+        return [why or fault or sky for why, (fault, sky) in zip(stopped, others, strict=True)]
+
+    def _faults(self, sensor: str) -> list[str]:
+        """Return which fault takes away the readings of each vehicle; of several, the one applied last."""
+        found = [""] * self._fleet.size
+        for fault, passed_on in zip(self._fleet.faults, self._state.passed_on, strict=True):
+            if fault.sensor != sensor or fault.kind == "biased":
+                continue
+            active, why = np.asarray(fault.active(self._tick)), "lost, by a fault of the scenario"  # type: ignore[arg-type]
+            if fault.kind == "frozen":
+                whole = np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(passed_on)], axis=0)
+                active, why = active & ~whole, "frozen, by a fault of the scenario, while it had no reading"
+            found = [why if here else before for here, before in zip(active, found, strict=True)]
+        return found
+
+    def _without_orbits(self, sensor: str) -> list[str]:
+        """Say where a receiver has no fix because the orbits have ended, or have a gap."""
+        satellites = getattr(self._sensors[sensor], "satellites", None)
+        if satellites is None or np.isfinite(self._sky.satellites_ned.z).any():
+            return [""] * self._fleet.size
+        why = "no fix: the orbits give no satellite's position at this time"
+        return [why if count == 0 else "" for count in satellites]
 
     def __repr__(self) -> str:
         return f"<readings of {', '.join(self.sensors)}>"
@@ -159,7 +183,7 @@ class Reading:
     def __init__(self, world: World, state: State, tick: int, site: Site):
         self.time = tick * world.time_step
         self._fleets = {
-            fleet.name: FleetReading(fleet, fleet_state, tick, site)
+            fleet.name: FleetReading(fleet, fleet_state, state.sky, tick, site)
             for fleet, fleet_state in zip(world.fleets, state.fleets, strict=True)
         }
 

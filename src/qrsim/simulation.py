@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,13 +14,14 @@ from jax import lax
 
 from qrsim import world as ticks_of
 from qrsim.actions import ActionChecker
-from qrsim.placing import placed
+from qrsim.configuration import FEW_VEHICLES, QUICK_TO_COMPILE, use_compilation_cache
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
 from qrsim.core.pack import Buffers, Packer
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.area import reason_text
 from qrsim.models.site import Site
+from qrsim.placing import placed
 from qrsim.readings import Reading, Truth
 from qrsim.saved import SavedState, fingerprint, write
 from qrsim.world import State, World, WorldKeys, keys_of
@@ -30,17 +30,11 @@ FloatArray = np.ndarray[Any, Any]
 LARGEST_TICK = 2**31 - 2
 
 
-# The older code generator of XLA:CPU compiles a step in half the time of the newer one. It runs a few vehicles as
-# fast, hundreds more slowly.
-FEW_VEHICLES = 64
-_QUICK_TO_COMPILE = {"xla_cpu_use_fusion_emitters": False}
-
-
 class _Program:
     """A function compiled with the code generator that suits the number of vehicles."""
 
     def __init__(self, function: Callable[..., Any], **options: Any):
-        self._few = jax.jit(function, compiler_options=_QUICK_TO_COMPILE, **options)
+        self._few = jax.jit(function, compiler_options=QUICK_TO_COMPILE, **options)
         self._many = jax.jit(function, **options)
 
     def __call__(self, vehicles: int, *arguments: Any) -> Any:
@@ -121,6 +115,7 @@ class Simulation:
     Args:
         world: its parameters, as arrays of one floating-point type.
         seed: of all randomness, 0 <= seed < 2**63.
+        number: which world of a rollout with this seed it is, 0 <= number < 2**32.
         name: what to call it in messages and logs.
         site: origin of the local frame, for readings in latitude and longitude; default: the flying field of
             Symington 2014.
@@ -132,8 +127,8 @@ class Simulation:
         vehicle_names: name of each of the n vehicles of all fleets.
     """
 
-    def __init__(self, world: World, *, seed: int = 0, name: str = "world", site: Site | None = None):
-        _use_compilation_cache()
+    def __init__(self, world: World, *, seed: int = 0, number: int = 0, name: str = "world", site: Site | None = None):
+        use_compilation_cache()
         self.world = world
         self.name = name
         self.site = site or Site()
@@ -141,9 +136,10 @@ class Simulation:
         self.vehicle_names = tuple(name for fleet in world.fleets for name in fleet.vehicle_names)
         self.tick = 0
         self.seed = _checked_seed(seed)
+        self.number = _checked_number(number)
         self._checker = ActionChecker(world, self.dtype)
         self._world_layout = Packer(world)
-        with self._precision():
+        with self.precision_context():
             self._world: Buffers = jax.device_put(self._world_layout.pack(world))
         self._layout: Packer | None = None
         self._state: Buffers | None = None
@@ -168,8 +164,8 @@ class Simulation:
         """Start an episode and return its first reading; a new seed makes another episode."""
         if seed is not None:
             self.seed = _checked_seed(seed)
-        with self._precision():
-            keys = keys_of(self.world, Key.root(self.seed))
+        with self.precision_context():
+            keys = keys_of(self.world, Key.root(self.seed, self.number))
             # Packed on the host, because a program for it would cost more to compile than it ever saves.
             state = jax.tree.map(np.asarray, _reset(self.size, self._world_layout, self._world, keys))
             self._layout = Packer(state)
@@ -198,7 +194,7 @@ class Simulation:
         count = self._checked_ticks(ticks)
         layout, state = self._running()
         tick, number = np.int32(self.tick), np.int32(count)
-        with self._precision():
+        with self.precision_context():
             self._state = _advance(
                 self.size, self._world_layout, layout, self._world, state, tick, number, actions, estimates
             )
@@ -219,7 +215,7 @@ class Simulation:
         if count > capacity:
             raise UsageError(f"ticks: {count} is more than the capacity, {capacity}")
         layout, state = self._running()
-        with self._precision():
+        with self.precision_context():
             self._state, rows = _record(
                 self.size,
                 self._world_layout,
@@ -252,7 +248,7 @@ class Simulation:
             UsageError: another shape, a row that is partly NaN, or a state beyond area and limits or in collision.
         """
         layout, _ = self._running()
-        with self._precision():
+        with self.precision_context():
             changed = placed(self.world, self.state, state, self.vehicle_names)
             self._state = jax.device_put(layout.pack(changed))
         self._host = None
@@ -282,7 +278,7 @@ class Simulation:
         saved.check(self.name, self._fingerprint())
         if self._layout is None:
             self.reset(saved.seed)
-        with self._precision():
+        with self.precision_context():
             self._state = jax.device_put((saved.floats, saved.integers))
         self.tick, self.seed, self._host = saved.tick, saved.seed, None
         return self.reading
@@ -344,8 +340,15 @@ class Simulation:
             raise UsageError("the simulation has not started: call reset() first")
         return self._layout, self._state
 
-    def _precision(self) -> contextlib.AbstractContextManager[Any]:
+    def precision_context(self) -> contextlib.AbstractContextManager[Any]:
+        """Return a context in which JAX computes in this simulation's precision."""
         return jax.enable_x64(self.dtype == np.float64)
+
+
+def _checked_number(number: Any) -> int:
+    if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < 2**32:
+        raise UsageError(f"number: {number!r} is not an integer from 0 to 2**32 - 1")
+    return int(number)
 
 
 def check_precision(precision: str) -> str:
@@ -364,15 +367,3 @@ def _checked_seed(seed: Any) -> int:
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
         raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
     return int(seed)
-
-
-def _use_compilation_cache() -> None:
-    """Keep compiled programs in the user's cache, unless JAX was told otherwise or QRSIM_COMPILATION_CACHE is off."""
-    config: Any = jax.config
-    if config.jax_compilation_cache_dir or os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
-        return
-    from platformdirs import user_cache_path
-
-    config.update("jax_compilation_cache_dir", str(user_cache_path("qrsim") / "compiled"))
-    config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    config.update("jax_persistent_cache_min_entry_size_bytes", -1)

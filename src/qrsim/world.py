@@ -16,7 +16,7 @@ from qrsim.control import Estimate, Route, RouteState, Setpoint
 from qrsim.core.noise import Draw, Drawn, Key, Noise, Stream, StreamKeys, draw_together
 from qrsim.core.tree import parameter, quantity, record, replace, select, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
-from qrsim.models.area import BoxArea, StateLimits, Violation, collisions, reason_code
+from qrsim.models.area import StateLimits, Violation, collisions, reason_code
 from qrsim.models.faults import Fault
 from qrsim.models.gnss import Sky, SkyState
 from qrsim.models.obstacles import Obstacles
@@ -72,7 +72,7 @@ class World:
     turbulence: Any = quantity(doc="random gusts")
     gust: Any = quantity(doc="discrete gust")
     sky: Sky = quantity(doc="GNSS space segment")
-    area: BoxArea = quantity(doc="where vehicles may be")
+    area: Any = quantity(doc="where vehicles may be")
     fleets: tuple[Fleet, ...] = quantity(doc="fleets")
     obstacles: Obstacles = quantity(doc="solid things in the area")
     collision_distance: Array = parameter(
@@ -104,6 +104,7 @@ class FleetState:
     battery: Any = quantity(doc="battery")
     readings: tuple[Any, ...] = quantity(doc="last reading of each sensor as delivered; NaN once a vehicle is invalid")
     true_readings: tuple[Any, ...] = quantity(doc="for sensors with faults, the reading without them; else None")
+    passed_on: tuple[Any, ...] = quantity(doc="for each fault that remembers, the reading it passed on last; else None")
 
 
 @record
@@ -305,7 +306,9 @@ def _empty_battery(battery: Any, like: Array) -> list[tuple[int, Array, Array]]:
 def _hits_obstacle(world: World, position_ned: Vec3) -> tuple[int, Array, Array]:
     """Return the check (code, number of the obstacle, hit) of positions (n,)."""
     distance, number = world.obstacles.nearest(position_ned)
-    return reason_code("collision", "obstacle"), number, distance < 0.5 * world.collision_distance
+    # Whatever the distance kept from obstacles is, none can be touched or flown through.
+    hit = (distance < 0.5 * world.collision_distance) | (distance <= 0.0)
+    return reason_code("collision", "obstacle"), number, hit
 
 
 def _sense(
@@ -315,9 +318,10 @@ def _sense(
     scene = _scene(state, sky)
     valid = state.violation.code == 0
     states, delivered, undisturbed = [], [], []
+    passed_on = state.passed_on
     for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
-        faults = [fault for fault in fleet.faults if fault.sensor == name]
-        held = state.true_readings[i] if faults else state.readings[i]
+        faulty = any(fault.sensor == name for fault in fleet.faults)
+        held = state.true_readings[i] if faulty else state.readings[i]
         inputs = {item: scene[item] for item in sensor.reads}
 
         def fresh(sensor: Any = sensor, memory: Any = state.sensors[i], name: str = name, inputs: Any = inputs) -> Any:
@@ -326,11 +330,16 @@ def _sense(
         ticks = period_ticks(sensor.period, world.time_step)
         memory, reading = _when_due(ticks, after, fresh, (state.sensors[i], held))
         states.append(memory)
-        undisturbed.append(reading if faults else None)
-        for fault in faults:
-            reading = fault.apply(reading, state.readings[i], after)
+        undisturbed.append(reading if faulty else None)
+        reading, passed_on = _faulted(fleet, name, reading, passed_on, after)
         delivered.append(jax.tree.map(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
-    return replace(state, sensors=tuple(states), readings=tuple(delivered), true_readings=tuple(undisturbed))
+    return replace(
+        state,
+        sensors=tuple(states),
+        readings=tuple(delivered),
+        true_readings=tuple(undisturbed),
+        passed_on=passed_on,
+    )
 
 
 def _start(world: World, fleet: Fleet, keys: StreamKeys, sky: SkyState) -> FleetState:
@@ -378,6 +387,7 @@ def _start(world: World, fleet: Fleet, keys: StreamKeys, sky: SkyState) -> Fleet
         battery=fleet.battery.init(like),
         readings=(),
         true_readings=(),
+        passed_on=(),
     )
     scene = _scene(state, sky)
     firsts = [
@@ -385,25 +395,32 @@ def _start(world: World, fleet: Fleet, keys: StreamKeys, sky: SkyState) -> Fleet
         for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True)
     ]
     faulty = {fault.sensor for fault in fleet.faults}
-    readings = tuple(reading for _, reading in firsts)
+    readings = dict(zip(fleet.sensor_names, (reading for _, reading in firsts), strict=True))
+    passed_on: tuple[Any, ...] = (None,) * len(fleet.faults)
+    delivered = []
+    for name, reading in readings.items():
+        first, passed_on = _faulted(fleet, name, reading, passed_on, jnp.int32(0))
+        delivered.append(first)
     return replace(
         state,
         sensors=tuple(memory for memory, _ in firsts),
-        readings=tuple(
-            _faulted(fleet, name, reading) for name, reading in zip(fleet.sensor_names, readings, strict=True)
-        ),
-        true_readings=tuple(
-            reading if name in faulty else None for name, reading in zip(fleet.sensor_names, readings, strict=True)
-        ),
+        readings=tuple(delivered),
+        true_readings=tuple(reading if name in faulty else None for name, reading in readings.items()),
+        passed_on=passed_on,
     )
 
 
-def _faulted(fleet: Fleet, name: str, reading: Any) -> Any:
-    """Return the first reading of a sensor as delivered: a fault can be there from the start."""
-    for fault in fleet.faults:
+def _faulted(
+    fleet: Fleet, name: str, reading: Any, passed_on: tuple[Any, ...], tick: Array
+) -> tuple[Any, tuple[Any, ...]]:
+    """Return the reading of a sensor as delivered, each fault having its turn, and what all faults passed on last."""
+    memories = list(passed_on)
+    for i, fault in enumerate(fleet.faults):
         if fault.sensor == name:
-            reading = fault.apply(reading, reading, jnp.int32(0))
-    return reading
+            # At the start nothing was passed on before: what is frozen then is the first reading.
+            reading = fault.apply(reading, reading if memories[i] is None else memories[i], tick)
+            memories[i] = reading if fault.remembers else None
+    return reading, tuple(memories)
 
 
 def _scene(state: FleetState, sky: SkyState) -> dict[str, Any]:

@@ -98,3 +98,49 @@ def test_a_run_of_a_later_version(copy, refused):
 def test_a_missing_argument(capsys):
     assert cli.main(["plot"]) == 2
     assert "RUN" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- panels
+
+
+def test_panels_have_a_file_of_their_own(copy, capsys):
+    words = ["--panel", "truth.position_ned.z", "--panel", "measurements.gnss.position_ned.x, truth.position_ned.x"]
+    assert cli.main(["plot", str(copy), *words, "--from", "2", "--to", "8", "--vehicle", "pelicans_1"]) == 0
+    assert capsys.readouterr().out == f"{copy / 'panels.png'}\n"
+    width, height = struct.unpack(">II", (copy / "panels.png").read_bytes()[16:24])
+    assert (width, height) == (1320, 660)
+    assert not (copy / "figure.png").exists()
+
+
+def test_where_the_picture_is_as_json(flown, tmp_path, capsys):
+    target = tmp_path / "x.svg"
+    assert cli.main(["plot", str(flown.folder), "--panel", "wind.gust_ned", "--out", str(target), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"run": str(flown.folder), "figure": str(target)}
+    assert b"<svg" in target.read_bytes()
+
+
+def test_the_list_of_quantities(flown, capsys):
+    assert cli.main(["plot", str(flown.folder), "--list"]) == 0
+    rows = [line.split(maxsplit=2) for line in capsys.readouterr().out.splitlines()]
+    assert ["truth.position_ned.z", "m", "third axis: down"] in rows
+    assert cli.main(["plot", str(flown.folder), "--list", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert {"quantity": "truth.position_ned.z", "unit": "m", "doc": "third axis: down"} in listed
+    assert len(listed) == len({item["quantity"] for item in listed}) == 54
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (["--panel", "truth.positoin_ned.z"], "did you mean 'truth.position_ned.z'?"),
+        (["--panel", "truth.position_ned.x,truth.thrust"], "truth.position_ned.x is in m and truth.thrust is in N"),
+        (["--panel", "truth.thrust", "--vehicle", "pelican_1"], "no vehicle 'pelican_1'; did you mean 'pelicans_1'?"),
+        (["--panel", "truth.thrust", "--from", "11"], "no tick from 11 s; the log goes from 0 s to 10 s"),
+        (["--panel", "truth.thrust", "--from", "3", "--to", "2"], "--from 3 is after --to 2"),
+        (["--panel", "truth.thrust", "--to", "nan"], "--to nan: expected a number of seconds"),
+        (["--from", "3", "--vehicle", "pelicans_1"], "--vehicle, --from: only for panels"),
+        (["--list", "--panel", "truth.thrust"], "--list draws nothing"),
+    ],
+)
+def test_wrong_panels(words, part, flown, refused):
+    refused(["plot", str(flown.folder), *words], part)

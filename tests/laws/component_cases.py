@@ -29,6 +29,7 @@ from qrsim.control import (
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import FieldInfo, cast, field_info
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.fence import PolygonArea
 from qrsim.models.gnss import SkyState
 from qrsim.models.orbits import NominalConstellation
 from qrsim.models.site import Site, gps_seconds_from_utc
@@ -97,6 +98,8 @@ EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     # Half way up, 1.25 s after its start.
     ("GUSTS", "discrete"): {"start_time": 16.0, "length": 12.5, "speed": 5.0, "along": 4.0, "across": 2.0, "down": 1.0},
     ("OBSTACLES", "cylinder"): {"x": 5.0, "y": -7.0, "radius": 2.0, "z_min": -9.0},
+    # With a notch that ends among the positions of ``inputs``.
+    ("AREAS", "polygon"): {"corners_ned": [[-60.0, -8.0], [50.0, -70.0], [6.0, 0.0], [70.0, 80.0]]},
 }
 # Where a scenario has components of each group.
 SLOTS = {
@@ -115,10 +118,16 @@ SLOTS = {
 }
 
 
+# A scenario writes these arrays another way, which tests/scenarios looks at.
+ARRAYS = {PolygonArea: ("north", "east")}
+
+
 def fields_of(component: Any, prefix: str = "") -> list[tuple[str, Any, FieldInfo]]:
     """Return (dotted name, default, metadata) of every parameter and setting, those of nested parts included."""
     found = []
     for field in dataclasses.fields(component):
+        if field.name in ARRAYS.get(component, ()):
+            continue
         if dataclasses.is_dataclass(field.default):
             found += fields_of(type(field.default), f"{prefix}{field.name}.")
         else:
@@ -133,7 +142,11 @@ def parameters_needed(group: str, name: str) -> dict[str, Any]:
         given["file"] = FILES[group, name]()
     for field in dataclasses.fields(GROUPS[group][name]):  # type: ignore[arg-type]
         info = field_info(field)
-        if field.name in given or (field.default is not dataclasses.MISSING and field.default is not None):
+        if (
+            field.name in given
+            or field.name in ARRAYS.get(GROUPS[group][name], ())
+            or (field.default is not dataclasses.MISSING and field.default is not None)
+        ):
             continue
         if info.minimum is None or info.maximum is None:
             raise AssertionError(f"give an example of '{field.name}' of {group}['{name}'] in EXAMPLES")
@@ -143,7 +156,10 @@ def parameters_needed(group: str, name: str) -> dict[str, Any]:
 
 def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> Any:
     """Return the component with its numbers as arrays, ready to be traced."""
-    component = GROUPS[group][name](**parameters_needed(group, name), **settings)
+    given = parameters_needed(group, name)
+    if "corners_ned" in given:
+        given["north"], given["east"] = np.array(given.pop("corners_ned")).T
+    component = GROUPS[group][name](**given, **settings)
     if group == "ORBITS":
         return jax.tree.map(jnp.asarray, component.at(Site(), gps_seconds_from_utc(START), dtype))
     return jax.tree.map(jnp.asarray, cast(component.at(30.0) if hasattr(component, "at") else component, dtype))
@@ -304,8 +320,8 @@ def _obstacle(obstacle: Any, given: Any, draws: Draws) -> Any:
 
 def _area(area: Any, given: Any, draws: Draws) -> Any:
     position = given["scene"]["position_ned"]
-    broken = [broken for _, _, broken in area.check(position)]
-    return {"height": area.height_agl(position), "broken": broken}
+    checks = [(value, broken) for _, value, broken in area.check(position)]
+    return {"height": area.height_agl(position), "checks": checks}
 
 
 def _vehicle(vehicle: Any, given: Any, draws: Draws) -> Any:

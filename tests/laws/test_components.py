@@ -34,6 +34,18 @@ from qrsim.scenarios.scenario import load_scenario
 
 WORLDS = (0, 1)
 every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-".join(case) for case in COMPONENTS])
+
+
+def option_cases() -> list[Any]:
+    cases = []
+    for group, name in COMPONENTS:
+        for settings in options(group, name):
+            chosen = [f"{setting}={option}" for setting, option in settings.items()]
+            cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen])))
+    return cases
+
+
+every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases())
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 
 
@@ -70,10 +82,13 @@ def test_every_group_of_the_catalogue_has_laws() -> None:
     assert set(groups) == set(GROUPS)
 
 
-@cache
-def computed(group: str, name: str) -> tuple[list[Any], Any]:
+def computed(group: str, name: str, settings: dict[str, Any] | None = None) -> tuple[list[Any], Any]:
     """Return what a component computes in each of WORLDS, and the slope of its sum in its parameters (jitted)."""
+    return _computed(group, name, tuple((settings or {}).items()))
 
+
+@cache
+def _computed(group: str, name: str, settings: tuple[tuple[str, Any], ...]) -> tuple[list[Any], Any]:
     def total(component: Any, given: Any, keys: Any) -> Any:
         found = evaluate(group, component, given, keys)
         floats = [leaf for leaf in jax.tree.leaves(found["results"]) if jnp.issubdtype(leaf.dtype, jnp.floating)]
@@ -81,35 +96,36 @@ def computed(group: str, name: str) -> tuple[list[Any], Any]:
 
     # The values come out of the program for the slopes, because each program costs a compilation.
     run = compiled(jax.grad(total, has_aux=True, allow_int=True))
-    both = [run(example(group, name), inputs(world), stream_keys(world)) for world in WORLDS]
+    component = example(group, name, **dict(settings))
+    both = [run(component, inputs(world), stream_keys(world)) for world in WORLDS]
     return [found for _, found in both], both[-1][0]
 
 
-@every_component
-def test_outputs_are_finite_and_eager_and_jitted_agree(group: str, name: str) -> None:
-    alone, _ = computed(group, name)
+@every_option
+def test_outputs_are_finite_and_eager_and_jitted_agree(group: str, name: str, settings: dict[str, Any]) -> None:
+    alone, _ = computed(group, name, settings)
     for found in alone:
         for path, leaf in leaves(found["results"]):
             assert np.isfinite(leaf).all(), path
-    eager = evaluate(group, example(group, name), inputs(WORLDS[0]), stream_keys(WORLDS[0]))
+    eager = evaluate(group, example(group, name, **settings), inputs(WORLDS[0]), stream_keys(WORLDS[0]))
     assert_close(alone[0], eager, 1e-6)
 
 
-@every_component
-def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str) -> None:
+@every_option
+def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str, settings: dict[str, Any]) -> None:
     """The same values to 1e-6, and the same noise to the bit."""
-    alone = stacked(computed(group, name)[0])
+    alone = stacked(computed(group, name, settings)[0])
     given, keys = stacked([inputs(world) for world in WORLDS]), stacked([stream_keys(world) for world in WORLDS])
     run = compiled(jax.vmap(partial(evaluate, group), in_axes=(None, 0, 0)))
-    batch = run(example(group, name), given, keys)
+    batch = run(example(group, name, **settings), given, keys)
     assert_close(batch["results"], alone["results"], 1e-6)
     for (path, got), (_, want) in zip(leaves(batch["noise"]), leaves(alone["noise"]), strict=True):
         np.testing.assert_array_equal(got, want, err_msg=path)
 
 
-@every_component
-def test_slopes_in_every_parameter_are_finite(group: str, name: str) -> None:
-    for path, leaf in leaves(computed(group, name)[1]):
+@every_option
+def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: dict[str, Any]) -> None:
+    for path, leaf in leaves(computed(group, name, settings)[1]):
         if np.issubdtype(leaf.dtype, np.floating):
             assert np.isfinite(leaf).all(), path
 
@@ -133,16 +149,7 @@ def test_numbers_may_differ_from_vehicle_to_vehicle(group: str, name: str) -> No
             np.testing.assert_allclose(got[..., i], want[..., i], rtol=0.0, atol=1e-6 * scale, err_msg=path)
 
 
-def option_cases() -> list[Any]:
-    cases = []
-    for group, name in COMPONENTS:
-        for settings in options(group, name):
-            chosen = [f"{setting}={option}" for setting, option in settings.items()]
-            cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen])))
-    return cases
-
-
-@pytest.mark.parametrize(("group", "name", "settings"), option_cases())
+@every_option
 def test_what_is_drawn_is_what_is_declared(group: str, name: str, settings: dict[str, Any]) -> None:
     """Too few would fail in a simulation, too many would be drawn for nothing, and no pair is drawn twice."""
     component = example(group, name, **settings)

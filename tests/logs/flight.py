@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,11 @@ def write_flight(
     stops: dict[int, int] | None = None,
     killed_after: Sequence[str] | None = None,
     end: str = "finished",
+    every: dict[str, int] | None = None,
+    seed: int = 5,
+    names: Sequence[str] | None = None,
+    scenario_yaml: str = "",
+    change: Callable[[dict[str, dict[str, np.ndarray]]], None] = lambda values: None,
 ) -> Path:
     """Record vehicles that fly north at SPEED, and east after half of the time; each has its own line.
 
@@ -46,12 +51,18 @@ def write_flight(
         stops: vehicle -> tick from which on it stands still and measures nothing.
         killed_after: None, or the streams that were still written at the last flush before the process was killed.
         end: final state.
+        every: decimation of the streams.
+        seed, scenario_yaml: what is noted in the run folder.
+        names: of the vehicles; v0, v1, ... by default.
+        change: is given stream -> column -> (T, n) values before they are recorded.
     """
-    names = tuple(f"v{i}" for i in range(vehicles))
+    names = tuple(names or (f"v{i}" for i in range(vehicles)))
     info = RunInfo.collect(
-        scenario="made_up", seed=5, precision="float32", time_step=STEP, vehicles=names, command_line=["qrsim"]
-    )
+        scenario="made_up", seed=seed, precision="float32", time_step=STEP, vehicles=names, every=every,
+        command_line=["qrsim"],
+    )  # fmt: skip
     parts = _values(vehicles, ticks, wind, sensors, stops or {})
+    change(parts)
     columns = {
         "truth": [*vector_columns("position_ned", "m"), Column("valid", "", "", "bool")],
         "measurements": [
@@ -61,7 +72,9 @@ def write_flight(
         "commands": vector_columns("setpoint.position_ned", "m"),
         "wind": [*vector_columns("mean_ned", "m/s"), *vector_columns("gust_ned", "m/s")],
     }
-    writer = RunWriter.create(folder, info=info, scenario_yaml="", columns=columns, flush_rows=10**9, flush_seconds=1e9)
+    writer = RunWriter.create(
+        folder, info=info, scenario_yaml=scenario_yaml, columns=columns, flush_rows=10**9, flush_seconds=1e9
+    )
     half = ticks // 2
     for first, last in ((0, half), (half, ticks)):
         for stream, values in parts.items():
@@ -71,11 +84,11 @@ def write_flight(
             writer.append(stream, numbers, numbers * STEP, {name: v[first:last] for name, v in values.items()})
         for vehicle, tick in (stops or {}).items():
             if first <= tick < last:
-                message = f"v{vehicle} stopped"
+                message = f"{names[vehicle]} stopped"
                 writer.append_event(tick * STEP, tick, names[vehicle], "out_of_area", "position_ned.x", 1.0, message)
         if not first:
-            writer.append_event(half * STEP, half, "v0", "waypoint_reached", "waypoint", 1.0, "")
-            writer.append_event(half * STEP, half, "v0", "command_clipped")
+            writer.append_event(half * STEP, half, names[0], "waypoint_reached", "waypoint", 1.0, "")
+            writer.append_event(half * STEP, half, names[0], "command_clipped")
         if ticks:
             writer.flush()
     if killed_after is None and end != "running":

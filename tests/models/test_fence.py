@@ -12,7 +12,7 @@ import pytest
 
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
-from qrsim.models.area import REASONS, Violation
+from qrsim.models.area import REASONS, BoxArea, Violation
 from qrsim.models.fence import PolygonArea, polygon_problems
 
 Array = np.ndarray[Any, Any]
@@ -225,3 +225,26 @@ BAD: dict[str, tuple[list[list[float]], list[str]]] = {
 def test_what_is_no_simple_polygon(case: str) -> None:
     corners, expected = BAD[case]
     assert polygon_problems(corners) == expected
+
+
+def test_the_margin_is_the_distance_to_the_nearest_side_floor_or_ceiling() -> None:
+    square = cast(
+        PolygonArea(np.array([-10.0, 10.0, 10.0, -10.0]), np.array([-20.0, -20.0, 20.0, 20.0]), -30.0, 0.0), np.float32
+    )  # type: ignore[arg-type]
+    box = cast(BoxArea(-10.0, 10.0, -20.0, 20.0, -30.0, 0.0), np.float32)  # type: ignore[arg-type]
+    points = np.array(
+        [
+            [0.0, 0.0, -15.0],
+            [8.0, 0.0, -15.0],
+            [0.0, -19.0, -15.0],
+            [0.0, 0.0, -29.5],
+            [0.0, 0.0, -0.25],
+            [12.0, 0.0, -15.0],
+            [0.0, 0.0, 1.0],
+        ],
+        np.float32,
+    )
+    position = Vec3(*(points[:, i] for i in range(3)))  # type: ignore[arg-type]
+    expected = [10.0, 2.0, 1.0, 0.5, 0.25, -2.0, -1.0]
+    for area in (square, box):
+        np.testing.assert_allclose(area.margin(position), expected, atol=1e-5)

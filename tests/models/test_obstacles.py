@@ -68,3 +68,24 @@ def test_without_obstacles_the_nearest_is_infinitely_far() -> None:
 def test_gradients_are_finite_outside() -> None:
     gradient = jax.grad(lambda p: jnp.sum(both().nearest(Vec3.of(p))[0]))(jnp.array([[-3.0, 0.5, -1.0]]))
     assert np.all(np.isfinite(gradient))
+
+
+@pytest.mark.parametrize("point", [(1.0, 0.0, -1.0), (0.0, 0.0, -1.0), (10.0, 0.0, -1.0), (12.0, 0.0, -8.0)])
+def test_inside_and_at_a_face_the_distance_is_exactly_zero_and_has_a_slope(point: tuple[float, float, float]) -> None:
+    distance, _ = both().nearest(at(point))
+    assert distance[0] == 0.0
+    slope = jax.grad(lambda p: jnp.sum(both().nearest(Vec3.of(p))[0]))(jnp.array([point]))
+    assert np.all(np.isfinite(slope))
+
+
+def test_a_position_that_is_not_a_number_is_not_inside() -> None:
+    assert np.isnan(both().nearest(at((np.nan, 0.0, -1.0)))[0]).all()
+
+
+def test_in_numpy_it_is_the_same() -> None:
+    """Scenarios are checked without compiling anything."""
+    points = np.random.default_rng(2).uniform(-12.0, 12.0, (50, 3)).astype(np.float32)
+    for solid in (BOX, MAST):
+        plain = solid.distance(Vec3(*points.T))  # type: ignore[arg-type]
+        assert isinstance(plain, np.ndarray)
+        np.testing.assert_allclose(plain, solid.distance(Vec3.of(jnp.asarray(points))), atol=1e-5)

@@ -28,13 +28,14 @@ import pytest
 from scipy import optimize
 from tests.models.sp3_writing import FIRST, NOMINAL, edit, line_of, names_of, sp3_text
 
+import qrsim
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.models.gnss import GnssReceiver, SkyState
 from qrsim.models.orbits import elevation_azimuth
-from qrsim.models.site import Site, gps_seconds_from_utc
+from qrsim.models.site import Site, gps_seconds_from_utc, utc_from_gps_seconds
 from qrsim.models.sp3 import DEGREE, Sp3Ephemeris, Sp3Orbits, lagrange_basis
 
 Array = np.ndarray[Any, Any]
@@ -349,10 +350,48 @@ def test_gaps_are_warned_of_where_the_run_meets_them(write: Any) -> None:
     assert "G05 has a manoeuvre before 1 of 40 epochs" in ephemeris.data.gaps["G05"]
 
 
-def test_a_file_cut_off_warns(write: Any) -> None:
+def test_a_file_cut_off_warns_and_is_named_where_the_run_lies_beyond_the_cut(write: Any) -> None:
     ephemeris = Sp3Ephemeris(write(sp3_text().replace("EOF\n", "")))
     (note,) = warned(ephemeris, FIRST + 3600.0, 60.0)
     assert "no EOF line" in note
+    with pytest.raises(
+        UsageError, match=r"outside the file's span, .* UTC; .*orbits\.sp3: no EOF line; the file may be"
+    ):
+        ephemeris.at(Site(), FIRST + 20 * 900.0, F32, 60.0)
+
+
+def test_satellites_that_the_header_lists_in_vain_are_named(write: Any) -> None:
+    """G05 has no line at all, G06 no position in any; E01 is of a system that is not asked for."""
+    text = sp3_text(names=[*names_of("G"), "E01"])
+    lines = [line for line in text.splitlines() if not line.startswith(("PG05", "PE01"))]
+    lines = [f"PG06{0:14.6f}{0:14.6f}{0:14.6f}" if line.startswith("PG06") else line for line in lines]
+    ephemeris = Sp3Ephemeris(write("\n".join([*lines, ""])))
+    lost, unlocated = warned(ephemeris, FIRST + 7200.0, 60.0)
+    assert lost.startswith(f"{ephemeris.file}: not available during all of the run: G06 (")
+    assert "G06 has no position at 20 of 20 epochs" in lost
+    assert unlocated == f"{ephemeris.file}: in the header's list, but without positions: G05"
+    assert ephemeris.data.unlocated == ("E01", "G05")
+
+
+def test_too_few_satellites_for_a_fix_are_warned_of(write: Any) -> None:
+    ephemeris = Sp3Ephemeris(write(sp3_text(names=[*names_of("E"), *names_of("G", 3)])))
+    (note,) = warned(ephemeris, FIRST + 7200.0, 60.0)
+    assert note.endswith(
+        "only 3 satellites of systems 'G' have positions during the run or a part of it; a fix needs 4"
+    )
+    assert warned(Sp3Ephemeris(ephemeris.file, "GE"), FIRST + 7200.0, 60.0) == []
+
+
+def test_a_warning_points_at_whoever_asked(write: Any) -> None:
+    """Not at a line of qrsim, through whatever of it the way went."""
+    path = write(sp3_text(names=names_of("G", 3)))
+    start = utc_from_gps_seconds(FIRST + 7200.0)
+    fleet = {"controller": {"type": "waypoint", "feed": "truth"}, "vehicles": [{"position_ned": [0.0, 0.0, -9.0]}]}
+    orbits = {"type": "sp3", "file": path}
+    content = {"name": "few", "start_time": start, "world": {"sky": {"orbits": orbits}}, "fleets": {"a": fleet}}
+    with pytest.warns(UserWarning, match="only 3 satellites") as caught:
+        qrsim.load(content)
+    assert [warning.filename for warning in caught] == [__file__]
 
 
 # Fixes

@@ -260,7 +260,10 @@ def test_bad_files(write: Any, fault: str) -> None:
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"nowhere\.sp3: cannot be read: No such file"):
+    with pytest.raises(UsageError, match=r"nowhere\.sp3: cannot be read: No such file or directory$"):
+        read_sp3(tmp_path / "nowhere.sp3")
+    (tmp_path / "somewhere.sp3").write_text("")
+    with pytest.raises(UsageError, match=r"nowhere\.sp3: cannot .*; did you mean 'somewhere\.sp3'\?$"):
         read_sp3(tmp_path / "nowhere.sp3")
     with pytest.raises(UsageError, match="cannot be read: Is a directory"):
         read_sp3(tmp_path)

@@ -15,12 +15,12 @@ from qrsim.scenarios.scenario import built_in_names, json_schema, load_scenario
 
 
 @pytest.mark.parametrize("name", built_in_names())
-def test_a_built_in_scenario_flies_for_a_second(name: str) -> None:
+def test_a_built_in_scenario_flies_for_twenty_seconds(name: str) -> None:
     simulation = qrsim.load(name, seed=1)
     start = simulation.reset()
     assert simulation.valid.all()
-    simulation.step(ticks=round(1.0 / simulation.world.time_step))
-    assert simulation.time == pytest.approx(1.0)
+    simulation.step(ticks=round(20.0 / simulation.world.time_step))
+    assert simulation.time == pytest.approx(20.0)
     assert simulation.valid.all(), simulation.reasons
     assert np.isfinite(simulation.truth.state).all()
     for fleet in start.fleets:
@@ -45,7 +45,8 @@ def test_every_default_is_written_out(name: str) -> None:
     for fleet in content["fleets"].values():
         assert {"vehicle", "controller", "guidance", "limits", "sensors", "vehicles"} <= set(fleet)
         assert "mass" in fleet["vehicle"]
-        assert "kp" in fleet["controller"]["height"]
+        loops = [part for part in fleet["controller"].values() if isinstance(part, dict)]
+        assert any("kp" in loop for loop in loops)
     assert {"area", "wind", "turbulence", "sky", "collision_distance"} <= set(content["world"])
 
 
@@ -61,6 +62,43 @@ def test_a_name_that_looks_like_something_else_survives_the_round_trip(name: str
         content["fleets"] = {"a": content["fleets"][name]}
     scenario = load_scenario(content)
     assert load_scenario(parse_yaml(scenario.to_yaml(), "again.yaml")).spec == scenario.spec
+
+
+# Area (x, y, z limits), starts, first waypoint of the first vehicle: the numbers of the reference implementation.
+SMALL_AREA = (-10.0, 20.0, -10.0, 10.0, -20.0, 0.0)
+SIMPLE_TASKS: dict[str, tuple[tuple[float, ...], list[list[float]], list[list[float]]]] = {
+    "keep_spot": (SMALL_AREA, [[0.0, 0.0, -10.0]], []),
+    "keep_spot_10": (
+        (-120.0, 120.0, -10.0, 10.0, -40.0, 0.0),
+        [[20.0 * i, 0.0, -10.0] for i in range(-4, 6)],
+        [],
+    ),
+    "goto_waypoint": ((-70.0, 70.0, -70.0, 70.0, -50.0, 0.0), [[0.0, 0.0, -10.0]], [[-50.0, -50.0, -10.0]]),
+    "keep_velocity": (SMALL_AREA, [[0.0, 0.0, -10.0]], []),
+    "free_flight": ((-15.0, 80.0, -15.0, 15.0, -20.0, 0.0), [[6.0, -8.0, -9.0]], []),
+}
+
+
+@pytest.mark.parametrize("name", SIMPLE_TASKS)
+def test_a_simple_task_has_the_published_numbers(name: str) -> None:
+    spec = load_scenario(name).spec
+    area, starts, waypoints = SIMPLE_TASKS[name]
+    (fleet,) = spec.fleets.values()
+    assert spec.name == name
+    assert tuple(getattr(spec.world.area, f"{axis}_{end}") for axis in "xyz" for end in ("min", "max")) == area
+    assert [vehicle.position_ned for vehicle in fleet.vehicles] == starts
+    assert fleet.vehicles[0].waypoints_ned == waypoints
+    if name == "free_flight":
+        assert (spec.world.wind.type, spec.world.turbulence.type, fleet.limits.rate) == ("calm", "still", 2.0)
+        assert all(sensor.type.startswith("ideal_") for sensor in fleet.sensors.values())
+    else:
+        assert spec.world.turbulence.speed_20ft == 2.0
+        assert not any(sensor.type.startswith("ideal_") for sensor in fleet.sensors.values())
+    if name == "keep_velocity":
+        assert (spec.world.wind.speed_20ft, fleet.controller.type) == (2.5, "velocity")
+        assert spec.world.wind.wind_from_rad == spec.world.turbulence.wind_from_rad == pytest.approx(np.radians(45.0))
+    else:
+        assert spec.world.wind.type == "calm"
 
 
 def resolved(schema: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:

@@ -228,8 +228,8 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
     ),
     (
         "fleets.alpha.vehicles.1.waypoints_ned",
-        [[1.0, 2.0, -3.0]] * 201,
-        "fleets.alpha.vehicles.1.waypoints_ned: expected at most 200 entries, found 201 (",
+        [[1.0, 2.0, -3.0]] * 2001,
+        "fleets.alpha.vehicles.1.waypoints_ned: expected at most 2000 entries, found 2001 (",
     ),
     (
         "start_time",
@@ -241,7 +241,11 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
     ("name", REMOVED, "name: missing ("),
     ("fleets", REMOVED, "fleets: missing ("),
     ("fleets.alpha.vehicles", REMOVED, "fleets.alpha.vehicles: missing ("),
-    ("fleets.alpha.vehicles.0.position_ned", REMOVED, "fleets.alpha.vehicles.0.position_ned: missing ("),
+    (
+        "fleets.alpha.vehicles.0.position_ned",
+        REMOVED,
+        "fleets.alpha.vehicles.0: the start is missing; give position_ned, position_geodetic or plan",
+    ),
     ("world.wind.speed_20ft", REMOVED, "world.wind.speed_20ft: missing ("),
     ("world.wind.wind_from_deg", REMOVED, "world.wind.wind_from_rad: missing ("),
     # an angle in both units

@@ -6,7 +6,7 @@ import importlib.metadata
 import platform
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from qrsim.errors import UsageError
+from qrsim.errors import UsageError, did_you_mean
 
 FORMAT = 1
 RUN_FILE, SCENARIO_FILE, EVENTS = "run.json", "scenario.yaml", "events"
@@ -91,6 +91,7 @@ class RunInfo:
         vehicles: names, in the order of every (T, n) array.
         state: "running" also where the process was killed: nobody was left to write another word.
         ticks: number of the last tick up to which all streams are on disk (0 before the first).
+        every: stream -> N where only the ticks that N divides are kept; all are where a stream is not named.
         parts: stream -> Parquet parts that were on disk when this was written; a later part is valid too.
         versions: qrsim, python, jax and numpy.
         platform: operating system and processor.
@@ -106,6 +107,7 @@ class RunInfo:
     vehicles: tuple[str, ...]
     state: RunState = "running"
     ticks: int = 0
+    every: Mapping[str, int] = field(default_factory=dict)
     parts: Mapping[str, int] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     platform: str = ""
@@ -123,12 +125,13 @@ class RunInfo:
         precision: str,
         time_step: float,
         vehicles: Sequence[str],
+        every: Mapping[str, int] | None = None,
         command_line: Sequence[str] | None = None,
     ) -> RunInfo:
         """Describe a run that starts now in this process.
 
         Args:
-            scenario, seed, precision, time_step, vehicles: see the class.
+            scenario, seed, precision, time_step, vehicles, every: see the class.
             command_line: words of the command; by default those of this process.
         """
         words = list(sys.argv if command_line is None else command_line)
@@ -139,6 +142,7 @@ class RunInfo:
             precision=precision,
             time_step=time_step,
             vehicles=tuple(vehicles),
+            every=dict(every or {}),
             versions={
                 "qrsim": installed_version("qrsim"),
                 "python": platform.python_version(),
@@ -152,7 +156,7 @@ class RunInfo:
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields by name, without copying, in the order a person wants to read them."""
-        first = ("state", "message", "scenario", "seed", "ticks", "time_step")
+        first = ("state", "message", "scenario", "seed", "ticks", "time_step", "every")
         names = [*first, *(item.name for item in fields(self) if item.name not in first)]
         return {"format": FORMAT, **{name: getattr(self, name) for name in names}}
 
@@ -168,6 +172,17 @@ def installed_version(package: str) -> str:
 def utc_now() -> str:
     """Return the wall time as ISO 8601 in UTC, to the millisecond."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def check_every(every: Mapping[str, int], streams: Collection[str]) -> None:
+    """Refuse a decimation that names no stream, or whose number is not an integer from 1; raises UsageError."""
+    for stream, number in every.items():
+        if stream == EVENTS:
+            raise UsageError(f"every: '{EVENTS}' are all kept; known: {', '.join(streams)}")
+        if stream not in streams:
+            raise UsageError(f"every: no stream '{stream}'{did_you_mean(stream, streams)}")
+        if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+            raise UsageError(f"every: stream '{stream}': expected an integer from 1, got {number!r}")
 
 
 def part_name(number: int) -> str:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -122,6 +122,14 @@ class Run:
         return self._parts[stream]
 
 
+class Batch(NamedTuple):
+    """Some ticks of a stream: times (T,) [s], their numbers (T,), and columns of shape (T, n)."""
+
+    time: npt.NDArray[np.float64]
+    tick: npt.NDArray[np.int64]
+    arrays: dict[str, npt.NDArray[Any]]
+
+
 class Stream:
     """One stream of a run as arrays of shape (T, n), n vehicles in the run's order.
 
@@ -136,7 +144,10 @@ class Stream:
     @cached_property
     def _grid(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
         """(T,) times and ticks, after a check that the rows are what the arrays' shape promises."""
-        table = self._parts.table([column.name for column in INDEX])
+        return self._steps(self._parts.table([column.name for column in INDEX]))
+
+    def _steps(self, table: pa.Table) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+        """Return (T,) times and ticks of some rows, after the same check."""
         count = len(self.vehicles)
         order = _codes(table["vehicle"], self.vehicles)
         times: npt.NDArray[np.float64] = table["time"].to_numpy()
@@ -179,14 +190,29 @@ class Stream:
             UsageError: unknown column.
             RunError: a part is damaged or missing; the message names it.
         """
-        names = self.columns() if names is None else names
+        names = self._known(names)
+        shape = (len(self.time), len(self.vehicles))
+        table = self._parts.table(names)
+        return {name: table[name].to_numpy().reshape(shape) for name in names}
+
+    def batches(self, names: Sequence[str] | None = None) -> Iterator[Batch]:
+        """Return the ticks of ``arrays`` piece by piece, for logs that do not fit into memory; raises as ``arrays``."""
+        names = self._known(names)
+        for table in self._parts.tables([*(column.name for column in INDEX), *names]):
+            if not table.num_rows:
+                continue
+            time, tick = self._steps(table)
+            shape = (len(time), len(self.vehicles))
+            yield Batch(time, tick, {name: table[name].to_numpy().reshape(shape) for name in names})
+
+    def _known(self, names: Sequence[str] | None) -> Sequence[str]:
+        if names is None:
+            return self.columns()
         for name in names:
             if name not in self:
                 known = did_you_mean(str(name), self.columns())
                 raise UsageError(f"stream '{self._parts.stream}' has no column '{name}'{known}")
-        shape = (len(self.time), len(self.vehicles))
-        table = self._parts.table(names)
-        return {name: table[name].to_numpy().reshape(shape) for name in names}
+        return names
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.columns())

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import reduce
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from qrsim.logs.layout import Event
 from qrsim.logs.reader import Run, Stream
 
 Floats = np.ndarray[Any, Any]
-NOT_A_STOP = ("waypoint_reached", "command_clipped", "fault_begins", "fault_ends", "fix_lost", "fix_found")
+Rows = np.ndarray[Any, Any]
+STREAMS = ("truth", "measurements", "commands", "wind")
+NOT_A_STOP = ("waypoint_reached", "command_clipped", "fault_begins", "fault_ends", "no_fix", "fix_lost", "fix_found")
 
 
 @dataclass(frozen=True)
 class VehicleSummary:
     """One vehicle's run; NaN where a quantity was not recorded.
+
+    Each number is of the ticks at which all streams that it needs were logged.
 
     Attributes:
         vehicle: name.
@@ -47,23 +53,37 @@ class VehicleSummary:
         }
 
 
-def vectors(stream: Stream, name: str, length: int | None = None) -> Floats:
-    """Return (T, n, 3) of a quantity recorded as NAME.x, NAME.y, NAME.z; the first ``length`` rows, or all."""
+def common_rows(run: Run, *streams: str) -> list[Rows]:
+    """Return, for each of the named streams, its rows (T,) at the ticks that all of them have.
+
+    Streams of different decimation have different ticks. Where a disk ran full or the process was killed, some streams
+    are longer than others: the rows end where the first of all ends.
+    """
+    ends = [run[name].tick[-1:] + run.info.every.get(name, 1) for name in STREAMS]
+    ticks = [run[name].tick for name in streams]
+    common = reduce(np.intersect1d, ticks)
+    common = common[common < min(int(end[0]) if len(end) else 0 for end in ends)]
+    return [np.searchsorted(own, common) for own in ticks]
+
+
+def vectors(stream: Stream, name: str, rows: Rows | slice = slice(None)) -> Floats:
+    """Return (T, n, 3) of a quantity recorded as NAME.x, NAME.y, NAME.z, at some rows or all."""
     arrays = stream.arrays([f"{name}.{axis}" for axis in "xyz"])
-    return np.stack([np.asarray(array, np.float64)[:length] for array in arrays.values()], axis=-1)
+    return np.stack([np.asarray(array, np.float64)[rows] for array in arrays.values()], axis=-1)
 
 
-def waypoints_of(run: Run, length: int | None = None) -> Floats:
+def waypoints_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
     """Return (T, n, 3) the waypoint each vehicle was asked to fly to [m], NaN where it was asked for something else."""
     commands = run["commands"]
     if "setpoint.position_ned.x" in commands:
-        return vectors(commands, "setpoint.position_ned", length)
-    return np.full((len(commands.time[:length]), len(run.vehicles), 3), np.nan)
+        return vectors(commands, "setpoint.position_ned", rows)
+    return np.full((len(commands.time[rows]), len(run.vehicles), 3), np.nan)
 
 
-def common_length(run: Run) -> int:
-    """Return how many ticks all streams have; they differ by some where a disk ran full."""
-    return min(len(run[stream].time) for stream in ("truth", "measurements", "commands", "wind"))
+def stops_of(run: Run) -> dict[int, Event]:
+    """Return index of a vehicle -> the event that ended its flight."""
+    stops = [event for event in run.events if event.kind not in NOT_A_STOP and event.vehicle is not None]
+    return {run.vehicles.index(str(event.vehicle)): event for event in reversed(stops)}
 
 
 def gnss_sensor(run: Run) -> str | None:
@@ -75,16 +95,21 @@ def gnss_sensor(run: Run) -> str | None:
 
 
 def gnss_error(run: Run) -> tuple[Floats, Floats]:
-    """Return (times (E,), errors (E, n, 3) [m] in NED) at the epochs E at which any receiver reported a new fix."""
-    sensor, length = gnss_sensor(run), common_length(run)
-    truth = vectors(run["truth"], "position_ned", length)
+    """Return (times (E,), errors (E, n, 3) [m] in NED) at the epochs E at which any receiver reported a new fix.
+
+    Epochs at which the truth was not logged are left out.
+    """
+    sensor = gnss_sensor(run)
     if sensor is None:
-        return np.zeros(0), np.zeros((0, truth.shape[1], 3))
-    reported = vectors(run["measurements"], f"{sensor}.position_ned", length)
+        return np.zeros(0), np.zeros((0, len(run.vehicles), 3))
+    reported = vectors(run["measurements"], f"{sensor}.position_ned")
     fresh = np.ones(len(reported), bool)
     changed = (reported[1:] != reported[:-1]) & np.isfinite(reported[1:])
     fresh[1:] = changed.any(axis=(1, 2))
-    return run["truth"].time[:length][fresh], (reported - truth)[fresh]
+    true_rows, rows = common_rows(run, "truth", "measurements")
+    true_rows, rows = true_rows[fresh[rows]], rows[fresh[rows]]
+    truth = vectors(run["truth"], "position_ned", true_rows)
+    return run["measurements"].time[rows], reported[rows] - truth
 
 
 def tracking_error(position: Floats, waypoint: Floats) -> Floats:
@@ -115,15 +140,17 @@ def _rms(values: Floats, axis: int | tuple[int, ...] = 0) -> Floats:
 
 def summarise(run: Run) -> list[VehicleSummary]:
     """Return one summary per vehicle, in the order of the run's vehicles."""
-    length = common_length(run)
-    position = vectors(run["truth"], "position_ned", length)
-    flying = np.where(run["truth"]["valid"][:length].astype(bool), 1.0, np.nan)
-    tracking = _rms(tracking_error(position, waypoints_of(run, length)) * flying)
+    position = vectors(run["truth"], "position_ned")
+    flying = np.where(run["truth"]["valid"].astype(bool), 1.0, np.nan)
+    [rows] = common_rows(run, "truth")
+    distance = np.linalg.norm(np.diff(position[rows], axis=0), axis=-1).sum(axis=0)
+    rows, commanded = common_rows(run, "truth", "commands")
+    tracking = _rms(tracking_error(position[rows], waypoints_of(run, commanded)) * flying[rows])
     _, gnss = gnss_error(run)
     horizontal, vertical = _rms(np.linalg.norm(gnss[..., :2], axis=-1)), _rms(gnss[..., 2])
-    air = vectors(run["wind"], "mean_ned", length) + vectors(run["wind"], "gust_ned", length)
-    wind = np.linalg.norm(air, axis=-1) * flying
-    distance = np.linalg.norm(np.diff(position, axis=0), axis=-1).sum(axis=0)
+    rows, windy = common_rows(run, "truth", "wind")
+    air = vectors(run["wind"], "mean_ned", windy) + vectors(run["wind"], "gust_ned", windy)
+    wind = np.linalg.norm(air, axis=-1) * flying[rows]
     events = run.events
     summaries = []
     for i, name in enumerate(run.vehicles):

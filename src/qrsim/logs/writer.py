@@ -30,6 +30,7 @@ from qrsim.logs.layout import (
     Column,
     FinalState,
     RunInfo,
+    check_every,
     part_name,
     stream_schema,
     utc_now,
@@ -90,15 +91,15 @@ class _Buffer:
 class _VehicleRows(_Buffer):
     """Rows of a stream that has a value for every vehicle at every tick."""
 
-    def __init__(self, stream: str, folder: Path, schema: pa.Schema, vehicles: Sequence[str]):
+    def __init__(self, stream: str, folder: Path, schema: pa.Schema, vehicles: Sequence[str], every: int):
         super().__init__(folder, schema)
-        self.stream = stream
+        self.stream, self.every = stream, every
         self.vehicles = pa.array(vehicles, pa.string())
         index = {column.name for column in INDEX}
         self.dtypes = {f.name: np.dtype(f.type.to_pandas_dtype()) for f in schema if f.name not in index}
 
     def add(self, ticks: npt.ArrayLike, times: npt.ArrayLike, values: Mapping[str, npt.ArrayLike]) -> tuple[int, int]:
-        """Copy (T,) ticks and times and (T, n) values into the buffer; return (rows, last tick)."""
+        """Copy what is kept of (T,) ticks and times and (T, n) values into the buffer; return (rows, last tick)."""
         if values.keys() != self.dtypes.keys():
             raise UsageError(self._wrong_names(values))
         own_ticks = self._copy("tick", ticks, np.dtype(np.int64), None)
@@ -107,9 +108,14 @@ class _VehicleRows(_Buffer):
         columns = [self._copy(name, values[name], dtype, shape) for name, dtype in self.dtypes.items()]
         if not shape[0]:
             return 0, 0
-        self.pending.append((own_ticks, own_times, columns))
         self.last_time = float(own_times[-1])
-        return shape[0] * shape[1], int(own_ticks[-1])
+        last_tick = int(own_ticks[-1])
+        if self.every > 1:
+            kept = own_ticks % self.every == 0
+            own_ticks, own_times, columns = own_ticks[kept], own_times[kept], [column[kept] for column in columns]
+        if len(own_ticks):
+            self.pending.append((own_ticks, own_times, columns))
+        return len(own_ticks) * shape[1], last_tick
 
     def table(self) -> pa.Table:
         """Return the pending rows, one per (time, vehicle), vehicles varying fastest."""
@@ -203,7 +209,8 @@ class RunWriter:
 
         Args:
             folder: must not exist.
-            info: see ``RunInfo.collect``; the writer keeps its state, ticks, parts and end up to date.
+            info: see ``RunInfo.collect``; the writer keeps its state, ticks, parts and end up to date. Of what is
+                appended, it keeps the ticks that ``info.every`` says.
             scenario_yaml: the resolved scenario.
             columns: stream -> its columns beside time, tick and vehicle; "events" is there anyhow.
             flush_rows: rows, over all streams, after which the buffers are written.
@@ -387,6 +394,7 @@ def _make_buffers(folder: Path, info: RunInfo, columns: Mapping[str, Sequence[Co
     """Check all names and return the streams' buffers, the events last."""
     if not info.vehicles or len(set(info.vehicles)) != len(info.vehicles):
         raise UsageError(f"a run needs vehicles of different names, got {list(info.vehicles)}")
+    check_every(info.every, columns.keys())
     buffers: dict[str, _Buffer] = {}
     for stream, declared in columns.items():
         if stream == EVENTS or not re.fullmatch(r"[a-z][a-z0-9_]*", stream):
@@ -395,6 +403,6 @@ def _make_buffers(folder: Path, info: RunInfo, columns: Mapping[str, Sequence[Co
                 f"and '{EVENTS}' is taken"
             )
         schema = stream_schema(stream, declared, info)
-        buffers[stream] = _VehicleRows(stream, folder / stream, schema, info.vehicles)
+        buffers[stream] = _VehicleRows(stream, folder / stream, schema, info.vehicles, info.every.get(stream, 1))
     buffers[EVENTS] = _EventRows(folder / EVENTS, stream_schema(EVENTS, (), info))
     return buffers

@@ -94,6 +94,12 @@ class BoxArea:
             for axis, value, low, high in axes
         ]
 
+    def margin(self, position_ned: Vec3) -> Array:
+        """Return the distance [m] of positions (n,) from the nearest wall, floor and ceiling; negative outside."""
+        x, y, z = position_ned.x, position_ned.y, position_ned.z
+        walls = jnp.minimum(jnp.minimum(x - self.x_min, self.x_max - x), jnp.minimum(y - self.y_min, self.y_max - y))
+        return jnp.minimum(walls, jnp.minimum(z - self.z_min, self.z_max - z))
+
     def height_agl(self, position_ned: Vec3) -> Array:
         """Return the height above ground [m] of positions (n,)."""
         return -position_ned.z

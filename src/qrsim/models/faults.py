@@ -29,19 +29,24 @@ class Fault:
         """Return whether the fault concerns each vehicle (n,) at a tick."""
         return self.affected & (tick >= self.start_tick) & (tick < self.end_tick)
 
-    def apply(self, reading: Any, delivered_before: Any, tick: Array) -> Any:
-        """Return what reaches the user.
+    @property
+    def remembers(self) -> bool:
+        """Whether it needs to know what it passed on at the tick before."""
+        return self.kind == "frozen"
+
+    def apply(self, reading: Any, passed_on: Any, tick: Array) -> Any:
+        """Return what is passed on: to the next fault of the sensor, or to the user.
 
         Args:
-            reading: what the sensor says at ``tick``.
-            delivered_before: what reached the user at the tick before.
+            reading: what the sensor says at ``tick``, or what the fault before this one passes on.
+            passed_on: what this fault passed on at the tick before, where it ``remembers``.
             tick: () int32.
         """
         active = self.active(tick)
         if self.kind == "lost":
             return jax.tree.map(lambda leaf: jnp.where(active, jnp.nan, leaf), reading)
         if self.kind == "frozen":
-            return jax.tree.map(lambda leaf, old: jnp.where(active, old, leaf), reading, delivered_before)
+            return jax.tree.map(lambda leaf, old: jnp.where(active, old, leaf), reading, passed_on)
         return _add(reading, self.field.split("."), jnp.where(active, self.bias, 0.0))
 
 

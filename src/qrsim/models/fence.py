@@ -58,6 +58,11 @@ class PolygonArea:
         distance = jnp.where(on_edge, 0.0, jnp.sqrt(jnp.where(on_edge, 1.0, squared)))
         return jnp.where(inside, distance, -distance)
 
+    def margin(self, position_ned: Vec3) -> Array:
+        """Return the distance [m] of positions (n,) from the nearest side, floor and ceiling; negative outside."""
+        z = position_ned.z
+        return jnp.minimum(self.distance_to_fence(position_ned), jnp.minimum(z - self.z_min, self.z_max - z))
+
     def height_agl(self, position_ned: Vec3) -> Array:
         """Return the height above ground [m] of positions (n,)."""
         return -position_ned.z

@@ -132,8 +132,14 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
         *(jnp.sum(a * b, axis=0) for a, b in ((ux, ux), (ux, uy), (ux, uz), (uy, uy), (uy, uz), (uz, uz)))
     )
     xx, xy, xz, yy, yz, zz = inverse
-    bx, by, bz = (-jnp.sum(u * residual, axis=0) for u in (ux, uy, uz))
-    offset = Vec3(xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz)
+
+    def solved(residual: Array) -> Vec3:
+        bx, by, bz = (-jnp.sum(u * residual, axis=0) for u in (ux, uy, uz))
+        return Vec3(xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz)
+
+    first = solved(residual)
+    # Solved again for what is left, because single precision loses some of it where the geometry is weak.
+    offset = first + solved(centred(range_residual + line_of_sight.dot(first.map(lambda axis: axis[None, :]))))
     enough = count >= FEWEST_SATELLITES
 
     def or_nan(value: Array) -> Array:
@@ -166,6 +172,7 @@ class ReceiverState:
     """What a receiver remembers: the last fix, and the fixes still on their way to the user."""
 
     position_ned: Vec3 = quantity(unit="m", doc="last solution")
+    true_ned: Vec3 = quantity(unit="m", doc="true position at the last solution")
     pending: tuple[GnssReading, ...] = quantity(doc="readings that the delay holds back, oldest first")
     listed: Any = quantity(default=None, doc="(S, n) bool: satellites kept of the hand list, else None")
 
@@ -212,7 +219,7 @@ class GnssReceiver:
         fix, _ = self._solve(draw, position_ned, sky, listed)
         position = position_ned + fix.offset_ned
         reading = GnssReading(position, velocity_ned, fix.satellites, fix.hdop, fix.vdop)
-        return ReceiverState(position, (reading,) * self.delay, listed), reading
+        return ReceiverState(position, position_ned, (reading,) * self.delay, listed), reading
 
     def step(
         self, state: ReceiverState, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
@@ -223,10 +230,13 @@ class GnssReceiver:
         if velocity_error is not None:
             velocity = velocity_ned + velocity_error
         else:
-            velocity = (position - state.position_ned) * (1.0 / self.period)
+            # Truth and error are differenced apart: what their sum loses to rounding would be divided by the period.
+            error_before = state.position_ned - state.true_ned
+            moved = (position_ned - state.true_ned) + (fix.offset_ned - error_before)
+            velocity = moved * (1.0 / self.period)
         fresh = GnssReading(position, velocity, fix.satellites, fix.hdop, fix.vdop)
         queue = (*state.pending, fresh)
-        return ReceiverState(position, queue[1:], state.listed), queue[0]
+        return ReceiverState(position, position_ned, queue[1:], state.listed), queue[0]
 
     def fix(self, draw: Draw, position_ned: Vec3, sky: SkyState) -> Fix:
         """Return the navigation solution of each receiver (n,) from the satellites above the mask."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from qrsim.core.tree import parameter, quantity, record
@@ -47,9 +48,10 @@ class CylinderObstacle:
     def distance(self, position_ned: Vec3) -> Array:
         """Return the distance [m] of positions (n,) from the cylinder, 0 inside."""
         dx, dy = position_ned.x - self.x, position_ned.y - self.y
-        radial = jnp.maximum(_length(dx, dy, jnp.zeros_like(dx)) - self.radius, 0.0)
+        lib = _library(dx)
+        radial = lib.maximum(_length(dx, dy, lib.zeros_like(dx)) - self.radius, 0.0)
         vertical = _beyond(position_ned.z, self.z_min, self.z_max)
-        return _length(radial, vertical, jnp.zeros_like(radial))
+        return _length(radial, vertical, lib.zeros_like(radial))
 
 
 @record
@@ -79,11 +81,20 @@ def _as_columns(item: T) -> T:
     return jax.tree.map(lambda leaf: leaf[:, None], item)
 
 
-def _beyond(value: Array, low: Array, high: Array) -> Array:
+def _library(values: Any) -> Any:
+    # Scenarios are checked in NumPy, which need not compile for every number of points.
+    return np if isinstance(values, np.ndarray) else jnp
+
+
+def _beyond(value: Array, low: Array, high: Array) -> Any:
     """Return how far a coordinate is outside an interval."""
-    return jnp.maximum(jnp.maximum(low - value, value - high), 0.0)
+    lib = _library(value)
+    return lib.maximum(lib.maximum(low - value, value - high), 0.0)
 
 
-def _length(x: Array, y: Array, z: Array) -> Array:
-    # The root of a limited square, because the root of zero has no gradient.
-    return jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12))
+def _length(x: Array, y: Array, z: Array) -> Any:
+    lib = _library(x)
+    square = x * x + y * y + z * z
+    # The root of zero has no gradient; NaN stays NaN.
+    zero = square <= 0.0
+    return lib.where(zero, 0.0, lib.sqrt(lib.where(zero, 1.0, square)))

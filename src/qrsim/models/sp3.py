@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections import Counter
 from functools import cached_property
 from typing import Any
@@ -15,7 +14,8 @@ from jax import Array, lax
 
 from qrsim.core.tree import cast, quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.errors import UsageError
+from qrsim.errors import UsageError, warn_user
+from qrsim.models.gnss import FEWEST_SATELLITES
 from qrsim.models.orbits import EARTH_ROTATION_RATE, SPEED_OF_LIGHT
 from qrsim.models.site import Float64, Site, utc_from_gps_seconds
 from qrsim.models.sp3_file import SYSTEMS, Sp3File, read_sp3
@@ -105,6 +105,11 @@ class Sp3Ephemeris:
         times = self.data.gps_seconds
         return float(times[0]), float(times[-1])
 
+    @property
+    def cut_off(self) -> str:
+        """What an error adds where the file may be cut off, beginning with a semicolon; "" where it is not."""
+        return f"; {self.data.cut_off}" if self.data.cut_off else ""
+
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
         """Return Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]; NaN in a satellite's gaps.
 
@@ -128,8 +133,9 @@ class Sp3Ephemeris:
     def notes(self, start_gps_seconds: float, duration_s: float = math.inf) -> tuple[str, ...]:
         """Return what a user should know of a run's orbits, one sentence each.
 
-        They are the file's own notes, nearness to the ends of its span, and satellites that it loses on the way. A
-        run of unknown, infinite duration is looked at to the end of the file, whose nearness is then no news.
+        They are the file's own notes, nearness to the ends of its span, satellites that it lacks or loses on the way,
+        and too few of them. A run of unknown, infinite duration is looked at to the end of the file, whose nearness
+        is then no news.
         """
         first, last = self.span_gps_seconds
         end = min(start_gps_seconds + duration_s, last)
@@ -147,6 +153,15 @@ class Sp3Ephemeris:
         if names:
             why = next((self.data.gaps[name] for name in names if name in self.data.gaps), "epochs are missing")
             found.append(f"{self.file}: not available during all of the run: {', '.join(names)} ({why})")
+        unlocated = [name for name in self.data.unlocated if name[0] in self.systems]
+        if unlocated:
+            found.append(f"{self.file}: in the header's list, but without positions: {', '.join(unlocated)}")
+        fewest = int(np.min(np.sum(self._windows[low : high + 1, self._wanted] >= 0, axis=1)))
+        if fewest < FEWEST_SATELLITES:
+            found.append(
+                f"{self.file}: only {fewest} satellites of systems '{self.systems}' have positions during the run or a "
+                f"part of it; a fix needs {FEWEST_SATELLITES}"
+            )
         return tuple(found)
 
     def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf) -> Sp3Orbits:
@@ -165,7 +180,7 @@ class Sp3Ephemeris:
         if math.isfinite(duration_s):
             self._since_first(start_gps_seconds + duration_s)
         for note in self.notes(start_gps_seconds, duration_s):
-            warnings.warn(note, UserWarning, stacklevel=2)
+            warn_user(note)
         count, interval = len(self.data.clocks) - 1, self.data.interval
         argument = np.cos(math.pi * (np.arange(_TICK_DEGREE + 1) + 0.5) / (_TICK_DEGREE + 1))
         times = interval * (np.arange(count)[:, None] + 0.5 + 0.5 * argument)
@@ -196,7 +211,7 @@ class Sp3Ephemeris:
         if not len(usable):
             raise UsageError(
                 f"{self.file}: no satellite of systems '{self.systems}' has positions at {DEGREE + 1} epochs in a "
-                f"row, which interpolation needs; the file has {len(self.data.clocks)} epochs"
+                f"row, which interpolation needs; the file has {len(self.data.clocks)} epochs{self.cut_off}"
             )
         return usable
 
@@ -247,7 +262,7 @@ class Sp3Ephemeris:
         if wrong.size:
             worst = float(wrong[0])
             when = f"{utc_from_gps_seconds(worst):%Y-%m-%d %H:%M:%S} UTC" if worst >= 0.0 else f"GPS second {worst}"
-            raise UsageError(f"{self.file}: {when} is outside the file's span, {self._span_text()}")
+            raise UsageError(f"{self.file}: {when} is outside the file's span, {self._span_text()}{self.cut_off}")
         return np.asarray(times - first)
 
     def _span_text(self) -> str:

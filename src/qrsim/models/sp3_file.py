@@ -2,7 +2,7 @@
 
 SP3-a is described by Spofford and Remondi (1994), SP3-c by Hilla (NGS, 2010) and SP3-d by Hilla (NGS, 2016). Times
 are those of the epoch lines: the header's number of epochs and seconds of week are stale in trimmed products. The
-satellites are those that have position lines.
+satellites are those that have position lines; others that the header lists are remembered for a warning.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from qrsim.errors import UsageError
+from qrsim.errors import UsageError, did_you_mean_file
 from qrsim.models.site import GPS_EPOCH, Float64, gps_minus_utc
 
 VERSIONS = ("a", "c", "d")
@@ -51,6 +51,8 @@ class Sp3File:
         manoeuvre: (E, S) bool, the satellite was moved since the epoch before.
         notes: what is unusual about the file as a whole, with line numbers, one sentence each.
         gaps: the same for single satellites, by name.
+        unlocated: satellites of the header that have no position line, in alphabetical order.
+        cut_off: what to say where no EOF line ends the file, "" where one does; also among the notes.
     """
 
     path: str
@@ -63,6 +65,8 @@ class Sp3File:
     manoeuvre: npt.NDArray[np.bool_]
     notes: tuple[str, ...]
     gaps: dict[str, str]
+    unlocated: tuple[str, ...]
+    cut_off: str
 
     @property
     def gps_seconds(self) -> Float64:
@@ -91,7 +95,8 @@ class _Lines:
         try:
             data = Path(path).expanduser().read_bytes()
         except OSError as error:
-            raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
+            hint = did_you_mean_file(Path(path).expanduser())
+            raise UsageError(f"{path}: cannot be read: {error.strerror}{hint}") from None
         if data[:2] in (b"\x1f\x8b", b"\x1f\x9d", b"PK"):
             raise UsageError(f"{path}: is compressed; unpack it first")
         self.text = data.decode("latin-1").splitlines()
@@ -142,7 +147,8 @@ def read_sp3(path: str | Path) -> Sp3File:
             if abs(found.clock_us) < _MISSING_CLOCK_US:
                 clocks[at] = 1e-6 * found.clock_us
             moved[at] = found.moved
-    notes = [] if ended else [f"{path}: no EOF line; the file may be cut off after line {len(lines.text)}"]
+    cut_off = "" if ended else f"{path}: no EOF line; the file may be cut off after line {len(lines.text)}"
+    notes = [cut_off] if cut_off else []
     notes += [
         f"{path}, line {after.line}: {high - low - 1} epochs are missing between this one and line {before.line}"
         for (before, after), (low, high) in zip(pairwise(epochs), pairwise(places), strict=True)
@@ -150,8 +156,10 @@ def read_sp3(path: str | Path) -> Sp3File:
     ]
     gaps = {name: note for name in names if (note := _gap(str(path), epochs, name))}
     first = epochs[0].gps_seconds
+    unlocated = tuple(sorted(_header_satellites(lines) - set(names)))
     return Sp3File(
-        str(path), version, tuple(names), first, interval, positions, clocks, moved, tuple(notes), gaps
+        str(path), version, tuple(names), first, interval, positions, clocks, moved, tuple(notes), gaps,
+        unlocated, cut_off,
     )  # fmt: skip
 
 
@@ -186,6 +194,21 @@ def _epochs(lines: _Lines) -> tuple[list[_Epoch], bool]:
         elif text.strip() and not text.startswith(("#", "+", "%", "/*", "V", "EP", "EV")):
             lines.fail(line, f"'{text[:20].rstrip()}' is no SP3 record")
     return found, False
+
+
+def _header_satellites(lines: _Lines) -> set[str]:
+    """Return the satellites that the header's '+' lines list, 17 to a line in columns of three from the tenth on."""
+    found = set()
+    for text in lines.text:
+        if text.startswith("*"):
+            break
+        if text.startswith("+ "):
+            for entry in (text[i : i + 3].strip() for i in range(9, 60, 3)):
+                letter, digits = (entry[:1], entry[1:]) if entry[:1] in SYSTEMS else ("G", entry)
+                # Places that are not used hold 0.
+                if digits.strip().isdigit() and int(digits):
+                    found.add(f"{letter}{int(digits):02}")
+    return found
 
 
 def _time_system(lines: _Lines, line: int) -> str:

@@ -14,7 +14,7 @@ from jax import Array, lax
 from qrsim.core.fastmath import exp, log
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
 from qrsim.models.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT, wind_to_ned
 
 COLUMNS = ("time", "north", "east", "down")
@@ -73,7 +73,11 @@ def _last_before(rows: Array, parts: Array, seconds: Array, fraction: Array) -> 
 
 @record
 class WindFile:
-    """A wind read from a CSV file with the columns time [s], north, east and down [m/s]."""
+    """A wind read from a CSV file with the columns time [s], north, east and down [m/s].
+
+    The file must cover the scenario's duration. A simulation that is stepped on beyond the last row keeps that row's
+    wind.
+    """
 
     file: str = setting(doc="CSV file with a header; time 0 is the start of the run, velocities are the air's")
     max_gap: float = setting(
@@ -93,7 +97,7 @@ class WindFile:
         if times[0] > 0.0 or times[-1] < duration:
             raise UsageError(
                 f"{self.file}: the series goes from {times[0]:g} s to {times[-1]:g} s, "
-                f"which does not cover the run, 0 s to {duration:g} s; nothing is made up beyond its ends"
+                f"which does not cover the run, 0 s to {duration:g} s"
             )
         whole = np.floor(times)
         columns: Any = (np.ascontiguousarray(air[:, axis]) for axis in range(3))
@@ -124,7 +128,7 @@ def read_wind(path: Path, max_gap: float) -> tuple[np.ndarray[Any, Any], np.ndar
                 _check_time(path, reader.line_num, rows[-1][0] if rows else None, row[0], max_gap)
                 rows.append(row)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}{_nearest_file(path)}") from error
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}{did_you_mean_file(path)}") from error
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: byte 0x{error.object[error.start]:02x} is not UTF-8 text") from error
     except csv.Error as error:
@@ -178,12 +182,6 @@ def _check_time(path: Path, line: int, before: float | None, time: float, max_ga
             line,
             f"column 'time': a gap of {time - before:g} s after {before:g} s; allowed: {max_gap:g} s (max_gap)",
         )
-
-
-def _nearest_file(path: Path) -> str:
-    """Suggest a CSV file of the same folder, where one has a similar name."""
-    hint = did_you_mean(path.name, sorted(found.name for found in path.parent.glob("*.csv")))
-    return hint if hint.startswith("; did you mean") else ""
 
 
 def _fail(path: Path, line: int, problem: str) -> NoReturn:

@@ -14,15 +14,16 @@ from pydantic import BaseModel
 from qrsim.control import Route
 from qrsim.core.tree import cast, field_info
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.errors import UsageError
+from qrsim.errors import UsageError, warn_user
 from qrsim.models.area import StateLimits
-from qrsim.models.gnss import Sky
+from qrsim.models.gnss import HAND_LIST, Sky
 from qrsim.models.obstacles import Obstacles
-from qrsim.models.orbits import split_time
 from qrsim.models.site import Site, gps_seconds_from_utc, utc_from_gps_seconds
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.faults import fault_problems, faults, vehicle_names
-from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
+from qrsim.scenarios.timing import timing_problems
 from qrsim.world import PROCESS, TURBULENCE, Fleet, Start, World
 
 # What a controller fed with measurements needs, and the sensors that measure it.
@@ -62,7 +63,7 @@ def inherited(scenario: ScenarioSpec, path: str) -> Any:
 def problems(scenario: ScenarioSpec) -> list[str]:
     """Return every fault that involves more than one parameter, one sentence each."""
     return [
-        *_timing_problems(scenario),
+        *timing_problems(scenario),
         *_inheritance_problems(scenario),
         *_wind_problems(scenario),
         *_orbit_problems(scenario),
@@ -70,31 +71,6 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_fleet_problems(scenario),
         *fault_problems(scenario),
     ]
-
-
-def _timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    dt = scenario.time_step
-    try:
-        split_time(np.int32(0), dt, np.float32)  # type: ignore[arg-type]
-    except ValueError as error:
-        yield str(error)
-    if not _is_multiple(scenario.duration, dt):
-        yield f"duration: {scenario.duration:g} s is not a multiple of the time step {dt:g} s"
-    sky = scenario.world.sky.period
-    if not _is_multiple(sky, dt):
-        yield f"world.sky.period: {sky:g} s is not a multiple of the time step {dt:g} s"
-    for name, fleet in scenario.fleets.items():
-        for sensor_name, sensor in fleet.sensors.items():
-            path = f"fleets.{name}.sensors.{sensor_name}.period"
-            if not _is_multiple(sensor.period, dt):
-                yield f"{path}: {sensor.period:g} s is not a multiple of the time step {dt:g} s"
-            elif "gnss" in sensor.type and not _is_multiple(sensor.period, sky):
-                yield f"{path}: {sensor.period:g} s is not a multiple of world.sky.period, {sky:g} s"
-
-
-def _is_multiple(period: float, step: float) -> bool:
-    ratio = period / step
-    return round(ratio) >= 1 and math.isclose(ratio, round(ratio), rel_tol=1e-9)
 
 
 def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
@@ -113,13 +89,12 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
     area = scenario.world.area
     starts: list[tuple[str, list[float]]] = []
     names: dict[str, str] = {}
-    for axis in "xyz":
-        low, high = getattr(area, f"{axis}_min"), getattr(area, f"{axis}_max")
-        if low >= high:
-            yield f"world.area.{axis}_min: {low:g} m is not below {axis}_max, {high:g} m"
+    solids = [component(spec, known.OBSTACLES, scenario) for spec in scenario.world.obstacles]
+    yield from area_problems(area)
     for fleet_name, fleet in scenario.fleets.items():
         yield from _name_problems(fleet_name, fleet)
         yield from _length_problems(fleet_name, fleet)
+        yield from _battery_problems(fleet_name, fleet)
         yield from _guidance_problems(fleet_name, fleet)
         yield from _feed_problems(fleet_name, fleet)
         for i, vehicle in enumerate(fleet.vehicles):
@@ -128,11 +103,11 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
             if name in names:
                 yield f"{path}.name: '{name}' is also the name of {names[name]}"
             names[name] = path
-            yield from _outside(f"{path}.position_ned", vehicle.position_ned, area)
-            yield from _inside_obstacle(f"{path}.position_ned", vehicle.position_ned, scenario)
+            yield from outside(f"{path}.position_ned", vehicle.position_ned, area)
+            yield from _inside_obstacles(path, vehicle, solids, scenario.world.collision_distance / 2)
             yield from _too_fast(f"{path}.velocity_body", vehicle.velocity_body, fleet, i)
             for j, waypoint in enumerate(vehicle.waypoints_ned):
-                yield from _outside(f"{path}.waypoints_ned.{j}", waypoint, area)
+                yield from outside(f"{path}.waypoints_ned.{j}", waypoint, area)
             for other_path, other in starts:
                 distance = math.dist(other, vehicle.position_ned)
                 if distance < scenario.world.collision_distance:
@@ -164,6 +139,21 @@ def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
                 yield f"{path}: {len(value)} numbers in a list; allowed: {size}, one for each vehicle, or a number"
 
 
+def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
+    """A battery's voltage falls as it empties."""
+    if fleet.battery.type != "lithium_polymer":
+        return
+    size = len(fleet.vehicles)
+    full, empty = fleet.battery.voltage_full, fleet.battery.voltage_empty
+    each = [values if isinstance(values, list) else [values] * size for values in (full, empty)]
+    # Lists of the wrong length are a problem of their own.
+    for i, (high, low) in enumerate(zip(*each, strict=False)):
+        if high <= low:
+            path = f"fleets.{fleet_name}.battery.voltage_full" + (f".{i}" if isinstance(full, list) else "")
+            yield f"{path}: {high:g} V; allowed: above voltage_empty, {low:g} V"
+            return
+
+
 def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, Any]]:
     for name in type(part).model_fields:
         value = getattr(part, name)
@@ -182,13 +172,6 @@ def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
             f"fleets.{fleet_name}.guidance: '{fleet.guidance.type}' does not fit the controller "
             f"'{fleet.controller.type}'; allowed: {', '.join(fitting)}"
         )
-
-
-def _outside(path: str, point: list[float], area: Any) -> Iterator[str]:
-    for axis, value in zip("xyz", point, strict=True):
-        low, high = getattr(area, f"{axis}_min"), getattr(area, f"{axis}_max")
-        if not low <= value <= high:
-            yield f"{path}: {axis} = {value:g} m is outside world.area; allowed: {low:g} to {high:g}"
 
 
 def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -> Iterator[str]:
@@ -220,6 +203,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
     site = Site.from_degrees(scenario.site.latitude_deg, scenario.site.longitude_deg, scenario.site.height)
     ephemeris = component(world.sky.orbits, known.ORBITS, scenario)
     orbits = ephemeris.at(site, gps_seconds_from_utc(scenario.start_time), dtype, scenario.duration)
+    _warn_of_hand_lists(scenario, ephemeris.satellite_ids)
     errors = component(world.sky.errors, known.SKY_ERRORS, scenario)
     sky = Sky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
     built = World(
@@ -277,18 +261,39 @@ def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
         return
     if not first <= start <= start + scenario.duration <= last:
         span = f"{utc_from_gps_seconds(first):%Y-%m-%d %H:%M:%S} to {utc_from_gps_seconds(last):%Y-%m-%d %H:%M:%S} UTC"
+        cut_off = ephemeris.cut_off if orbits.type == "sp3" else ""
         yield (
             f"start_time: the run, {scenario.start_time:%Y-%m-%d %H:%M:%S} and {scenario.duration:g} s, is not inside "
-            f"what world.sky.orbits covers; allowed: {span}"
+            f"what world.sky.orbits covers; allowed: {span}{cut_off}"
         )
     if orbits.type == "nominal_constellation":
-        for name, fleet in scenario.fleets.items():
-            for sensor_name, sensor in fleet.sensors.items():
-                if getattr(sensor, "satellites", "") == "hand_list":
-                    yield (
-                        f"fleets.{name}.sensors.{sensor_name}.satellites: 'hand_list' names satellites by PRN, "
-                        "which the nominal constellation has not; use world.sky.orbits of type sp3"
-                    )
+        for path in _hand_lists(scenario):
+            yield (
+                f"{path}: 'hand_list' names satellites by PRN, "
+                "which the nominal constellation has not; use world.sky.orbits of type sp3"
+            )
+
+
+def _hand_lists(scenario: ScenarioSpec) -> list[str]:
+    """Return the paths of the receivers that use the published list of satellites."""
+    return [
+        f"fleets.{name}.sensors.{sensor_name}.satellites"
+        for name, fleet in scenario.fleets.items()
+        for sensor_name, sensor in fleet.sensors.items()
+        if getattr(sensor, "satellites", "") == "hand_list"
+    ]
+
+
+def _warn_of_hand_lists(scenario: ScenarioSpec, satellite_ids: Any) -> None:
+    """Say where a receiver has fewer satellites to choose from than were published."""
+    there = {int(number) & 0xFF for number in satellite_ids}
+    absent = [f"{prn}" for prn in HAND_LIST if prn not in there]
+    if absent:
+        for path in _hand_lists(scenario):
+            warn_user(
+                f"{path}: world.sky.orbits lacks the satellites {', '.join(absent)} of the hand list; receivers choose "
+                f"among {len(HAND_LIST) - len(absent)} instead of {len(HAND_LIST)}"
+            )
 
 
 def _obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
@@ -299,15 +304,18 @@ def _obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
                 yield f"world.obstacles.{i}.{axis}_min: {low:g} m is not below {axis}_max, {high:g} m"
 
 
-def _inside_obstacle(path: str, point: list[float], scenario: ScenarioSpec) -> Iterator[str]:
-    clearance = scenario.world.collision_distance / 2
-    position = Vec3(*(np.array(value) for value in point))  # type: ignore[arg-type]
-    for i, spec in enumerate(scenario.world.obstacles):
-        distance = float(component(spec, known.OBSTACLES, scenario).distance(position))
-        if distance < clearance:
+def _inside_obstacles(path: str, vehicle: VehicleSpec, solids: list[Any], clearance: float) -> Iterator[str]:
+    """No vehicle starts at an obstacle or is sent there."""
+    points = {"position_ned": vehicle.position_ned}
+    points |= {f"waypoints_ned.{j}": waypoint for j, waypoint in enumerate(vehicle.waypoints_ned)}
+    positions, names = _columns(list(points.values())), list(points)
+    for i, solid in enumerate(solids):
+        distances = solid.distance(positions)
+        for j in np.flatnonzero((distances < clearance) | (distances == 0.0)):
+            where = f"{distances[j]:.3g} m from" if distances[j] else "inside"
             yield (
-                f"{path}: {distance:.3g} m from world.obstacles.{i}; "
-                f"allowed: at least {clearance:g} m (half of world.collision_distance)"
+                f"{path}.{names[j]}: {where} world.obstacles.{i}; "
+                f"allowed: at least {clearance:g} m from it (half of world.collision_distance)"
             )
 
 

@@ -20,6 +20,7 @@ from qrsim.models.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.barometer import Barometer, IdealBarometer
 from qrsim.models.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.dryden import Dryden
+from qrsim.models.fence import PolygonArea
 from qrsim.models.gnss import GnssReceiver, IdealGnss, OrnsteinUhlenbeckErrors
 from qrsim.models.gnss_errors import ConsumerErrors, GaussMarkov2, SurveyErrors
 from qrsim.models.gust import DiscreteGust, NoGust
@@ -45,7 +46,7 @@ SKY_ERRORS: Catalogue = {
     "survey": SurveyErrors,
 }
 OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}
-AREAS: Catalogue = {"box": BoxArea}
+AREAS: Catalogue = {"box": BoxArea, "polygon": PolygonArea}
 VEHICLES: Catalogue = {"pelican": Quadrotor}
 BATTERIES: Catalogue = {"given": GivenVoltage, "lithium_polymer": LithiumPolymer}
 CONTROLLERS: Catalogue = {

@@ -14,6 +14,7 @@ from qrsim.errors import did_you_mean
 from qrsim.models.faults import Fault
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FaultSpec, FleetSpec, ScenarioSpec
+from qrsim.scenarios.timing import is_multiple
 
 LAST_TICK = 2**31 - 1
 
@@ -28,7 +29,9 @@ def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[F
     names = vehicle_names(fleet_name, fleet)
 
     def ticks(seconds: float | None) -> Any:
-        return np.array(LAST_TICK if seconds is None else round(seconds / scenario.time_step), np.int32)
+        if seconds is None:
+            return np.array(LAST_TICK, np.int32)
+        return np.array(min(round(seconds / scenario.time_step), LAST_TICK), np.int32)
 
     return tuple(
         Fault(
@@ -70,12 +73,25 @@ def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield what is wrong with the faults of a scenario."""
     for fleet_name, fleet in scenario.fleets.items():
         for i, fault in enumerate(fleet.faults):
-            yield from _problems(f"fleets.{fleet_name}.faults.{i}", fault, fleet, vehicle_names(fleet_name, fleet))
+            path = f"fleets.{fleet_name}.faults.{i}"
+            yield from _time_problems(path, fault, scenario)
+            yield from _problems(path, fault, fleet, vehicle_names(fleet_name, fleet))
+
+
+def _time_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    for name, seconds in (("start", fault.start), ("end", fault.end)):
+        if seconds and not is_multiple(seconds, scenario.time_step):
+            yield f"{path}.{name}: {seconds:g} s is not a multiple of the time step {scenario.time_step:g} s"
+    if fault.start >= scenario.duration:
+        yield (
+            f"{path}.start: {fault.start:g} s is not within the run; "
+            f"allowed: from 0 s to before its end at {scenario.duration:g} s (duration)"
+        )
+    if fault.end is not None and fault.end <= fault.start:
+        yield f"{path}.end: {fault.end:g} s is not after the start, {fault.start:g} s"
 
 
 def _problems(path: str, fault: FaultSpec, fleet: FleetSpec, names: tuple[str, ...]) -> Iterator[str]:
-    if fault.end is not None and fault.end <= fault.start:
-        yield f"{path}.end: {fault.end:g} s is not after the start, {fault.start:g} s"
     for name in fault.vehicles or []:
         if name not in names:
             yield f"{path}.vehicles: no vehicle of the fleet is called '{name}'{did_you_mean(name, names)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import re
 from importlib import resources
@@ -73,17 +74,65 @@ def built_in_names() -> list[str]:
 
 
 def read_scenario(source: str | Path | dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Return (what to call the source in messages, its content) of a name, a YAML path or a dict."""
-    if isinstance(source, dict):
-        return "scenario", source
-    if not isinstance(source, str | os.PathLike):
+    """Return (what to call the source in messages, its content) of a name, a YAML path or a dict.
+
+    What it extends is merged in, and every ``file:`` that a file names is absolute.
+    """
+    if not isinstance(source, str | os.PathLike | dict):
         raise UsageError(f"scenario: expected a name, the path of a .yaml file or a dict, found {source!r}")
-    name = str(source)
+    return _read(source if isinstance(source, dict) else str(source), [])
+
+
+def _read(source: str | dict[str, Any], children: list[tuple[str, str]]) -> tuple[str, dict[str, Any]]:
+    """Read a source that ``children``, as (identity, what to call it), extend, the first of them the user's."""
+    identity, folder = _origin(source)
+    name = "scenario" if isinstance(source, dict) else source
+    if identity in (known for known, _ in children):
+        chain = " -> ".join([*(called for _, called in children), name])
+        raise ScenarioError(children[0][1], [f"extends: comes back to where it began: {chain}"])
+    content = source if isinstance(source, dict) else _read_file(source, folder)
+    if "extends" not in content:
+        return name, content
+    parent = content["extends"]
+    if not isinstance(parent, str):
+        raise ScenarioError(name, [f"extends: expected a built-in name or the path of a .yaml file, found {parent!r}"])
+    if _is_file(parent):
+        parent = str(folder / os.path.expanduser(parent))
+    try:
+        _, inherited = _read(parent, [*children, (identity, name)])
+    except ScenarioError:
+        raise
+    except UsageError as error:
+        raise ScenarioError(name, [f"extends: {error}"]) from None
+    # What a scenario is called and said to be is its own.
+    inherited = {key: value for key, value in inherited.items() if key not in ("name", "description")}
+    own = {key: value for key, value in content.items() if key != "extends"}
+    if not isinstance(source, dict):
+        own.setdefault("name", Path(source).stem)
+    return f"{name} (extends {parent})", merged(inherited, own)
+
+
+def _origin(source: str | dict[str, Any]) -> tuple[str, Path]:
+    """Return what tells a source from others, and the folder that its paths are relative to."""
+    if isinstance(source, dict):
+        return "", Path.cwd()
+    if source in built_in_names():
+        return source, Path.cwd()
+    return os.path.realpath(source), Path(source).parent
+
+
+def _is_file(name: str) -> bool:
+    """Return whether a source is the path of a file; no built-in name ends so."""
+    return Path(name).suffix in (".yaml", ".yml")
+
+
+def _read_file(name: str, folder: Path) -> dict[str, Any]:
+    """Return the content of a built-in scenario or a file, its files anchored to the folder."""
     if name in built_in_names():
         text = (resources.files("qrsim.scenarios") / f"{name}.yaml").read_text("utf-8")
         return _as_mapping(parse_yaml(text, name), name)
-    path = Path(source)
-    if path.suffix not in (".yaml", ".yml"):
+    path = Path(name)
+    if not _is_file(name):
         hint = did_you_mean(name, built_in_names())
         raise UsageError(f"no scenario is called '{name}'{hint} (or give the path of a .yaml file)")
     try:
@@ -94,9 +143,31 @@ def read_scenario(source: str | Path | dict[str, Any]) -> tuple[str, dict[str, A
         raise UsageError(f"scenario file {path}: no such file{hint if 'mean' in hint else ''}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"scenario file {path}: cannot be read: {error}") from None
-    name, content = _as_mapping(parse_yaml(text, name), name)
-    anchor_files(content, path.parent)
-    return name, content
+    content = _as_mapping(parse_yaml(text, name), name)
+    anchor_files(content, folder)
+    return content
+
+
+def merged(parent: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of both; where both have one, the child's counts, and of mappings the merged one.
+
+    A child of another ``type`` replaces the parent wholly, a list replaces a list, an angle in one unit that in the
+    other, and null takes out what the parent has.
+    """
+    if "type" in child and child["type"] != parent.get("type"):
+        return copy.deepcopy(child)
+    result = dict(parent)
+    for key, value in child.items():
+        # In Python a key can be anything, which the check of the whole finds.
+        _drop_twin(result, str(key))
+        before = result.get(key)
+        if value is None and key in parent:
+            result.pop(key, None)
+        elif isinstance(value, dict) and isinstance(before, dict):
+            result[key] = merged(before, value)
+        else:
+            result[key] = copy.deepcopy(value)
+    return result
 
 
 def anchor_files(content: Any, folder: Path) -> None:
@@ -108,17 +179,17 @@ def anchor_files(content: Any, folder: Path) -> None:
     for part in parts:
         anchor_files(part, folder)
     if isinstance(content, dict) and isinstance(content.get("file"), str):
-        file = Path(os.path.abspath(folder / Path(content["file"]).expanduser()))
+        file = Path(os.path.abspath(folder / os.path.expanduser(content["file"])))
         recorded = content["file"] in RECORDINGS and not file.exists()
         content["file"] = str(data_folder() / content["file"] if recorded else file)
 
 
-def _as_mapping(content: Any, source: str) -> tuple[str, dict[str, Any]]:
+def _as_mapping(content: Any, source: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         kinds = {type(None): "nothing", list: "a list", str: "a text"}
         found = kinds.get(type(content), repr(content))
         raise ScenarioError(source, [f"expected keys and values such as name: hover, found {found}"])
-    return source, content
+    return content
 
 
 def apply_override(content: dict[str, Any], assignment: str) -> None:

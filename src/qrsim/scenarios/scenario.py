@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from qrsim.errors import ScenarioError
 from qrsim.models.site import Site
 from qrsim.scenarios import build
+from qrsim.scenarios.places import in_ned
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.reading import anchor_files, apply_override, built_in_names, dump_yaml, read_scenario
 from qrsim.scenarios.schema import ScenarioSpec, json_schema
@@ -26,7 +27,7 @@ class Scenario:
     """A checked scenario.
 
     Attributes:
-        spec: its content, every default filled in.
+        spec: its content, every default filled in, all places in NED.
     """
 
     spec: ScenarioSpec
@@ -82,7 +83,14 @@ def load_scenario(source: str | Path | dict[str, Any], overrides: Iterable[str] 
         spec = ScenarioSpec.model_validate(content)
     except ValidationError as error:
         raise ScenarioError(name, describe(error, ScenarioSpec, content)) from None
-    found = build.problems(spec)
+    spec, found, written = in_ned(spec)
+    found = found or [_as_written(problem, written) for problem in build.problems(spec)]
     if found:
         raise ScenarioError(name, found)
     return Scenario(spec)
+
+
+def _as_written(problem: str, written: dict[str, str]) -> str:
+    """Return a fault with the path that the user knows."""
+    path, colon, rest = problem.partition(":")
+    return f"{written.get(path, path)}{colon}{rest}"

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_type_hints
 
 from pydantic import (
+    AfterValidator,
     AwareDatetime,
     BaseModel,
     BeforeValidator,
@@ -22,12 +23,15 @@ from pydantic import (
 
 from qrsim.core.tree import FieldInfo, field_info
 from qrsim.models.area import StateLimits
+from qrsim.models.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9_.-]+$"
 Position = Annotated[list[Finite], Field(min_length=3, max_length=3)]
+Corner = Annotated[list[Finite], Field(min_length=2, max_length=2)]
+LONGEST_ROUTE, MOST_CORNERS = 2000, 1000
 
 
 def _add_degrees(schema: dict[str, Any]) -> None:
@@ -122,7 +126,15 @@ def _field(name: str, hint: Any, field: dataclasses.Field[Any], each: bool) -> t
     return annotation, Field(default, **_bounds(info), **_described(info))
 
 
-def component_model(name: str, component: type, *, tagged: bool = True, each: bool = False) -> type[Strict]:
+def component_model(
+    name: str,
+    component: type,
+    *,
+    tagged: bool = True,
+    each: bool = False,
+    arrays: Mapping[str, Any] | None = None,
+    base: type[Strict] = Strict,
+) -> type[Strict]:
     """Return the schema of one component.
 
     Args:
@@ -130,31 +142,114 @@ def component_model(name: str, component: type, *, tagged: bool = True, each: bo
         component: a record class whose fields carry metadata.
         tagged: whether a scenario names it by a ``type`` key.
         each: whether it belongs to a fleet, so that a number may be a list with one entry for each vehicle.
+        arrays: what a scenario writes in place of the component's arrays, which are its fields without a default.
+        base: class of the schema.
     """
     hints = get_type_hints(component)
     fields: dict[str, Any] = {}
     if tagged:
         fields["type"] = (Literal[name], Field(description="what it is"))
+    fields |= arrays or {}
     for field in dataclasses.fields(component):
-        fields[field.name] = _field(field.name, hints[field.name], field, each)
+        if arrays is None or field.default is not dataclasses.MISSING:
+            fields[field.name] = _field(field.name, hints[field.name], field, each)
     doc = (component.__doc__ or "").split("\n\n")[0].strip()
-    return create_model(name, __base__=Strict, __doc__=doc, **fields)
+    return create_model(name, __base__=base, __doc__=doc, **fields)
 
 
 def _slot(choices: Mapping[str, type], *, each: bool = False) -> Any:
     """Return the annotation of a place where one of several components goes."""
-    models = [component_model(name, component, each=each) for name, component in choices.items()]
+    return _choice([component_model(name, component, each=each) for name, component in choices.items()])
+
+
+def _choice(models: list[type[Strict]]) -> Any:
     return Annotated[Union[tuple(models)], Field(discriminator="type")] if len(models) > 1 else models[0]  # noqa: UP007
 
 
+class _Polygon(Strict):
+    """Shows the corners as a PolygonArea has them."""
+
+    @property
+    def north(self) -> list[float]:
+        """Corners [m]."""
+        return [north for north, _ in self.corners_ned]  # type: ignore[attr-defined]
+
+    @property
+    def east(self) -> list[float]:
+        """Corners [m]."""
+        return [east for _, east in self.corners_ned]  # type: ignore[attr-defined]
+
+
+def _polygon_model() -> type[Strict]:
+    """Return the schema of a polygon with its corners."""
+    text = "[north, east] [m] of each corner, in order; the last is joined to the first"
+    corners = (list[Corner], Field(description=text, min_length=3, max_length=MOST_CORNERS))
+    return component_model("polygon", PolygonArea, arrays={"corners_ned": corners}, base=_Polygon)
+
+
+def _fence_model() -> type[Strict]:
+    """Return the schema of a polygon whose corners are in a file."""
+    places = {
+        "file": (str, Field(description="a .kml file, or a QGroundControl .plan file with a geofence", min_length=1)),
+        "name": (str | None, Field(None, description="of the polygon; may be left out where the KML has one only")),
+    }
+    return component_model("fence", PolygonArea, arrays=places)
+
+
+# Made at run time, so a type checker cannot see into it.
+PolygonModel: Any = _polygon_model()
+
+
+def _area_slot() -> Any:
+    """Return the annotation of an area: those of the catalogue, and a file with the polygon of one."""
+    others = [component_model(name, area) for name, area in known.AREAS.items() if area is not PolygonArea]
+    return _choice([*others, PolygonModel, _fence_model()])
+
+
+class GeodeticSpec(Strict):
+    """A position by latitude and longitude; its height is over the site's origin, like -z."""
+
+    latitude_deg: Finite = Field(description="geodetic latitude [deg]", ge=-90, le=90)
+    longitude_deg: Finite = Field(description="longitude [deg], east positive", ge=-180, le=180)
+    height: Finite = Field(description="height above the site's origin [m], positive up")
+
+
+class PlanSpec(Strict):
+    """A QGroundControl plan as the route of a vehicle."""
+
+    file: str = Field(description="a QGroundControl .plan file", min_length=1)
+
+
 class VehicleSpec(Strict):
-    """One vehicle: where it starts and where it flies."""
+    """One vehicle: where it starts and where it flies; once loaded, in NED only."""
 
     name: str | None = Field(None, description="default: the fleet's name and a number", pattern=NAME, max_length=64)
-    position_ned: Position = Field(description="start position [m]: north, east, down")
+    position_ned: Position = Field(default_factory=list, description="start position [m]: north, east, down")
+    position_geodetic: GeodeticSpec | None = Field(None, description="start position, instead of NED", exclude=True)
     yaw_rad: Finite = Field(0.0, description="heading at the start and along the route [rad]", ge=-6.3, le=6.3)
     velocity_body: Position = Field([0.0, 0.0, 0.0], description="initial velocity in body axes [m/s]")
-    waypoints_ned: list[Position] = Field([], description="route [m]; empty: hold the start position", max_length=200)
+    waypoints_ned: list[Position] = Field(
+        [], description="route [m]; empty: hold the start position", max_length=LONGEST_ROUTE
+    )
+    waypoints_geodetic: list[GeodeticSpec] = Field(
+        [], description="route, instead of NED", max_length=LONGEST_ROUTE, exclude=True
+    )
+    plan: PlanSpec | None = Field(
+        None, description="route from a file, instead of waypoints; also the start, if none is given", exclude=True
+    )
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> VehicleSpec:
+        places, routes = (
+            [name for name in names if name in self.model_fields_set and getattr(self, name) is not None]
+            for names in (("position_ned", "position_geodetic"), ("waypoints_ned", "waypoints_geodetic", "plan"))
+        )
+        for given in (places, routes):
+            if len(given) > 1:
+                raise ValueError(f"gives both '{given[0]}' and '{given[1]}'; give one")
+        if not places and "plan" not in routes:
+            raise ValueError("the start is missing; give position_ned, position_geodetic or plan")
+        return self
 
 
 if TYPE_CHECKING:
@@ -178,7 +273,7 @@ else:
     SensorSlot = _slot(known.SENSORS, each=True)
     OrbitsSlot = _slot(known.ORBITS)
     SkyErrorsSlot = _slot(known.SKY_ERRORS)
-    AreaSlot = _slot(known.AREAS)
+    AreaSlot = _area_slot()
     ObstacleSlot = _slot(known.OBSTACLES)
     GustSlot = _slot(known.GUSTS)
     BatterySlot = _slot(known.BATTERIES, each=True)
@@ -256,9 +351,17 @@ class SiteSpec(Strict):
     height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=-500, le=9000)
 
 
+def _only_in_a_source(value: Any) -> Any:
+    """Whoever reads a scenario takes the key out; what arrives here comes too late."""
+    raise ValueError("can only be given in the scenario itself, not by an override")
+
+
 class ScenarioSpec(Strict):
     """A scenario: site, world and fleets."""
 
+    extends: Annotated[str, AfterValidator(_only_in_a_source)] | None = Field(
+        None, description="scenario this one changes: a built-in name, or a path relative to this file", exclude=True
+    )
     name: str = Field(description="short name, used in folders", pattern=NAME, max_length=100)
     description: str = Field("", description="one or two sentences")
     duration: Finite = Field(60.0, description="simulated time [s]", gt=0, le=1e7)

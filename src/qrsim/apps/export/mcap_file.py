@@ -36,7 +36,7 @@ from qrsim.readings import quaternion_of
 WORLD = "map"
 # Foxglove's timestamps count the seconds since 1970 in 32 bits.
 LAST_START_US = 2**32 * 1_000_000
-WARNINGS = ("command_clipped", "fault_begins", "fix_lost")
+WARNINGS = ("command_clipped", "fault_begins", "no_fix", "fix_lost")
 
 
 class _Message(NamedTuple):

@@ -200,10 +200,13 @@ def _marks(run: Run, place: Place) -> list[Mark]:
     if not is_readable(run, "events"):
         return []
     events = run.events
-    places = _true_places(run, {event.tick for event in events}) if is_readable(run, "truth") else {}
+    # Where the truth was decimated: the last place that was logged before the event.
+    every = run.info.every.get("truth", 1)
+    ticks = {event.tick: event.tick // every * every for event in events}
+    places = _true_places(run, set(ticks.values())) if is_readable(run, "truth") else {}
     marks = []
     for event, utc in zip(events, place.utc([event.time for event in events]), strict=True):
-        position = places.get((event.tick, event.vehicle))
+        position = places.get((ticks[event.tick], event.vehicle))
         marks.append(Mark(event, utc, None if position is None else place.geodetic(position)))
     return marks
 

@@ -2,36 +2,119 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+from qrsim.errors import UsageError
+
+if TYPE_CHECKING:
+    from qrsim.logs import Run
+
+FIGURE, PANELS = "figure.png", "panels.png"
+_Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the whole run)")]
 
 
 @dataclass(frozen=True)
 class Plot:
-    """Draw the figure of a recorded run: plan view, height, GNSS error, wind.
+    """Draw a recorded run: plan view, height, GNSS error and wind, or any logged quantities over time.
 
-    Works on running, interrupted and killed runs too, up to the last flush.
+    Works on running, interrupted and killed runs too, up to the last flush. A quantity is STREAM.COLUMN, or the name
+    of a vector without its axis; --list shows them all.
 
     Example:
       qrsim plot runs/first
-      qrsim plot runs/first -o first.pdf
+      qrsim plot runs/first --list
+      qrsim plot runs/first --panel truth.position_ned.z --panel wind.gust_ned --out first.pdf
+      qrsim plot runs/first --panel "measurements.gnss.position_ned.x, truth.position_ned.x" --from 5 --to 15
     """
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Run folder."""
-    output: Annotated[
-        Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(default: RUN/figure.png)")
+    panel: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="QUANTITY[,QUANTITY...]")] = field(
+        default_factory=list
+    )
+    """Draw these quantities, of one unit, in a panel; given again, in another panel below."""
+    vehicle: Annotated[
+        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")
+    ] = field(default_factory=list)
+    """Draw only this vehicle in the panels; can be given several times."""
+    start: Annotated[_Seconds, tyro.conf.arg(name="from")] = None
+    """Begin of the panels."""
+    end: Annotated[_Seconds, tyro.conf.arg(name="to")] = None
+    """End of the panels."""
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            aliases=["-o", "--output"],
+            metavar="FILE",
+            help_behavior_hint=f"(default: RUN/{FIGURE}, with --panel RUN/{PANELS})",
+        ),
     ] = None
     """Picture to write: .png, .pdf or .svg."""
+    show: Annotated[bool, tyro.conf.arg(name="list")] = False
+    """Print all quantities with unit and meaning, and draw nothing."""
+    json: bool = False
+    """Print the quantities, or where the picture is, as JSON."""
 
     def run(self) -> None:
-        """Draw and say where the picture is."""
+        """Check, draw, and say where the picture is."""
+        self._check()
         from qrsim.logs import open_run
-        from qrsim.logs.figure import save_figure
 
-        path = self.output or self.run_folder / "figure.png"
-        save_figure(open_run(self.run_folder), path)
-        print(path)
+        recorded = open_run(self.run_folder)
+        if self.show:
+            _print_quantities(recorded, self.json)
+            return
+        path = self.out or self.run_folder / (PANELS if self.panel else FIGURE)
+        self._draw(recorded, path)
+        if self.json:
+            import json
+
+            print(json.dumps({"run": str(self.run_folder), "figure": str(path)}, indent=2))
+        else:
+            print(path)
+
+    def _check(self) -> None:
+        given = {"--vehicle": self.vehicle, "--from": self.start, "--to": self.end}
+        alone = [option for option, value in given.items() if value not in (None, [])]
+        if alone and not self.panel:
+            raise UsageError(f"{', '.join(alone)}: only for panels; add --panel, for example truth.position_ned.z")
+        if self.show and (self.panel or self.out):
+            raise UsageError("--list draws nothing: leave out --panel and --out")
+        for option, time in (("--from", self.start), ("--to", self.end)):
+            if time is not None and not math.isfinite(time):
+                raise UsageError(f"{option} {time:g}: expected a number of seconds")
+        if self.start is not None and self.end is not None and self.start > self.end:
+            raise UsageError(f"--from {self.start:g} is after --to {self.end:g}")
+
+    def _draw(self, recorded: Run, path: Path) -> None:
+        if not self.panel:
+            from qrsim.logs.figure import save_figure
+
+            save_figure(recorded, path)
+            return
+        from qrsim.logs.panels import draw_panels
+        from qrsim.logs.picture import save_picture
+
+        save_picture(lambda: draw_panels(recorded, self.panel, self.vehicle, self.start, self.end), path)
+
+
+def _print_quantities(recorded: Run, as_json: bool) -> None:
+    from qrsim.logs.quantities import quantities
+
+    found = quantities(recorded)
+    if as_json:
+        import json
+
+        rows = [{"quantity": item.name, "unit": item.column.unit, "doc": item.column.doc} for item in found]
+        print(json.dumps(rows, indent=2, ensure_ascii=False))
+        return
+    width = max(len(item.name) for item in found)
+    units = max(len(item.column.unit) for item in found)
+    for item in found:
+        print(f"{item.name:<{width}}  {item.column.unit:<{units}}  {item.column.doc}".rstrip())
+    print("\nA name without its last part, such as truth.position_ned, means all axes. Time is in s.")

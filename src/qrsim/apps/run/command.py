@@ -29,15 +29,17 @@ MOST_EVENTS = 20
 class Run:
     """Fly a scenario, record it, and show what happened.
 
-    Writes a run folder (Parquet logs of every tick, the resolved scenario, seed and versions, a figure) and prints a
-    table: distance flown, tracking error (from the leg being flown), GNSS error (reported minus true, the delay of
-    the fix included), worst wind, waypoints reached, and why a vehicle stopped.
+    Writes a run folder (Parquet logs, the resolved scenario, seed and versions, a figure) and prints a table:
+    distance flown, tracking error (from the leg being flown), GNSS error (reported minus true, the delay of the fix
+    included), worst wind, waypoints reached, and why a vehicle stopped.
 
     Example:
       qrsim run
       qrsim run outdoor_patrol --seed 7 --duration 60
       qrsim run outdoor_patrol --set world.wind.speed_20ft=7 --set world.turbulence=still
       qrsim run my_scenario.yaml --out runs/first --json
+      qrsim run keep_spot --policy my_policy.py:hover --policy-ticks 5
+      qrsim run outdoor_patrol --every 10 --every measurements=2
     """
 
     scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "outdoor_patrol"
@@ -57,6 +59,17 @@ class Run:
         tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/SCENARIO-seedSEED-TIME)"),
     ] = None
     """Run folder to write; must not exist."""
+    every: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="[STREAM=]N")] = field(
+        default_factory=list
+    )
+    """Log only the ticks that N divides, of truth, measurements, commands, wind, or all of them; can be given several
+    times. Events are all kept."""
+    policy: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
+    """Your policy: a function of a reading that returns a command or a set-point; MODULE may be a .py file."""
+    estimator: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
+    """Your estimator: a function of a reading that returns what feeds the controllers in place of the sensors."""
+    policy_ticks: int = 1
+    """The policy is asked at every so-many-th tick."""
     realtime: bool = False
     """Fly at the speed of the wall clock instead of as fast as possible."""
     precision: Literal["float32", "float64"] = "float32"
@@ -76,6 +89,7 @@ class Run:
             gc.enable()
 
     def _run(self) -> None:
+        from qrsim.apps.run.every import parse_every
         from qrsim.scenarios.scenario import load_scenario
 
         if self.seed < 0 or self.seed >= 2**63:
@@ -86,16 +100,23 @@ class Run:
                 raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
             overrides.append(f"duration={self.duration!r}")
         scenario = load_scenario(self.scenario, overrides)
+        every = parse_every(self.every)
         folder = self.out or _new_folder(scenario.name, self.seed)
-        pace = self._fly(scenario, folder)
+        pace = self._fly(scenario, folder, every)
         self._report(folder, pace)
 
-    def _fly(self, scenario: Scenario, folder: Path) -> Pace:
+    def _fly(self, scenario: Scenario, folder: Path, every: dict[str, int]) -> Pace:
         from qrsim.apps.run.recorder import fly
 
         # The folder is checked before anything is compiled.
         if folder.exists():
             raise UsageError(f"run folder {folder} exists and is never overwritten; choose another --out")
+        functions: dict[str, Any] = {}
+        if self.policy is not None or self.estimator is not None:
+            from qrsim.policies import load_function
+
+            chosen = {"policy": self.policy, "estimator": self.estimator}
+            functions = {what: load_function(what, source) for what, source in chosen.items() if source is not None}
         try:
             with _progress(scenario) as progress:
                 return fly(
@@ -103,7 +124,10 @@ class Run:
                     folder,
                     seed=self.seed,
                     precision=self.precision,
+                    every=every,
                     realtime=self.realtime,
+                    **functions,
+                    policy_ticks=self.policy_ticks,
                     progress=progress,
                 )
         except KeyboardInterrupt:
@@ -133,6 +157,9 @@ class Run:
         print(f"{pace.simulated_s:g} s flown in {pace.wall_s:.2f} s ({factor}), start-up {pace.start_up_s:.1f} s")
         if pace.overruns:
             print(f"{pace.overruns} chunks were late: this machine is too slow for real time here")
+        if recorded.info.every:
+            kept = ", ".join(f"{stream} {number}" for stream, number in recorded.info.every.items())
+            print(f"logged every Nth tick: {kept}; the table is of these ticks")
         print(f"run folder: {recorded.folder}")
         if figure:
             print(f"figure:     {figure}")
@@ -244,6 +271,7 @@ def _print_json(
         "scenario": recorded.info.scenario,
         "seed": recorded.info.seed,
         "precision": recorded.info.precision,
+        "every": dict(recorded.info.every),
         "run": str(folder),
         "figure": str(figure) if figure else None,
         "simulated_s": pace.simulated_s,

@@ -5,15 +5,20 @@ from __future__ import annotations
 import gc
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from qrsim.apps.run.streams import STREAMS, EventFinder, columns, values
 from qrsim.errors import RunError
 from qrsim.logs import RunInfo, RunWriter
+from qrsim.logs.layout import check_every
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation import History, Simulation
+
+if TYPE_CHECKING:
+    from qrsim.piloting import Pilot
 
 CHUNK_TICKS = 50
 REALTIME_CHUNK_S = 0.1
@@ -51,37 +56,45 @@ def fly(
     *,
     seed: int,
     precision: str,
+    every: Mapping[str, int] | None = None,
     realtime: bool = False,
+    policy: Any = None,
+    estimator: Any = None,
+    policy_ticks: int = 1,
     progress: Callable[[float, float], None] = lambda simulated_s, wall_s: None,
     command_line: Sequence[str] | None = None,
 ) -> Pace:
-    """Fly a scenario from start to end and record every tick.
+    """Fly a scenario from start to end and record it.
 
     Args:
         scenario: what to fly.
         folder: the run folder; must not exist.
         seed: of all randomness.
         precision: float32 or float64.
+        every: stream -> N: of this stream only the ticks that N divides are kept. Events are all kept.
         realtime: pace the flight against the wall clock.
+        policy, estimator, policy_ticks: the user's own functions, see ``qrsim.policies``.
         progress: called after every chunk with simulated and wall time [s].
         command_line: words to note in the run folder, by default those of this process.
 
     Raises:
-        UsageError: the folder exists.
-        RunError: the log cannot be written; what was flushed before stays readable.
+        UsageError: the folder exists, or ``every`` names no stream or is no integer from 1.
+        RunError: the log cannot be written, or the user's functions fail; what was flushed before stays readable.
     """
     begun = time.perf_counter()
+    check_every(every or {}, STREAMS)
     simulation = Simulation(scenario.world(precision), seed=seed, name=scenario.name, site=scenario.site)
     info = RunInfo.collect(
         scenario=scenario.name, seed=seed, precision=precision, time_step=scenario.spec.time_step,
-        vehicles=simulation.vehicle_names, command_line=command_line,
+        vehicles=simulation.vehicle_names, every=every, command_line=command_line,
     )  # fmt: skip
     make_parent(folder)
     simulation.reset()
     beginning, finder = simulation.history, EventFinder(simulation)
     wanted = columns(simulation.world, beginning)
+    pilot = None if policy is None and estimator is None else _pilot(simulation, policy, estimator, policy_ticks)
     # The first tick alone, so that compiling does not count as flying.
-    first = simulation.record(1, capacity=CHUNK_TICKS)
+    first = _record(simulation, 1, pilot)
     start_up, first_tick = time.perf_counter() - begun, time.time()
     gc.enable()
     with RunWriter.create(folder, info=info, scenario_yaml=scenario.to_yaml(), columns=wanted) as writer:
@@ -96,7 +109,18 @@ def fly(
 
         keep(beginning)
         keep(first)
-        return _loop(simulation, scenario.ticks, (start_up, first_tick), realtime, keep, progress)
+        return _loop(simulation, scenario.ticks, (start_up, first_tick), realtime, pilot, keep, progress)
+
+
+def _pilot(simulation: Simulation, policy: Any, estimator: Any, policy_ticks: int) -> Pilot:
+    # Imported here, because most runs have none.
+    from qrsim.piloting import Pilot
+
+    return Pilot(simulation, policy, estimator, policy_ticks)
+
+
+def _record(simulation: Simulation, ticks: int, pilot: Pilot | None) -> History:
+    return pilot.record(ticks, CHUNK_TICKS) if pilot else simulation.record(ticks, capacity=CHUNK_TICKS)
 
 
 def make_parent(folder: Path) -> None:
@@ -120,6 +144,7 @@ def _loop(
     ticks: int,
     begun: tuple[float, float],
     realtime: bool,
+    pilot: Pilot | None,
     keep: Callable[[History], None],
     progress: Callable[[float, float], None],
 ) -> Pace:
@@ -128,7 +153,7 @@ def _loop(
     first = simulation.time
     overruns = 0
     while simulation.tick < ticks:
-        keep(simulation.record(min(chunk, ticks - simulation.tick), capacity=CHUNK_TICKS))
+        keep(_record(simulation, min(chunk, ticks - simulation.tick), pilot))
         flown, wall = simulation.time - first, time.perf_counter() - start
         if realtime and flown > wall:
             time.sleep(flown - wall)

@@ -125,7 +125,7 @@ class EventFinder:
         return found
 
     def _losses(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
-        """Return where a GNSS receiver of a flying vehicle loses its fix for want of satellites, or finds it again."""
+        """Return where a GNSS receiver of a flying vehicle has no fix for want of satellites, or finds it again."""
         found, first = [], 0
         for fleet, state in zip(self.world.fleets, history.state.fleets, strict=True):
             for sensor, reading in zip(fleet.sensor_names, state.readings, strict=True):
@@ -133,13 +133,14 @@ class EventFinder:
                     continue
                 key = f"{fleet.name}/{sensor}"
                 lost = np.isnan(reading.position_ned.x) & (reading.satellites < FEWEST_SATELLITES)
+                from_the_start = key not in self.before
                 before = self.before.get(key, np.zeros(fleet.size, bool))
                 previous = np.concatenate([before[None], lost[:-1]])
                 self.before[key] = lost[-1]
                 for row, i in np.argwhere(lost != previous):
                     event = self._at(history, int(row), first + int(i))
                     count = float(reading.satellites[row, i])
-                    kind = "fix_lost" if lost[row, i] else "fix_found"
+                    kind = "fix_found" if not lost[row, i] else "no_fix" if from_the_start and row == 0 else "fix_lost"
                     counted = f"{count:.0f} satellites" if np.isfinite(count) else "the vehicle has stopped"
                     message = (
                         f"{event['vehicle']}: {sensor} {kind.replace('_', ' ')} at {event['time']:.2f} s, {counted}"

@@ -1,0 +1,1 @@
+"""Checking a plan over many seeds before it is flown."""

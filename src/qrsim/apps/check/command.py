@@ -1,0 +1,221 @@
+"""``qrsim check``."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from qrsim.errors import RunError, UsageError
+
+if TYPE_CHECKING:
+    from qrsim.apps.check.outcomes import Outcome
+    from qrsim.rollouts import Rollout
+    from qrsim.scenarios.scenario import Scenario
+
+MOST_SEEDS = 6
+
+
+@dataclass(frozen=True)
+class Check:
+    """Fly a scenario with many seeds and say how often something goes wrong, with which seeds, when and where.
+
+    For the day before a field day: the fraction of runs in which any vehicle leaves the area, collides, runs out of
+    battery, breaks a state limit or loses GNSS, with the exact 95 % interval; and the narrowest margins over all runs.
+    'qrsim run SCENARIO --seed S' flies one of the runs again, to look at it.
+
+    Exit code 0: nothing went wrong in any run; 1: something did.
+
+    Example:
+      qrsim check outdoor_patrol --seeds 100
+      qrsim check my_field_day.yaml --seeds 1000 --set world.wind.speed_20ft=8 --out worst.png
+    """
+
+    scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")]
+    """Name (see 'qrsim list') or YAML file."""
+    seeds: int = 100
+    """How many runs."""
+    first_seed: int = 0
+    """Seed of the first run; the others follow."""
+    duration: Annotated[
+        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the scenario's)")
+    ] = None
+    """Simulated time."""
+    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
+        default_factory=list
+    )
+    """Change one value of the scenario; can be given several times."""
+    policy: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
+    """Your policy: a function of a reading; under jax.jit it is compiled into the loop."""
+    estimator: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
+    """Your estimator: what feeds the controllers in place of the sensors."""
+    policy_ticks: int = 1
+    """The policy is asked at every so-many-th tick."""
+    cores: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all)")] = None
+    """Cores to spread the runs over."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Draw where it went wrong (png, pdf or svg)."""
+    json: bool = False
+    """Print the result as JSON."""
+
+    def run(self) -> int:
+        """Check, fly, report."""
+        from qrsim.apps.check.outcomes import outcomes
+        from qrsim.configuration import available_cores, configure
+
+        if self.seeds < 1:
+            raise UsageError(f"--seeds {self.seeds}: expected a positive number of runs")
+        if not 0 <= self.first_seed < 2**63 - self.seeds:
+            raise UsageError(f"--first-seed {self.first_seed}: expected an integer from 0 to 2**63 - 1 - --seeds")
+        if self.out is not None:
+            _check_picture(self.out)
+        scenario = self._scenario()
+        configure(cpu_devices=available_cores() if self.cores is None else self.cores)
+        flown, wall_s = self._fly(scenario)
+        found = outcomes(flown)
+        if self.out is not None:
+            from qrsim.apps.check.picture import save_picture
+
+            save_picture(scenario, flown, found, self.out)
+        self._report(scenario, flown, found, wall_s)
+        return 1 if found[-1].runs else 0
+
+    def _scenario(self) -> Scenario:
+        from qrsim.scenarios.scenario import load_scenario
+
+        overrides = list(self.set)
+        if self.duration is not None:
+            if not (math.isfinite(self.duration) and self.duration > 0):
+                raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
+            overrides.append(f"duration={self.duration!r}")
+        return load_scenario(self.scenario, overrides)
+
+    def _fly(self, scenario: Scenario) -> tuple[Rollout, float]:
+        import time
+
+        from qrsim.policies import load_function
+        from qrsim.rollouts import rollout
+
+        functions: dict[str, Any] = {
+            what: None if source is None else load_function(what, source)
+            for what, source in (("policy", self.policy), ("estimator", self.estimator))
+        }
+        begun = time.perf_counter()
+        with _progress(scenario, self.seeds) as progress:
+            flown = rollout(
+                scenario.world(),
+                ticks=scenario.ticks,
+                seeds=range(self.first_seed, self.first_seed + self.seeds),
+                policy_ticks=self.policy_ticks,
+                progress=progress,
+                site=scenario.site,
+                **functions,
+            )
+        return flown, time.perf_counter() - begun
+
+    def _report(self, scenario: Scenario, flown: Rollout, found: list[Outcome], wall_s: float) -> None:
+        from qrsim.apps.check.outcomes import margins
+
+        narrow = margins(flown)
+        simulated = float(scenario.duration * self.seeds)
+        if self.json:
+            import json
+            from dataclasses import asdict
+
+            result: dict[str, Any] = {
+                "scenario": scenario.name,
+                "runs": self.seeds,
+                "first_seed": self.first_seed,
+                "duration_s": scenario.duration,
+                "wall_s": round(wall_s, 3),
+                "outcomes": [outcome.to_json() for outcome in found],
+                "margins": {name: {**asdict(moment), "unit": unit} for name, (moment, unit) in narrow.items()},
+                "picture": str(self.out) if self.out else None,
+            }
+            print(json.dumps(result, indent=2))
+            return
+        print(f"{scenario.name}: {self.seeds} runs of {scenario.duration:g} s, {len(flown.vehicles)} vehicles\n")
+        _print_outcomes(found, self.seeds)
+        print("\nnarrowest margins over all runs")
+        for name, (moment, unit) in narrow.items():
+            print(f"  {name:<32} {moment.value:8.2f} {unit:<4} {_where(moment)}")
+        print(
+            f"\n{simulated:g} s flown in {wall_s:.1f} s, compiling included ({simulated / wall_s:.0f} times real time)"
+        )
+        worst = found[-1].worst
+        if worst is not None:
+            again = ["qrsim", "run", self.scenario, "--seed", str(worst.seed)]
+            again += [word for assignment in self.set for word in ("--set", assignment)]
+            again += [] if self.duration is None else ["--duration", f"{self.duration:g}"]
+            print(f"to look at the first that went wrong: {shlex.join(again)}")
+        if self.out:
+            print(f"picture: {self.out}")
+
+
+def _print_outcomes(found: list[Outcome], runs: int) -> None:
+    width = max(len(outcome.name) for outcome in found)
+    print(f"  {'in a run, any vehicle ...':<{width + 6}} {'runs':>5} {'fraction':>9}   95 % interval")
+    for outcome in found:
+        interval = f"{100 * outcome.low:5.1f} to {100 * outcome.high:5.1f} %"
+        print(f"  {outcome.name:<{width + 6}} {outcome.runs:>5} {100 * outcome.fraction:>7.1f} %   {interval}")
+        if outcome.worst is not None and outcome is not found[-1]:
+            more = f" and {len(outcome.seeds) - MOST_SEEDS} more" if len(outcome.seeds) > MOST_SEEDS else ""
+            print(
+                f"      seeds {', '.join(map(str, outcome.seeds[:MOST_SEEDS]))}{more}; first: {_where(outcome.worst)}"
+            )
+
+
+def _where(moment: Any) -> str:
+    north, east, down = moment.position_ned
+    place = f"north {north:.1f}, east {east:.1f}, height {-down:.1f} m"
+    return f"seed {moment.seed}, {moment.vehicle}, {moment.time_s:.2f} s, {place}"
+
+
+def _check_picture(path: Path) -> None:
+    """Refuse a picture that cannot be written, before anything is flown."""
+    from qrsim.errors import did_you_mean
+
+    formats = ("png", "pdf", "svg")
+    suffix = path.suffix.lstrip(".").lower()
+    if suffix not in formats:
+        raise UsageError(f"--out {path}: '{suffix}' is no picture{did_you_mean(suffix, formats)}")
+    if not path.parent.is_dir():
+        raise RunError(f"--out {path}: there is no folder {path.parent}")
+
+
+@contextmanager
+def _progress(scenario: Scenario, runs: int) -> Iterator[Callable[[int], None] | None]:
+    """Show a bar with the real-time factor while the context lasts, on a terminal only."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    import time
+
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:.0f} %"),
+        TextColumn("{task.fields[factor]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(scenario.name, total=scenario.ticks * runs, factor="compiling")
+        begun = time.perf_counter()
+
+        def show(done: int) -> None:
+            bar.advance(task, done)
+            simulated = bar.tasks[0].completed * scenario.spec.time_step
+            factor = simulated / max(time.perf_counter() - begun, 1e-9)
+            bar.update(task, factor=f"{factor:.0f} x real time")
+
+        yield show

@@ -1,0 +1,126 @@
+"""What can go wrong in a flight, how often it did over many seeds, and the worst moments."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from qrsim.models.area import REASONS
+from qrsim.rollouts import Rollout
+
+CONFIDENCE = 0.95
+# Outcomes by the kinds of reason for which a vehicle stops; a lost fix is no reason to stop.
+KINDS = {
+    "leaves the area": "out_of_area",
+    "collides": "collision",
+    "runs out of battery": "battery_empty",
+    "breaks a state limit": "state_limit",
+    "is not finite": "not_finite",
+}
+LOST = "loses GNSS"
+ANY = "any of these"
+# What is told even where nothing went wrong: (metric, whether its smallest value is the worst, unit).
+MARGINS = {
+    "nearest to the edge of the area": ("fence_distance_min", True, "m"),
+    "nearest to another vehicle": ("separation_min", True, "m"),
+    "farthest from its leg": ("tracking_error_max", False, "m"),
+    "strongest wind": ("wind_max", False, "m/s"),
+}
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A moment of one run.
+
+    Attributes:
+        seed: of the run.
+        vehicle: name.
+        time_s: simulated time.
+        position_ned: true position [m].
+        value: of the quantity concerned, None where there is none.
+    """
+
+    seed: int
+    vehicle: str
+    time_s: float
+    position_ned: tuple[float, float, float]
+    value: float | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How often something went wrong.
+
+    Attributes:
+        name: what.
+        runs: in how many runs it happened to any vehicle.
+        fraction, low, high: of the runs, and the exact (Clopper-Pearson) interval at CONFIDENCE.
+        seeds: of these runs, the earliest first.
+        worst: the earliest moment of the run in which it came first; None where it never happened.
+    """
+
+    name: str
+    runs: int
+    fraction: float
+    low: float
+    high: float
+    seeds: tuple[int, ...]
+    worst: Moment | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields by name."""
+        return asdict(self)
+
+
+def outcomes(flown: Rollout) -> list[Outcome]:
+    """Return every outcome, last that of any of them."""
+    kinds = np.array([kind for kind, _ in REASONS])[flown["reason"]]
+    stopped, places = flown["stopped_at_s"], flown["position_ned"]
+    times = {name: np.where(kinds == kind, stopped, np.nan) for name, kind in KINDS.items()}
+    found = [_outcome(flown, name, when, places) for name, when in times.items()]
+    lost = flown["fix_lost_at_s"]
+    found.append(_outcome(flown, LOST, lost, flown["fix_lost_position_ned"]))
+    first = np.fmin(stopped, lost)
+    where = np.where((first == stopped)[..., None], places, flown["fix_lost_position_ned"])
+    return [*found, _outcome(flown, ANY, first, where)]
+
+
+def _outcome(flown: Rollout, name: str, times: Any, places: Any) -> Outcome:
+    """Return an outcome from the times (W, n) at which it happened, NaN where it did not, and the places (W, n, 3)."""
+    from scipy.stats import binomtest
+
+    earliest = np.nanmin(np.where(np.isnan(times), np.inf, times), axis=1)
+    happened = np.flatnonzero(np.isfinite(earliest))
+    runs, total = len(happened), len(times)
+    interval = binomtest(runs, total).proportion_ci(CONFIDENCE, method="exact")
+    order = happened[np.argsort(earliest[happened], kind="stable")]
+    worst = None
+    if runs:
+        world = int(order[0])
+        worst = _moment(flown, world, int(np.nanargmin(times[world])), times, places)
+    seeds = tuple(int(flown.seeds[world]) for world in order)
+    return Outcome(name, runs, runs / total, float(interval.low), float(interval.high), seeds, worst)
+
+
+def _moment(flown: Rollout, world: int, vehicle: int, times: Any, places: Any, value: float | None = None) -> Moment:
+    north, east, down = (float(x) for x in places[world, vehicle])
+    return Moment(
+        int(flown.seeds[world]), flown.vehicles[vehicle], float(times[world, vehicle]), (north, east, down), value
+    )
+
+
+def margins(flown: Rollout) -> dict[str, tuple[Moment, str]]:
+    """Return the worst moment over all runs of each of MARGINS with its unit; one that was never seen is left out."""
+    found = {}
+    for name, (metric, smallest, unit) in MARGINS.items():
+        values = flown[f"{metric}_{unit.replace('/', '_')}"]
+        seen = np.isfinite(values)
+        if not seen.any():
+            continue
+        ranked = np.where(seen, values if smallest else -values, np.inf)
+        world, vehicle = np.unravel_index(int(np.argmin(ranked)), ranked.shape)
+        at = (flown[f"{metric}_at_s"], flown[f"{metric}_position_ned"])
+        found[name] = (_moment(flown, int(world), int(vehicle), *at, float(values[world, vehicle])), unit)
+    return found

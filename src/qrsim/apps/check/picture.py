@@ -1,0 +1,84 @@
+"""Where the runs of a check went wrong, from above and over time."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from qrsim.apps.check.outcomes import ANY, KINDS, LOST, Outcome
+from qrsim.errors import RunError
+from qrsim.models.area import REASONS
+from qrsim.rollouts import Rollout
+from qrsim.scenarios.scenario import Scenario
+
+COLOURS = dict(
+    zip((*KINDS, LOST), ("tab:red", "tab:purple", "tab:brown", "tab:orange", "black", "tab:blue"), strict=True)
+)
+
+
+def save_picture(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) -> None:
+    """Draw and write the picture; its format is that of the file's name.
+
+    Raises:
+        RunError: it cannot be written.
+    """
+    figure = Figure(figsize=(12, 5.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    plan, bars = figure.subplots(1, 2, width_ratios=(3, 2))
+    _plan(plan, scenario, flown)
+    _bars(bars, found)
+    figure.suptitle(f"{scenario.name}: {len(flown.seeds)} runs of {scenario.duration:g} s")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=path.suffix.lstrip(".").lower(), dpi=120)
+    try:
+        path.write_bytes(buffer.getvalue())
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def _plan(axes: Any, scenario: Scenario, flown: Rollout) -> None:
+    corners = np.array(outline(scenario.spec.world.area))
+    closed = np.vstack([corners, corners[:1]])
+    axes.plot(closed[:, 1], closed[:, 0], color="gray", lw=1.5, label="area")
+    for fleet in scenario.spec.fleets.values():
+        for vehicle in fleet.vehicles:
+            route = np.array([vehicle.position_ned, *vehicle.waypoints_ned])
+            axes.plot(route[:, 1], route[:, 0], "--", color="tab:green", lw=0.9, alpha=0.6)
+            axes.plot(route[:1, 1], route[:1, 0], "o", color="tab:green", ms=5)
+    kinds = np.array([kind for kind, _ in REASONS])[flown["reason"]]
+    where = {name: flown["position_ned"][kinds == kind] for name, kind in KINDS.items()}
+    where[LOST] = flown["fix_lost_position_ned"][np.isfinite(flown["fix_lost_at_s"])]
+    for name, places in where.items():
+        if len(places):
+            axes.plot(places[:, 1], places[:, 0], "X", color=COLOURS[name], mec="white", ms=9, label=name, alpha=0.8)
+    axes.set(
+        xlabel="east [m]", ylabel="north [m]", aspect="equal", title="where it went wrong; routes dashed, starts o"
+    )
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
+
+
+def outline(area: Any) -> list[list[float]]:
+    """Return the corners (north, east) [m] of an area as a scenario has it."""
+    if hasattr(area, "corners_ned"):
+        return [list(corner) for corner in area.corners_ned]
+    return [[area.x_min, area.y_min], [area.x_max, area.y_min], [area.x_max, area.y_max], [area.x_min, area.y_max]]
+
+
+def _bars(axes: Any, found: list[Outcome]) -> None:
+    names = [outcome.name for outcome in found]
+    rows = np.arange(len(found))[::-1]
+    fractions = np.array([100 * outcome.fraction for outcome in found])
+    reach = np.array([[100 * (o.fraction - o.low), 100 * (o.high - o.fraction)] for o in found]).T
+    colours = [COLOURS.get(name, "gray") for name in names]
+    axes.barh(rows, fractions, color=colours, alpha=0.7)
+    axes.errorbar(fractions, rows, xerr=np.maximum(reach, 0.0), fmt="none", color="black", capsize=4)
+    axes.set(yticks=rows, yticklabels=[name if name != ANY else "any" for name in names], xlabel="runs [%]")
+    axes.set_title("fraction of the runs, 95 % interval")
+    axes.set_xlim(0.0, min(105.0, max(5.0, 1.1 * float((fractions + reach[1]).max()))))
+    axes.grid(alpha=0.3, axis="x")

@@ -1,0 +1,1 @@
+"""Saying in what two runs differ."""

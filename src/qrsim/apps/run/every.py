@@ -1,0 +1,30 @@
+"""``qrsim run --every``: which ticks of which stream are logged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from qrsim.apps.run.streams import STREAMS
+from qrsim.errors import UsageError
+from qrsim.logs.layout import check_every
+
+
+def parse_every(words: Sequence[str]) -> dict[str, int]:
+    """Return stream -> N for words "N" (all streams that have no word of their own) and "STREAM=N", in any order.
+
+    Raises:
+        UsageError: a word is of neither form, says the same twice, names no stream, or N is not an integer from 1.
+    """
+    found: dict[str, int] = {}
+    for word in words:
+        stream, _, number = word.rpartition("=")
+        if not number.isdecimal() or int(number) < 1:
+            raise UsageError(f"--every {word}: expected N or STREAM=N with an integer from 1")
+        if stream in found:
+            raise UsageError(f"--every {word}: {stream or 'N for all streams'} is given twice")
+        if stream or "=" in word:
+            check_every({stream: int(number)}, STREAMS)
+        found[stream] = int(number)
+    every = found.pop("", 1)
+    numbers = {stream: found.get(stream, every) for stream in STREAMS}
+    return {stream: number for stream, number in numbers.items() if number > 1}

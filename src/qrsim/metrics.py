@@ -1,0 +1,228 @@
+"""Numbers that sum up the flight of each vehicle while it flies, so that no log need be kept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from qrsim.core.tree import quantity, record, replace, select
+from qrsim.core.vectors import Vec3
+from qrsim.world import Fleet, FleetState, State, World
+
+# Beyond this number of vehicles the smallest distance between two is not looked for.
+MOST_FOR_SEPARATION = 64
+
+
+@record
+class Extreme:
+    """The largest value of a quantity of each vehicle (n,), with when and where."""
+
+    value: Array = quantity(doc="largest value; NaN before the first")
+    tick: Array = quantity(doc="int32 tick at which it was reached, -1 before the first")
+    position_ned: Vec3 = quantity(unit="m", doc="true position at that tick")
+
+    @staticmethod
+    def none(like: Array) -> Extreme:
+        """Return the start, for vehicles (n,)."""
+        nothing = jnp.full_like(like, jnp.nan)
+        return Extreme(nothing, jnp.full(like.shape, -1, jnp.int32), Vec3(nothing, nothing, nothing))
+
+    def update(self, value: Array, tick: Array, position_ned: Vec3, counts: Array) -> Extreme:
+        """Take a new value (n,) into account where it counts (n,) and is larger."""
+        larger = counts & (value > jnp.where(self.tick < 0, -jnp.inf, self.value))
+        return select(larger, Extreme(value, jnp.full_like(self.tick, tick), position_ned), self)
+
+
+@record
+class Flight:
+    """What is remembered of the flight of n vehicles of a world so far, each (n,)."""
+
+    ticks: Array = quantity(doc="int32 ticks flown")
+    distance: Array = quantity(unit="m", doc="length of the true path")
+    position_ned: Vec3 = quantity(unit="m", doc="true position at the last tick")
+    leg_start: Vec3 = quantity(unit="m", doc="where the leg being flown begins")
+    leg_end: Vec3 = quantity(unit="m", doc="waypoint being flown to")
+    tracked: Array = quantity(doc="int32 ticks flown along a leg")
+    tracking_square: Array = quantity(unit="m^2", doc="sum of the squared distances from the leg being flown")
+    tracking: Extreme = quantity(doc="distance from the leg being flown [m]")
+    fixes: Array = quantity(doc="int32 new fixes")
+    horizontal_square: Array = quantity(unit="m^2", doc="sum over the fixes of the squared horizontal error")
+    vertical_square: Array = quantity(unit="m^2", doc="sum over the fixes of the squared vertical error")
+    without_fix: Array = quantity(doc="int32 ticks without a fix")
+    loss: Extreme = quantity(doc="the first loss of the fix; its value is 1")
+    wind: Extreme = quantity(doc="speed of the air [m/s], gusts included")
+    closeness: Extreme = quantity(doc="minus the distance to the nearest other vehicle [m]")
+    outwards: Extreme = quantity(doc="minus the distance to the nearest limit of the area [m]")
+    charge: Array = quantity(unit="1", doc="lowest charge of the battery, NaN without one")
+    clipped: Array = quantity(doc="int32 ticks whose command was clipped")
+    stopped: Array = quantity(doc="int32 tick at which it stopped, -1 while it flies")
+
+
+class FlightMetrics:
+    """The metrics of a rollout: distance, tracking error, GNSS error, wind, separation, and why a vehicle stopped."""
+
+    def init(self, world: World, state: State) -> Flight:
+        """Return the start of a flight."""
+        position = _together(state, lambda fleet: fleet.vehicle.position_ned)
+        goal = _goal(world, state)
+        like = position.x
+        zero, count, none = jnp.zeros_like(like), jnp.zeros(like.shape, jnp.int32), Extreme.none(like)
+        return Flight(
+            ticks=count, distance=zero, position_ned=position, leg_start=position, leg_end=goal,
+            tracked=count, tracking_square=zero, tracking=none,
+            fixes=count, horizontal_square=zero, vertical_square=zero, without_fix=count, loss=none,
+            wind=none, closeness=none, outwards=none,
+            charge=jnp.full_like(like, jnp.nan), clipped=count, stopped=jnp.full(like.shape, -1, jnp.int32),
+        )  # fmt: skip
+
+    def update(self, flight: Flight, world: World, state: State, tick: Array) -> Flight:
+        """Take the state at a tick into account."""
+        flying = _together(state, lambda fleet: fleet.violation.code) == 0
+        position = _together(state, lambda fleet: fleet.vehicle.position_ned)
+        goal = _goal(world, state)
+        start = select(_differs(goal, flight.leg_end), _known(flight.leg_end, flight.position_ned), flight.leg_start)
+        error = _distance_from_leg(position, start, goal)
+        counted = flying & jnp.isfinite(error)
+        air = _together(state, lambda fleet: fleet.mean_wind_ned + fleet.gust_ned)
+        clipped = _together(state, lambda fleet: fleet.command_clipped)
+        flight = replace(
+            flight,
+            ticks=flight.ticks + flying,
+            distance=flight.distance + jnp.where(flying, (position - flight.position_ned).norm(), 0.0),
+            position_ned=position,
+            leg_start=start,
+            leg_end=goal,
+            tracked=flight.tracked + counted,
+            tracking_square=flight.tracking_square + jnp.where(counted, error * error, 0.0),
+            tracking=flight.tracking.update(error, tick, position, counted),
+            wind=flight.wind.update(air.norm(), tick, position, flying),
+            outwards=flight.outwards.update(-world.area.margin(position), tick, position, flying),
+            charge=jnp.fmin(flight.charge, _together(state, _charge)),
+            clipped=flight.clipped + (clipped & flying),
+            stopped=jnp.where((flight.stopped < 0) & ~flying, tick, flight.stopped),
+        )
+        if flying.shape[0] <= MOST_FOR_SEPARATION:
+            closeness = -_nearest(position)
+            flight = replace(flight, closeness=flight.closeness.update(closeness, tick, position, flying))
+        return _look_at_fixes(flight, world, state, tick, position, flying)
+
+    def finish(self, flight: Flight, world: World, state: State) -> dict[str, np.ndarray[Any, Any]]:
+        """Return the metrics by name, each (W, n), from what W worlds remember (host arrays)."""
+        dt = world.time_step
+
+        def root_mean(total: Any, count: Any) -> Any:
+            return np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+        def when(tick: Any) -> Any:
+            return np.where(tick >= 0, tick * dt, np.nan)
+
+        found: dict[str, Any] = {
+            "flown_s": flight.ticks * dt,
+            "distance_m": flight.distance,
+            "tracking_error_rms_m": root_mean(flight.tracking_square, flight.tracked),
+            "gnss_horizontal_rms_m": root_mean(flight.horizontal_square, flight.fixes),
+            "gnss_vertical_rms_m": root_mean(flight.vertical_square, flight.fixes),
+            "without_fix_s": flight.without_fix * dt,
+            "clipped_s": flight.clipped * dt,
+            "charge_min": flight.charge,
+            "stopped_at_s": when(flight.stopped),
+            "reason": np.concatenate([fleet.violation.code for fleet in state.fleets], axis=-1),
+            "reason_value": np.concatenate([fleet.violation.value for fleet in state.fleets], axis=-1),
+        }
+        extremes = {"tracking_error_max": flight.tracking, "wind_max": flight.wind, "fix_lost": flight.loss}
+        smallest = {"separation_min": flight.closeness, "fence_distance_min": flight.outwards}
+        for name, extreme in {**extremes, **smallest}.items():
+            if name != "fix_lost":
+                unit = "m_s" if name == "wind_max" else "m"
+                found[f"{name}_{unit}"] = -extreme.value if name in smallest else extreme.value
+            found[f"{name}_at_s"] = when(extreme.tick)
+            found[f"{name}_position_ned"] = np.stack(jax.tree.leaves(extreme.position_ned), axis=-1)
+        found["position_ned"] = np.stack(jax.tree.leaves(flight.position_ned), axis=-1)
+        return {name: np.asarray(values) for name, values in found.items()}
+
+
+def _together(state: State, pick: Any) -> Any:
+    """Return something of all fleets, one after the other."""
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *(pick(fleet) for fleet in state.fleets))
+
+
+def _charge(fleet: FleetState) -> Array:
+    """Return the charge of the battery of each vehicle (n,), NaN where it has none that drains."""
+    if hasattr(fleet.battery, "charge"):
+        charge: Array = fleet.battery.charge
+        return charge
+    return jnp.full_like(fleet.vehicle.thrust, jnp.nan)
+
+
+def _goal(world: World, state: State) -> Vec3:
+    """Return the waypoint of each vehicle (n,), NaN where it is asked for something else."""
+    goals = []
+    for fleet in state.fleets:
+        nowhere = fleet.vehicle.position_ned.map(lambda axis: jnp.full_like(axis, jnp.nan))
+        goals.append(getattr(fleet.setpoint, "position_ned", nowhere))
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *goals)
+
+
+def _differs(new: Vec3, old: Vec3) -> Array:
+    return ~((new.x == old.x) & (new.y == old.y) & (new.z == old.z))
+
+
+def _known(preferred: Vec3, other: Vec3) -> Vec3:
+    return select(jnp.isfinite(preferred.x), preferred, other)
+
+
+def _distance_from_leg(position: Vec3, start: Vec3, end: Vec3) -> Array:
+    """Return the distance (n,) [m] from the leg between two points; from the point where they coincide."""
+    leg, offset = end - start, position - start
+    square = leg.dot(leg)
+    along = jnp.clip(offset.dot(leg) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
+    return (offset - leg * along).norm()
+
+
+def _nearest(position: Vec3) -> Array:
+    """Return the distance (n,) [m] to the nearest other vehicle, infinite for one alone."""
+    offsets = [axis[:, None] - axis[None, :] for axis in jax.tree.leaves(position)]
+    square = sum(offset * offset for offset in offsets)
+    itself = jnp.eye(position.x.shape[0], dtype=bool)
+    return jnp.sqrt(jnp.min(jnp.where(itself, jnp.inf, square), axis=1))
+
+
+def _look_at_fixes(flight: Flight, world: World, state: State, tick: Array, position: Vec3, flying: Array) -> Flight:
+    """Compare what the receivers report with the truth; vehicles without one have no fixes and lose none."""
+    parts = [
+        _fix(fleet, fleet_state, tick, world.time_step)
+        for fleet, fleet_state in zip(world.fleets, state.fleets, strict=True)
+    ]
+    reported, fresh, has = jax.tree.map(lambda *parts: jnp.concatenate(parts), *parts)
+    error = reported - position
+    there = jnp.isfinite(error.x) & flying
+    counts = there & fresh
+    lost = has & flying & ~jnp.isfinite(error.x)
+    first = lost & (flight.loss.tick < 0)
+    return replace(
+        flight,
+        fixes=flight.fixes + counts,
+        horizontal_square=flight.horizontal_square + jnp.where(counts, error.x * error.x + error.y * error.y, 0.0),
+        vertical_square=flight.vertical_square + jnp.where(counts, error.z * error.z, 0.0),
+        without_fix=flight.without_fix + lost,
+        loss=flight.loss.update(jnp.ones_like(error.x), tick, position, first),
+    )
+
+
+def _fix(fleet: Fleet, state: FleetState, tick: Array, time_step: float) -> tuple[Vec3, Array, Array]:
+    """Return what the first receiver reports, whether that is new at this tick, and whether there is one."""
+    like = state.vehicle.thrust
+    for sensor, reading in zip(fleet.sensors, state.readings, strict=True):
+        if hasattr(reading, "satellites"):
+            ticks = max(1, round(sensor.period / time_step))
+            return reading.position_ned, jnp.broadcast_to(tick % ticks == 0, like.shape), jnp.ones(like.shape, bool)
+    nowhere = Vec3(*(jnp.full_like(like, jnp.nan) for _ in range(3)))
+    return nowhere, jnp.zeros(like.shape, bool), jnp.zeros(like.shape, bool)
+
+
+# One for all rollouts, so that they share their compiled programs.
+FLIGHT_METRICS = FlightMetrics()

@@ -1,0 +1,82 @@
+"""A user's policy and estimator at the controls of a single Simulation."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from typing import Any
+
+import jax
+import numpy as np
+
+from qrsim.errors import UsageError
+from qrsim.policies import UserFunction, user_function
+from qrsim.readings import Reading
+from qrsim.rollout_engine import call_compiled
+from qrsim.simulation import History, Simulation
+
+
+class Pilot:
+    """Asks a policy and an estimator what to do next; what is compiled is compiled here too.
+
+    Args:
+        simulation: what they fly; it has been reset.
+        policy, estimator: see ``qrsim.policies``; None for the scenario's own.
+        policy_ticks: the policy is asked at every so-many-th tick.
+
+    Raises:
+        UsageError: it is no function of a reading.
+        RunError: it failed at its start.
+    """
+
+    def __init__(self, simulation: Simulation, policy: Any = None, estimator: Any = None, policy_ticks: int = 1):
+        if isinstance(policy_ticks, bool) or not isinstance(policy_ticks, int) or policy_ticks < 1:
+            raise UsageError(f"policy_ticks: {policy_ticks!r} is not a positive whole number")
+        self.simulation = simulation
+        self.policy = user_function("policy", policy)
+        self.estimator = user_function("estimator", estimator)
+        self.policy_ticks = policy_ticks
+        self.command: Any = None
+        self.memories = {}
+        for function in (self.policy, self.estimator):
+            if function is not None:
+                with simulation.precision_context(), function.blamed():
+                    self.memories[function.what] = function.init(simulation.reading)
+        self._compiled = {
+            function.what: jax.jit(lambda state, tick, memory, f=function: self._answer(f, state, tick, memory))
+            for function in (self.policy, self.estimator)
+            if function is not None and function.compiled
+        }
+
+    def record(self, ticks: int, capacity: int = 50) -> History:
+        """Fly at most ``ticks`` ticks, no more than until somebody must be asked again, and return their states.
+
+        Raises:
+            UsageError: what the user's function returned cannot be flown.
+            RunError: it failed.
+        """
+        simulation, estimate = self.simulation, None
+        if self.policy is not None and simulation.tick % self.policy_ticks == 0:
+            self.command = self._ask(self.policy)
+        if self.estimator is not None:
+            estimate = self._ask(self.estimator)
+        period = 1 if self.estimator else self.policy_ticks
+        last = self.policy or self.estimator
+        with last.blamed(self._where()) if last else nullcontext():
+            return simulation.record(min(ticks, period - simulation.tick % period), self.command, capacity, estimate)
+
+    def _where(self) -> str:
+        return f", at tick {self.simulation.tick} ({self.simulation.time:g} s)"
+
+    def _ask(self, function: UserFunction) -> Any:
+        simulation, memory = self.simulation, self.memories[function.what]
+        with simulation.precision_context(), function.blamed(self._where()):
+            if function.compiled:
+                answer = self._compiled[function.what](simulation.state, np.int32(simulation.tick), memory)
+                result, self.memories[function.what] = answer
+                return jax.tree.map(np.asarray, result)
+            result, self.memories[function.what] = function(simulation.reading, memory)
+            return result
+
+    def _answer(self, function: UserFunction, state: Any, tick: Any, memory: Any) -> tuple[Any, Any]:
+        """Return the answer of a function that is compiled."""
+        return call_compiled(function, Reading(self.simulation.world, state, tick, self.simulation.site), memory)

@@ -1,0 +1,190 @@
+"""Many worlds at once: compiled, cut into blocks that fit in memory, over all devices.
+
+A world of a rollout is what a Simulation with its seed and number flies. It does not know how many others there are:
+its noise is the same to the bit however the worlds are cut into blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+
+from qrsim.configuration import use_compilation_cache
+from qrsim.errors import UsageError
+from qrsim.metrics import FLIGHT_METRICS
+from qrsim.models.area import reason_text
+from qrsim.models.site import Site
+from qrsim.policies import user_function
+from qrsim.rollout_engine import AXIS, Engine, Schedule, Setup
+from qrsim.world import State, World
+
+Array = np.ndarray[Any, Any]
+# Vehicles of a block on one device: their states and the noise of a tick then stay in a core's own cache.
+VEHICLES_PER_BLOCK = 4096
+# Of the states of a block, with all that a tick makes of them.
+MEMORY_BYTES = 512 * 2**20
+COPIES = 4
+LARGEST_SEED = 2**63
+LARGEST_TICK = 2**31 - 2
+
+
+@dataclass
+class Rollout:
+    """What came of W worlds of n vehicles each.
+
+    Attributes:
+        metrics: by name, each (W, n) or (W, n, 3); see ``qrsim.metrics.FlightMetrics``.
+        recorded: what ``record`` returned, each leaf (W, R, ...); None where nothing was, or all went to a sink.
+        record_ticks: (R,) ticks of what was recorded.
+        seeds, numbers: (W,) seed of each world and its number in that seed: ``Simulation(world, seed=, number=)``
+            flies it again.
+        vehicles: names, in the order of the arrays.
+    """
+
+    metrics: dict[str, Array]
+    recorded: Any
+    record_ticks: Array
+    seeds: Array
+    numbers: Array
+    vehicles: tuple[str, ...]
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a metric, (W, n)."""
+        return self.metrics[name]
+
+    def reasons(self, world: int) -> list[str]:
+        """Return why each vehicle of a world stopped, "" for those that fly."""
+        codes, values = self.metrics["reason"][world], self.metrics["reason_value"][world]
+        return [reason_text(int(code), float(value)) for code, value in zip(codes, values, strict=True)]
+
+
+def rollout(
+    world: World | Sequence[World],
+    policy: Any = None,
+    *,
+    ticks: int,
+    worlds: int = 1,
+    seed: int = 0,
+    seeds: Sequence[int] | None = None,
+    estimator: Any = None,
+    policy_ticks: int = 1,
+    metrics: Any = None,
+    record: Callable[[State], Any] | None = None,
+    record_every: int = 50,
+    sink: Callable[[Array, int, Any], None] | None = None,
+    progress: Callable[[int], None] | None = None,
+    site: Site | None = None,
+) -> Rollout:
+    """Fly many worlds from their start and return what sums up each flight.
+
+    Args:
+        world: the parameters of all worlds, or a list with those of each, which may differ in numbers only.
+        policy: what commands the vehicles, see ``qrsim.policies``; None: every fleet's own guidance.
+        ticks: steps of every world.
+        worlds: how many, W; their randomness is (seed, 0), (seed, 1), ...
+        seed: of all randomness.
+        seeds: one for each world in place of ``seed`` and ``worlds``.
+        estimator: what feeds the controllers in place of the sensors, see ``qrsim.policies``.
+        policy_ticks: the policy is asked at every so-many-th tick, and its command held in between.
+        metrics: what sums up a flight: an object with ``init``, ``update`` and ``finish`` as in FlightMetrics.
+        record: a function of a world's State that returns arrays to keep.
+        record_every: ticks between two records, the first one at the start.
+        sink: called with the numbers (B,) of some worlds, the tick, and what ``record`` returned for them, each leaf
+            (B, ...): nothing is then held in memory.
+        progress: called with the number of world-ticks done since the last call.
+        site: origin of the local frame, for readings in latitude and longitude of policies outside the compiled loop.
+
+    Raises:
+        UsageError: wrong numbers, worlds of different structure, or a policy or estimator of the wrong kind, shape or
+            value (vehicle, world and tick are named).
+    """
+    use_compilation_cache()
+    several = [world] if isinstance(world, World) else list(world)
+    _check_counts(ticks=ticks, worlds=worlds, policy_ticks=policy_ticks, record_every=record_every)
+    if sink is not None and record is None:
+        raise UsageError("sink: there is nothing to hand to it without record")
+    which = _which(several, isinstance(world, World), worlds, seed, seeds)
+    dtype = np.dtype(several[0].fleets[0].start.position_ned.x.dtype)
+    with jax.enable_x64(dtype == np.float64):
+        devices = jax.devices()
+        mesh = Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
+        structure, fixed, varied, which_varied = _stack(several)
+        setup = Setup(
+            user_function("policy", policy), user_function("estimator", estimator), metrics or FLIGHT_METRICS, record,
+            policy_ticks, site or Site(), structure, which_varied, mesh,
+        )  # fmt: skip
+        schedule = Schedule(ticks, record_every if record else 0)
+        engine = Engine(setup, several[0], fixed, varied, schedule, sink, progress or (lambda done: None))
+        blocks = [engine.fly(rows, *which) for rows in _blocks(engine, len(which[0]))]
+    found = {name: np.concatenate([block[0][name] for block in blocks]) for name in blocks[0][0]}
+    kept = None
+    if record is not None and sink is None:
+        kept = jax.tree.map(lambda *parts: np.concatenate(parts), *(block[1] for block in blocks))
+    names = tuple(name for fleet in several[0].fleets for name in fleet.vehicle_names)
+    return Rollout(found, kept, np.array(schedule.records, np.int64), *which, names)
+
+
+def _check_counts(**counts: Any) -> None:
+    for name, value in counts.items():
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+            raise UsageError(f"{name}: {value!r} is not a positive whole number")
+    if counts["ticks"] > LARGEST_TICK:
+        raise UsageError(f"ticks: {counts['ticks']} would pass the last tick, {LARGEST_TICK}")
+
+
+def _which(
+    several: list[World], alike: bool, worlds: int, seed: Any, seeds: Sequence[int] | None
+) -> tuple[Array, Array]:
+    """Return seed and number (W,) of each world."""
+    if not several:
+        raise UsageError("world: an empty list has no world to fly")
+    given = [seed] if seeds is None else list(seeds)
+    for value in given:
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value < LARGEST_SEED:
+            raise UsageError(f"seed: {value!r} is not an integer from 0 to 2**63 - 1")
+    if not given:
+        raise UsageError("seeds: an empty list has no world to fly")
+    count = len(given) if seeds is not None else worlds if alike else len(several)
+    if not alike and count != len(several):
+        raise UsageError(f"seeds: {count} for {len(several)} worlds; expected one for each")
+    if not alike and worlds not in (1, len(several)):
+        raise UsageError(f"worlds: {worlds}, but a list of {len(several)} was given")
+    if seeds is not None:
+        return np.array(given, np.int64), np.zeros(count, np.int64)
+    return np.full(count, seed, np.int64), np.arange(count)
+
+
+def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool, ...]]:
+    """Return the structure of the worlds, the leaves they share, those they do not, (W, ...), and which is which."""
+    flat: list[tuple[list[Any], Any]] = [jax.tree.flatten(world) for world in several]
+    leaves, structure = flat[0]
+    for i, (others, other) in enumerate(flat[1:], 1):
+        if other != structure or any(np.shape(a) != np.shape(b) for a, b in zip(leaves, others, strict=True)):
+            raise UsageError(
+                f"world: number {i} differs from number 0 in more than numbers (types, names, sensors, settings or "
+                "counts); fly those that are alike together"
+            )
+    columns = list(zip(*(part for part, _ in flat), strict=True))
+    which = tuple(
+        any(not np.array_equal(column[0], other, equal_nan=True) for other in column[1:]) for column in columns
+    )
+    fixed = [jnp.asarray(column[0]) for column, varies in zip(columns, which, strict=True) if not varies]
+    varied = [np.stack(column) for column, varies in zip(columns, which, strict=True) if varies]
+    return structure, fixed, varied, which
+
+
+def _blocks(engine: Engine, count: int) -> Iterator[Array]:
+    """Yield the numbers of the worlds of each block, all of one length; the last is filled up with its last world."""
+    size, devices = len(engine.names), engine.devices
+    in_memory = MEMORY_BYTES // (COPIES * engine.bytes_per_world() * devices)
+    most = max(1, min(VEHICLES_PER_BLOCK // size, in_memory)) * devices
+    blocks = -(-count // most)
+    length = -(-count // (blocks * devices)) * devices
+    for first in range(0, count, length):
+        yield np.minimum(np.arange(first, first + length), count - 1)

@@ -1,0 +1,53 @@
+"""The corners of a fence that is kept in a KML file or in a QGroundControl plan."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from qrsim.errors import UsageError
+from qrsim.models.site import Site
+from qrsim.scenarios.kml_file import read_fence
+from qrsim.scenarios.local import local_ned
+from qrsim.scenarios.plan_file import Plan, read_plan
+
+# A circle becomes a polygon with this many corners on it: nowhere outside the circle, and inside it by at most 0.4 % of
+# its radius.
+CIRCLE_CORNERS = 36
+
+
+def fence_corners(file: str, name: str | None, site: Site) -> tuple[list[list[float]], Plan | None]:
+    """Return the corners [north, east] [m] of a fence, and the plan if it comes from one.
+
+    Args:
+        file: a .kml file with a polygon, or a .plan file whose geofence is one polygon or circle to stay in.
+        name: of the polygon, where a KML has several.
+        site: origin of the local frame.
+
+    Raises:
+        UsageError: the file cannot be read, or has no such fence.
+    """
+    suffix = Path(file).suffix.lower()
+    if suffix == ".kml":
+        return _corners(site, read_fence(file, name).vertices), None
+    if suffix != ".plan":
+        raise UsageError(f"{file}: is no fence; allowed: files that end in .kml or .plan")
+    if name is not None:
+        raise UsageError(f"{file}: the fences of a plan have no names, so none is called '{name}'; leave the name out")
+    plan = read_plan(file)
+    kinds = [fence.inclusion for fence in plan.polygons] + [fence.inclusion for fence in plan.circles]
+    if kinds != [True]:
+        raise UsageError(
+            f"{file}: geoFence has {sum(kinds)} polygons or circles to stay in and {len(kinds) - sum(kinds)} to stay "
+            "out of; supported: one to stay in"
+        )
+    if plan.polygons:
+        return _corners(site, plan.polygons[0].vertices), plan
+    circle = plan.circles[0]
+    ((north, east),) = _corners(site, ((circle.latitude_deg, circle.longitude_deg),))
+    angles = [2.0 * math.pi * i / CIRCLE_CORNERS for i in range(CIRCLE_CORNERS)]
+    return [[north + circle.radius * math.cos(a), east + circle.radius * math.sin(a)] for a in angles], plan
+
+
+def _corners(site: Site, vertices: tuple[tuple[float, float], ...]) -> list[list[float]]:
+    return [point[:2] for point in local_ned(site, [(*vertex, 0.0) for vertex in vertices])]

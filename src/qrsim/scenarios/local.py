@@ -1,0 +1,35 @@
+"""From latitude and longitude to the local NED frame of a scenario."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from qrsim.errors import UsageError
+from qrsim.models.site import Site
+
+# At this distance from the site [m] a length in its plane is half a metre shorter than the same over the ground.
+FARTHEST = 50_000.0
+
+
+def local_ned(site: Site, places: Sequence[tuple[float, float, float]]) -> list[list[float]]:
+    """Return positions [m] in NED of places (latitude [deg], longitude [deg], height above the site's origin [m]).
+
+    North and east are those of the place at the site's own height, and down is minus the height: the ground is flat, as
+    everywhere in a scenario.
+
+    Raises:
+        UsageError: a place is not near the site.
+    """
+    latitude, longitude, height = np.array(places, np.float64).T
+    points = site.geodetic_to_ned(np.radians(latitude), np.radians(longitude), site.height)
+    for place, point in zip(places, points, strict=True):
+        distance = math.hypot(*point)
+        if distance > FARTHEST:
+            raise UsageError(
+                f"latitude {place[0]:.6g} deg, longitude {place[1]:.6g} deg is {distance / 1000.0:.0f} km from the "
+                f"site; allowed: at most {FARTHEST / 1000.0:g} km (see site.latitude_deg and site.longitude_deg)"
+            )
+    return [[float(north), float(east), -float(up)] for (north, east, _), up in zip(points, height, strict=True)]

@@ -1,0 +1,147 @@
+"""Scenarios written in Python: the same parts, checks and defaults as in YAML."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.scenarios import catalogue
+from qrsim.scenarios.scenario import Scenario, load_scenario
+from qrsim.world import World
+
+SCENARIO_PARTS = ("name", "description", "duration", "time_step", "start_time", "site", "extends")
+WORLD_PARTS = ("area", "wind", "turbulence", "gust", "sky", "obstacles", "collision_distance")
+FLEET_PARTS = ("vehicle", "controller", "guidance", "limits", "sensors", "battery", "faults")
+SENSORS = {
+    "ideal": {
+        "gnss": {"type": "ideal_gnss"},
+        "barometer": {"type": "ideal_barometer"},
+        "attitude": {"type": "ideal_attitude"},
+        "gyroscope": {"type": "ideal_gyroscope"},
+        "accelerometer": {"type": "ideal_accelerometer"},
+    },
+    "noisy": {
+        "gnss": {"type": "gnss_receiver"},
+        "barometer": {"type": "barometer"},
+        "attitude": {"type": "attitude_estimator"},
+        "gyroscope": {"type": "gyroscope"},
+        "accelerometer": {"type": "accelerometer"},
+    },
+}
+_TYPES = {
+    cls: name
+    for group in vars(catalogue).values()
+    if isinstance(group, dict) and group and all(isinstance(item, type) for item in group.values())
+    for name, cls in group.items()
+}
+
+
+def make_scenario(
+    vehicles: Sequence[Any] | None = None, *, fleets: Mapping[str, Mapping[str, Any]] | None = None, **parts: Any
+) -> Scenario:
+    """Return the checked scenario of parts given in Python.
+
+    Args:
+        vehicles: those of a single fleet, ``vehicles``: positions NED (3,) [m], or dicts as in YAML.
+        fleets: several fleets by name, each a dict with ``vehicles`` and any of the parts of a fleet.
+        parts: what a scenario has in YAML, by its name there: of the scenario (name, duration, time_step, start_time,
+            site, extends), of its world (area, wind, turbulence, gust, sky, obstacles, collision_distance), and with
+            ``vehicles`` of the fleet (vehicle, controller, guidance, limits, sensors, battery, faults). A component is
+            the name of its type, a dict as in YAML, or an object such as ``LogShear(...)``. Sensors are "ideal" (the
+            default) or "noisy" ones of every kind, or given by name.
+
+    Raises:
+        UsageError: an unknown part, or an object that the catalogue does not have.
+        ScenarioError: what the parts say is wrong; the message lists every fault.
+    """
+    if (vehicles is None) == (fleets is None):
+        raise UsageError("make_scenario: give either vehicles or fleets")
+    known = (*SCENARIO_PARTS, *WORLD_PARTS, *(FLEET_PARTS if fleets is None else ()))
+    for name in parts:
+        if name not in known:
+            raise UsageError(f"make_scenario: no part is called '{name}'{did_you_mean(name, known)}")
+    content: dict[str, Any] = {"name": "experiment"}
+    content |= {name: _plain(parts[name], name) for name in SCENARIO_PARTS if name in parts}
+    world = {name: _part(parts[name], name) for name in WORLD_PARTS if name in parts}
+    if world:
+        content["world"] = world
+    if vehicles is not None:
+        fleets = {"vehicles": {"vehicles": vehicles, **{name: parts[name] for name in FLEET_PARTS if name in parts}}}
+    assert fleets is not None
+    content["fleets"] = {name: _fleet(name, fleet) for name, fleet in fleets.items()}
+    return load_scenario(content)
+
+
+def make_world(
+    vehicles: Sequence[Any] | None = None,
+    *,
+    fleets: Mapping[str, Mapping[str, Any]] | None = None,
+    precision: str = "float32",
+    **parts: Any,
+) -> World:
+    """Return the World of parts given in Python; see ``make_scenario``.
+
+    A component of your own, which no catalogue has, goes in afterwards: ``dataclasses.replace(world, wind=MyWind())``.
+
+    Raises:
+        UsageError, ScenarioError: as ``make_scenario``.
+    """
+    from qrsim.simulation import check_precision
+
+    return make_scenario(vehicles, fleets=fleets, **parts).world(check_precision(precision))
+
+
+def _fleet(name: str, fleet: Mapping[str, Any]) -> dict[str, Any]:
+    for part in fleet:
+        known = ("vehicles", *FLEET_PARTS)
+        if part not in known:
+            raise UsageError(f"make_scenario: fleets.{name}: no part is called '{part}'{did_you_mean(part, known)}")
+    content = {part: _part(value, part) for part, value in fleet.items() if part not in ("vehicles", "sensors")}
+    sensors = fleet.get("sensors", "ideal")
+    if isinstance(sensors, str):
+        if sensors not in SENSORS:
+            raise UsageError(
+                f"make_scenario: fleets.{name}.sensors: '{sensors}' is not known{did_you_mean(sensors, SENSORS)}"
+            )
+        content["sensors"] = SENSORS[sensors]
+    else:
+        content["sensors"] = {sensor: _part(value, sensor) for sensor, value in sensors.items()}
+    vehicles = fleet.get("vehicles", ())
+    content["vehicles"] = [
+        _plain(vehicle, "vehicles") if isinstance(vehicle, Mapping) else {"position_ned": _plain(vehicle, "vehicles")}
+        for vehicle in vehicles
+    ]
+    return content
+
+
+def _part(value: Any, name: str) -> Any:
+    """Return a component as YAML has it; those inside the sky may be named by their types too."""
+    if name == "sky" and isinstance(value, Mapping):
+        return {key: entry if key == "period" else _part(entry, f"sky.{key}") for key, entry in value.items()}
+    return {"type": value} if isinstance(value, str) else _plain(value, name)
+
+
+def _plain(value: Any, name: str) -> Any:
+    """Return a value as YAML has it: components as dicts, arrays as lists, numbers of NumPy as Python's."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry, f"{name}.{key}") for key, entry in value.items()}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        content = {key: _plain(entry, f"{name}.{key}") for key, entry in fields.items() if entry is not None}
+        if type(value) in _TYPES:
+            return {"type": _TYPES[type(value)], **content}
+        if type(value).__module__.startswith("qrsim."):
+            return content
+        raise UsageError(
+            f"make_scenario: {name}: {type(value).__name__} is not in the catalogue; make the world without it and put "
+            f"it in by dataclasses.replace"
+        )
+    if isinstance(value, np.ndarray | np.generic) or hasattr(value, "__array__"):
+        return np.asarray(value).tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(entry, name) for entry in value]
+    return value

@@ -1,0 +1,38 @@
+"""Times of a scenario: steps, and periods that are multiples of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from qrsim.models.orbits import split_time
+from qrsim.scenarios.schema import ScenarioSpec
+
+
+def is_multiple(seconds: float, step: float) -> bool:
+    """Return whether a time is a whole number of steps, at least one."""
+    ratio = seconds / step
+    return math.isfinite(ratio) and round(ratio) >= 1 and math.isclose(ratio, round(ratio), rel_tol=1e-9)
+
+
+def timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield what is wrong with the step, the duration and the periods of a scenario."""
+    dt = scenario.time_step
+    try:
+        split_time(np.int32(0), dt, np.float32)  # type: ignore[arg-type]
+    except ValueError as error:
+        yield str(error)
+    if not is_multiple(scenario.duration, dt):
+        yield f"duration: {scenario.duration:g} s is not a multiple of the time step {dt:g} s"
+    sky = scenario.world.sky.period
+    if not is_multiple(sky, dt):
+        yield f"world.sky.period: {sky:g} s is not a multiple of the time step {dt:g} s"
+    for name, fleet in scenario.fleets.items():
+        for sensor_name, sensor in fleet.sensors.items():
+            path = f"fleets.{name}.sensors.{sensor_name}.period"
+            if not is_multiple(sensor.period, dt):
+                yield f"{path}: {sensor.period:g} s is not a multiple of the time step {dt:g} s"
+            elif "gnss" in sensor.type and not is_multiple(sensor.period, sky):
+                yield f"{path}: {sensor.period:g} s is not a multiple of world.sky.period, {sky:g} s"

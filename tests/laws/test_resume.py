@@ -1,0 +1,99 @@
+"""A law of whole simulations: whatever a world is made of, a run that is saved and resumed is the uninterrupted one.
+
+A few worlds hold every component of the catalogue between them; a new one is covered by being there.
+"""
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import Any
+
+import pytest
+from component_cases import GROUPS, START, parameters_needed
+
+from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation import Simulation
+
+# A world has one of each of these, a fleet one of each of the others; obstacles and sensors go together.
+OF_A_WORLD = {
+    "WINDS": "wind",
+    "TURBULENCES": "turbulence",
+    "GUSTS": "gust",
+    "AREAS": "area",
+    "ORBITS": "orbits",
+    "SKY_ERRORS": "errors",
+}
+OF_A_FLEET = {"VEHICLES": "vehicle", "BATTERIES": "battery", "CONTROLLERS": "controller"}
+WORLDS = range(max(len(GROUPS[group]) for group in OF_A_WORLD))
+# The sky steps every 10 ticks, so both parts have one of its steps.
+SAVED_AT, TICKS = 13, 30
+
+
+def part(group: str, number: int) -> dict[str, Any]:
+    """Return one of a group's components, counted around, as a scenario writes it."""
+    names = list(GROUPS[group])
+    name = names[number % len(names)]
+    return {"type": name, **parameters_needed(group, name)}
+
+
+def content(number: int) -> dict[str, Any]:
+    """Return the scenario of one of WORLDS, with every so-many-th of the controllers and sensors."""
+    world = {key: part(group, number) for group, key in OF_A_WORLD.items()}
+    world["sky"] = {"orbits": world.pop("orbits"), "errors": world.pop("errors")}
+    world["obstacles"] = [part("OBSTACLES", i) for i in range(len(GROUPS["OBSTACLES"]))]
+    sensors = {name: {"type": name} for name in list(GROUPS["SENSORS"])[number :: len(WORLDS)]}
+    faults = [{"sensor": name, "kind": "frozen", "start": 0.1, "end": 0.4} for name in sensors]
+    if world["sky"]["orbits"]["type"] == "sp3":
+        sensors["listed"] = {"type": "gnss_receiver", "satellites": "hand_list"}
+    fleets = {}
+    for i in range(number, len(GROUPS["CONTROLLERS"]), len(WORLDS)):
+        fleet = {key: part(group, i) for group, key in OF_A_FLEET.items()}
+        fleet["controller"]["feed"] = "truth"
+        fleet["vehicles"] = [{"position_ned": [0.0, 5.0 * i - 30.0, -30.0], "waypoints_ned": [[0.0, 0.0, -32.0]]}]
+        fleets[f"fleet_{i}"] = {**fleet, "sensors": sensors, "faults": faults}
+        sensors, faults = {}, []
+    return {"name": f"world_{number}", "duration": 30.0, "start_time": START, "world": world, "fleets": fleets}
+
+
+def types_of(spec: Any) -> set[str]:
+    """Return every type in a part of a resolved scenario."""
+    if isinstance(spec, list):
+        return set(chain.from_iterable(map(types_of, spec)))
+    if isinstance(spec, dict):
+        return set(chain.from_iterable(map(types_of, spec.values()))) | {spec[key] for key in spec if key == "type"}
+    return set()
+
+
+def simulation(number: int, seed: int) -> Simulation:
+    scenario = load_scenario(content(number))
+    return Simulation(scenario.world(), seed=seed, name=scenario.name)
+
+
+def test_between_them_the_worlds_hold_every_component() -> None:
+    specs = [load_scenario(content(number)).spec.model_dump() for number in WORLDS]
+    places = {group: [spec["world"].get(key, spec["world"]["sky"].get(key)) for spec in specs]
+              for group, key in OF_A_WORLD.items()}  # fmt: skip
+    fleets = [fleet for spec in specs for fleet in spec["fleets"].values()]
+    places |= {group: [fleet[key] for fleet in fleets] for group, key in OF_A_FLEET.items()}
+    places["GUIDANCE"] = [fleet["guidance"] for fleet in fleets]
+    places["SENSORS"] = [fleet["sensors"] for fleet in fleets]
+    places["OBSTACLES"] = [spec["world"]["obstacles"] for spec in specs]
+    assert set(places) == set(GROUPS), "a new kind of component needs its place in these worlds"
+    for group, found in places.items():
+        assert types_of(found) >= set(GROUPS[group]), group
+
+
+@pytest.mark.parametrize("number", WORLDS)
+@pytest.mark.filterwarnings("ignore:fleets.*hand list")
+def test_a_resumed_run_is_the_uninterrupted_one_bit_for_bit(number: int) -> None:
+    whole = simulation(number, seed=5)
+    whole.reset()
+    whole.step(ticks=TICKS)
+    assert whole.valid.all(), whole.reasons
+    first = simulation(number, seed=5)
+    first.reset()
+    first.step(ticks=SAVED_AT)
+    resumed = simulation(number, seed=6)
+    resumed.load(first.save())
+    resumed.step(ticks=TICKS - SAVED_AT)
+    assert resumed.save() == whole.save()
