@@ -10,10 +10,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
 import qrsim
+from qrsim.core.vectors import rotation
 from qrsim.world import State
 
 DOC = "step responses of every controller; hold and tracking error in wind with noisy sensors"
@@ -25,7 +28,7 @@ WIND, FROM_DEG = 5.0, 225.0
 # In wind: seconds left out at the start, seconds counted.
 START_S = 20.0
 FULL, SMALL = (100, 80.0), (6, 10.0)
-TICKS_PER_SAMPLE = 5
+TICKS_PER_SAMPLE, TICKS_PER_CHUNK = 5, 50
 
 Values = np.ndarray[Any, Any]
 QUIET = {"vehicle": {"type": "pelican", "process_noise": 0.0}}
@@ -81,7 +84,7 @@ def step_setpoints(starts: dict[str, Values]) -> dict[str, Any]:
 
 
 def quantities(state: Values, velocity_ned: Values, start: Values) -> dict[str, Values]:
-    """Return what steps, (T,) each, of states (T, 13), velocities (T, 3) and a start (3,)."""
+    """Return what steps, (T,) each, of positions and angles (T, 6), velocities (T, 3) and a start (3,)."""
     moved = state[:, :3] - start
     return {
         "north": moved[:, 0], "east": moved[:, 1], "height": -moved[:, 2],
@@ -116,15 +119,18 @@ def step_responses(precision: str = "float32") -> dict[str, Any]:
     bounds = np.cumsum([0, *(fleet.size for fleet in fleets)])
     slices = {fleet.name: slice(a, b) for fleet, a, b in zip(fleets, bounds[:-1], bounds[1:], strict=True)}
     setpoints = step_setpoints({name: start[part] for name, part in slices.items()})
-    states, velocities = [], []
-    for _ in range(round(STEP_S / simulation.world.time_step)):
-        simulation.step(setpoints)
-        states.append(simulation.truth.state)
-        velocities.append(simulation.truth.velocity_ned)
+    chunks = []
+    for _ in range(round(STEP_S / simulation.world.time_step / TICKS_PER_CHUNK)):
+        chunks.append(simulation.record(TICKS_PER_CHUNK, setpoints, TICKS_PER_CHUNK).state.fleets)
     if not simulation.valid.all():
         raise RuntimeError(f"a vehicle stopped: {simulation.reasons}")
-    time = simulation.world.time_step * np.arange(1, len(states) + 1)
-    state, velocity = np.array(states), np.array(velocities)
+    vehicles = [
+        jax.tree.map(lambda *parts: np.concatenate(parts), *(c[i].vehicle for c in chunks)) for i in range(len(fleets))
+    ]
+    vehicle = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *vehicles)
+    time = simulation.world.time_step * np.arange(1, len(vehicle.thrust) + 1)
+    state = np.stack(jax.tree.leaves((vehicle.position_ned, vehicle.attitude)), axis=-1)
+    velocity = np.asarray(rotation(vehicle.attitude).to_ned(vehicle.velocity_body).stack())
     return {
         fleet: {
             name: response(time, quantities(state[:, i], velocity[:, i], start[i])[name], size)
@@ -170,11 +176,6 @@ def wind_world(duration: float, precision: str = "float32") -> Any:
 
 
 def _recorded(state: State) -> dict[str, Any]:
-    import jax
-    import jax.numpy as jnp
-
-    from qrsim.core.vectors import rotation
-
     def together(pick: Any) -> Any:
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), *(pick(fleet) for fleet in state.fleets))
 

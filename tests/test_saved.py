@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
 from pathlib import Path
@@ -66,6 +67,25 @@ def test_of_another_scenario_or_with_other_parameters(flown: tuple[bytes, bytes]
         qrsim.load(SCENARIO, overrides=["world.wind.speed_20ft=6"]).load(flown[0])
     with pytest.raises(UsageError, match="with other parameters"):
         qrsim.load(SCENARIO, precision="float64").load(flown[0])
+
+
+def rewritten(data: bytes, **changes: object) -> bytes:
+    """The archive with some entries replaced."""
+    with np.load(io.BytesIO(data)) as archive:
+        content = {name: archive[name] for name in archive.files}
+    buffer = io.BytesIO()
+    np.savez(buffer, **{**content, **changes})  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def test_of_another_version(flown: tuple[bytes, bytes]) -> None:
+    simulation = qrsim.load(SCENARIO)
+    with pytest.raises(UsageError, match="another version"):
+        simulation.load(rewritten(flown[0], format=1))
+    with pytest.raises(UsageError, match="another version"):
+        simulation.load(rewritten(flown[0], floats=np.zeros(7, np.float32)))
+    # What was refused has changed nothing.
+    assert simulation.load(flown[0]).time == pytest.approx(73 * 0.02)
 
 
 def test_missing_file_and_save_before_the_start() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from qrsim.core.pack import Buffers, Packer
 from qrsim.errors import RunError, UsageError
 
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)

@@ -278,6 +278,9 @@ class Simulation:
         saved.check(self.name, self._fingerprint())
         if self._layout is None:
             self.reset(saved.seed)
+        _, state = self._running()
+        if [part.shape for part in (saved.floats, saved.integers)] != [part.shape for part in state]:
+            raise UsageError("saved state: its size is not that of this simulation's state: it is of another version")
         with self.precision_context():
             self._state = jax.device_put((saved.floats, saved.integers))
         self.tick, self.seed, self._host = saved.tick, saved.seed, None

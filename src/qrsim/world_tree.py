@@ -1,0 +1,119 @@
+"""What a world is made of: its parameters (World) and everything in it that changes (State)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from jax import Array
+
+from qrsim.control import Estimate, Route, RouteState, Setpoint
+from qrsim.core.noise import StreamKeys
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.area import StateLimits, Violation
+from qrsim.models.faults import Fault
+from qrsim.models.gnss import Sky, SkyState
+from qrsim.models.obstacles import Obstacles
+from qrsim.models.vehicles.quadrotor import Command, Quadrotor
+
+Action = Command | Setpoint | None
+# Names of noise streams are FLEET/USER; a fleet has no slash in its name, so this is no fleet's.
+SKY = "/sky"
+# Users of noise in a fleet beside its sensors, whose names are therefore taken.
+TURBULENCE, PROCESS = "turbulence", "process"
+
+
+@record
+class Start:
+    """Where and how each vehicle (n,) of a fleet starts."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="position")
+    attitude: Euler = quantity(unit="rad", doc="Euler angles")
+    velocity_body: Vec3 = quantity(unit="m/s", doc="velocity in body axes")
+    rates_body: Vec3 = quantity(unit="rad/s", doc="body rates")
+
+
+@record
+class Fleet:
+    """Vehicles of one kind with the same sensors and controller."""
+
+    vehicle: Quadrotor = quantity(doc="vehicle model")
+    controller: Any = quantity(doc="control loops")
+    guidance: Any = quantity(doc="what hands out set-points")
+    route: Route = quantity(doc="waypoints")
+    start: Start = quantity(doc="initial state")
+    limits: StateLimits = quantity(doc="state limits")
+    sensors: tuple[Any, ...] = quantity(doc="sensors, in the order of sensor_names")
+    battery: Any = quantity(doc="where the battery voltage comes from")
+    faults: tuple[Fault, ...] = quantity(doc="sensor faults, in the order in which they are applied")
+    name: str = setting(doc="name, part of the names of its noise streams")
+    sensor_names: tuple[str, ...] = setting(doc="names of the sensors, part of the names of their streams")
+    vehicle_names: tuple[str, ...] = setting(doc="name of each vehicle")
+
+    @property
+    def size(self) -> int:
+        """Number of vehicles."""
+        return len(self.vehicle_names)
+
+
+@record
+class World:
+    """Read-only parameters of everything."""
+
+    wind: Any = quantity(doc="mean wind")
+    turbulence: Any = quantity(doc="random gusts")
+    gust: Any = quantity(doc="discrete gust")
+    sky: Sky = quantity(doc="GNSS space segment")
+    area: Any = quantity(doc="where vehicles may be")
+    fleets: tuple[Fleet, ...] = quantity(doc="fleets")
+    obstacles: Obstacles = quantity(doc="solid things in the area")
+    collision_distance: Array = parameter(
+        default=2.0, unit="m", doc="vehicles closer than this collide; half of it counts against obstacles", minimum=0.0
+    )
+    time_step: float = setting(default=0.02, unit="s", doc="simulation step", above=0.0)
+
+
+@record
+class FleetState:
+    """Everything that changes in a fleet of n vehicles."""
+
+    vehicle: Any = quantity(doc="true state")
+    specific_force: Vec3 = quantity(unit="m/s^2", doc="mean specific force of the last step, body axes")
+    turbulence: Any = quantity(doc="gust filters")
+    mean_wind_ned: Vec3 = quantity(unit="m/s", doc="mean wind at the vehicle during the last step")
+    gust_ned: Vec3 = quantity(unit="m/s", doc="gusts at the vehicle during the last step, random and discrete")
+    gust_rates_ned: Any = quantity(unit="rad/s", doc="rotation of the air; None where the turbulence gives none")
+    estimate: Estimate = quantity(
+        doc="what the controller was last fed with; keeps its last value where a reading is NaN"
+    )
+    controller: Any = quantity(doc="control loops")
+    guidance: RouteState = quantity(doc="progress along the route")
+    setpoint: Any = quantity(doc="last set-point")
+    command: Command = quantity(doc="last command, as flown")
+    command_clipped: Array = quantity(doc="bool: the last command was outside its range and was clipped")
+    violation: Violation = quantity(doc="why a vehicle is invalid; code 0 while it is valid")
+    sensors: tuple[Any, ...] = quantity(doc="sensor states")
+    battery: Any = quantity(doc="battery")
+    readings: tuple[Any, ...] = quantity(doc="last reading of each sensor as delivered; NaN once a vehicle is invalid")
+    true_readings: tuple[Any, ...] = quantity(doc="for sensors with faults, the reading without them; else None")
+    passed_on: tuple[Any, ...] = quantity(doc="for each fault that remembers, the reading it passed on last; else None")
+
+
+@record
+class State:
+    """Everything that changes in a world."""
+
+    sky: SkyState = quantity(doc="GNSS space segment")
+    fleets: tuple[FleetState, ...] = quantity(doc="fleets")
+    sky_keys: StreamKeys = quantity(doc="keys of the sky's randomness, constant during an episode")
+    fleet_keys: tuple[StreamKeys, ...] = quantity(doc="keys of each fleet's randomness, constant during an episode")
+
+
+@record
+class WorldKeys:
+    """The keys of all random streams of an episode."""
+
+    sky: StreamKeys = quantity(doc="of the sky")
+    sky_start: StreamKeys = quantity(doc="of the sky's first value")
+    fleets: tuple[StreamKeys, ...] = quantity(doc="of each fleet")
+    fleets_start: tuple[StreamKeys, ...] = quantity(doc="of each fleet's first values")
