@@ -7,7 +7,7 @@ STAMP := .venv/.installed
 CODE := src tests $(wildcard benchmarks) $(wildcard evidence)
 
 .DEFAULT_GOAL := help
-.PHONY: install run test lint bench evidence clean help
+.PHONY: install run test lint bench evidence proto clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -54,6 +54,9 @@ bench: $(STAMP)  ## run every benchmarks/*.py
 
 evidence: $(STAMP)  ## run every study of evidence/, or those named: make evidence turbulence
 	@$(BIN)/python -m evidence $(NAMES)
+
+proto: $(STAMP)  ## generate the Python of src/qrsim/protocol/qrsim.proto anew
+	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/protocol/qrsim.proto
 
 clean:  ## remove caches and build output (.venv stays)
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

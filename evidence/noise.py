@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -18,40 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
+from qrsim.apps.validate.statistics import CONFIDENCE, Statistic, Values, against, judge, p_values  # noqa: F401 (tests use p_values)
 from qrsim.core.noise import Key, Stream, ou_decay, ou_step
 
 DOC = "standard normals and Ornstein-Uhlenbeck processes against their theory"
 SEED = 20140914
-CONFIDENCE = 0.999
 
 STREAMS = ("process", "gust", "gyroscope", "accelerometer")
 WORLDS = (0, 1, 2, 2**31)
 SEEDS = (SEED, SEED + 1, SEED + 2**32)
-
-Values = np.ndarray[Any, np.dtype[np.floating[Any]]]
-Statistic = dict[str, float]
-
-
-def against(value: Any, expected: float, standard_error: float) -> Statistic:
-    """Return a statistic (a number of any type) that is normal about ``expected`` under the hypothesis."""
-    z = (float(value) - expected) / standard_error
-    return {"value": float(value), "expected": expected, "z": z, "p": math.erfc(abs(z) / math.sqrt(2.0))}
-
-
-def p_values(tree: dict[str, Any]) -> Iterator[float]:
-    """Yield the p-value of each statistic in a tree."""
-    for value in tree.values():
-        if isinstance(value, dict):
-            if "p" in value:
-                yield value["p"]
-            else:
-                yield from p_values(value)
-
-
-def judge(tree: dict[str, Any]) -> dict[str, float]:
-    """Return the number of statistics in a family, its smallest p-value and the limit for it."""
-    found = list(p_values(tree))
-    return {"statistics": len(found), "smallest_p": min(found), "p_limit": (1.0 - CONFIDENCE) / len(found)}
 
 
 @partial(jax.jit, static_argnames=("ticks", "count"))

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from qrsim.scenarios.making import make_scenario
 from qrsim.scenarios.reading import read_scenario
-from qrsim.scenarios.scenario import load_scenario
+from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.simulation import Simulation
 
 
@@ -90,3 +91,39 @@ def _quiet_fleet(sensors: dict[str, Any], flights: list[Flight], parts: dict[str
             for start, waypoint, velocity in flights
         ],
     }
+
+
+def pair(**parts: Any) -> Scenario:
+    """Return two vehicles that take every kind of set-point, on ideal sensors in still air, with process noise.
+
+    Args:
+        parts: in place of those here; other numbers are one and the same program.
+    """
+    routes = [[[6.0, 0.0, -10.0], [6.0, 5.0, -11.0]], [[6.0, 9.0, -12.0]]]
+    starts = [[0.0, 0.0, -10.0], [0.0, 9.0, -12.0]]
+    given = {
+        "vehicles": [
+            {"position_ned": start, "waypoints_ned": route} for start, route in zip(starts, routes, strict=True)
+        ],
+        "name": "pair",
+        "duration": 10.0,
+        "controller": "offboard",
+        "area": {"type": "box", "x_min": -40.0, "x_max": 40.0, "y_min": -40.0, "y_max": 40.0, "z_min": -40.0},
+    }
+    return make_scenario(**given | parts)
+
+
+def noisy_pair(**parts: Any) -> Scenario:
+    """Return the pair on noisy sensors, in wind and gusts."""
+    air = {
+        "wind": {"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 225.0},
+        "turbulence": "dryden_first_order",
+        "sky": {"errors": {"type": "ou", "std": 1.5}},
+    }
+    sensors = {"gnss": "gnss_receiver", "barometer": "barometer", "attitude": "attitude_estimator"}
+    return pair(**{"sensors": sensors, "name": "noisy_pair", **air, **parts})
+
+
+def bare_pair(**parts: Any) -> Scenario:
+    """Return the pair on the truth, without sensors: the quickest to compile."""
+    return pair(**{"sensors": {}, "controller": {"type": "offboard", "feed": "truth"}, "name": "bare_pair", **parts})

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Literal
 
 import jax
@@ -16,6 +17,8 @@ from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Comm
 from qrsim.world import Action, World
 
 FloatArray = np.ndarray[Any, Any]
+# Says which vehicles (n,) fly; called only where something is not finite.
+Flying = Callable[[], FloatArray]
 _NAME_OF = {cls: name for name, cls in SETPOINTS.items()}
 
 
@@ -34,8 +37,12 @@ class ActionChecker:
         self.traced = values == "traced"
         self.names = [name for fleet in world.fleets for name in fleet.vehicle_names]
 
-    def actions(self, command: Any) -> tuple[Action, ...]:
+    def actions(self, command: Any, flying: Flying | None = None) -> tuple[Action, ...]:
         """Return one action for each fleet; see ``Simulation.step`` for what a command may be.
+
+        Args:
+            command: what is asked.
+            flying: which vehicles fly. The others may be asked for NaN, because that is what their readings are.
 
         Raises:
             UsageError: wrong kind or shape, a number that is not finite or out of its range (vehicle, field, value
@@ -44,8 +51,8 @@ class ActionChecker:
         if command is None:
             return (None,) * len(self.fleets)
         if isinstance(command, Mapping):
-            return self._by_fleet(command)
-        whole = self._checked(command, self.names, [fleet.controller for fleet in self.fleets])
+            return self._by_fleet(command, flying)
+        whole = self._checked(command, self.names, [fleet.controller for fleet in self.fleets], flying)
         return tuple(self._cut(whole))
 
     def estimates(self, estimate: Any) -> tuple[Estimate | None, ...]:
@@ -65,17 +72,21 @@ class ActionChecker:
         position = self._broadcast("position_ned", position_ned, (len(self.names), 3))
         return WaypointSetpoint.of(position, self._broadcast("yaw_rad", yaw_rad, (len(self.names),)))
 
-    def _by_fleet(self, commands: Mapping[Any, Any]) -> tuple[Action, ...]:
+    def _by_fleet(self, commands: Mapping[Any, Any], flying: Flying | None) -> tuple[Action, ...]:
         known = [fleet.name for fleet in self.fleets]
         for name in commands:
             if name not in known:
                 raise UsageError(f"command: no fleet is called '{name}'{did_you_mean(str(name), known)}")
-        return tuple(
-            None
-            if commands.get(fleet.name) is None
-            else self._checked(commands[fleet.name], list(fleet.vehicle_names), [fleet.controller])
-            for fleet in self.fleets
-        )
+        actions, first = [], 0
+        for fleet in self.fleets:
+            own = slice(first, first + fleet.size)
+            first += fleet.size
+            command = commands.get(fleet.name)
+            if command is not None:
+                own_flying = None if flying is None else partial(_part, flying, own)
+                command = self._checked(command, list(fleet.vehicle_names), [fleet.controller], own_flying)
+            actions.append(command)
+        return tuple(actions)
 
     def _cut(self, whole: Any) -> list[Any]:
         ends = np.cumsum([fleet.size for fleet in self.fleets])
@@ -84,20 +95,20 @@ class ActionChecker:
             for fleet, end in zip(self.fleets, ends, strict=True)
         ]
 
-    def _checked(self, command: Any, names: list[str], controllers: list[Any]) -> Any:
+    def _checked(self, command: Any, names: list[str], controllers: list[Any], flying: Flying | None) -> Any:
         if isinstance(command, Command):
             columns = self._cast(command, "command", len(names))
-            return self._in_range([getattr(columns, field) for field in COMMAND_FIELDS], names)
+            return self._in_range([getattr(columns, field) for field in COMMAND_FIELDS], names, flying)
         if type(command) in _NAME_OF:
-            return self._setpoint(command, names, controllers)
+            return self._setpoint(command, names, controllers, flying)
         if isinstance(command, str | bytes):
             raise UsageError(
                 f"command: expected an array ({len(names)}, 5), a set-point, one of these for each fleet by name, "
                 f"or None, found {command!r}"
             )
-        return self._command(command, names)
+        return self._command(command, names, flying)
 
-    def _setpoint(self, setpoint: Any, names: list[str], controllers: list[Any]) -> Any:
+    def _setpoint(self, setpoint: Any, names: list[str], controllers: list[Any], flying: Flying | None) -> Any:
         for controller in controllers:
             if type(setpoint) not in controller.setpoints:
                 taken = ", ".join(cls.__name__ for cls in controller.setpoints)
@@ -107,8 +118,9 @@ class ActionChecker:
                 )
         checked = self._cast(setpoint, "command", len(names))
         for field, values, _ in () if self.traced else walk(checked):
-            if not np.all(np.isfinite(values)):
-                row = int(np.argmin(np.isfinite(values)))
+            missing = _missing(values, flying)
+            if missing.any():
+                row = int(np.argmax(missing))
                 raise UsageError(f"command: {field} of vehicle {row} ('{names[row]}') is not finite")
         return checked
 
@@ -119,11 +131,14 @@ class ActionChecker:
             name = "".join(str(part) for part in path).lstrip(".")
             if np.shape(leaf) != (size,):
                 raise UsageError(f"{what}: {name}: expected shape {(size,)}, found {shape_of(leaf)}")
-            return jnp.asarray(leaf, self.dtype) if self.traced else np.ascontiguousarray(leaf, self.dtype)
+            try:
+                return jnp.asarray(leaf, self.dtype) if self.traced else np.ascontiguousarray(leaf, self.dtype)
+            except (TypeError, ValueError):
+                raise UsageError(f"{what}: {name}: expected numbers, found {leaf!r}") from None
 
         return jax.tree_util.tree_map_with_path(convert, record)
 
-    def _command(self, command: Any, names: list[str]) -> Command:
+    def _command(self, command: Any, names: list[str], flying: Flying | None) -> Command:
         shape = (len(names), len(COMMAND_FIELDS))
         try:
             array = (jnp if self.traced else np).asarray(command, self.dtype)
@@ -133,9 +148,9 @@ class ActionChecker:
             raise UsageError(
                 f"command: expected shape {shape} (vehicles; {', '.join(COMMAND_FIELDS)}), found {shape_of(command)}"
             )
-        return self._in_range([array[:, i] for i in range(len(COMMAND_FIELDS))], names)
+        return self._in_range([array[:, i] for i in range(len(COMMAND_FIELDS))], names, flying)
 
-    def _in_range(self, columns: list[Any], names: list[str]) -> Command:
+    def _in_range(self, columns: list[Any], names: list[str], flying: Flying | None) -> Command:
         """Return the command of columns (n,); a traced one is clipped by the tick itself."""
         if self.traced:
             return Command(*columns)
@@ -143,10 +158,10 @@ class ActionChecker:
         for field, values in zip(COMMAND_FIELDS, columns, strict=True):
             low, high = COMMAND_LIMITS[field]
             column = np.ascontiguousarray(values)
-            # Rounding to single precision must not push 0.9 out of its own range.
-            wrong = ~((column >= self.dtype.type(low)) & (column <= self.dtype.type(high)))
-            if self.values == "finite":
-                wrong = ~np.isfinite(column)
+            wrong = _missing(column, flying)
+            if self.values == "checked":
+                # Rounding to single precision must not push 0.9 out of its own range.
+                wrong |= (column < self.dtype.type(low)) | (column > self.dtype.type(high))
             if wrong.any():
                 row = int(np.argmax(wrong))
                 what = f"{field} of vehicle {row} ('{names[row]}')"
@@ -163,6 +178,16 @@ class ActionChecker:
             row = int(np.argwhere(~np.isfinite(array))[0][0])
             raise UsageError(f"{what}: not finite for vehicle {row} ('{self.names[row]}')")
         return array
+
+
+def _part(flying: Flying, own: slice) -> FloatArray:
+    return flying()[own]
+
+
+def _missing(values: FloatArray, flying: Flying | None) -> FloatArray:
+    """Return which of the numbers (n,) for vehicles that fly are not finite."""
+    missing: FloatArray = ~np.isfinite(values)
+    return missing & flying() if flying is not None and missing.any() else missing
 
 
 def shape_of(values: Any) -> str:

@@ -28,6 +28,8 @@ from qrsim.apps.openloop.command import OpenLoop
 from qrsim.apps.plot.command import Plot
 from qrsim.apps.run.command import Run
 from qrsim.apps.scenario.command import List, Schema, Show
+from qrsim.apps.serve.command import Serve
+from qrsim.apps.validate.command import Validate
 from qrsim.errors import QrsimError, UsageError, did_you_mean
 
 DESCRIPTION = """A simulator of several unmanned aerial vehicles outdoors.
@@ -94,6 +96,8 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "compare": Compare,
     "export": Export,
     "openloop": OpenLoop,
+    "validate": Validate,
+    "serve": Serve,
     "data": DATA,
     "version": Version,
 }

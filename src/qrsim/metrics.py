@@ -11,7 +11,7 @@ from jax import Array
 
 from qrsim.core.tree import quantity, record, replace, select
 from qrsim.core.vectors import Vec3
-from qrsim.world import Fleet, FleetState, State, World
+from qrsim.world import FleetState, State, World
 
 # Beyond this number of vehicles the smallest distance between two is not looked for.
 MOST_FOR_SEPARATION = 64
@@ -49,6 +49,7 @@ class Flight:
     tracked: Array = quantity(doc="int32 ticks flown along a leg")
     tracking_square: Array = quantity(unit="m^2", doc="sum of the squared distances from the leg being flown")
     tracking: Extreme = quantity(doc="distance from the leg being flown [m]")
+    fix_ned: Vec3 = quantity(unit="m", doc="last position that the receiver reported")
     fixes: Array = quantity(doc="int32 new fixes")
     horizontal_square: Array = quantity(unit="m^2", doc="sum over the fixes of the squared horizontal error")
     vertical_square: Array = quantity(unit="m^2", doc="sum over the fixes of the squared vertical error")
@@ -63,21 +64,27 @@ class Flight:
 
 
 class FlightMetrics:
-    """The metrics of a rollout: distance, tracking error, GNSS error, wind, separation, and why a vehicle stopped."""
+    """The metrics of a rollout: distance, tracking error, GNSS error, wind, separation, and why a vehicle stopped.
+
+    They are of the start and of every tick after it. The separation is NaN for a single vehicle and for more than
+    MOST_FOR_SEPARATION.
+    """
 
     def init(self, world: World, state: State) -> Flight:
-        """Return the start of a flight."""
+        """Return the start of a flight, which is looked at as every tick is."""
         position = _together(state, lambda fleet: fleet.vehicle.position_ned)
         goal = _goal(world, state)
         like = position.x
         zero, count, none = jnp.zeros_like(like), jnp.zeros(like.shape, jnp.int32), Extreme.none(like)
-        return Flight(
+        nothing = Flight(
             ticks=count, distance=zero, position_ned=position, leg_start=position, leg_end=goal,
             tracked=count, tracking_square=zero, tracking=none,
-            fixes=count, horizontal_square=zero, vertical_square=zero, without_fix=count, loss=none,
+            fix_ned=none.position_ned, fixes=count,
+            horizontal_square=zero, vertical_square=zero, without_fix=count, loss=none,
             wind=none, closeness=none, outwards=none,
             charge=jnp.full_like(like, jnp.nan), clipped=count, stopped=jnp.full(like.shape, -1, jnp.int32),
         )  # fmt: skip
+        return self.update(nothing, world, state, jnp.int32(0))
 
     def update(self, flight: Flight, world: World, state: State, tick: Array) -> Flight:
         """Take the state at a tick into account."""
@@ -91,24 +98,24 @@ class FlightMetrics:
         clipped = _together(state, lambda fleet: fleet.command_clipped)
         flight = replace(
             flight,
-            ticks=flight.ticks + flying,
+            ticks=flight.ticks + _one(flying & (tick > 0)),
             distance=flight.distance + jnp.where(flying, (position - flight.position_ned).norm(), 0.0),
             position_ned=position,
             leg_start=start,
             leg_end=goal,
-            tracked=flight.tracked + counted,
+            tracked=flight.tracked + _one(counted),
             tracking_square=flight.tracking_square + jnp.where(counted, error * error, 0.0),
             tracking=flight.tracking.update(error, tick, position, counted),
             wind=flight.wind.update(air.norm(), tick, position, flying),
             outwards=flight.outwards.update(-world.area.margin(position), tick, position, flying),
             charge=jnp.fmin(flight.charge, _together(state, _charge)),
-            clipped=flight.clipped + (clipped & flying),
+            clipped=flight.clipped + _one(clipped & flying),
             stopped=jnp.where((flight.stopped < 0) & ~flying, tick, flight.stopped),
         )
         if flying.shape[0] <= MOST_FOR_SEPARATION:
             closeness = -_nearest(position)
             flight = replace(flight, closeness=flight.closeness.update(closeness, tick, position, flying))
-        return _look_at_fixes(flight, world, state, tick, position, flying)
+        return _look_at_fixes(flight, state, tick, position, flying)
 
     def finish(self, flight: Flight, world: World, state: State) -> dict[str, np.ndarray[Any, Any]]:
         """Return the metrics by name, each (W, n), from what W worlds remember (host arrays)."""
@@ -148,6 +155,10 @@ class FlightMetrics:
 def _together(state: State, pick: Any) -> Any:
     """Return something of all fleets, one after the other."""
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *(pick(fleet) for fleet in state.fleets))
+
+
+def _one(counts: Array) -> Array:
+    return counts.astype(jnp.int32)
 
 
 def _charge(fleet: FleetState) -> Array:
@@ -191,37 +202,33 @@ def _nearest(position: Vec3) -> Array:
     return jnp.sqrt(jnp.min(jnp.where(itself, jnp.inf, square), axis=1))
 
 
-def _look_at_fixes(flight: Flight, world: World, state: State, tick: Array, position: Vec3, flying: Array) -> Flight:
+def _look_at_fixes(flight: Flight, state: State, tick: Array, position: Vec3, flying: Array) -> Flight:
     """Compare what the receivers report with the truth; vehicles without one have no fixes and lose none."""
-    parts = [
-        _fix(fleet, fleet_state, tick, world.time_step)
-        for fleet, fleet_state in zip(world.fleets, state.fleets, strict=True)
-    ]
-    reported, fresh, has = jax.tree.map(lambda *parts: jnp.concatenate(parts), *parts)
+    reported, has = _together(state, _fix)
     error = reported - position
-    there = jnp.isfinite(error.x) & flying
-    counts = there & fresh
+    # A receiver repeats itself between two fixes; with a delay of one period, once after the start too.
+    counts = jnp.isfinite(error.x) & flying & _differs(reported, flight.fix_ned)
     lost = has & flying & ~jnp.isfinite(error.x)
     first = lost & (flight.loss.tick < 0)
     return replace(
         flight,
-        fixes=flight.fixes + counts,
+        fix_ned=reported,
+        fixes=flight.fixes + _one(counts),
         horizontal_square=flight.horizontal_square + jnp.where(counts, error.x * error.x + error.y * error.y, 0.0),
         vertical_square=flight.vertical_square + jnp.where(counts, error.z * error.z, 0.0),
-        without_fix=flight.without_fix + lost,
+        without_fix=flight.without_fix + _one(lost & (tick > 0)),
         loss=flight.loss.update(jnp.ones_like(error.x), tick, position, first),
     )
 
 
-def _fix(fleet: Fleet, state: FleetState, tick: Array, time_step: float) -> tuple[Vec3, Array, Array]:
-    """Return what the first receiver reports, whether that is new at this tick, and whether there is one."""
-    like = state.vehicle.thrust
-    for sensor, reading in zip(fleet.sensors, state.readings, strict=True):
+def _fix(fleet: FleetState) -> tuple[Vec3, Array]:
+    """Return what the first receiver reports, and whether there is one."""
+    like = fleet.vehicle.thrust
+    for reading in fleet.readings:
         if hasattr(reading, "satellites"):
-            ticks = max(1, round(sensor.period / time_step))
-            return reading.position_ned, jnp.broadcast_to(tick % ticks == 0, like.shape), jnp.ones(like.shape, bool)
+            return reading.position_ned, jnp.ones(like.shape, bool)
     nowhere = Vec3(*(jnp.full_like(like, jnp.nan) for _ in range(3)))
-    return nowhere, jnp.zeros(like.shape, bool), jnp.zeros(like.shape, bool)
+    return nowhere, jnp.zeros(like.shape, bool)
 
 
 # One for all rollouts, so that they share their compiled programs.

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import Any
 
 import jax
 import numpy as np
 
+from qrsim.actions import ActionChecker
 from qrsim.errors import UsageError
 from qrsim.policies import UserFunction, user_function
 from qrsim.readings import Reading
@@ -36,6 +36,7 @@ class Pilot:
         self.estimator = user_function("estimator", estimator)
         self.policy_ticks = policy_ticks
         self.command: Any = None
+        self._checker = ActionChecker(simulation.world, simulation.dtype)
         self.memories = {}
         for function in (self.policy, self.estimator):
             if function is not None:
@@ -60,21 +61,22 @@ class Pilot:
         if self.estimator is not None:
             estimate = self._ask(self.estimator)
         period = 1 if self.estimator else self.policy_ticks
-        last = self.policy or self.estimator
-        with last.blamed(self._where()) if last else nullcontext():
-            return simulation.record(min(ticks, period - simulation.tick % period), self.command, capacity, estimate)
-
-    def _where(self) -> str:
-        return f", at tick {self.simulation.tick} ({self.simulation.time:g} s)"
+        return simulation.record(min(ticks, period - simulation.tick % period), self.command, capacity, estimate)
 
     def _ask(self, function: UserFunction) -> Any:
         simulation, memory = self.simulation, self.memories[function.what]
-        with simulation.precision_context(), function.blamed(self._where()):
+        where = f", at tick {simulation.tick} ({simulation.time:g} s)"
+        with simulation.precision_context(), function.blamed(where):
             if function.compiled:
                 answer = self._compiled[function.what](simulation.state, np.int32(simulation.tick), memory)
-                result, self.memories[function.what] = answer
-                return jax.tree.map(np.asarray, result)
-            result, self.memories[function.what] = function(simulation.reading, memory)
+                result, self.memories[function.what] = jax.tree.map(np.asarray, answer)
+            else:
+                result, _ = function(simulation.reading, memory)
+            # Checked here, where it is known whose it is.
+            if function is self.policy:
+                self._checker.actions(result, lambda: simulation.valid)
+            else:
+                self._checker.estimates(result)
             return result
 
     def _answer(self, function: UserFunction, state: Any, tick: Any, memory: Any) -> tuple[Any, Any]:

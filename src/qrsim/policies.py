@@ -8,7 +8,8 @@ A policy is one of
 - an object with ``init(reading)``, which returns its memory, and ``step(reading, memory)``, which returns the command
   and the new memory (any tree of arrays). It is compiled into the loop.
 
-An estimator is the same with a ``qrsim.Estimate`` in place of the command. Both see readings only, never the truth.
+An estimator is the same with a ``qrsim.Estimate`` in place of the command; where that is NaN, a controller believes
+what it did before, as with sensors that have nothing to say. Both see readings only, never the truth.
 """
 
 from __future__ import annotations
@@ -149,12 +150,19 @@ def _import_file(what: str, path: Path) -> Any:
         near = [str(other) for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
         hint = did_you_mean(str(path), near)
         raise UsageError(f"{what}: there is no file {path}{hint if 'mean' in hint else ''}")
-    specification = importlib.util.spec_from_file_location(path.stem, path)
+    name = str(path.resolve())
+    # A file that holds both a policy and an estimator is one module.
+    if name in sys.modules:
+        return sys.modules[name]
+    specification = importlib.util.spec_from_file_location(name, path)
     assert specification is not None
     assert specification.loader is not None
     module = importlib.util.module_from_spec(specification)
+    # Dataclasses look for their own module there.
+    sys.modules[name] = module
     try:
         specification.loader.exec_module(module)
     except Exception as error:
+        del sys.modules[name]
         raise UsageError(f"{what} {path}: importing it failed: {type(error).__name__}: {error}") from error
     return module

@@ -181,7 +181,7 @@ class Reading:
     """
 
     def __init__(self, world: World, state: State, tick: int, site: Site):
-        self.time = tick * world.time_step
+        self.time = _seconds(tick, world.time_step)
         self._fleets = {
             fleet.name: FleetReading(fleet, fleet_state, state.sky, tick, site)
             for fleet, fleet_state in zip(world.fleets, state.fleets, strict=True)
@@ -208,6 +208,11 @@ class Reading:
 
     def __repr__(self) -> str:
         return f"<reading at {self.time:.3f} s: {', '.join(f'{k}: {v!r}' for k, v in self._fleets.items())}>"
+
+
+def _seconds(tick: Any, time_step: float) -> Any:
+    """Return the time [s] of a tick; in a program that is being compiled in the precision of its numbers."""
+    return tick * time_step if library(tick) is np else tick.astype(float) * time_step
 
 
 class Truth:

@@ -16,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from qrsim.configuration import use_compilation_cache
-from qrsim.errors import UsageError
+from qrsim.errors import UsageError, did_you_mean
 from qrsim.metrics import FLIGHT_METRICS
 from qrsim.models.area import reason_text
 from qrsim.models.site import Site
@@ -55,7 +55,13 @@ class Rollout:
     vehicles: tuple[str, ...]
 
     def __getitem__(self, name: str) -> Array:
-        """Return a metric, (W, n)."""
+        """Return a metric, (W, n).
+
+        Raises:
+            UsageError: no metric has this name.
+        """
+        if name not in self.metrics:
+            raise UsageError(f"no metric is called '{name}'{did_you_mean(name, self.metrics)}")
         return self.metrics[name]
 
     def reasons(self, world: int) -> list[str]:
@@ -116,11 +122,11 @@ def rollout(
         mesh = Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
         structure, fixed, varied, which_varied = _stack(several)
         setup = Setup(
-            user_function("policy", policy), user_function("estimator", estimator), metrics or FLIGHT_METRICS, record,
+            user_function("policy", policy), user_function("estimator", estimator), metrics or FLIGHT_METRICS,
             policy_ticks, site or Site(), structure, which_varied, mesh,
         )  # fmt: skip
         schedule = Schedule(ticks, record_every if record else 0)
-        engine = Engine(setup, several[0], fixed, varied, schedule, sink, progress or (lambda done: None))
+        engine = Engine(setup, several[0], fixed, varied, schedule, record, sink, progress or (lambda done: None))
         blocks = [engine.fly(rows, *which) for rows in _blocks(engine, len(which[0]))]
     found = {name: np.concatenate([block[0][name] for block in blocks]) for name in blocks[0][0]}
     kept = None
@@ -153,8 +159,8 @@ def _which(
     count = len(given) if seeds is not None else worlds if alike else len(several)
     if not alike and count != len(several):
         raise UsageError(f"seeds: {count} for {len(several)} worlds; expected one for each")
-    if not alike and worlds not in (1, len(several)):
-        raise UsageError(f"worlds: {worlds}, but a list of {len(several)} was given")
+    if worlds not in (1, count):
+        raise UsageError(f"worlds: {worlds}, but a list of {count} was given")
     if seeds is not None:
         return np.array(given, np.int64), np.zeros(count, np.int64)
     return np.full(count, seed, np.int64), np.arange(count)
@@ -163,12 +169,13 @@ def _which(
 def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool, ...]]:
     """Return the structure of the worlds, the leaves they share, those they do not, (W, ...), and which is which."""
     flat: list[tuple[list[Any], Any]] = [jax.tree.flatten(world) for world in several]
-    leaves, structure = flat[0]
-    for i, (others, other) in enumerate(flat[1:], 1):
-        if other != structure or any(np.shape(a) != np.shape(b) for a, b in zip(leaves, others, strict=True)):
+    structure = flat[0][1]
+    for i, (_, other) in enumerate(flat[1:], 1):
+        different = "" if other == structure else "types, names, sensors or settings"
+        if different or (different := _other_arrays(several[0], several[i])):
             raise UsageError(
-                f"world: number {i} differs from number 0 in more than numbers (types, names, sensors, settings or "
-                "counts); fly those that are alike together"
+                f"world: number {i} differs from number 0 in more than numbers: {different}; fly those that are alike "
+                "together"
             )
     columns = list(zip(*(part for part, _ in flat), strict=True))
     which = tuple(
@@ -177,6 +184,16 @@ def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool,
     fixed = [jnp.asarray(column[0]) for column, varies in zip(columns, which, strict=True) if not varies]
     varied = [np.stack(column) for column, varies in zip(columns, which, strict=True) if varies]
     return structure, fixed, varied, which
+
+
+def _other_arrays(one: World, other: World) -> str:
+    """Return which array of two worlds of one structure is of another shape or type, "" where none is."""
+    (named, _), others = jax.tree_util.tree_flatten_with_path(one), jax.tree.leaves(other)
+    for (path, mine), theirs in zip(named, others, strict=True):
+        kinds = [f"{np.asarray(leaf).dtype} {np.shape(leaf)}" for leaf in (mine, theirs)]
+        if kinds[0] != kinds[1]:
+            return f"{jax.tree_util.keystr(path).lstrip('.')} is {kinds[1]}, not {kinds[0]}"
+    return ""
 
 
 def _blocks(engine: Engine, count: int) -> Iterator[Array]:

@@ -187,10 +187,16 @@ class Simulation:
                 your own filter.
 
         Raises:
-            UsageError: wrong shape, a value that is not finite or outside its range (field, value and range are
-                named), or a number of ticks that is not a positive integer.
+            UsageError: wrong shape, a value for a vehicle that flies that is not finite, one outside its range (field,
+                value and range are named), or a number of ticks that is not a positive integer.
         """
-        actions, estimates = self._checker.actions(command), self._checker.estimates(estimate)
+        self.advance(command, ticks, estimate)
+        return self.reading
+
+    def advance(self, command: Any = None, ticks: int = 1, estimate: Estimate | None = None) -> None:
+        """Advance as ``step`` does, for those who do not look at the reading of every step."""
+        actions = self._checker.actions(command, lambda: self.valid)
+        estimates = self._checker.estimates(estimate)
         count = self._checked_ticks(ticks)
         layout, state = self._running()
         tick, number = np.int32(self.tick), np.int32(count)
@@ -200,7 +206,6 @@ class Simulation:
             )
         self.tick += count
         self._host = None
-        return self.reading
 
     def record(self, ticks: int, command: Any = None, capacity: int = 50, estimate: Estimate | None = None) -> History:
         """Advance as ``step`` does and return the state of every tick on the way.
@@ -210,7 +215,8 @@ class Simulation:
             command, estimate: as in ``step``.
             capacity: length the program is compiled for.
         """
-        actions, estimates = self._checker.actions(command), self._checker.estimates(estimate)
+        actions = self._checker.actions(command, lambda: self.valid)
+        estimates = self._checker.estimates(estimate)
         count = self._checked_ticks(ticks)
         if count > capacity:
             raise UsageError(f"ticks: {count} is more than the capacity, {capacity}")
@@ -288,6 +294,11 @@ class Simulation:
 
     def _fingerprint(self) -> str:
         return fingerprint(self._world_layout, self._world)
+
+    @property
+    def packed(self) -> tuple[Packer, Buffers]:
+        """The state as programs take it, and its layout; to be copied from before the next step overwrites it."""
+        return self._running()
 
     @property
     def state(self) -> State:

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array, lax
 
 from qrsim.core.fastmath import exp, log, log_f32, rounded, sincos_ratio
@@ -92,14 +93,22 @@ class Key:
             low, high = seed[0], seed[1]
         return Key(*threefry2x32((low, high), (jnp.asarray(world, jnp.uint32), jnp.uint32(0)), 20))
 
+    @staticmethod
+    def roots(seeds: npt.NDArray[np.int64], worlds: npt.NDArray[np.int64]) -> Key:
+        """Return the keys (B,) of many worlds, computed on the host; ``root`` of each seed and world."""
+        words = [part.astype(np.uint32) for part in (seeds & 0xFFFFFFFF, seeds >> 32, worlds, np.zeros_like(worlds))]
+        high, low = threefry2x32((words[0], words[1]), (words[2], words[3]), 20)  # type: ignore[arg-type]
+        return Key(high, low)
+
     def streams(self, names: Sequence[str]) -> StreamKeys:
-        """Return the keys of named streams of this world."""
+        """Return the keys of named streams of this world; (B, K) words for the keys of B worlds."""
         digests = b"".join(hashlib.sha256(name.encode()).digest()[:8] for name in names)
         hashes = np.frombuffer(digests, "<u4").reshape(-1, 2)
-        shape = (len(names),)
         library: Any = np if isinstance(self.high, np.ndarray | np.generic) else jnp
-        key = (library.broadcast_to(self.high, shape), library.broadcast_to(self.low, shape))
-        return StreamKeys(*threefry2x32(key, (library.asarray(hashes[:, 0]), library.asarray(hashes[:, 1])), 20))
+        shape = (*np.shape(self.high), len(names))
+        key = tuple(library.broadcast_to(library.asarray(word)[..., None], shape) for word in (self.high, self.low))
+        counter = tuple(library.broadcast_to(library.asarray(hashes[:, i]), shape) for i in (0, 1))
+        return StreamKeys(*threefry2x32((key[0], key[1]), (counter[0], counter[1]), 20))
 
     def stream(self, name: str, ids: Array) -> Stream:
         """Return one named stream for the vehicles (or satellites) ``ids``, uint32 of shape (n,)."""

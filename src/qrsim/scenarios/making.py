@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.fence import PolygonArea
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.world import World
@@ -52,16 +53,22 @@ def make_scenario(
             site, extends), of its world (area, wind, turbulence, gust, sky, obstacles, collision_distance), and with
             ``vehicles`` of the fleet (vehicle, controller, guidance, limits, sensors, battery, faults). A component is
             the name of its type, a dict as in YAML, or an object such as ``LogShear(...)``. Sensors are "ideal" (the
-            default) or "noisy" ones of every kind, or given by name.
+            default) or "noisy" ones of every kind, or given by name. With ``extends``, ``fleets`` says what is
+            different in them, and may be left out.
 
     Raises:
         UsageError: an unknown part, or an object that the catalogue does not have.
         ScenarioError: what the parts say is wrong; the message lists every fault.
     """
-    if (vehicles is None) == (fleets is None):
+    extends = "extends" in parts
+    if extends and vehicles is not None:
+        raise UsageError("make_scenario: with extends give fleets, by the names they have there, in place of vehicles")
+    if not extends and (vehicles is None) == (fleets is None):
         raise UsageError("make_scenario: give either vehicles or fleets")
-    known = (*SCENARIO_PARTS, *WORLD_PARTS, *(FLEET_PARTS if fleets is None else ()))
+    known = (*SCENARIO_PARTS, *WORLD_PARTS, *(FLEET_PARTS if vehicles is not None else ()))
     for name in parts:
+        if name in FLEET_PARTS and name not in known:
+            raise UsageError(f"make_scenario: {name} is a part of a fleet; give it in fleets")
         if name not in known:
             raise UsageError(f"make_scenario: no part is called '{name}'{did_you_mean(name, known)}")
     content: dict[str, Any] = {"name": "experiment"}
@@ -71,8 +78,8 @@ def make_scenario(
         content["world"] = world
     if vehicles is not None:
         fleets = {"vehicles": {"vehicles": vehicles, **{name: parts[name] for name in FLEET_PARTS if name in parts}}}
-    assert fleets is not None
-    content["fleets"] = {name: _fleet(name, fleet) for name, fleet in fleets.items()}
+    if fleets is not None:
+        content["fleets"] = {name: _fleet(name, fleet, extends) for name, fleet in fleets.items()}
     return load_scenario(content)
 
 
@@ -95,27 +102,36 @@ def make_world(
     return make_scenario(vehicles, fleets=fleets, **parts).world(check_precision(precision))
 
 
-def _fleet(name: str, fleet: Mapping[str, Any]) -> dict[str, Any]:
+def _fleet(name: str, fleet: Any, extends: bool) -> dict[str, Any]:
+    if not isinstance(fleet, Mapping):
+        raise UsageError(f"make_scenario: fleets.{name}: expected a dict, found {fleet!r}")
+    known = ("vehicles", *FLEET_PARTS)
     for part in fleet:
-        known = ("vehicles", *FLEET_PARTS)
         if part not in known:
             raise UsageError(f"make_scenario: fleets.{name}: no part is called '{part}'{did_you_mean(part, known)}")
     content = {part: _part(value, part) for part, value in fleet.items() if part not in ("vehicles", "sensors")}
-    sensors = fleet.get("sensors", "ideal")
-    if isinstance(sensors, str):
-        if sensors not in SENSORS:
-            raise UsageError(
-                f"make_scenario: fleets.{name}.sensors: '{sensors}' is not known{did_you_mean(sensors, SENSORS)}"
-            )
-        content["sensors"] = SENSORS[sensors]
-    else:
-        content["sensors"] = {sensor: _part(value, sensor) for sensor, value in sensors.items()}
-    vehicles = fleet.get("vehicles", ())
-    content["vehicles"] = [
-        _plain(vehicle, "vehicles") if isinstance(vehicle, Mapping) else {"position_ned": _plain(vehicle, "vehicles")}
-        for vehicle in vehicles
-    ]
+    # What is left out of a fleet that is extended is as it is there.
+    if "sensors" in fleet or not extends:
+        content["sensors"] = _sensors(name, fleet.get("sensors", "ideal"))
+    if "vehicles" in fleet or not extends:
+        content["vehicles"] = _vehicles(name, fleet.get("vehicles", ()))
     return content
+
+
+def _sensors(name: str, sensors: Any) -> dict[str, Any]:
+    if isinstance(sensors, Mapping):
+        return {sensor: _part(value, sensor) for sensor, value in sensors.items()}
+    if not isinstance(sensors, str) or sensors not in SENSORS:
+        hint = did_you_mean(str(sensors), SENSORS)
+        raise UsageError(f"make_scenario: fleets.{name}.sensors: {sensors!r} is neither a dict nor known{hint}")
+    return SENSORS[sensors]
+
+
+def _vehicles(name: str, vehicles: Any) -> list[Any]:
+    if isinstance(vehicles, str | Mapping) or not hasattr(vehicles, "__iter__"):
+        raise UsageError(f"make_scenario: fleets.{name}.vehicles: expected a list of vehicles, found {vehicles!r}")
+    plain = [_plain(vehicle, "vehicles") for vehicle in vehicles]
+    return [vehicle if isinstance(vehicle, Mapping) else {"position_ned": vehicle} for vehicle in plain]
 
 
 def _part(value: Any, name: str) -> Any:
@@ -131,6 +147,8 @@ def _plain(value: Any, name: str) -> Any:
         return {key: _plain(entry, f"{name}.{key}") for key, entry in value.items()}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        if isinstance(value, PolygonArea):
+            fields["corners_ned"] = np.column_stack([fields.pop("north"), fields.pop("east")])
         content = {key: _plain(entry, f"{name}.{key}") for key, entry in fields.items() if entry is not None}
         if type(value) in _TYPES:
             return {"type": _TYPES[type(value)], **content}

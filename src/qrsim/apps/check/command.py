@@ -68,24 +68,38 @@ class Check:
     def run(self) -> int:
         """Check, fly, report."""
         from qrsim.apps.check.outcomes import outcomes
-        from qrsim.configuration import available_cores, configure
 
         if self.seeds < 1:
             raise UsageError(f"--seeds {self.seeds}: expected a positive number of runs")
+        if self.policy_ticks != 1 and self.policy is None:
+            raise UsageError(f"--policy-ticks {self.policy_ticks}: there is no --policy")
         if not 0 <= self.first_seed < 2**63 - self.seeds:
             raise UsageError(f"--first-seed {self.first_seed}: expected an integer from 0 to 2**63 - 1 - --seeds")
         if self.out is not None:
             _check_picture(self.out)
+        self._use_cores()
         scenario = self._scenario()
-        configure(cpu_devices=available_cores() if self.cores is None else self.cores)
         flown, wall_s = self._fly(scenario)
         found = outcomes(flown)
-        if self.out is not None:
-            from qrsim.apps.check.picture import save_picture
-
-            save_picture(scenario, flown, found, self.out)
-        self._report(scenario, flown, found, wall_s)
+        failure = None if self.out is None else _draw(scenario, flown, found, self.out)
+        self._report(scenario, flown, found, wall_s, None if failure else self.out)
+        if failure:
+            raise failure
         return 1 if found[-1].runs else 0
+
+    def _use_cores(self) -> None:
+        from contextlib import suppress
+
+        from qrsim.configuration import available_cores, configure
+
+        if self.cores is not None:
+            if self.cores < 1:
+                raise UsageError(f"--cores {self.cores}: expected a positive number")
+            configure(cpu_devices=self.cores)
+            return
+        # Called from Python, JAX may have started already, and the runs then go over the devices there are.
+        with suppress(UsageError):
+            configure(cpu_devices=available_cores())
 
     def _scenario(self) -> Scenario:
         from qrsim.scenarios.scenario import load_scenario
@@ -120,7 +134,9 @@ class Check:
             )
         return flown, time.perf_counter() - begun
 
-    def _report(self, scenario: Scenario, flown: Rollout, found: list[Outcome], wall_s: float) -> None:
+    def _report(
+        self, scenario: Scenario, flown: Rollout, found: list[Outcome], wall_s: float, picture: Path | None
+    ) -> None:
         from qrsim.apps.check.outcomes import margins
 
         narrow = margins(flown)
@@ -137,7 +153,7 @@ class Check:
                 "wall_s": round(wall_s, 3),
                 "outcomes": [outcome.to_json() for outcome in found],
                 "margins": {name: {**asdict(moment), "unit": unit} for name, (moment, unit) in narrow.items()},
-                "picture": str(self.out) if self.out else None,
+                "picture": str(picture) if picture else None,
             }
             print(json.dumps(result, indent=2))
             return
@@ -154,9 +170,23 @@ class Check:
             again = ["qrsim", "run", self.scenario, "--seed", str(worst.seed)]
             again += [word for assignment in self.set for word in ("--set", assignment)]
             again += [] if self.duration is None else ["--duration", f"{self.duration:g}"]
+            again += [] if self.policy is None else ["--policy", self.policy]
+            again += [] if self.estimator is None else ["--estimator", self.estimator]
+            again += [] if self.policy_ticks == 1 else ["--policy-ticks", str(self.policy_ticks)]
             print(f"to look at the first that went wrong: {shlex.join(again)}")
-        if self.out:
-            print(f"picture: {self.out}")
+        if picture:
+            print(f"picture: {picture}")
+
+
+def _draw(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) -> RunError | None:
+    """Return why there is no picture: the numbers of a long check must not be lost with it."""
+    from qrsim.apps.check.picture import save_picture
+
+    try:
+        save_picture(scenario, flown, found, path)
+    except RunError as error:
+        return error
+    return None
 
 
 def _print_outcomes(found: list[Outcome], runs: int) -> None:

@@ -94,6 +94,8 @@ class Run:
 
         if self.seed < 0 or self.seed >= 2**63:
             raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
+        if self.policy_ticks != 1 and self.policy is None:
+            raise UsageError(f"--policy-ticks {self.policy_ticks}: there is no --policy")
         overrides = list(self.set)
         if self.duration is not None:
             if not (math.isfinite(self.duration) and self.duration > 0):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from qrsim.apps.run.streams import STREAMS
 from qrsim.errors import UsageError
 from qrsim.logs.layout import check_every
+from qrsim.logs.streams import STREAMS
 
 
 def parse_every(words: Sequence[str]) -> dict[str, int]:

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from qrsim.apps.run.streams import STREAMS, EventFinder, columns, values
 from qrsim.errors import RunError
 from qrsim.logs import RunInfo, RunWriter
 from qrsim.logs.layout import check_every
+from qrsim.logs.streams import STREAMS, EventFinder, columns, values
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation import History, Simulation
 

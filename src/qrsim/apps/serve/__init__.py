@@ -1,0 +1,1 @@
+"""A live simulation for clients over TCP."""

@@ -1,0 +1,159 @@
+"""``qrsim serve``."""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from qrsim.errors import RunError, UsageError
+
+if TYPE_CHECKING:
+    from qrsim.apps.serve.server import Options
+    from qrsim.scenarios.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Serve:
+    """Let a program in any language fly a live simulation over TCP.
+
+    Speaks the protocol of the reference simulator, whose clients work unchanged, with extensions; docs/serve.md
+    explains both, with a client in Python and one in C++. Clients choose a task by its name: any of 'qrsim list', those
+    of the reference simulator, or SCENARIO. One client at a time controls the simulation, others can watch it.
+
+    Anybody who can connect can control the simulation. Nothing is encrypted and nobody is asked who they are, so only
+    programs on this machine can connect unless --allow-remote is given.
+
+    Ctrl-C ends the server.
+
+    Example:
+      qrsim serve
+      qrsim serve keep_spot --realtime 1
+      qrsim serve my_scenario.yaml --sessions --record runs/served
+    """
+
+    scenario: Annotated[
+        tyro.conf.Positional[str | None], tyro.conf.arg(metavar="SCENARIO", help_behavior_hint="(default: none)")
+    ] = None
+    """Name or YAML file of a scenario that clients can ask for by its name, or by an empty one."""
+    host: str = "127.0.0.1"
+    """Address to listen on."""
+    port: int = 10000
+    """Port to listen on; 0: any that is free."""
+    allow_remote: bool = False
+    """Let other machines connect, where --host is not of this machine alone."""
+    sessions: bool = False
+    """Give every client a session and world of its own."""
+    realtime: Annotated[
+        float | None, tyro.conf.arg(metavar="FACTOR", help_behavior_hint="(default: as fast as clients ask)")
+    ] = None
+    """Simulated seconds per second of the wall clock."""
+    seed: int = 0
+    """Seed of all randomness, at every start of a task."""
+    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
+        default_factory=list
+    )
+    """Change one value of SCENARIO; can be given several times."""
+    allow_quit: bool = False
+    """Let clients end the server."""
+    max_clients: Annotated[int, tyro.conf.arg(metavar="N")] = 32
+    """Most connections at a time."""
+    record: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: not recorded)")] = None
+    """Folder for run folders, one for each start of a task."""
+
+    def run(self) -> None:
+        """Check, compile, serve."""
+        options = self._options()
+        scenario = self._scenario()
+        import asyncio
+
+        from qrsim.apps.serve.server import Server
+        from qrsim.apps.serve.tasks import Tasks
+
+        tasks = Tasks(scenario)
+        if scenario is not None:
+            _prepare(tasks, options)
+
+        async def serve() -> None:
+            await Server(options, tasks, _say).serve(lambda host, port: _say(f"qrsim serves on {host}:{port}"))
+
+        asyncio.run(serve())
+
+    def _options(self) -> Options:
+        from qrsim.apps.serve.pacing import checked_factor
+        from qrsim.apps.serve.server import Options
+
+        if not 0 <= self.port <= 65535:
+            raise UsageError(f"--port {self.port}: expected 0 to 65535")
+        if not 0 <= self.seed < 2**63:
+            raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
+        if self.max_clients < 1:
+            raise UsageError(f"--max-clients {self.max_clients}: expected a positive number")
+        if self.realtime is not None and not (math.isfinite(self.realtime) and self.realtime > 0.0):
+            raise UsageError(f"--realtime {self.realtime:g}: expected a positive number")
+        self._check_host()
+        if self.record is not None:
+            try:
+                self.record.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise RunError(f"--record {self.record}: {error.strerror or error}") from None
+        return Options(
+            self.host, self.port, checked_factor(self.realtime or 0.0), self.allow_quit, self.max_clients, self.record,
+            self.sessions, self.seed,
+        )  # fmt: skip
+
+    def _check_host(self) -> None:
+        if self.host == "localhost":
+            return
+        try:
+            if ipaddress.ip_address(self.host).is_loopback:
+                return
+        except ValueError:
+            pass  # a name
+        if not self.allow_remote:
+            raise UsageError(
+                f"--host {self.host}: other machines could connect and control the simulation; if that is meant, "
+                "give --allow-remote too"
+            )
+        print(
+            f"warning: every machine that can reach {self.host} can control this simulation; nothing is encrypted",
+            file=sys.stderr,
+        )
+
+    def _scenario(self) -> Scenario | None:
+        if self.scenario is None:
+            if self.set:
+                raise UsageError("--set: there is no SCENARIO to change")
+            return None
+        from qrsim.scenarios.scenario import load_scenario
+
+        return load_scenario(self.scenario, self.set)
+
+
+def _prepare(tasks: object, options: Options) -> None:
+    """Compile what the operator's scenario needs, so that its first client need not wait."""
+    from qrsim.apps.serve.readout import largest_fleet, state_size
+    from qrsim.apps.serve.session import Session, Wishes
+    from qrsim.apps.serve.tasks import Tasks
+    from qrsim.protocol.framing import LARGEST_FOR_REFERENCE_CLIENT
+
+    assert isinstance(tasks, Tasks)
+    session = Session(0, Wishes(tasks.scenario(""), options.seed, realtime=1.0))
+    session.begin()
+    session.end()
+    size = session.simulation.size
+    if state_size(size) > LARGEST_FOR_REFERENCE_CLIENT:
+        print(
+            f"warning: the state of {size} vehicles is {state_size(size)} bytes; clients of the reference simulator "
+            f"take {LARGEST_FOR_REFERENCE_CLIENT}, that is {largest_fleet(LARGEST_FOR_REFERENCE_CLIENT)} vehicles",
+            file=sys.stderr,
+        )
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)

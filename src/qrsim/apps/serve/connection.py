@@ -1,0 +1,216 @@
+"""One connection: bytes in, one message out for each request, in order."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from contextlib import suppress
+from typing import TYPE_CHECKING, cast
+
+from google.protobuf.message import DecodeError
+
+from qrsim.apps.serve.session import Session
+from qrsim.errors import QrsimError, UsageError
+from qrsim.protocol.framing import HEAD_SIZE, LARGEST_REQUEST, Deframer, frame
+from qrsim.protocol.qrsim_pb2 import Ack, Message
+
+if TYPE_CHECKING:
+    from qrsim.apps.serve.server import Server
+
+# Bytes that may wait to be sent: then a client's next request waits, and a watcher misses states.
+MOST_WAITING = 4 << 20
+LONGEST_TEXT = 4000
+LINGER_S = 1.0
+KEEPALIVE = {"TCP_KEEPIDLE": 20, "TCP_KEEPINTVL": 10, "TCP_KEEPCNT": 3}
+
+
+class Connection(asyncio.Protocol):
+    """A client, from its first byte to its last.
+
+    Attributes:
+        server: whose client it is.
+        session: what it controls, None until INIT or OPEN.
+        reasons: whether it asked for states of invalid vehicles.
+        gone: set when nothing can be sent any more, or the server ends.
+        leaving: set when the client sends nothing more, or is gone.
+    """
+
+    def __init__(self, server: Server):
+        self.server = server
+        self.session: Session | None = None
+        self.reasons = False
+        self.gone, self.leaving = asyncio.Event(), asyncio.Event()
+        self._deframer = Deframer(LARGEST_REQUEST)
+        self._more: asyncio.Future[None] | None = None
+        self._can_write = asyncio.Event()
+        self._can_write.set()
+        self._full = self._discard = False
+        self.finished: asyncio.Task[None] | None = None
+
+    # ---- called by asyncio ----
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin to serve."""
+        self.transport = cast("asyncio.Transport", transport)
+        self.transport.set_write_buffer_limits(high=MOST_WAITING)
+        found = transport.get_extra_info("socket")
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in KEEPALIVE.items():
+            if hasattr(socket, name):
+                found.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+        refused = self.server.admit(self)
+        self.finished = asyncio.get_running_loop().create_task(self._serve(refused))
+
+    def data_received(self, data: bytes) -> None:
+        """Take what arrives; where it is more than one request, let the rest wait in the network."""
+        if self._discard:
+            return
+        self._deframer.feed(data)
+        if self._deframer.waiting > HEAD_SIZE + LARGEST_REQUEST and not self._full:
+            self._full = True
+            self.transport.pause_reading()
+        self._wake()
+
+    def eof_received(self) -> bool:
+        """Let what was asked before be answered, but without long steps and pauses."""
+        self.leaving.set()
+        self._wake()
+        return True
+
+    def pause_writing(self) -> None:
+        """Wait with the next request."""
+        self._can_write.clear()
+
+    def resume_writing(self) -> None:
+        """Go on."""
+        self._can_write.set()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the client."""
+        self.leaving.set()
+        self.gone.set()
+        self._can_write.set()
+        self._wake()
+
+    def gone_soon(self) -> None:
+        """Let the request that is being answered be the last one."""
+        self.leaving.set()
+        self.gone.set()
+        self._can_write.set()
+        self._wake()
+
+    def _wake(self) -> None:
+        if self._more is not None and not self._more.done():
+            self._more.set_result(None)
+
+    # ---- answering ----
+
+    def send(self, message: Message) -> None:
+        """Send a message in one write."""
+        self.send_frame(frame(message.SerializeToString()))
+
+    def send_frame(self, content: bytes) -> None:
+        """Send a message that has its length message already, in one write."""
+        if not self.gone.is_set():
+            self.transport.write(content)
+
+    def acknowledge(self, error: str | None = None, note: str = "") -> None:
+        """Send an ACK, an error if there is one to tell."""
+        text = note if error is None else error
+        if len(text) > LONGEST_TEXT:
+            text = f"{text[:LONGEST_TEXT]} ..."
+        ack = Ack(error=error is not None, msg=text) if text else Ack(error=error is not None)
+        self.send(Message(type=Message.ACK, ack=ack))
+
+    @property
+    def backlog(self) -> int:
+        """Bytes that wait to be sent."""
+        return self.transport.get_write_buffer_size()
+
+    def required_session(self) -> Session:
+        """Return the session.
+
+        Raises:
+            UsageError: there is none.
+        """
+        if self.session is None:
+            raise UsageError("there is no session on this connection: send INIT first")
+        return self.session
+
+    async def pause(self, seconds: float) -> None:
+        """Wait, but not for a client that leaves."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self.leaving.wait(), seconds)
+
+    async def _serve(self, refused: str | None) -> None:
+        try:
+            if refused is not None:
+                self.acknowledge(refused)
+            else:
+                await self._answer_all()
+        finally:
+            try:
+                await self.server.forget(self)
+            finally:
+                await self._close()
+
+    async def _answer_all(self) -> None:
+        """Answer one request after the other until the connection is to be closed."""
+        while not self.gone.is_set():
+            try:
+                payload = self._deframer.next()
+            except UsageError as error:
+                self.acknowledge(str(error))
+                return
+            if self._full and self._deframer.waiting < LARGEST_REQUEST // 2:
+                self._full = False
+                self.transport.resume_reading()
+            if payload is None:
+                if self.leaving.is_set():
+                    return
+                self._more = asyncio.get_running_loop().create_future()
+                await self._more
+            elif not await self._answer(payload):
+                return
+            elif not self._can_write.is_set():
+                await self._can_write.wait()
+            elif self._deframer.waiting:
+                # The next request is here already: give the other connections their turn.
+                await asyncio.sleep(0)
+
+    async def _answer(self, payload: bytes) -> bool:
+        """Answer a request; return whether to go on."""
+        message = Message()
+        try:
+            message.ParseFromString(payload)
+            if not message.IsInitialized():
+                self.acknowledge("message: a required field is missing, or a kind is unknown")
+                return True
+            return await self.server.answer(self, message)
+        except DecodeError:
+            self.acknowledge(f"message: {len(payload)} bytes that are no Message")
+        except QrsimError as error:
+            self.acknowledge(str(error))
+        except Exception as error:
+            self.server.report_bug(error)
+            self.acknowledge(f"internal error of the server ({type(error).__name__}); its output says more")
+        return True
+
+    async def _close(self) -> None:
+        """Close when the client has read the last message: to close before would take it away from it."""
+        if not self.gone.is_set():
+            self._discard = True
+            if self._full:
+                self.transport.resume_reading()
+            with suppress(OSError, RuntimeError):
+                self.transport.write_eof()
+            loop = asyncio.get_running_loop()
+            deadline = loop.time() + LINGER_S
+            while not self.leaving.is_set() and loop.time() < deadline:
+                self._more = loop.create_future()
+                timer = loop.call_at(deadline, self._wake)
+                await self._more
+                timer.cancel()
+        if self.backlog:
+            asyncio.get_running_loop().call_later(LINGER_S, self.transport.abort)
+        self.transport.close()

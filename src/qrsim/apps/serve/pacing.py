@@ -1,0 +1,79 @@
+"""Simulated time against the wall clock."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+from qrsim.errors import UsageError
+from qrsim.protocol.qrsim_pb2 import Pacing
+
+# A client that stays behind for longer has paused: the clock starts anew rather than to hurry after it.
+LONGEST_DELAY_S = 0.25
+SLOWEST, FASTEST = 1e-3, 1e3
+
+
+def checked_factor(factor: float) -> float:
+    """Return a real-time factor; 0 means lock-step.
+
+    Raises:
+        UsageError: it is out of range.
+    """
+    if factor == 0.0 or (math.isfinite(factor) and SLOWEST <= factor <= FASTEST):
+        return factor
+    raise UsageError(f"real-time factor {factor:g}; allowed: {SLOWEST:g} to {FASTEST:g}, or 0 for lock-step")
+
+
+class Pacer:
+    """Says when the state of a simulated time is due.
+
+    A STEP is late (an overrun) where its state is ready only after that: because the simulation was slower than its
+    pace, or because the client asked late.
+
+    Args:
+        factor: simulated seconds per second of the wall clock; 0: always at once.
+        simulated: simulated time now [s].
+        clock: returns the wall time [s].
+    """
+
+    def __init__(self, factor: float, simulated: float, clock: Callable[[], float] = time.perf_counter):
+        self.factor = checked_factor(factor)
+        self._clock = clock
+        self._begin = self._anchor = (simulated, clock())
+        self._last = simulated
+        self.steps = self.overruns = 0
+        self.worst_delay = 0.0
+
+    def wait_s(self, simulated: float) -> float:
+        """Count a step that ends at a simulated time [s], and return how long its reply has to wait [s]."""
+        self.steps += 1
+        self._last = simulated
+        if not self.factor:
+            return 0.0
+        now = self._clock()
+        delay = now - (self._anchor[1] + (simulated - self._anchor[0]) / self.factor)
+        if delay <= 0.0:
+            return -delay
+        self.overruns += 1
+        self.worst_delay = max(self.worst_delay, delay)
+        if delay > LONGEST_DELAY_S:
+            self._anchor = (simulated, now)
+        return 0.0
+
+    def restarted(self) -> None:
+        """Note that the simulated time is 0 again."""
+        self._begin = (self._begin[0] - self._last, self._begin[1])
+        self._anchor = (0.0, self._clock())
+        self._last = 0.0
+
+    def report(self) -> Pacing:
+        """Return how it went."""
+        return Pacing(
+            factor=self.factor,
+            steps=self.steps,
+            overruns=self.overruns,
+            worst_delay=self.worst_delay,
+            simulated=self._last - self._begin[0],
+            wall=self._clock() - self._begin[1],
+        )

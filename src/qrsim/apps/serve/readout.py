@@ -1,0 +1,136 @@
+"""From the state of a simulation to the STATE message, without a detour over trees or protobuf."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.models.attitude import AttitudeReading
+from qrsim.models.barometer import BarometerReading
+from qrsim.models.gnss import GnssReading
+from qrsim.models.inertial import AccelerometerReading, GyroscopeReading
+from qrsim.protocol.framing import HEAD_SIZE, frame
+from qrsim.simulation import Simulation
+from qrsim.world import FleetState
+
+Array = np.ndarray[Any, Any]
+STATE_SIZE, MEASURED_SIZE = 13, 20
+# Columns of the measured vector that no sensor fills (models.md, section 1).
+UNUSED = (6, 7, 8, 12)
+# Bytes before the numbers of each vehicle: the tags and lengths of X or eX, and of the Arrayd in it.
+_X_HEAD = bytes([0x12, 106, 0x0A, 104])
+_EX_HEAD = bytes([0x1A, 0xA3, 0x01, 0x0A, 0xA0, 0x01])
+_T_HEAD = b"\x09"
+_X_STRIDE, _EX_STRIDE = len(_X_HEAD) + 8 * STATE_SIZE, len(_EX_HEAD) + 8 * MEASURED_SIZE
+BYTES_PER_VEHICLE = _X_STRIDE + _EX_STRIDE
+
+
+def varint(value: int) -> bytes:
+    """Return a non-negative integer as protobuf writes it."""
+    found = bytearray()
+    while value > 0x7F:
+        found.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*found, value])
+
+
+def largest_fleet(limit: int) -> int:
+    """Return how many vehicles a STATE of at most ``limit`` bytes, its length message included, can hold."""
+    count = limit // BYTES_PER_VEHICLE
+    while state_size(count) > limit:
+        count -= 1
+    return count
+
+
+def state_size(vehicles: int) -> int:
+    """Return the bytes of a STATE with its length message."""
+    body = len(_T_HEAD) + 8 + vehicles * BYTES_PER_VEHICLE
+    return HEAD_SIZE + 3 + len(varint(body)) + body
+
+
+class Readout:
+    """Writes STATE messages of one simulation, which has been reset.
+
+    The measured vector is NaN where a fleet lacks the sensor and where a sensor has no reading. Where a fleet has
+    several of a kind, the first one counts.
+    """
+
+    def __init__(self, simulation: Simulation):
+        self._simulation = simulation
+        count = simulation.size
+        body = len(_T_HEAD) + 8 + count * BYTES_PER_VEHICLE
+        head = b"\x08\x06\x3a" + varint(body)
+        self._body_at = HEAD_SIZE + len(head)
+        x_at = self._body_at + len(_T_HEAD) + 8
+        content = frame(head + _T_HEAD + bytes(8) + _X_HEAD.ljust(_X_STRIDE, b"\0") * count
+                        + _EX_HEAD.ljust(_EX_STRIDE, b"\0") * count)  # fmt: skip
+        self._buffer = bytearray(content)
+        self._time = np.ndarray((1,), "<f8", self._buffer, x_at - 8)
+        self._x = np.ndarray((count, STATE_SIZE), "<f8", self._buffer, x_at + len(_X_HEAD), (_X_STRIDE, 8))
+        ex_at = x_at + count * _X_STRIDE + len(_EX_HEAD)
+        self._ex = np.ndarray((count, MEASURED_SIZE), "<f8", self._buffer, ex_at, (_EX_STRIDE, 8))
+        self._ex[...] = np.nan
+        self._ex[:, UNUSED] = 0.0
+        self._find_places(simulation)
+
+    def _find_places(self, simulation: Simulation) -> None:
+        """Find where in the packed state the numbers of each vehicle are."""
+        layout, _ = simulation.packed
+        floats, integers = layout.sizes
+        places = layout.unpack((np.arange(floats), np.arange(integers, dtype=np.int32)))
+        self._x_places = np.concatenate([_state_places(fleet) for fleet in places.fleets])
+        self._codes = np.concatenate([fleet.violation.code for fleet in places.fleets])
+        rows, columns, sources, first = [], [], [], 0
+        for fleet in places.fleets:
+            size = len(fleet.violation.code)
+            for column, source in _measured_places(fleet).items():
+                rows.append(np.arange(first, first + size))
+                columns.append(np.full(size, column))
+                sources.append(source)
+            first += size
+        nothing = [np.zeros(0, np.int64)]
+        self._ex_rows, self._ex_columns, self._ex_places = (
+            np.concatenate(nothing + parts) for parts in (rows, columns, sources)
+        )
+
+    def frame(self) -> bytes:
+        """Return the STATE of now with its length message."""
+        floats = np.asarray(self._simulation.packed[1][0])
+        self._time[0] = self._simulation.time
+        self._x[...] = floats[self._x_places]
+        self._ex[self._ex_rows, self._ex_columns] = floats[self._ex_places]
+        return bytes(self._buffer)
+
+    def body(self) -> bytes:
+        """Return the message State of now alone."""
+        return self.frame()[self._body_at :]
+
+    def all_valid(self) -> bool:
+        """Return whether all vehicles fly."""
+        return not np.asarray(self._simulation.packed[1][1])[self._codes].any()
+
+
+def _state_places(fleet: FleetState) -> Array:
+    vehicle = fleet.vehicle
+    groups = (vehicle.position_ned, vehicle.attitude, vehicle.velocity_body, vehicle.rates_body)
+    return np.stack([*(axis for group in groups for axis in vars(group).values()), vehicle.thrust], axis=1)
+
+
+def _measured_places(fleet: FleetState) -> dict[int, Any]:
+    """Return column of the measured vector -> places (n,) of its numbers."""
+    found: dict[int, Any] = {}
+    for reading in reversed(fleet.readings):
+        if isinstance(reading, GnssReading):
+            position, velocity = reading.position_ned, reading.velocity_ned
+            found |= {0: position.x, 1: position.y, 2: position.z, 17: velocity.x, 18: velocity.y}
+        elif isinstance(reading, AttitudeReading):
+            found |= {3: reading.attitude.roll, 4: reading.attitude.pitch, 5: reading.attitude.yaw}
+        elif isinstance(reading, GyroscopeReading):
+            found |= {9: reading.rates_body.x, 10: reading.rates_body.y, 11: reading.rates_body.z}
+        elif isinstance(reading, AccelerometerReading):
+            force = reading.specific_force
+            found |= {13: force.x, 14: force.y, 15: force.z}
+        elif isinstance(reading, BarometerReading):
+            found |= {16: reading.height, 19: reading.height_rate}
+    return found

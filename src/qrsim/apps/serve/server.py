@@ -1,0 +1,277 @@
+"""The server: who is connected, which sessions run, who watches them."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from qrsim.apps.serve.connection import MOST_WAITING, Connection
+from qrsim.apps.serve.requests import HANDLERS, NEEDED
+from qrsim.apps.serve.session import Session, Wishes
+from qrsim.apps.serve.tasks import Tasks
+from qrsim.errors import RunError, UsageError
+from qrsim.protocol.qrsim_pb2 import Message
+
+T = TypeVar("T")
+# A step that takes less than this is done at once: to hand it to another thread would take as long.
+SHORT_S = 0.002
+# A client that reconnects can be here before it is known that its old connection has gone, or before its last step has
+# ended.
+PATIENCE_S, LEAVING_S = 0.3, 30.0
+BACKLOG = 256
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the operator has chosen; see ``qrsim serve``."""
+
+    host: str = "127.0.0.1"
+    port: int = 10000
+    realtime: float = 0.0
+    allow_quit: bool = False
+    max_clients: int = 32
+    record: Path | None = None
+    sessions: bool = False
+    seed: int = 0
+
+
+@dataclass
+class Watching:
+    """What a connection watches.
+
+    Attributes:
+        session: id; None: whichever runs.
+        period: least simulated time between two states [s].
+        last: simulated time of the last one [s].
+        missed: states that it was too slow for.
+    """
+
+    session: int | None
+    period: float
+    last: float = -1.0
+    missed: int = 0
+
+
+class Server:
+    """Serves clients until it is stopped.
+
+    Args:
+        options: the operator's.
+        tasks: what clients can ask for.
+        say: called with one line for whoever watches the server.
+
+    Attributes:
+        sessions: id -> session.
+    """
+
+    def __init__(self, options: Options, tasks: Tasks, say: Callable[[str], None] = lambda line: None):
+        self.options, self.tasks, self.say = options, tasks, say
+        self.sessions: dict[int, Session] = {}
+        self._connections: set[Connection] = set()
+        self._watching: dict[Connection, Watching] = {}
+        self._opened = 0
+        self._opening = 0
+        self._stopping = asyncio.Event()
+        self._others = ThreadPoolExecutor(1, thread_name_prefix="load")
+
+    # ---- life ----
+
+    async def serve(self, ready: Callable[[str, int], None] = lambda host, port: None) -> None:
+        """Listen until ``stop``.
+
+        Args:
+            ready: called with the address as soon as clients can connect.
+
+        Raises:
+            RunError: the port is in use, or the host is not this machine's.
+        """
+        loop = asyncio.get_running_loop()
+        try:
+            listening = await loop.create_server(
+                lambda: Connection(self), self.options.host, self.options.port, backlog=BACKLOG
+            )
+        except OSError as error:
+            raise RunError(self._why_not(error)) from None
+        except OverflowError:
+            raise UsageError(f"--port {self.options.port}: expected 0 to 65535") from None
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                with suppress(NotImplementedError):
+                    loop.add_signal_handler(number, self.stop)
+        ready(*listening.sockets[0].getsockname()[:2])
+        await self._stopping.wait()
+        listening.close()
+        await self._end()
+
+    def _why_not(self, error: OSError) -> str:
+        where = f"{self.options.host}:{self.options.port}"
+        if error.errno == errno.EADDRINUSE:
+            return f"cannot listen on {where}: the port is in use; choose another with --port, or 0 for any"
+        return f"cannot listen on {where}: {error.strerror or error}"
+
+    def stop(self) -> None:
+        """End the server; may be called from its own thread only."""
+        self._stopping.set()
+
+    async def _end(self) -> None:
+        for connection in list(self._connections):
+            connection.gone_soon()
+        tasks = [connection.finished for connection in self._connections if connection.finished]
+        if tasks:
+            await asyncio.wait(tasks, timeout=5.0)
+        self._others.shutdown(wait=False)
+
+    def admit(self, connection: Connection) -> str | None:
+        """Note a new connection; return why it is refused, None where it is welcome."""
+        refused = None
+        if len(self._connections) >= self.options.max_clients:
+            refused = f"the server has {self.options.max_clients} clients, which is all that its operator allows"
+        self._connections.add(connection)
+        return refused
+
+    async def forget(self, connection: Connection) -> None:
+        """End what a connection has; it is about to be closed."""
+        await self.close_session(connection)
+        self._watching.pop(connection, None)
+        self._connections.discard(connection)
+
+    def report_bug(self, error: Exception) -> None:
+        """Print an error that nobody expected."""
+        print("".join(traceback.format_exception(error)), file=sys.stderr, flush=True)
+
+    # ---- requests ----
+
+    async def answer(self, connection: Connection, message: Message) -> bool:
+        """Answer a request; return whether the connection goes on.
+
+        Raises:
+            QrsimError: it was wrong; nothing was sent.
+        """
+        name = Message.Type.Name(message.type)
+        handler = HANDLERS.get(message.type)
+        if handler is None:
+            raise UsageError(f"{name} is not a request")
+        needed = NEEDED.get(message.type)
+        if needed is not None and not message.HasField(needed):
+            raise UsageError(f"{name}: the message has no '{needed}'")
+        return await handler(connection, message)
+
+    async def open(self, connection: Connection, wishes: Wishes) -> Session:
+        """Start a session for a connection, in place of the one it has.
+
+        Raises:
+            UsageError: another client has the only session.
+            RunError: it cannot be recorded.
+        """
+        await self.close_session(connection)
+        if not self.options.sessions:
+            begun = asyncio.get_running_loop().time()
+            while self._opening or self.sessions:
+                patience = LEAVING_S if self._owner_leaves() else PATIENCE_S
+                if asyncio.get_running_loop().time() > begun + patience:
+                    raise UsageError(
+                        "another client controls this server's simulation; watch it (WATCH), or ask the operator for "
+                        "a session of your own (--sessions)"
+                    )
+                await asyncio.sleep(0.01)
+        self._watching.pop(connection, None)
+        self._opened += 1
+        self._opening += 1
+        session = Session(self._opened, wishes)
+        try:
+            await asyncio.get_running_loop().run_in_executor(session.thread, session.begin)
+        except BaseException:
+            session.end()
+            raise
+        finally:
+            self._opening -= 1
+        connection.session = session
+        self.sessions[session.number] = session
+        self.say(f"session {session.number}: {session.scenario.name}, {session.simulation.size} vehicles")
+        return session
+
+    def _owner_leaves(self) -> bool:
+        return any(other.session is not None and other.leaving.is_set() for other in self._connections)
+
+    async def close_session(self, connection: Connection) -> None:
+        """End the session of a connection, if it has one."""
+        session = connection.session
+        if session is None:
+            return
+        await self.run(session, session.close_recording)
+        session.end()
+        connection.session = None
+        self.sessions.pop(session.number, None)
+        report = session.pacer.report()
+        late = f", {report.overruns} late, at worst by {1e3 * report.worst_delay:.1f} ms" if report.factor else ""
+        self.say(f"session {session.number} ended: {report.steps} steps, {report.simulated:g} s{late}")
+
+    async def aside(self, work: Callable[[], T]) -> T:
+        """Do something slow that belongs to no session."""
+        return await asyncio.get_running_loop().run_in_executor(self._others, work)
+
+    async def run(self, session: Session, work: Callable[[], T]) -> T:
+        """Do something with a session that may take long."""
+        return await asyncio.get_running_loop().run_in_executor(session.thread, work)
+
+    async def advance(self, connection: Connection, session: Session, command: Any, ticks: int) -> None:
+        """Advance a session.
+
+        Raises:
+            UsageError: the command cannot be flown, and nothing has changed; or its client leaves meanwhile.
+        """
+        if len(self.sessions) == 1 and session.expected_s(command, ticks) < SHORT_S:
+            session.advance(command, ticks)
+            return
+        loop = asyncio.get_running_loop()
+        left = ticks
+        while left:
+            count = session.piece(command, left)
+            await loop.run_in_executor(session.thread, session.advance, command, count)
+            left -= count
+            if left and connection.leaving.is_set():
+                raise UsageError(f"STEP: ended at {session.time:g} s, because the client closes the connection")
+
+    # ---- watching ----
+
+    def watch(self, connection: Connection, session: int | None, period: float, stop: bool) -> None:
+        """Begin or stop to send states to a connection.
+
+        Raises:
+            UsageError: there is no such session, or it is not said which.
+        """
+        if stop:
+            self._watching.pop(connection, None)
+            return
+        if session is not None and session not in self.sessions:
+            running = ", ".join(map(str, sorted(self.sessions))) or "none"
+            raise UsageError(f"WATCH: there is no session {session}; running: {running}")
+        if session is None and self.options.sessions:
+            if len(self.sessions) != 1:
+                raise UsageError(f"WATCH: {len(self.sessions)} sessions run; say which")
+            session = next(iter(self.sessions))
+        self._watching[connection] = Watching(session, period)
+
+    def broadcast(self, session: Session, state: bytes) -> None:
+        """Send a state to those who watch a session; whoever is too slow misses it."""
+        for connection, watching in self._watching.items():
+            if watching.session not in (None, session.number):
+                continue
+            # A time that has gone back is another episode.
+            if 0.0 <= session.time - watching.last < watching.period * (1.0 - 1e-9) and session.time:
+                continue
+            if connection.backlog > MOST_WAITING:
+                watching.missed += 1
+                continue
+            watching.last = session.time
+            connection.send_frame(state)

@@ -1,0 +1,313 @@
+"""One client's simulation; its methods are called one at a time, from whichever thread."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qrsim.apps.serve.pacing import Pacer
+from qrsim.apps.serve.readout import Readout
+from qrsim.control import VelocitySetpoint, WaypointSetpoint
+from qrsim.errors import RunError, UsageError, warn_user
+from qrsim.logs import RunInfo, RunWriter
+from qrsim.logs.streams import STREAMS, EventFinder, columns, values
+from qrsim.protocol.qrsim_pb2 import Arrayd, Events, State, Step
+from qrsim.scenarios.scenario import Scenario
+from qrsim.simulation import History, Simulation
+
+WIDTHS = {Step.WP: 4, Step.CTRL: 5, Step.VEL: 3}
+# How far a dt may be from a whole number of time steps, in time steps and of itself: it is often a sum of rounded numbers.
+DT_TOLERANCE, DT_RELATIVE_TOLERANCE = 1e-6, 1e-9
+# Of one STEP, so that a slip of the pen does not keep the server busy for days.
+MOST_TICKS = 1_000_000
+# Between two of its pieces a long step notices that its client has gone.
+PIECE_S = 0.25
+PIECE_TICKS = 50
+MOST_EVENTS = 10_000
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a session is asked to be.
+
+    Attributes:
+        scenario: what to fly, offboard.
+        seed: of all randomness.
+        realtime: simulated seconds per second of the wall clock; 0: lock-step.
+        events: collect events.
+        record: folder for run folders, one for each episode; None: not recorded.
+    """
+
+    scenario: Scenario
+    seed: int
+    realtime: float = 0.0
+    events: bool = False
+    record: Path | None = None
+
+
+class Session:
+    """A simulation with what a client sees of it. ``begin`` comes first, in the thread that may compile.
+
+    Attributes:
+        number: its id.
+        scenario: what is flown.
+        thread: a thread of its own, for what takes long.
+        simulation, readout, pacer: of the present episode.
+    """
+
+    simulation: Simulation
+    readout: Readout
+    pacer: Pacer
+
+    def __init__(self, number: int, wishes: Wishes):
+        self.number = number
+        self.scenario = wishes.scenario
+        self.thread = ThreadPoolExecutor(1, thread_name_prefix=f"session-{number}")
+        self._wishes = wishes
+        self._seconds: dict[Any, tuple[float, int]] = {}
+        self._events: deque[dict[str, Any]] = deque()
+        self._lost_events = 0
+        self._writer: RunWriter | None = None
+        self._finder: EventFinder | None = None
+        self._columns: dict[str, Any] = {}
+        self._episode = 0
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self.simulation.time
+
+    @property
+    def time_step(self) -> float:
+        """Simulation step [s]."""
+        return self.simulation.world.time_step
+
+    def begin(self) -> None:
+        """Build the world and start; in real time, compile all that it will need.
+
+        Raises:
+            RunError: the recording cannot be written.
+        """
+        scenario, wishes = self.scenario, self._wishes
+        self.simulation = Simulation(
+            scenario.world(), seed=wishes.seed, name=scenario.name, site=scenario.site, number=0
+        )
+        self.simulation.reset()
+        if wishes.realtime:
+            self.warm()
+        self._start_episode()
+        self.pacer = Pacer(wishes.realtime, 0.0)
+
+    def warm(self) -> None:
+        """Compile every kind of step, from and to the start."""
+        start = self.simulation.truth.position_ned
+        for command in (
+            WaypointSetpoint.of(start),
+            VelocitySetpoint.of(np.zeros_like(start)),
+            np.tile([0.0, 0.0, 0.5, 0.0, 12.0], (len(start), 1)),
+        ):
+            if self._tick_by_tick:
+                self.simulation.record(1, command, PIECE_TICKS)
+            else:
+                self.simulation.advance(command)
+        self.simulation.reset()
+
+    def restart(self, seed: int | None = None) -> None:
+        """Go back to the start, with another seed if one is given.
+
+        Raises:
+            UsageError: it is no seed.
+        """
+        self.simulation.reset(seed)
+        self._start_episode()
+        self.pacer.restarted()
+
+    def _start_episode(self) -> None:
+        self.readout = Readout(self.simulation)
+        self.close_recording()
+        self._episode += 1
+        if not self._tick_by_tick:
+            return
+        beginning = self.simulation.history
+        self._finder = EventFinder(self.simulation)
+        if self._wishes.record is not None:
+            self._columns = columns(self.simulation.world, beginning)
+            self._writer = self._new_writer(self._wishes.record)
+        self._keep(beginning)
+
+    @property
+    def _tick_by_tick(self) -> bool:
+        """Whether somebody looks at every tick."""
+        return self._wishes.events or self._wishes.record is not None
+
+    def _new_writer(self, folder: Path) -> RunWriter:
+        simulation = self.simulation
+        info = RunInfo.collect(
+            scenario=self.scenario.name, seed=simulation.seed, precision=simulation.precision,
+            time_step=self.time_step, vehicles=simulation.vehicle_names,
+        )  # fmt: skip
+        stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")
+        name = f"{stamp}-{self.scenario.name}-session{self.number}-{self._episode}"
+        return RunWriter.create(folder / name, info=info, scenario_yaml=self.scenario.to_yaml(), columns=self._columns)
+
+    # ---- steps ----
+
+    def ticks(self, dt: float) -> int:
+        """Return a simulated time as a number of time steps.
+
+        Raises:
+            UsageError: it is not a positive multiple.
+        """
+        step = self.time_step
+        count = dt / step
+        tolerance = max(DT_TOLERANCE, DT_RELATIVE_TOLERANCE * count)
+        if not (math.isfinite(count) and count > 0.5 and abs(count - round(count)) <= tolerance):
+            raise UsageError(f"dt: {dt:g} s is not a positive multiple of the time step, {step:g} s")
+        if count > MOST_TICKS + 0.5:
+            raise UsageError(f"dt: {dt:g} s is {count:.0f} time steps; allowed: up to {MOST_TICKS} in one STEP")
+        return round(count)
+
+    def rows(self, given: Sequence[Arrayd], widths: Sequence[int], what: str) -> np.ndarray[Any, Any]:
+        """Return the vectors of a message as an array, one row for each vehicle.
+
+        Raises:
+            UsageError: their number or lengths are wrong.
+        """
+        size = self.simulation.size
+        if len(given) != size:
+            raise UsageError(f"{what}: {len(given)} vectors; expected {size}, one for each vehicle")
+        found = [row.value for row in given]
+        width = len(found[0])
+        allowed = " or ".join(map(str, widths))
+        for i, row in enumerate(found):
+            if len(row) not in widths:
+                name = self.simulation.vehicle_names[i]
+                raise UsageError(f"{what} of vehicle {i} ('{name}'): {len(row)} numbers; expected {allowed}")
+            if len(row) != width:
+                raise UsageError(f"{what}: vectors of {width} and of {len(row)} numbers; expected the same for all")
+        return np.array(found, np.float64)
+
+    def command(self, request: Step) -> Any:
+        """Return the command of a STEP as ``Simulation.step`` takes it.
+
+        Raises:
+            UsageError: the number of vectors or of their entries is wrong.
+        """
+        rows = self.rows(request.cmd, (WIDTHS[request.type],), "cmd")
+        if request.type == Step.WP:
+            return WaypointSetpoint.of(rows[:, :3], rows[:, 3])
+        if request.type == Step.VEL:
+            return VelocitySetpoint.of(rows)
+        return rows
+
+    def expected_s(self, command: Any, ticks: int) -> float:
+        """Return how long so many ticks should take [s]; infinite for a kind of command that was not seen yet."""
+        seconds, measured = self._seconds.get(type(command), (math.inf, 1))
+        return seconds * max(1.0, ticks / measured)
+
+    def piece(self, command: Any, ticks: int) -> int:
+        """Return how many of the ticks to do in one piece."""
+        if type(command) not in self._seconds:
+            return min(ticks, PIECE_TICKS)
+        seconds, measured = self._seconds[type(command)]
+        return min(ticks, max(PIECE_TICKS, int(PIECE_S * measured / seconds)))
+
+    def advance(self, command: Any, ticks: int) -> None:
+        """Advance.
+
+        Raises:
+            UsageError: the command cannot be flown; nothing has changed.
+        """
+        begun = time.perf_counter()
+        if self._tick_by_tick:
+            for done in range(0, ticks, PIECE_TICKS):
+                self._keep(self.simulation.record(min(PIECE_TICKS, ticks - done), command, PIECE_TICKS))
+        else:
+            self.simulation.advance(command, ticks)
+            # JAX computes in the background; what waits for it belongs here, where nobody else is kept waiting.
+            self.readout.all_valid()
+        # The first call compiles, which says nothing about the next one.
+        known = type(command) in self._seconds
+        self._seconds[type(command)] = (time.perf_counter() - begun, ticks) if known else (PIECE_S, PIECE_TICKS)
+
+    def set_state(self, given: Sequence[Arrayd]) -> None:
+        """Put the vehicles into given states.
+
+        Raises:
+            UsageError: wrong numbers, or a state beyond area and limits or in collision.
+        """
+        rows = self.rows(given, (3, 6, 12, 13), "X")
+        if not np.isfinite(rows).all():
+            i = int(np.argmax(~np.isfinite(rows).all(axis=1)))
+            raise UsageError(f"X of vehicle {i} ('{self.simulation.vehicle_names[i]}') is not finite")
+        self.simulation.set_state(rows)
+
+    def state_with_reasons(self) -> State:
+        """Return the state with why each vehicle is invalid."""
+        state = State.FromString(self.readout.body())
+        state.reason.extend(self.simulation.reasons)
+        return state
+
+    # ---- what is kept ----
+
+    def _keep(self, history: History) -> None:
+        assert self._finder is not None
+        found = self._finder.find(history)
+        if self._wishes.events:
+            self._events.extend(found)
+            while len(self._events) > MOST_EVENTS:
+                self._events.popleft()
+                self._lost_events += 1
+        if self._writer is None:
+            return
+        arrays = values(self.simulation.world, history, self._columns)
+        try:
+            with self._writer.together():
+                for stream in STREAMS:
+                    self._writer.append(stream, history.ticks, history.time, arrays[stream])
+                for event in found:
+                    self._writer.append_event(**event)
+        except RunError as error:
+            # The client flies on: it is the operator who has no room.
+            warn_user(f"session {self.number} is no longer recorded: {error}")
+            self._writer = None
+
+    def events(self) -> Events:
+        """Return the events since the last call.
+
+        Raises:
+            UsageError: they are not collected.
+        """
+        if not self._wishes.events:
+            raise UsageError("this session collects no events: it was not opened with OPEN and events")
+        found = Events(lost=self._lost_events)
+        for event in self._events:
+            optional = {key: event[key] for key in ("vehicle", "field", "value") if event.get(key) is not None}
+            found.event.add(t=event["time"], kind=event["kind"], message=event.get("message", ""), **optional)
+        self._events.clear()
+        self._lost_events = 0
+        return found
+
+    def close_recording(self) -> None:
+        """End the recording of the present episode."""
+        if self._writer is None:
+            return
+        try:
+            self._writer.close("finished")
+        except RunError as error:
+            warn_user(f"session {self.number}: {error}")
+        self._writer = None
+
+    def end(self) -> None:
+        """End the recording; nothing is to be called after it."""
+        self.close_recording()
+        self.thread.shutdown(wait=False)

@@ -1,0 +1,160 @@
+"""What a client can ask for by name, and the scenarios it can send."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from itertools import accumulate
+from typing import Any
+
+import yaml
+
+from qrsim.control.controllers import OffboardController
+from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.scenarios.reading import built_in_names, parse_yaml
+from qrsim.scenarios.scenario import Scenario, load_scenario
+
+# Names of the reference implementation -> ours.
+REFERENCE_TASKS = {
+    "TaskKeepSpot": "keep_spot",
+    "TaskKeepSpotWithReward": "keep_spot",
+    "TaskKeepSpot10": "keep_spot_10",
+    "TaskGotoWP": "goto_waypoint",
+    "TaskKeepVel": "keep_velocity",
+    "TaskComplacs": "free_flight",
+}
+# Those of the reference implementation that are not built yet begin so.
+NOT_BUILT = {"TaskCatsMouse": "cats and mouse", "TaskSearchRescue": "search and rescue", "TaskPlume": "plume mapping"}
+LARGEST_SCENARIO, DEEPEST = 256 * 1024, 100
+MOST_FLEETS, MOST_SENSORS, MOST_VEHICLES = 8, 16, 1000
+_GAINS = [field.name for field in dataclasses.fields(OffboardController)]
+
+
+def offboard(scenario: Scenario) -> Scenario:
+    """Return a scenario whose fleets take every kind of set-point, their controllers' gains kept by name."""
+    content = scenario.spec.model_dump(mode="json")
+    for fleet in content["fleets"].values():
+        gains = {name: value for name, value in fleet["controller"].items() if name in _GAINS}
+        fleet["controller"] = {"type": "offboard", **gains}
+    return load_scenario(content)
+
+
+class Tasks:
+    """The tasks of a server.
+
+    Args:
+        own: the operator's scenario, which an empty name means too; None: there is none.
+    """
+
+    def __init__(self, own: Scenario | None = None):
+        self.own = own
+        self._loaded: dict[str, Scenario] = {}
+
+    @property
+    def names(self) -> list[str]:
+        """What a client may ask for."""
+        own = [self.own.name] if self.own else []
+        return [*own, *(name for name in built_in_names() if name not in own), *REFERENCE_TASKS]
+
+    def scenario(self, name: str) -> Scenario:
+        """Return the scenario of a task, ready for commands of every kind.
+
+        Raises:
+            UsageError: no task is called so.
+        """
+        if name not in self._loaded:
+            self._loaded[name] = offboard(self._named(name))
+        return self._loaded[name]
+
+    def _named(self, name: str) -> Scenario:
+        if self.own and name in ("", self.own.name):
+            return self.own
+        known = REFERENCE_TASKS.get(name, name)
+        if known in built_in_names():
+            return load_scenario(known)
+        for begin, family in NOT_BUILT.items():
+            if name.startswith(begin):
+                raise UsageError(f"task '{_short(name)}': {family} is not part of this version")
+        raise UsageError(f"no task is called '{_short(name)}'{did_you_mean(name[:100], self.names)}")
+
+
+def uploaded(text: str) -> Scenario:
+    """Return the scenario that a client sent.
+
+    Raises:
+        UsageError: it is too large, names files, or is wrong.
+    """
+    size = len(text.encode())
+    if size > LARGEST_SCENARIO:
+        raise UsageError(f"scenario: {size} bytes; allowed: up to {LARGEST_SCENARIO}")
+    try:
+        if _depth(text) > DEEPEST:
+            raise RecursionError
+        _refuse_aliases(text)
+        content = parse_yaml(text, "scenario")
+        problems = list(_upload_problems(content))
+        if problems:
+            raise ScenarioError("scenario", problems)
+        return offboard(load_scenario(content))
+    except RecursionError:
+        raise UsageError("scenario: nested too deeply") from None
+
+
+def _depth(text: str) -> int:
+    """Return how deeply brackets are nested, with which the parser would take long."""
+    return max(accumulate((char in "[{") - (char in "]}") for char in text), default=0)
+
+
+def _refuse_aliases(text: str) -> None:
+    """Refuse references to other parts of the text, with which few bytes can say a lot."""
+    try:
+        for token in yaml.scan(text, Loader=yaml.SafeLoader):
+            if isinstance(token, yaml.AliasToken):
+                raise ScenarioError("scenario", [f"line {token.start_mark.line + 1}: '*' is not allowed here"])
+    except yaml.YAMLError:
+        return  # the parser says what is wrong
+
+
+def _upload_problems(content: Any) -> Iterator[str]:
+    if not isinstance(content, dict):
+        yield "expected keys and values such as name: hover"
+        return
+    parent = content.get("extends")
+    if parent is not None and parent not in built_in_names():
+        yield f"extends: expected the name of a built-in scenario, found {_short(str(parent))!r}"
+    for path in _files(content, ""):
+        yield f"{path}: a scenario that a client sends can name no files"
+    fleets = content.get("fleets")
+    if not isinstance(fleets, Mapping):
+        return
+    if len(fleets) > MOST_FLEETS:
+        yield f"fleets: {len(fleets)}; allowed: up to {MOST_FLEETS}"
+    vehicles = 0
+    for name, fleet in fleets.items():
+        if not isinstance(fleet, Mapping):
+            continue
+        vehicles += _count(fleet.get("vehicles"))
+        if _count(fleet.get("sensors")) > MOST_SENSORS:
+            yield f"fleets.{name}.sensors: {_count(fleet['sensors'])}; allowed: up to {MOST_SENSORS}"
+    if vehicles > MOST_VEHICLES:
+        yield f"fleets: {vehicles} vehicles; allowed: up to {MOST_VEHICLES}"
+
+
+def _count(value: Any) -> int:
+    return len(value) if isinstance(value, list | dict) else 0
+
+
+def _files(part: Any, path: str) -> Iterator[str]:
+    if isinstance(part, dict):
+        for key, value in part.items():
+            where = f"{path}.{key}" if path else str(key)
+            if key == "file":
+                yield where
+            yield from _files(value, where)
+    elif isinstance(part, list):
+        for i, value in enumerate(part):
+            yield from _files(value, f"{path}.{i}")
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 60 else f"{name[:57]}..."

@@ -1,0 +1,1 @@
+"""Holding the models against recordings, closed forms and independent implementations."""

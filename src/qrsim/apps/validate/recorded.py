@@ -1,0 +1,89 @@
+"""Reading the recorded flights, and what their columns leave out."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from qrsim.core.vectors import Euler, Vec3
+from qrsim.errors import RunError
+from qrsim.models.vehicles.quadrotor import QuadrotorState, raw_to_command
+
+Table = np.ndarray[Any, np.dtype[np.floating[Any]]]
+
+DT = 0.02
+# A command that the recordings leave out.
+BATTERY_V = 11.0
+FETCH = "run 'qrsim data fetch' and set QRSIM_DATA_DIR to the folder it prints"
+
+
+class Match(NamedTuple):
+    """A simulation beside the recording that it is compared with, row by row.
+
+    Attributes:
+        time: (T,) since the first row [s].
+        recorded, simulated: (T, K).
+        names: of the K columns.
+    """
+
+    time: Table
+    recorded: Table
+    simulated: Table
+    names: tuple[str, ...]
+
+    @property
+    def residual(self) -> Table:
+        """Recorded minus simulated, (T, K)."""
+        return self.recorded - self.simulated
+
+    def mean_square(self) -> dict[str, float]:
+        """Return the mean squared error of each column."""
+        return mean_square(self.residual, self.names)
+
+    def explained(self) -> dict[str, float]:
+        """Return what share of each record's variance the simulation explains: 1 - mean squared error/variance."""
+        variance = np.var(self.recorded, axis=0)
+        return {name: 1.0 - error / float(variance[i]) for i, (name, error) in enumerate(self.mean_square().items())}
+
+
+def mean_square(difference: Table, names: tuple[str, ...]) -> dict[str, float]:
+    """Return the mean squares of columns (T, K) by name."""
+    return dict(zip(names, np.mean(np.square(difference, dtype=np.float64), axis=0).tolist(), strict=True))
+
+
+def read_table(path: Path, columns: int) -> Table:
+    """Read one recording.
+
+    Raises:
+        RunError: the file is absent, unreadable or has another number of columns.
+    """
+    try:
+        with warnings.catch_warnings():
+            # An empty file gives a warning and no columns; the check below names it.
+            warnings.simplefilter("ignore", UserWarning)
+            rows = np.loadtxt(path, delimiter=",", ndmin=2)
+    except OSError as error:
+        raise RunError(f"no recording {path}: {error.strerror or 'not found'}; {FETCH}") from error
+    except ValueError as error:
+        raise RunError(f"{path}: not a table of numbers ({error}); {FETCH}") from error
+    if rows.shape[1] != columns:
+        raise RunError(f"{path}: {rows.shape[1]} columns, expected {columns}; {FETCH}")
+    return rows
+
+
+def command_rows(pitch: Table, roll: Table, throttle: Table, yaw: Table, battery: Table) -> Table:
+    """Return (T, 5) SI commands from raw columns of shape (T,)."""
+    columns: Any = raw_to_command(pitch, roll, throttle, yaw, battery)  # type: ignore[arg-type]
+    return np.stack([columns.pitch, columns.roll, columns.throttle, columns.yaw_rate, columns.battery], axis=1)
+
+
+def state_of(states: Table) -> QuadrotorState:
+    """Return rows of shape (T, 13) as a state whose arrays have shape (T,)."""
+    columns = [jnp.asarray(states[:, i]) for i in range(13)]
+    return QuadrotorState(
+        Vec3(*columns[:3]), Euler(*columns[3:6]), Vec3(*columns[6:9]), Vec3(*columns[9:12]), columns[12]
+    )

@@ -1,0 +1,49 @@
+"""Comparing a statistic with its exact expectation, one at a time and as a family (Bonferroni)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+CONFIDENCE = 0.999
+
+Values = np.ndarray[Any, np.dtype[np.floating[Any]]]
+Statistic = dict[str, float]
+
+
+def against(value: Any, expected: float, standard_error: float) -> Statistic:
+    """Return a statistic (a number of any type) that is normal about ``expected`` under the hypothesis."""
+    z = (float(value) - expected) / standard_error
+    return {"value": float(value), "expected": expected, "z": z, "p": math.erfc(abs(z) / math.sqrt(2.0))}
+
+
+def p_values(tree: dict[str, Any]) -> Iterator[float]:
+    """Yield the p-value of each statistic in a tree."""
+    for value in tree.values():
+        if isinstance(value, dict):
+            if "p" in value:
+                yield value["p"]
+            else:
+                yield from p_values(value)
+
+
+def judge(tree: dict[str, Any]) -> dict[str, float]:
+    """Return the number of statistics in a family, its smallest p-value and the limit for it."""
+    found = list(p_values(tree))
+    return {"statistics": len(found), "smallest_p": min(found), "p_limit": (1.0 - CONFIDENCE) / len(found)}
+
+
+def widest_z(count: int) -> float:
+    """Return the |z| that all of ``count`` statistics stay within at CONFIDENCE where the hypothesis is true."""
+    return NormalDist().inv_cdf(1.0 - (1.0 - CONFIDENCE) / (2.0 * count))
+
+
+def mean_and_error(estimates: Values, axis: int = 0) -> tuple[Values, Values]:
+    """Return the mean of independent estimates along an axis, and its standard error from the spread between them."""
+    count = estimates.shape[axis]
+    error = np.std(estimates, axis=axis, ddof=1) / math.sqrt(count)
+    return np.asarray(np.mean(estimates, axis=axis)), np.asarray(error)

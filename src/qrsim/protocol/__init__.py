@@ -1,0 +1,4 @@
+"""The TCP protocol: messages (qrsim.proto and what is generated from it) and how they are framed.
+
+Both the server and the client import this. ``make proto`` generates qrsim_pb2.py and qrsim_pb2.pyi anew.
+"""

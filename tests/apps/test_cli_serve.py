@@ -1,0 +1,72 @@
+"""``qrsim serve``: options that are refused before anything is served, and what it says."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from qrsim.apps.serve.command import Serve
+from qrsim.client import Client
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--port", "70000"], "--port 70000: expected 0 to 65535"),
+        (["--host", "0.0.0.0"], "--allow-remote"),
+        (["--host", "192.0.2.1"], "other machines could connect"),
+        (["--realtime", "0"], "--realtime 0: expected a positive number"),
+        (["--realtime", "1e9"], "allowed: 0.001 to 1000"),
+        (["--max-clients", "0"], "--max-clients 0"),
+        (["--seed", "-1"], "--seed -1"),
+        (["keep_spott"], "did you mean 'keep_spot'?"),
+        (["--set", "duration=3"], "there is no SCENARIO to change"),
+    ],
+)
+def test_wrong_options_are_refused(words, said, refused):
+    refused(["serve", *words], said)
+
+
+def test_a_port_in_use_is_named(refused):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        refused(["serve", "--port", str(port)], f"127.0.0.1:{port}: the port is in use", code=1)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.9.9.9", "::1", "localhost"])
+def test_this_machine_alone_needs_no_permission(host, capsys):
+    Serve(host=host)._options()
+    assert capsys.readouterr().err == ""
+
+
+def test_other_machines_need_a_flag_and_are_warned_of(capsys):
+    Serve(host="0.0.0.0", allow_remote=True)._options()
+    assert "warning: every machine that can reach 0.0.0.0" in capsys.readouterr().err
+
+
+def test_a_fleet_too_large_for_reference_clients_is_warned_of_and_served_in_real_time(tmp_path: Path):
+    """Thirty-seven vehicles; the operator's scenario is compiled before anybody can connect."""
+    vehicles = [{"position_ned": [5.0 * i, 0.0, -10.0]} for i in range(37)]
+    content = {"extends": "hover", "name": "crowd", "world": {"area": {"x_max": 500.0}}}
+    content["fleets"] = {"pelicans": {"vehicles": vehicles}}
+    (tmp_path / "crowd.yaml").write_text(yaml.safe_dump(content), "utf-8")
+    words = [sys.executable, "-m", "qrsim.cli", "serve", str(tmp_path / "crowd.yaml"), "--port", "0", "--realtime", "4"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        port = int(process.stdout.readline().rpartition(":")[2])
+        with Client(port=port) as client:
+            assert client.init("crowd").state.shape == (37, 13)
+            assert client.step_velocity(0.1, [[0.0, 0.0, 0.0]] * 37).time == pytest.approx(0.1)
+            assert client.pace()["factor"] == 4.0
+        process.terminate()
+        assert process.wait(30.0) == 0
+        assert "the state of 37 vehicles is 10157 bytes" in process.stderr.read()
+        said = process.stdout.read().splitlines()
+    assert said[0] == "session 1: crowd, 37 vehicles"
+    assert said[1].startswith("session 1 ended: 1 steps, 0.1 s, ")

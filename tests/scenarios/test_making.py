@@ -1,0 +1,226 @@
+"""Scenarios from Python against the same ones in YAML."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+import qrsim
+from qrsim.control import HeightLoop, VelocityController, WaypointController
+from qrsim.errors import ScenarioError, UsageError
+from qrsim.models.battery import LithiumPolymer
+from qrsim.models.fence import PolygonArea
+from qrsim.models.gnss import GnssReceiver, OrnsteinUhlenbeckErrors
+from qrsim.models.obstacles import BoxObstacle, CylinderObstacle
+from qrsim.models.turbulence import DrydenFirstOrder
+from qrsim.models.vehicles.quadrotor import Quadrotor
+from qrsim.models.wind import LogShear
+from qrsim.scenarios.making import SENSORS, make_scenario, make_world
+from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation import Simulation
+
+ROUTES = {"position_ned": [0.0, 0.0, -10.0], "waypoints_ned": [[-50.0, -50.0, -10.0]]}
+PATROL = {
+    (-60.0, -60.0, -20.0): [[-60, -20, -20], [-20, -20, -20], [-20, -60, -20], [-60, -60, -20]],
+    (-60.0, 20.0, -30.0): [[-60, 60, -30], [-20, 60, -30], [-20, 20, -30], [-60, 20, -30]],
+    (-20.0, -20.0, -40.0): [[-20, 20, -40], [20, 20, -40], [20, -20, -40], [-20, -20, -40]],
+    (20.0, -60.0, -50.0): [[20, -20, -50], [60, -20, -50], [60, -60, -50], [20, -60, -50]],
+    (20.0, 20.0, -60.0): [[20, 60, -60], [60, 60, -60], [60, 20, -60], [20, 20, -60]],
+}
+NARROW = {"type": "box", "x_min": -10, "x_max": 20, "y_min": -10, "y_max": 10, "z_min": -20, "z_max": 0}
+
+
+def gusts(bearing_rad: float) -> DrydenFirstOrder:
+    return DrydenFirstOrder(speed_20ft=2.0, wind_from_rad=bearing_rad)  # type: ignore[arg-type]
+
+
+def keep_spot() -> Any:
+    return make_scenario(
+        fleets={"pelicans": {"vehicles": [[0, 0, -10]], "sensors": "noisy", "controller": "waypoint"}},
+        name="keep_spot", area=NARROW, turbulence=gusts(0.0), sky={"errors": {"type": "gauss_markov_2"}},
+    )  # fmt: skip
+
+
+def keep_velocity() -> Any:
+    fleet = {"vehicles": np.array([[0, 0, -10]]), "sensors": "noisy", "controller": VelocityController()}
+    return make_scenario(
+        fleets={"pelicans": fleet}, name="keep_velocity", area=NARROW, turbulence=gusts(np.pi / 4),
+        wind=LogShear(speed_20ft=np.float32(2.5), wind_from_rad=np.pi / 4),
+        sky={"errors": {"type": "gauss_markov_2"}},
+    )  # fmt: skip
+
+
+def goto_waypoint() -> Any:
+    area = {"type": "box", "x_min": -70, "x_max": 70, "y_min": -70, "y_max": 70, "z_min": -50, "z_max": 0}
+    return make_scenario(
+        extends="keep_spot", name="goto_waypoint", area=area, fleets={"pelicans": {"vehicles": [ROUTES]}}
+    )
+
+
+def free_flight() -> Any:
+    area = {"type": "box", "x_min": -15.0, "x_max": 80.0, "y_min": -15.0, "y_max": 15.0, "z_min": -20.0, "z_max": 0.0}
+    fleet = {"vehicles": [(6.0, -8.0, -9.0)], "controller": "offboard", "limits": {"rate": 2.0}}
+    return make_scenario(fleets={"pelicans": fleet}, name="free_flight", area=area)
+
+
+def outdoor_patrol() -> Any:
+    bounds = {"x_min": -200.0, "x_max": 200.0, "y_min": -200.0, "y_max": 200.0, "z_min": -100.0, "z_max": 0.0}
+    fleet = {
+        "vehicles": [{"position_ned": start, "waypoints_ned": route} for start, route in PATROL.items()],
+        "vehicle": Quadrotor(),
+        "controller": WaypointController(tilt_limit=0.6),  # type: ignore[arg-type]
+        "limits": {"rate": 6.0},
+        "guidance": {"type": "route", "acceptance_radius": 8.0},
+        "sensors": {**SENSORS["noisy"], "gnss": GnssReceiver(range_noise_std=0.02)},  # type: ignore[arg-type]
+    }
+    return make_scenario(
+        fleets={"pelicans": fleet}, name="outdoor_patrol", duration=120.0,
+        start_time=datetime(2026, 6, 21, 10, tzinfo=UTC),
+        site={"latitude_deg": 51.7119, "longitude_deg": -0.21052, "height": 0.0}, area={"type": "box", **bounds},
+        wind=LogShear(speed_20ft=5.0, wind_from_rad=np.radians(225.0)), turbulence="dryden_first_order",
+        sky={"errors": OrnsteinUhlenbeckErrors(std=1.5, time_constant=2000.0)}, collision_distance=2.0,
+    )  # fmt: skip
+
+
+class TestAsInYaml:
+    @pytest.mark.parametrize("make", [keep_spot, keep_velocity, goto_waypoint, free_flight, outdoor_patrol])
+    def test_same_scenario_and_world(self, make: Any):
+        """All but the description; its numbers are equal to the last bit, its structure is one."""
+        mine, theirs = make(), load_scenario(make.__name__)
+        own = mine.spec.model_dump() | {"description": theirs.spec.description}
+        assert own == theirs.spec.model_dump()
+        for precision in ("float32", "float64"):
+            leaves, structure = jax.tree.flatten(mine.world(precision))
+            others, other_structure = jax.tree.flatten(theirs.world(precision))
+            assert structure == other_structure
+            for leaf, other in zip(leaves, others, strict=True):
+                np.testing.assert_array_equal(leaf, other)
+
+    def test_their_runs_are_the_same_to_the_bit(self):
+        found = []
+        for scenario in (free_flight(), load_scenario("free_flight")):
+            simulation = Simulation(scenario.world(), seed=7)
+            simulation.reset()
+            simulation.step(ticks=100)
+            found.append(simulation.state)
+        jax.tree.map(np.testing.assert_array_equal, *found)
+
+    def test_it_can_be_saved_as_yaml_and_loaded(self, tmp_path):
+        file = tmp_path / "mine.yaml"
+        file.write_text(outdoor_patrol().to_yaml())
+        assert load_scenario(file).spec == outdoor_patrol().spec
+
+
+class TestParts:
+    def test_a_single_fleet(self):
+        scenario = make_scenario([[0, 0, -10], {"position_ned": [8, 0, -12], "name": "b"}], controller="velocity")
+        (fleet,) = scenario.spec.fleets.values()
+        assert list(scenario.spec.fleets) == ["vehicles"]
+        assert [vehicle.position_ned for vehicle in fleet.vehicles] == [[0.0, 0.0, -10.0], [8.0, 0.0, -12.0]]
+        assert (fleet.vehicles[1].name, fleet.controller.type, fleet.guidance.type) == ("b", "velocity", "velocity")
+        assert {name: sensor.type for name, sensor in fleet.sensors.items()} == {
+            name: sensor["type"] for name, sensor in SENSORS["ideal"].items()
+        }
+        assert scenario.name == "experiment"
+
+    def test_sensors(self):
+        noisy = make_scenario([[0, 0, -10]], sensors="noisy").spec.fleets["vehicles"].sensors
+        assert [sensor.type for sensor in noisy.values()] == [sensor["type"] for sensor in SENSORS["noisy"].values()]
+        named = make_scenario(
+            [[0, 0, -10]], sensors={"height": "barometer"}, controller={"type": "waypoint", "feed": "truth"}
+        )
+        assert {name: sensor.type for name, sensor in named.spec.fleets["vehicles"].sensors.items()} == {
+            "height": "barometer"
+        }
+        none = make_scenario([[0, 0, -10]], sensors={}, controller={"type": "waypoint", "feed": "truth"})
+        assert none.spec.fleets["vehicles"].sensors == {}
+
+    def test_objects_in_every_place(self):
+        square = PolygonArea(north=np.array([-20.0, 20, 20, -20]), east=np.array([-20.0, -20, 20, 20]), z_min=-50.0)  # type: ignore[arg-type]
+        scenario = make_scenario(
+            [[0, 0, -10], [5, 0, -10]],
+            area=square,
+            obstacles=[BoxObstacle(8.0, 9.0, 8.0, 9.0, -10.0), CylinderObstacle(-8.0, -8.0, 1.0, -10.0)],  # type: ignore[arg-type]
+            vehicle=Quadrotor(mass=np.array([1.6, 1.8])),  # type: ignore[arg-type]
+            battery=LithiumPolymer(),
+            controller=WaypointController(height=HeightLoop(kp=0.04)),  # type: ignore[arg-type]
+        )
+        world, fleet = scenario.spec.world, scenario.spec.fleets["vehicles"]
+        assert world.area.corners_ned == [[-20, -20], [20, -20], [20, 20], [-20, 20]]
+        assert world.area.z_min == -50.0
+        assert [obstacle.type for obstacle in world.obstacles] == ["box", "cylinder"]
+        assert fleet.vehicle.mass == [1.6, 1.8]
+        assert (fleet.battery.type, fleet.controller.height.kp) == ("lithium_polymer", 0.04)
+        built = scenario.world()
+        np.testing.assert_array_equal(built.area.east, np.float32([-20, -20, 20, 20]))
+
+    def test_extending(self):
+        """What is left out is as it is there: the sensors stay noisy, the vehicles where they are."""
+        scenario = make_scenario(extends="keep_spot", wind="calm", fleets={"pelicans": {"controller": "velocity"}})
+        expected = load_scenario({"extends": "keep_spot", "name": "experiment"}).spec
+        fleet, parent = scenario.spec.fleets["pelicans"], expected.fleets["pelicans"]
+        assert fleet.sensors == parent.sensors
+        assert fleet.vehicles == parent.vehicles
+        assert fleet.controller.type == "velocity"
+        assert scenario.spec.world == expected.world
+        assert make_scenario(extends="keep_spot").spec == expected
+
+    def test_world_of_both_precisions(self):
+        for precision in ("float32", "float64"):
+            world = make_world([[0, 0, -10]], precision=precision)
+            assert world.fleets[0].start.position_ned.x.dtype == precision
+        with pytest.raises(UsageError, match="precision: 'float23' is not known; did you mean"):
+            make_world([[0, 0, -10]], precision="float23")
+        assert qrsim.make_world is make_world
+
+
+class TestBadInput:
+    @pytest.mark.parametrize(
+        ("parts", "message"),
+        [
+            ({}, "give either vehicles or fleets"),
+            ({"vehicles": [[0, 0, -10]], "fleets": {}}, "give either vehicles or fleets"),
+            ({"vehicles": [[0, 0, -10]], "windy": "calm"}, "no part is called 'windy'; did you mean 'wind'"),
+            ({"fleets": {"a": {"vehicles": [[0, 0, -10]]}}, "sensors": "noisy"}, "sensors is a part of a fleet"),
+            ({"fleets": {"a": {"sensor": "noisy"}}}, "fleets.a: no part is called 'sensor'; did you mean 'sensors'"),
+            ({"fleets": {"a": [[0, 0, -10]]}}, r"fleets.a: expected a dict, found \[\[0"),
+            ({"vehicles": 5}, "vehicles: expected a list of vehicles, found 5"),
+            ({"vehicles": {"position_ned": [0, 0, -10]}}, "expected a list of vehicles"),
+            ({"vehicles": [[0, 0, -10]], "sensors": "noisey"}, "'noisey' .*; did you mean 'noisy'"),
+            ({"vehicles": [[0, 0, -10]], "sensors": ["gnss"]}, "is neither a dict nor known; known: ideal, noisy"),
+            ({"vehicles": [[0, 0, -10]], "extends": "keep_spot"}, "with extends give fleets"),
+            ({"extends": "keep_spit"}, "no scenario is called 'keep_spit'; did you mean 'keep_spot'"),
+        ],
+    )
+    def test_parts(self, parts: dict[str, Any], message: str):
+        with pytest.raises(UsageError, match=message):
+            make_scenario(**parts)
+
+    @pytest.mark.parametrize(
+        ("parts", "message"),
+        [
+            ({"wind": "log_sheer"}, "world.wind.*did you mean 'log_shear'"),
+            ({"wind": 3}, "world.wind: expected keys and values, found 3"),
+            ({"vehicle": {"type": "pelican", "mas": 2.0}}, "fleets.vehicles.vehicle.mas: .*did you mean 'mass'"),
+            ({"vehicle": Quadrotor(mass=-1.0)}, "fleets.vehicles.vehicle.mass: -1.0 is out of range"),  # type: ignore[arg-type]
+            ({"vehicle": Quadrotor(mass=np.ones(3))}, "3 numbers in a list; allowed: 2"),  # type: ignore[arg-type]
+            ({"controller": "waypoint", "guidance": "velocity"}, "does not fit the controller"),
+        ],
+    )
+    def test_what_they_say(self, parts: dict[str, Any], message: str):
+        with pytest.raises(ScenarioError, match=message):
+            make_scenario([[0, 0, -10], [9, 0, -10]], **parts)
+
+    def test_components_of_ones_own(self):
+        import dataclasses
+
+        @dataclasses.dataclass
+        class MyWind:
+            speed: float = 3.0
+
+        with pytest.raises(UsageError, match=r"wind: MyWind is not in the catalogue; .* dataclasses.replace"):
+            make_scenario([[0, 0, -10]], wind=MyWind())

@@ -1,0 +1,230 @@
+"""What sums up a flight, against the recorded states of the same flight and the summary of its run folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.small_worlds import bare_pair, noisy_pair
+
+import qrsim
+from qrsim.core.vectors import Vec3
+from qrsim.logs import open_run
+from qrsim.logs.summary import summarise, tracking_error
+from qrsim.metrics import MOST_FOR_SEPARATION, Extreme, _nearest
+from qrsim.rollouts import Rollout, rollout
+from qrsim.scenarios.scenario import Scenario
+from qrsim.world import State
+
+SEEDS, DURATION, TICKS, DT = [3, 4, 8], 6.0, 300, 0.02
+FIX_TICKS = 10  # the receiver's 0.2 s, which is also its delay: the second fix is the first again
+# The last of them flies fast to the south, where the area ends.
+FAST = {"x_min": -4.0, "x_max": 40.0, "y_min": -40.0, "y_max": 40.0, "z_min": -40.0}
+Array = np.ndarray[Any, Any]
+
+
+def experiment(**parts: Any) -> Scenario:
+    return noisy_pair(duration=DURATION, **parts)
+
+
+def leaving() -> Scenario:
+    """The second vehicle starts towards the southern edge, faster than it can stop."""
+    return experiment(
+        area={"type": "box", **FAST},
+        vehicles=[
+            {"position_ned": [0, 0, -10], "waypoints_ned": [[6, 0, -10], [6, 5, -11]]},
+            {"position_ned": [0, 9, -12], "velocity_body": [-8, 0, 0], "waypoints_ned": [[6, 9, -12]]},
+        ],
+    )
+
+
+def everything(state: State) -> dict[str, Any]:
+    (fleet,) = state.fleets
+
+    def stack(vector: Vec3) -> Any:
+        return jnp.stack(jax.tree.leaves(vector), axis=-1)
+
+    return {
+        "position": stack(fleet.vehicle.position_ned),
+        "waypoint": stack(fleet.setpoint.position_ned),
+        "air": stack(fleet.mean_wind_ned + fleet.gust_ned),
+        "fix": stack(fleet.readings[0].position_ned),
+        "code": fleet.violation.code,
+    }
+
+
+def fly(scenario: Scenario) -> Rollout:
+    """In double precision, so that sums over 300 ticks can be compared to many digits."""
+    return rollout(scenario.world("float64"), ticks=TICKS, seeds=SEEDS, record=everything, record_every=1)
+
+
+@pytest.fixture(scope="module")
+def flown() -> Rollout:
+    return fly(experiment())
+
+
+@pytest.fixture(scope="module")
+def stopped() -> Rollout:
+    return fly(leaving())
+
+
+def extreme(flown: Rollout, name: str, values: Array) -> tuple[Array, Array]:
+    """Check where and when the largest of values (W, T, n) was; return it and that of the metrics, both (W, n)."""
+    tick = np.argmax(np.nan_to_num(values, nan=-np.inf), axis=1)
+    np.testing.assert_allclose(flown[f"{name}_at_s"], tick * DT)
+    where = np.take_along_axis(flown.recorded["position"], tick[:, None, :, None], axis=1)[:, 0]
+    np.testing.assert_allclose(flown[f"{name}_position_ned"], where)
+    return np.take_along_axis(values, tick[:, None], axis=1)[:, 0], where
+
+
+class TestAgainstTheStates:
+    """Of every world and vehicle, with nothing but NumPy."""
+
+    def test_path(self, flown):
+        position = flown.recorded["position"]
+        assert position.dtype == np.float64
+        assert position.shape == (3, TICKS + 1, 2, 3)
+        steps = np.linalg.norm(np.diff(position, axis=1), axis=-1)
+        np.testing.assert_allclose(flown["distance_m"], steps.sum(axis=1), rtol=1e-9)
+        np.testing.assert_allclose(flown["flown_s"], DURATION)
+        np.testing.assert_array_equal(flown["position_ned"], position[:, -1])
+        np.testing.assert_array_equal(flown["clipped_s"], 0.0)
+
+    def test_tracking(self, flown):
+        found = []
+        for world in range(3):
+            found.append(tracking_error(flown.recorded["position"][world], flown.recorded["waypoint"][world]))
+        error = np.stack(found)
+        np.testing.assert_allclose(flown["tracking_error_rms_m"], np.sqrt(np.mean(np.square(error), axis=1)), rtol=1e-9)
+        largest, _ = extreme(flown, "tracking_error_max", error)
+        np.testing.assert_allclose(flown["tracking_error_max_m"], largest, rtol=1e-9)
+        # The first vehicle has had a second leg.
+        assert len(np.unique(flown.recorded["waypoint"][:, :, 0, 1])) == 2
+
+    def test_fixes(self, flown):
+        error = (flown.recorded["fix"] - flown.recorded["position"])[:, ::FIX_TICKS]
+        error = np.delete(error, 1, axis=1)
+        horizontal = np.sqrt(np.mean(np.sum(error[..., :2] ** 2, axis=-1), axis=1))
+        np.testing.assert_allclose(flown["gnss_horizontal_rms_m"], horizontal, rtol=1e-9)
+        np.testing.assert_allclose(
+            flown["gnss_vertical_rms_m"], np.sqrt(np.mean(error[..., 2] ** 2, axis=1)), rtol=1e-9
+        )
+        np.testing.assert_array_equal(flown["without_fix_s"], 0.0)
+        assert np.all(np.isnan(flown["fix_lost_at_s"]))
+
+    def test_wind(self, flown):
+        strongest, _ = extreme(flown, "wind_max", np.linalg.norm(flown.recorded["air"], axis=-1))
+        np.testing.assert_allclose(flown["wind_max_m_s"], strongest, rtol=1e-12)
+
+    def test_separation_and_the_fence(self, flown):
+        position = flown.recorded["position"]
+        apart = np.linalg.norm(position[:, :, 0] - position[:, :, 1], axis=-1)
+        nearest, _ = extreme(flown, "separation_min", -np.stack([apart, apart], axis=-1))
+        np.testing.assert_allclose(flown["separation_min_m"], -nearest, rtol=1e-12)
+        margin = np.minimum(40.0 - np.max(np.abs(position), axis=-1), -position[..., 2])
+        edge, _ = extreme(flown, "fence_distance_min", -margin)
+        np.testing.assert_allclose(flown["fence_distance_min_m"], -edge, rtol=1e-9)
+
+
+class TestStops:
+    def test_when_where_and_why(self, stopped):
+        code, position = stopped.recorded["code"], stopped.recorded["position"]
+        first = np.argmax(code[:, :, 1] != 0, axis=1)
+        assert np.all(first > 10)
+        np.testing.assert_allclose(stopped["stopped_at_s"][:, 1], first * DT)
+        np.testing.assert_allclose(stopped["flown_s"][:, 1], (first - 1) * DT)
+        assert np.all(np.isnan(stopped["stopped_at_s"][:, 0]))
+        for world in range(3):
+            assert stopped.reasons(world)[0] == ""
+            assert stopped.reasons(world)[1].startswith("out_of_area: position_ned.x = -4.")
+            assert stopped["reason_value"][world, 1] < -4.0
+            np.testing.assert_array_equal(stopped["position_ned"][world, 1], position[world, first[world], 1])
+
+    def test_nothing_counts_afterwards(self, stopped):
+        """Nor the tick at which it stops: its position is then that of the tick before."""
+        for world in range(3):
+            flying = stopped.recorded["code"][world, :, 1] == 0
+            last = np.flatnonzero(flying)[-1]
+            air = np.linalg.norm(stopped.recorded["air"][world, : last + 1, 1], axis=-1)
+            assert stopped["wind_max_m_s"][world, 1] == pytest.approx(air.max(), rel=1e-12)
+            assert stopped["fence_distance_min_at_s"][world, 1] == pytest.approx(last * DT)
+            assert 0.0 <= stopped["fence_distance_min_m"][world, 1] < 0.2
+
+    def test_the_other_still_counts_what_has_stopped(self, stopped):
+        """A vehicle that hangs in the air can be flown into: it is near for good."""
+        position = stopped.recorded["position"]
+        apart = np.linalg.norm(position[:, :, 0] - position[:, :, 1], axis=-1).min(axis=1)
+        np.testing.assert_allclose(stopped["separation_min_m"][:, 0], apart, rtol=1e-12)
+
+
+class TestAgainstTheSummaryOfARun:
+    @pytest.mark.parametrize("name", ["flown", "stopped"])
+    def test_same_numbers(self, name: str, request: pytest.FixtureRequest, tmp_path: Path):
+        found = request.getfixturevalue(name)
+        scenario = leaving() if name == "stopped" else experiment()
+        qrsim.fly(scenario, tmp_path / "run", seed=SEEDS[1], precision="float64")
+        for i, row in enumerate(summarise(open_run(tmp_path / "run"))):
+            assert row.vehicle == found.vehicles[i]
+            expected = {
+                "distance_m": row.distance_m,
+                "tracking_error_rms_m": row.tracking_error_rms_m,
+                "gnss_horizontal_rms_m": row.gnss_horizontal_rms_m,
+                "gnss_vertical_rms_m": row.gnss_vertical_rms_m,
+                "wind_max_m_s": row.worst_wind_m_s,
+            }
+            assert {key: found[key][1, i] for key in expected} == pytest.approx(expected, rel=1e-6)
+            why = row.stopped
+            assert bool(why) == bool(found.reasons(1)[i])
+            if why:
+                assert why == f"out_of_area at {found['stopped_at_s'][1, i]:.2f} s"
+
+
+class TestWithoutFixes:
+    def test_receivers_that_see_nothing(self):
+        """With a mask at 89 deg; only a number, so that no other program is needed."""
+        sensors = qrsim.make_scenario([[0, 0, -10]], sensors="noisy").spec.fleets["vehicles"].sensors
+        content = {name: sensors[name].model_dump() for name in ("gnss", "barometer", "attitude")}
+        content["gnss"]["elevation_mask_rad"] = np.radians(89.0)
+        flown = fly(experiment(sensors=content))
+        assert np.all(np.isnan(flown["gnss_horizontal_rms_m"]))
+        np.testing.assert_array_equal(flown["fix_lost_at_s"], 0.0)
+        np.testing.assert_array_equal(flown["fix_lost_position_ned"], flown.recorded["position"][:, 0])
+        np.testing.assert_allclose(flown["without_fix_s"], flown["flown_s"])
+
+    def test_without_receivers_and_waypoints(self):
+        """There is nothing to lose, and nothing to be off from."""
+        flown = rollout(bare_pair(guidance="velocity").world(), ticks=50, worlds=3)
+        for name in ("gnss_horizontal_rms_m", "gnss_vertical_rms_m", "fix_lost_at_s", "tracking_error_rms_m"):
+            assert np.all(np.isnan(flown[name])), name
+        for name in ("tracking_error_max_m", "tracking_error_max_at_s", "charge_min", "stopped_at_s"):
+            assert np.all(np.isnan(flown[name])), name
+        np.testing.assert_array_equal(flown["without_fix_s"], 0.0)
+        np.testing.assert_allclose(flown["flown_s"], 1.0)
+        assert np.all(flown["distance_m"] < 0.5)
+
+
+class TestParts:
+    def test_extremes(self):
+        """The first of equal values counts, what does not count never does, and NaN never is the largest."""
+        like = jnp.zeros(4, jnp.float32)
+        found = Extreme.none(like)
+        rows = [[1.0, 5.0, jnp.nan, -2.0], [1.0, 9.0, jnp.nan, -3.0], [2.0, 1.0, jnp.nan, -1.0]]
+        for tick, row in enumerate(rows):
+            values = jnp.asarray(row, jnp.float32)
+            place = Vec3(values, values, like + jnp.float32(tick))
+            found = found.update(values, jnp.int32(tick), place, jnp.asarray([True, tick != 1, True, tick != 2]))
+        np.testing.assert_array_equal(found.value, [2.0, 5.0, np.nan, -2.0])
+        np.testing.assert_array_equal(found.tick, [2, 0, -1, 0])
+        np.testing.assert_array_equal(found.position_ned.z, [2.0, 0.0, np.nan, 0.0])
+
+    def test_nearest_of_several(self):
+        x = jnp.asarray([0.0, 3.0, 10.0], jnp.float32)
+        nearest = _nearest(Vec3(x, x * 0, jnp.asarray([0.0, 4.0, 0.0], jnp.float32)))
+        np.testing.assert_allclose(nearest, [5.0, 5.0, np.sqrt(65.0)], rtol=1e-6)
+        alone = jnp.zeros(1, jnp.float32)
+        assert float(_nearest(Vec3(alone, alone, alone))[0]) == np.inf
+        assert MOST_FOR_SEPARATION >= 10

@@ -1,0 +1,61 @@
+"""The notebook runs from top to bottom, and what is stored of it is a run of its present cells.
+
+After a change, ``jupyter execute --inplace examples/first_experiment.ipynb`` stores it anew.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+NOTEBOOK = Path(__file__).resolve().parent.parent / "examples" / "first_experiment.ipynb"
+LARGEST_BYTES = 400_000
+
+
+def code_cells(notebook: Any) -> list[Any]:
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def pictures(cell: Any) -> int:
+    return sum("image/png" in output.get("data", {}) for output in cell.outputs)
+
+
+def printed(cell: Any) -> str:
+    return "".join(output.text for output in cell.outputs if output.output_type == "stream")
+
+
+@pytest.fixture(scope="module")
+def stored() -> Any:
+    return nbformat.read(NOTEBOOK, as_version=4)
+
+
+def test_what_is_stored(stored):
+    nbformat.validate(stored)
+    assert NOTEBOOK.stat().st_size < LARGEST_BYTES
+    cells = code_cells(stored)
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    for cell in cells:
+        assert pictures(cell) == cell.source.count("plt.figure(") + cell.source.count("plt.subplots(")
+        for output in cell.outputs:
+            assert output.get("name") != "stderr", output
+            assert output.output_type != "error", output
+
+
+def test_it_runs(stored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """In an empty folder, with the pictures and the printed lines where they are stored."""
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
+    fresh = nbformat.from_dict(stored)
+    for cell in code_cells(fresh):
+        cell.outputs = []
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    client = NotebookClient(fresh, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}})
+    client.execute()
+    for cell, before in zip(code_cells(fresh), code_cells(stored), strict=True):
+        assert pictures(cell) == pictures(before), cell.source
+        assert len(printed(cell).splitlines()) == len(printed(before).splitlines()), cell.source
+    assert list(folder.iterdir()) == []
