@@ -20,6 +20,7 @@ MACHINE = {"cpu", "cores", "load_average", "os", "python", "jax", "jaxlib", "qrs
 # The keys of a row that are numbers above zero.
 NUMBERS = {
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
+    "serve": {"count", "median_us", "p95_us", "per_second", "target"},
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},
     "throughput": {"vehicles", "ticks", "compile_s", "us_per_step", "per_wall_second", "per_cpu_second", "flying"},
 }
@@ -62,6 +63,10 @@ def test_throughput():
     [row] = rows("throughput")
     assert row["vehicles"] == row["flying"] == 1
     assert row["per_wall_second"] == pytest.approx(1e6 / row["us_per_step"], rel=0.01)
+
+
+def test_serve():
+    assert [row["target"] for row in rows("serve")] == [3000.0, 8000.0, 200_000.0]
 
 
 def test_latency():

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-import yaml
 
-from qrsim.apps.serve.command import Serve
+from qrsim.apps.serve.command import Serve, _prepare
+from qrsim.apps.serve.server import Options
+from qrsim.apps.serve.tasks import Tasks
 from qrsim.client import Client
+from qrsim.scenarios.scenario import load_scenario
 
 
 @pytest.mark.parametrize(
@@ -49,24 +51,27 @@ def test_other_machines_need_a_flag_and_are_warned_of(capsys):
     assert "warning: every machine that can reach 0.0.0.0" in capsys.readouterr().err
 
 
-def test_a_fleet_too_large_for_reference_clients_is_warned_of_and_served_in_real_time(tmp_path: Path):
-    """Thirty-seven vehicles; the operator's scenario is compiled before anybody can connect."""
-    vehicles = [{"position_ned": [5.0 * i, 0.0, -10.0]} for i in range(37)]
-    content = {"extends": "hover", "name": "crowd", "world": {"area": {"x_max": 500.0}}}
-    content["fleets"] = {"pelicans": {"vehicles": vehicles}}
-    (tmp_path / "crowd.yaml").write_text(yaml.safe_dump(content), "utf-8")
-    words = [sys.executable, "-m", "qrsim.cli", "serve", str(tmp_path / "crowd.yaml"), "--port", "0", "--realtime", "4"]
+def test_a_fleet_too_large_for_reference_clients_is_warned_of(monkeypatch, capsys):
+    """Whoever has fewer than 10 000 bytes to spare is told how many vehicles fit."""
+    monkeypatch.setattr("qrsim.protocol.framing.LARGEST_FOR_REFERENCE_CLIENT", 250)
+    _prepare(Tasks(load_scenario("free_flight")), Options())
+    said = "the STATE of this fleet of 1 is 293 bytes; clients of the reference simulator take 250, that is 0 vehicles"
+    assert said in capsys.readouterr().err
+
+
+def test_the_operators_scenario_in_real_time_until_the_process_is_told_to_end():
+    words = [sys.executable, "-m", "qrsim.cli", "serve", "free_flight", "--port", "0", "--realtime", "4"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         port = int(process.stdout.readline().rpartition(":")[2])
         with Client(port=port) as client:
-            assert client.init("crowd").state.shape == (37, 13)
-            assert client.step_velocity(0.1, [[0.0, 0.0, 0.0]] * 37).time == pytest.approx(0.1)
+            assert client.init("").state.shape == (1, 13)
+            assert client.step_velocity(0.1, [[0.0, 0.0, 0.0]]).time == pytest.approx(0.1)
             assert client.pace()["factor"] == 4.0
-        process.terminate()
-        assert process.wait(30.0) == 0
-        assert "the state of 37 vehicles is 10157 bytes" in process.stderr.read()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30.0) == 0
+        assert process.stderr.read() == ""
         said = process.stdout.read().splitlines()
-    assert said[0] == "session 1: crowd, 37 vehicles"
+    assert said[0] == "session 1 begins: free_flight, 1 vehicle"
     assert said[1].startswith("session 1 ended: 1 steps, 0.1 s, ")

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from wires import TASK
+from wires import TASK, Running, running
 
 import qrsim
 
@@ -50,20 +47,16 @@ def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Path
 
 
 @pytest.fixture
-def served() -> Iterator[tuple[subprocess.Popen[str], int]]:
-    """A server in a process of its own, and its port."""
-    words = [sys.executable, "-m", "qrsim.cli", "serve", "--port", "0", "--allow-quit", "--seed", str(SEED)]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        yield process, int(process.stdout.readline().rpartition(":")[2])
-        process.kill()
+def served() -> Iterator[Running]:
+    """A server that clients may end."""
+    with running(allow_quit=True, seed=SEED) as found:
+        yield found
 
 
 def test_a_client_in_cpp_runs_the_whole_reference_protocol(build, served):
-    process, port = served
     program = build("reference_client", (Path(__file__).parent / "reference_client.cc").read_text("utf-8"))
     done = subprocess.run(
-        [program, str(port), "TaskComplacs"], capture_output=True, text=True, check=False, timeout=120
+        [program, str(served.port), "TaskComplacs"], capture_output=True, text=True, check=False, timeout=120
     )
     assert (done.stderr, done.returncode) == ("", 0)
     said = done.stdout.splitlines()
@@ -85,9 +78,8 @@ def test_a_client_in_cpp_runs_the_whole_reference_protocol(build, served):
     here.reset()
     expected += [state_line("init", here), "init TASKINFO 0.02 1", "disconnect ACK error 0 ", "quit ACK error 0 "]
     assert said == expected
-    assert process.wait(30.0) == 0, "it was allowed to quit"
-    assert process.stderr is not None
-    assert process.stderr.read() == ""
+    served.thread.join(30.0)
+    assert not served.thread.is_alive(), "it was allowed to quit"
 
 
 def state_line(what: str, simulation: qrsim.Simulation) -> str:
@@ -96,11 +88,10 @@ def state_line(what: str, simulation: qrsim.Simulation) -> str:
 
 
 def test_the_program_of_the_documentation_flies(build, served):
-    process, port = served
     page = (ROOT / "docs" / "serve.md").read_text("utf-8")
     [text] = re.findall(r"^```cpp\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
-    done = subprocess.run([build("fly", text), str(port)], capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(
+        [build("fly", text), str(served.port)], capture_output=True, text=True, check=False, timeout=120
+    )
     assert (done.stderr, done.returncode) == ("", 0)
     assert done.stdout.splitlines()[-1].startswith("t = 10 s: ")
-    os.kill(process.pid, signal.SIGINT)
-    assert process.wait(30.0) == 0, "Ctrl-C is how a server ends"

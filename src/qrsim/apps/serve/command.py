@@ -146,11 +146,11 @@ def _prepare(tasks: object, options: Options) -> None:
     session = Session(0, Wishes(tasks.scenario(""), options.seed, realtime=1.0))
     session.begin()
     session.end()
-    size = session.simulation.size
-    if state_size(size) > LARGEST_FOR_REFERENCE_CLIENT:
+    size, limit = session.simulation.size, LARGEST_FOR_REFERENCE_CLIENT
+    if state_size(size) > limit:
         print(
-            f"warning: the state of {size} vehicles is {state_size(size)} bytes; clients of the reference simulator "
-            f"take {LARGEST_FOR_REFERENCE_CLIENT}, that is {largest_fleet(LARGEST_FOR_REFERENCE_CLIENT)} vehicles",
+            f"warning: the STATE of this fleet of {size} is {state_size(size)} bytes; clients of the reference "
+            f"simulator take {limit}, that is {largest_fleet(limit)} vehicles",
             file=sys.stderr,
         )
 

@@ -197,7 +197,8 @@ class Server:
             self._opening -= 1
         connection.session = session
         self.sessions[session.number] = session
-        self.say(f"session {session.number}: {session.scenario.name}, {session.simulation.size} vehicles")
+        size = session.simulation.size
+        self.say(f"session {session.number} begins: {session.scenario.name}, {size} vehicle{'s' if size != 1 else ''}")
         return session
 
     def _owner_leaves(self) -> bool:

@@ -25,7 +25,7 @@ from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation import History, Simulation
 
 WIDTHS = {Step.WP: 4, Step.CTRL: 5, Step.VEL: 3}
-# How far a dt may be from a whole number of time steps, in time steps and of itself: it is often a sum of rounded numbers.
+# How far a dt, often a sum of rounded numbers, may be from a whole number of time steps: in time steps, and of itself.
 DT_TOLERANCE, DT_RELATIVE_TOLERANCE = 1e-6, 1e-9
 # Of one STEP, so that a slip of the pen does not keep the server busy for days.
 MOST_TICKS = 1_000_000

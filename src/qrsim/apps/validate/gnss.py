@@ -93,14 +93,20 @@ def _run(paths: Mapping[str, Path], full: bool) -> Outcome:
         f" 2011 (2.5 Hz, {first} to {last} satellites); as in the reference implementation's own test, rows 1 to {ROWS}"
         f" are used, {record.period * ROWS:.0f} s. Each of {seeds} simulated receivers stands at the same place for as"
         f" long, with range errors of its own. The dates differ: the only orbit file is of 31 August 2010, so its"
-        f" satellites at 16:00 UTC stand for those of the recording ({used[0]} to {used[1]} above 10°). This gives a"
-        " typical geometry, not that of the day; the bands are off by the ratio of the two dilutions of precision.",
+        f" satellites at 16:00 UTC stand for those of the recording ({_count(used)} above 10°). This gives a"
+        " typical geometry, not that of the day; the bands are off by the ratio of the two dilutions of precision."
+        " Neighbouring averaging times share their data, so that a curve leaves a band over several of them at once.",
         reading=_summary(numbers),
         checks=_checks(runs, seeds),
         findings=_findings(numbers),
         pictures=[_walk_picture(record, runs[PAPER]), _allan_picture(record, deviation, runs, seeds)],
         numbers=numbers,
     )
+
+
+def _count(range_of: tuple[int, int]) -> str:
+    first, last = range_of
+    return f"{first}" if first == last else f"{first} to {last}"
 
 
 def _checks(runs: dict[str, Simulated], seeds: int) -> list[Check]:

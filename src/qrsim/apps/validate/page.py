@@ -105,7 +105,7 @@ def _fits(findings: Sequence[Finding]) -> str:
     """Return how many findings have each verdict."""
     counts = Counter(found.verdict for found in findings)
     return "<br>".join(
-        f'<span class="verdict {style}">{counts[verdict]} {verdict}</span>'
+        f'<span class="verdict {style}">{verdict}: {counts[verdict]}</span>'
         for verdict, style in _CLASSES.items()
         if counts[verdict] and verdict != "to note"
     )

@@ -1,0 +1,138 @@
+"""A server under malformed input: one reply to each request, nobody else disturbed, nothing leaked."""
+
+from __future__ import annotations
+
+import random
+import resource
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from qrsim.client import Client
+from qrsim.protocol import qrsim_pb2 as pb
+from qrsim.protocol.framing import frame
+from qrsim.protocol.qrsim_pb2 import Message, Step
+
+DOC = "a server under malformed and truncated requests"
+SEED = 20261120
+FULL, SMALL = 100_000, 500
+# Requests on one connection; every tenth connection sends bytes without frames and is cut off.
+PER_CONNECTION = 50
+TASK = "free_flight"
+
+
+def valid() -> list[bytes]:
+    """Return a request of each kind."""
+    place = pb.Arrayd(value=[6.0, -8.0, -9.0, 0.0])
+    step = Step(dt=0.02, type=Step.WP, cmd=[place])
+    messages = [
+        Message(type=Message.INIT, init=pb.Init(task=TASK)),
+        Message(type=Message.STEP, step=step),
+        Message(type=Message.RESET, reset=pb.Reset(value=True)),
+        Message(type=Message.SETSTATE, setsState=pb.SetState(X=[pb.Arrayd(value=[6.0, -8.0, -9.0])])),
+        Message(type=Message.HELLO, hello=pb.Hello()),
+        Message(type=Message.OPEN, open=pb.Open(scenario="name: x\nfleets: {}")),
+        Message(type=Message.RESTART, restart=pb.Restart(seed=3)),
+        Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()),
+        Message(type=Message.WATCH, watch=pb.Watch(stop=True)),
+        Message(type=Message.PACE, pace=pb.Pace()),
+    ]
+    return [message.SerializeToString() for message in messages]
+
+
+def mutated(chance: random.Random, requests: list[bytes]) -> bytes:
+    """Return a request with bits flipped, bytes put in, or its end cut off; sometimes plain noise."""
+    if chance.random() < 0.1:
+        return chance.randbytes(chance.randrange(64))
+    content = bytearray(chance.choice(requests))
+    for _ in range(chance.randint(1, 3)):
+        at = chance.randrange(len(content)) if content else 0
+        kind = chance.randrange(3)
+        if kind == 0 and content:
+            content[at] ^= 1 << chance.randrange(8)
+        elif kind == 1:
+            content[at:at] = chance.randbytes(chance.randint(1, 8))
+        else:
+            del content[at:]
+    return bytes(content)
+
+
+def reply(connection: socket.socket) -> Message | None:
+    """Receive a message; None where the server has closed the connection."""
+    head = connection.recv(5, socket.MSG_WAITALL)
+    if len(head) < 5:
+        return None
+    return Message.FromString(connection.recv(int.from_bytes(head[1:], "little"), socket.MSG_WAITALL))
+
+
+def attack(port: int, chance: random.Random, requests: list[bytes], counted: dict[str, int]) -> None:
+    """Use one connection up."""
+    counted["connections"] += 1
+    with socket.create_connection(("127.0.0.1", port), 60.0) as connection:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if counted["connections"] % 10 == 0:
+            connection.sendall(chance.randbytes(chance.randint(1, 300)))
+            counted["cut_off"] += 1
+            return
+        for i in range(PER_CONNECTION):
+            # Every third connection has a session, so that what is nearly right is tried on one.
+            payload = requests[0] if i == 0 and counted["connections"] % 3 == 0 else mutated(chance, requests)
+            connection.sendall(frame(payload))
+            counted["frames"] += 1
+            found = reply(connection)
+            if found is None:
+                counted["unanswered"] += 1
+                return
+            counted["errors" if found.type == Message.ACK and found.ack.error else "fine"] += 1
+            if found.type == Message.STATE and payload[:2] == b"\x08\x01":
+                reply(connection)  # the TASKINFO
+            elif found.type == Message.ACK and payload[:2] in (b"\x08\x01", b"\x08\x03"):
+                return  # a refused INIT and a DISCONNECT end the connection
+
+
+def memory(pid: int) -> int:
+    """Return the resident memory of a process [bytes]."""
+    return int(Path(f"/proc/{pid}/statm").read_text("utf-8").split()[1]) * resource.getpagesize()
+
+
+def run(full: bool) -> dict[str, Any]:
+    """Return what came back, what it took, and whether another client noticed."""
+    wanted, chance, requests = FULL if full else SMALL, random.Random(SEED), valid()
+    counted = dict.fromkeys(("connections", "frames", "fine", "errors", "unanswered", "cut_off"), 0)
+    command = [sys.executable, "-m", "qrsim.cli", "serve", "--port", "0", "--sessions"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        assert server.stderr is not None
+        port = int(server.stdout.readline().rpartition(":")[2])
+        with Client(port=port) as other:
+            other.init(TASK)
+            before, steps, slowest = 0, 0, 0.0
+            begun = time.perf_counter()
+            while counted["frames"] < wanted:
+                attack(port, chance, requests, counted)
+                if not before and counted["frames"] >= wanted // 4:
+                    before = memory(server.pid)
+                asked = time.perf_counter()
+                steps += 1
+                state = other.step_waypoint(0.02, [[6.0, -8.0, -9.0, 0.0]])
+                slowest = max(slowest, time.perf_counter() - asked)
+                assert abs(state.time - 0.02 * steps) < 1e-6
+            seconds = time.perf_counter() - begun
+            after = memory(server.pid)
+        alive = server.poll() is None
+        server.terminate()
+        _, complaints = server.communicate(timeout=60.0)
+    return {
+        "seed": SEED,
+        **counted,
+        "seconds": round(seconds, 1),
+        "server_alive": alive,
+        "server_complaints": complaints[-2000:],
+        "memory_after_a_quarter_bytes": before,
+        "memory_at_the_end_bytes": after,
+        "steps_of_another_client": steps,
+        "slowest_of_them_s": round(slowest, 3),
+    }
