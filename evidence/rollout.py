@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 DOC = "memory and time of a rollout of 10 000 worlds"
@@ -16,8 +17,9 @@ FULL, SMALL = (10_000, 60.0), (500, 1.0)
 LIMIT_BYTES = 2 * 2**30
 
 PROGRAM = """
-import json, resource, sys, time
+import json, sys, time
 import qrsim
+from evidence.rollout import peak_bytes
 
 worlds, seconds, seed, cores = int(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4])
 qrsim.configure(cpu_devices=cores)
@@ -29,17 +31,28 @@ print(json.dumps({
     "seconds": seconds,
     "cores": cores,
     "wall_s": round(time.perf_counter() - begun, 1),
-    "peak_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+    "peak_bytes": peak_bytes(),
     "stopped": int((flown["reason"] != 0).sum()),
     "distance_m": float(flown["distance_m"].mean()),
 }))
 """
 
 
+def peak_bytes() -> int:
+    """Return the largest resident set of this process so far (Linux).
+
+    Not from getrusage: that remembers what the parent had when it started this process.
+    """
+    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+        if line.startswith("VmHWM:"):
+            return 1024 * int(line.split()[1])
+    raise RuntimeError("/proc/self/status has no VmHWM")
+
+
 def flown(worlds: int, seconds: float, cores: int) -> dict[str, Any]:
     """Return memory, time and outcome of a rollout in a new process."""
     words = [sys.executable, "-c", PROGRAM, str(worlds), str(seconds), str(SEED), str(cores)]
-    done = subprocess.run(words, check=True, capture_output=True, text=True)
+    done = subprocess.run(words, check=True, capture_output=True, text=True, cwd=Path(__file__).parents[1])
     result: dict[str, Any] = json.loads(done.stdout)
     return result
 

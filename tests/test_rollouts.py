@@ -307,13 +307,14 @@ class TestMemory:
     def test_many_worlds_stay_small(self):
         """4096 worlds of one noisy vehicle below 2 GiB; as many again, in a second block, add little."""
         program = """
-import json, resource, qrsim
+import json, qrsim
+from evidence.rollout import peak_bytes
 from qrsim.scenarios.scenario import load_scenario
 world, peaks = load_scenario("keep_spot").world(), []
 for worlds in (4096, 8192):
     flown = qrsim.rollout(world, ticks=20, worlds=worlds)
     assert flown["distance_m"].shape == (worlds, 1)
-    peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    peaks.append(peak_bytes() / 2**20)
 print(json.dumps(peaks))
 """
         first, second = json.loads(in_process(program))

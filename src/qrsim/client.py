@@ -238,7 +238,7 @@ class Client:
     def watch(
         self, session: int | None = None, *, period: float = 0.0, timeout: float | None = None
     ) -> Iterator[State]:
-        """Yield the states of a session that another client controls.
+        """Return the states, as they come, of a session that another client controls.
 
         Args:
             session: its number; may be left out where the server has one session at a time.
@@ -247,6 +247,9 @@ class Client:
         """
         request = pb.Watch(session=session, period=period)
         self._ask(Message(type=Message.WATCH, watch=request), Message.ACK)
+        return self._states(timeout)
+
+    def _states(self, timeout: float | None) -> Iterator[State]:
         while True:
             yield _state(self._expect(self._receive(timeout), Message.STATE).state)
 

@@ -69,7 +69,6 @@ def test_an_unknown_task_gets_one_ack_and_the_connection_is_closed(task, said, w
         (step(Step.CTRL, [math.nan, 0.0, 0.6, 0.0, 12.0]), "pitch of vehicle 0 ('pelicans_0') is nan"),
         (Message(type=Message.STEP), "STEP: the message has no 'step'"),
         (Message(type=Message.RESET), "RESET: the message has no 'reset'"),
-        (Message(type=Message.INIT), "INIT: the message has no 'init'"),
         (Message(type=Message.DISCONNECT), "DISCONNECT: the message has no 'disconnect'"),
         (Message(type=Message.SETSTATE), "X: 0 vectors; expected 1"),
         (set_state([0.0] * 7), "X of vehicle 0 ('pelicans_0'): 7 numbers; expected 3 or 6 or 12 or 13"),
@@ -123,6 +122,12 @@ def test_after_a_broken_frame_there_is_one_ack_and_the_end(content, said, wire):
 def test_requests_before_init_are_refused_and_the_connection_goes_on(message, wire):
     assert wire.refused(message) == "there is no session on this connection: send INIT first"
     wire.init()
+
+
+@pytest.mark.parametrize("payload", [b"\x08\x01", b"\x08\x01\x12\x00", b"\x08\x01\x12\x04\x0a\x02\xff\xfe"])
+def test_an_init_that_is_wrong_in_itself_is_the_end_too(payload, wire):
+    wire.refused(frame(payload))
+    assert wire.closed()
 
 
 def test_a_second_client_is_told_and_the_first_goes_on(connect):

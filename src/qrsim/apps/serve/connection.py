@@ -179,13 +179,15 @@ class Connection(asyncio.Protocol):
                 await asyncio.sleep(0)
 
     async def _answer(self, payload: bytes) -> bool:
-        """Answer a request; return whether to go on."""
+        """Answer a request; return whether to go on.
+
+        After an INIT that fails the connection is closed, because the reference client waits for a second message.
+        """
         message = Message()
         try:
             message.ParseFromString(payload)
             if not message.IsInitialized():
-                self.acknowledge("message: a required field is missing, or a kind is unknown")
-                return True
+                raise UsageError("message: a required field is missing, or a kind is unknown")
             return await self.server.answer(self, message)
         except DecodeError:
             self.acknowledge(f"message: {len(payload)} bytes that are no Message")
@@ -194,7 +196,7 @@ class Connection(asyncio.Protocol):
         except Exception as error:
             self.server.report_bug(error)
             self.acknowledge(f"internal error of the server ({type(error).__name__}); its output says more")
-        return True
+        return message.type != Message.INIT
 
     async def _close(self) -> None:
         """Close when the client has read the last message: to close before would take it away from it."""

@@ -23,15 +23,11 @@ INVALID = "invalid uav state"
 
 
 async def init(connection: Connection, message: Message) -> bool:
-    """Start a task; on error close the connection, because the reference client waits for a second message."""
+    """Start a task."""
     server, request = connection.server, message.init
     realtime = server.options.realtime or float(request.realTime)
-    try:
-        wishes = await server.aside(lambda: _wishes(connection, request.task, realtime=realtime))
-        session = await server.open(connection, wishes)
-    except UsageError as error:
-        connection.acknowledge(str(error))
-        return False
+    wishes = await server.aside(lambda: _wishes(connection, request.task, realtime=realtime))
+    session = await server.open(connection, wishes)
     state = session.readout.frame()
     connection.send_frame(state)
     connection.send(Message(type=Message.TASKINFO, taskInfo=_info(session)))
