@@ -8,8 +8,11 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+from google.protobuf.message import DecodeError
 
 from qrsim.client import Client
 from qrsim.protocol import qrsim_pb2 as pb
@@ -68,6 +71,14 @@ def reply(connection: socket.socket) -> Message | None:
     return Message.FromString(connection.recv(int.from_bytes(head[1:], "little"), socket.MSG_WAITALL))
 
 
+def kind(payload: bytes) -> int:
+    """Return the type of a request, as far as it can be read."""
+    message = Message()
+    with suppress(DecodeError):
+        message.ParseFromString(payload)
+    return message.type
+
+
 def attack(port: int, chance: random.Random, requests: list[bytes], counted: dict[str, int]) -> None:
     """Use one connection up."""
     counted["connections"] += 1
@@ -87,9 +98,10 @@ def attack(port: int, chance: random.Random, requests: list[bytes], counted: dic
                 counted["unanswered"] += 1
                 return
             counted["errors" if found.type == Message.ACK and found.ack.error else "fine"] += 1
-            if found.type == Message.STATE and payload[:2] == b"\x08\x01":
+            asked = kind(payload)
+            if found.type == Message.STATE and asked == Message.INIT:
                 reply(connection)  # the TASKINFO
-            elif found.type == Message.ACK and payload[:2] in (b"\x08\x01", b"\x08\x03"):
+            elif found.type == Message.ACK and asked in (Message.INIT, Message.DISCONNECT):
                 return  # a refused INIT and a DISCONNECT end the connection
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import socket
 import subprocess
@@ -9,7 +10,7 @@ import sys
 
 import pytest
 
-from qrsim.apps.serve.command import Serve, _prepare
+from qrsim.apps.serve.command import Serve, _Log, _prepare
 from qrsim.apps.serve.server import Options
 from qrsim.apps.serve.tasks import Tasks
 from qrsim.client import Client
@@ -75,3 +76,15 @@ def test_the_operators_scenario_in_real_time_until_the_process_is_told_to_end():
         said = process.stdout.read().splitlines()
     assert said[0] == "session 1 begins: free_flight, 1 vehicle"
     assert said[1].startswith("session 1 ended: 1 steps, 0.1 s, ")
+
+
+def test_a_reader_of_the_log_that_stalls_holds_nobody_up():
+    """More lines than a pipe holds, and nobody reads them."""
+    read, write = os.pipe()
+    log = _Log(write)
+    for _ in range(3000):
+        log.say("x" * 100)
+    os.close(read)
+    log.close()
+    os.close(write)
+    assert not log._thread.is_alive(), "it ends with its reader"

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import ipaddress
 import math
+import os
+import queue
 import sys
+import threading
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +20,8 @@ from qrsim.errors import RunError, UsageError
 if TYPE_CHECKING:
     from qrsim.apps.serve.server import Options
     from qrsim.scenarios.scenario import Scenario
+
+MOST_LINES, STANDARD_OUTPUT = 1000, 1
 
 
 @dataclass(frozen=True)
@@ -79,10 +85,15 @@ class Serve:
         if scenario is not None:
             _prepare(tasks, options)
 
-        async def serve() -> None:
-            await Server(options, tasks, _say).serve(lambda host, port: _say(f"qrsim serves on {host}:{port}"))
+        log = _Log()
 
-        asyncio.run(serve())
+        async def serve() -> None:
+            await Server(options, tasks, log.say).serve(lambda host, port: log.say(f"qrsim serves on {host}:{port}"))
+
+        try:
+            asyncio.run(serve())
+        finally:
+            log.close()
 
     def _options(self) -> Options:
         from qrsim.apps.serve.pacing import checked_factor
@@ -155,5 +166,33 @@ def _prepare(tasks: object, options: Options) -> None:
         )
 
 
-def _say(line: str) -> None:
-    print(line, flush=True)
+class _Log:
+    """Prints lines from a thread of its own: whoever does not read them must not hold the server up, nor its end.
+
+    Args:
+        descriptor: of the open file to print to, by default standard output.
+    """
+
+    def __init__(self, descriptor: int = STANDARD_OUTPUT) -> None:
+        self._descriptor = descriptor
+        self._lines: queue.Queue[str | None] = queue.Queue(MOST_LINES)
+        self._thread = threading.Thread(target=self._print, daemon=True)
+        self._thread.start()
+
+    def say(self, line: str) -> None:
+        """Print a line soon; where a thousand wait already, it is left out."""
+        with suppress(queue.Full):
+            self._lines.put_nowait(line)
+
+    def close(self) -> None:
+        """Wait a moment for the lines to be read."""
+        with suppress(queue.Full):
+            self._lines.put(None, timeout=1.0)
+            self._thread.join(1.0)
+
+    def _print(self) -> None:
+        with suppress(OSError):  # nobody reads any more
+            while (line := self._lines.get()) is not None:
+                left = f"{line}\n".encode()
+                while left:
+                    left = left[os.write(self._descriptor, left) :]

@@ -228,6 +228,14 @@ class Session:
             UsageError: the command cannot be flown; nothing has changed.
         """
         begun = time.perf_counter()
+        # What is too large for the simulation's numbers becomes infinite, and is refused as such.
+        with np.errstate(over="ignore"):
+            self._advance(command, ticks)
+        # The first call compiles, which says nothing about the next one.
+        known = type(command) in self._seconds
+        self._seconds[type(command)] = (time.perf_counter() - begun, ticks) if known else (PIECE_S, PIECE_TICKS)
+
+    def _advance(self, command: Any, ticks: int) -> None:
         if self._tick_by_tick:
             for done in range(0, ticks, PIECE_TICKS):
                 self._keep(self.simulation.record(min(PIECE_TICKS, ticks - done), command, PIECE_TICKS))
@@ -235,9 +243,6 @@ class Session:
             self.simulation.advance(command, ticks)
             # JAX computes in the background; what waits for it belongs here, where nobody else is kept waiting.
             self.readout.all_valid()
-        # The first call compiles, which says nothing about the next one.
-        known = type(command) in self._seconds
-        self._seconds[type(command)] = (time.perf_counter() - begun, ticks) if known else (PIECE_S, PIECE_TICKS)
 
     def set_state(self, given: Sequence[Arrayd]) -> None:
         """Put the vehicles into given states.
@@ -249,7 +254,8 @@ class Session:
         if not np.isfinite(rows).all():
             i = int(np.argmax(~np.isfinite(rows).all(axis=1)))
             raise UsageError(f"X of vehicle {i} ('{self.simulation.vehicle_names[i]}') is not finite")
-        self.simulation.set_state(rows)
+        with np.errstate(over="ignore"):
+            self.simulation.set_state(rows)
 
     def state_with_reasons(self) -> State:
         """Return the state with why each vehicle is invalid."""
