@@ -119,11 +119,11 @@ def _begin(setup: Setup, fixed: list[Any], keys: WorldKeys, own: list[Any]) -> C
     held: Any = ()
     # All are asked here too, so that a wrong answer is found before anything is compiled.
     if setup.policy is not None:
-        shapes = jax.eval_shape(lambda: _answer(setup, world, reading, memories[0])[0])
+        shapes, _ = jax.eval_shape(partial(_answer, setup.policy, world, reading, memories[0]))
         if setup.policy_ticks > 1:
             held = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
     if setup.estimator is not None:
-        jax.eval_shape(lambda: _believed(setup, world, reading, memories[1]))
+        jax.eval_shape(partial(_answer, setup.estimator, world, reading, memories[1]))
     size = sum(fleet.size for fleet in world.fleets)
     wrong = jnp.full(size, -1, jnp.int32)
     return Carry(state, memories[0], memories[1], held, setup.metrics.init(world, state), wrong)
@@ -137,22 +137,12 @@ def _first_memory(function: UserFunction | None, reading: Reading) -> Any:
         return jax.tree.map(jnp.asarray, function.init(reading))
 
 
-def _answer(setup: Setup, world: World, reading: Reading, memory: Any) -> tuple[Any, Any]:
-    """Return the actions that a compiled policy asks for, and its memory."""
-    assert setup.policy is not None
+def _answer(function: UserFunction, world: World, reading: Reading, memory: Any) -> tuple[Any, Any]:
+    """Return what a compiled function asks for, actions or estimates for each fleet, and its memory."""
     checker = ActionChecker(world, world.fleets[0].start.position_ned.x.dtype, "traced")
-    with setup.policy.blamed():
-        command, memory = call_compiled(setup.policy, reading, memory)
-        return checker.actions(command), memory
-
-
-def _believed(setup: Setup, world: World, reading: Reading, memory: Any) -> tuple[Any, Any]:
-    """Return what a compiled estimator feeds the controllers with, and its memory."""
-    assert setup.estimator is not None
-    checker = ActionChecker(world, world.fleets[0].start.position_ned.x.dtype, "traced")
-    with setup.estimator.blamed():
-        estimate, memory = call_compiled(setup.estimator, reading, memory)
-        return checker.estimates(estimate), memory
+    with function.blamed():
+        result, memory = call_compiled(function, reading, memory)
+        return (checker.actions if function.what == "policy" else checker.estimates)(result), memory
 
 
 def call_compiled(function: UserFunction, reading: Reading, memory: Any) -> tuple[Any, Any]:
@@ -190,15 +180,15 @@ def _tick(setup: Setup, fixed: list[Any], own: list[Any], carry: Carry, tick: An
     memory, believed_memory, held, wrong = carry.policy_memory, carry.estimator_memory, carry.held, carry.wrong_tick
     if setup.policy is not None:
         if setup.policy_ticks == 1:
-            actions, memory = _answer(setup, world, reading, memory)
+            actions, memory = _answer(setup.policy, world, reading, memory)
         else:
             due = tick % setup.policy_ticks == 0
-            ask = partial(_answer, setup, world, reading, memory)
+            ask = partial(_answer, setup.policy, world, reading, memory)
             actions, memory = held, memory = lax.cond(due, ask, lambda: (carry.held, carry.policy_memory))
         flying = jnp.concatenate([fleet.violation.code for fleet in carry.state.fleets]) == 0
         wrong = jnp.where((wrong < 0) & flying & ~_finite(world, actions), tick, wrong)
     if setup.estimator is not None:
-        estimates, believed_memory = _believed(setup, world, reading, believed_memory)
+        estimates, believed_memory = _answer(setup.estimator, world, reading, believed_memory)
     state = ticks_of.step(world, carry.state, tick, actions or (None,) * len(world.fleets), estimates or None)
     flight = setup.metrics.update(carry.flight, world, state, tick + 1)
     return Carry(state, memory, believed_memory, held, flight, wrong)
