@@ -15,19 +15,29 @@ FEW_VEHICLES = 64
 QUICK_TO_COMPILE = {"xla_cpu_use_fusion_emitters": False}
 
 
-def configure(*, cpu_devices: int | None = None) -> None:
+COMPILERS = ("llvm", "xla")
+_chosen: dict[str, Any] = {"compiler": None, "threads": None}
+
+
+def configure(*, cpu_devices: int | None = None, compiler: str | None = None) -> None:
     """Fix settings that must be known before anything is computed.
 
     Args:
-        cpu_devices: devices that a rollout spreads its worlds over, at best one for each core; None: as it is.
+        cpu_devices: cores that a rollout spreads its worlds over; None: as it is, at first all that there are.
+        compiler: what makes machine code of a tick: "llvm", the package's own generator for processors, or "xla", which
+            is also what compiles for other devices and whatever the first one cannot compile; None: as it is. The
+            environment variable QRSIM_COMPILER says the same.
 
     Raises:
-        UsageError: not a positive whole number, or JAX has already started with another number.
+        UsageError: not a positive whole number, or JAX has already started with another number; or no such compiler.
     """
+    if compiler is not None:
+        _chosen["compiler"] = _checked_compiler(compiler, "compiler")
     if cpu_devices is None:
         return
     if isinstance(cpu_devices, bool) or not isinstance(cpu_devices, int) or cpu_devices < 1:
         raise UsageError(f"cpu_devices: {cpu_devices!r} is not a positive whole number")
+    _chosen["threads"] = cpu_devices
     config: Any = jax.config
     try:
         config.update("jax_num_cpu_devices", cpu_devices)
@@ -37,6 +47,28 @@ def configure(*, cpu_devices: int | None = None) -> None:
             raise UsageError(
                 f"cpu_devices: JAX has already started with {found}; call qrsim.configure before anything is computed"
             ) from None
+
+
+def _checked_compiler(name: Any, where: str) -> str:
+    if name not in COMPILERS:
+        raise UsageError(f"{where}: '{name}' is not known; expected one of {', '.join(COMPILERS)}")
+    return str(name)
+
+
+def uses_llvm() -> bool:
+    """Return whether ticks are compiled by the package's own generator: on processors, unless XLA is asked for.
+
+    Raises:
+        UsageError: the environment names no compiler.
+    """
+    named = os.environ.get("QRSIM_COMPILER")
+    asked = _chosen["compiler"] or (_checked_compiler(named, "QRSIM_COMPILER") if named else "llvm")
+    return bool(asked == "llvm" and jax.default_backend() == "cpu")
+
+
+def threads() -> int:
+    """Return how many threads a rollout uses."""
+    return int(_chosen["threads"] or available_cores())
 
 
 def available_cores() -> int:

@@ -11,7 +11,7 @@ from qrsim.actions import ActionChecker
 from qrsim.errors import UsageError
 from qrsim.policies import UserFunction, user_function
 from qrsim.readings import Reading
-from qrsim.rollout_engine import call_compiled
+from qrsim.rollout_parts import call_compiled
 from qrsim.simulation import History, Simulation
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -119,21 +120,23 @@ class SensorReading:
 class FleetReading:
     """The last reading of every sensor of one fleet; its sensors are attributes, see ``sensors``."""
 
-    def __init__(self, fleet: Fleet, state: FleetState, sky: SkyState, tick: int, site: Site):
-        self._sensors = dict(zip(fleet.sensor_names, state.readings, strict=True))
+    def __init__(self, fleet: Fleet, state: FleetState, sky: Callable[[], SkyState], tick: int, site: Site):
         self._fleet, self._state, self._sky, self._tick, self._site = fleet, state, sky, tick, site
 
     @property
     def sensors(self) -> tuple[str, ...]:
         """Names of the sensors."""
-        return tuple(self._sensors)
+        return self._fleet.sensor_names
 
     def __getattr__(self, sensor: str) -> SensorReading:
         if sensor.startswith("__"):
             raise AttributeError(sensor)
-        if sensor not in self._sensors:
-            raise AttributeError(f"no sensor is called '{sensor}'{did_you_mean(sensor, self._sensors)}")
-        return SensorReading(sensor, self._sensors[sensor], self._site, lambda: self._withheld(sensor))
+        if sensor not in self.sensors:
+            raise AttributeError(f"no sensor is called '{sensor}'{did_you_mean(sensor, self.sensors)}")
+        return SensorReading(sensor, self._reading(sensor), self._site, lambda: self._withheld(sensor))
+
+    def _reading(self, sensor: str) -> Any:
+        return self._state.readings[self.sensors.index(sensor)]
 
     def _withheld(self, sensor: str) -> list[str]:
         """Return why nothing of a sensor reaches the user, for each vehicle; "" where its readings do."""
@@ -160,8 +163,8 @@ class FleetReading:
 
     def _without_orbits(self, sensor: str) -> list[str]:
         """Say where a receiver has no fix because the orbits have ended, or have a gap."""
-        satellites = getattr(self._sensors[sensor], "satellites", None)
-        if satellites is None or np.isfinite(self._sky.satellites_ned.z).any():
+        satellites = getattr(self._reading(sensor), "satellites", None)
+        if satellites is None or np.isfinite(self._sky().satellites_ned.z).any():
             return [""] * self._fleet.size
         why = "no fix: the orbits give no satellite's position at this time"
         return [why if count == 0 else "" for count in satellites]
@@ -182,19 +185,25 @@ class Reading:
 
     def __init__(self, world: World, state: State, tick: int, site: Site):
         self.time = _seconds(tick, world.time_step)
-        self._fleets = {
-            fleet.name: FleetReading(fleet, fleet_state, state.sky, tick, site)
-            for fleet, fleet_state in zip(world.fleets, state.fleets, strict=True)
+        self._world, self._state, self._tick, self._site = world, state, tick, site
+
+    @cached_property
+    def _fleets(self) -> dict[str, FleetReading]:
+        # Not before somebody asks: not every step of a loop is looked at.
+        state = self._state
+        return {
+            fleet.name: FleetReading(fleet, state.fleets[i], lambda: state.sky, self._tick, self._site)
+            for i, fleet in enumerate(self._world.fleets)
         }
 
     @property
     def fleets(self) -> tuple[str, ...]:
         """Names of the fleets."""
-        return tuple(self._fleets)
+        return tuple(fleet.name for fleet in self._world.fleets)
 
     def __getitem__(self, fleet: str) -> FleetReading:
-        if fleet not in self._fleets:
-            raise UsageError(f"no fleet is called '{fleet}'{did_you_mean(str(fleet), self._fleets)}")
+        if fleet not in self.fleets:
+            raise UsageError(f"no fleet is called '{fleet}'{did_you_mean(str(fleet), self.fleets)}")
         return self._fleets[fleet]
 
     def __getattr__(self, sensor: str) -> SensorReading:
@@ -219,10 +228,10 @@ class Truth:
     """The true state of all n vehicles, fleets one after the other."""
 
     def __init__(self, state: State):
-        self._fleets = state.fleets
+        self._state = state
 
     def _gather(self, pick: Any) -> Floats:
-        return np.concatenate([as_array(pick(fleet)) for fleet in self._fleets])
+        return np.concatenate([as_array(pick(fleet)) for fleet in map(self._state.fleets.__getitem__, range(len(self._state.fleets)))])
 
     @property
     def position_ned(self) -> Floats:

@@ -21,7 +21,8 @@ from qrsim.metrics import FLIGHT_METRICS
 from qrsim.models.area import reason_text
 from qrsim.models.site import Site
 from qrsim.policies import user_function
-from qrsim.rollout_engine import AXIS, Engine, Schedule, Setup
+from qrsim.rollout_engine import Engine, Schedule
+from qrsim.rollout_parts import AXIS, Setup
 from qrsim.world import State, World
 
 Array = np.ndarray[Any, Any]

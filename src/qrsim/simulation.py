@@ -1,97 +1,31 @@
-"""Simulation: the stateful, friendly object over world.py, and the only place where worlds are compiled."""
+"""Simulation: the stateful, friendly object over world.py."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
-from qrsim import world as ticks_of
 from qrsim.actions import ActionChecker
-from qrsim.configuration import FEW_VEHICLES, QUICK_TO_COMPILE, use_compilation_cache
+from qrsim.configuration import use_compilation_cache
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
-from qrsim.core.pack import Buffers, Packer
+from qrsim.core.pack import Buffers, Glimpse, Packer
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.area import reason_text
 from qrsim.models.site import Site
 from qrsim.placing import placed
 from qrsim.readings import Reading, Truth
 from qrsim.saved import SavedState, fingerprint, write
-from qrsim.world import State, World, WorldKeys, keys_of
+from qrsim.ticking import ticks as ticks_of
+from qrsim.world import FleetState, State, World, keys_of
 
 FloatArray = np.ndarray[Any, Any]
 LARGEST_TICK = 2**31 - 2
-
-
-class _Program:
-    """A function compiled with the code generator that suits the number of vehicles."""
-
-    def __init__(self, function: Callable[..., Any], **options: Any):
-        self._few = jax.jit(function, compiler_options=QUICK_TO_COMPILE, **options)
-        self._many = jax.jit(function, **options)
-
-    def __call__(self, vehicles: int, *arguments: Any) -> Any:
-        return (self._few if vehicles <= FEW_VEHICLES else self._many)(*arguments)
-
-
-def _reset_world(world_layout: Packer, world: Buffers, keys: WorldKeys) -> State:
-    return ticks_of.reset(world_layout.unpack(world), keys)
-
-
-def _advance_world(
-    world_layout: Packer,
-    layout: Packer,
-    world: Buffers,
-    state: Buffers,
-    tick: Any,
-    count: Any,
-    actions: Any,
-    estimates: Any,
-) -> Buffers:
-    """Run ``count`` ticks and return the packed state."""
-    parameters = world_layout.unpack(world)
-
-    def body(i: Any, current: State) -> State:
-        return ticks_of.step(parameters, current, tick + i, actions, estimates)
-
-    return layout.pack(lax.fori_loop(jnp.int32(0), count, body, layout.unpack(state)))
-
-
-def _record_world(
-    world_layout: Packer,
-    layout: Packer,
-    world: Buffers,
-    state: Buffers,
-    tick: Any,
-    count: Any,
-    actions: Any,
-    estimates: Any,
-    capacity: int,
-) -> tuple[Buffers, Buffers]:
-    """Run ``count`` <= capacity ticks; return the packed state and every packed state on the way."""
-    parameters = world_layout.unpack(world)
-    rows = tuple(jnp.zeros((capacity, buffer.shape[0]), buffer.dtype) for buffer in state)
-
-    def body(i: Any, carry: tuple[State, Buffers]) -> tuple[State, Buffers]:
-        current = ticks_of.step(parameters, carry[0], tick + i, actions, estimates)
-        packed = layout.pack(current)
-        kept = tuple(lax.dynamic_update_index_in_dim(r, p, i, 0) for r, p in zip(carry[1], packed, strict=True))
-        return current, kept
-
-    final, kept = lax.fori_loop(jnp.int32(0), count, body, (layout.unpack(state), rows))
-    return layout.pack(final), kept
-
-
-_reset = _Program(_reset_world, static_argnums=0)
-_advance = _Program(_advance_world, static_argnums=(0, 1), donate_argnums=3)
-_record = _Program(_record_world, static_argnums=(0, 1, 8), donate_argnums=3)
 
 
 class History:
@@ -107,6 +41,21 @@ class History:
         self.ticks = ticks
         self.time = ticks * time_step
         self.state = state
+
+
+class _Snapshot:
+    """A copy of a packed state, unpacked when somebody looks at it."""
+
+    def __init__(self, layout: Packer, buffers: Buffers):
+        self._layout, self._buffers = layout, tuple(np.array(buffer) for buffer in buffers)
+
+    @cached_property
+    def state(self) -> State:
+        return self._layout.unpack(self._buffers)  # type: ignore[arg-type, no-any-return]
+
+    def glimpse(self, numbers: State) -> State:
+        """Return what stands for the state as long as only parts of it are read."""
+        return Glimpse(self._layout, self._buffers, numbers, (State, FleetState))  # type: ignore
 
 
 class Simulation:
@@ -140,10 +89,10 @@ class Simulation:
         self._checker = ActionChecker(world, self.dtype)
         self._world_layout = Packer(world)
         with self.precision_context():
-            self._world: Buffers = jax.device_put(self._world_layout.pack(world))
+            self._ticks = ticks_of(world)
         self._layout: Packer | None = None
         self._state: Buffers | None = None
-        self._host: State | None = None
+        self._host: _Snapshot | None = None
 
     @property
     def precision(self) -> str:
@@ -166,10 +115,8 @@ class Simulation:
             self.seed = _checked_seed(seed)
         with self.precision_context():
             keys = keys_of(self.world, Key.root(self.seed, self.number))
-            # Packed on the host, because a program for it would cost more to compile than it ever saves.
-            state = jax.tree.map(np.asarray, _reset(self.size, self._world_layout, self._world, keys))
-            self._layout = Packer(state)
-            self._state = jax.device_put(self._layout.pack(state))
+            self._layout, self._state = self._ticks.reset(keys)
+            self._numbers = self._layout.numbers()
         self.tick = 0
         self._host = None
         return self.reading
@@ -199,11 +146,8 @@ class Simulation:
         estimates = self._checker.estimates(estimate)
         count = self._checked_ticks(ticks)
         layout, state = self._running()
-        tick, number = np.int32(self.tick), np.int32(count)
         with self.precision_context():
-            self._state = _advance(
-                self.size, self._world_layout, layout, self._world, state, tick, number, actions, estimates
-            )
+            self._state = self._ticks.advance(layout, state, self.tick, count, (actions, estimates))
         self.tick += count
         self._host = None
 
@@ -222,23 +166,11 @@ class Simulation:
             raise UsageError(f"ticks: {count} is more than the capacity, {capacity}")
         layout, state = self._running()
         with self.precision_context():
-            self._state, rows = _record(
-                self.size,
-                self._world_layout,
-                layout,
-                self._world,
-                state,
-                np.int32(self.tick),
-                np.int32(count),
-                actions,
-                estimates,
-                capacity,
-            )
+            self._state, rows = self._ticks.record(layout, state, self.tick, count, (actions, estimates), capacity)
         numbers = np.arange(self.tick + 1, self.tick + count + 1)
         self.tick += count
         self._host = None
-        host = tuple(np.asarray(buffer)[:count] for buffer in rows)
-        return History(numbers, self.world.time_step, layout.unpack(host))  # type: ignore[arg-type]
+        return History(numbers, self.world.time_step, layout.unpack(rows))
 
     def set_state(self, state: Any) -> Reading:
         """Put the vehicles into given states, flying again where they had stopped; their controllers start anew.
@@ -256,7 +188,7 @@ class Simulation:
         layout, _ = self._running()
         with self.precision_context():
             changed = placed(self.world, self.state, state, self.vehicle_names)
-            self._state = jax.device_put(layout.pack(changed))
+            self._state = self._ticks.adopt(layout, layout.pack(jax.tree.map(np.asarray, changed)))
         self._host = None
         return self.reading
 
@@ -284,16 +216,16 @@ class Simulation:
         saved.check(self.name, self._fingerprint())
         if self._layout is None:
             self.reset(saved.seed)
-        _, state = self._running()
+        layout, state = self._running()
         if [part.shape for part in (saved.floats, saved.integers)] != [part.shape for part in state]:
             raise UsageError("saved state: its size is not that of this simulation's state: it is of another version")
         with self.precision_context():
-            self._state = jax.device_put((saved.floats, saved.integers))
+            self._state = self._ticks.adopt(layout, (saved.floats, saved.integers))
         self.tick, self.seed, self._host = saved.tick, saved.seed, None
         return self.reading
 
     def _fingerprint(self) -> str:
-        return fingerprint(self._world_layout, self._world)
+        return fingerprint(self._world_layout, self._world_layout.pack(jax.tree.map(np.asarray, self.world)))
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
@@ -302,11 +234,13 @@ class Simulation:
 
     @property
     def state(self) -> State:
-        """The whole state as NumPy arrays (read-only views)."""
+        """The whole state as NumPy arrays."""
+        return self._snapshot().state
+
+    def _snapshot(self) -> _Snapshot:
         if self._host is None:
-            layout, state = self._running()
-            # A copy, because the buffer itself is handed back to the next step.
-            self._host = layout.unpack(tuple(np.array(buffer) for buffer in state))  # type: ignore[arg-type]
+            # A copy, because the next step overwrites the buffers themselves.
+            self._host = _Snapshot(*self._running())
         return self._host
 
     @property
@@ -319,12 +253,12 @@ class Simulation:
     @property
     def reading(self) -> Reading:
         """What the sensors say now."""
-        return Reading(self.world, self.state, self.tick, self.site)
+        return Reading(self.world, self._snapshot().glimpse(self._numbers), self.tick, self.site)
 
     @property
     def truth(self) -> Truth:
         """What is really the case now, all fleets one after the other."""
-        return Truth(self.state)
+        return Truth(self._snapshot().glimpse(self._numbers))
 
     @property
     def valid(self) -> np.ndarray[Any, np.dtype[np.bool_]]:

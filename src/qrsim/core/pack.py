@@ -65,13 +65,47 @@ class Packer:
 
     def unpack(self, buffers: Buffers) -> Any:
         """Return the tree of two buffers whose last axis is the packed one; NumPy in gives NumPy views out."""
-        leaves = []
-        for i, part in enumerate(self.slices):
-            flat = buffers[0 if self.is_float[i] else 1][..., part]
-            leaf = flat.reshape((*flat.shape[:-1], *self.shapes[i]))
-            if self.dtypes[i] == np.uint32:
-                leaf = leaf.view(np.uint32)
-            elif not self.is_float[i] and self.dtypes[i] != np.int32:
-                leaf = leaf.astype(self.dtypes[i])
-            leaves.append(leaf)
-        return jax.tree.unflatten(self.structure, leaves)
+        return jax.tree.unflatten(self.structure, [self.leaf(buffers, i) for i in range(len(self.slices))])
+
+    def leaf(self, buffers: Buffers, number: int) -> Any:
+        """Return one leaf of two buffers whose last axis is the packed one."""
+        flat = buffers[0 if self.is_float[number] else 1][..., self.slices[number]]
+        leaf = flat.reshape((*flat.shape[:-1], *self.shapes[number]))
+        if self.dtypes[number] == np.uint32:
+            return leaf.view(np.uint32)
+        if not self.is_float[number] and self.dtypes[number] != np.int32:
+            return leaf.astype(self.dtypes[number])
+        return leaf
+
+    def numbers(self) -> Any:
+        """Return the tree with the number of each leaf in its place."""
+        return jax.tree.unflatten(self.structure, range(len(self.slices)))
+
+
+class Glimpse:
+    """A packed tree of which only what somebody looks at is unpacked.
+
+    Args:
+        layout, buffers: of the tree.
+        part: of ``layout.numbers()``.
+        containers: types that are looked into; what is of another type is unpacked as a whole.
+    """
+
+    def __init__(self, layout: Packer, buffers: Buffers, part: Any, containers: tuple[type, ...]):
+        self._layout, self._buffers, self._part, self._containers = layout, buffers, part, containers
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return self._opened(getattr(self._part, name))
+
+    def __getitem__(self, number: int) -> Any:
+        return self._opened(self._part[number])
+
+    def __len__(self) -> int:
+        return len(self._part)
+
+    def _opened(self, part: Any) -> Any:
+        if isinstance(part, (tuple, *self._containers)):
+            return Glimpse(self._layout, self._buffers, part, self._containers)
+        return jax.tree.map(lambda number: self._layout.leaf(self._buffers, number), part)

@@ -1,0 +1,25 @@
+"""Machine code for a processor from the same tick that JAX traces: whole ticks in one function, the state in its cache.
+
+XLA makes some hundred loops of a tick, and every one of them goes through memory. Here the tick's jaxpr becomes a few
+loops over vectors, written as LLVM's text and compiled by it. What a program does that the code generator cannot do is
+``Unsupported``, and then XLA compiles it as before.
+"""
+
+from qrsim.native.cache import identity, kept
+from qrsim.native.graph import Unsupported
+from qrsim.native.program import Binary, Input, Mode, Program, build
+from qrsim.native.start import Start, build_start, shapes_of
+
+__all__ = [
+    "Binary",
+    "Input",
+    "Mode",
+    "Program",
+    "Start",
+    "Unsupported",
+    "build",
+    "build_start",
+    "identity",
+    "kept",
+    "shapes_of",
+]

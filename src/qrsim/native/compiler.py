@@ -1,0 +1,65 @@
+"""LLVM's text to machine code."""
+
+from __future__ import annotations
+
+import threading
+from functools import lru_cache
+from typing import Any
+
+import llvmlite.binding as llvm
+
+_LOCK = threading.Lock()
+
+
+@lru_cache(maxsize=1)
+def _target() -> Any:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.Target.from_default_triple()
+
+
+def _machine() -> Any:
+    features = llvm.get_host_cpu_features().flatten()
+    return _target().create_target_machine(cpu=llvm.get_host_cpu_name(), features=features, opt=2, jit=True)
+
+
+@lru_cache(maxsize=1)
+def machine_name() -> str:
+    """Return what machine code depends on beside its text: processor, its features, and compiler."""
+    _target()
+    version = ".".join(map(str, llvm.llvm_version_info))
+    return f"{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()} llvm {version}"
+
+
+def machine_code(text: str) -> bytes:
+    """Return the object file of a module."""
+    with _LOCK:
+        machine = _machine()
+        module = llvm.parse_assembly(text)
+        module.verify()
+        # Vectors and loops are written as they are wanted, so nothing is gained by looking for more of them.
+        options = llvm.create_pipeline_tuning_options(speed_level=2)
+        options.loop_unrolling = options.loop_vectorization = options.slp_vectorization = False
+        builder = llvm.create_pass_builder(machine, options)
+        builder.getModulePassManager().run(module, builder)
+        code: bytes = machine.emit_object(module)
+        return code
+
+
+class Loaded:
+    """An object file in memory, which lives as long as this object.
+
+    Args:
+        code: what ``machine_code`` returned, on a machine of the same name.
+    """
+
+    def __init__(self, code: bytes):
+        with _LOCK:
+            self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+            self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+            self._engine.finalize_object()
+
+    def address(self, name: str) -> int:
+        """Return where a function begins."""
+        found: int = self._engine.get_function_address(name)
+        return found

@@ -1,0 +1,247 @@
+"""From a JAX program to a graph: one rule for each kind of operation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.extend import core as jex
+
+from qrsim.native.graph import Access, Graph, Region, Shape, Unsupported, View, squeezed
+
+# Operations of one element from one element of each argument, by JAX's names.
+ELEMENTWISE = frozenset(
+    "add sub mul div rem neg sign abs max min and or xor not eq ne lt le gt ge select_n shift_left "
+    "shift_right_logical shift_right_arithmetic sqrt rsqrt floor ceil round is_finite square integer_pow clamp exp "
+    "exp2 expm1 log log1p sin cos tan asin acos atan atan2 sinh cosh tanh pow convert_element_type "
+    "bitcast_convert_type".split()
+)
+# What is only there for differentiation, staging or for other compilers.
+TRANSPARENT = frozenset("copy copy_p stop_gradient optimization_barrier pvary reduce_precision".split())
+CALLS = {
+    "jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "remat": "jaxpr",
+    "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr",
+}  # fmt: skip
+REDUCTIONS = {
+    "reduce_sum": "add", "reduce_prod": "mul", "reduce_min": "min", "reduce_max": "max", "reduce_and": "and",
+    "reduce_or": "or",
+}  # fmt: skip
+# Accuracy of these in lower precision is not wanted, so their parameters say nothing.
+_ATTRIBUTES = {"integer_pow": "y", "round": "rounding_method", "reduce_precision": None}
+
+
+class Tracer:
+    """Turns jaxprs into nodes of a graph."""
+
+    def __init__(self, graph: Graph):
+        self.graph = graph
+
+    def run(self, jaxpr: Any, constants: Sequence[Any], arguments: Sequence[View]) -> list[View]:
+        """Return the results of a jaxpr for arguments."""
+        environment: dict[Any, View] = dict(zip(jaxpr.invars, arguments, strict=True))
+        for variable, value in zip(jaxpr.constvars, constants, strict=True):
+            environment[variable] = value if isinstance(value, View) else self.graph.constant(value)
+
+        def read(atom: Any) -> View:
+            if isinstance(atom, jex.Literal):
+                return self.graph.constant(np.asarray(atom.val, atom.aval.dtype))
+            return environment[atom]
+
+        for equation in jaxpr.eqns:
+            results = self._equation(equation, [read(atom) for atom in equation.invars])
+            environment.update(zip(equation.outvars, results, strict=True))
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def _equation(self, equation: Any, inputs: list[View]) -> list[View]:
+        name, parameters = equation.primitive.name, equation.params
+        out = equation.outvars[0].aval if equation.outvars else None
+        if name in ELEMENTWISE:
+            return [self._elementwise(name, inputs, out, parameters)]
+        if name in TRANSPARENT:
+            return inputs
+        if name in CALLS:
+            closed = parameters[CALLS[name]]
+            inner = closed.jaxpr if hasattr(closed, "jaxpr") else closed
+            return self.run(inner, getattr(closed, "consts", ()), inputs)
+        if name in REDUCTIONS:
+            return [self._reduction(name, inputs[0], out, parameters["axes"])]
+        rule = getattr(self, f"_{name}", None)
+        if rule is None:
+            raise Unsupported(f"'{name}'")
+        found = rule(inputs, out, parameters)
+        return found if isinstance(found, list) else [found]
+
+    def _elementwise(self, name: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        shape: Shape = tuple(out.shape)
+        if out.dtype == jax.dtypes.float0:
+            raise Unsupported("float0")
+        attributes: tuple[Any, ...] = (parameters[_ATTRIBUTES[name]],) if _ATTRIBUTES.get(name) else ()
+        if name == "convert_element_type" and inputs[0].node.dtype == out.dtype:
+            return inputs[0]
+        accesses = tuple(view.access(shape) for view in inputs)
+        return View.whole(self.graph.node(name, accesses, squeezed(shape), out.dtype, attributes), shape)
+
+    def _reduction(self, name: str, operand: View, out: Any, axes: Sequence[int]) -> View:
+        kept = [axis for axis in range(len(operand.shape)) if axis not in axes]
+        reduced = [axis for axis in axes if operand.shape[axis] != 1]
+        moved = operand.moved({axis: i for i, axis in enumerate(kept)}, tuple(out.shape))
+        if not reduced:
+            return moved
+        loop = [axis for axis, extent in enumerate(operand.shape) if extent != 1]
+        attributes = (REDUCTIONS[name], tuple(loop.index(axis) for axis in reduced))
+        node = self.graph.node(
+            "reduce", (operand.access(),), squeezed(out.shape), out.dtype, attributes, domain=squeezed(operand.shape)
+        )
+        return View.whole(node, tuple(out.shape))
+
+    def _apply(self, name: str, shape: Shape, dtype: Any, *inputs: View) -> View:
+        """Return an elementwise operation on arrays of one shape."""
+        accesses = tuple(view.access(shape) for view in inputs)
+        return View.whole(self.graph.node(name, accesses, squeezed(shape), dtype), shape)
+
+    def _argmin(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        return self._place_of("reduce_min", inputs[0], out, parameters["axes"])
+
+    def _argmax(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        return self._place_of("reduce_max", inputs[0], out, parameters["axes"])
+
+    def _place_of(self, extreme: str, operand: View, out: Any, axes: Sequence[int]) -> View:
+        """Return the first place of the least or largest element, or of the first NaN."""
+        (axis,), shape = axes, operand.shape
+        if shape[axis] == 1:
+            return self._spread(self.graph.constant(np.zeros((), out.dtype)), tuple(out.shape))
+        kept = [i for i in range(len(shape)) if i != axis]
+        best = self._reduction(extreme, operand, _Like(out.shape, operand.node.dtype), axes)
+        best = best.moved(dict(enumerate(kept)), shape)
+        equal = self._apply("eq", shape, np.bool_, operand, best)
+        missing = self._apply("ne", shape, np.bool_, operand, operand)
+        found = self._apply("or", shape, np.bool_, equal, missing)
+        places = self._iota([], _Like(shape, out.dtype), {"dimension": axis})
+        beyond = self._spread(self.graph.constant(np.full((), shape[axis], out.dtype)), shape)
+        chosen = self._apply("select_n", shape, out.dtype, found, beyond, places)
+        return self._reduction("reduce_min", chosen, out, axes)
+
+    def _dynamic_slice(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        operand, starts, shape = inputs[0], inputs[1:], tuple(out.shape)
+        axes = [axis for axis, extent in enumerate(operand.shape) if extent != shape[axis]]
+        part = operand.shifted([0] * len(shape), shape)
+        # For each axis of the array in memory: which start moves it, and the largest that it may be.
+        moved = []
+        for axis, _ in operand.index:
+            dynamic = axis is not None and axis in axes
+            moved.append((axes.index(axis), operand.shape[axis] - shape[axis]) if dynamic else None)  # type: ignore
+        accesses = (part.access(shape), *(starts[axis].access(()) for axis in axes))
+        node = self.graph.node("dynamic_slice", accesses, squeezed(shape), out.dtype, tuple(moved))
+        return View.whole(node, shape)
+
+    def _broadcast_in_dim(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        operand, to = inputs[0], parameters["broadcast_dimensions"]
+        grows = {axis: to[axis] for axis, extent in enumerate(operand.shape) if extent != 1}
+        return operand.moved({axis: grows.get(axis) for axis in range(len(operand.shape))}, tuple(out.shape))
+
+    def _squeeze(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        return self._without_unit_axes(inputs[0], tuple(out.shape))
+
+    def _reshape(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        if squeezed(inputs[0].shape) != squeezed(out.shape):
+            raise Unsupported(f"reshape of {inputs[0].shape} to {out.shape}")
+        return self._without_unit_axes(inputs[0], tuple(out.shape))
+
+    @staticmethod
+    def _without_unit_axes(view: View, shape: Shape) -> View:
+        before = [axis for axis, extent in enumerate(view.shape) if extent != 1]
+        after = [axis for axis, extent in enumerate(shape) if extent != 1]
+        return view.moved(dict(zip(before, after, strict=True)), shape)
+
+    def _transpose(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        moves: dict[int, int | None] = {axis: i for i, axis in enumerate(parameters["permutation"])}
+        return inputs[0].moved(moves, tuple(out.shape))
+
+    def _slice(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        if any(stride != 1 for stride in parameters["strides"] or ()):
+            raise Unsupported("a slice in strides")
+        return inputs[0].shifted(parameters["start_indices"], tuple(out.shape))
+
+    def _split(self, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        axis, begin, parts = parameters["axis"], 0, []
+        for size in parameters["sizes"]:
+            shape = tuple(size if i == axis else extent for i, extent in enumerate(inputs[0].shape))
+            parts.append(inputs[0].shifted([begin if i == axis else 0 for i in range(len(shape))], shape))
+            begin += size
+        return parts
+
+    def _iota(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        shape = tuple(out.shape)
+        if shape[parameters["dimension"]] == 1:
+            return self._spread(self.graph.constant(np.zeros((), out.dtype)), shape)
+        axis = len(squeezed(shape[: parameters["dimension"]]))
+        return View.whole(self.graph.node("iota", (), squeezed(shape), out.dtype, (axis,)), shape)
+
+    @staticmethod
+    def _spread(scalar: View, shape: Shape) -> View:
+        return View(scalar.node, (), shape)
+
+    def _stack(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        axis = parameters["axis"] % len(out.shape)
+        grown = []
+        for view in inputs:
+            shape = (*view.shape[:axis], 1, *view.shape[axis:])
+            grown.append(view.moved({i: i if i < axis else i + 1 for i in range(len(view.shape))}, shape))
+        return self._join(grown, tuple(out.shape), out.dtype, axis)
+
+    def _concatenate(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        return self._join(inputs, tuple(out.shape), out.dtype, parameters["dimension"])
+
+    def _join(self, parts: list[View], shape: Shape, dtype: Any, axis: int) -> View:
+        parts = [part for part in parts if 0 not in part.shape]
+        if len(parts) == 1:
+            return parts[0]
+        begins = np.cumsum([0, *(part.shape[axis] for part in parts)])
+        where = len(squeezed(shape[:axis]))
+        attributes = (where, tuple(int(b) for b in begins), tuple(squeezed(part.shape) for part in parts))
+        accesses = tuple(part.access() for part in parts)
+        return View.whole(self.graph.node("concatenate", accesses, squeezed(shape), dtype, attributes), shape)
+
+    def _cond(self, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        which, operands = inputs[0], inputs[1:]
+        branches = parameters["branches"]
+        if len(branches) != 2 or squeezed(which.shape):
+            raise Unsupported("a switch of several branches")
+        regions, results = [], []
+        for branch in branches:
+            self.graph.region = Region(parent=self.graph.region)
+            results.append(self.run(branch.jaxpr, branch.consts, operands))
+            region = self.graph.region
+            region.results = [view.access() for view in results[-1]]
+            regions.append(region)
+            assert region.parent is not None
+            self.graph.region = region.parent
+        cond = self.graph.node("cond", (which.access(),), (), np.bool_, regions=tuple(regions), invariant=False)
+        return [self._branch_result(cond, i, views) for i, views in enumerate(zip(*results, strict=True))]
+
+    def _branch_result(self, cond: Any, place: int, views: tuple[View, ...]) -> View:
+        first = views[0]
+        node = self.graph.node(
+            "output",
+            (Access(cond, ()),),
+            squeezed(first.shape),
+            first.node.dtype,
+            (place,),
+            invariant=False,
+            uniform=cond.uniform and all(view.node.uniform for view in views),
+        )
+        return View.whole(node, first.shape)
+
+
+class _Like(NamedTuple):
+    """Shape and type of a result."""
+
+    shape: Shape
+    dtype: Any
+
+
+def trace(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the closed jaxpr of a function for arguments, or their shapes."""
+    return jax.make_jaxpr(function)(*arguments)

@@ -1,0 +1,226 @@
+"""One world of a rollout, from its start and from tick to tick, and how XLA compiles a block of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.sharding import Mesh, PartitionSpec
+
+from qrsim import world as ticks_of
+from qrsim.actions import ActionChecker
+from qrsim.configuration import FEW_VEHICLES, QUICK_TO_COMPILE
+from qrsim.errors import UsageError
+from qrsim.models.site import Site
+from qrsim.metrics import FLIGHT_METRICS
+from qrsim.policies import UserFunction
+from qrsim.readings import Reading
+from qrsim.world import State, World, WorldKeys
+
+Array = np.ndarray[Any, Any]
+AXIS = "worlds"
+# What JAX raises where a program that is being compiled would have to know a number.
+NEEDS_VALUES = (
+    jax.errors.ConcretizationTypeError,
+    jax.errors.TracerArrayConversionError,
+    jax.errors.TracerIntegerConversionError,
+    jax.errors.NonConcreteBooleanIndexError,
+)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a rollout is made of beside the numbers.
+
+    Attributes:
+        policy, estimator: the user's, None without.
+        metrics: what sums up a flight.
+        policy_ticks: the policy is asked at every so-many-th tick.
+        site: origin of the local frame.
+        structure: of a World as a PyTree.
+        varied: for each leaf of a World, whether every world has its own.
+        mesh: the devices, None for a single one.
+    """
+
+    policy: UserFunction | None
+    estimator: UserFunction | None
+    metrics: Any
+    policy_ticks: int
+    site: Site = field(compare=False)
+    structure: Any
+    varied: tuple[bool, ...]
+    mesh: Mesh | None
+
+    @property
+    def compiled(self) -> Setup:
+        """The part that programs depend on: whom they ask. Who is asked in lock-step does not change them."""
+        policy, estimator = (
+            function if function is not None and function.compiled else None
+            for function in (self.policy, self.estimator)
+        )
+        return replace(
+            self, policy=policy, estimator=estimator, policy_ticks=1 if policy is None else self.policy_ticks
+        )
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is made of this package alone, so that another process can tell it by its structure."""
+        return self.policy is None and self.estimator is None and self.metrics is FLIGHT_METRICS
+
+    def world(self, fixed: list[Any], own: list[Any]) -> World:
+        """Return the world of leaves that all worlds share and leaves that are this world's own."""
+        shares, owns = iter(fixed), iter(own)
+        world: World = jax.tree.unflatten(self.structure, [next(owns if v else shares) for v in self.varied])
+        return world
+
+
+class Carry(NamedTuple):
+    """What a world takes from tick to tick."""
+
+    state: State
+    policy_memory: Any
+    estimator_memory: Any
+    held: Any  # the last answer of a compiled policy that is not asked at every tick
+    flight: Any
+    wrong_tick: Any  # (n,) int32 first tick at which the policy's answer for a vehicle was not finite, or -1
+
+
+def begin_world(setup: Setup, fixed: list[Any], keys: WorldKeys, own: list[Any]) -> Carry:
+    """Return the start of one world."""
+    world = setup.world(fixed, own)
+    state = ticks_of.reset(world, keys)
+    reading = Reading(world, state, 0, setup.site)
+    memories = [_first_memory(function, reading) for function in (setup.policy, setup.estimator)]
+    held: Any = ()
+    # All are asked here too, so that a wrong answer is found before anything is compiled.
+    if setup.policy is not None:
+        shapes, _ = jax.eval_shape(partial(_answer, setup.policy, world, reading, memories[0]))
+        if setup.policy_ticks > 1:
+            held = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+    if setup.estimator is not None:
+        jax.eval_shape(partial(_answer, setup.estimator, world, reading, memories[1]))
+    size = sum(fleet.size for fleet in world.fleets)
+    wrong = jnp.full(size, -1, jnp.int32)
+    return Carry(state, memories[0], memories[1], held, setup.metrics.init(world, state), wrong)
+
+
+def _first_memory(function: UserFunction | None, reading: Reading) -> Any:
+    """Return the memory that a function starts with."""
+    if function is None:
+        return ()
+    with function.blamed():
+        return jax.tree.map(jnp.asarray, function.init(reading))
+
+
+def _answer(function: UserFunction, world: World, reading: Reading, memory: Any) -> tuple[Any, Any]:
+    """Return what a compiled function asks for, actions or estimates for each fleet, and its memory."""
+    checker = ActionChecker(world, world.fleets[0].start.position_ned.x.dtype, "traced")
+    with function.blamed():
+        result, memory = call_compiled(function, reading, memory)
+        return (checker.actions if function.what == "policy" else checker.estimates)(result), memory
+
+
+def call_compiled(function: UserFunction, reading: Reading, memory: Any) -> tuple[Any, Any]:
+    """Call a user's function in a program that is being compiled."""
+    try:
+        result, after = function(reading, memory)
+    except NEEDS_VALUES as error:
+        raise UsageError(
+            f"it cannot be compiled, because it needs the value of a reading ({type(error).__name__}); write it with "
+            "jax.numpy, or as a function of a reading without jax.jit, which is called at every tick"
+        ) from error
+    _check_memory(memory, after)
+    return result, after
+
+
+def _check_memory(before: Any, after: Any) -> None:
+    """Refuse a memory that a loop cannot carry from tick to tick."""
+    old: Any = jax.tree.structure(before)
+    new: Any = jax.tree.structure(after)
+    if old != new:
+        raise UsageError(f"step must return a memory like that of init: expected {old}, found {new}")
+    for was, now in zip(map(jax.typeof, jax.tree.leaves(before)), map(jax.typeof, jax.tree.leaves(after)), strict=True):
+        if was.shape != now.shape or (was.dtype != now.dtype and not was.weak_type):
+            raise UsageError(
+                f"step must return a memory like that of init: expected an array of {was.dtype} {was.shape}, "
+                f"found {now.dtype} {now.shape}"
+            )
+
+
+def tick_of_world(setup: Setup, fixed: list[Any], own: list[Any], carry: Carry, tick: Any, given: tuple[Any, Any]) -> Carry:
+    """Advance one world by one tick; ``given`` holds the actions and estimates that were asked for in lock-step."""
+    world = setup.world(fixed, own)
+    reading = Reading(world, carry.state, tick, setup.site)
+    actions, estimates = given
+    memory, believed_memory, held, wrong = carry.policy_memory, carry.estimator_memory, carry.held, carry.wrong_tick
+    if setup.policy is not None:
+        if setup.policy_ticks == 1:
+            actions, memory = _answer(setup.policy, world, reading, memory)
+        else:
+            due = tick % setup.policy_ticks == 0
+            ask = partial(_answer, setup.policy, world, reading, memory)
+            actions, memory = held, memory = lax.cond(due, ask, lambda: (carry.held, carry.policy_memory))
+        flying = jnp.concatenate([fleet.violation.code for fleet in carry.state.fleets]) == 0
+        wrong = jnp.where((wrong < 0) & flying & ~_finite(world, actions), tick, wrong)
+    if setup.estimator is not None:
+        estimates, believed_memory = _answer(setup.estimator, world, reading, believed_memory)
+    state = ticks_of.step(world, carry.state, tick, actions or (None,) * len(world.fleets), estimates or None)
+    flight = setup.metrics.update(carry.flight, world, state, tick + 1)
+    return Carry(state, memory, believed_memory, held, flight, wrong)
+
+
+def _finite(world: World, actions: tuple[Any, ...]) -> Any:
+    """Return whether all that is asked of each vehicle (n,) is finite."""
+    parts = []
+    for fleet, action in zip(world.fleets, actions, strict=True):
+        leaves = jax.tree.leaves(action)
+        fine = jnp.ones(fleet.size, bool)
+        for leaf in leaves:
+            fine = fine & jnp.isfinite(leaf)
+        parts.append(fine)
+    return jnp.concatenate(parts)
+
+
+def _advance(
+    setup: Setup, fixed: list[Any], own: list[Any], carry: Carry, tick: Any, count: Any, given: tuple[Any, Any]
+) -> Carry:
+    """Advance a block of worlds by ``count`` ticks; the tick is the same for all, so that slow sensors are skipped."""
+    one = jax.vmap(partial(tick_of_world, setup), in_axes=(None, 0, 0, None, 0))
+    return lax.fori_loop(jnp.int32(0), count, lambda i, now: one(fixed, own, now, tick + i, given), carry)
+
+
+class Programs(NamedTuple):
+    """The compiled parts of a rollout that do not depend on what is recorded."""
+
+    begin: Any
+    advance: Any
+
+
+@lru_cache(maxsize=8)
+def programs(setup: Setup, few: bool) -> Programs:
+    """Return the programs of ``Setup.compiled``, compiled when first called; ``few`` vehicles need other options."""
+    return Programs(
+        _compiled(jax.vmap(partial(begin_world, setup), (None, 0, 0)), "srr", setup.mesh, few),
+        _compiled(partial(_advance, setup), "srrssr", setup.mesh, few, donate_argnums=2),
+    )
+
+
+@lru_cache(maxsize=8)
+def recorder(record: Callable[[State], Any], mesh: Mesh | None, few: bool) -> Any:
+    """Return the program that records a block of states."""
+    return _compiled(jax.vmap(record), "r", mesh, few)
+
+
+def _compiled(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: Any) -> Any:
+    """Compile for all devices: of the arguments some are cut by world (r), the others the same for all (s)."""
+    if mesh is not None:
+        cut, same = PartitionSpec(AXIS), PartitionSpec()  # type: ignore[no-untyped-call]
+        specs = tuple(cut if kind == "r" else same for kind in arguments)
+        function = jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=cut, check_vma=False)
+    return jax.jit(function, compiler_options=QUICK_TO_COMPILE if few else None, **more)
