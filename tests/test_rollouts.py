@@ -20,9 +20,10 @@ import pytest
 from tests.small_worlds import bare_pair, noisy_pair
 
 import qrsim
-from qrsim import rollout_engine, rollouts, simulation
+from qrsim import rollouts
 from qrsim.core.tree import replace
 from qrsim.errors import UsageError
+from qrsim.native.compiler import Loaded
 from qrsim.rollouts import Rollout, rollout
 from qrsim.simulation import Simulation
 from qrsim.world import State, World
@@ -70,9 +71,17 @@ def lowerings() -> Iterator[list[str]]:
         if event == "/jax/core/compile/jaxpr_to_mlir_module_duration":
             found.append(event)
 
+    load = Loaded.__init__
+
+    def noted(self: Loaded, code: bytes) -> None:
+        found.append("native")
+        load(self, code)
+
     jax.monitoring.register_event_duration_secs_listener(note)
     try:
-        yield found
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Loaded, "__init__", noted)
+            yield found
     finally:
         jax.monitoring.unregister_event_duration_listener(note)
 
@@ -197,11 +206,8 @@ class TestStructure:
         with pytest.raises(UsageError, match="number 2"):
             rollout([bare, bare, renamed], ticks=1)
 
-    def test_a_fleet_of_100_masses_compiles_once(self, monkeypatch):
+    def test_a_fleet_of_100_masses_compiles_once(self):
         """In a rollout and in a simulation; another hundred masses compile nothing."""
-        # The code generator for small worlds is quicker to compile.
-        for module in (rollout_engine, simulation):
-            monkeypatch.setattr(module, "FEW_VEHICLES", 1000)
 
         def fleet(lightest: float) -> World:
             places = [[10.0 * (i // 10), 10.0 * (i % 10), -20.0] for i in range(100)]

@@ -231,7 +231,9 @@ class Truth:
         self._state = state
 
     def _gather(self, pick: Any) -> Floats:
-        return np.concatenate([as_array(pick(fleet)) for fleet in map(self._state.fleets.__getitem__, range(len(self._state.fleets)))])
+        return np.concatenate(
+            [as_array(pick(fleet)) for fleet in map(self._state.fleets.__getitem__, range(len(self._state.fleets)))]
+        )
 
     @property
     def position_ned(self) -> Floats:

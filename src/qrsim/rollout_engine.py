@@ -18,6 +18,7 @@ from qrsim.core.noise import Key
 from qrsim.core.pack import Packer
 from qrsim.errors import UsageError
 from qrsim.native import identity, kept
+from qrsim.policies import UserFunction
 from qrsim.readings import Reading
 from qrsim.rollout_flight import Flight, layout_of
 from qrsim.rollout_parts import Carry, Setup, begin_world, recorder

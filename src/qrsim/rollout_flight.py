@@ -13,8 +13,8 @@ import jax
 import numpy as np
 
 from qrsim.configuration import FEW_VEHICLES, threads, uses_llvm
-from qrsim.core.pack import Packer
-from qrsim.native import Binary, Input, Mode, Program, Start, Unsupported, build, build_start, identity, kept
+from qrsim.core.pack import Buffers, Packer, struct
+from qrsim.native import Binary, Input, Mode, Program, Start, UnsupportedError, build, build_start, identity, kept
 from qrsim.rollout_parts import Carry, Setup, begin_world, programs, tick_of_world
 from qrsim.ticking import mode_of
 from qrsim.world import WorldKeys
@@ -44,7 +44,7 @@ class Flight:
         self._native: NativeFlight | None = None
         self._carry: Any = None
         if uses_llvm():
-            with contextlib.suppress(Unsupported):
+            with contextlib.suppress(UnsupportedError):
                 self._native = NativeFlight(setup, fixed, own, keys, vehicles)
         if self._native is None:
             self._carry = programs(setup, self._few).begin(fixed, keys, own)
@@ -60,7 +60,7 @@ class Flight:
             try:
                 self._native.advance(tick, count, given)
                 return
-            except Unsupported:
+            except UnsupportedError:
                 self._carry = self._native.get(lambda carry: carry)
                 self._native = None
         program = programs(self._setup, self._few).advance
@@ -82,7 +82,7 @@ class NativeFlight:
         vehicles: of one world.
 
     Raises:
-        Unsupported: XLA has to compute it.
+        UnsupportedError: XLA has to compute it.
     """
 
     def __init__(self, setup: Setup, fixed: list[Any], own: list[Any], keys: WorldKeys, vehicles: int):
@@ -102,12 +102,11 @@ class NativeFlight:
         self._run(program, self._filled(program, 1, (own, host_keys)), 0, 1)
         self._given: tuple[Any, Any, Any] = (None, None, None)
 
-    def _many(self, program: Program, which: int) -> tuple[Array, Array]:
-        """Return an input's buffers for all tiles, (tiles, ...) each."""
-        buffers = [program.buffers(which) for _ in range(self._tiles)]
-        return buffers  # type: ignore[return-value]
+    def _many(self, program: Program, which: int) -> list[Buffers]:
+        """Return an input's buffers, one pair for each tile."""
+        return [program.buffers(which) for _ in range(self._tiles)]
 
-    def _filled(self, program: Program, which: int, tree: Any) -> Any:
+    def _filled(self, program: Program, which: int, tree: Any) -> list[Buffers]:
         """Return an input's buffers for all tiles with the numbers of a tree, each leaf (B, ...)."""
         layout, lanes = program.inputs[which].layout, self._mode.worlds
         buffers = self._many(program, which)
@@ -179,9 +178,7 @@ def _mode(count: int, vehicles: int, dtype: np.dtype[Any]) -> Mode:
 
 def layout_of(tree: Any) -> Packer:
     """Return the layout of one world's part of a tree, each leaf (B, ...)."""
-    return Packer(
-        jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[1:], np.asarray(leaf).dtype), tree)
-    )
+    return Packer(jax.tree.map(lambda leaf: struct(np.shape(leaf)[1:], np.asarray(leaf).dtype), tree))
 
 
 _POOLS: dict[int, ThreadPoolExecutor] = {}
@@ -205,7 +202,7 @@ def _made(what: str, setup: Setup, layouts: tuple[Packer, ...], mode: Mode, make
     """Return a program from this process, from the cache, or made anew.
 
     Raises:
-        Unsupported: it cannot be made.
+        UnsupportedError: it cannot be made.
     """
     key = (what, setup, layouts, mode)
     if key not in _PROGRAMS:
@@ -213,11 +210,11 @@ def _made(what: str, setup: Setup, layouts: tuple[Packer, ...], mode: Mode, make
         parts = (what, repr(setup.structure), setup.varied, *map(identity, layouts), mode)
         try:
             _PROGRAMS[key] = kept(parts, make) if setup.plain else make()
-        except Unsupported as why:
+        except UnsupportedError as why:
             log.debug("%s compiled by XLA, because of %s", what, why)
             _PROGRAMS[key] = why
     found = _PROGRAMS[key]
-    if isinstance(found, Unsupported):
+    if isinstance(found, UnsupportedError):
         raise found
     return found
 
@@ -233,7 +230,7 @@ def _begin(setup: Setup, fixed: Packer, own: Packer, mode: Mode) -> tuple[Packer
     if id(start) not in _LOADED:
         layout = start.layout
         _LOADED[id(start)] = start, layout, Program(start.binary, (*inputs, Input(layout, own=True)), mode)
-    return _LOADED[id(start)][1:]  # type: ignore[no-any-return]
+    return _LOADED[id(start)][1:]
 
 
 def _advance(setup: Setup, fixed: Packer, own: Packer, carry: Packer, mode: Mode) -> Program:

@@ -15,10 +15,10 @@ from jax.sharding import Mesh, PartitionSpec
 
 from qrsim import world as ticks_of
 from qrsim.actions import ActionChecker
-from qrsim.configuration import FEW_VEHICLES, QUICK_TO_COMPILE
+from qrsim.configuration import QUICK_TO_COMPILE
 from qrsim.errors import UsageError
-from qrsim.models.site import Site
 from qrsim.metrics import FLIGHT_METRICS
+from qrsim.models.site import Site
 from qrsim.policies import UserFunction
 from qrsim.readings import Reading
 from qrsim.world import State, World, WorldKeys
@@ -153,7 +153,9 @@ def _check_memory(before: Any, after: Any) -> None:
             )
 
 
-def tick_of_world(setup: Setup, fixed: list[Any], own: list[Any], carry: Carry, tick: Any, given: tuple[Any, Any]) -> Carry:
+def tick_of_world(
+    setup: Setup, fixed: list[Any], own: list[Any], carry: Carry, tick: Any, given: tuple[Any, Any]
+) -> Carry:
     """Advance one world by one tick; ``given`` holds the actions and estimates that were asked for in lock-step."""
     world = setup.world(fixed, own)
     reading = Reading(world, carry.state, tick, setup.site)

@@ -51,7 +51,7 @@ class _Snapshot:
 
     @cached_property
     def state(self) -> State:
-        return self._layout.unpack(self._buffers)  # type: ignore[arg-type, no-any-return]
+        return self._layout.unpack(self._buffers)  # type: ignore[arg-type]
 
     def glimpse(self, numbers: State) -> State:
         """Return what stands for the state as long as only parts of it are read."""

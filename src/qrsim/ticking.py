@@ -17,7 +17,7 @@ from jax import lax
 from qrsim import world as ticks_of
 from qrsim.configuration import FEW_VEHICLES, QUICK_TO_COMPILE, uses_llvm
 from qrsim.core.pack import Buffers, Packer
-from qrsim.native import Binary, Input, Mode, Program, Start, Unsupported, build, build_start, identity, kept
+from qrsim.native import Binary, Input, Mode, Program, Start, UnsupportedError, build, build_start, identity, kept
 from qrsim.world import State, World, WorldKeys
 
 log = logging.getLogger(__name__)
@@ -79,7 +79,7 @@ class NativeTicks:
         buffers = tuple(aligned(part.size, np.dtype(part.dtype)) for part in state)
         for mine, given in zip(buffers, state, strict=True):
             mine[...] = given
-        return buffers  # type: ignore[return-value]
+        return buffers
 
     def advance(self, layout: Packer, state: Buffers, tick: int, count: int, given: Any) -> Buffers:
         """Run ``count`` ticks; the state is overwritten, and returned.
@@ -171,7 +171,7 @@ def _tick_program(inputs: tuple[Input, ...], mode: Mode) -> Program | None:
         try:
             binary: Binary = kept(what, lambda: build(_tick, inputs, mode))
             _PROGRAMS[key] = Program(binary, inputs, mode)
-        except Unsupported as why:
+        except UnsupportedError as why:
             log.debug("compiled by XLA, because of %s", why)
             _PROGRAMS[key] = None
     found: Program | None = _PROGRAMS[key]
@@ -186,7 +186,7 @@ def _start(inputs: tuple[Input, ...], mode: Mode) -> tuple[Packer, Program] | No
             start: Start = kept(what, lambda: build_start(ticks_of.reset, inputs, mode))
             layout = start.layout
             _PROGRAMS[key] = layout, Program(start.binary, (*inputs, Input(layout, own=True)), mode)
-        except Unsupported as why:
+        except UnsupportedError as why:
             log.debug("start compiled by XLA, because of %s", why)
             _PROGRAMS[key] = None
     found: tuple[Packer, Program] | None = _PROGRAMS[key]

@@ -77,9 +77,18 @@ class Packer:
             return leaf.astype(self.dtypes[number])
         return leaf
 
+    def template(self) -> Any:
+        """Return the tree with the shape and type of each leaf in its place."""
+        return jax.tree.unflatten(self.structure, list(map(struct, self.shapes, self.dtypes)))
+
     def numbers(self) -> Any:
         """Return the tree with the number of each leaf in its place."""
         return jax.tree.unflatten(self.structure, range(len(self.slices)))
+
+
+def struct(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
+    """Return what stands for an array of a shape and type."""
+    return jax.ShapeDtypeStruct(shape, dtype)  # type: ignore[no-untyped-call]
 
 
 class Glimpse:

@@ -2,13 +2,13 @@
 
 XLA makes some hundred loops of a tick, and every one of them goes through memory. Here the tick's jaxpr becomes a few
 loops over vectors, written as LLVM's text and compiled by it. What a program does that the code generator cannot do is
-``Unsupported``, and then XLA compiles it as before.
+``UnsupportedError``, and then XLA compiles it as before.
 """
 
 from qrsim.native.cache import identity, kept
-from qrsim.native.graph import Unsupported
+from qrsim.native.graph import UnsupportedError
 from qrsim.native.program import Binary, Input, Mode, Program, build
-from qrsim.native.start import Start, build_start, shapes_of
+from qrsim.native.start import Start, build_start
 
 __all__ = [
     "Binary",
@@ -16,10 +16,9 @@ __all__ = [
     "Mode",
     "Program",
     "Start",
-    "Unsupported",
+    "UnsupportedError",
     "build",
     "build_start",
     "identity",
     "kept",
-    "shapes_of",
 ]

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.native.graph import Access, Node, Shape, Unsupported
+from qrsim.native.graph import Access, Node, Shape, UnsupportedError
 from qrsim.native.operations import Operations, literal, scalar_type, splat, stored_bytes, stored_type, vector
 from qrsim.native.schedule import Step
 
@@ -44,7 +44,7 @@ class Scope:
     variables: list[str]
     lane_axis: int | None
     values: dict[int, str]
-    offsets: dict[Any, str]
+    offsets: dict[Any, Any]
 
 
 class Emitter:
@@ -255,7 +255,7 @@ class Emitter:
         if have == 0:
             return splat(text, element, lanes)
         if have != 1:
-            raise Unsupported("a value of one world that depends on all of them")
+            raise UnsupportedError("a value of one world that depends on all of them")
         of = vector(element, lanes)
         first = self.emit(f"insertelement {of} poison, {element} {text}, i32 0")
         return self.emit(f"shufflevector {of} {first}, {of} poison, <{lanes} x i32> zeroinitializer")
@@ -311,7 +311,7 @@ class Emitter:
         axis = node.attributes[0]
         element, counter = scalar_type(node.dtype), self.scope.variables[axis]
         if node.dtype.kind not in "iu":
-            raise Unsupported("an iota of floating-point numbers")
+            raise UnsupportedError("an iota of floating-point numbers")
         number = self.emit(f"trunc i64 {counter} to {element}") if element != "i64" else counter
         if axis != self.scope.lane_axis:
             return self.widened((number, 1), node.dtype, lanes)
@@ -424,7 +424,9 @@ class Emitter:
             neutral = splat(self._neutral(node), scalar_type(node.dtype), lanes)
             value = self.emit(f"select {vector('i1', lanes)} {inside}, {of} {value}, {of} {neutral}")
         before = self._load(node.dtype, pointer, lanes)
-        self._store(node.dtype, pointer, self.operations.combine(node.attributes[0], node.dtype, lanes, before, value), lanes)
+        self._store(
+            node.dtype, pointer, self.operations.combine(node.attributes[0], node.dtype, lanes, before, value), lanes
+        )
 
     def _finish(self, node: Node, pointer: str) -> None:
         lanes, axis = self._reduced_width(node), self.scope.lane_axis
@@ -439,7 +441,12 @@ class Emitter:
         kept = [v for a, v in enumerate(self.scope.variables) if a not in node.attributes[1]]
         place = self.places[node.number]
         wanted = self.lanes if place.own and self.side_by_side else lanes
-        self._store(node.dtype, self._address(place, [(v, 0) for v in kept]), self.widened((value, lanes), node.dtype, wanted), wanted)
+        self._store(
+            node.dtype,
+            self._address(place, [(v, 0) for v in kept]),
+            self.widened((value, lanes), node.dtype, wanted),
+            wanted,
+        )
 
     # Moves
 
@@ -504,7 +511,7 @@ class Emitter:
         self.scope = Scope((), [], None, {}, {})
         which, lanes = self.value(cond.args[0])
         if lanes > 1:
-            raise Unsupported("a branch that each world takes for itself")
+            raise UnsupportedError("a branch that each world takes for itself")
         dtype = cond.args[0].node.dtype
         taken = which if dtype.kind == "b" else self.emit(f"icmp ne {scalar_type(dtype)} {which}, 0")
         label = f"branch{self.count}"

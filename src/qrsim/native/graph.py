@@ -17,7 +17,7 @@ Shape = tuple[int, ...]
 Index = tuple[tuple[int | None, int], ...]
 
 
-class Unsupported(Exception):
+class UnsupportedError(Exception):
     """A program that this code generator cannot compile; XLA can."""
 
 
@@ -157,7 +157,7 @@ class Graph:
         """Return an array that is known now."""
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
-            raise Unsupported(f"a constant of {array.dtype}")
+            raise UnsupportedError(f"a constant of {array.dtype}")
         shape = squeezed(array.shape)
         attributes = (array.reshape(shape).tobytes(),)
         return View.whole(self.node("constant", (), shape, array.dtype, attributes), array.shape)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.native.graph import Node, Unsupported
+from qrsim.native.graph import Node, UnsupportedError
 
 DType = np.dtype[Any]
 # Emits an instruction and returns the name of its value.
@@ -29,7 +29,7 @@ def scalar_type(dtype: DType) -> str:
     if dtype.kind == "b":
         return "i1"
     if dtype.name not in _SCALAR:
-        raise Unsupported(f"numbers of {dtype}")
+        raise UnsupportedError(f"numbers of {dtype}")
     return _SCALAR[dtype.name]
 
 
@@ -90,7 +90,7 @@ class Operations:
         if node.op in _LIBRARY:
             return self._library(node.op, argument, values, lanes)
         if rule is None:
-            raise Unsupported(f"'{node.op}'")
+            raise UnsupportedError(f"'{node.op}'")
         result: str = rule(node, of, values, lanes)
         return result
 
@@ -118,7 +118,7 @@ class Operations:
     def _library(self, name: str, dtype: DType, values: list[str], lanes: int) -> str:
         element = scalar_type(dtype)
         if element not in ("float", "double"):
-            raise Unsupported(f"'{name}' of {dtype}")
+            raise UnsupportedError(f"'{name}' of {dtype}")
         symbol = name + ("f" if element == "float" else "")
         if lanes == 1:
             return self._call(symbol, element, [element] * len(values), values)
@@ -133,7 +133,7 @@ class Operations:
         if kind == "f":
             return self.emit(f"f{op} {of} {values[0]}, {values[1]}")
         if kind == "b":
-            raise Unsupported(f"'{op}' of bool")
+            raise UnsupportedError(f"'{op}' of bool")
         if op in ("div", "rem"):
             return self._whole_division(op, of, dtype, values, lanes)
         return self.emit(f"{op} {of} {values[0]}, {values[1]}")
@@ -176,9 +176,7 @@ class Operations:
         if node.dtype.kind == "u":
             return values[0]
         negative = self._neg(node, of, values, lanes)
-        return self._call(
-            f"llvm.smax.{self._suffix(node.dtype, lanes)}", of, [of, of], [values[0], negative]
-        )
+        return self._call(f"llvm.smax.{self._suffix(node.dtype, lanes)}", of, [of, of], [values[0], negative])
 
     @staticmethod
     def _suffix(dtype: DType, lanes: int) -> str:
@@ -231,11 +229,9 @@ class Operations:
 
     def _select_n(self, node: Node, of: str, values: list[str], lanes: int) -> str:
         if len(values) != 3 or node.args[0].node.dtype.kind != "b":
-            raise Unsupported("a selection among several")
+            raise UnsupportedError("a selection among several")
         result = vector(scalar_type(node.dtype), lanes)
-        return self.emit(
-            f"select {vector('i1', lanes)} {values[0]}, {result} {values[2]}, {result} {values[1]}"
-        )
+        return self.emit(f"select {vector('i1', lanes)} {values[0]}, {result} {values[2]}, {result} {values[1]}")
 
     def _sqrt(self, node: Node, of: str, values: list[str], lanes: int) -> str:
         return self._intrinsic("sqrt", node.dtype, lanes, values)
@@ -266,7 +262,7 @@ class Operations:
     def _integer_pow(self, node: Node, of: str, values: list[str], lanes: int) -> str:
         power = int(node.attributes[0])
         if node.dtype.kind != "f" or power == 0:
-            raise Unsupported("this whole power")
+            raise UnsupportedError("this whole power")
         result, square, left = None, values[0], abs(power)
         while left:
             if left & 1:

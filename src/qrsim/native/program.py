@@ -7,16 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from qrsim.core.pack import Buffers, Packer
+from qrsim.core.pack import Buffers, Packer, struct
 from qrsim.native.compiler import Loaded, machine_code
 from qrsim.native.emit import Emitter, Place
 from qrsim.native.graph import Access, Graph, Node, Shape, View, squeezed
 from qrsim.native.operations import stored_bytes
-from qrsim.native.schedule import Arena, Scheduler, Step, all_nodes, last_reads, materialised, readers
+from qrsim.native.schedule import Arena, Scheduler, all_nodes, last_reads, materialised, readers
 from qrsim.native.simplify import contract, live_nodes
 from qrsim.native.tracing import Tracer, trace
 
@@ -72,7 +70,7 @@ def build(function: Callable[..., Any], inputs: Sequence[Input], mode: Mode) -> 
         mode: how vectors are used.
 
     Raises:
-        Unsupported: the function does what this code generator cannot do.
+        UnsupportedError: the function does what this code generator cannot do.
     """
     writer = _Writer(function, tuple(inputs), mode.lanes, mode.side_by_side)
     text = writer.text()
@@ -143,11 +141,10 @@ class _Writer:
                 nodes.append(node)
                 views.append(View.whole(node, shape))
             self.leaves.append(nodes)
-            structs = [jax.ShapeDtypeStruct(s, d) for s, d in zip(layout.shapes, layout.dtypes, strict=True)]
-            shapes.append(jax.tree.unflatten(layout.structure, structs))
+            shapes.append(layout.template())
         self.tick = self.graph.node("input", (), (), np.dtype(np.int32), ("tick",), invariant=False, uniform=True)
         views.append(View.whole(self.tick, ()))
-        closed = trace(function, *shapes, jax.ShapeDtypeStruct((), jnp.int32))
+        closed = trace(function, *shapes, struct((), np.dtype(np.int32)))
         found = Tracer(self.graph).run(closed.jaxpr, closed.consts, views)
         contract(self.graph)
         self.results = [view.access() for view in found]
@@ -229,6 +226,11 @@ class _Writer:
         lanes = self.lanes if self.side_by_side and not node.uniform else 1
         return _padded(shape, self.lanes, self.side_by_side) * stored_bytes(node.dtype) * lanes
 
+    def _spare(self, node: Node, shape: Shape) -> Place:
+        """Return memory for a copy that waits, none of which was given out before."""
+        self.arena.free.clear()
+        return self._take(node, shape)
+
     def _take(self, node: Node, shape: Shape | None = None) -> Place:
         shape = node.shape if shape is None else shape
         own = self.side_by_side and not node.uniform
@@ -239,7 +241,7 @@ class _Writer:
     def text(self) -> str:
         """Return the module."""
         writer = Emitter(self.places, self.lanes, self.side_by_side)
-        writer.spare = self._take  # type: ignore[method-assign]
+        writer.spare = self._spare  # type: ignore[method-assign]
         arguments = [f"ptr noalias %{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
         arguments += ["ptr noalias %scratch", "i32 %first", "i32 %count"]
         writer.steps(self.prologue, self.stored)
@@ -251,7 +253,7 @@ class _Writer:
         writer.do("%tick.now = add i32 %first, %done")
         writer.scalars[self.tick.number] = "%tick.now", 1
         writer.steps(self.body, self.stored)
-        writer.move_all(self.moves, self._take)
+        writer.move_all(self.moves, self._spare)
         writer.do("%done.next = add i32 %done, 1")
         writer.do("%more = icmp ult i32 %done.next, %count")
         writer.lines[place] = f"  %done = phi i32 [0, %{before}], [%done.next, %{writer.block}]"

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import Any
 
-from qrsim.native.graph import Access, Node, Region, Shape, Unsupported
+from qrsim.native.graph import Access, Node, Region, Shape, UnsupportedError
 
 OUTSIDE = ("input", "constant")
 
@@ -55,7 +55,7 @@ class Scheduler:
     def _next(self, waiting: dict[int, Node], done: set[int], sizes: Counter[Shape]) -> Step:
         ready = [node for node in waiting.values() if node.op != "output" and self._ready(node, done)]
         if not ready:
-            raise Unsupported("a graph with a cycle")
+            raise UnsupportedError("a graph with a cycle")
         # Small domains first: what they make lets the large one run further in one loop.
         first = min(ready, key=lambda node: (node.op == "cond", sizes[node.domain] if node.domain else -1))
         if first.op == "cond":
@@ -65,7 +65,8 @@ class Scheduler:
         return self._loop(first, waiting, done)
 
     def _loop(self, first: Node, waiting: dict[int, Node], done: set[int]) -> Step:
-        domain, inside, nodes = first.domain, set(), []
+        domain, nodes = first.domain, []
+        inside: set[int] = set()
         reduced: tuple[int, ...] | None = None
         for node in waiting.values():
             if node.domain != domain or node.op in ("cond", "concatenate", "output"):

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.core.pack import Packer
+from qrsim.core.pack import Packer, struct
 from qrsim.native.program import Binary, Input, Mode, build
 
 
@@ -40,17 +40,9 @@ def build_start(function: Callable[..., Any], inputs: Sequence[Input], mode: Mod
         mode: how vectors are used.
 
     Raises:
-        Unsupported: the function does what this code generator cannot do.
+        UnsupportedError: the function does what this code generator cannot do.
     """
-    shapes = [shapes_of(given.layout) for given in inputs]
-    template = jax.tree.map(
-        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, np.dtype(leaf.dtype)), jax.eval_shape(function, *shapes)
-    )
+    shapes = [given.layout.template() for given in inputs]
+    template = jax.tree.map(lambda leaf: struct(leaf.shape, np.dtype(leaf.dtype)), jax.eval_shape(function, *shapes))
     every = [*inputs, Input(Packer(template), own=True)]
     return Start(build(lambda *trees: function(*trees[:-2]), every, mode), template)
-
-
-def shapes_of(layout: Packer) -> Any:
-    """Return the tree of a layout, its leaves jax.ShapeDtypeStruct."""
-    leaves = [jax.ShapeDtypeStruct(s, d) for s, d in zip(layout.shapes, layout.dtypes, strict=True)]
-    return jax.tree.unflatten(layout.structure, leaves)

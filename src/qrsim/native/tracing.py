@@ -9,17 +9,18 @@ import jax
 import numpy as np
 from jax.extend import core as jex
 
-from qrsim.native.graph import Access, Graph, Region, Shape, Unsupported, View, squeezed
+from qrsim.native.graph import Access, Graph, Region, Shape, UnsupportedError, View, squeezed
 
 # Operations of one element from one element of each argument, by JAX's names.
-ELEMENTWISE = frozenset(
-    "add sub mul div rem neg sign abs max min and or xor not eq ne lt le gt ge select_n shift_left "
-    "shift_right_logical shift_right_arithmetic sqrt rsqrt floor ceil round is_finite square integer_pow clamp exp "
-    "exp2 expm1 log log1p sin cos tan asin acos atan atan2 sinh cosh tanh pow convert_element_type "
-    "bitcast_convert_type".split()
-)
+ELEMENTWISE = frozenset({
+    "add", "sub", "mul", "div", "rem", "neg", "sign", "abs", "max", "min", "and", "or", "xor", "not", "eq", "ne", "lt",
+    "le", "gt", "ge", "select_n", "shift_left", "shift_right_logical", "shift_right_arithmetic", "sqrt", "rsqrt",
+    "floor", "ceil", "round", "is_finite", "square", "integer_pow", "clamp", "exp", "exp2", "expm1", "log", "log1p",
+    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "pow", "convert_element_type",
+    "bitcast_convert_type",
+})  # fmt: skip
 # What is only there for differentiation, staging or for other compilers.
-TRANSPARENT = frozenset("copy copy_p stop_gradient optimization_barrier pvary reduce_precision".split())
+TRANSPARENT = frozenset({"copy", "copy_p", "stop_gradient", "optimization_barrier"})
 CALLS = {
     "jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "remat": "jaxpr",
     "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr",
@@ -28,8 +29,7 @@ REDUCTIONS = {
     "reduce_sum": "add", "reduce_prod": "mul", "reduce_min": "min", "reduce_max": "max", "reduce_and": "and",
     "reduce_or": "or",
 }  # fmt: skip
-# Accuracy of these in lower precision is not wanted, so their parameters say nothing.
-_ATTRIBUTES = {"integer_pow": "y", "round": "rounding_method", "reduce_precision": None}
+_ATTRIBUTES = {"integer_pow": "y", "round": "rounding_method"}
 
 
 class Tracer:
@@ -46,7 +46,8 @@ class Tracer:
 
         def read(atom: Any) -> View:
             if isinstance(atom, jex.Literal):
-                return self.graph.constant(np.asarray(atom.val, atom.aval.dtype))
+                of: Any = atom.aval
+                return self.graph.constant(np.asarray(atom.val, of.dtype))
             return environment[atom]
 
         for equation in jaxpr.eqns:
@@ -69,14 +70,14 @@ class Tracer:
             return [self._reduction(name, inputs[0], out, parameters["axes"])]
         rule = getattr(self, f"_{name}", None)
         if rule is None:
-            raise Unsupported(f"'{name}'")
+            raise UnsupportedError(f"'{name}'")
         found = rule(inputs, out, parameters)
         return found if isinstance(found, list) else [found]
 
     def _elementwise(self, name: str, inputs: list[View], out: Any, parameters: Any) -> View:
         shape: Shape = tuple(out.shape)
         if out.dtype == jax.dtypes.float0:
-            raise Unsupported("float0")
+            raise UnsupportedError("float0")
         attributes: tuple[Any, ...] = (parameters[_ATTRIBUTES[name]],) if _ATTRIBUTES.get(name) else ()
         if name == "convert_element_type" and inputs[0].node.dtype == out.dtype:
             return inputs[0]
@@ -146,7 +147,7 @@ class Tracer:
 
     def _reshape(self, inputs: list[View], out: Any, parameters: Any) -> View:
         if squeezed(inputs[0].shape) != squeezed(out.shape):
-            raise Unsupported(f"reshape of {inputs[0].shape} to {out.shape}")
+            raise UnsupportedError(f"reshape of {inputs[0].shape} to {out.shape}")
         return self._without_unit_axes(inputs[0], tuple(out.shape))
 
     @staticmethod
@@ -161,7 +162,7 @@ class Tracer:
 
     def _slice(self, inputs: list[View], out: Any, parameters: Any) -> View:
         if any(stride != 1 for stride in parameters["strides"] or ()):
-            raise Unsupported("a slice in strides")
+            raise UnsupportedError("a slice in strides")
         return inputs[0].shifted(parameters["start_indices"], tuple(out.shape))
 
     def _split(self, inputs: list[View], out: Any, parameters: Any) -> list[View]:
@@ -208,7 +209,7 @@ class Tracer:
         which, operands = inputs[0], inputs[1:]
         branches = parameters["branches"]
         if len(branches) != 2 or squeezed(which.shape):
-            raise Unsupported("a switch of several branches")
+            raise UnsupportedError("a switch of several branches")
         regions, results = [], []
         for branch in branches:
             self.graph.region = Region(parent=self.graph.region)
