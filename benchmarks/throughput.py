@@ -1,73 +1,143 @@
-"""How many vehicle-steps a second: the default scenario's world with 1 to 1000 vehicles.
+"""How many vehicle-steps a second, stage by stage: N vehicles in one world, and 512 worlds of 8.
 
-Everything is on: wind, turbulence, all sensors, the controller fed with measurements, collisions.
+The stages are cumulative: the dynamics of quadrotors that hold their attitude; + mean wind and full Dryden turbulence; +
+process noise; + barometer, attitude, gyroscope and accelerometer and the waypoint controller fed with them; + a GNSS
+receiver at 5 Hz; + collisions between all vehicles, which is everything.
 """
 
 from __future__ import annotations
 
-import statistics
+import argparse
+import json
 import time
 from collections.abc import Sequence
 from typing import Any
 
 import _common
 
+VEHICLES = (1, 10, 100, 1000, 4096, 65536)
+MANY_WORLDS = (512, 8)
+STAGES = ("dynamics", "wind", "noise", "sensors", "gnss", "everything")
 HEADINGS = {
-    "vehicles": "vehicles",
-    "compile_s": "compile [s]",
-    "us_per_step": "step [us]",
+    "stage": "stage",
+    "worlds": "worlds",
+    "vehicles": "vehicles in all",
     "per_wall_second": "vehicle-steps per wall second",
     "per_cpu_second": "per CPU second",
-    "flying": "flying at the end",
+    "compile_seconds": "compile [s]",
 }
 
 
-def measure(count: int, repeats: int, seconds: float) -> dict[str, Any]:
-    """Return the row of one number of vehicles.
+class Nothing:
+    """Sums up nothing of a flight."""
+
+    def init(self, world: Any, state: Any) -> tuple[()]:
+        """Return no memory."""
+        return ()
+
+    def update(self, flight: Any, world: Any, state: Any, tick: Any) -> tuple[()]:
+        """Return no memory."""
+        return ()
+
+
+def stage_world(count: int, stage: str) -> Any:
+    """Return the world of a stage with ``count`` vehicles, of which none stops."""
+    from qrsim import load_scenario
+
+    content = _common.patrol(count)
+    world, fleet = content["world"], content["fleets"]["pelicans"]
+    world["turbulence"] = {"type": "dryden"}
+    world["obstacles"] = [{"type": "cylinder", "x": 1e4, "y": 1e4, "radius": 1.0, "z_min": -10.0, "z_max": 0.0}]
+    world["area"].update(x_min=-1e5, x_max=1e5, y_min=-1e5, y_max=1e5)
+    place = STAGES.index(stage)
+    if place < STAGES.index("wind"):
+        world["turbulence"], world["wind"] = {"type": "still"}, {"type": "calm"}
+    if place < STAGES.index("noise"):
+        fleet["vehicle"] = {"type": "pelican", "process_noise": 0.0}
+    if place < STAGES.index("sensors"):
+        fleet["sensors"] = {}
+        fleet["controller"] = {"type": "attitude", "feed": "truth"}
+        fleet["guidance"] = {"type": "attitude"}
+    elif place < STAGES.index("gnss"):
+        fleet["sensors"]["gnss"] = {"type": "ideal_gnss"}
+    return load_scenario(content).world()
+
+
+def measure(worlds: int, count: int, stage: str, seconds: float, repeats: int) -> dict[str, Any]:
+    """Return the row of one stage.
 
     Args:
-        count: vehicles.
-        repeats: timed calls of ``step``, of which the median counts.
-        seconds: wall time that one call should take.
+        worlds: how many, flown together.
+        count: vehicles in each.
+        stage: one of STAGES.
+        seconds: wall time that one measurement should take.
+        repeats: measurements, of which the median counts.
     """
-    import qrsim
+    import numpy as np
 
-    sim = qrsim.load(_common.patrol(count))
+    from qrsim import world as ticks_of
+    from qrsim.core.noise import Key
+    from qrsim.rollout_flight import Flight
+    from qrsim.rollouts import setup_of
+
+    world = stage_world(count, stage)
     begun = time.perf_counter()
-    sim.reset()
-    sim.step(ticks=1)
-    compiled = time.perf_counter() - begun
-    begun = time.perf_counter()
-    sim.step(ticks=50)
-    ticks = max(50, round(50 * seconds / (time.perf_counter() - begun)))
+    setup, fixed, own = setup_of([world], metrics=Nothing())
+    keys = ticks_of.keys_of(world, Key.roots(np.zeros(worlds, np.int64), np.arange(worlds)))
+    flight = Flight(setup, fixed, own, keys, count, 1)
+    flight.advance(0, 1, ((), ()))
+    compiled, tick = time.perf_counter() - begun, 1
+    once = time.perf_counter()
+    flight.advance(tick, 10, ((), ()))
+    ticks, tick = max(10, round(10 * seconds / (time.perf_counter() - once)) // 10 * 10), tick + 10
     walls, cpus = [], []
     for _ in range(repeats):
         wall, cpu = time.perf_counter(), time.process_time()
-        sim.step(ticks=ticks)
+        flight.advance(tick, ticks, ((), ()))
+        np.asarray(flight.get(lambda carry: carry.wrong_tick))
         walls.append(time.perf_counter() - wall)
         cpus.append(time.process_time() - cpu)
-    wall, cpu = statistics.median(walls), statistics.median(cpus)
+        tick += ticks
+    steps = worlds * count * ticks
     return {
-        "vehicles": count,
+        "stage": stage,
+        "vehicles": worlds * count,
+        "worlds": worlds,
+        "per_wall_second": round(steps / float(np.median(walls))),
+        "per_cpu_second": round(steps / float(np.median(cpus))),
+        "compile_seconds": round(compiled, 2),
         "ticks": ticks,
-        "compile_s": round(compiled, 2),
-        "us_per_step": round(wall / ticks * 1e6, 2),
-        "per_wall_second": round(count * ticks / wall),
-        "per_cpu_second": round(count * ticks / cpu),
-        "flying": int(sim.valid.sum()),
+        "flying": int((np.concatenate(flight.get(_codes), axis=-1) == 0).sum()),
     }
+
+
+def _codes(carry: Any) -> list[Any]:
+    return [fleet.violation.code for fleet in carry.state.fleets]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
-    chosen = _common.options(__doc__.splitlines()[0], arguments)
-    if not chosen.quick:
-        _common.without_cache()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--vehicles", type=int, nargs="*", metavar="N", help="in one world (default: 1 to 65 536)")
+    parser.add_argument("--stages", nargs="*", choices=STAGES, default=STAGES, help="which stages (default: all)")
+    parser.add_argument("--no-many-worlds", action="store_true", help="leave out the 512 worlds of 8 vehicles")
+    parser.add_argument("--json", action="store_true", help="print JSON in place of a table")
+    parser.add_argument("--quick", action="store_true", help="the smallest form; its numbers mean nothing")
+    chosen = parser.parse_args(arguments)
+    _common.without_cache()
     on = _common.machine()
-    counts, repeats, seconds = ((1,), 1, 0.01) if chosen.quick else ((1, 10, 100, 1000), 7, 0.5)
-    results = [measure(count, repeats, seconds) for count in counts]
-    title = "Throughput: Simulation.step(ticks=...), single precision; compile: the first reset() and step()"
-    _common.publish("throughput", title, on, results, HEADINGS, chosen.json)
+    counts = chosen.vehicles or ((1,) if chosen.quick else VEHICLES)
+    places = [(1, count) for count in counts]
+    if not chosen.no_many_worlds:
+        places.insert(0, (2, 2) if chosen.quick else MANY_WORLDS)
+    seconds, repeats = (0.01, 1) if chosen.quick else (0.4, 5)
+    stages = ("everything",) if chosen.quick else chosen.stages
+    rows = [measure(worlds, count, stage, seconds, repeats) for worlds, count in places for stage in stages]
+    if chosen.json:
+        print(json.dumps({"benchmark": "throughput", "machine": on, "results": rows, "rows": rows}, indent=2))
+        return
+    title = "Throughput: single precision; compile: to the end of the first tick, nothing in a cache"
+    _common.publish("throughput", title, on, rows, HEADINGS, as_json=False)
 
 
 if __name__ == "__main__":

@@ -119,13 +119,7 @@ def rollout(
     which = _which(several, isinstance(world, World), worlds, seed, seeds)
     dtype = np.dtype(several[0].fleets[0].start.position_ned.x.dtype)
     with jax.enable_x64(dtype == np.float64):
-        devices = jax.devices()
-        mesh = Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
-        structure, fixed, varied, which_varied = _stack(several)
-        setup = Setup(
-            user_function("policy", policy), user_function("estimator", estimator), metrics or FLIGHT_METRICS,
-            policy_ticks, site or Site(), structure, which_varied, mesh,
-        )  # fmt: skip
+        setup, fixed, varied = setup_of(several, policy, estimator, metrics, policy_ticks, site)
         schedule = Schedule(ticks, record_every if record else 0)
         engine = Engine(setup, several[0], fixed, varied, schedule, record, sink, progress or (lambda done: None))
         blocks = [engine.fly(rows, *which) for rows in _blocks(engine, len(which[0]))]
@@ -135,6 +129,24 @@ def rollout(
         kept = jax.tree.map(lambda *parts: np.concatenate(parts), *(block[1] for block in blocks))
     names = tuple(name for fleet in several[0].fleets for name in fleet.vehicle_names)
     return Rollout(found, kept, np.array(schedule.records, np.int64), *which, names)
+
+
+def setup_of(
+    several: Sequence[World], policy: Any = None, estimator: Any = None, metrics: Any = None, policy_ticks: int = 1,
+    site: Site | None = None,
+) -> tuple[Setup, list[Any], list[Any]]:  # fmt: skip
+    """Return what a rollout of some worlds is made of, the leaves they share, and those that they do not, (W, ...).
+
+    The arguments are those of ``rollout``.
+    """
+    devices = jax.devices()
+    mesh = Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
+    structure, fixed, varied, which_varied = _stack(list(several))
+    setup = Setup(
+        user_function("policy", policy), user_function("estimator", estimator), metrics or FLIGHT_METRICS,
+        policy_ticks, site or Site(), structure, which_varied, mesh,
+    )  # fmt: skip
+    return setup, fixed, varied
 
 
 def _check_counts(**counts: Any) -> None:

@@ -74,7 +74,10 @@ class Obstacles:
         if not rows:
             return jnp.full_like(position_ned.x, jnp.inf), jnp.full_like(position_ned.x, -1.0)
         distance = jnp.concatenate(rows, axis=0)
-        return jnp.min(distance, axis=0), self.numbers[jnp.argmin(distance, axis=0)]
+        place = jnp.arange(distance.shape[0])[:, None]
+        # Chosen by a sum of one, which is faster than looking it up.
+        chosen = jnp.where(place == jnp.argmin(distance, axis=0)[None, :], self.numbers[:, None], 0.0)
+        return jnp.min(distance, axis=0), jnp.sum(chosen, axis=0)
 
 
 def _as_columns(item: T) -> T:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.native.graph import Access, Node, Shape, UnsupportedError
+from qrsim.native.neighbours import Neighbours
 from qrsim.native.operations import Operations, literal, scalar_type, splat, stored_bytes, stored_type, vector
 from qrsim.native.schedule import Step
 
@@ -174,6 +175,14 @@ class Emitter:
         found: tuple[str, int] = scope.offsets[key]
         return found
 
+    def open_scope(self, domain: Shape) -> None:
+        """Begin a loop nest that is written element by element."""
+        self.scope = Scope(domain, ["0"] * len(domain), None, {}, {})
+
+    def read(self, access: Access) -> tuple[str, int]:
+        """Return what lies in memory at an access of the present loop, read anew."""
+        return self._read(access, self.place(access.node))
+
     def _read(self, access: Access, place: Place) -> tuple[str, int]:
         """Return what lies in memory at an access of the present loop, and its lanes."""
         node, scope = access.node, self.scope
@@ -288,6 +297,8 @@ class Emitter:
                 self._branching(step, stored)
             elif step.kind == "concatenate":
                 self._concatenation(step.nodes[0])
+            elif step.kind == "nearest":
+                Neighbours(self).write(step.nodes[0])
             elif step.domain == ():
                 self._straight(step)
             elif 0 not in step.domain or any(node.op == "reduce" for node in step.nodes):
@@ -529,6 +540,10 @@ class Emitter:
             self.do(f"br label %{label}.after")
             self.scalars = dict(outside)
         self.start_block(f"{label}.after")
+
+    def spare_bytes(self, size: int) -> int:
+        """Return the offset of working memory; replaced by whoever owns the memory."""
+        raise NotImplementedError
 
     def spare(self, node: Node, shape: Shape) -> Place:
         """Return memory for a copy that waits; replaced by whoever owns the memory."""

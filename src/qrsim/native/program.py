@@ -145,7 +145,7 @@ class _Writer:
         self.tick = self.graph.node("input", (), (), np.dtype(np.int32), ("tick",), invariant=False, uniform=True)
         views.append(View.whole(self.tick, ()))
         closed = trace(function, *shapes, struct((), np.dtype(np.int32)))
-        found = Tracer(self.graph).run(closed.jaxpr, closed.consts, views)
+        found = Tracer(self.graph, alone=not self.side_by_side).run(closed.jaxpr, closed.consts, views)
         contract(self.graph)
         self.results = [view.access() for view in found]
 
@@ -207,7 +207,7 @@ class _Writer:
                 step is not None
                 and node.number in self.stored
                 and node.number not in self.places
-                and node.op not in ("reduce", "concatenate")
+                and node.op not in ("reduce", "concatenate", "nearest")
                 and access.identical(leaf.shape)
                 and all(self._before(reading, step, leaf) for reading in read[leaf.number])
             )
@@ -226,6 +226,11 @@ class _Writer:
         lanes = self.lanes if self.side_by_side and not node.uniform else 1
         return _padded(shape, self.lanes, self.side_by_side) * stored_bytes(node.dtype) * lanes
 
+    def _spare_bytes(self, size: int) -> int:
+        """Return the offset of working memory none of which was given out before."""
+        self.arena.free.clear()
+        return self.arena.take(size)
+
     def _spare(self, node: Node, shape: Shape) -> Place:
         """Return memory for a copy that waits, none of which was given out before."""
         self.arena.free.clear()
@@ -242,6 +247,7 @@ class _Writer:
         """Return the module."""
         writer = Emitter(self.places, self.lanes, self.side_by_side)
         writer.spare = self._spare  # type: ignore[method-assign]
+        writer.spare_bytes = self._spare_bytes  # type: ignore[method-assign]
         arguments = [f"ptr noalias %{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
         arguments += ["ptr noalias %scratch", "i32 %first", "i32 %count"]
         writer.steps(self.prologue, self.stored)

@@ -9,6 +9,8 @@ from typing import Any
 from qrsim.native.graph import Access, Node, Region, Shape, UnsupportedError
 
 OUTSIDE = ("input", "constant")
+# Each of these is a step of its own.
+ALONE = ("concatenate", "nearest")
 
 
 @dataclass(eq=False)
@@ -16,7 +18,7 @@ class Step:
     """One loop nest, one joining of arrays, or one branching.
 
     Attributes:
-        kind: ``loop``, ``concatenate`` or ``cond``.
+        kind: ``loop``, ``concatenate``, ``nearest`` or ``cond``.
         domain: extents of the loops.
         nodes: computed in it, in order.
         kept, reduced: axes of the domain, outer loops first.
@@ -60,8 +62,8 @@ class Scheduler:
         first = min(ready, key=lambda node: (node.op == "cond", sizes[node.domain] if node.domain else -1))
         if first.op == "cond":
             return self._branching(first, waiting, done)
-        if first.op == "concatenate":
-            return Step("concatenate", first.shape, [first])
+        if first.op in ALONE:
+            return Step(first.op, first.shape, [first])
         return self._loop(first, waiting, done)
 
     def _loop(self, first: Node, waiting: dict[int, Node], done: set[int]) -> Step:
@@ -69,7 +71,7 @@ class Scheduler:
         inside: set[int] = set()
         reduced: tuple[int, ...] | None = None
         for node in waiting.values():
-            if node.domain != domain or node.op in ("cond", "concatenate", "output"):
+            if node.domain != domain or node.op in ("cond", "output", *ALONE):
                 continue
             if not all(self._available(access, domain, inside, done) for access in node.args):
                 continue

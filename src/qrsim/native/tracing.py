@@ -32,11 +32,20 @@ REDUCTIONS = {
 _ATTRIBUTES = {"integer_pow": "y", "round": "rounding_method"}
 
 
-class Tracer:
-    """Turns jaxprs into nodes of a graph."""
+# From this many points on it is quicker to look into cells of space than at all pairs.
+MANY_POINTS = 128
 
-    def __init__(self, graph: Graph):
-        self.graph = graph
+
+class Tracer:
+    """Turns jaxprs into nodes of a graph.
+
+    Args:
+        graph: to which nodes are added.
+        alone: the program is of one world.
+    """
+
+    def __init__(self, graph: Graph, alone: bool):
+        self.graph, self.alone = graph, alone
 
     def run(self, jaxpr: Any, constants: Sequence[Any], arguments: Sequence[View]) -> list[View]:
         """Return the results of a jaxpr for arguments."""
@@ -62,6 +71,8 @@ class Tracer:
             return [self._elementwise(name, inputs, out, parameters)]
         if name in TRANSPARENT:
             return inputs
+        if name in CALLS and parameters.get("name") == "nearest_squared" and self._many(inputs[0]):
+            return [self._nearest(inputs, out)]
         if name in CALLS:
             closed = parameters[CALLS[name]]
             inner = closed.jaxpr if hasattr(closed, "jaxpr") else closed
@@ -96,6 +107,14 @@ class Tracer:
             "reduce", (operand.access(),), squeezed(out.shape), out.dtype, attributes, domain=squeezed(operand.shape)
         )
         return View.whole(node, tuple(out.shape))
+
+    def _many(self, points: View) -> bool:
+        return self.alone and len(points.shape) == 1 and points.shape[0] >= MANY_POINTS
+
+    def _nearest(self, inputs: list[View], out: Any) -> View:
+        shape = tuple(out.shape)
+        accesses = (*(view.access(shape) for view in inputs[:3]), inputs[3].access(()))
+        return View.whole(self.graph.node("nearest", accesses, squeezed(shape), out.dtype), shape)
 
     def _apply(self, name: str, shape: Shape, dtype: Any, *inputs: View) -> View:
         """Return an elementwise operation on arrays of one shape."""
