@@ -1,7 +1,7 @@
 """How many vehicle-steps a second, stage by stage: N vehicles in one world, and 512 worlds of 8.
 
-The stages are cumulative: the dynamics of quadrotors that hold their attitude; + mean wind and full Dryden turbulence; +
-process noise; + barometer, attitude, gyroscope and accelerometer and the waypoint controller fed with them; + a GNSS
+The stages are cumulative: the dynamics of quadrotors that hold their attitude; + mean wind and full Dryden turbulence;
++ process noise; + barometer, attitude, gyroscope and accelerometer and the waypoint controller fed with them; + a GNSS
 receiver at 5 Hz; + collisions between all vehicles, which is everything.
 """
 

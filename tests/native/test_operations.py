@@ -67,7 +67,7 @@ def check(function: Any, state: Any, mode: Mode, rtol: float = 3e-6, atol: float
 def numbers(size: int, seed: int = 0, worlds: int = 18, scale: float = 3.0) -> np.ndarray[Any, Any]:
     """Return numbers of both signs (worlds, size), among them zero, NaN and infinity."""
     values = np.random.default_rng(seed).normal(0.0, scale, (worlds, size)).astype(np.float32)
-    values.ravel()[:: 7] = 0.0
+    values.ravel()[::7] = 0.0
     values.ravel()[3::11] = np.nan
     values.ravel()[5::13] = np.inf
     return values
@@ -112,7 +112,12 @@ class TestElementwise:
         def function(_, state, tick):
             a, b, u = state["a"], state["b"], state["u"]
             return {
-                "a": (a * 3 - b) % 7 + lax.div(a, 2) + jnp.abs(b) + jnp.sign(a) + lax.shift_right_arithmetic(b, 2) + tick,
+                "a": (a * 3 - b) % 7
+                + lax.div(a, 2)
+                + jnp.abs(b)
+                + jnp.sign(a)
+                + lax.shift_right_arithmetic(b, 2)
+                + tick,
                 "b": jnp.minimum(a, b) ^ jnp.maximum(a, 5) | (b & ~a),
                 "u": ((u << jnp.uint32(7)) | (u >> jnp.uint32(25))) + u // jnp.uint32(3),
                 "f": a.astype(jnp.float32) + u.astype(jnp.float32) * 1e-3 + (a > b).astype(jnp.float32),
@@ -234,7 +239,10 @@ def test_double_precision():
     [
         ("sort", lambda _, state, tick: jnp.sort(state)),
         ("reshape", lambda _, state, tick: state.reshape(2, 3).T.reshape(6)),
-        ("a branch that each world takes", lambda _, state, tick: lax.cond(state[0] > 0, lambda: state, lambda: -state)),
+        (
+            "a branch that each world takes",
+            lambda _, state, tick: lax.cond(state[0] > 0, lambda: state, lambda: -state),
+        ),
     ],
 )
 def test_what_it_cannot_do_is_said(what, function):

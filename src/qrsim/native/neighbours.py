@@ -1,7 +1,7 @@
 """The nearest other point within reach, by cells of space: work that grows with the number of points, not of pairs.
 
-Space is cut into cubes a little more than twice as wide as the reach, so what is in reach of a point lies in its own cube
-or in the seven that its position within the cube leans to. Cubes are numbered by a hash into chains; that two of them
+Space is cut into cubes a little more than twice as wide as the reach, so what is in reach of a point lies in its own
+cube or in the seven that its position within the cube leans to. Cubes are numbered by a hash into chains; that two of them
 share a chain costs time and changes nothing.
 """
 
@@ -150,4 +150,6 @@ class Neighbours:
     def _fused(self, apart: str, rest: str) -> str:
         letter = "f32" if self.of == "float" else "f64"
         self.writer.declarations.add(f"declare {self.of} @llvm.fma.{letter}({self.of}, {self.of}, {self.of})")
-        return self.emit(f"call {self.of} @llvm.fma.{letter}({', '.join(f'{self.of} {v}' for v in (apart, apart, rest))})")
+        return self.emit(
+            f"call {self.of} @llvm.fma.{letter}({', '.join(f'{self.of} {v}' for v in (apart, apart, rest))})"
+        )
