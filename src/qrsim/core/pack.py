@@ -111,6 +111,10 @@ class Glimpse:
     def __getitem__(self, number: int) -> Any:
         return self._opened(self._part[number])
 
+    def whole(self) -> Any:
+        """Return all of it."""
+        return jax.tree.map(lambda number: self._layout.leaf(self._buffers, number), self._part)
+
     def __len__(self) -> int:
         return len(self._part)
 
