@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import _common
@@ -17,8 +17,16 @@ HEADINGS = {
 }
 
 
-def measure(sim: Any, what: str, command: Any, calls: int) -> dict[str, Any]:
-    """Return the row of one kind of call; the first calls, which compile, are not counted."""
+def measure(sim: Any, what: str, command: Any, calls: int, look: Callable[[Any], Any] | None = None) -> dict[str, Any]:
+    """Return the row of one kind of call; the first calls, which compile, are not counted.
+
+    Args:
+        sim: a Simulation.
+        what: the call, in words.
+        command: handed to ``step``.
+        calls: how many are timed.
+        look: what is done with the reading, None for nothing.
+    """
     import numpy as np
 
     sim.reset()
@@ -27,7 +35,9 @@ def measure(sim: Any, what: str, command: Any, calls: int) -> dict[str, Any]:
         sim.step(command)
     for i in range(calls):
         begun = time.perf_counter()
-        sim.step(command)
+        reading = sim.step(command)
+        if look is not None:
+            look(reading)
         times[i] = time.perf_counter() - begun
     median, p95, p99 = np.percentile(1e6 * times, [50, 95, 99])
     return {
@@ -51,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not chosen.quick:
         hover = [[0.0, 0.0, 0.59, 0.0, 12.0]]
         results.append(measure(sim, "step(command): 1 x 5 array", hover, calls))
+        results.append(measure(sim, "step() and its GNSS position", None, calls, lambda r: r.gnss.position_ned))
     title = "Latency: one vehicle, one tick per call, state and readings back in NumPy"
     _common.publish("latency", title, on, results, HEADINGS, chosen.json)
 

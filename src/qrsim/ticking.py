@@ -48,8 +48,8 @@ class NativeTicks:
         self._size = sum(fleet.size for fleet in world.fleets)
         self._mode = mode_of(self._size, self.layout.dtype)
         self._instead: XlaTicks | None = None
-        self._ready: dict[Any, _Call] = {}
-        self._last: tuple[Any, _Call | None] = (None, None)
+        self._ready: dict[Any, _Call | None] = {}
+        self._last: tuple[Packer, Any, _Call | None] | None = None
 
     @property
     def instead(self) -> XlaTicks:
@@ -68,7 +68,7 @@ class NativeTicks:
             return self.instead.reset(keys)
         layout, program = start
         call = _Call(program, [self._parameters, key_layout.pack(keys)])
-        state = call.state(None)
+        state = call.state()
         call(state, 0, 1)
         return layout, state
 
@@ -114,20 +114,23 @@ class NativeTicks:
 
     def _call(self, layout: Packer, given: Any) -> _Call | None:
         leaves, structure = jax.tree.flatten(given)
-        if not leaves and self._last[0] == (layout, structure):
-            return self._last[1]
-        given = jax.tree.map(np.asarray, given)
+        # Compared with the last one first, because to make a layout takes as long as a tick.
+        kind = (structure, [(leaf.shape, leaf.dtype) for leaf in map(np.asarray, leaves)])
+        if self._last is None or self._last[0] is not layout or self._last[1] != kind:
+            self._last = layout, kind, self._found(layout, jax.tree.map(np.asarray, given))
+        call = self._last[2]
+        if call is not None and leaves:
+            call.fill(1, leaves)
+        return call
+
+    def _found(self, layout: Packer, given: Any) -> _Call | None:
         given_layout = Packer(given)
         key = (layout, given_layout)
         if key not in self._ready:
             inputs = (Input(self.layout, own=False), Input(given_layout, own=True), Input(layout, own=True))
             program = _tick_program(inputs, self._mode)
-            self._ready[key] = None if program is None else _Call(program, [self._parameters, None])  # type: ignore
-        call = self._ready[key]
-        if call is not None:
-            call.give(1, given_layout.pack(given))
-        self._last = (layout, structure) if not leaves else None, call
-        return call
+            self._ready[key] = None if program is None else _Call(program, [self._parameters, None])
+        return self._ready[key]
 
 
 class _Call:
@@ -149,7 +152,13 @@ class _Call:
         for mine, given in zip(self._inputs[which], values, strict=True):
             mine[...] = given
 
-    def state(self, _: None) -> Buffers:
+    def fill(self, which: int, leaves: list[Any]) -> None:
+        """Take other values of an input, leaf by leaf."""
+        layout = self._program.inputs[which].layout
+        for leaf, part, is_float in zip(leaves, layout.slices, layout.is_float, strict=True):
+            self._inputs[which][0 if is_float else 1][part] = np.reshape(leaf, -1)
+
+    def state(self) -> Buffers:
         """Return an empty state."""
         return self._program.buffers(len(self._inputs))
 

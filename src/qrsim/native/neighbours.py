@@ -1,8 +1,8 @@
 """The nearest other point within reach, by cells of space: work that grows with the number of points, not of pairs.
 
 Space is cut into cubes a little more than twice as wide as the reach, so what is in reach of a point lies in its own
-cube or in the seven that its position within the cube leans to. Cubes are numbered by a hash into chains; that two of them
-share a chain costs time and changes nothing.
+cube or in the seven that its position within the cube leans to. Cubes are numbered by a hash into chains; that two of
+them share a chain costs time and changes nothing.
 """
 
 from __future__ import annotations
