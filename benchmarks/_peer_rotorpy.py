@@ -1,6 +1,6 @@
 """Flies rotorpy for peers.py; run by the Python of an environment that has it. Arguments: KIND VEHICLES SECONDS.
 
-KIND 'single': one vehicle through rotorpy's own loop with its geometric controller, Dryden wind, inertial and motion
+KIND 'single': one vehicle through rotorpy's own loop with its geometric controller, a constant wind, inertial and motion
 capture sensors with noise. 'batched': many in one PyTorch batch, dynamics only, motor speeds held.
 """
 
@@ -25,9 +25,9 @@ def single() -> tuple[Callable[[], int], Callable[[], bool]]:
     from rotorpy.trajectories.hover_traj import HoverTraj
     from rotorpy.vehicles.crazyflie_params import quad_params
     from rotorpy.vehicles.multirotor import Multirotor
-    from rotorpy.wind.dryden_winds import DrydenGust
+    from rotorpy.wind.default_winds import ConstantWind
 
-    wind = DrydenGust(dt=STEP, avg_wind=np.array([1.0, 0.0, 0.0]), sig_wind=np.full(3, 0.3))
+    wind = ConstantWind(1.0, 0.5, 0.0)
     vehicle = Multirotor(quad_params)
     env = Environment(vehicle, SE3Control(quad_params), HoverTraj(), wind, sim_rate=round(1.0 / STEP))
     last: dict[str, Any] = {}

@@ -122,7 +122,7 @@ class ActionChecker:
                     f"{taken}; a controller of type 'offboard' takes them all"
                 )
         checked = self._cast(setpoint, "command", len(names))
-        if self.traced or all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(checked)):
+        if self.traced or np.isfinite(np.concatenate(jax.tree.leaves(checked))).all():
             return checked
         for field, values, _ in walk(checked):
             missing = _missing(values, flying)

@@ -84,7 +84,7 @@ class Engine:
         setup = self.setup.compiled
         if setup not in _BYTES:
             layouts = Packer([np.asarray(leaf) for leaf in self.fixed]), layout_of(self.varied)
-            what = ("bytes per world", repr(setup.structure), setup.varied, *map(identity, layouts))
+            what = ("bytes per world", setup.types, setup.varied, *map(identity, layouts))
             _BYTES[setup] = kept(what, self._count_bytes) if setup.plain else self._count_bytes()
         return _BYTES[setup]
 

@@ -207,7 +207,7 @@ def _made(what: str, setup: Setup, layouts: tuple[Packer, ...], mode: Mode, make
     key = (what, setup, layouts, mode)
     if key not in _PROGRAMS:
         # Only what is made of this package alone can be told by its structure in another process.
-        parts = (what, repr(setup.structure), setup.varied, *map(identity, layouts), mode)
+        parts = (what, setup.types, setup.varied, *map(identity, layouts), mode)
         try:
             _PROGRAMS[key] = kept(parts, make) if setup.plain else make()
         except UnsupportedError as why:

@@ -44,6 +44,7 @@ class Setup:
         policy_ticks: the policy is asked at every so-many-th tick.
         site: origin of the local frame.
         structure: of a World as a PyTree.
+        types: the same as text: to JAX two structures are equal whose records differ in nothing but their type.
         varied: for each leaf of a World, whether every world has its own.
         mesh: the devices, None for a single one.
     """
@@ -54,6 +55,7 @@ class Setup:
     policy_ticks: int
     site: Site = field(compare=False)
     structure: Any
+    types: str
     varied: tuple[bool, ...]
     mesh: Mesh | None
 
@@ -143,7 +145,7 @@ def _check_memory(before: Any, after: Any) -> None:
     """Refuse a memory that a loop cannot carry from tick to tick."""
     old: Any = jax.tree.structure(before)
     new: Any = jax.tree.structure(after)
-    if old != new:
+    if repr(old) != repr(new):
         raise UsageError(f"step must return a memory like that of init: expected {old}, found {new}")
     for was, now in zip(map(jax.typeof, jax.tree.leaves(before)), map(jax.typeof, jax.tree.leaves(after)), strict=True):
         if was.shape != now.shape or (was.dtype != now.dtype and not was.weak_type):

@@ -144,7 +144,7 @@ def setup_of(
     structure, fixed, varied, which_varied = _stack(list(several))
     setup = Setup(
         user_function("policy", policy), user_function("estimator", estimator), metrics or FLIGHT_METRICS,
-        policy_ticks, site or Site(), structure, which_varied, mesh,
+        policy_ticks, site or Site(), structure, repr(structure), which_varied, mesh,
     )  # fmt: skip
     return setup, fixed, varied
 
@@ -184,7 +184,7 @@ def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool,
     flat: list[tuple[list[Any], Any]] = [jax.tree.flatten(world) for world in several]
     structure = flat[0][1]
     for i, (_, other) in enumerate(flat[1:], 1):
-        different = "" if other == structure else "types, names, sensors or settings"
+        different = "" if repr(other) == repr(structure) else "types, names, sensors or settings"
         if different or (different := _other_arrays(several[0], several[i])):
             raise UsageError(
                 f"world: number {i} differs from number 0 in more than numbers: {different}; fly those that are alike "

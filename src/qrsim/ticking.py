@@ -115,7 +115,8 @@ class NativeTicks:
     def _call(self, layout: Packer, given: Any) -> _Call | None:
         leaves, structure = jax.tree.flatten(given)
         # Compared with the last one first, because to make a layout takes as long as a tick.
-        kind = (structure, [(leaf.shape, leaf.dtype) for leaf in map(np.asarray, leaves)])
+        leaves = [np.asarray(leaf) for leaf in leaves]
+        kind = (repr(structure), [(leaf.shape, leaf.dtype) for leaf in leaves])
         if self._last is None or self._last[0] is not layout or self._last[1] != kind:
             self._last = layout, kind, self._found(layout, jax.tree.map(np.asarray, given))
         call = self._last[2]
@@ -154,9 +155,11 @@ class _Call:
 
     def fill(self, which: int, leaves: list[Any]) -> None:
         """Take other values of an input, leaf by leaf."""
-        layout = self._program.inputs[which].layout
-        for leaf, part, is_float in zip(leaves, layout.slices, layout.is_float, strict=True):
-            self._inputs[which][0 if is_float else 1][part] = np.reshape(leaf, -1)
+        if all(self._program.inputs[which].layout.is_float):
+            np.concatenate([leaf.ravel() for leaf in leaves], out=self._inputs[which][0])
+        else:
+            layout = self._program.inputs[which].layout
+            self.give(which, layout.pack(jax.tree.unflatten(layout.structure, leaves)))
 
     def state(self) -> Buffers:
         """Return an empty state."""

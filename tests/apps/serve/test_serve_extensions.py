@@ -206,7 +206,7 @@ def test_sessions_are_isolated_and_can_be_watched():
     with running(sessions=True) as served, Client(port=served.port) as one, Client(port=served.port) as two:
         assert [client.open(TASK, seed=5).number for client in (one, two)] == [1, 2]
         one.step_velocity(0.02, [[0.0, 0.0, 0.0]])
-        slow = threading.Thread(target=lambda: one.step_velocity(4000.0, [[0.0, 0.0, 0.0]]))
+        slow = threading.Thread(target=lambda: [one.step_waypoint(4000.0, [HOLD]) for _ in range(10)])
         slow.start()
         alone = [two.step_waypoint(0.02, [HOLD]) for _ in range(20)]
         assert slow.is_alive(), "the other session is in its long step meanwhile"

@@ -241,8 +241,6 @@ class Session:
                 self._keep(self.simulation.record(min(PIECE_TICKS, ticks - done), command, PIECE_TICKS))
         else:
             self.simulation.advance(command, ticks)
-            # JAX computes in the background; what waits for it belongs here, where nobody else is kept waiting.
-            self.readout.all_valid()
 
     def set_state(self, given: Sequence[Arrayd]) -> None:
         """Put the vehicles into given states.
