@@ -7,7 +7,7 @@ STAMP := .venv/.installed
 CODE := src tests $(wildcard benchmarks) $(wildcard evidence)
 
 .DEFAULT_GOAL := help
-.PHONY: install run test lint bench evidence proto clean help
+.PHONY: install run test lint bench evidence pictures proto clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -28,7 +28,7 @@ $(STAMP): pyproject.toml constraints.txt
 		echo "name another: make $(or $(firstword $(MAKECMDGOALS)),install) PYTHON=python3.12"; exit 1; }
 	@$(PYTHON) -m venv .venv || { echo "no .venv could be made: on Debian or Ubuntu, install python3-venv"; exit 1; }
 	PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
-		$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+		$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,identify]'
 	@touch $@
 
 run: $(STAMP)  ## run the default scenario (ARGS='...' is handed to 'qrsim run')
@@ -54,6 +54,9 @@ bench: $(STAMP)  ## run every benchmarks/*.py
 
 evidence: $(STAMP)  ## run every study of evidence/, or those named: make evidence turbulence
 	@$(BIN)/python -m evidence $(NAMES)
+
+pictures: $(STAMP)  ## write docs/images/view_*.png: the page of each family of scenarios (needs chromium)
+	@$(BIN)/python -m evidence.pictures
 
 proto: $(STAMP)  ## generate the Python of src/qrsim/protocol/qrsim.proto anew
 	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/protocol/qrsim.proto

@@ -23,6 +23,7 @@ NUMBERS = {
     "serve": {"count", "median_us", "p95_us", "per_second", "target"},
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},
     "throughput": {"vehicles", "ticks", "compile_s", "us_per_step", "per_wall_second", "per_cpu_second", "flying"},
+    "view": {"vehicles", "per_second"},
 }
 
 
@@ -99,3 +100,11 @@ def test_the_scaled_scenario_is_the_default_one_with_more_vehicles(count, common
         assert getattr(spec.world, part) == getattr(default.world, part)
     for part in ("vehicle", "controller", "guidance", "limits", "sensors"):
         assert getattr(spec.fleets["pelicans"], part) == getattr(default.fleets["pelicans"], part)
+
+
+def test_view():
+    results = rows("view")
+    updates = [row for row in results if row["cpu_ms"] is not None]
+    assert [(row["vehicles"], row["clients"]) for row in updates] == [(2, 0), (2, 0), (2, 2), (2, 2)]
+    assert all((row["client_bytes_per_second"] or 0) > 0 for row in updates if row["clients"])
+    assert [row["what"] for row in results[4:]] == ["run, times real time", "run with page", "its frames"]

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from qrsim.apps.run.recorder import fly
+    from qrsim.apps.slam.estimate import slam
     from qrsim.configuration import configure
     from qrsim.control import (
         AttitudeHeightSetpoint,
@@ -58,6 +59,7 @@ _LAZY = {
     "make_world": "qrsim.scenarios.making",
     "open_run": "qrsim.logs",
     "rollout": "qrsim.rollouts",
+    "slam": "qrsim.apps.slam.estimate",
 }
 
 __all__ = [
@@ -83,6 +85,7 @@ __all__ = [
     "make_world",
     "open_run",
     "rollout",
+    "slam",
 ]
 
 

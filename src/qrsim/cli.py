@@ -23,13 +23,17 @@ import tyro
 from qrsim.apps.check.command import Check
 from qrsim.apps.compare.command import Compare
 from qrsim.apps.data.command import Fetch, Where
+from qrsim.apps.discover.command import Discover
 from qrsim.apps.export.command import Export
+from qrsim.apps.identify.command import Identify
 from qrsim.apps.openloop.command import OpenLoop
 from qrsim.apps.plot.command import Plot
 from qrsim.apps.run.command import Run
 from qrsim.apps.scenario.command import List, Schema, Show
 from qrsim.apps.serve.command import Serve
+from qrsim.apps.slam.command import SlamCommand
 from qrsim.apps.validate.command import Validate
+from qrsim.apps.view.command import View
 from qrsim.errors import QrsimError, UsageError, did_you_mean
 
 DESCRIPTION = """A simulator of several unmanned aerial vehicles outdoors.
@@ -93,11 +97,15 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "show": Show,
     "schema": Schema,
     "plot": Plot,
+    "view": View,
     "compare": Compare,
     "export": Export,
     "openloop": OpenLoop,
     "validate": Validate,
+    "identify": Identify,
+    "discover": Discover,
     "serve": Serve,
+    "slam": SlamCommand,
     "data": DATA,
     "version": Version,
 }

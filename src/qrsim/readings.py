@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -12,10 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from qrsim.control.setpoints import library
+from qrsim.core.pack import Glimpse
 from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.episode import picture
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.area import reason_text
 from qrsim.models.attitude import AttitudeReading
+from qrsim.models.camera import CameraReading, Picture
 from qrsim.models.gnss import FEWEST_SATELLITES, GnssReading, SkyState
 from qrsim.models.site import Site
 from qrsim.world import Fleet, FleetState, State, World
@@ -54,15 +57,24 @@ class SensorReading:
     Where a reading is NaN, ``reasons`` says why.
 
     Beside what the sensor's model gives, a GNSS reading has ``latitude_deg``, ``longitude_deg``, ``height`` [m above
-    the ellipsoid] (float64, each (n,)) and ``fix_type`` (3: three-dimensional, 0: none), and an attitude reading has
-    ``quaternion`` (n, 4), w first.
+    the ellipsoid] (float64, each (n,)) and ``fix_type`` (3: three-dimensional, 0: none), an attitude reading has
+    ``quaternion`` (n, 4), w first, and a camera has its last picture: ``ratio`` (n, R, C), ``corners_ned``
+    (n, R + 1, C + 1, 2) and ``grid`` (n, 2), the rows and columns that the picture has; beyond them it is NaN.
     """
 
-    def __init__(self, name: str, reading: Any, site: Site, withheld: Callable[[], Sequence[str]] = tuple):
+    def __init__(
+        self,
+        name: str,
+        reading: Any,
+        site: Site,
+        withheld: Callable[[], Sequence[str]] = tuple,
+        picture: Callable[[], Picture] | None = None,
+    ):
         self._name = name
         self._reading = reading
         self._site = site
         self._withheld = withheld
+        self._picture = picture
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -70,6 +82,8 @@ class SensorReading:
         own = tuple(field.name for field in dataclasses.fields(self._reading))
         if isinstance(self._reading, GnssReading):
             return (*own, "latitude_deg", "longitude_deg", "height", "fix_type")
+        if isinstance(self._reading, CameraReading):
+            return (*own, *PICTURE_FIELDS)
         return (*own, "quaternion") if isinstance(self._reading, AttitudeReading) else own
 
     @property
@@ -104,6 +118,8 @@ class SensorReading:
     def _derived(self, field: str) -> Floats:
         if field == "quaternion":
             return quaternion_of(as_array(self._reading.attitude))
+        if field in PICTURE_FIELDS:
+            return self._of_picture(field)
         position = as_array(self._reading.position_ned)
         if field == "fix_type":
             lib = library(position)
@@ -113,6 +129,18 @@ class SensorReading:
         latitude, longitude, height = self._site.ned_to_geodetic(position)
         return {"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude), "height": height}[field]
 
+    def _of_picture(self, field: str) -> Floats:
+        if self._picture is None:
+            raise UsageError(
+                f"{self._name}.{field}: not available here; a policy needs jax.jit, or init and step, for it"
+            )
+        seen = self._picture()
+        lib = library(seen.ratio)
+        if field == "ratio":
+            return seen.ratio  # type: ignore[return-value]
+        parts = (seen.north, seen.east) if field == "corners_ned" else (seen.rows, seen.columns)
+        return lib.stack(parts, axis=-1)
+
     def __repr__(self) -> str:
         return f"<reading of {self._name}: {', '.join(self.fields)}>"
 
@@ -120,7 +148,11 @@ class SensorReading:
 class FleetReading:
     """The last reading of every sensor of one fleet; its sensors are attributes, see ``sensors``."""
 
-    def __init__(self, fleet: Fleet, state: FleetState, sky: Callable[[], SkyState], tick: int, site: Site):
+    def __init__(
+        self, fleet: Fleet, state: FleetState, sky: Callable[[], SkyState], tick: int, site: Site,
+        picture: Callable[[str], Picture] | None = None,
+    ):  # fmt: skip
+        self._picture = picture
         self._fleet, self._state, self._sky, self._tick, self._site = fleet, state, sky, tick, site
 
     @property
@@ -133,7 +165,8 @@ class FleetReading:
             raise AttributeError(sensor)
         if sensor not in self.sensors:
             raise AttributeError(f"no sensor is called '{sensor}'{did_you_mean(sensor, self.sensors)}")
-        return SensorReading(sensor, self._reading(sensor), self._site, lambda: self._withheld(sensor))
+        picture = None if self._picture is None else partial(self._picture, sensor)
+        return SensorReading(sensor, self._reading(sensor), self._site, lambda: self._withheld(sensor), picture)
 
     def _reading(self, sensor: str) -> Any:
         return self._state.readings[self.sensors.index(sensor)]
@@ -187,14 +220,24 @@ class Reading:
         self.time = _seconds(tick, world.time_step)
         self._world, self._state, self._tick, self._site = world, state, tick, site
 
+    @property
+    def state(self) -> State:
+        """The whole state; not for policies that are to be judged: it is the truth."""
+        return self._state.whole() if isinstance(self._state, Glimpse) else self._state
+
     @cached_property
     def _fleets(self) -> dict[str, FleetReading]:
         # Not before somebody asks: not every step of a loop is looked at.
         state = self._state
+        # Between two ticks of a rollout there is only what is needed for the readings themselves.
+        pictured = isinstance(state, State | Glimpse)
         return {
-            fleet.name: FleetReading(fleet, state.fleets[i], lambda: state.sky, self._tick, self._site)
+            fleet.name: FleetReading(
+                fleet, state.fleets[i], lambda: state.sky, self._tick, self._site,
+                partial(_picture, self._world, lambda: self.state, i) if pictured else None,
+            )
             for i, fleet in enumerate(self._world.fleets)
-        }
+        }  # fmt: skip
 
     @property
     def fleets(self) -> tuple[str, ...]:
@@ -217,6 +260,23 @@ class Reading:
 
     def __repr__(self) -> str:
         return f"<reading at {self.time:.3f} s: {', '.join(f'{k}: {v!r}' for k, v in self._fleets.items())}>"
+
+
+# What a camera's picture has beside where and when it was taken.
+PICTURE_FIELDS = ("ratio", "corners_ned", "grid")
+_developed = jax.jit(picture, static_argnums=(2, 3))
+
+
+def _picture(world: World, whole: Callable[[], State], number: int, camera: str) -> Picture:
+    """Return the picture that each vehicle (n,) of a fleet took last, as NumPy arrays outside of compiled functions."""
+    state = whole()
+    world = world.with_drawn(state.drawn)
+    if isinstance(state.sky.range_error, jax.core.Tracer):
+        return picture(world, state, number, camera)
+    x64 = np.asarray(world.fleets[0].start.position_ned.x).dtype == np.float64
+    with jax.enable_x64(bool(x64)):
+        found: Picture = jax.tree.map(np.asarray, _developed(world, state, number, camera))
+    return found
 
 
 def _seconds(tick: Any, time_step: float) -> Any:

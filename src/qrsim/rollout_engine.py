@@ -100,6 +100,8 @@ class Engine:
         # On the host: in the program, the keys' own rounds would be compiled into everything that draws.
         keys = ticks_of.keys_of(self.example, Key.roots(seeds[rows], numbers[rows]))
         flight = Flight(self.setup.compiled, self.fixed, own, keys, len(self.names), self.devices)
+        placed = jax.tree.map(np.asarray, flight.get(lambda carry: carry.state.placed))
+        ticks_of.refuse_unplaced(self.example, placed)
         lock_step = LockStep(self, rows[:real])
         found: list[Any] = []
         self._keep(flight, 0, rows[:real], found)

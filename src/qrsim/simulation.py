@@ -22,7 +22,7 @@ from qrsim.placing import placed
 from qrsim.readings import Reading, Truth
 from qrsim.saved import SavedState, fingerprint, write
 from qrsim.ticking import ticks as ticks_of
-from qrsim.world import FleetState, State, World, keys_of
+from qrsim.world import FleetState, State, World, keys_of, refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]
 LARGEST_TICK = 2**31 - 2
@@ -117,6 +117,8 @@ class Simulation:
             keys = keys_of(self.world, Key.root(self.seed, self.number))
             self._layout, self._state = self._ticks.reset(keys)
             self._numbers = self._layout.numbers()
+            placed = Glimpse(self._layout, self._state, self._numbers, (State,)).placed
+            refuse_unplaced(self.world, placed)
         self.tick = 0
         self._host = None
         return self.reading

@@ -6,23 +6,47 @@ positions together, then the sensors that are due. Nothing here compiles; simula
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 
 from qrsim.control import Estimate, Setpoint
 from qrsim.core.noise import Draw, Drawn, Key, Noise, Stream, StreamKeys, draw_together
 from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Vec3, rotation
+from qrsim.episode import (
+    draw_ranges,
+    episode_draws,
+    episode_streams,
+    place,
+    refuse_unplaced,
+    start_contents,
+    step_contents,
+    surroundings,
+)
 from qrsim.models.area import Violation, collisions, reason_code
+from qrsim.models.contents import Surroundings
 from qrsim.models.gnss import SkyState
 from qrsim.models.orbits import split_time
 from qrsim.models.vehicles.quadrotor import Command, clip_command
-from qrsim.world_tree import PROCESS, SKY, TURBULENCE, Action, Fleet, FleetState, Start, State, World, WorldKeys
+from qrsim.world_tree import (
+    PLUME,
+    PROCESS,
+    SKY,
+    TURBULENCE,
+    Action,
+    Fleet,
+    FleetState,
+    Start,
+    State,
+    World,
+    WorldKeys,
+    period_ticks,
+    when_due,
+)
 
-S = TypeVar("S")
 __all__ = [
     "PROCESS",
     "SKY",
@@ -38,8 +62,10 @@ __all__ = [
     "measured_quantities",
     "own_checks",
     "period_ticks",
+    "refuse_unplaced",
     "reset",
     "step",
+    "surroundings",
 ]
 
 
@@ -50,6 +76,8 @@ def keys_of(world: World, key: Key) -> WorldKeys:
         key.streams([f"{SKY}/start"]),
         tuple(_stream_keys(fleet, key) for fleet in world.fleets),
         tuple(_stream_keys(fleet, key, "/start") for fleet in world.fleets),
+        key.streams(episode_streams(world)) if episode_streams(world) else None,
+        key.streams([PLUME]) if hasattr(world.contents.plume, "step") else None,
     )
 
 
@@ -62,11 +90,19 @@ def reset(world: World, key: Key | WorldKeys) -> State:
     """
     keys = keys_of(world, key) if isinstance(key, Key) else key
     like = jnp.zeros((), world.fleets[0].start.position_ned.x.dtype)
+    draws = episode_draws(world, keys, like)
+    drawn = draw_ranges(world, draws)
+    world = world.with_drawn(drawn)
     sky = world.sky.init(_draw_sky(world, keys.sky_start, jnp.int32(0), like))
+    contents = start_contents(world, draws)
+    placed = [place(world, fleet, draws) for fleet in world.fleets]
+    view = surroundings(world, contents, jnp.int32(0))
     fleets = tuple(
-        _start(world, fleet, start, sky) for fleet, start in zip(world.fleets, keys.fleets_start, strict=True)
+        _start(world, fleet, start, first, sky, view)
+        for fleet, (start, _), first in zip(world.fleets, placed, keys.fleets_start, strict=True)
     )
-    return State(sky, fleets, keys.sky, keys.fleets)
+    found = tuple(found for _, found in placed if found is not None)
+    return State(sky, fleets, keys.sky, keys.fleets, contents, keys.plume, drawn, found)
 
 
 def step(
@@ -75,6 +111,7 @@ def step(
     tick: Array,
     actions: tuple[Action, ...],
     estimates: tuple[Estimate | None, ...] | None = None,
+    before: Array | None = None,
 ) -> State:
     """Advance a world from tick to tick + 1.
 
@@ -84,38 +121,41 @@ def step(
         actions: for each fleet a Command (flown as it is, clipped to its range), a set-point (handed to the
             controller, which must take its kind) or None (the fleet's guidance hands out the set-point).
         estimates: for each fleet what its controller is fed with; None: what ``controller.feed`` says.
+        before: () int32 ticks that the world had flown before ``tick`` began to count, a multiple of every period;
+            it may differ from world to world of a batch, where ``tick`` may not. None: none.
     """
-    after = tick + 1
-    sky = _step_sky(world, state, after)
+    world = world.with_drawn(state.drawn)
+    due = after = tick + 1
+    if before is not None:
+        tick, after = tick + before, after + before
+    sky = _step_sky(world, state, due, after)
     noise = [_draw_fleet(world, fleet, keys, after) for fleet, keys in zip(world.fleets, state.fleet_keys, strict=True)]
     flown = tuple(
-        _fly(world, fleet, fleet_state, tick, drawn, action, estimate)
+        _fly(world, state.fleets, fleet, fleet_state, tick, drawn, action, estimate)
         for fleet, fleet_state, drawn, action, estimate in zip(
             world.fleets, state.fleets, noise, actions, estimates or (None,) * len(actions), strict=True
         )
     )
     checked = _check(world, state.fleets, flown)
+    contents = step_contents(world, state, checked, due, after)
+    view = surroundings(world, contents, after)
     sensed = tuple(
-        _sense(world, fleet, fleet_state, sky, drawn, after)
+        _sense(world, fleet, fleet_state, sky, view, drawn, due, after)
         for fleet, fleet_state, drawn in zip(world.fleets, checked, noise, strict=True)
     )
-    return replace(state, sky=sky, fleets=sensed)
+    return replace(state, sky=sky, fleets=sensed, contents=contents)
 
 
-def period_ticks(period: float, time_step: float) -> int:
-    """Return a period as a number of ticks (checked to be whole when the scenario is loaded)."""
-    return max(1, round(period / time_step))
-
-
-def _step_sky(world: World, state: State, after: Array) -> SkyState:
+def _step_sky(world: World, state: State, due: Array, after: Array) -> SkyState:
     draw = _draw_sky(world, state.sky_keys, after, state.sky.range_error[0])
     seconds, fraction = split_time(after, world.time_step, draw.like.dtype)
     ticks = period_ticks(world.sky.period, world.time_step)
-    return _when_due(ticks, after, lambda: world.sky.step(state.sky, draw, seconds, fraction), state.sky)
+    return when_due(ticks, due, lambda: world.sky.step(state.sky, draw, seconds, fraction), state.sky)
 
 
 def _fly(
     world: World,
+    before: tuple[FleetState, ...],
     fleet: Fleet,
     state: FleetState,
     tick: Array,
@@ -144,7 +184,8 @@ def _fly(
         estimate = jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(new), new, old), fed, estimate)
         asked = action
         if asked is None:
-            guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned)
+            others = _others(world, before, fleet)
+            guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others)
         controller, wanted = fleet.controller.step(controller, estimate, asked, dt)
         setpoint = _shown(fleet, asked)
     weight = fleet.vehicle.mass * fleet.vehicle.gravity
@@ -160,6 +201,21 @@ def _fly(
         estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=command,
         command_clipped=clipped, battery=battery,
     )  # fmt: skip
+
+
+def _others(world: World, before: tuple[FleetState, ...], fleet: Fleet) -> dict[str, Vec3]:
+    """Return where all other fleets say they are, (m,), for a guidance that looks at them; NaN for who has stopped."""
+    if not hasattr(fleet.guidance, "sees_others"):
+        return {}
+    positions = []
+    for other, state in zip(world.fleets, before, strict=True):
+        if other.name != fleet.name:
+            flies = state.violation.code == 0
+            position = _estimate(other, state).position_ned
+            positions.append(position.map(lambda axis: jnp.where(flies, axis, jnp.nan)))  # noqa: B023
+    if not positions:
+        return {}
+    return {"others_ned": jax.tree.map(lambda *parts: jnp.concatenate(parts), *positions)}
 
 
 def _shown(fleet: Fleet, setpoint: Setpoint) -> Any:
@@ -228,10 +284,17 @@ def _hits_obstacle(world: World, position_ned: Vec3) -> tuple[int, Array, Array]
 
 
 def _sense(
-    world: World, fleet: Fleet, state: FleetState, sky: SkyState, noise: dict[str, Any], after: Array
+    world: World,
+    fleet: Fleet,
+    state: FleetState,
+    sky: SkyState,
+    view: Surroundings,
+    noise: dict[str, Any],
+    due: Array,
+    after: Array,
 ) -> FleetState:
     """Step the sensors that are due; the readings of invalid vehicles are NaN."""
-    scene = _scene(state, sky)
+    scene = _scene(state, sky, view)
     valid = state.violation.code == 0
     states, delivered, undisturbed = [], [], []
     passed_on = state.passed_on
@@ -244,7 +307,7 @@ def _sense(
             return sensor.step(memory, noise[name], **inputs)
 
         ticks = period_ticks(sensor.period, world.time_step)
-        memory, reading = _when_due(ticks, after, fresh, (state.sensors[i], held))
+        memory, reading = when_due(ticks, due, fresh, (state.sensors[i], held))
         states.append(memory)
         undisturbed.append(reading if faulty else None)
         reading, passed_on = _faulted(fleet, name, reading, passed_on, after)
@@ -258,8 +321,7 @@ def _sense(
     )
 
 
-def _start(world: World, fleet: Fleet, keys: StreamKeys, sky: SkyState) -> FleetState:
-    start = fleet.start
+def _start(world: World, fleet: Fleet, start: Start, keys: StreamKeys, sky: SkyState, view: Surroundings) -> FleetState:
     vehicle = fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
     like = vehicle.thrust
     draws = _draw_fleet(world, fleet, keys, jnp.int32(0))
@@ -305,7 +367,7 @@ def _start(world: World, fleet: Fleet, keys: StreamKeys, sky: SkyState) -> Fleet
         true_readings=(),
         passed_on=(),
     )
-    scene = _scene(state, sky)
+    scene = _scene(state, sky, view)
     firsts = [
         sensor.init(draws[name], **{item: scene[item] for item in sensor.reads})
         for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True)
@@ -339,7 +401,7 @@ def _faulted(
     return reading, tuple(memories)
 
 
-def _scene(state: FleetState, sky: SkyState) -> dict[str, Any]:
+def _scene(state: FleetState, sky: SkyState, view: Surroundings | None = None) -> dict[str, Any]:
     """Everything a sensor may declare in ``reads``."""
     vehicle = state.vehicle
     return {
@@ -351,6 +413,7 @@ def _scene(state: FleetState, sky: SkyState) -> dict[str, Any]:
         "specific_force": state.specific_force,
         "wind_ned": state.mean_wind_ned + state.gust_ned,
         "sky": sky,
+        "surroundings": view,
     }
 
 
@@ -378,19 +441,14 @@ def measured_quantities(readings: tuple[Any, ...]) -> dict[str, Any]:
     return merged
 
 
-def _stream_names(fleet: Fleet) -> tuple[str, ...]:
-    """What draws noise in a fleet."""
-    return (TURBULENCE, PROCESS, *fleet.sensor_names)
-
-
 def _stream_keys(fleet: Fleet, key: Key, suffix: str = "") -> StreamKeys:
-    return key.streams([f"{fleet.name}/{name}{suffix}" for name in _stream_names(fleet)])
+    return key.streams([f"{fleet.name}/{name}{suffix}" for name in fleet.stream_names])
 
 
 def _streams(fleet: Fleet, keys: StreamKeys) -> dict[str, Stream]:
     """Return the streams of a fleet; a vehicle's id is its number in its own fleet."""
     ids = jnp.arange(fleet.size, dtype=jnp.uint32)
-    return {name: keys.stream(i, ids) for i, name in enumerate(_stream_names(fleet))}
+    return {name: keys.stream(i, ids) for i, name in enumerate(fleet.stream_names)}
 
 
 def _draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array) -> dict[str, Noise]:
@@ -409,10 +467,3 @@ def _draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array) -> di
 
 def _draw_sky(world: World, keys: StreamKeys, tick: Array, like: Array) -> Draw:
     return Draw(keys.stream(0, world.sky.ids), tick, jnp.zeros((), like.dtype))
-
-
-def _when_due(ticks: int, after: Array, fresh: Any, held: S) -> S:
-    """Return fresh() on every multiple of ``ticks``, else what is held."""
-    if ticks == 1:
-        return fresh()
-    return lax.cond(after % ticks == 0, fresh, lambda: held)

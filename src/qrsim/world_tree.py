@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
-from jax import Array
+import jax.numpy as jnp
+from jax import Array, lax
 
 from qrsim.control import Estimate, Route, RouteState, Setpoint
 from qrsim.core.noise import StreamKeys
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.area import StateLimits, Violation
+from qrsim.models.contents import Contents, ContentsState
 from qrsim.models.faults import Fault
 from qrsim.models.gnss import Sky, SkyState
 from qrsim.models.obstacles import Obstacles
+from qrsim.models.placement import GivenPlaces
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor
 
+S = TypeVar("S")
 Action = Command | Setpoint | None
 # Names of noise streams are FLEET/USER; a fleet has no slash in its name, so this is no fleet's.
 SKY = "/sky"
+PLUME, TERRAIN, PERSONS, PLACEMENT, RANGE = "/plume", "/terrain", "/persons", "/placement", "/range"
 # Users of noise in a fleet beside its sensors, whose names are therefore taken.
 TURBULENCE, PROCESS = "turbulence", "process"
 
@@ -49,11 +54,29 @@ class Fleet:
     name: str = setting(doc="name, part of the names of its noise streams")
     sensor_names: tuple[str, ...] = setting(doc="names of the sensors, part of the names of their streams")
     vehicle_names: tuple[str, ...] = setting(doc="name of each vehicle")
+    placement: Any = quantity(default=GivenPlaces(), doc="where the vehicles start in an episode")
 
     @property
     def size(self) -> int:
         """Number of vehicles."""
         return len(self.vehicle_names)
+
+    @property
+    def stream_names(self) -> tuple[str, ...]:
+        """What draws noise in the fleet, in the order of its keys."""
+        return (TURBULENCE, PROCESS, *self.sensor_names)
+
+
+@record
+class Range:
+    """A number that every episode draws anew, uniformly."""
+
+    low: Array = quantity(doc="smallest value")
+    high: Array = quantity(doc="largest value")
+    name: str = setting(doc="path of the number in the scenario, part of the name of its stream")
+    paths: tuple[tuple[str | int, ...], ...] = setting(
+        doc="where in the World the number is, and where it is inherited"
+    )
 
 
 @record
@@ -71,6 +94,26 @@ class World:
         default=2.0, unit="m", doc="vehicles closer than this collide; half of it counts against obstacles", minimum=0.0
     )
     time_step: float = setting(default=0.02, unit="s", doc="simulation step", above=0.0)
+    contents: Contents = quantity(default=Contents(), doc="plume, cover of the ground, persons")
+    ranges: tuple[Range, ...] = quantity(default=(), doc="numbers that every episode draws anew")
+
+    def with_drawn(self, drawn: tuple[Array, ...]) -> World:
+        """Return the world with the numbers that an episode has drawn for its ranges."""
+        world = self
+        for item, value in zip(self.ranges, drawn, strict=True):
+            for path in item.paths:
+                world = _replaced(world, path, value)
+        return world
+
+
+def _replaced(item: Any, path: tuple[str | int, ...], value: Array) -> Any:
+    """Return a tree with the leaf at a path replaced, in its own shape."""
+    if not path:
+        return jnp.broadcast_to(value, jnp.shape(item)).astype(jnp.asarray(item).dtype)
+    step, rest = path[0], path[1:]
+    if isinstance(step, int):
+        return (*item[:step], _replaced(item[step], rest, value), *item[step + 1 :])
+    return replace(item, **{step: _replaced(getattr(item, step), rest, value)})
 
 
 @record
@@ -107,6 +150,10 @@ class State:
     fleets: tuple[FleetState, ...] = quantity(doc="fleets")
     sky_keys: StreamKeys = quantity(doc="keys of the sky's randomness, constant during an episode")
     fleet_keys: tuple[StreamKeys, ...] = quantity(doc="keys of each fleet's randomness, constant during an episode")
+    contents: ContentsState = quantity(default=ContentsState(), doc="plume, cover of the ground, persons")
+    contents_keys: StreamKeys | None = quantity(default=None, doc="keys of the plume's randomness; None if it has none")
+    drawn: tuple[Array, ...] = quantity(default=(), doc="what this episode has drawn for each range of the world")
+    placed: tuple[Array, ...] = quantity(default=(), doc="bool, of each fleet placed at random: a place was found")
 
 
 @record
@@ -117,3 +164,17 @@ class WorldKeys:
     sky_start: StreamKeys = quantity(doc="of the sky's first value")
     fleets: tuple[StreamKeys, ...] = quantity(doc="of each fleet")
     fleets_start: tuple[StreamKeys, ...] = quantity(doc="of each fleet's first values")
+    episode: StreamKeys | None = quantity(default=None, doc="of what is drawn once an episode; None if nothing is")
+    plume: StreamKeys | None = quantity(default=None, doc="of a plume that changes; None without one")
+
+
+def period_ticks(period: float, time_step: float) -> int:
+    """Return a period as a number of ticks (checked to be whole when the scenario is loaded)."""
+    return max(1, round(period / time_step))
+
+
+def when_due(ticks: int, due: Array, fresh: Any, held: S) -> S:
+    """Return fresh() on every multiple of ``ticks``, else what is held."""
+    if ticks == 1:
+        return fresh()
+    return lax.cond(due % ticks == 0, fresh, lambda: held)

@@ -29,13 +29,17 @@ from qrsim.control import (
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import FieldInfo, cast, field_info
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.area import BoxArea
+from qrsim.models.contents import Contents, ContentsState, Surroundings
 from qrsim.models.fence import PolygonArea
 from qrsim.models.gnss import SkyState
 from qrsim.models.orbits import NominalConstellation
+from qrsim.models.plume import GaussianPlume, GaussianState, Sources
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.quadrotor import Command
+from qrsim.models.wind import LogShear
 from qrsim.scenarios import catalogue
-from qrsim.world import _scene
+from qrsim.world import Start, _scene
 
 DT = 0.02
 # Spread and middle of waypoints along north, east and down [m].
@@ -97,6 +101,12 @@ EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     ("OBSTACLES", "box"): {"x_min": -3.0, "x_max": 4.0, "y_min": -5.0, "y_max": 6.0, "z_min": -12.0},
     # Half way up, 1.25 s after its start.
     ("GUSTS", "discrete"): {"start_time": 16.0, "length": 12.5, "speed": 5.0, "along": 4.0, "across": 2.0, "down": 1.0},
+    # As many as the large box of a scenario without an area can hold.
+    ("PLUMES", "puffs"): {"puffs": 300},
+    # The fleet of the scenario that names them.
+    **{("TASKS", name): {"fleet": "a"} for name in ("keep_spot", "reach_waypoint", "keep_velocity", "search")},
+    ("TASKS", "plume_mapping"): {"fleet": "a"},
+    ("TASKS", "pursuit"): {"fleet": "a", "prey": "a"},
     ("OBSTACLES", "cylinder"): {"x": 5.0, "y": -7.0, "radius": 2.0, "z_min": -9.0},
     # With a notch that ends among the positions of ``inputs``.
     ("AREAS", "polygon"): {"corners_ned": [[-60.0, -8.0], [50.0, -70.0], [6.0, 0.0], [70.0, 80.0]]},
@@ -110,6 +120,11 @@ SLOTS = {
     "SKY_ERRORS": "world.sky.errors",
     "OBSTACLES": "world.obstacles.0",
     "AREAS": "world.area",
+    "PLUMES": "world.plume",
+    "TERRAINS": "world.terrain",
+    "PERSONS": "world.persons",
+    "PLACEMENTS": "fleets.a.placement",
+    "TASKS": "task",
     "VEHICLES": "fleets.a.vehicle",
     "BATTERIES": "fleets.a.battery",
     "CONTROLLERS": "fleets.a.controller",
@@ -237,6 +252,21 @@ class Draws:
         return recorder
 
 
+def surroundings(world: int, dtype: Any) -> Surroundings:
+    """Return a box with three Gaussian sources near the origin, in a wind."""
+    numbers = np.random.default_rng([world, 1])
+
+    def vector(low: float, high: float) -> Vec3:
+        return Vec3(*(np.asarray(numbers.uniform(low, high, VEHICLES), dtype) for _ in range(3)))  # type: ignore[arg-type]
+
+    strength, yaw = vector(0.5, 1.5).x, vector(0.0, 3.0).x
+    sources = GaussianState(Sources(vector(-15.0, 0.0), strength), vector(5.0, 10.0), yaw)
+    wind, area = LogShear(3.0, 0.7), BoxArea(-140.0, 140.0, -140.0, 140.0, -80.0, 0.0)  # type: ignore[arg-type]
+    contents = cast(Contents(plume=GaussianPlume()), dtype)
+    state = ContentsState(plume=sources)
+    return Surroundings(contents, state, cast(wind, dtype), cast(area, dtype), np.int32(50), DT)  # type: ignore[arg-type]
+
+
 def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
     """Return what is around the components in one of several worlds.
 
@@ -273,7 +303,8 @@ def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
         gust_ned=vector(1.0),
     )
     command = Command(axis(0.3), axis(0.3), axis(0.1, offset=0.6, first=0.59), axis(0.5), axis(0.5, 11.0, 11.0))
-    scene = jax.tree.map(np.asarray, _scene(state, sky))  # type: ignore[arg-type]
+    view = surroundings(world, dtype)
+    scene = jax.tree.map(np.asarray, _scene(state, sky, view))  # type: ignore[arg-type]
     moved = jax.tree.map(lambda leaf: leaf + dtype(3.0), scene["position_ned"])
     return {
         "scene": scene,
@@ -379,6 +410,49 @@ def _sensor(sensor: Any, given: Any, draws: Draws) -> Any:
     return {"start": start, "first": first, "after": after, "second": second}
 
 
+def _plume(plume: Any, given: Any, draws: Draws) -> Any:
+    around: Surroundings = given["scene"]["surroundings"]
+    position, wind = given["scene"]["position_ned"], around.carrying_wind(given["thrust"].dtype)
+    since = jnp.zeros((), given["thrust"].dtype)
+    if not hasattr(plume, "init"):
+        return {"field": plume.concentration(None, position, wind, around.area, since)}
+    start = plume.init(draws("init", plume.ids).draw, around.area)
+    after = plume.step(start, draws("step", plume.ids).draw) if hasattr(plume, "step") else start
+    field = plume.concentration(after, position, wind, around.area, since)
+    return {"start": start, "after": after, "field": field, "mean": plume.mean(after, position, wind)}
+
+
+def _terrain(terrain: Any, given: Any, draws: Draws) -> Any:
+    around: Surroundings = given["scene"]["surroundings"]
+    state = terrain.init(draws("init", 1).draw) if hasattr(terrain, "init") else None
+    found = terrain.class_at(state, given["scene"]["position_ned"], around.area)
+    return {"cells": terrain.cells(state), "class": found, "zero": jnp.zeros_like(given["thrust"])}
+
+
+def _persons(persons: Any, given: Any, draws: Draws) -> Any:
+    if not hasattr(persons, "init"):
+        return {"zero": jnp.zeros_like(given["thrust"])}
+    area, scene = given["scene"]["surroundings"].area, given["scene"]
+    start = persons.init(draws("init", persons.most).draw, jnp.zeros((5, 5), jnp.int32), area)
+    speed, valid = jnp.zeros_like(given["thrust"]), jnp.ones(VEHICLES, bool)
+    return {"start": start, "after": persons.step(start, scene["position_ned"], speed, valid, jnp.int32(50))}
+
+
+def _placement(placement: Any, given: Any, draws: Draws) -> Any:
+    zero = jnp.zeros_like(given["thrust"])
+    if not placement.random:
+        return {"zero": zero}
+    start = Start(
+        given["scene"]["position_ned"], given["scene"]["attitude"], Vec3(zero, zero, zero), Vec3(zero, zero, zero)
+    )
+    return placement.place(draws("init").draw, start, given["scene"]["surroundings"].area)
+
+
+def _task(task: Any, given: Any, draws: Draws) -> Any:
+    # What a task does needs a whole world; tests/tasks looks at it.
+    return {"numbers": jax.tree.leaves(task), "zero": jnp.zeros_like(given["thrust"])}
+
+
 EVALUATE: dict[str, Callable[[Any, Any, Draws], Any]] = {
     "WINDS": _wind,
     "TURBULENCES": _turbulence,
@@ -392,6 +466,11 @@ EVALUATE: dict[str, Callable[[Any, Any, Draws], Any]] = {
     "CONTROLLERS": _controller,
     "GUIDANCE": _guidance,
     "SENSORS": _sensor,
+    "PLUMES": _plume,
+    "TERRAINS": _terrain,
+    "PERSONS": _persons,
+    "PLACEMENTS": _placement,
+    "TASKS": _task,
 }
 
 

@@ -133,7 +133,8 @@ def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: d
             assert np.isfinite(leaf).all(), path
 
 
-OF_A_FLEET = [case for case in COMPONENTS if SLOTS[case[0]].startswith("fleets.")]
+# A placement is of a fleet as a whole.
+OF_A_FLEET = [case for case in COMPONENTS if SLOTS[case[0]].startswith("fleets.") and case[0] != "PLACEMENTS"]
 
 
 @pytest.mark.parametrize(("group", "name"), OF_A_FLEET, ids=["-".join(case) for case in OF_A_FLEET])
@@ -203,10 +204,15 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
     if group == "GUIDANCE":
         # The one controller that takes whatever a guidance gives.
         fleet["controller"] = {"type": "offboard"}
+    world: dict[str, Any] = {"wind": wind, "obstacles": [None], "sky": {}}
+    if group == "TASKS":
+        fleet["controller"] = {"type": "offboard"}
+        sensors |= {"camera": {"type": "camera"}, "concentration": {"type": "concentration"}}
+        world |= {"persons": {"type": "lying"}, "plume": {"type": "gaussian"}}
     content: dict[str, Any] = {
         "name": "x",
         "duration": 1.0,
-        "world": {"wind": wind, "obstacles": [None], "sky": {}},
+        "world": world,
         "fleets": {"a": fleet},
     }
     *way, last = SLOTS[group].split(".")
@@ -284,10 +290,18 @@ def test_every_sensor_has_an_ideal_form_that_says_the_truth() -> None:
         kinds[name.startswith("ideal_")].add((type(found["results"]["second"]), sensor.reads))
         if name.startswith("ideal_"):
             assert jax.tree.leaves(found["noise"]) == []
-            truth = {**inputs(0)["later"], "height": -inputs(0)["later"]["position_ned"].z}
+            later = inputs(0)["later"]
+            truth = {
+                **later,
+                "height": -later["position_ned"].z,
+                "concentration": later["surroundings"].concentration(later["position_ned"]),
+                "taken_at_ned": later["position_ned"],
+                "taken_attitude": later["attitude"],
+            }
             reading = found["results"]["second"]
             named = [field for field in reading.__dataclass_fields__ if field in truth]
             assert named, name
             for field in named:
-                assert_close(getattr(reading, field), truth[field], 0.0)
+                # The only one that takes arithmetic, which this program and that of the sensor may round otherwise.
+                assert_close(getattr(reading, field), truth[field], 1e-6 if field == "concentration" else 0.0)
     assert kinds[True] == kinds[False]

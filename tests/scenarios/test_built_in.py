@@ -9,12 +9,17 @@ import numpy as np
 import pytest
 
 import qrsim
+from qrsim.readings import PICTURE_FIELDS
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.reading import parse_yaml
 from qrsim.scenarios.scenario import built_in_names, json_schema, load_scenario
 
+# Of a family one variant: all of them fly in tests/apps/envs.
+FAMILIES = ("cats_and_mouse/1C", "search_and_rescue/2B", "plume_mapping/3F")
+FLOWN = [name for name in built_in_names() if "/" not in name or name in FAMILIES]
 
-@pytest.mark.parametrize("name", built_in_names())
+
+@pytest.mark.parametrize("name", FLOWN)
 def test_a_built_in_scenario_flies_for_twenty_seconds(name: str) -> None:
     simulation = qrsim.load(name, seed=1)
     start = simulation.reset()
@@ -26,7 +31,8 @@ def test_a_built_in_scenario_flies_for_twenty_seconds(name: str) -> None:
     for fleet in start.fleets:
         for sensor in simulation.reading[fleet].sensors:
             reading = getattr(simulation.reading[fleet], sensor)
-            for field in reading.fields:
+            # A picture is NaN beyond its grid.
+            for field in [field for field in reading.fields if field not in PICTURE_FIELDS]:
                 assert np.isfinite(getattr(reading, field)).all(), (fleet, sensor, field)
 
 

@@ -22,6 +22,7 @@ from qrsim.models.wind import LogShear
 from qrsim.scenarios.making import SENSORS, make_scenario, make_world
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation import Simulation
+from qrsim.tasks import KeepSpot
 
 ROUTES = {"position_ned": [0.0, 0.0, -10.0], "waypoints_ned": [[-50.0, -50.0, -10.0]]}
 PATROL = {
@@ -42,6 +43,7 @@ def keep_spot() -> Any:
     return make_scenario(
         fleets={"pelicans": {"vehicles": [[0, 0, -10]], "sensors": "noisy", "controller": "waypoint"}},
         name="keep_spot", area=NARROW, turbulence=gusts(0.0), sky={"errors": {"type": "gauss_markov_2"}},
+        task=KeepSpot(),
     )  # fmt: skip
 
 
@@ -50,15 +52,16 @@ def keep_velocity() -> Any:
     return make_scenario(
         fleets={"pelicans": fleet}, name="keep_velocity", area=NARROW, turbulence=gusts(np.pi / 4),
         wind=LogShear(speed_20ft=np.float32(2.5), wind_from_rad=np.pi / 4),
-        sky={"errors": {"type": "gauss_markov_2"}},
+        sky={"errors": {"type": "gauss_markov_2"}}, task={"type": "keep_velocity", "fleet": "pelicans"},
     )  # fmt: skip
 
 
 def goto_waypoint() -> Any:
     area = {"type": "box", "x_min": -70, "x_max": 70, "y_min": -70, "y_max": 70, "z_min": -50, "z_max": 0}
     return make_scenario(
-        extends="keep_spot", name="goto_waypoint", area=area, fleets={"pelicans": {"vehicles": [ROUTES]}}
-    )
+        extends="keep_spot", name="goto_waypoint", area=area, fleets={"pelicans": {"vehicles": [ROUTES]}},
+        task={"type": "reach_waypoint"},
+    )  # fmt: skip
 
 
 def free_flight() -> Any:

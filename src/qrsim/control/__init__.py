@@ -12,6 +12,7 @@ from qrsim.control.controllers import (
     VelocityHeightController,
     WaypointController,
 )
+from qrsim.control.flee import FleeGuidance
 from qrsim.control.guidance import (
     AttitudeGuidance,
     AttitudeHeightGuidance,
@@ -44,6 +45,7 @@ __all__ = [
     "AttitudeSetpoint",
     "ClimbLoop",
     "Estimate",
+    "FleeGuidance",
     "HeightLoop",
     "HeightState",
     "OffboardController",

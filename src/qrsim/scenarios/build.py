@@ -16,13 +16,17 @@ from qrsim.core.tree import cast, field_info
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError, warn_user
 from qrsim.models.area import StateLimits
+from qrsim.models.contents import Contents
 from qrsim.models.gnss import HAND_LIST, Sky
 from qrsim.models.obstacles import Obstacles
 from qrsim.models.site import Site, gps_seconds_from_utc, utc_from_gps_seconds
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import area_problems, outside
+from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.faults import fault_problems, faults, vehicle_names
+from qrsim.scenarios.ranges import range_problems, ranges_of
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
+from qrsim.scenarios.task import task_problems
 from qrsim.scenarios.timing import timing_problems
 from qrsim.world import PROCESS, TURBULENCE, Fleet, Start, World
 
@@ -70,6 +74,9 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_obstacle_problems(scenario),
         *_fleet_problems(scenario),
         *fault_problems(scenario),
+        *contents_problems(scenario),
+        *range_problems(scenario),
+        *task_problems(scenario),
     ]
 
 
@@ -216,8 +223,19 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         fleets=tuple(_fleet(name, fleet, scenario) for name, fleet in scenario.fleets.items()),
         collision_distance=world.collision_distance,  # type: ignore[arg-type]
         time_step=scenario.time_step,
+        contents=Contents(
+            component(world.plume, known.PLUMES, scenario),
+            component(world.terrain, known.TERRAINS, scenario),
+            component(world.persons, known.PERSONS, scenario),
+        ),
+        ranges=ranges_of(scenario),
     )
     return cast(built, dtype)
+
+
+def build_task(scenario: ScenarioSpec, precision: str) -> Any:
+    """Return the task of a scenario without problems; ``NoTask`` where it has none."""
+    return cast(component(scenario.task, known.TASKS, scenario), np.dtype(precision))
 
 
 def _obstacles(scenario: ScenarioSpec) -> Obstacles:
@@ -333,6 +351,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec) -> Fleet:
         name=name,
         sensor_names=tuple(spec.sensors),
         vehicle_names=vehicle_names(name, spec),
+        placement=component(spec.placement, known.PLACEMENTS, scenario),
     )
 
 

@@ -7,6 +7,7 @@ from qrsim.control import (
     AttitudeGuidance,
     AttitudeHeightController,
     AttitudeHeightGuidance,
+    FleeGuidance,
     OffboardController,
     RouteFollower,
     VelocityController,
@@ -19,6 +20,8 @@ from qrsim.models.area import BoxArea
 from qrsim.models.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.barometer import Barometer, IdealBarometer
 from qrsim.models.battery import GivenVoltage, LithiumPolymer
+from qrsim.models.camera import Camera, IdealCamera
+from qrsim.models.concentration import ConcentrationSensor, IdealConcentration
 from qrsim.models.dryden import Dryden
 from qrsim.models.fence import PolygonArea
 from qrsim.models.gnss import GnssReceiver, IdealGnss, OrnsteinUhlenbeckErrors
@@ -27,11 +30,18 @@ from qrsim.models.gust import DiscreteGust, NoGust
 from qrsim.models.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
 from qrsim.models.obstacles import BoxObstacle, CylinderObstacle
 from qrsim.models.orbits import NominalConstellation
+from qrsim.models.persons import NoPersons, Persons
+from qrsim.models.placement import GivenPlaces, RingPlaces, UniformPlaces
+from qrsim.models.plume import DispersionPlume, GaussianPlume, NoPlume, PuffPlume
 from qrsim.models.sp3 import Sp3Ephemeris
+from qrsim.models.terrain import ClearGround, PatchyGround
 from qrsim.models.turbulence import DrydenFirstOrder, Still
+from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
 from qrsim.models.vehicles.quadrotor import Quadrotor
+from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
 from qrsim.models.wind import Calm, LogShear
 from qrsim.models.wind_series import VeeringShear, WindFile
+from qrsim.tasks import KeepSpot, KeepVelocity, NoTask, PlumeMapping, Pursuit, ReachWaypoint, Search
 
 Catalogue = dict[str, type]
 
@@ -47,7 +57,25 @@ SKY_ERRORS: Catalogue = {
 }
 OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}
 AREAS: Catalogue = {"box": BoxArea, "polygon": PolygonArea}
-VEHICLES: Catalogue = {"pelican": Quadrotor}
+PLUMES: Catalogue = {
+    "none": NoPlume,
+    "gaussian": GaussianPlume,
+    "dispersion": DispersionPlume,
+    "puffs": PuffPlume,
+}
+TERRAINS: Catalogue = {"clear": ClearGround, "patches": PatchyGround}
+PERSONS: Catalogue = {"none": NoPersons, "lying": Persons}
+PLACEMENTS: Catalogue = {"given": GivenPlaces, "uniform": UniformPlaces, "ring": RingPlaces}
+TASKS: Catalogue = {
+    "none": NoTask,
+    "keep_spot": KeepSpot,
+    "reach_waypoint": ReachWaypoint,
+    "keep_velocity": KeepVelocity,
+    "pursuit": Pursuit,
+    "search": Search,
+    "plume_mapping": PlumeMapping,
+}
+VEHICLES: Catalogue = {"pelican": Quadrotor, "quadrotor": SeparateQuadrotor, "expression": ExpressionQuadrotor}
 BATTERIES: Catalogue = {"given": GivenVoltage, "lithium_polymer": LithiumPolymer}
 CONTROLLERS: Catalogue = {
     "waypoint": WaypointController,
@@ -63,6 +91,7 @@ GUIDANCE: Catalogue = {
     "velocity_height": VelocityHeightGuidance,
     "attitude_height": AttitudeHeightGuidance,
     "attitude": AttitudeGuidance,
+    "flee": FleeGuidance,
 }
 SENSORS: Catalogue = {
     "gnss_receiver": GnssReceiver,
@@ -75,4 +104,8 @@ SENSORS: Catalogue = {
     "ideal_gyroscope": IdealGyroscope,
     "accelerometer": Accelerometer,
     "ideal_accelerometer": IdealAccelerometer,
+    "concentration": ConcentrationSensor,
+    "ideal_concentration": IdealConcentration,
+    "camera": Camera,
+    "ideal_camera": IdealCamera,
 }

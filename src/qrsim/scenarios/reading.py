@@ -68,9 +68,12 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def built_in_names() -> list[str]:
-    """Return the names of the scenarios that come with qrsim."""
+    """Return the names of the scenarios that come with qrsim; those of a family are FAMILY/VARIANT."""
     folder = resources.files("qrsim.scenarios")
-    return sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml"))
+    alone = [item.name for item in folder.iterdir()]
+    families = [item for item in folder.iterdir() if item.is_dir()]
+    names = alone + [f"{family.name}/{item.name}" for family in families for item in family.iterdir()]
+    return sorted(name.removesuffix(".yaml") for name in names if name.endswith(".yaml"))
 
 
 def read_scenario(source: str | Path | dict[str, Any]) -> tuple[str, dict[str, Any]]:
@@ -129,7 +132,7 @@ def _is_file(name: str) -> bool:
 def _read_file(name: str, folder: Path) -> dict[str, Any]:
     """Return the content of a built-in scenario or a file, its files anchored to the folder."""
     if name in built_in_names():
-        text = (resources.files("qrsim.scenarios") / f"{name}.yaml").read_text("utf-8")
+        text = resources.files("qrsim.scenarios").joinpath(*f"{name}.yaml".split("/")).read_text("utf-8")
         return _as_mapping(parse_yaml(text, name), name)
     path = Path(name)
     if not _is_file(name):

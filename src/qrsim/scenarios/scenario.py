@@ -17,6 +17,7 @@ from qrsim.scenarios.places import in_ned
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.reading import anchor_files, apply_override, built_in_names, dump_yaml, read_scenario
 from qrsim.scenarios.schema import ScenarioSpec, json_schema
+from qrsim.scenarios.vehicle_file import insert_vehicle_files
 from qrsim.world import World
 
 __all__ = ["Scenario", "built_in_names", "json_schema", "load_scenario"]
@@ -48,6 +49,11 @@ class Scenario:
         return round(self.spec.duration / self.spec.time_step)
 
     @property
+    def steps(self) -> int:
+        """Number of steps of the scenario's task; 0 where it has none."""
+        return round(self.spec.duration / self.spec.task.period) if self.spec.task.type != "none" else 0
+
+    @property
     def site(self) -> Site:
         """Origin of the local frame."""
         site = self.spec.site
@@ -56,6 +62,10 @@ class Scenario:
     def world(self, precision: str = "float32") -> World:
         """Return the World it describes, its numbers as arrays of ``precision`` (float32 or float64)."""
         return build.build_world(self.spec, precision)
+
+    def task(self, precision: str = "float32") -> Any:
+        """Return what is to be done, its numbers as arrays of ``precision``; ``NoTask`` where there is nothing."""
+        return build.build_task(self.spec, precision)
 
     def to_yaml(self) -> str:
         """Return the scenario as YAML, every default written out; loading it gives the same scenario."""
@@ -79,6 +89,7 @@ def load_scenario(source: str | Path | dict[str, Any], overrides: Iterable[str] 
         apply_override(content, assignment)
     # Files named in Python or by an override are relative to the working folder.
     anchor_files(content, Path.cwd())
+    insert_vehicle_files(content, name)
     try:
         spec = ScenarioSpec.model_validate(content)
     except ValidationError as error:

@@ -266,6 +266,11 @@ if TYPE_CHECKING:
     ObstacleSlot: TypeAlias = Any
     GustSlot: TypeAlias = Any
     BatterySlot: TypeAlias = Any
+    PlumeSlot: TypeAlias = Any
+    TerrainSlot: TypeAlias = Any
+    PersonsSlot: TypeAlias = Any
+    PlacementSlot: TypeAlias = Any
+    TaskSlot: TypeAlias = Any
     LimitsModel: TypeAlias = Any
 else:
     WindSlot = _slot(known.WINDS)
@@ -276,6 +281,11 @@ else:
     AreaSlot = _area_slot()
     ObstacleSlot = _slot(known.OBSTACLES)
     GustSlot = _slot(known.GUSTS)
+    PlumeSlot = _slot(known.PLUMES)
+    TerrainSlot = _slot(known.TERRAINS)
+    PersonsSlot = _slot(known.PERSONS)
+    PlacementSlot = _slot(known.PLACEMENTS)
+    TaskSlot = _slot(known.TASKS)
     BatterySlot = _slot(known.BATTERIES, each=True)
     VehicleSlot = _slot(known.VEHICLES, each=True)
     ControllerSlot = _slot(known.CONTROLLERS, each=True)
@@ -299,6 +309,9 @@ class WorldSpec(Strict):
     turbulence: TurbulenceSlot = Field({"type": "still"}, description="random gusts", validate_default=True)
     gust: GustSlot = Field({"type": "none"}, description="discrete gust", validate_default=True)
     sky: SkySpec = Field(default_factory=lambda: SkySpec.model_validate({}), description="GNSS space segment")
+    plume: PlumeSlot = Field({"type": "none"}, description="concentration field", validate_default=True)
+    terrain: TerrainSlot = Field({"type": "clear"}, description="cover of the ground", validate_default=True)
+    persons: PersonsSlot = Field({"type": "none"}, description="who is to be found", validate_default=True)
     obstacles: list[ObstacleSlot] = Field([], description="solid things", max_length=10_000)
     collision_distance: Finite = Field(
         2.0, description="vehicles closer than this [m] collide; half of it counts against obstacles", ge=0
@@ -331,6 +344,11 @@ class FleetSpec(Strict):
     sensors: dict[str, SensorSlot] = Field({}, description="sensors by name")
     battery: BatterySlot = Field({"type": "given"}, description="battery", validate_default=True)
     faults: list[FaultSpec] = Field([], description="sensor faults, applied in this order", max_length=100)
+    placement: PlacementSlot = Field(
+        {"type": "given"},
+        description="where the vehicles start in an episode; their given positions count otherwise, and their heights",
+        validate_default=True,
+    )
     vehicles: list[VehicleSpec] = Field(description="vehicles", min_length=1)
 
     @model_validator(mode="before")
@@ -349,6 +367,14 @@ class SiteSpec(Strict):
     latitude_deg: Finite = Field(51.71190, description="geodetic latitude [deg]", ge=-90, le=90)
     longitude_deg: Finite = Field(-0.21052, description="longitude [deg], east positive", ge=-180, le=180)
     height: Finite = Field(0.0, description="height above the WGS-84 ellipsoid [m]", ge=-500, le=9000)
+
+
+class RangeSpec(Strict):
+    """A number that every episode draws anew, uniformly."""
+
+    path: str = Field(description="where the number is in the scenario, for example world.wind.speed_20ft")
+    low: Finite = Field(description="smallest value, in the unit of the number")
+    high: Finite = Field(description="largest value, in the unit of the number")
 
 
 def _only_in_a_source(value: Any) -> Any:
@@ -374,6 +400,8 @@ class ScenarioSpec(Strict):
         default_factory=lambda: WorldSpec.model_validate({}), description="what is around the vehicles"
     )
     fleets: dict[str, FleetSpec] = Field(description="fleets by name", min_length=1)
+    ranges: list[RangeSpec] = Field([], description="numbers that every episode draws anew", max_length=1000)
+    task: TaskSlot = Field({"type": "none"}, description="what is to be done, and its reward", validate_default=True)
 
 
 def json_schema() -> dict[str, Any]:

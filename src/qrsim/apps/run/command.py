@@ -20,9 +20,11 @@ if TYPE_CHECKING:
     from qrsim.logs import Run as RecordedRun
     from qrsim.logs.summary import VehicleSummary
     from qrsim.scenarios.scenario import Scenario
+    from qrsim.view.live import LiveView
 
 FIGURE = "figure.png"
 MOST_EVENTS = 20
+BASELINE = "baseline"
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,9 @@ class Run:
       qrsim run outdoor_patrol --set world.wind.speed_20ft=7 --set world.turbulence=still
       qrsim run my_scenario.yaml --out runs/first --json
       qrsim run keep_spot --policy my_policy.py:hover --policy-ticks 5
+      qrsim run search_and_rescue/2D --policy baseline
       qrsim run outdoor_patrol --every 10 --every measurements=2
+      qrsim run outdoor_patrol --view
     """
 
     scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "outdoor_patrol"
@@ -65,13 +69,19 @@ class Run:
     """Log only the ticks that N divides, of truth, measurements, commands, wind, or all of them; can be given several
     times. Events are all kept."""
     policy: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
-    """Your policy: a function of a reading that returns a command or a set-point; MODULE may be a .py file."""
+    """Your policy: a function of a reading that returns a command or a set-point; MODULE may be a .py file. 'baseline'
+    is that of the scenario's task, asked once in a step of the task."""
     estimator: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
     """Your estimator: a function of a reading that returns what feeds the controllers in place of the sensors."""
     policy_ticks: int = 1
     """The policy is asked at every so-many-th tick."""
     realtime: bool = False
     """Fly at the speed of the wall clock instead of as fast as possible."""
+    view: bool = False
+    """Show the flight in three dimensions while it goes on, on a page for a browser; its address is printed. The page
+    sets the speed, at first that of the wall clock."""
+    view_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 8080
+    """Port of the page; where it is taken, the next free one."""
     precision: Literal["float32", "float64"] = "float32"
     """Arithmetic."""
     no_figure: bool = False
@@ -96,6 +106,8 @@ class Run:
             raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
         if self.policy_ticks != 1 and self.policy is None:
             raise UsageError(f"--policy-ticks {self.policy_ticks}: there is no --policy")
+        if self.policy_ticks != 1 and self.policy == BASELINE:
+            raise UsageError(f"--policy-ticks {self.policy_ticks}: the baseline is asked once in a step of its task")
         overrides = list(self.set)
         if self.duration is not None:
             if not (math.isfinite(self.duration) and self.duration > 0):
@@ -118,9 +130,15 @@ class Run:
             from qrsim.policies import load_function
 
             chosen = {"policy": self.policy, "estimator": self.estimator}
-            functions = {what: load_function(what, source) for what, source in chosen.items() if source is not None}
+            given = {what: source for what, source in chosen.items() if source not in (None, BASELINE)}
+            functions = {what: load_function(what, source) for what, source in given.items()}
+        policy_ticks = self.policy_ticks
+        if self.policy == BASELINE:
+            from qrsim.apps.run.baseline import baseline_policy
+
+            functions["policy"], policy_ticks = baseline_policy(scenario, self.seed, self.precision)
         try:
-            with _progress(scenario) as progress:
+            with _progress(scenario) as progress, self._page() as page:
                 return fly(
                     scenario,
                     folder,
@@ -129,13 +147,31 @@ class Run:
                     every=every,
                     realtime=self.realtime,
                     **functions,
-                    policy_ticks=self.policy_ticks,
+                    policy_ticks=policy_ticks,
                     progress=progress,
+                    view=page,
                 )
         except KeyboardInterrupt:
             if folder.exists():
                 print(f"interrupted; the log so far is in {folder}", file=sys.stderr)
             raise
+
+    @contextmanager
+    def _page(self) -> Iterator[LiveView | None]:
+        """Show the flight while the context lasts, where that is asked for."""
+        if not self.view:
+            yield None
+            return
+        from qrsim.view.clock import Clock
+        from qrsim.view.live import LiveView
+
+        page = LiveView(self.view_port, Clock())
+        # Not on standard output, which belongs to the result.
+        print(f"page: {page.address}", file=sys.stderr, flush=True)
+        try:
+            yield page
+        finally:
+            page.close()
 
     def _report(self, folder: Path, pace: Pace) -> None:
         from qrsim.logs import open_run

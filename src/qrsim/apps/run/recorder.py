@@ -19,6 +19,7 @@ from qrsim.simulation import History, Simulation
 
 if TYPE_CHECKING:
     from qrsim.piloting import Pilot
+    from qrsim.view.live import LiveView
 
 CHUNK_TICKS = 50
 REALTIME_CHUNK_S = 0.1
@@ -63,6 +64,7 @@ def fly(
     policy_ticks: int = 1,
     progress: Callable[[float, float], None] = lambda simulated_s, wall_s: None,
     command_line: Sequence[str] | None = None,
+    view: LiveView | None = None,
 ) -> Pace:
     """Fly a scenario from start to end and record it.
 
@@ -76,6 +78,7 @@ def fly(
         policy, estimator, policy_ticks: the user's own functions, see ``qrsim.policies``.
         progress: called after every chunk with simulated and wall time [s].
         command_line: words to note in the run folder, by default those of this process.
+        view: page that shows the flight, and says how fast it goes.
 
     Raises:
         UsageError: the folder exists, or ``every`` names no stream or is no integer from 1.
@@ -90,6 +93,8 @@ def fly(
     )  # fmt: skip
     make_parent(folder)
     simulation.reset()
+    if view is not None:
+        view.begin(simulation, f"{scenario.name}, seed {seed}")
     beginning, finder = simulation.history, EventFinder(simulation)
     wanted = columns(simulation.world, beginning)
     pilot = None if policy is None and estimator is None else _pilot(simulation, policy, estimator, policy_ticks)
@@ -106,10 +111,16 @@ def fly(
                     writer.append(stream, history.ticks, history.time, arrays[stream])
                 for event in finder.find(history):
                     writer.append_event(**event)
+            if view is not None:
+                view.offer(history, always=simulation.tick >= scenario.ticks)
+                for event in view.changes(simulation):
+                    writer.append_event(**event)
 
         keep(beginning)
         keep(first)
-        return _loop(simulation, scenario.ticks, (start_up, first_tick), realtime, pilot, keep, progress)
+        # A page has a clock of its own.
+        paced = realtime and view is None
+        return _loop(simulation, scenario.ticks, (start_up, first_tick), paced, pilot, keep, progress, view)
 
 
 def _pilot(simulation: Simulation, policy: Any, estimator: Any, policy_ticks: int) -> Pilot:
@@ -147,13 +158,15 @@ def _loop(
     pilot: Pilot | None,
     keep: Callable[[History], None],
     progress: Callable[[float, float], None],
+    view: LiveView | None = None,
 ) -> Pace:
     chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step))) if realtime else CHUNK_TICKS
     start = time.perf_counter()
     first = simulation.time
     overruns = 0
     while simulation.tick < ticks:
-        keep(_record(simulation, min(chunk, ticks - simulation.tick), pilot))
+        count = min(chunk, ticks - simulation.tick)
+        keep(_record(simulation, count if view is None else view.wait(count), pilot))
         flown, wall = simulation.time - first, time.perf_counter() - start
         if realtime and flown > wall:
             time.sleep(flown - wall)

@@ -20,6 +20,7 @@ from qrsim.errors import RunError, UsageError
 if TYPE_CHECKING:
     from qrsim.apps.serve.server import Options
     from qrsim.scenarios.scenario import Scenario
+    from qrsim.view.live import LiveView
 
 MOST_LINES, STANDARD_OUTPUT = 1000, 1
 
@@ -39,7 +40,7 @@ class Serve:
 
     Example:
       qrsim serve
-      qrsim serve keep_spot --realtime 1
+      qrsim serve keep_spot --realtime 1 --view
       qrsim serve my_scenario.yaml --sessions --record runs/served
     """
 
@@ -71,6 +72,10 @@ class Serve:
     """Most connections at a time."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: not recorded)")] = None
     """Folder for run folders, one for each start of a task."""
+    view: bool = False
+    """Show the simulation in three dimensions on a page for a browser; its address is printed. Not with --sessions."""
+    view_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 8080
+    """Port of the page; where it is taken, the next free one."""
 
     def run(self) -> None:
         """Check, compile, serve."""
@@ -87,12 +92,19 @@ class Serve:
 
         log = _Log()
 
+        def ready(host: str, port: int) -> None:
+            log.say(f"qrsim serves on {host}:{port}")
+            if options.view is not None:
+                log.say(f"page: {options.view.address}")
+
         async def serve() -> None:
-            await Server(options, tasks, log.say).serve(lambda host, port: log.say(f"qrsim serves on {host}:{port}"))
+            await Server(options, tasks, log.say).serve(ready)
 
         try:
             asyncio.run(serve())
         finally:
+            if options.view is not None:
+                options.view.close()
             log.close()
 
     def _options(self) -> Options:
@@ -115,8 +127,17 @@ class Serve:
                 raise RunError(f"--record {self.record}: {error.strerror or error}") from None
         return Options(
             self.host, self.port, checked_factor(self.realtime or 0.0), self.allow_quit, self.max_clients, self.record,
-            self.sessions, self.seed,
+            self.sessions, self.seed, self._page(),
         )  # fmt: skip
+
+    def _page(self) -> LiveView | None:
+        if not self.view:
+            return None
+        if self.sessions:
+            raise UsageError("--view: it shows one simulation, and with --sessions there are several")
+        from qrsim.view.live import LiveView
+
+        return LiveView(self.view_port)
 
     def _check_host(self) -> None:
         if self.host == "localhost":

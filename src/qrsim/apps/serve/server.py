@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from qrsim.apps.serve.connection import MOST_WAITING, Connection
 from qrsim.apps.serve.requests import HANDLERS, NEEDED
@@ -21,6 +21,9 @@ from qrsim.apps.serve.session import Session, Wishes
 from qrsim.apps.serve.tasks import Tasks
 from qrsim.errors import RunError, UsageError
 from qrsim.protocol.qrsim_pb2 import Message
+
+if TYPE_CHECKING:
+    from qrsim.view.live import LiveView
 
 T = TypeVar("T")
 # A step that takes less than this is done at once: to hand it to another thread would take as long.
@@ -43,6 +46,7 @@ class Options:
     record: Path | None = None
     sessions: bool = False
     seed: int = 0
+    view: LiveView | None = None
 
 
 @dataclass
@@ -187,7 +191,7 @@ class Server:
         self._watching.pop(connection, None)
         self._opened += 1
         self._opening += 1
-        session = Session(self._opened, wishes)
+        session = Session(self._opened, wishes, self.options.view)
         try:
             await asyncio.get_running_loop().run_in_executor(session.thread, session.begin)
         except BaseException:

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from qrsim.logs.streams import STREAMS, EventFinder, columns, values
 from qrsim.protocol.qrsim_pb2 import Arrayd, Events, State, Step
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation import History, Simulation
+
+if TYPE_CHECKING:
+    from qrsim.view.live import LiveView
 
 WIDTHS = {Step.WP: 4, Step.CTRL: 5, Step.VEL: 3}
 # How far a dt, often a sum of rounded numbers, may be from a whole number of time steps: in time steps, and of itself.
@@ -68,8 +71,9 @@ class Session:
     readout: Readout
     pacer: Pacer
 
-    def __init__(self, number: int, wishes: Wishes):
+    def __init__(self, number: int, wishes: Wishes, view: LiveView | None = None):
         self.number = number
+        self._view = view
         self.scenario = wishes.scenario
         self.thread = ThreadPoolExecutor(1, thread_name_prefix=f"session-{number}")
         self._wishes = wishes
@@ -106,6 +110,8 @@ class Session:
             self.warm()
         self._start_episode()
         self.pacer = Pacer(wishes.realtime, 0.0)
+        if self._view is not None:
+            self._view.begin(self.simulation, f"{scenario.name}, session {self.number}")
 
     def warm(self) -> None:
         """Compile every kind of step, from and to the start."""
@@ -130,6 +136,8 @@ class Session:
         self.simulation.reset(seed)
         self._start_episode()
         self.pacer.restarted()
+        if self._view is not None:
+            self._view.show(self.simulation)
 
     def _start_episode(self) -> None:
         self.readout = Readout(self.simulation)
@@ -231,6 +239,9 @@ class Session:
         # What is too large for the simulation's numbers becomes infinite, and is refused as such.
         with np.errstate(over="ignore"):
             self._advance(command, ticks)
+        if self._view is not None:
+            self._view.show(self.simulation)
+            self._keep_events(self._view.changes(self.simulation))
         # The first call compiles, which says nothing about the next one.
         known = type(command) in self._seconds
         self._seconds[type(command)] = (time.perf_counter() - begun, ticks) if known else (PIECE_S, PIECE_TICKS)
@@ -254,6 +265,8 @@ class Session:
             raise UsageError(f"X of vehicle {i} ('{self.simulation.vehicle_names[i]}') is not finite")
         with np.errstate(over="ignore"):
             self.simulation.set_state(rows)
+        if self._view is not None:
+            self._view.show(self.simulation)
 
     def state_with_reasons(self) -> State:
         """Return the state with why each vehicle is invalid."""
@@ -266,24 +279,29 @@ class Session:
     def _keep(self, history: History) -> None:
         assert self._finder is not None
         found = self._finder.find(history)
-        if self._wishes.events:
-            self._events.extend(found)
-            while len(self._events) > MOST_EVENTS:
-                self._events.popleft()
-                self._lost_events += 1
         if self._writer is None:
+            self._keep_events(found)
             return
         arrays = values(self.simulation.world, history, self._columns)
         try:
             with self._writer.together():
                 for stream in STREAMS:
                     self._writer.append(stream, history.ticks, history.time, arrays[stream])
-                for event in found:
-                    self._writer.append_event(**event)
+                self._keep_events(found)
         except RunError as error:
             # The client flies on: it is the operator who has no room.
             warn_user(f"session {self.number} is no longer recorded: {error}")
             self._writer = None
+
+    def _keep_events(self, found: list[dict[str, Any]]) -> None:
+        if self._wishes.events:
+            self._events.extend(found)
+            while len(self._events) > MOST_EVENTS:
+                self._events.popleft()
+                self._lost_events += 1
+        if self._writer is not None:
+            for event in found:
+                self._writer.append_event(**event)
 
     def events(self) -> Events:
         """Return the events since the last call.

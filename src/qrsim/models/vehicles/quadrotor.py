@@ -175,11 +175,16 @@ class Quadrotor:
     def thrust_rate(self, thrust: Array, throttle: Array, battery: Array, dt: float) -> Array:
         """Return dF/dt [N/s] (eqs. 1-3) from thrust [N], throttle [0, 1] and battery [V]."""
         raw = throttle * THROTTLE_RAW_PER_UNIT
-        wanted = self.cth0 + raw * (self.cth1 + raw * self.cth2)
+        wanted = self.wanted_thrust(throttle)
         ceiling = self.cvb0 + self.cvb1 * battery
         missing = jnp.minimum(wanted, ceiling) - thrust
         limited = jnp.clip(missing / dt, -self.tau1, self.tau1)
         return jnp.where(raw < self.throttle_min_raw, self.tau0 * missing, limited)
+
+    def wanted_thrust(self, throttle: Array) -> Array:
+        """Return the thrust [N] that a throttle [0, 1] asks for."""
+        raw = throttle * THROTTLE_RAW_PER_UNIT
+        return self.cth0 + raw * (self.cth1 + raw * self.cth2)
 
     def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
         """Return the stabilised body's angular acceleration [rad/s^2] (eqs. 4-5)."""

@@ -1,0 +1,144 @@
+"""What the 3-D page costs: updates and bytes a second without browsers and with two, and how it slows a simulation."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import _common
+
+HEADINGS = {
+    "what": "what",
+    "vehicles": "vehicles",
+    "clients": "clients",
+    "per_second": "updates/s",
+    "cpu_ms": "CPU [ms/update]",
+    "client_bytes_per_second": "bytes/s, each",
+    "missed": "missed",
+}
+CLIENT = Path(__file__).with_name("_view_client.py")
+FRAMES_HZ = 30.0
+
+
+@contextlib.contextmanager
+def clients(address: str, count: int) -> Iterator[list[dict[str, Any]]]:
+    """Let processes fetch a page as browsers do; what they got is in the list afterwards."""
+    found: list[dict[str, Any]] = []
+    command = [sys.executable, str(CLIENT), address]
+    processes = [
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(count)
+    ]
+    try:
+        yield found
+    finally:
+        found.extend(json.loads(process.communicate("")[0]) for process in processes)
+
+
+def simulation(count: int) -> Any:
+    """Return a simulation of the default scenario with so many vehicles, reset."""
+    import qrsim
+
+    found = qrsim.Simulation(qrsim.load_scenario(_common.patrol(count)).world(), seed=1)
+    found.reset()
+    return found
+
+
+def updates(count: int, browsers: int, seconds: float, pace: float | None) -> dict[str, Any]:
+    """Draw frames that all differ, at a pace [Hz] or as fast as can be."""
+    from qrsim.view.frame import cast_of, frame_of
+    from qrsim.view.page import Page
+    from qrsim.view.server import address, start_server
+
+    flown = simulation(count)
+    first = frame_of(flown.state, 0.0)
+    flown.record(1)
+    second = frame_of(flown.state, flown.time)
+    server = start_server(0)
+    page = Page(server, cast_of(flown.world, first.position_ned), flown.world, "benchmark", None)
+    page.draw(first, everything=True)
+    with clients(address(server), browsers) as got:
+        deadline = time.perf_counter() + 30.0
+        while len(page._delivery._buffer.generator_cursors) < browsers and time.perf_counter() < deadline:
+            time.sleep(0.05)
+        begun, cpu, drawn = time.perf_counter(), time.process_time(), 0
+        while (now := time.perf_counter() - begun) < seconds:
+            if pace is not None and now * pace < drawn:
+                time.sleep(drawn / pace - now)
+            page.draw(second if drawn % 2 else first)
+            drawn += 1
+        elapsed, spent = time.perf_counter() - begun, time.process_time() - cpu
+    server.stop()
+    fetched = sum(client["bytes"] / client["seconds"] for client in got)
+    return {
+        "what": "as fast as can be" if pace is None else f"{pace:g} Hz",
+        "vehicles": count,
+        "clients": browsers,
+        "per_second": drawn / elapsed,
+        "cpu_ms": 1e3 * spent / drawn,
+        "client_bytes_per_second": fetched / browsers if browsers else None,
+        "missed": page._delivery.missed,
+    }
+
+
+def factor(count: int, duration: float, browsers: int | None) -> tuple[float, float]:
+    """Return simulated seconds per second of a recorded run, and frames drawn per second; None: without a page."""
+    import qrsim
+    from qrsim.apps.run.recorder import fly
+    from qrsim.view.clock import Clock
+    from qrsim.view.live import LiveView
+
+    scenario = qrsim.load_scenario(_common.patrol(count), [f"duration={duration}"])
+    view = None if browsers is None else LiveView(0, Clock(float("inf")))
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
+        if view is not None:
+            stack.callback(view.close)
+            stack.enter_context(clients(view.address, browsers or 0))
+        pace = fly(scenario, Path(folder) / "run", seed=1, precision="float32", view=view)
+        drawn = 0 if view is None or view._page is None else view._page.drawn
+    return pace.real_time_factor, drawn / pace.wall_s
+
+
+def slowdown(count: int, duration: float, repeats: int) -> list[dict[str, Any]]:
+    """Fly with and without a page in turns, and compare the medians."""
+    factor(count, 1.0, None)
+    plain, seen, frames = [], [], []
+    for _ in range(repeats):
+        plain.append(factor(count, duration, None)[0])
+        speed, drawn = factor(count, duration, 1)
+        seen.append(speed)
+        frames.append(drawn)
+    without, with_page = statistics.median(plain), statistics.median(seen)
+    nothing = {"cpu_ms": None, "client_bytes_per_second": None, "missed": None}
+    return [
+        {"what": "run, times real time", "vehicles": count, "clients": 0, "per_second": without, **nothing},
+        {"what": "run with page", "vehicles": count, "clients": 1, "per_second": with_page, **nothing},
+        {"what": "its frames", "vehicles": count, "clients": 1, "per_second": statistics.median(frames), **nothing},
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    chosen = _common.options(__doc__ or "", arguments)
+    on = _common.machine()
+    sizes, seconds = ((2,), 0.5) if chosen.quick else ((1, 100, 1000, 10_000), 4.0)
+    results = [
+        updates(count, browsers, seconds, pace) for count in sizes for browsers in (0, 2) for pace in (FRAMES_HZ, None)
+    ]
+    results += slowdown(2, 2.0, 1) if chosen.quick else slowdown(1000, 30.0, 5)
+    title = "The 3-D page, server side; every frame differs from the last"
+    _common.publish("view", title, on, results, HEADINGS, chosen.json)
+    if not chosen.json:
+        slower = 1.0 - results[-2]["per_second"] / results[-3]["per_second"]
+        print(f"with the page the run is {100.0 * slower:.1f} % slower")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,171 @@
+"""From a log to laws: evolution on the first part, scores on the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from qrsim.apps.discover.evolution import Evolution, Proposal
+from qrsim.apps.discover.flight import LEAVES, LEFT_SIDES, Flight, Floats, Rule, fly, windows_of
+from qrsim.apps.discover.proposals import count_constants, monomials, rule_of, shown, symbolic
+from qrsim.flight_logs import FlightLog
+from qrsim.models.vehicles.quadrotor import (
+    PITCH_ROLL_RAD_PER_RAW,
+    THROTTLE_RAW_PER_UNIT,
+    YAW_RATE_RAD_S_PER_RAW,
+    Quadrotor,
+)
+
+TRAIN, STEPS, WINDOWS = 0.6, 15, 80
+MASS = 1.68
+
+
+@dataclass(frozen=True)
+class Law:
+    """One law that was found.
+
+    Attributes:
+        name: of the law.
+        chosen: its tree and constants.
+        front: (nodes, error) of the Pareto front, smallest first.
+        expression: of SymPy, multiplied out.
+    """
+
+    name: str
+    chosen: Proposal
+    front: list[tuple[int, float]]
+    expression: Any
+
+    @property
+    def terms(self) -> dict[tuple[int, ...], float] | None:
+        """The coefficients by powers of the leaves, None where it is no polynomial."""
+        return monomials(self.expression, self.name)
+
+    @property
+    def text(self) -> str:
+        """The equation."""
+        return f"{LEFT_SIDES[self.name]} = {shown(self.expression)}"
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """What was found.
+
+    Attributes:
+        laws: by name.
+        held_out: mean squared error of each channel over the rest of the log, open loop: "published", "discovered".
+        flights: of the rest, (C, H) recorded and by the two sets of laws.
+        names: of the channels.
+    """
+
+    laws: dict[str, Law]
+    held_out: dict[str, dict[str, float]]
+    flights: dict[str, Floats]
+    names: tuple[str, ...]
+    dt: float
+
+    def vehicle(self, mass: float) -> dict[str, Any]:
+        """Return the vehicle as scenarios write it."""
+        laws = {f"{name}_law": str(law.expression) for name, law in self.laws.items() if name != "drag"}
+        content: dict[str, Any] = {"type": "expression", "mass": mass, **laws}
+        drag = self.laws["drag"].terms if "drag" in self.laws else None
+        # A drag that is proportional to the velocity is a constant of the vehicle; others have no place in it yet.
+        if drag is not None and set(drag) == {(1,)} and drag[(1,)] < 0.0:
+            content["kuv"] = drag[(1,)]
+        return content
+
+
+def discover(
+    log: FlightLog,
+    seed: int,
+    generations: int,
+    population: int,
+    mass: float = MASS,
+    train: float = TRAIN,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Discovery:
+    """Evolve laws on the first share ``train`` of a log and score them on the rest.
+
+    Raises:
+        UsageError: signals are missing, or the log is too short.
+    """
+    evolution = Evolution(windows_of(log, 0.0, train, STEPS, WINDOWS), mass, population, seed)
+    evolution.run(generations, progress)
+    laws = {}
+    for name, each in evolution.populations.items():
+        best = each.chosen(evolution.windows)
+        front = [(p.size, p.error) for p in each.pareto()]
+        laws[name] = Law(name, best, front, symbolic(best.tree, best.constants))
+    rest = _rest(log, train)
+    found = {name: (rule_of(law.chosen.tree, name), law.chosen.constants[:, None]) for name, law in laws.items()}
+    flights = {
+        "recorded": rest.recorded[:, :, 0],
+        "published": _flown(rest, published(), mass),
+        "discovered": _flown(rest, found, mass),
+    }
+    scores = {
+        name: dict(
+            zip(rest.names, np.mean(np.square(flights[name] - flights["recorded"]), axis=1).tolist(), strict=True)
+        )
+        for name in ("published", "discovered")
+    }
+    return Discovery(laws, scores, flights, rest.names, log.dt)
+
+
+def _rest(log: FlightLog, train: float) -> Flight:
+    """Return the rest of a log as one window, up to its first gap."""
+    rows = len(log.time)
+    most = rows - round(train * rows) - 2 - 8
+    for steps in (most, most // 2, most // 4, most // 8):
+        try:
+            return windows_of(log, train, 1.0, steps, 1)
+        except ValueError:
+            continue
+    return windows_of(log, train, 1.0, STEPS, 1)
+
+
+def _flown(flight: Flight, laws: Mapping[str, tuple[Rule, Floats]], mass: float) -> Floats:
+    rules = {name: laws[name][0] for name in flight.laws}
+    return fly(flight, rules, {name: laws[name][1] for name in flight.laws}, mass)[:, :, 0, 0]
+
+
+def published() -> dict[str, tuple[Rule, Floats]]:
+    """Return the published laws in the same form."""
+    v = Quadrotor()
+    tilt, yaw = v.kpq0 * v.kpq1 / PITCH_ROLL_RAD_PER_RAW, v.kr0 / YAW_RATE_RAD_S_PER_RAW
+    values: dict[str, tuple[float, ...]] = {
+        "thrust": (v.cth0, v.cth1 * THROTTLE_RAW_PER_UNIT, v.cth2 * THROTTLE_RAW_PER_UNIT**2),  # type: ignore[dict-item]
+        "tilt": (tilt, -v.kpq1, v.kpq2),  # type: ignore[dict-item]
+        "yaw": (yaw, v.kr1),  # type: ignore[dict-item]
+        "drag": (v.kuv,),  # type: ignore[dict-item]
+    }
+    rules: dict[str, Rule] = {
+        "thrust": lambda a, b, c, u: a + u * (b + c * u),
+        "tilt": lambda a, b, c, u, angle, rate: a * u + b * angle + c * rate,
+        "yaw": lambda a, b, u, rate: a * u + b * rate,
+        "drag": lambda a, u: a * u,
+    }
+    return {name: (rules[name], np.array(values[name], np.float64)[:, None]) for name in LEAVES}
+
+
+# The powers of the leaves in each published law.
+PUBLISHED_TERMS = {
+    "thrust": {(0,), (1,), (2,)},
+    "tilt": {(1, 0, 0), (0, 1, 0), (0, 0, 1)},
+    "yaw": {(1, 0), (0, 1)},
+    "drag": {(1,)},
+}
+
+
+def is_published(law: Law) -> bool:
+    """Return whether a law has the published structure, or is algebraically equal to one that has."""
+    terms = law.terms
+    return terms is not None and set(terms) == PUBLISHED_TERMS[law.name]
+
+
+def constants_of(law: Law) -> int:
+    """Return the number of constants of a law as it was found."""
+    return count_constants(law.chosen.tree)

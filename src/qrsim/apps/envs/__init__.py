@@ -1,0 +1,78 @@
+"""Tasks as environments: Gymnasium, PettingZoo, and pure functions of JAX. Importing this registers them.
+
+``gymnasium.make("qrsim/keep_spot-v0")``, ``gymnasium.make_vec("qrsim/keep_spot-v0", num_envs=1024)``,
+``qrsim.apps.envs.parallel_env("cats_and_mouse/1C")``, ``qrsim.apps.envs.Functional.of("keep_spot")``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from qrsim.apps.envs.functional import Functional
+from qrsim.errors import UsageError
+
+if TYPE_CHECKING:
+    from qrsim.apps.envs.parallel import ParallelTask
+
+# Scenarios with one vehicle to command, and with several.
+SINGLE = (
+    "keep_spot",
+    "goto_waypoint",
+    "keep_velocity",
+    "search_and_rescue/2A",
+    "search_and_rescue/2B",
+    "plume_mapping/3A",
+    "plume_mapping/3B",
+    "plume_mapping/3C",
+    "plume_mapping/3E",
+    "plume_mapping/3F",
+)
+SEVERAL = (
+    "keep_spot_10",
+    "cats_and_mouse/1A",
+    "cats_and_mouse/1B",
+    "cats_and_mouse/1C",
+    "search_and_rescue/2C",
+    "search_and_rescue/2D",
+    "plume_mapping/3D",
+    "plume_mapping/3G",
+)
+
+__all__ = ["SEVERAL", "SINGLE", "Functional", "gymnasium_id", "parallel_env", "register"]
+
+
+def gymnasium_id(scenario: str) -> str:
+    """Return the name that a scenario has in Gymnasium."""
+    return f"qrsim/{scenario.replace('/', '_')}-v0"
+
+
+def register() -> None:
+    """Make the environments with one vehicle known to Gymnasium, where it is installed."""
+    try:
+        import gymnasium
+    except ModuleNotFoundError:
+        return
+    for scenario in SINGLE:
+        if gymnasium_id(scenario) not in gymnasium.registry:
+            gymnasium.register(
+                gymnasium_id(scenario),
+                entry_point="qrsim.apps.envs.single:SingleTask",
+                vector_entry_point="qrsim.apps.envs.vector:VectorTask",
+                kwargs={"scenario": scenario},
+            )
+
+
+def parallel_env(scenario: Any, **options: Any) -> ParallelTask:
+    """Return the PettingZoo environment of a scenario; see ``ParallelTask``.
+
+    Raises:
+        UsageError: PettingZoo is not installed.
+    """
+    try:
+        from qrsim.apps.envs.parallel import ParallelTask
+    except ModuleNotFoundError as error:
+        raise UsageError(f"{error.name} is not installed; install qrsim[envs]") from None
+    return ParallelTask(scenario, **options)
+
+
+register()

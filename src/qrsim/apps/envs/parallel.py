@@ -1,0 +1,127 @@
+"""A task of several vehicles as a parallel environment of PettingZoo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+from qrsim.apps.envs.batch import Batch
+from qrsim.apps.envs.single import split_answer
+from qrsim.apps.envs.spaces import action_space, observation_space
+from qrsim.errors import UsageError, did_you_mean
+
+
+class ParallelTask(ParallelEnv):  # type: ignore[misc]
+    """A task whose agents are the vehicles of a fleet; other fleets, such as the mouse, are part of the world.
+
+    All agents act at once, and their episode ends for all together: terminated when any vehicle of the world has
+    stopped, truncated after the last step.
+
+    Args:
+        scenario: as ``qrsim.load`` takes it.
+        overrides: assignments such as "world.wind.speed_20ft=7".
+        precision: float32 or float64.
+        render_mode: None; nothing is drawn.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "name": "qrsim"}  # noqa: RUF012
+
+    def __init__(
+        self,
+        scenario: str | Path | dict[str, Any],
+        overrides: Iterable[str] = (),
+        precision: str = "float32",
+        render_mode: str | None = None,
+    ):
+        if render_mode is not None:
+            raise UsageError(f"render_mode: {render_mode!r}; allowed: None")
+        self.render_mode = None
+        self.batch = Batch(scenario, 1, overrides, precision)
+        self.metadata = {**self.metadata, "name": self.batch.functional.name}
+        self.possible_agents = list(self.batch.functional.agents)
+        self.agents: list[str] = []
+        self.batch.reset(np.zeros(1, np.int64))
+        self.action_spaces: dict[str, spaces.Space[Any]] = {
+            agent: action_space(self.batch) for agent in self.possible_agents
+        }
+        self.observation_spaces: dict[str, spaces.Space[Any]] = {
+            agent: observation_space(self.batch.seen) for agent in self.possible_agents
+        }
+        self._seeded = False
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """Return what an agent can see."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """Return what an agent can do."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Start an episode; without a seed the next one of the series."""
+        if seed is None and self._seeded:
+            self.batch.again(np.zeros(1, np.int64))
+        else:
+            first = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
+            self.batch.reset(np.array([first]))
+        self._seeded = True
+        self.agents = list(self.possible_agents)
+        return self._seen(), self._truth()
+
+    def step(
+        self, actions: dict[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Advance by a step.
+
+        Raises:
+            UsageError: the episode has ended, an agent has no action or is unknown, or an action is of another shape,
+                not finite, out of range or incomplete.
+        """
+        if not self.agents:
+            raise UsageError("the episode has ended, or has not begun: call reset()")
+        for agent in actions:
+            if agent not in self.agents:
+                raise UsageError(f"actions: no agent is called '{agent}'{did_you_mean(str(agent), self.agents)}")
+        missing = [agent for agent in self.agents if agent not in actions]
+        if missing:
+            raise UsageError(f"actions: there is none for {', '.join(missing)}")
+        parts = [split_answer(self.batch, actions[agent], f"action of {agent}") for agent in self.agents]
+        width = (len(self.batch.functional.play.task.axes),)
+        for agent, (flight, _) in zip(self.agents, parts, strict=True):
+            if np.shape(flight) != width:
+                raise UsageError(f"action of {agent}: expected shape {width}, found {np.shape(flight)}")
+        rewards, terminated, truncated = self.batch.step(np.stack([np.asarray(flight) for flight, _ in parts])[None])
+        totals = rewards[0].astype(float)
+        if parts[0][1] is not None and truncated[0]:
+            totals += self.batch.score(0, np.stack([np.asarray(answer) for _, answer in parts]))
+        agents = self.agents
+        found = (
+            self._seen(),
+            dict(zip(agents, map(float, totals), strict=True)),
+            dict.fromkeys(agents, bool(terminated[0])),
+            dict.fromkeys(agents, bool(truncated[0])),
+            self._truth(),
+        )
+        if terminated[0] or truncated[0]:
+            self.agents = []
+        return found
+
+    def _seen(self) -> dict[str, Any]:
+        return {
+            agent: jax.tree.map(lambda leaf, i=i: leaf[0, i].copy(), self.batch.seen)
+            for i, agent in enumerate(self.possible_agents)
+        }
+
+    def _truth(self) -> dict[str, dict[str, Any]]:
+        return {
+            agent: {name: leaf[0, i].copy() for name, leaf in self.batch.truth.items()}
+            for i, agent in enumerate(self.possible_agents)
+        }

@@ -1,0 +1,31 @@
+"""Gymnasium's spaces of what agents do and see."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from qrsim.apps.envs.batch import Batch
+
+SAMPLES, VELOCITY = "samples", "velocity"
+
+
+def action_space(batch: Batch) -> spaces.Space[Any]:
+    """Return the space of one agent: numbers in [-1, 1]; with what is handed in where a task asks for that."""
+    play = batch.functional.play
+    flight = spaces.Box(-1.0, 1.0, (len(play.task.axes),), batch.dtype.type)
+    if not hasattr(play.task, "answer_shape"):
+        return flight
+    shape = play.task.answer_shape(play.world)
+    return spaces.Dict({SAMPLES: spaces.Box(0.0, np.inf, shape, batch.dtype.type), VELOCITY: flight})
+
+
+def observation_space(seen: Any) -> spaces.Space[Any]:
+    """Return the space of what one agent sees, from arrays (B, n, ...) of what all see."""
+    if isinstance(seen, dict):
+        return spaces.Dict({name: observation_space(part) for name, part in seen.items()})
+    if np.issubdtype(seen.dtype, np.integer):
+        return spaces.Box(0, np.iinfo(seen.dtype).max, seen.shape[2:], seen.dtype.type)
+    return spaces.Box(-np.inf, np.inf, seen.shape[2:], seen.dtype.type)

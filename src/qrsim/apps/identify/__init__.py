@@ -1,0 +1,1 @@
+"""``qrsim identify``: the constants of a vehicle from its flight logs."""

@@ -1,0 +1,203 @@
+"""What a flight leaves behind for an estimator that smooths it: states at a slower rate, and all commands between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from qrsim.configuration import QUICK_TO_COMPILE
+from qrsim.core.noise import Drawn
+from qrsim.core.tree import cast
+from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.errors import RunError, UsageError
+from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
+
+Floats = np.ndarray[Any, np.dtype[np.float64]]
+POSITION, ATTITUDE, VELOCITY, RATES, THRUST = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), 12
+SIZE = 13
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A flight of one vehicle as T + 1 states with ``ticks`` simulator steps from each to the next.
+
+    Attributes:
+        name: of the run or of the noise, for messages and figures.
+        time_step: of the simulator [s].
+        ticks: K, steps between two states.
+        vehicle: its model, float64.
+        commands: (T, K, 5) as flown: pitch, roll [rad], throttle, yaw rate [rad/s], battery [V].
+        air_ned: (T, K, 3) mean wind, known as the commands are [m/s].
+        truth: (T + 1, 13) position NED, Euler angles, velocity and rates in body axes, thrust.
+        estimate: (T + 1, 13) the same as the vehicle's sensors have it; the thrust follows from the commands.
+        fixes: (T + 1, 2) north and east of the GNSS fix made at a state [m], NaN where none was.
+    """
+
+    name: str
+    time_step: float
+    ticks: int
+    vehicle: Quadrotor
+    commands: Floats
+    air_ned: Floats
+    truth: Floats
+    estimate: Floats
+    fixes: Floats
+
+    @property
+    def time(self) -> Floats:
+        """(T + 1,) time of each state since the first one [s]."""
+        return self.time_step * self.ticks * np.arange(len(self.truth), dtype=np.float64)
+
+    @property
+    def fix_error(self) -> Floats:
+        """(F, 2) fix minus truth at the fix epochs [m]."""
+        error = self.fixes - self.truth[:, :2]
+        return error[np.isfinite(error).all(axis=1)]
+
+    @property
+    def fix_period(self) -> float:
+        """Median interval between fixes [s]; raises RunError where there are fewer than two."""
+        epochs = np.flatnonzero(np.isfinite(self.fixes).all(axis=1))
+        if len(epochs) < 2:
+            raise RunError(f"{self.name}: {len(epochs)} GNSS fixes; at least 2 needed")
+        return float(np.median(np.diff(epochs))) * self.ticks * self.time_step
+
+    @property
+    def fix_std(self) -> float:
+        """Root mean square of the fixes' errors, over both axes [m]; raises RunError where there is no fix."""
+        if not len(self.fix_error):
+            raise RunError(f"{self.name}: there is no GNSS fix to measure the error of")
+        return float(np.sqrt(np.mean(np.square(self.fix_error))))
+
+
+@dataclass(frozen=True)
+class Believed:
+    """What the sensors said at ticks 0 to N, each (N + 1, 3): the vehicle's own estimate."""
+
+    position_ned: Floats
+    velocity_ned: Floats
+    attitude: Floats
+    rates_body: Floats
+
+
+def ticks_between(period: float, time_step: float, what: str = "state_period") -> int:
+    """Return a period in ticks.
+
+    Raises:
+        UsageError: it is not a whole positive number of them.
+    """
+    ticks = round(period / time_step) if np.isfinite(period) else 0
+    if ticks < 1 or abs(ticks * time_step - period) > 1e-9:
+        raise UsageError(f"{what}: {period:g} s is not a multiple of the simulator's step, {time_step:g} s")
+    return ticks
+
+
+def make_flight(
+    name: str,
+    time_step: float,
+    ticks: int,
+    vehicle: Quadrotor,
+    truth: Floats,
+    believed: Believed,
+    commands: Floats,
+    air_ned: Floats,
+    fixes: tuple[np.ndarray[Any, np.dtype[np.int64]], Floats],
+) -> Flight:
+    """Return a flight from what was recorded at ticks 0 to N, cut to a whole number of states.
+
+    Args:
+        name, time_step, ticks: see Flight.
+        vehicle: its model in any precision.
+        truth: (N + 1, 13).
+        believed: NaN where a sensor had nothing to say.
+        commands, air_ned: (N + 1, 5) and (N + 1, 3): row i is of the step that ends at tick i.
+        fixes: ticks (F,) and north and east (F, 2) [m].
+
+    Raises:
+        UsageError: shorter than two states.
+    """
+    count = (len(truth) - 1) // ticks
+    if count < 1:
+        raise UsageError(f"{name}: {len(truth) - 1} ticks are too few for two states {ticks} ticks apart")
+    last = count * ticks + 1
+    exact = cast(vehicle, np.float64)
+    between = commands[1:last].reshape(count, ticks, 5)
+    air = air_ned[1:last].reshape(count, ticks, 3)
+    sensed = [_filled(part[:last:ticks], name) for part in vars(believed).values()]
+    position, velocity, attitude, rates = sensed
+    start = np.concatenate([position[0], attitude[0], np.zeros(6), truth[0, THRUST:]])
+    thrust = dead_reckon(exact, start, between, air, time_step)[:, THRUST:]
+    body = to_body(attitude, velocity)
+    at_states = np.full((count + 1, 2), np.nan)
+    epochs, places = fixes
+    on_state = (epochs % ticks == 0) & (epochs < last)
+    at_states[epochs[on_state] // ticks] = places[on_state]
+    estimate = np.concatenate([position, attitude, body, rates, thrust], axis=1)
+    return Flight(name, time_step, ticks, exact, between, air, truth[:last:ticks], estimate, at_states)
+
+
+def _filled(values: Floats, name: str) -> Floats:
+    """Return values (T, 3) with the last one known where a row is NaN, as a controller believes them."""
+    known = np.isfinite(values).all(axis=1)
+    if not known.any():
+        raise RunError(f"{name}: a sensor that the estimate needs never had anything to say")
+    index = np.maximum.accumulate(np.where(known, np.arange(len(values)), np.argmax(known)))
+    return values[index]
+
+
+def to_body(attitude: Floats, velocity_ned: Floats) -> Floats:
+    """Return velocities (T, 3) in body axes."""
+    with jax.enable_x64(True):
+        turned = rotation(Euler(*map(jnp.asarray, attitude.T))).to_body(Vec3.of(jnp.asarray(velocity_ned)))
+        return np.asarray(turned.stack())
+
+
+def unpacked(x: Array) -> QuadrotorState:
+    """Return a state vector (13,) as the model takes it."""
+    return QuadrotorState(Vec3.of(x[POSITION]), Euler(*x[ATTITUDE]), Vec3.of(x[VELOCITY]), Vec3.of(x[RATES]), x[THRUST])
+
+
+def advance(vehicle: Quadrotor, x: Array, commands: Array, air_ned: Array, normals: Array, time_step: float) -> Array:
+    """Return the state (13,) after K ticks of the simulator's own model.
+
+    Args:
+        vehicle: its model.
+        x: (13,) state.
+        commands: (K, 5).
+        air_ned: (K, 3) [m/s].
+        normals: (K, 6) standard normals of the process noise.
+        time_step: [s].
+    """
+
+    def tick(state: QuadrotorState, inputs: tuple[Array, Array, Array]) -> tuple[QuadrotorState, None]:
+        command, air, normal = inputs
+        noise = vehicle.draw_noise(Drawn(tuple(normal)), time_step)
+        wind = Vec3.of(air)
+        after, _ = vehicle.step(state, Command(*command), lambda trig: trig.rotation().to_body(wind), noise, time_step)
+        return after, None
+
+    final, _ = lax.scan(tick, unpacked(x), (commands, air_ned, normals))
+    return jnp.stack(jax.tree.leaves(final))
+
+
+@partial(jax.jit, static_argnums=4, compiler_options=QUICK_TO_COMPILE)
+def _reckon(vehicle: Quadrotor, start: Array, commands: Array, air_ned: Array, time_step: float) -> Array:
+    def forward(x: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
+        quiet = jnp.zeros((inputs[0].shape[0], vehicle.normals))
+        after = advance(vehicle, x, *inputs, quiet, time_step)
+        return after, after
+
+    return lax.scan(forward, start, (commands, air_ned))[1]
+
+
+def dead_reckon(vehicle: Quadrotor, start: Floats, commands: Floats, air_ned: Floats, time_step: float) -> Floats:
+    """Return the states (T + 1, 13) that the model says the commands (T, K, 5) lead to, without any noise."""
+    with jax.enable_x64(True):
+        after = _reckon(vehicle, jnp.asarray(start), jnp.asarray(commands), jnp.asarray(air_ned), time_step)
+        return np.concatenate([start[None], np.asarray(after)])

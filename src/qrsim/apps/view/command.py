@@ -1,0 +1,112 @@
+"""``qrsim view``."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from qrsim.errors import UsageError
+
+if TYPE_CHECKING:
+    from qrsim.apps.view.recording import Recording
+
+
+@dataclass(frozen=True)
+class View:
+    """Replay a recorded run in three dimensions, in a browser.
+
+    Opens a web page that only this machine can reach: vehicles, true and estimated paths, GNSS positions, wind and
+    gusts, area and obstacles; with a time slider, layers, a camera that follows, and plots of readings against the
+    truth. Works on running, interrupted and killed runs too, up to the last flush. Ctrl-C ends it.
+
+    Needs viser: pip install 'qrsim[view]'. Pictures need a browser too: apt-get install chromium.
+
+    Example:
+      qrsim view runs/first
+      qrsim view runs/first --screenshot first.png --at 12.5
+      qrsim view runs/first --export first_page
+    """
+
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    """Run folder."""
+    export: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: no export)")] = None
+    """Write a page into this folder that plays the run without qrsim, and end."""
+    screenshot: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a picture (.png), and end."""
+    at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: see below)")] = None
+    """Time to begin at, or of the picture; by default the begin, and for a picture the end."""
+    port: int = 8080
+    """Port of the page; where it is taken, the next free one. 0: any that is free."""
+
+    def run(self) -> None:
+        """Check, and show."""
+        from qrsim.view.server import require_viser
+
+        require_viser()
+        self._check()
+        from qrsim.apps.view.recording import Recording
+        from qrsim.logs import open_run
+
+        recording = Recording(open_run(self.run_folder))
+        end = recording.end
+        if self.at is not None and self.at > end + 1e-6:
+            raise UsageError(f"--at {self.at:g}: the recording ends at {end:g} s")
+        if recording.shown > 1:
+            print(f"so long a log is shown at every {recording.shown}th of its ticks", file=sys.stderr)
+        if self.export is not None:
+            from qrsim.apps.view.film import export
+
+            print(export(recording, self.export))
+        if self.screenshot is not None:
+            self._photograph(recording, self.screenshot, end if self.at is None else self.at)
+        if self.export is None and self.screenshot is None:
+            self._serve(recording)
+
+    def _check(self) -> None:
+        if self.at is not None and not (math.isfinite(self.at) and self.at >= 0.0):
+            raise UsageError(f"--at {self.at:g}: expected a number of seconds from 0")
+        if self.screenshot is not None:
+            from qrsim.view.picture import check_name
+
+            check_name(self.screenshot)
+
+    def _photograph(self, recording: Recording, path: Path, time: float) -> None:
+        from qrsim.apps.view.replay import remember_paths
+        from qrsim.logs.writer import write_atomically
+        from qrsim.view.picture import photograph
+        from qrsim.view.scene import Scene
+        from qrsim.view.server import start_server
+
+        server = start_server(0)
+        try:
+            scene = Scene(server, recording.cast, recording.world)
+            frame = recording.frame(time)
+            remember_paths(scene, recording, frame.time)
+            scene.draw(frame, everything=True)
+            picture = photograph(server, f"{recording.heading}, {frame.time:.2f} s")
+        finally:
+            server.stop()
+        write_atomically(path, picture)
+        print(path)
+
+    def _serve(self, recording: Recording) -> None:
+        from qrsim.apps.view.replay import Replay
+        from qrsim.view.clock import SPEEDS, Clock
+        from qrsim.view.page import Page
+        from qrsim.view.server import address, start_server
+
+        server = start_server(self.port)
+        clock = Clock(playing=False, speeds=SPEEDS[:-1])
+        try:
+            page = Page(server, recording.cast, recording.world, recording.heading, clock)
+            replay = Replay(recording, page, clock, self.at or 0.0)
+            print(f"{recording.heading}, {recording.end:g} s: {address(server)}  (Ctrl-C ends it)", flush=True)
+            replay.run(threading.Event())
+        finally:
+            server.stop()

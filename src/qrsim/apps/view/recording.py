@@ -1,0 +1,219 @@
+"""A recorded run as frames."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import QrsimError, RunError, warn_user
+from qrsim.logs import Run
+from qrsim.logs.layout import EVENTS, INDEX, Event
+from qrsim.logs.summary import NOT_A_STOP
+from qrsim.view.frame import Cast, Frame, cast_of
+from qrsim.view.truth import ANGLES, AXES, true_values
+from qrsim.world_tree import World
+
+Floats = np.ndarray[Any, Any]
+# Times of vehicles that are kept in memory; of longer logs only every so-many-th tick is shown.
+MOST_POSES = 3_000_000
+# Of a plot [s].
+PLOT_S = 60.0
+
+
+class Columns:
+    """Vectors of one stream at the times that are kept.
+
+    Args:
+        run: what is read.
+        stream: its name.
+        vectors: name -> its three columns; one of None is NaN.
+
+    Attributes:
+        time: (T,) [s].
+    """
+
+    def __init__(self, run: Run, stream: str, vectors: dict[str, tuple[str, ...] | None]):
+        self._size = len(run.vehicles)
+        wanted = [column for columns in vectors.values() if columns for column in columns]
+        times, parts = [np.zeros(0)], {name: [np.zeros((0, self._size), np.float32)] for name in wanted}
+        if wanted:
+            self.stride = max(1, math.ceil(len(run[stream].time) * self._size / MOST_POSES))
+            seen = 0
+            for batch in run[stream].batches(wanted):
+                chosen = slice(-seen % self.stride, None, self.stride)
+                seen += len(batch.time)
+                times.append(batch.time[chosen])
+                for name in wanted:
+                    parts[name].append(batch.arrays[name][chosen].astype(np.float32))
+        self.time = np.concatenate(times)
+        arrays = {name: np.concatenate(found) for name, found in parts.items()}
+        self._vectors = {
+            name: np.stack([arrays[column] for column in columns], axis=-1)
+            for name, columns in vectors.items()
+            if columns
+        }
+
+    def at(self, name: str, time: Any) -> Floats:
+        """Return the last values (..., n, k) up to times (...) [s]; NaN where there are none."""
+        shape = (*np.shape(time), self._size, 3)
+        if name not in self._vectors or not len(self.time):
+            return np.full(shape, np.nan, np.float32)
+        # A time that was typed, or comes from a slider, may be a rounding below that of its tick.
+        rows = np.searchsorted(self.time, np.asarray(time) + 1e-6, side="right") - 1
+        return self._vectors[name][np.maximum(rows, 0)]
+
+
+class Recording:
+    """What was recorded, at any time.
+
+    Raises:
+        RunError: there is no flight in it, or it is damaged.
+
+    Attributes:
+        cast: who flew.
+        world: what there was; None where the scenario cannot be built any more.
+        time: (T,) times of the true states that are kept [s].
+        shown: every so-many-th tick is shown.
+    """
+
+    def __init__(self, run: Run):
+        self.run = run
+        if "truth" not in run or f"position_ned.{AXES[0]}" not in run["truth"]:
+            raise RunError(
+                f"{run.folder}: no true positions (truth.position_ned) were recorded, so nothing can be shown"
+            )
+        position, attitude = (_vector(run, "truth", *part) for part in (("position_ned", AXES), ("attitude", ANGLES)))
+        valid = ("valid",) if "valid" in run["truth"] else None
+        self._truth = Columns(run, "truth", {"position": position, "attitude": attitude, "valid": valid})
+        if not len(self._truth.time):
+            raise RunError(f"{run.folder}: not a single tick was recorded, so there is nothing to show")
+        self._measured = Columns(run, "measurements", {"fix": _fixes(run), "height": _heights(run)})
+        mean, gust = (_vector(run, "wind", name, AXES) for name in ("mean_ned", "gust_ned"))
+        self._wind = Columns(run, "wind", {"mean": mean, "gust": gust})
+        self.time, self.shown = self._truth.time, self._truth.stride
+        numbers = {name: i for i, name in enumerate(run.vehicles)}
+        self._stops = [(event, numbers[event.vehicle]) for event in _stops(run) if event.vehicle is not None]
+        self.world, self.cast = self._surroundings()
+        self._plotted: dict[str, Any] = {}
+
+    @property
+    def end(self) -> float:
+        """The last time [s]."""
+        return float(self.time[-1])
+
+    @property
+    def heading(self) -> str:
+        """What was flown, in a line."""
+        info, count = self.run.info, len(self.run.vehicles)
+        return f"{info.scenario}, seed {info.seed}, {count} vehicle{'s' if count != 1 else ''}"
+
+    def _surroundings(self) -> tuple[World | None, Cast]:
+        import yaml
+
+        from qrsim.scenarios.scenario import load_scenario
+
+        start = self._truth.at("position", self.time[0])
+        try:
+            world = load_scenario(yaml.safe_load(self.run.scenario_yaml)).world()
+            cast = cast_of(world, start)
+            if cast.names == self.run.vehicles:
+                return world, cast
+            why = "its vehicles are others"
+        except (QrsimError, yaml.YAMLError, OSError) as error:
+            why = str(error)
+        warn_user(f"{self.run.folder}: the recorded scenario cannot be built, so its area is not shown: {why}")
+        count = len(self.run.vehicles)
+        return None, Cast(self.run.vehicles, np.zeros(count, int), np.nan_to_num(start).astype(np.float64))
+
+    def frame(self, time: float) -> Frame:
+        """Return what was the case at a time [s]."""
+        row = max(0, int(np.searchsorted(self.time, time + 1e-6, side="right")) - 1)
+        now = float(self.time[row])
+        valid = self._truth.at("valid", now)[..., 0]
+        return Frame(
+            now,
+            self._truth.at("position", now),
+            self._truth.at("attitude", now),
+            self._estimate(now),
+            self._measured.at("fix", now),
+            self._wind.at("mean", now),
+            self._wind.at("gust", now),
+            ~(valid == 0.0),
+            {i: event.message.partition(", ")[2] for event, i in self._stops if event.time <= now + 1e-6},
+        )
+
+    def positions(self, times: Floats) -> Floats:
+        """Return the true positions (K, n, 3) at times (K,) [s]."""
+        return self._truth.at("position", times)
+
+    def estimates(self, times: Floats) -> Floats:
+        """Return where the sensors put the vehicles (K, n, 3) at times (K,) [s]: horizontal GNSS and the barometer."""
+        return self._estimate(times)
+
+    def _estimate(self, times: Any) -> Floats:
+        estimate = self._measured.at("fix", times).copy()
+        height = self._measured.at("height", times)[..., 0]
+        estimate[..., 2] = np.where(np.isfinite(height), -height, estimate[..., 2])
+        return estimate
+
+    # ---- plots ----
+
+    @property
+    def quantities(self) -> list[str]:
+        """What was measured, by name."""
+        return list(self.run["measurements"].columns()) if "measurements" in self.run else []
+
+    def plotted(self, vehicle: int, quantity: str, time: float) -> tuple[Floats, Floats, Floats]:
+        """Return (times, measured, true), each (K,), of the minute before a time [s]."""
+        times, measured = self._of_vehicle(vehicle, "measurements")
+        true_times, truth = self._of_vehicle(vehicle, "truth")
+        chosen = (times >= time - PLOT_S) & (times <= time + 1e-6)
+        rows = np.maximum(0, np.searchsorted(true_times, times[chosen] + 1e-6, side="right") - 1)
+        return times[chosen], measured[quantity][chosen], true_values(quantity, truth)[rows]
+
+    def _of_vehicle(self, vehicle: int, stream: str) -> tuple[Floats, dict[str, Floats]]:
+        """Return times (T,) and columns (T,) of one vehicle; those of the last one asked for are kept."""
+        if self._plotted.get("vehicle") != vehicle:
+            self._plotted = {"vehicle": vehicle}
+        if stream not in self._plotted:
+            names = [c.name for c in self.run.describe(stream)[len(INDEX) :] if c.dtype.startswith("float")]
+            times, parts = [], {name: [] for name in names}  # type: ignore[var-annotated]
+            for batch in self.run[stream].batches(names):
+                times.append(batch.time)
+                for name in names:
+                    parts[name].append(batch.arrays[name][:, vehicle].astype(np.float64))
+            self._plotted[stream] = (np.concatenate(times), {n: np.concatenate(found) for n, found in parts.items()})
+        found: tuple[Floats, dict[str, Floats]] = self._plotted[stream]
+        return found
+
+
+def _vector(run: Run, stream: str, name: str, parts: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Return the columns of a vector; None where one was not recorded."""
+    columns = tuple(f"{name}.{part}" for part in parts)
+    return columns if stream in run and all(column in run[stream] for column in columns) else None
+
+
+def _first(run: Run, ending: str) -> str | None:
+    """Return the name of the first measured quantity with this ending, without it."""
+    columns = run["measurements"].columns() if "measurements" in run else ()
+    return next((column.removesuffix(f".{ending}") for column in columns if column.endswith(f".{ending}")), None)
+
+
+def _fixes(run: Run) -> tuple[str, ...] | None:
+    sensor = _first(run, "position_ned.x")
+    return _vector(run, "measurements", f"{sensor}.position_ned", AXES) if sensor else None
+
+
+def _heights(run: Run) -> tuple[str, ...] | None:
+    sensor = _first(run, "height")
+    return (f"{sensor}.height",) if sensor else None
+
+
+def _stops(run: Run) -> list[Event]:
+    """Return why vehicles stopped, each once."""
+    if EVENTS not in run:
+        return []
+    found = {e.vehicle: e for e in reversed(run.events) if e.kind not in NOT_A_STOP and e.vehicle in run.vehicles}
+    return list(found.values())

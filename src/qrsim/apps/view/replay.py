@@ -1,0 +1,87 @@
+"""A page that plays a recorded run."""
+
+from __future__ import annotations
+
+import math
+import threading
+from typing import Any
+
+import numpy as np
+
+from qrsim.apps.view.recording import Recording
+from qrsim.view.clock import FRAME_S, SPEEDS, Clock
+from qrsim.view.page import Page
+from qrsim.view.scene import Scene
+
+# The slider is moved at every so-many-th frame.
+SLIDER_FRAMES = 5
+
+
+class Replay:
+    """Plays a recording.
+
+    Args:
+        recording: what is shown.
+        page: where; its clock says how fast.
+        time: to begin at [s].
+
+    Attributes:
+        time: simulated time that is shown [s].
+    """
+
+    def __init__(self, recording: Recording, page: Page, clock: Clock, time: float = 0.0):
+        self.recording, self.page, self.clock = recording, page, clock
+        self.time = time
+        self._lock = threading.Lock()
+        end = recording.end
+        step = max(0.01, round(end / 2000.0, 2))
+        with page.time_folder:
+            self._slider: Any = page.server.gui.add_slider("t [s]", 0.0, max(end, step), step, min(time, end))
+        self._slider.on_update(self._scrub)
+        if recording.quantities:
+            page.plotted = lambda vehicle, quantity: recording.plotted(vehicle, quantity, self.time)
+            page.add_plots(recording.quantities)
+        self.seek(time)
+
+    def _scrub(self, event: Any) -> None:
+        # What the program itself moved has no client.
+        if event.client is not None:
+            self.seek(self._slider.value)
+
+    def seek(self, time: float) -> None:
+        """Go to a time [s]."""
+        with self._lock:
+            self.time = min(max(0.0, time), self.recording.end)
+            self._show(everything=True)
+
+    def _show(self, everything: bool = False) -> None:
+        frame = self.recording.frame(self.time)
+        remember_paths(self.page.scene, self.recording, frame.time)
+        self.page.draw(frame, everything)
+        if everything or self.page.drawn % SLIDER_FRAMES == 0:
+            self._slider.value = self.time
+
+    def run(self, stop: threading.Event) -> None:
+        """Play until ``stop`` is set and the clock is closed; after the end, play begins anew."""
+        times = self.recording.time
+        step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+        most = math.ceil(2.0 * SPEEDS[-2] * FRAME_S / step)
+        while not stop.is_set():
+            count = self.clock.wait(step, most)
+            if stop.is_set():
+                return
+            with self._lock:
+                self.time = count * step if self.time >= self.recording.end else self.time + count * step
+                ended = self.time >= self.recording.end
+                self.time = min(self.time, self.recording.end)
+                if ended:
+                    self.clock.playing = False
+                self._show(everything=ended or not self.clock.playing)
+
+
+def remember_paths(scene: Scene, recording: Recording, time: float) -> None:
+    """Let the paths of a scene end at a time [s]."""
+    for paths, read in zip(scene.paths, (recording.positions, recording.estimates), strict=True):
+        if paths.root.visible:
+            times = paths.sample(time)
+            paths.remember(times, read(times))

@@ -1,0 +1,159 @@
+"""What is drawn once an episode, and what is in a world beside vehicles: its start and its part of a tick."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from qrsim.core.noise import Draw
+from qrsim.core.tree import replace
+from qrsim.errors import RunError
+from qrsim.models.camera import Picture
+from qrsim.models.contents import ContentsState, Surroundings
+from qrsim.models.persons import Persons
+from qrsim.models.uniform import uniform
+from qrsim.world_tree import (
+    PERSONS,
+    PLACEMENT,
+    PLUME,
+    RANGE,
+    TERRAIN,
+    Fleet,
+    FleetState,
+    Start,
+    State,
+    World,
+    WorldKeys,
+    period_ticks,
+    when_due,
+)
+
+
+def episode_streams(world: World) -> list[str]:
+    """Return the names of the streams of what is drawn once an episode."""
+    contents = world.contents
+    parts = ((PLUME, contents.plume), (TERRAIN, contents.terrain), (PERSONS, contents.persons))
+    names = [f"{name}/start" for name, part in parts if hasattr(part, "init")]
+    names += [f"{PLACEMENT}/{fleet.name}" for fleet in world.fleets if fleet.placement.random]
+    return names + [f"{RANGE}/{item.name}" for item in world.ranges]
+
+
+def episode_draws(world: World, keys: WorldKeys, like: Array) -> dict[str, Draw]:
+    """Return the draws of an episode by the names of their streams; whose ids they are, the user knows."""
+    sizes = {f"{PLACEMENT}/{fleet.name}": fleet.size for fleet in world.fleets}
+    sizes |= {
+        f"{PLUME}/start": world.contents.plume.ids,
+        f"{PERSONS}/start": getattr(world.contents.persons, "most", 0),
+    }
+    draws = {}
+    for i, name in enumerate(episode_streams(world)):
+        assert keys.episode is not None
+        ids = jnp.arange(sizes.get(name, 1), dtype=jnp.uint32)
+        draws[name] = Draw(keys.episode.stream(i, ids), jnp.int32(0), like)
+    return draws
+
+
+def refuse_unplaced(world: World, placed: Any) -> None:
+    """Raise an error where a fleet found no place to start.
+
+    Args:
+        world: whose fleets.
+        placed: ``State.placed`` on the host, of one world or of many.
+
+    Raises:
+        RunError: it names the fleet, the tries and the distance.
+    """
+    random = [fleet for fleet in world.fleets if fleet.placement.random]
+    for fleet, found in zip(random, placed, strict=True):
+        if not np.all(found):
+            place, number = fleet.placement, int(np.argmin(np.ravel(found)))
+            where = f" of world {number} of the batch" if np.ndim(found) else ""
+            raise RunError(
+                f"fleets.{fleet.name}.placement{where}: no place for {fleet.size} vehicles at least "
+                f"{float(place.apart):g} m apart in {place.tries} tries; take another seed, fewer vehicles, more tries "
+                "or less distance"
+            )
+
+
+def draw_ranges(world: World, draws: dict[str, Draw]) -> tuple[Array, ...]:
+    """Return a number () for each range of the world."""
+    return tuple(uniform(draws[f"{RANGE}/{item.name}"], 0, item.low, item.high)[0] for item in world.ranges)
+
+
+def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:
+    """Draw the plume, the ground and the persons of an episode."""
+    contents = world.contents
+    plume = terrain = persons = None
+    if hasattr(contents.plume, "init"):
+        plume = contents.plume.init(draws[f"{PLUME}/start"], world.area)
+    if hasattr(contents.terrain, "init"):
+        terrain = contents.terrain.init(draws[f"{TERRAIN}/start"])
+    if hasattr(contents.persons, "init"):
+        persons = contents.persons.init(draws[f"{PERSONS}/start"], contents.terrain.cells(terrain), world.area)
+    return ContentsState(plume, terrain, persons)
+
+
+def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Array | None]:
+    """Return where a fleet starts, and whether a place was found; None where it is given."""
+    if not fleet.placement.random:
+        return fleet.start, None
+    start, found = fleet.placement.place(draws[f"{PLACEMENT}/{fleet.name}"], fleet.start, world.area)
+    return start, found
+
+
+def surroundings(world: World, contents: ContentsState, tick: Array) -> Surroundings:
+    """Return what a sensor may look at of a world at a tick."""
+    return Surroundings(world.contents, contents, world.wind, world.area, tick, world.time_step)
+
+
+def step_contents(
+    world: World, state: State, fleets: tuple[FleetState, ...], due: Array, after: Array
+) -> ContentsState:
+    """Let puffs go, and see who is found by the vehicles at their new places."""
+    contents = state.contents
+    plume, persons = world.contents.plume, world.contents.persons
+    if state.contents_keys is not None:
+        ids = jnp.arange(plume.ids, dtype=jnp.uint32)
+        draw = Draw(state.contents_keys.stream(0, ids), after, jnp.zeros((), state.sky.range_error.dtype))
+        ticks = period_ticks(plume.period, world.time_step)
+        contents = replace(
+            contents, plume=when_due(ticks, due, lambda: plume.step(contents.plume, draw), contents.plume)
+        )
+    if contents.persons is not None:
+        vehicles = [
+            (fleet.vehicle.position_ned, fleet.vehicle.velocity_body.norm(), fleet.violation.code == 0)
+            for fleet in fleets
+        ]
+        position, speed, valid = jax.tree.map(lambda *parts: jnp.concatenate(parts), *vehicles)
+        ticks = period_ticks(persons.period, world.time_step)
+        contents = replace(
+            contents,
+            persons=when_due(
+                ticks, due, lambda: persons.step(contents.persons, position, speed, valid, after), contents.persons
+            ),
+        )
+    return contents
+
+
+def picture(world: World, state: State, number: int, camera: str) -> Picture:
+    """Return the picture that each vehicle (n,) of a fleet took last.
+
+    Args:
+        world: with the numbers of the episode.
+        state: of the world.
+        number: of the fleet.
+        camera: name of the sensor.
+    """
+    fleet, fleet_state = world.fleets[number], state.fleets[number]
+    index = fleet.sensor_names.index(camera)
+    ids = jnp.arange(fleet.size, dtype=jnp.uint32)
+    stream = state.fleet_keys[number].stream(fleet.stream_names.index(camera), ids)
+    # Whoever looks where nobody is to be found looks with windows of the usual size.
+    persons = world.contents.persons if hasattr(world.contents.persons, "size") else Persons()
+    around = surroundings(world, state.contents, jnp.int32(0))
+    found: Picture = fleet.sensors[index].develop(fleet_state.readings[index], around, stream, persons.size)
+    return found

@@ -1,0 +1,47 @@
+"""Which reader a file needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from qrsim.errors import UsageError, did_you_mean_file
+from qrsim.flight_logs.signals import FlightLog
+
+_ULOG_MAGIC = b"ULog"
+_DATAFLASH_HEADER = b"\xa3\x95"
+FORMATS = "PX4 ULog (.ulg), ArduPilot DataFlash (.bin), CSV with names and units, the public recordings"
+
+
+def read_log(path: Path) -> FlightLog:
+    """Read a flight log; its format is told by its content.
+
+    Raises:
+        UsageError: no such file, empty, no format that is known, or what the reader of the format finds wrong.
+    """
+    try:
+        with path.open("rb") as stream:
+            beginning = stream.read(4096)
+    except FileNotFoundError:
+        raise UsageError(f"{path}: no such file{did_you_mean_file(path)}") from None
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
+    if not beginning.strip():
+        raise UsageError(f"{path}: the file is empty; expected {FORMATS}")
+    if beginning.startswith(_ULOG_MAGIC):
+        from qrsim.flight_logs.ulog import read_ulog
+
+        return read_ulog(path)
+    if beginning.startswith(_DATAFLASH_HEADER):
+        from qrsim.flight_logs.dataflash import read_dataflash
+
+        return read_dataflash(path)
+    if b"\0" in beginning:
+        raise UsageError(f"{path}: neither ULog nor DataFlash nor text; expected {FORMATS}")
+    first = beginning.decode("utf-8-sig", errors="replace").partition("\n")[0]
+    if any(c.isalpha() for c in first.replace("e", "").replace("E", "").replace("nan", "")):
+        from qrsim.flight_logs.table import read_table
+
+        return read_table(path)
+    from qrsim.flight_logs.recorded import read_recording
+
+    return read_recording(path)

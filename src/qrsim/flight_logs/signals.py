@@ -1,0 +1,95 @@
+"""What a flight log can hold: signals by name, each in one SI unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError
+
+Floats = np.ndarray[Any, np.dtype[np.float64]]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One quantity of a log.
+
+    Attributes:
+        unit: SI.
+        doc: one sentence.
+        command: held until the next sample rather than interpolated.
+        largest: magnitudes above this are hardly in this unit.
+    """
+
+    unit: str
+    doc: str
+    command: bool = False
+    largest: float = float("inf")
+
+
+SIGNALS: dict[str, Signal] = {
+    "roll": Signal("rad", "roll angle, right side down positive", largest=3.2),
+    "pitch": Signal("rad", "pitch angle, nose up positive", largest=1.6),
+    "yaw": Signal("rad", "yaw angle, clockwise from north seen from above", largest=400.0),
+    "roll_rate": Signal("rad/s", "body rate p", largest=35.0),
+    "pitch_rate": Signal("rad/s", "body rate q", largest=35.0),
+    "yaw_rate": Signal("rad/s", "body rate r", largest=35.0),
+    "velocity_north": Signal("m/s", "velocity over ground, north", largest=100.0),
+    "velocity_east": Signal("m/s", "velocity over ground, east", largest=100.0),
+    "velocity_down": Signal("m/s", "velocity over ground, down", largest=100.0),
+    "thrust": Signal("N", "collective thrust, positive up", largest=5000.0),
+    "roll_command": Signal("rad", "roll angle asked for", True, 1.6),
+    "pitch_command": Signal("rad", "pitch angle asked for", True, 1.6),
+    "yaw_rate_command": Signal("rad/s", "yaw rate asked for", True, 35.0),
+    "throttle": Signal("1", "collective throttle, 0 to 1", True, 1.0001),
+    "battery": Signal("V", "battery voltage", True, 100.0),
+}
+ANGLES = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class Track:
+    """Samples of one signal as they were logged: ``time`` (n,) [s] and ``values`` (n,) in SI."""
+
+    time: Floats
+    values: Floats
+
+
+@dataclass(frozen=True)
+class FlightLog:
+    """A log on one regular grid of time.
+
+    Attributes:
+        name: of the file, without its ending.
+        source: the file.
+        kind: its format in words.
+        dt: step [s].
+        time: (T,) since the first row [s].
+        signals: by name, (T,) each in SI; NaN within gaps.
+        notes: what reading did to the data, one sentence each.
+    """
+
+    name: str
+    source: Path
+    kind: str
+    dt: float
+    time: Floats
+    signals: dict[str, Floats]
+    notes: list[str] = field(default_factory=list)
+
+    def require(self, names: Iterable[str], purpose: str) -> None:
+        """Refuse a log that lacks a signal.
+
+        Raises:
+            UsageError: names what is missing and lists what is there.
+        """
+        missing = [name for name in names if name not in self.signals]
+        if missing:
+            raise UsageError(
+                f"{self.source}: {purpose} needs {', '.join(missing)}, which this log ({self.kind}) has not;"
+                f" there: {', '.join(self.signals)}"
+            )

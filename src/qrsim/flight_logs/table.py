@@ -1,0 +1,102 @@
+"""Plain CSV: a header of names with units, one row per time."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.flight_logs.preparing import prepare
+from qrsim.flight_logs.signals import SIGNALS, FlightLog, Floats, Track
+from qrsim.models.vehicles.quadrotor import PITCH_ROLL_RAD_PER_RAW, THROTTLE_RAW_PER_UNIT, YAW_RATE_RAD_S_PER_RAW
+
+_DEG = math.pi / 180.0
+# Factor to SI of each unit that a column may be in, by the SI unit.
+UNITS: dict[str, dict[str, float]] = {
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "rad": {"rad": 1.0, "deg": _DEG, "cdeg": 0.01 * _DEG},
+    "rad/s": {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3},
+    "m/s": {"m/s": 1.0, "cm/s": 0.01, "km/h": 1 / 3.6, "ft/s": 0.3048, "kn": 1852.0 / 3600.0},
+    "N": {"N": 1.0, "mN": 1e-3, "kgf": 9.80665, "gf": 9.80665e-3},
+    "1": {"1": 1.0, "%": 0.01},
+    "V": {"V": 1.0, "mV": 1e-3},
+}
+# The integers that the radio of the published vehicle sends.
+RAW = {
+    "roll_command": PITCH_ROLL_RAD_PER_RAW,
+    "pitch_command": PITCH_ROLL_RAD_PER_RAW,
+    "yaw_rate_command": YAW_RATE_RAD_S_PER_RAW,
+    "throttle": 1.0 / THROTTLE_RAW_PER_UNIT,
+}
+_COLUMN = re.compile(r"^\s*([A-Za-z_]\w*)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+
+
+def read_table(path: Path) -> FlightLog:
+    """Read a CSV whose header names columns as 'roll [deg]'; columns of other names are left out and said.
+
+    Raises:
+        UsageError: no time, a column without a unit or with an unknown one, twice the same, a row of wrong length.
+    """
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
+        reader = csv.reader(stream)
+        header = next(reader)
+        rows = [(reader.line_num, fields) for fields in reader if fields]
+    wanted, ignored = _columns(path, header)
+    values = _numbers(path, header, rows, wanted)
+    time = values.pop("time")
+    notes = [f"columns left out: {', '.join(ignored)}"] if ignored else []
+    return prepare(path, "CSV", {name: Track(time, column) for name, column in values.items()}, notes)
+
+
+def _columns(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, float]], list[str]]:
+    """Return by signal its place and its factor to SI, and the names of the other columns."""
+    wanted: dict[str, tuple[int, float]] = {}
+    ignored: list[str] = []
+    known = ["time", *SIGNALS]
+    for place, text in enumerate(header):
+        match = _COLUMN.match(text)
+        name = match[1] if match else text.strip()
+        if name not in known:
+            ignored.append(text.strip())
+            continue
+        unit = "s" if name == "time" else SIGNALS[name].unit
+        factors = UNITS[unit] | ({"raw": RAW[name]} if name in RAW else {})
+        if match is None:
+            raise UsageError(
+                f"{path}: line 1: '{name}' has no unit; write '{name} [{unit}]', or one of {', '.join(factors)}"
+            )
+        if match[2] not in factors:
+            raise UsageError(f"{path}: line 1: '{text.strip()}': unknown unit{did_you_mean(match[2], factors)}")
+        if name in wanted:
+            raise UsageError(f"{path}: line 1: '{name}' is there twice, columns {wanted[name][0] + 1} and {place + 1}")
+        wanted[name] = (place, factors[match[2]])
+    if "time" not in wanted:
+        raise UsageError(f"{path}: line 1: no column 'time [s]'; there: {', '.join(text.strip() for text in header)}")
+    if len(wanted) == 1:
+        raise UsageError(
+            f"{path}: line 1: no column of a vehicle; there: {', '.join(ignored)}; known: {', '.join(SIGNALS)}"
+        )
+    return wanted, ignored
+
+
+def _numbers(
+    path: Path, header: list[str], rows: list[tuple[int, list[str]]], wanted: dict[str, tuple[int, float]]
+) -> dict[str, Floats]:
+    """Return the columns in SI; an empty field and 'nan' are NaN."""
+    table = {name: np.full(len(rows), np.nan) for name in wanted}
+    for i, (line, fields) in enumerate(rows):
+        if len(fields) != len(header):
+            raise UsageError(f"{path}: line {line}: {len(fields)} fields, the header has {len(header)}")
+        for name, (place, factor) in wanted.items():
+            text = fields[place].strip()
+            try:
+                table[name][i] = factor * float(text) if text else math.nan
+            except ValueError:
+                raise UsageError(
+                    f"{path}: line {line}: column '{header[place].strip()}': '{text[:40]}' is not a number"
+                ) from None
+    return table

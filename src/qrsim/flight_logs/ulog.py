@@ -1,0 +1,106 @@
+"""PX4 ULog, by pyulog: the topics that hold attitude, rates, velocity, battery and the set-points."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError
+from qrsim.flight_logs.extra import load_extra
+from qrsim.flight_logs.preparing import prepare
+from qrsim.flight_logs.signals import FlightLog, Floats, Track
+
+_HEADER_BYTES = 16
+# Signal, topic, the field that holds it (the first that is there), factor to SI.
+FIELDS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
+    ("roll_rate", "vehicle_angular_velocity", ("xyz[0]",), 1.0),
+    ("pitch_rate", "vehicle_angular_velocity", ("xyz[1]",), 1.0),
+    ("yaw_rate", "vehicle_angular_velocity", ("xyz[2]",), 1.0),
+    ("velocity_north", "vehicle_local_position", ("vx",), 1.0),
+    ("velocity_east", "vehicle_local_position", ("vy",), 1.0),
+    ("velocity_down", "vehicle_local_position", ("vz",), 1.0),
+    ("yaw_rate_command", "vehicle_attitude_setpoint", ("yaw_sp_move_rate",), 1.0),
+    # Upwards is negative in body axes.
+    ("throttle", "vehicle_attitude_setpoint", ("thrust_body[2]",), -1.0),
+    ("battery", "battery_status", ("voltage_v", "voltage_filtered_v"), 1.0),
+)
+TOPICS = ("vehicle_attitude", *dict.fromkeys(topic for _, topic, _, _ in FIELDS))
+
+
+def read_ulog(path: Path) -> FlightLog:
+    """Read a PX4 log; one that was cut off is read up to the cut, and that is said.
+
+    Raises:
+        UsageError: no ULog, or none of the topics.
+        RunError: pyulog is not installed.
+    """
+    pyulog = load_extra("pyulog", "pyulog", "reading a ULog")
+    content = path.read_bytes()
+    whole = _whole_messages(content)
+    notes = []
+    if whole < len(content):
+        notes.append(f"the file ends inside a message: the last {len(content) - whole} bytes are lost (log cut off)")
+    try:
+        log = pyulog.ULog(io.BytesIO(content[:whole]), list(TOPICS))
+    except Exception as error:  # pyulog raises whatever its parsing runs into
+        raise UsageError(f"{path}: a ULog that cannot be read: {error or type(error).__name__}") from None
+    if log.file_corruption:
+        notes.append("the file is damaged; what can be read between the damaged parts is used")
+    if log.dropouts:
+        lost = sum(dropout.duration for dropout in log.dropouts)
+        notes.append(f"the logger lost data {len(log.dropouts)} times, {lost / 1000.0:.2f} s in all")
+    # Of several instances of a topic, the first.
+    topics = {data.name: data.data for data in reversed(log.data_list) if len(data.data["timestamp"])}
+    if not topics:
+        raise UsageError(f"{path}: no data of the topics {', '.join(TOPICS)}")
+    return prepare(path, "PX4 ULog", _tracks(topics, notes), notes)
+
+
+def _whole_messages(content: bytes) -> int:
+    """Return the number of bytes up to the end of the last whole message."""
+    place, size = _HEADER_BYTES, len(content)
+    while place + 3 <= size:
+        end = place + 3 + int.from_bytes(content[place : place + 2], "little")
+        if end > size:
+            break
+        place = end
+    return place
+
+
+def _tracks(topics: dict[str, Any], notes: list[str]) -> dict[str, Track]:
+    tracks: dict[str, Track] = {}
+
+    def add(name: str, topic: str, values: Floats) -> None:
+        tracks[name] = Track(topics[topic]["timestamp"] * 1e-6, np.asarray(values, np.float64))
+
+    attitude = topics.get("vehicle_attitude")
+    if attitude is not None and "q[3]" in attitude:
+        for name, values in zip(("roll", "pitch", "yaw"), _euler(attitude, "q"), strict=True):
+            add(name, "vehicle_attitude", values)
+    asked = topics.get("vehicle_attitude_setpoint")
+    if asked is not None and "roll_body" in asked and np.isfinite(asked["roll_body"]).any():
+        add("roll_command", "vehicle_attitude_setpoint", asked["roll_body"])
+        add("pitch_command", "vehicle_attitude_setpoint", asked["pitch_body"])
+    elif asked is not None and "q_d[3]" in asked:
+        roll, pitch, _ = _euler(asked, "q_d")
+        add("roll_command", "vehicle_attitude_setpoint", roll)
+        add("pitch_command", "vehicle_attitude_setpoint", pitch)
+        notes.append("roll and pitch commands from the set-point's quaternion")
+    for name, topic, choices, factor in FIELDS:
+        there = [field for field in choices if topic in topics and field in topics[topic]]
+        if there:
+            add(name, topic, factor * topics[topic][there[0]])
+    return tracks
+
+
+def _euler(data: Any, name: str) -> tuple[Floats, Floats, Floats]:
+    """Return ZYX angles [rad] of a topic's quaternion, body to NED."""
+    w, x, y, z = (np.asarray(data[f"{name}[{i}]"], np.float64) for i in range(4))
+    return (
+        np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+        np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0)),
+        np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )

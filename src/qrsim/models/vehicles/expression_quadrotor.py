@@ -1,0 +1,115 @@
+"""A quadrotor whose laws are expressions, as ``qrsim discover`` finds them; the rest is the identified quadrotor."""
+
+from __future__ import annotations
+
+import ast
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import record, setting
+from qrsim.core.vectors import Vec3
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
+
+_SIGNS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: lambda a, b: a + b,
+    ast.Sub: lambda a, b: a - b,
+    ast.Mult: lambda a, b: a * b,
+    ast.Div: lambda a, b: a / b,
+}
+LONGEST_LAW = 2000
+
+
+@record
+class ExpressionQuadrotor(Quadrotor):
+    """The quadrotor with laws given as text: numbers, names, + - * / ** (whole powers) and brackets."""
+
+    thrust_law: str = setting(default="", doc="wanted thrust [N] by throttle; empty: the published polynomial")
+    tilt_law: str = setting(
+        default="", doc="d(rate)/dt of roll and pitch [rad/s^2] by command, angle, rate; empty: the published law"
+    )
+    yaw_law: str = setting(default="", doc="d(rate)/dt of yaw [rad/s^2] by command, rate; empty: the published law")
+
+    def __post_init__(self) -> None:
+        """Refuse a law that cannot be read."""
+        for name, leaves in (
+            ("thrust_law", ("throttle",)), ("tilt_law", ("command", "angle", "rate")), ("yaw_law", ("command", "rate")),
+        ):  # fmt: skip
+            if law := getattr(self, name):
+                checked(name, law, leaves)
+
+    def wanted_thrust(self, throttle: Array) -> Array:
+        """Return the thrust [N] that a throttle [0, 1] asks for."""
+        if not self.thrust_law:
+            return Quadrotor.wanted_thrust(self, throttle)
+        return evaluated(self.thrust_law, {"throttle": throttle})
+
+    def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
+        """Return the stabilised body's angular acceleration [rad/s^2]."""
+        found = Quadrotor.angular_acceleration(self, state, command)
+        rates, attitude = state.rates_body, state.attitude
+        roll, pitch, yaw = found.x, found.y, found.z
+        if self.tilt_law:
+            leaves = {"command": command.roll, "angle": attitude.roll, "rate": rates.x}
+            roll = self._rate_limited(evaluated(self.tilt_law, leaves), rates.x)
+            leaves = {"command": command.pitch, "angle": attitude.pitch, "rate": rates.y}
+            pitch = self._rate_limited(evaluated(self.tilt_law, leaves), rates.y)
+        if self.yaw_law:
+            yaw = evaluated(self.yaw_law, {"command": command.yaw_rate, "rate": rates.z})
+        return Vec3(roll, pitch, yaw)
+
+
+@functools.cache
+def checked(name: str, law: str, leaves: tuple[str, ...]) -> ast.expr:
+    """Return a law as a tree.
+
+    Raises:
+        UsageError: it is no expression of the allowed kind; says what is wrong.
+    """
+    if len(law) > LONGEST_LAW:
+        raise UsageError(f"{name}: {len(law)} characters; allowed: at most {LONGEST_LAW}")
+    try:
+        tree = ast.parse(law, mode="eval").body
+    except SyntaxError as error:
+        raise UsageError(f"{name}: '{law}' is no expression: {error.msg}") from None
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and node.id not in leaves:
+            raise UsageError(f"{name}: '{node.id}' is none of its inputs{did_you_mean(node.id, leaves)}")
+        number = isinstance(node, ast.Constant) and type(node.value) in (int, float)
+        power = isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and _whole(node.right)
+        sign = isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd)
+        operation = isinstance(node, ast.BinOp) and type(node.op) in _SIGNS
+        part = isinstance(node, ast.Name | ast.Load | ast.operator | ast.unaryop)
+        if not (number or power or sign or operation or part):
+            allowed = "numbers, names, + - * / ** and brackets"
+            raise UsageError(f"{name}: '{ast.unparse(node)}' is not allowed; allowed: {allowed}")
+    return tree
+
+
+def _whole(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, int) and 0 <= node.value <= 9
+
+
+def evaluated(law: str, leaves: Mapping[str, Array]) -> Array:
+    """Return the value of a law (n,) at its leaves (n,)."""
+    like = next(iter(leaves.values()))
+    return jnp.broadcast_to(jnp.asarray(_value(checked("law", law, tuple(leaves)), leaves), like.dtype), like.shape)
+
+
+def _value(node: ast.expr, leaves: Mapping[str, Array]) -> Any:
+    if isinstance(node, ast.Constant):
+        return float(node.value)  # type: ignore[arg-type]
+    if isinstance(node, ast.Name):
+        return leaves[node.id]
+    if isinstance(node, ast.UnaryOp):
+        value = _value(node.operand, leaves)
+        return -value if isinstance(node.op, ast.USub) else value
+    assert isinstance(node, ast.BinOp)
+    if isinstance(node.op, ast.Pow):
+        base = _value(node.left, leaves)
+        return functools.reduce(lambda a, b: a * b, [base] * node.right.value, 1.0)  # type: ignore[attr-defined]
+    return _SIGNS[type(node.op)](_value(node.left, leaves), _value(node.right, leaves))

@@ -1,0 +1,25 @@
+"""The identified quadrotor with pitch constants of its own: frames longer than wide, or with a load slung across."""
+
+from __future__ import annotations
+
+from jax import Array
+
+from qrsim.core.tree import parameter, record
+from qrsim.core.vectors import Vec3
+from qrsim.models.vehicles.quadrotor import PITCH_ROLL_RAD_PER_RAW, Command, Quadrotor, QuadrotorState
+
+
+@record
+class SeparateQuadrotor(Quadrotor):
+    """The quadrotor whose kpq0, kpq1, kpq2 are of roll alone; the defaults make it the published one."""
+
+    kq0: Array = parameter(default=-3.25060e-04, unit="rad/raw", doc="pitch command scale")
+    kq1: Array = parameter(default=1.79797e02, unit="1/s^2", doc="pitch stiffness")
+    kq2: Array = parameter(default=-24.3536, unit="1/s", doc="pitch damping")
+
+    def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
+        """Return the stabilised body's angular acceleration [rad/s^2] (eqs. 4-5)."""
+        both = Quadrotor.angular_acceleration(self, state, command)
+        pitch_raw = command.pitch / PITCH_ROLL_RAD_PER_RAW
+        pitch = self.kq1 * (self.kq0 * pitch_raw - state.attitude.pitch) + self.kq2 * state.rates_body.y
+        return Vec3(both.x, self._rate_limited(pitch, state.rates_body.y), both.z)

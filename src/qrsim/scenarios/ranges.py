@@ -1,0 +1,174 @@
+"""Numbers of a scenario that every episode draws anew: their checks, and where they are in a World."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from qrsim.core.tree import field_info
+from qrsim.errors import did_you_mean
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.problems import describe
+from qrsim.scenarios.schema import RangeSpec, ScenarioSpec
+from qrsim.world_tree import Range
+
+# Where a World has the parts of a scenario; what is looked at while a scenario is loaded or flown on is not there.
+IN_WORLD: dict[str, tuple[str, ...]] = {
+    "world.wind": ("wind",),
+    "world.turbulence": ("turbulence",),
+    "world.gust": ("gust",),
+    "world.sky.errors": ("sky", "errors"),
+    "world.plume": ("contents", "plume"),
+    "world.terrain": ("contents", "terrain"),
+    "world.persons": ("contents", "persons"),
+}
+IN_FLEET = ("vehicle", "controller", "guidance", "limits", "battery", "placement")
+GROUPS = {
+    "wind": known.WINDS,
+    "turbulence": known.TURBULENCES,
+    "gust": known.GUSTS,
+    "errors": known.SKY_ERRORS,
+    "plume": known.PLUMES,
+    "terrain": known.TERRAINS,
+    "persons": known.PERSONS,
+}
+Path = tuple[str | int, ...]
+
+
+def range_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield what is wrong with the ranges of a scenario."""
+    seen: set[str] = set()
+    for i, item in enumerate(scenario.ranges):
+        path = in_radians(item)[0]
+        if path in seen:
+            yield f"ranges.{i}.path: {item.path} has a range already"
+        seen.add(path)
+        if item.low > item.high:
+            yield f"ranges.{i}.low: {item.low:g}; allowed: at most high, {item.high:g}"
+            continue
+        problem = _path_problem(scenario, path)
+        if problem:
+            yield f"ranges.{i}.path: {problem}"
+            continue
+        yield from _bound_problems(scenario, i, item, path)
+
+
+def in_radians(item: RangeSpec) -> tuple[str, float, float]:
+    """Return path, low and high of a range, an angle in radians."""
+    if item.path.endswith("_deg"):
+        return item.path.removesuffix("_deg") + "_rad", math.radians(item.low), math.radians(item.high)
+    return item.path, item.low, item.high
+
+
+def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[Any, str]:
+    """Return what is at a path of the scenario, and else what is wrong with the path."""
+    value: Any = scenario
+    for i, part in enumerate(parts):
+        known_names = list(value) if isinstance(value, Mapping) else list(getattr(type(value), "model_fields", ()))
+        if part not in known_names:
+            return None, f"{'.'.join(parts[: i + 1])}: there is no such number{did_you_mean(part, known_names)}"
+        value = value[part] if isinstance(value, Mapping) else getattr(value, part)
+    return value, ""
+
+
+def _path_problem(scenario: ScenarioSpec, path: str) -> str:
+    parts = path.split(".")
+    value, problem = _value_at(scenario, parts)
+    if problem:
+        return problem
+    where = world_path(scenario, path)
+    if where is None:
+        parts_known = [*IN_WORLD, *(f"fleets.NAME.{part}" for part in IN_FLEET), "fleets.NAME.sensors.NAME"]
+        return f"{path} cannot be drawn; allowed: numbers of {', '.join(parts_known)}"
+    if isinstance(value, bool) or not isinstance(value, int | float) or _is_setting(scenario, path):
+        return f"{path} is not a number that can differ from episode to episode: it is part of what is compiled"
+    return ""
+
+
+def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
+    """Return whether a number is structural; the class of its component says so."""
+    parts = path.split(".")
+    for depth in range(len(parts) - 1, 0, -1):
+        spec, _ = _value_at(scenario, parts[:depth])
+        if isinstance(spec, BaseModel) and "type" in type(spec).model_fields:
+            group = _group(parts[:depth])
+            owner: Any = group[spec.type] if group else None  # type: ignore[attr-defined]
+            return owner is not None and _static(owner, parts[depth:])
+    return False
+
+
+def _group(parts: list[str]) -> Mapping[str, type] | None:
+    if parts[0] == "world":
+        return GROUPS.get(parts[-1])
+    names = {
+        "vehicle": known.VEHICLES,
+        "controller": known.CONTROLLERS,
+        "guidance": known.GUIDANCE,
+        "battery": known.BATTERIES,
+        "placement": known.PLACEMENTS,
+    }
+    return known.SENSORS if parts[2] == "sensors" else names.get(parts[2])
+
+
+def _static(owner: Any, names: list[str]) -> bool:
+    fields = {field.name: field for field in dataclasses.fields(owner)}
+    field = fields[names[0]]
+    return field_info(field).static if len(names) == 1 else _static(type(field.default), names[1:])
+
+
+def _bound_problems(scenario: ScenarioSpec, i: int, item: RangeSpec, path: str) -> Iterator[str]:
+    """A range may not leave what its number may be."""
+    _, low, high = in_radians(item)
+    for end, value in (("low", low), ("high", high)):
+        content = copy.deepcopy(scenario.model_dump(mode="json"))
+        target: Any = content
+        *way, last = path.split(".")
+        for part in way:
+            target = target[part]
+        target[last] = value
+        try:
+            ScenarioSpec.model_validate(content)
+        except ValidationError as error:
+            for problem in describe(error, ScenarioSpec, content):
+                yield f"ranges.{i}.{end}: {problem}"
+
+
+def world_path(scenario: ScenarioSpec, path: str) -> Path | None:
+    """Return where in a World a number of the scenario is, None where it may not be drawn."""
+    for prefix, where in IN_WORLD.items():
+        if path.startswith(f"{prefix}."):
+            return (*where, *path.removeprefix(f"{prefix}.").split("."))
+    parts = path.split(".")
+    if parts[0] != "fleets" or len(parts) < 4:
+        return None
+    fleet = list(scenario.fleets).index(parts[1])
+    if parts[2] in IN_FLEET:
+        return ("fleets", fleet, *parts[2:])
+    if parts[2] == "sensors" and len(parts) >= 5:
+        sensor = list(scenario.fleets[parts[1]].sensors).index(parts[3])
+        return ("fleets", fleet, "sensors", sensor, *parts[4:])
+    return None
+
+
+def ranges_of(scenario: ScenarioSpec) -> tuple[Range, ...]:
+    """Return the ranges of a scenario without problems."""
+    found = []
+    for item in scenario.ranges:
+        path, low, high = in_radians(item)
+        where = world_path(scenario, path)
+        assert where is not None
+        found.append(Range(low, high, path, (where, *_heirs(scenario, path))))  # type: ignore[arg-type]
+    return tuple(found)
+
+
+def _heirs(scenario: ScenarioSpec, path: str) -> Iterator[Path]:
+    """Yield where in a World a number is that is taken from this one."""
+    turbulence = scenario.world.turbulence
+    for field in dataclasses.fields(known.TURBULENCES[turbulence.type]):
+        if field_info(field).inherits == path and getattr(turbulence, field.name) is None:
+            yield ("turbulence", field.name)

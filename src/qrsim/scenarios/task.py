@@ -1,0 +1,58 @@
+"""Checks of what is to be done against the world in which it is to be done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from qrsim.errors import did_you_mean
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.timing import is_multiple
+
+# Sensors by the field of a task that names one.
+SENSORS = {"camera": ("camera", "ideal_camera"), "sensor": ("concentration", "ideal_concentration")}
+# What has to be in the world.
+CONTENTS = {"search": "persons", "plume_mapping": "plume"}
+
+
+def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield in what a task does not fit its scenario."""
+    task = scenario.task
+    if task.type == "none":
+        return
+    for name in ("fleet", "prey"):
+        wanted = getattr(task, name, None)
+        if wanted is not None and wanted not in scenario.fleets:
+            yield f"task.{name}: no fleet is called '{wanted}'{did_you_mean(wanted, scenario.fleets)}"
+    if not is_multiple(task.period, scenario.time_step):
+        yield f"task.period: {task.period:g} s is not a multiple of the time step {scenario.time_step:g} s"
+    elif not is_multiple(scenario.duration, task.period):
+        yield f"task.period: the duration, {scenario.duration:g} s, is not a multiple of it, {task.period:g} s"
+    content = CONTENTS.get(task.type)
+    if content and getattr(scenario.world, content).type == "none":
+        yield f"world.{content}: there is none, and the task '{task.type}' is about it"
+    if task.type == "plume_mapping" and task.anywhere > task.locations:
+        yield f"task.anywhere: {task.anywhere}; allowed: at most locations, {task.locations}"
+    if task.fleet in scenario.fleets:
+        yield from _fleet_problems(scenario, scenario.fleets[task.fleet])
+
+
+def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
+    task = scenario.task
+    asks_for = known.TASKS[task.type].asks_for  # type: ignore[attr-defined]
+    if asks_for is not None and asks_for not in known.CONTROLLERS[fleet.controller.type].setpoints:  # type: ignore[attr-defined]
+        fitting = [name for name, cls in known.CONTROLLERS.items() if asks_for in cls.setpoints]  # type: ignore[attr-defined]
+        yield (
+            f"fleets.{task.fleet}.controller: '{fleet.controller.type}' does not take what the task '{task.type}' asks "
+            f"for; allowed: {', '.join(fitting)}"
+        )
+    for field, types in SENSORS.items():
+        if not hasattr(task, field):
+            continue
+        name = getattr(task, field)
+        if name not in fleet.sensors:
+            hint = did_you_mean(name, fleet.sensors)
+            yield f"task.{field}: no sensor of fleet '{task.fleet}' is called '{name}'{hint}"
+        elif fleet.sensors[name].type not in types:
+            found = fleet.sensors[name].type
+            yield f"task.{field}: '{name}' is a sensor of type '{found}'; allowed: {', '.join(types)}"

@@ -1,0 +1,51 @@
+"""A vehicle in a file of its own, as ``qrsim identify`` and ``qrsim discover`` write it: ``vehicle: {file: NAME}``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from qrsim.errors import ScenarioError, UsageError, did_you_mean_file
+
+
+def read_vehicle_file(path: Path) -> dict[str, Any]:
+    """Return the vehicle of a file as a scenario writes it.
+
+    Raises:
+        UsageError: there is no such file, or no ``vehicle`` in it.
+    """
+    from qrsim.scenarios.reading import parse_yaml
+
+    try:
+        content = parse_yaml(path.read_text("utf-8"), str(path))
+    except FileNotFoundError:
+        raise UsageError(f"vehicle file {path}: no such file{did_you_mean_file(path)}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"vehicle file {path}: cannot be read: {error}") from None
+    vehicle = content.get("vehicle") if isinstance(content, dict) else None
+    if not isinstance(vehicle, dict) or "type" not in vehicle:
+        raise UsageError(
+            f"vehicle file {path}: expected 'vehicle:' with a 'type:' and constants, as 'qrsim identify' writes"
+        )
+    return vehicle
+
+
+def insert_vehicle_files(content: dict[str, Any], source: str) -> None:
+    """Replace, in place, each ``vehicle: {file: NAME}`` of a scenario by the vehicle of the file.
+
+    Other constants beside ``file`` count over those of the file.
+
+    Raises:
+        ScenarioError: a file is missing or is none.
+    """
+    fleets = content.get("fleets")
+    for name, fleet in fleets.items() if isinstance(fleets, dict) else ():
+        vehicle = fleet.get("vehicle") if isinstance(fleet, dict) else None
+        if not isinstance(vehicle, dict) or not isinstance(vehicle.get("file"), str):
+            continue
+        try:
+            of_file = read_vehicle_file(Path(vehicle["file"]))
+        except UsageError as error:
+            raise ScenarioError(source, [f"fleets.{name}.vehicle.file: {error}"]) from None
+        beside = {key: value for key, value in vehicle.items() if key not in ("file", "type")}
+        fleet["vehicle"] = of_file | beside

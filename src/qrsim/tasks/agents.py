@@ -1,0 +1,104 @@
+"""What tasks share: axes of actions, the agents' fleet, and what vehicles believe of themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control import Estimate
+from qrsim.core.tree import parameter, setting
+from qrsim.core.vectors import Vec3
+from qrsim.world import measured_quantities
+from qrsim.world_tree import Action, Fleet, FleetState, State, World
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One number of an action, or of what is seen.
+
+    Attributes:
+        name: what it is.
+        unit: of the number.
+        low, high: its range; an agent says -1 for low and 1 for high.
+    """
+
+    name: str
+    unit: str
+    low: float = -float("inf")
+    high: float = float("inf")
+
+
+def penalty() -> Any:
+    """Return the field of the reward of the step in which a vehicle stops."""
+    return parameter(default=-1000.0, unit="1", doc="reward of the step in which a vehicle stops", maximum=0.0)
+
+
+def action_period(seconds: float) -> Any:
+    """Return the field of the time between two actions."""
+    return setting(default=seconds, unit="s", doc="time between two actions, a multiple of the time step", above=0.0)
+
+
+def velocity_axes(limit: float, axes: str) -> tuple[Axis, ...]:
+    """Return the axes of a velocity over ground up to a limit [m/s]."""
+    names = {"n": "velocity_north", "e": "velocity_east", "d": "velocity_down"}
+    return tuple(Axis(names[axis], "m/s", -limit, limit) for axis in axes)
+
+
+def number_of(world: World, name: str) -> int:
+    """Return which of the fleets of a world has a name."""
+    return [fleet.name for fleet in world.fleets].index(name)
+
+
+def fleet_of(world: World, state: State, name: str) -> tuple[Fleet, FleetState]:
+    """Return a fleet by its name, and its state."""
+    number = number_of(world, name)
+    return world.fleets[number], state.fleets[number]
+
+
+def only(world: World, name: str, action: Action) -> tuple[Action, ...]:
+    """Return an action for one fleet, and none for the others."""
+    return tuple(action if fleet.name == name else None for fleet in world.fleets)
+
+
+def all_fly(state: State) -> Array:
+    """Return () whether every vehicle of a world flies."""
+    return jnp.all(jnp.concatenate([fleet.violation.code for fleet in state.fleets]) == 0)
+
+
+def estimate_of(state: FleetState) -> Estimate:
+    """Return what the sensors of each vehicle (n,) say of it; where they say nothing, what its controller believes."""
+    measured, known = measured_quantities(state.readings), state.estimate
+    position, velocity = (
+        measured.get("position_ned", known.position_ned),
+        measured.get("velocity_ned", known.velocity_ned),
+    )
+    height, rate = measured.get("height", -known.position_ned.z), measured.get("height_rate", -known.velocity_ned.z)
+    said = Estimate(
+        Vec3(position.x, position.y, -height),
+        Vec3(velocity.x, velocity.y, -rate),
+        measured.get("attitude", known.attitude),
+    )
+    return jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(new), new, old), said, known)
+
+
+def believed(state: FleetState) -> Array:
+    """Return (n, 9) what the sensors of each vehicle say of it: position NED, velocity NED, roll, pitch, yaw."""
+    estimate = estimate_of(state)
+    parts = [*jax.tree.leaves(estimate.position_ned), *jax.tree.leaves(estimate.velocity_ned)]
+    return jnp.stack([*parts, *jax.tree.leaves(estimate.attitude)], axis=-1)
+
+
+BELIEVED = (
+    *(Axis(f"position_{axis}", "m") for axis in ("north", "east", "down")),
+    *(Axis(f"velocity_{axis}", "m/s") for axis in ("north", "east", "down")),
+    *(Axis(angle, "rad") for angle in ("roll", "pitch", "yaw")),
+)
+
+
+def square(vector: Vec3) -> Array:
+    """Return the squared length."""
+    return vector.dot(vector)

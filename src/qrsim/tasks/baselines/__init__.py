@@ -1,0 +1,88 @@
+"""A policy for each family of tasks, for others to be compared with.
+
+A baseline is made for an episode and has ``act(seen)``, from what all agents see to their actions (n, A) in [-1, 1],
+and where something is handed in ``answer()``, (n, ...). It works on NumPy arrays and knows only what it has seen.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qrsim.core.noise import Draw, Key
+from qrsim.errors import UsageError
+from qrsim.tasks.baselines.chasing import Chasing
+from qrsim.tasks.baselines.descending import Descending
+from qrsim.tasks.baselines.mapping import Mapping
+from qrsim.tasks.play import TASK, Play
+from qrsim.tasks.plume_mapping import PlumeMapping
+from qrsim.tasks.pursuit import Pursuit
+from qrsim.tasks.search import Search
+
+__all__ = ["Baseline", "BaselinePolicy", "Chasing", "Descending", "Mapping", "baseline"]
+KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Descending, PlumeMapping: Mapping}
+
+
+class Baseline(Protocol):
+    """What flies the agents of an episode."""
+
+    def act(self, seen: Any) -> np.ndarray[Any, Any]:
+        """Return the actions (n, A) in [-1, 1]."""
+        ...
+
+
+def baseline(play: Play, seed: int = 0) -> Baseline:
+    """Return the baseline of a task for one episode; ``seed`` is of what it does at random.
+
+    Raises:
+        UsageError: the task has none.
+    """
+    kind = KINDS.get(type(play.task))
+    if kind is None:
+        raise UsageError("policy baseline: this task has none; it is for pursuit, search and plume mapping")
+    made: Baseline = kind(play, seed)
+    return made
+
+
+class BaselinePolicy:
+    """A baseline as a policy of ``Simulation`` and ``qrsim run``, asked once in a step of the task.
+
+    Args:
+        play: the task and its world.
+        seed: of what it does at random.
+
+    Raises:
+        UsageError: the task has no baseline.
+    """
+
+    def __init__(self, play: Play, seed: int = 0):
+        self.play, self.seed = play, seed
+        self._baseline = baseline(play, seed)
+        self._memory: Any = None
+        self._observe = jax.jit(self._observed)
+
+    def __call__(self, reading: Any) -> dict[str, Any]:
+        """Return set-points for the agents' fleet."""
+        state = reading.state
+        if self._memory is None:
+            self._memory = jax.jit(self._init)(state)
+        seen = jax.tree.map(np.asarray, self._observe(self._memory, state))
+        wanted = self.play.scaled(np.asarray(self._baseline.act(seen), self._like.dtype))
+        actions = self.play.task.commands(self._memory, self.play.world, jnp.asarray(wanted))
+        names = [fleet.name for fleet in self.play.world.fleets]
+        return {name: jax.tree.map(np.asarray, action) for name, action in zip(names, actions, strict=True)}
+
+    @property
+    def _like(self) -> np.ndarray[Any, Any]:
+        return np.zeros((), np.asarray(self.play.world.fleets[0].start.position_ned.x).dtype)
+
+    def _init(self, state: Any) -> Any:
+        ids = jnp.arange(self.play.task.ids, dtype=jnp.uint32)
+        stream = Key.root(self.seed).stream(TASK, ids)
+        return self.play.task.init(self.play.world, state, Draw(stream, jnp.int32(0), jnp.asarray(self._like)))
+
+    def _observed(self, memory: Any, state: Any) -> Any:
+        return self.play.task.observe(memory, self.play.world, state)

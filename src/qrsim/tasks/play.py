@@ -1,0 +1,129 @@
+"""A task in its world: episodes from their start, step by step; pure functions, compiled by whoever plays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from qrsim import world as ticks_of
+from qrsim.control.setpoints import library
+from qrsim.core.noise import Draw, Key, StreamKeys
+from qrsim.core.tree import quantity, record, setting
+from qrsim.tasks.agents import all_fly, number_of
+from qrsim.world_tree import State, World, WorldKeys, period_ticks
+
+TASK = "/task"
+
+
+@record
+class Episode:
+    """Everything that changes in an episode."""
+
+    state: State = quantity(doc="of the world")
+    memory: Any = quantity(doc="of the task")
+    step: Array = quantity(doc="() int32 steps done")
+
+
+@record
+class Step:
+    """What a step brings the agents (n,)."""
+
+    observation: Any = quantity(doc="what each sees, (n, O) or a dict of arrays (n, ...)")
+    reward: Array = quantity(doc="(n,)")
+    terminated: Array = quantity(doc="() bool: a vehicle has stopped, and the episode has ended")
+    truncated: Array = quantity(doc="() bool: the last step is done")
+
+
+@record
+class EpisodeKeys:
+    """The keys of all randomness of an episode."""
+
+    world: WorldKeys = quantity()
+    task: StreamKeys = quantity()
+
+
+@record
+class Play:
+    """A task, its world and the length of an episode; its numbers are leaves, so others compile nothing anew."""
+
+    task: Any = quantity(doc="what is to be done")
+    world: World = quantity(doc="where")
+    steps: int = setting(unit="1", doc="steps of an episode")
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Names of the vehicles that are commanded."""
+        return self.world.fleets[number_of(self.world, self.task.fleet)].vehicle_names
+
+    @property
+    def ticks(self) -> int:
+        """Ticks of a step."""
+        return period_ticks(self.task.period, self.world.time_step)
+
+    @property
+    def in_step(self) -> bool:
+        """Whether every period of the world is a part of a step, so that all worlds of a batch are due together."""
+        contents = self.world.contents
+        periods = [self.world.sky.period, *(getattr(part, "period", 0.0) for part in vars(contents).values())]
+        periods += [sensor.period for fleet in self.world.fleets for sensor in fleet.sensors]
+        return all(self.ticks % period_ticks(period, self.world.time_step) == 0 for period in periods)
+
+    def keys(self, key: Key) -> EpisodeKeys:
+        """Return the keys of an episode, or of many; on the host if the key is there."""
+        return EpisodeKeys(ticks_of.keys_of(self.world, key), key.streams([TASK]))
+
+    def reset(self, keys: EpisodeKeys) -> tuple[Episode, Any]:
+        """Return an episode at its start, and what the agents see."""
+        state = ticks_of.reset(self.world, keys.world)
+        like = jnp.zeros((), self.world.fleets[0].start.position_ned.x.dtype)
+        ids = jnp.arange(self.task.ids, dtype=jnp.uint32)
+        memory = self.task.init(self.world, state, Draw(keys.task.stream(0, ids), jnp.int32(0), like))
+        return Episode(state, memory, jnp.int32(0)), self.task.observe(memory, self.world, state)
+
+    def step(self, episode: Episode, action: Array) -> tuple[Episode, Step]:
+        """Advance an episode by a step.
+
+        Args:
+            episode: before; where it has ended, what comes has no meaning.
+            action: (n, A) in [-1, 1], clipped; see ``axes`` of the task.
+        """
+        wanted = self.scaled(action)
+        begun = episode.step * self.ticks
+        commands = self.task.commands(episode.memory, self.world, wanted)
+
+        def tick(number: Any, now: tuple[State, Any]) -> tuple[State, Any]:
+            # Where all are due together, the number is that of every world and slow sensors are really skipped.
+            when = (number, commands, None, begun) if self.in_step else (begun + number, commands, None, None)
+            state = ticks_of.step(self.world, now[0], *when)
+            return state, self.task.each_tick(now[1], self.world, state)
+
+        carry = (episode.state, episode.memory)
+        state, memory = tick(0, carry) if self.ticks == 1 else lax.fori_loop(0, self.ticks, tick, carry)
+        number = episode.step + 1
+        memory, reward = self.task.judge(memory, self.world, state, number, self.steps)
+        fly = all_fly(state)
+        reward = jnp.where(fly, reward, self.task.penalty)
+        after = Episode(state, memory, number)
+        return after, Step(self.task.observe(memory, self.world, state), reward, ~fly, fly & (number >= self.steps))
+
+    def scaled(self, action: Any) -> Any:
+        """Return actions (n, A) in their units, of numbers that are clipped to [-1, 1]; NumPy or JAX."""
+        lib = library(action)
+        low = lib.asarray([axis.low for axis in self.task.axes], action.dtype)[None]
+        high = lib.asarray([axis.high for axis in self.task.axes], action.dtype)[None]
+        return low + 0.5 * (lib.clip(action, -1.0, 1.0) + 1.0) * (high - low)
+
+    def truth(self, episode: Episode) -> dict[str, Array]:
+        """Return what is really the case of the agents (n,), which they do not see."""
+        fleet = episode.state.fleets[number_of(self.world, self.task.fleet)]
+        vehicle = fleet.vehicle
+        return {
+            "position_ned": vehicle.position_ned.stack(),
+            "attitude": jnp.stack(jax.tree.leaves(vehicle.attitude), axis=-1),
+            "velocity_body": vehicle.velocity_body.stack(),
+            "reason": fleet.violation.code,
+            "reason_value": fleet.violation.value,
+        }

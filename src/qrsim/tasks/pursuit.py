@@ -1,0 +1,100 @@
+"""Cats and mouse (spec: scenarios, section 1)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control import VelocityHeightSetpoint
+from qrsim.core.noise import Draw
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.vectors import Vec3
+from qrsim.tasks.agents import Axis, action_period, estimate_of, fleet_of, only, penalty, velocity_axes
+from qrsim.world_tree import Action, State, World
+
+
+@record
+class PursuitMemory:
+    """Of an episode."""
+
+    height: Array = quantity(unit="m", doc="(n,) height that each cat keeps")
+
+
+@record
+class Pursuit:
+    """Cats, the agents, catch a mouse that runs away.
+
+    The reward comes in the last step: minus the sum over all cats of max(0, distance to the nearest mouse - reach)^2,
+    reach being ``reach`` collision distances. (The reference sums the first cat only.)
+    """
+
+    reach: Array = parameter(default=2.0, unit="1", doc="collision distances that are near enough", minimum=0.0)
+    penalty: Array = penalty()
+    fleet: str = setting(default="cats", doc="name of the fleet whose vehicles are the agents")
+    prey: str = setting(default="mice", doc="name of the fleet that is caught")
+    period: float = action_period(1.0)
+
+    axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ne")
+    asks_for: ClassVar[type | None] = VelocityHeightSetpoint
+    ids: ClassVar[int] = 0
+
+    def init(self, world: World, state: State, draw: Draw) -> PursuitMemory:
+        """Return what is remembered at the start."""
+        _, fleet = fleet_of(world, state, self.fleet)
+        return PursuitMemory(-fleet.vehicle.position_ned.z)
+
+    def commands(self, memory: PursuitMemory, world: World, action: Array) -> tuple[Action, ...]:
+        """Return velocities of numbers (n, 2), at the height of the start and heading north."""
+        zero = jnp.zeros_like(action[:, 0])
+        return only(world, self.fleet, VelocityHeightSetpoint(action[:, 0], action[:, 1], memory.height, zero))
+
+    def each_tick(self, memory: PursuitMemory, world: World, state: State) -> PursuitMemory:
+        """Remember nothing."""
+        return memory
+
+    def judge(
+        self, memory: PursuitMemory, world: World, state: State, step: Array, steps: int
+    ) -> tuple[PursuitMemory, Array]:
+        """Return the reward of all cats together for each of them; 0 before the last step."""
+        _, cats = fleet_of(world, state, self.fleet)
+        _, mice = fleet_of(world, state, self.prey)
+        offset = _between(cats.vehicle.position_ned, mice.vehicle.position_ned)
+        nearest = jnp.min(offset.norm(), axis=1)
+        missing = jnp.maximum(nearest - self.reach * world.collision_distance, 0.0)
+        reward = jnp.where(step >= steps, -jnp.sum(missing * missing), 0.0)
+        return memory, jnp.broadcast_to(reward, nearest.shape)
+
+    def observe(self, memory: PursuitMemory, world: World, state: State) -> Array:
+        """Return for each cat its position and velocity, and where mice and other cats are from there; all measured.
+
+        North and east of each: position, velocity, offsets to the m mice, offsets to the n - 1 other cats in the order
+        of the fleet, beginning behind the cat itself.
+        """
+        _, cats = fleet_of(world, state, self.fleet)
+        _, mice = fleet_of(world, state, self.prey)
+        known, prey = estimate_of(cats), estimate_of(mice)
+        own, velocity = known.position_ned, known.velocity_ned
+        count = own.x.shape[0]
+        to_mice, to_cats = -_between(own, prey.position_ned), -_between(own, own)
+        order = (jnp.arange(count)[:, None] + jnp.arange(1, count)[None]) % count
+        others = [jnp.take_along_axis(axis, order, axis=1) for axis in (to_cats.x, to_cats.y)]
+        parts = [jnp.stack([own.x, own.y, velocity.x, velocity.y], axis=-1)]
+        for north, east in ((to_mice.x, to_mice.y), others):
+            parts.append(jnp.stack([north, east], axis=-1).reshape(count, -1))
+        return jnp.concatenate(parts, axis=-1)
+
+    def sees(self, world: World) -> tuple[Axis, ...]:
+        """Return what the numbers of an observation are."""
+        count, mice = (
+            next(fleet.size for fleet in world.fleets if fleet.name == name) for name in (self.fleet, self.prey)
+        )
+        named = [("position", "m"), ("velocity", "m/s")]
+        named += [(f"mouse_{i}_offset", "m") for i in range(mice)] + [(f"cat_{i}_offset", "m") for i in range(1, count)]
+        return tuple(Axis(f"{name}_{axis}", unit) for name, unit in named for axis in ("north", "east"))
+
+
+def _between(one: Vec3, other: Vec3) -> Vec3:
+    """Return positions (n,) minus positions (m,), (n, m)."""
+    return Vec3(*(getattr(one, axis)[:, None] - getattr(other, axis)[None] for axis in "xyz"))

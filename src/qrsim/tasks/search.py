@@ -1,0 +1,120 @@
+"""Search and rescue (spec: scenarios, section 2)."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control import VelocitySetpoint
+from qrsim.core.noise import Draw
+from qrsim.core.tree import quantity, record, setting
+from qrsim.core.vectors import Vec3
+from qrsim.episode import picture
+from qrsim.models.camera import Camera, Picture
+from qrsim.tasks.agents import (
+    BELIEVED,
+    Axis,
+    action_period,
+    believed,
+    fleet_of,
+    number_of,
+    only,
+    penalty,
+    velocity_axes,
+)
+from qrsim.world_tree import Action, State, World
+
+
+@record
+class SearchMemory:
+    """Of an episode."""
+
+    yaw: Array = quantity(unit="rad", doc="(n,) heading that each vehicle keeps")
+    found: Array = quantity(doc="() int32 persons found so far")
+
+
+@record
+class Search:
+    """Find persons on the ground: see them, and hover near them.
+
+    A step gives 1 for every person just found, else -1/steps, to all vehicles.
+    """
+
+    penalty: Array = penalty()
+    fleet: str = setting(default="helicopters", doc="name of the fleet whose vehicles are the agents")
+    camera: str = setting(default="camera", doc="name of their camera")
+    period: float = action_period(1.0)
+
+    axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ned")
+    asks_for: ClassVar[type | None] = VelocitySetpoint
+    ids: ClassVar[int] = 0
+
+    def init(self, world: World, state: State, draw: Draw) -> SearchMemory:
+        """Return what is remembered at the start."""
+        _, fleet = fleet_of(world, state, self.fleet)
+        return SearchMemory(fleet.vehicle.attitude.yaw, jnp.int32(0))
+
+    def commands(self, memory: SearchMemory, world: World, action: Array) -> tuple[Action, ...]:
+        """Return velocities of numbers (n, 3), at the heading of the start."""
+        return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), memory.yaw))
+
+    def each_tick(self, memory: SearchMemory, world: World, state: State) -> SearchMemory:
+        """Remember nothing."""
+        return memory
+
+    def judge(
+        self, memory: SearchMemory, world: World, state: State, step: Array, steps: int
+    ) -> tuple[SearchMemory, Array]:
+        """Return the reward of a step."""
+        found = jnp.sum(state.contents.persons.found_tick >= 0).astype(jnp.int32)
+        fresh = found - memory.found
+        yaw = memory.yaw
+        reward = jnp.where(fresh > 0, fresh.astype(yaw.dtype), -1.0 / steps)
+        return SearchMemory(yaw, found), jnp.broadcast_to(reward, yaw.shape)
+
+    def picture(self, world: World, state: State) -> Picture:
+        """Return the picture that each vehicle (n,) took last."""
+        world = world.with_drawn(state.drawn)
+        number = number_of(world, self.fleet)
+        return picture(world, state, number, self.camera)
+
+    def observe(self, memory: SearchMemory, world: World, state: State) -> dict[str, Any]:
+        """Return what each vehicle (n,) sees.
+
+        ``vehicle`` (n, 9) is what it believes of itself, ``ratio`` (n, R, C) the log-likelihood ratio of each window of
+        its last picture, 0 beyond the grid, ``grid`` (n, 2) the rows and columns of the grid, and ``corners`` (n, 4, 2)
+        north and east [m] of the grid's corners on the ground: upper left, upper right, lower right, lower left. They
+        and the grid are enough to know all windows' corners.
+        """
+        _, fleet = fleet_of(world, state, self.fleet)
+        seen = self.picture(world, state)
+        vehicle = jnp.arange(seen.rows.shape[0])
+        zero = jnp.zeros_like(seen.rows)
+        places = [(zero, zero), (zero, seen.columns), (seen.rows, seen.columns), (seen.rows, zero)]
+        corners = jnp.stack(
+            [
+                jnp.stack([seen.north[vehicle, row, column], seen.east[vehicle, row, column]], axis=-1)
+                for row, column in places
+            ],
+            axis=1,
+        )
+        grid = jnp.stack([seen.rows, seen.columns], axis=-1)
+        # Nothing is seen any more by a vehicle that has stopped.
+        return {
+            "vehicle": believed(fleet),
+            "ratio": jnp.where(jnp.isfinite(seen.ratio), seen.ratio, 0.0),
+            "grid": jnp.where(jnp.isfinite(corners[:, 0, :1]), grid, 0),
+            "corners": jnp.where(jnp.isfinite(corners), corners, 0.0),
+        }
+
+    def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
+        """Return what the numbers of an observation are, where they have names."""
+        return {"vehicle": BELIEVED}
+
+    def lens(self, world: World) -> Camera:
+        """Return the camera."""
+        fleet = world.fleets[number_of(world, self.fleet)]
+        camera: Camera = fleet.sensors[fleet.sensor_names.index(self.camera)]
+        return camera

@@ -1,0 +1,178 @@
+"""A browser without a window, told what to do over its DevTools protocol; for pictures of the page."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from qrsim.errors import RunError
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+INSTALL = "on Debian or Ubuntu: apt-get install chromium"
+# The last of these keeps it from all other machines: it would ask its maker for this and that.
+FLAGS = (
+    "--headless", "--enable-unsafe-swiftshader", "--disable-background-networking", "--disable-component-update",
+    "--no-first-run", "--disable-quic", "--disable-sync", "--remote-debugging-port=0", "--hide-scrollbars",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+)  # fmt: skip
+PATIENCE_S = 60.0
+
+
+def find_browser() -> str | None:
+    """Return the path of a browser that can draw without a window, None where there is none."""
+    return next((path for path in map(shutil.which, NAMES) if path), None)
+
+
+class Browser:
+    """One page in a browser of its own; a context manager.
+
+    Args:
+        width, height: of the page [pixels].
+
+    Attributes:
+        requested: addresses that the page and its workers asked for, those of this machine included.
+    """
+
+    def __init__(self, width: int = 1280, height: int = 800):
+        self._size = (width, height)
+        self.requested: list[str] = []
+        self._number = 0
+        self._answers: dict[int, dict[str, Any]] = {}
+        self._arrived = threading.Condition()
+        self._gone = False
+
+    def __enter__(self) -> Browser:
+        path = find_browser()
+        if path is None:
+            raise RunError(f"a picture of the page needs a browser: {', '.join(NAMES)} not found; {INSTALL}")
+        self._profile = tempfile.TemporaryDirectory(prefix="qrsim-browser-", ignore_cleanup_errors=True)
+        sandbox = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
+        command = [
+            path, *FLAGS, *sandbox, f"--user-data-dir={self._profile.name}",
+            f"--window-size={self._size[0]},{self._size[1]}", "about:blank",
+        ]  # fmt: skip
+        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            self._connect()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the browser."""
+        if hasattr(self, "_socket"):
+            with suppress(OSError):
+                self._socket.close()
+        self._process.terminate()
+        try:
+            self._process.wait(10.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait(10.0)
+        self._profile.cleanup()
+
+    def _connect(self) -> None:
+        from urllib.request import urlopen
+
+        note = Path(self._profile.name) / "DevToolsActivePort"
+        deadline = time.monotonic() + PATIENCE_S
+        while not (note.is_file() and len(note.read_text("utf-8").split()) == 2):
+            if self._process.poll() is not None:
+                raise RunError(f"the browser ended at once, with code {self._process.returncode}")
+            if time.monotonic() > deadline:
+                raise RunError(f"the browser did not start within {PATIENCE_S:g} s")
+            time.sleep(0.05)
+        port = note.read_text("utf-8").split()[0]
+        with urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
+            pages = [page for page in json.load(answer) if page["type"] == "page"]
+        self._socket = connect(pages[0]["webSocketDebuggerUrl"], max_size=None, compression=None, proxy=None)
+        threading.Thread(target=self._read, name="browser", daemon=True).start()
+        self.call("Network.enable")
+        self.call("Target.setAutoAttach", autoAttach=True, waitForDebuggerOnStart=True, flatten=True)
+        self.call("Page.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Ask for something of the DevTools protocol and return the answer.
+
+        Raises:
+            RunError: it was refused, or the browser is gone.
+        """
+        number = self._send(method, parameters)
+        with self._arrived:
+            self._arrived.wait_for(lambda: number in self._answers or self._gone, PATIENCE_S)
+            message = self._answers.pop(number, None)
+        if message is None:
+            raise RunError(f"the browser does not answer {method}")
+        if "error" in message:
+            raise RunError(f"the browser refuses {method}: {message['error'].get('message')}")
+        result: dict[str, Any] = message["result"]
+        return result
+
+    def _send(self, method: str, parameters: dict[str, Any], **more: str) -> int:
+        with self._arrived:
+            self._number += 1
+            number = self._number
+        with suppress(OSError, EOFError, ConnectionClosed):
+            self._socket.send(json.dumps({"id": number, "method": method, "params": parameters, **more}))
+        return number
+
+    def _read(self) -> None:
+        """Take what the browser says, in a thread of its own."""
+        with suppress(OSError, EOFError, ConnectionClosed):
+            for text in self._socket:
+                message = json.loads(text)
+                if "method" in message:
+                    self._note(message["method"], message["params"])
+                elif "sessionId" not in message:
+                    with self._arrived:
+                        self._answers[message["id"]] = message
+                        self._arrived.notify_all()
+        with self._arrived:
+            self._gone = True
+            self._arrived.notify_all()
+
+    def _note(self, method: str, parameters: dict[str, Any]) -> None:
+        if method == "Network.requestWillBeSent":
+            self.requested.append(parameters["request"]["url"])
+        elif method == "Network.webSocketCreated":
+            self.requested.append(parameters["url"])
+        elif method == "Target.attachedToTarget":
+            # A worker, which waits to be watched.
+            for wish in ("Network.enable", "Runtime.runIfWaitingForDebugger"):
+                self._send(wish, {}, sessionId=parameters["sessionId"])
+
+    def open(self, url: str) -> None:
+        """Go to an address."""
+        self.call("Page.navigate", url=url)
+
+    def evaluate(self, expression: str) -> Any:
+        """Return the value of JavaScript in the page."""
+        found = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        return found["result"].get("value")
+
+    def picture(self) -> bytes:
+        """Return what the page shows, as PNG."""
+        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+
+    def click(self, x: float, y: float) -> None:
+        """Press and release the left button at a place [pixels]."""
+        for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+            button: dict[str, Any] = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)
+            time.sleep(0.05)

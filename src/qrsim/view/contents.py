@@ -1,0 +1,145 @@
+"""What is in a world beside vehicles: cover of the ground, persons, a plume; drawn of simulations that run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from qrsim.view import shapes
+from qrsim.view.frame import Frame
+from qrsim.view.layers import Layer, Stage
+from qrsim.world_tree import State, World
+
+Floats = np.ndarray[Any, Any]
+# Of the classes of the ground, from the second on: clutter and occlusion.
+COVER_COLOURS = np.array([(190, 170, 90), (70, 110, 50)], np.uint8)
+MISSING_COLOUR, FOUND_COLOUR, PLUME_COLOUR = (220, 60, 0), (0, 120, 20), (110, 0, 120)
+# Of a plume: places where it is asked for, and those of them that are drawn; below this part of its peak none is.
+PLACES, DRAWN, FAINTEST = 20_000, 1500, 0.01
+
+
+class Contents(Layer):
+    """Base of layers that need a whole State; a replay has none, because logs have none."""
+
+    every = 10
+
+    def __init__(self, stage: Stage, world: World):
+        self.world = world
+        super().__init__(stage)
+
+    def draw(self, frame: Frame) -> None:
+        """Draw of the state what there is."""
+        if frame.state is not None:
+            self.look(frame.state, frame.time)
+
+    def look(self, state: State, time: float) -> None:
+        """Draw."""
+
+
+class Cover(Contents):
+    """Classes of the ground, drawn once."""
+
+    title = "terrain"
+
+    def begin(self) -> None:
+        """Nothing is known yet."""
+        self._drawn = False
+
+    def look(self, state: State, time: float) -> None:
+        """Make a plate for every cell that is not clear."""
+        if self._drawn:
+            return
+        self._drawn = True
+        cells = np.asarray(self.world.contents.terrain.cells(state.contents.terrain))
+        area = self.world.area
+        low, high = (np.array([float(area.x_min), float(area.y_min)]), np.array([float(area.x_max), float(area.y_max)]))
+        side = (high - low) / cells.shape[0]
+        plain: dict[str, Any] = {"lod": "off", "flat_shading": True, "cast_shadow": False}
+        where = np.argwhere(cells > 0)
+        if len(where):
+            self.stage.scene.add_batched_meshes_simple(
+                f"{self.path}/cells", *shapes.box((-0.5, -0.5, -1.0), (0.5, 0.5, 0.0)),
+                batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(where), 1)),
+                batched_positions=np.insert(low + (where + 0.5) * side, 2, 0.0, axis=1),
+                batched_scales=np.tile(np.array([*side, 0.1], np.float32), (len(where), 1)),
+                batched_colors=COVER_COLOURS[cells[tuple(where.T)] - 1], **plain,
+            )  # fmt: skip
+
+
+class Persons(Contents):
+    """Persons, orange before they are found and green after."""
+
+    title = "persons"
+
+    def begin(self) -> None:
+        """Nobody is known yet."""
+        self._handle: Any = None
+
+    def look(self, state: State, time: float) -> None:
+        """Colour who is found."""
+        persons = state.contents.persons
+        there, found = np.asarray(persons.there), np.asarray(persons.found_tick) >= 0
+        colours = np.where(found[:, None], FOUND_COLOUR, MISSING_COLOUR).astype(np.uint8)
+        if self._handle is not None:
+            self._handle.batched_colors = colours
+            return
+        tall = np.where(there, 0.5 * self.stage.span, 0.0)
+        self._handle = self.stage.scene.add_batched_meshes_simple(
+            f"{self.path}/persons", *shapes.prism(0.5, -1.0, 0.0, 12),
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(there), 1)),
+            batched_positions=np.stack([persons.north, persons.east, np.zeros(len(there))], axis=1),
+            batched_scales=np.stack([0.5 * tall, 0.5 * tall, tall], axis=1).astype(np.float32),
+            batched_colors=colours, lod="off", flat_shading=True, cast_shadow=False,
+        )  # fmt: skip
+
+
+class Plume(Contents):
+    """A plume as translucent points, where it is strongest of many places in the area."""
+
+    title = "plume"
+    every = 30
+
+    def begin(self) -> None:
+        """Choose the places."""
+        area, rng = self.world.area, np.random.default_rng(1)
+        low, high = ([float(getattr(area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max"))
+        self._dtype = np.asarray(self.world.fleets[0].start.position_ned.x).dtype
+        self._places = rng.uniform(low, high, (PLACES, 3)).astype(self._dtype)
+        self._ask = jax.jit(_concentration)
+        self._handle = self.stage.scene.add_batched_meshes_simple(
+            f"{self.path}/points", *shapes.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (DRAWN, 1)), batched_positions=np.zeros((DRAWN, 3)),
+            batched_scales=np.zeros((DRAWN, 3), np.float32), batched_opacities=np.zeros(DRAWN, np.float32),
+            batched_colors=PLUME_COLOUR, opacity=0.6, lod="off", cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def look(self, state: State, time: float) -> None:
+        """Ask for the concentration, and draw the strongest."""
+        tick = np.int32(round(time / self.world.time_step))
+        with jax.enable_x64(self._dtype == np.float64):
+            found = np.asarray(self._ask(self.world.with_drawn(state.drawn), state.contents, tick, self._places))
+        strongest = np.argsort(found)[-DRAWN:]
+        share = found[strongest] / max(float(found.max()), 1e-30)
+        size = np.where(share > FAINTEST, 0.35 * self.stage.span, 0.0)
+        self._handle.batched_positions = self._places[strongest]
+        self._handle.batched_scales = np.repeat(size, 3).reshape(-1, 3)
+        self._handle.batched_opacities = np.sqrt(share).astype(np.float32)
+
+
+def _concentration(world: World, contents: Any, tick: Any, places: Any) -> Any:
+    from qrsim.core.vectors import Vec3
+    from qrsim.models.contents import Surroundings
+
+    around = Surroundings(world.contents, contents, world.wind, world.area, tick, world.time_step)
+    return around.concentration(Vec3(places[:, 0], places[:, 1], places[:, 2]))
+
+
+def contents_layers(stage: Stage, world: World) -> list[Layer]:
+    """Return the layers of what there is in a world, in an area that is a box."""
+    contents = getattr(world, "contents", None)
+    if contents is None or not hasattr(world.area, "x_min"):
+        return []
+    parts = (("terrain", Cover), ("persons", Persons), ("plume", Plume))
+    return [layer(stage, world) for name, layer in parts if hasattr(getattr(contents, name), "init")]

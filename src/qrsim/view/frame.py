@@ -1,0 +1,135 @@
+"""One instant of a world as the page draws it, from a State; and what does not change, from a World."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from qrsim.models.area import reason_text
+from qrsim.world_tree import FleetState, State, World
+
+Floats = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What all n vehicles do at one time; NaN where something is not known.
+
+    Attributes:
+        time: simulated time [s].
+        position_ned: (n, 3) [m].
+        attitude: (n, 3) roll, pitch, yaw [rad].
+        estimate_ned: (n, 3) where the controllers believe the vehicles to be [m].
+        ghost_ned: (n, 3) where GNSS says that they are [m].
+        wind_ned, gust_ned: (n, 3) mean wind and gusts at the vehicles [m/s].
+        valid: (n,) whether each still flies.
+        reasons: vehicle -> why it has stopped.
+        state: all there is; None in a replay.
+    """
+
+    time: float
+    position_ned: Floats
+    attitude: Floats
+    estimate_ned: Floats
+    ghost_ned: Floats
+    wind_ned: Floats
+    gust_ned: Floats
+    valid: Floats
+    reasons: dict[int, str] = field(default_factory=dict)
+    state: State | None = None
+
+
+@dataclass(frozen=True)
+class Cast:
+    """Who is in the scene.
+
+    Attributes:
+        names: (n,) of the vehicles.
+        fleets: (n,) number of the fleet of each.
+        start_ned: (n, 3) where they are at first [m].
+        around: (K, 3) corners of what is to be seen beside them [m]; None: nothing.
+    """
+
+    names: tuple[str, ...]
+    fleets: Floats
+    start_ned: Floats
+    around: Floats | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of vehicles."""
+        return len(self.names)
+
+    @property
+    def extent(self) -> float:
+        """How far apart things are [m]: the diagonal of a box around them all and the ground below."""
+        corners = np.vstack([self._seen, self._seen * [1.0, 1.0, 0.0]])
+        return max(10.0, float(np.linalg.norm(np.ptp(corners, axis=0))))
+
+    @property
+    def _seen(self) -> Floats:
+        return self.start_ned if self.around is None else np.vstack([self.start_ned, self.around])
+
+    @property
+    def centre(self) -> Floats:
+        """(3,) the middle of all that is to be seen [m]."""
+        middle: Floats = 0.5 * (self._seen.min(axis=0) + self._seen.max(axis=0))
+        return middle
+
+
+def cast_of(world: World, start_ned: Floats) -> Cast:
+    """Return who is in a world, for positions (n, 3) [m] of the vehicles at first."""
+    return Cast(
+        tuple(name for fleet in world.fleets for name in fleet.vehicle_names),
+        np.repeat(np.arange(len(world.fleets)), [fleet.size for fleet in world.fleets]),
+        np.nan_to_num(start_ned).astype(np.float64),
+        _contents_corners(world),
+    )
+
+
+def _contents_corners(world: World) -> Floats | None:
+    """Return the corners of the area where something is in it beside vehicles."""
+    contents, area = getattr(world, "contents", None), world.area
+    if contents is None or not hasattr(area, "x_min"):
+        return None
+    if not any(hasattr(part, "init") for part in vars(contents).values()):
+        return None
+    return np.array([[float(getattr(area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max")])
+
+
+def frame_of(state: State, time: float) -> Frame:
+    """Return the frame of a state of NumPy arrays at a simulated time [s]."""
+
+    def gather(pick: Any) -> Floats:
+        return np.concatenate([axes_of(pick(fleet)) for fleet in state.fleets])
+
+    codes = np.concatenate([np.asarray(fleet.violation.code) for fleet in state.fleets])
+    values = np.concatenate([np.asarray(fleet.violation.value) for fleet in state.fleets])
+    return Frame(
+        time,
+        gather(lambda fleet: fleet.vehicle.position_ned),
+        gather(lambda fleet: fleet.vehicle.attitude),
+        gather(lambda fleet: fleet.estimate.position_ned),
+        gather(_fix),
+        gather(lambda fleet: fleet.mean_wind_ned),
+        gather(lambda fleet: fleet.gust_ned),
+        codes == 0,
+        {int(i): reason_text(int(codes[i]), float(values[i])) for i in np.flatnonzero(codes)},
+        state,
+    )
+
+
+def axes_of(vector: Any) -> Floats:
+    """Return a Vec3 or Euler of arrays (n,) as (n, 3)."""
+    return np.stack([np.asarray(axis) for axis in vars(vector).values()], axis=-1)
+
+
+def _fix(fleet: FleetState) -> Any:
+    """Return the position that a fleet's first GNSS receiver reports, NaN without one."""
+    for reading in fleet.readings:
+        if hasattr(reading, "position_ned"):
+            return reading.position_ned
+    position = fleet.vehicle.position_ned
+    return type(position)(*(np.full_like(axis, np.nan) for axis in vars(position).values()))

@@ -1,0 +1,117 @@
+"""What does not move: ground with grid and north arrow, the area's outline, obstacles."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from qrsim.models.area import BoxArea
+from qrsim.models.fence import PolygonArea
+from qrsim.view import shapes
+from qrsim.view.layers import Layer, Stage
+from qrsim.world_tree import World
+
+Floats = np.ndarray[Any, Any]
+AREA_COLOUR, OBSTACLE_COLOUR, NORTH_COLOUR = (90, 60, 160), (150, 130, 110), (190, 30, 30)
+
+
+class Ground(Layer):
+    """Ground at height 0 with a grid; an arrow points north from the origin."""
+
+    title = "ground and north"
+
+    def begin(self) -> None:
+        """Make plane, grid and arrow."""
+        cell = grid_cell(self.stage.cast.extent)
+        size = 10.0 * cell * max(4, math.ceil(2.0 * _reach(self.stage) / (10.0 * cell)))
+        scene = self.stage.scene
+        scene.add_grid(
+            f"{self.path}/grid", width=size, height=size, plane="xy", cell_size=cell, section_size=10.0 * cell,
+            cell_color=(170, 180, 160), section_color=(120, 130, 110), plane_color=(226, 232, 214), plane_opacity=1.0,
+            fade_distance=20.0 * size, shadow_opacity=0.0, position=(0.0, 0.0, 0.0),
+        )  # fmt: skip
+        length = 5.0 * cell
+        scene.add_mesh_simple(
+            f"{self.path}/north", *shapes.arrow(), color=NORTH_COLOUR, flat_shading=True, side="double",
+            scale=(length, 0.4 * length, 0.02 * length), cast_shadow=False,
+        )  # fmt: skip
+        scene.add_label(f"{self.path}/n", f"N (grid {cell:g} m)", position=(1.1 * length, 0.0, 0.0))
+
+
+class Area(Layer):
+    """Where vehicles may be."""
+
+    title = "area"
+
+    def __init__(self, stage: Stage, world: World):
+        self._area = world.area
+        super().__init__(stage)
+
+    def begin(self) -> None:
+        """Draw its edges."""
+        found = corners_of(self._area)
+        if found is None:
+            return
+        self.stage.scene.add_line_segments(
+            f"{self.path}/edges", _edges(*found), AREA_COLOUR, thickness=2.0, thickness_units="screen"
+        )
+
+
+class Obstacles(Layer):
+    """Boxes and cylinders."""
+
+    title = "obstacles"
+
+    def __init__(self, stage: Stage, world: World):
+        self._obstacles = world.obstacles
+        super().__init__(stage)
+
+    def begin(self) -> None:
+        """Make one instance of a box and of a cylinder for each."""
+        boxes, cylinders = self._obstacles.boxes, self._obstacles.cylinders
+        low = np.stack([boxes.x_min, boxes.y_min, boxes.z_min], axis=1)
+        high = np.stack([boxes.x_max, boxes.y_max, boxes.z_max], axis=1)
+        self._add("boxes", shapes.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)), 0.5 * (low + high), high - low)
+        z_min, z_max, radius = (np.asarray(v) for v in (cylinders.z_min, cylinders.z_max, cylinders.radius))
+        middle = np.stack([cylinders.x, cylinders.y, 0.5 * (z_min + z_max)], axis=1)
+        self._add("cylinders", shapes.prism(1.0, -0.5, 0.5), middle, np.stack([radius, radius, z_max - z_min], axis=1))
+
+    def _add(self, name: str, mesh: shapes.Mesh, middle: Floats, size: Floats) -> None:
+        if len(middle):
+            self.stage.scene.add_batched_meshes_simple(
+                f"{self.path}/{name}", *mesh, batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(middle), 1)),
+                batched_positions=middle, batched_scales=np.asarray(size, np.float32), batched_colors=OBSTACLE_COLOUR,
+                lod="off", flat_shading=True, side="double", opacity=0.8, cast_shadow=False,
+            )  # fmt: skip
+
+
+def grid_cell(extent: float) -> float:
+    """Return 1, 2 or 5 times a power of ten [m], about a twentieth of an extent [m]."""
+    decade = 10.0 ** math.floor(math.log10(extent / 20.0))
+    return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= extent / 20.0)
+
+
+def corners_of(area: Any) -> tuple[Floats, float, float] | None:
+    """Return corners (V, 2) north and east, ceiling and floor [m] of an area; None where its shape is not known."""
+    if isinstance(area, PolygonArea):
+        return np.stack([area.north, area.east], axis=1), float(area.z_min), float(area.z_max)
+    if isinstance(area, BoxArea):
+        south, north, west, east = (float(v) for v in (area.x_min, area.x_max, area.y_min, area.y_max))
+        corners = np.array([(south, west), (south, east), (north, east), (north, west)])
+        return corners, float(area.z_min), float(area.z_max)
+    return None
+
+
+def _edges(corners: Floats, z_min: float, z_max: float) -> Floats:
+    """Return the edges (3 V, 2, 3) of an upright prism."""
+    low, high = (np.insert(corners, 2, z, axis=1) for z in (z_max, z_min))
+    return np.concatenate(
+        [np.stack(pair, axis=1) for pair in ((low, np.roll(low, -1, 0)), (high, np.roll(high, -1, 0)), (low, high))]
+    )
+
+
+def _reach(stage: Stage) -> float:
+    """Return how far from the origin anybody starts, and as much again [m]."""
+    return float(np.abs(stage.cast.start_ned[:, :2]).max()) + stage.cast.extent

@@ -1,0 +1,220 @@
+"""What the page draws, one class for everything that is shown or hidden together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from viser import SceneApi
+
+from qrsim.readings import quaternion_of
+from qrsim.view import shapes
+from qrsim.view.frame import Cast, Frame
+
+Floats = np.ndarray[Any, Any]
+STOPPED_COLOUR = (200, 20, 20)
+GHOST_COLOUR, GUST_COLOUR, POLE_COLOUR = (60, 70, 100), (200, 70, 0), (40, 40, 40)
+# More labels than this cannot be read.
+MOST_LABELS = 20
+# The strongest wind that has a colour of its own [m/s].
+STRONG_WIND = 12.0
+# Lengths of arrows, in spans of a vehicle for each m/s.
+ARROW_SPANS = 0.3
+
+
+@dataclass
+class Stage:
+    """Where layers draw.
+
+    Attributes:
+        scene: of the page.
+        cast: who is in it.
+        span: how large a vehicle is drawn [m].
+    """
+
+    scene: SceneApi
+    cast: Cast
+    span: float
+
+    @property
+    def colours(self) -> Floats:
+        """(n, 3) of the vehicles: their own while they are few, else those of their fleets."""
+        few = self.cast.size <= len(shapes.PALETTE)
+        numbers = np.arange(self.cast.size) if few else self.cast.fleets
+        return shapes.PALETTE[numbers % len(shapes.PALETTE)]
+
+
+class Layer:
+    """Base of what is drawn; its nodes are children of ``root``.
+
+    Attributes:
+        title: what the page calls it.
+        every: it is drawn anew at every so-many-th frame.
+    """
+
+    title = ""
+    every = 1
+
+    def __init__(self, stage: Stage):
+        self.stage = stage
+        self.path = f"/world/{type(self).__name__.lower()}"
+        self.root = stage.scene.add_frame(self.path, show_axes=False)
+        self.begin()
+
+    def begin(self) -> None:
+        """Make the nodes."""
+
+    def draw(self, frame: Frame) -> None:
+        """Move them."""
+
+    def batch(self, name: str, mesh: shapes.Mesh, colours: Any, **options: Any) -> Any:
+        """Return one instance of a mesh for each vehicle, at its start."""
+        count = self.stage.cast.size
+        return self.stage.scene.add_batched_meshes_simple(
+            f"{self.path}/{name}",
+            *mesh,
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+            batched_positions=self.stage.cast.start_ned,
+            batched_scales=np.zeros((count, 3), np.float32),
+            batched_colors=colours,
+            lod="off",
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+            **options,
+        )
+
+
+class Vehicles(Layer):
+    """The vehicles with their attitudes; red once they have stopped."""
+
+    title = "vehicles"
+
+    def begin(self) -> None:
+        """Make one instance for each."""
+        self._valid = np.ones(self.stage.cast.size, bool)
+        self.handle = self.batch("bodies", shapes.quadrotor(), self.stage.colours)
+
+    def draw(self, frame: Frame) -> None:
+        """Move and turn them."""
+        self.handle.batched_positions = _finite(frame.position_ned, self.stage.cast.start_ned)
+        self.handle.batched_wxyzs = np.nan_to_num(quaternion_of(frame.attitude)).astype(np.float32)
+        self.handle.batched_scales = np.full((self.stage.cast.size, 3), self.stage.span, np.float32)
+        if not np.array_equal(frame.valid, self._valid):
+            self._valid = frame.valid.copy()
+            self.handle.batched_colors = np.where(frame.valid[:, None], self.stage.colours, STOPPED_COLOUR)
+
+
+class Poles(Layer):
+    """Upright lines from the vehicles to the ground, which show where they are."""
+
+    title = "poles"
+    every = 3
+
+    def begin(self) -> None:
+        """Make one for each vehicle."""
+        self._handle = self.batch("poles", shapes.box((-0.5, -0.5, 0.0), (0.5, 0.5, 1.0)), POLE_COLOUR, opacity=0.35)
+
+    def draw(self, frame: Frame) -> None:
+        """Let them reach from the vehicles down to height 0."""
+        top = _finite(frame.position_ned, self.stage.cast.start_ned)
+        wide = np.full(len(top), 0.03 * self.stage.span)
+        self._handle.batched_positions = top
+        self._handle.batched_scales = np.stack([wide, wide, np.maximum(-top[:, 2], 0.0)], axis=1)
+
+
+class Ghosts(Layer):
+    """Where GNSS says that the vehicles are."""
+
+    title = "GNSS positions"
+    every = 3
+
+    def begin(self) -> None:
+        """Make one pale instance for each."""
+        self._handle = self.batch("bodies", shapes.quadrotor(), GHOST_COLOUR, opacity=0.4)
+
+    def draw(self, frame: Frame) -> None:
+        """Move them; where there is no fix there is no ghost."""
+        fixed = np.isfinite(frame.ghost_ned).all(axis=1)
+        self._handle.batched_positions = _finite(frame.ghost_ned, frame.position_ned)
+        self._handle.batched_wxyzs = np.nan_to_num(quaternion_of(frame.attitude)).astype(np.float32)
+        self._handle.batched_scales = np.repeat(np.where(fixed, self.stage.span, 0.0), 3).reshape(-1, 3)
+
+
+class Wind(Layer):
+    """The mean wind at each vehicle, its strength as length and colour."""
+
+    title = "mean wind"
+    every = 3
+
+    def begin(self) -> None:
+        """Make one arrow for each vehicle."""
+        self._handle = self.batch("arrows", shapes.arrow(), np.tile(shapes.PALETTE[0], (self.stage.cast.size, 1)))
+
+    def draw(self, frame: Frame) -> None:
+        """Turn the arrows along the moving air."""
+        _point(self._handle, _finite(frame.position_ned, self.stage.cast.start_ned), frame.wind_ned, self.stage.span)
+        speed = np.linalg.norm(np.nan_to_num(frame.wind_ned), axis=1)
+        self._handle.batched_colors = shapes.speed_colours(speed, STRONG_WIND)
+
+
+class Gusts(Layer):
+    """The gusts at each vehicle, from the tip of the mean wind: both together are the wind that it feels."""
+
+    title = "gusts"
+    every = 3
+
+    def begin(self) -> None:
+        """Make one arrow for each vehicle."""
+        self._handle = self.batch("arrows", shapes.arrow(), GUST_COLOUR)
+
+    def draw(self, frame: Frame) -> None:
+        """Turn the arrows along the gusts."""
+        start = _finite(frame.position_ned, self.stage.cast.start_ned)
+        tip = start + np.nan_to_num(frame.wind_ned) * (ARROW_SPANS * self.stage.span)
+        _point(self._handle, tip, frame.gust_ned, self.stage.span)
+
+
+class Names(Layer):
+    """Names of the vehicles while they are few, and why those that have stopped did."""
+
+    title = "names and reasons"
+    every = 2
+
+    def begin(self) -> None:
+        """Nothing is labelled at first."""
+        self._labels: dict[int, Any] = {}
+
+    def draw(self, frame: Frame) -> None:
+        """Keep the labels with their vehicles."""
+        names = self.stage.cast.names
+        wanted = {i: f"{names[i]}: {why}" for i, why in list(frame.reasons.items())[-MOST_LABELS:]}
+        if len(names) <= MOST_LABELS:
+            wanted = dict(enumerate(names)) | wanted
+        for i in self._labels.keys() - wanted.keys():
+            self._labels.pop(i).remove()
+        above = [0.0, 0.0, -0.6 * self.stage.span]
+        for i, text in wanted.items():
+            place = _finite(frame.position_ned[i], self.stage.cast.start_ned[i]) + above
+            if i not in self._labels:
+                self._labels[i] = self.stage.scene.add_label(
+                    f"{self.path}/{i}", text, position=place, anchor="bottom-center", font_screen_scale=0.8
+                )
+            self._labels[i].position = place
+            self._labels[i].text = text
+
+
+def _finite(values: Floats, instead: Floats) -> Floats:
+    return np.where(np.isfinite(values), values, instead)
+
+
+def _point(handle: Any, start: Floats, vector: Floats, span: float) -> None:
+    """Let arrows begin at ``start`` and show vectors (n, 3) [m/s]."""
+    vector = np.nan_to_num(vector)
+    length = np.linalg.norm(vector, axis=1) * (ARROW_SPANS * span)
+    wide = np.minimum(0.6 * span, length)
+    handle.batched_positions = start
+    handle.batched_wxyzs = shapes.along(vector)
+    handle.batched_scales = np.stack([length, wide, wide], axis=1)

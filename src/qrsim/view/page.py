@@ -1,0 +1,186 @@
+"""The page: the scene, and the panel with time, layers, the chosen vehicle and its plot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from viser import ViserServer
+
+from qrsim.view.clock import Clock
+from qrsim.view.frame import Cast, Frame
+from qrsim.view.layers import STRONG_WIND
+from qrsim.view.scene import Scene
+from qrsim.view.server import Delivery
+from qrsim.world_tree import World
+
+Floats = np.ndarray[Any, Any]
+NOBODY = "(nobody)"
+# Status and plot are renewed at every so-many-th frame.
+STATUS_FRAMES = 6
+MOST_STOPPED = 10
+PLOTS = 2
+
+
+class Page:
+    """What a browser shows of one world.
+
+    Args:
+        server: that it is on.
+        cast: who is in it.
+        world: what there is; None where that is not known.
+        heading: what is shown, one line.
+        clock: of time; None where somebody else moves it.
+
+    Attributes:
+        scene: in which things are drawn.
+        chosen: number of the vehicle that is plotted; None: nobody.
+        time_folder: of the panel, where there is a clock.
+        drawn: number of frames.
+        dropped: returns how many frames were not drawn, because newer ones were there already.
+        plotted: returns for a vehicle and a measured quantity its (times, measured, true), each (K,).
+        quantities: what can be plotted.
+    """
+
+    def __init__(self, server: ViserServer, cast: Cast, world: World | None, heading: str, clock: Clock | None):
+        self.server, self.heading, self.clock = server, heading, clock
+        self.scene = Scene(server, cast, world)
+        self.chosen: int | None = None
+        self.dropped: Callable[[], int] = lambda: 0
+        self.plotted: Callable[[int, str], tuple[Floats, Floats, Floats]] | None = None
+        self.drawn = 0
+        self._delivery = Delivery(server)
+        self._status = server.gui.add_markdown("")
+        self._stopped = server.gui.add_markdown("")
+        if clock is not None:
+            self._add_clock(clock)
+        self._add_vehicle()
+        self._add_layers()
+        self.scene.vehicles.handle.on_click(lambda event: self.choose(event.instance_index))
+
+    # ---- the panel ----
+
+    def _add_clock(self, clock: Clock) -> None:
+        gui = self.server.gui
+        self.time_folder = gui.add_folder("Time")
+        with self.time_folder:
+            buttons = gui.add_button_group("Run", ("play", "pause", "step"))
+            speed = gui.add_dropdown(
+                "Speed", [_speed_name(s) for s in clock.speeds], initial_value=_speed_name(clock.speed)
+            )
+
+        @buttons.on_click
+        def _(_: Any) -> None:
+            if buttons.value == "step":
+                clock.step()
+            else:
+                clock.playing = buttons.value == "play"
+            # What is drawn from now on says so itself; this is for what was drawn before.
+            if self.scene.frame is not None:
+                self._say(self.scene.frame)
+
+        @speed.on_update
+        def _(_: Any) -> None:
+            clock.speed = next(s for s in clock.speeds if _speed_name(s) == speed.value)
+
+    def _add_vehicle(self) -> None:
+        gui, names = self.server.gui, self.scene.cast.names
+        self._vehicle_folder = gui.add_folder("Vehicle")
+        with self._vehicle_folder:
+            self._who: Any = gui.add_dropdown("Name", (NOBODY, *names), hint="or click a vehicle")
+            self._follow = gui.add_checkbox("Follow", False)
+            self._size = gui.add_slider("Size [m]", 0.5, 40.0, 0.5, _half(self.scene.stage.span))
+        self._plots: list[tuple[Any, Any]] = []
+
+        @self._who.on_update
+        def _(_: Any) -> None:
+            self.choose(None if self._who.value == NOBODY else names.index(self._who.value))
+
+        @self._follow.on_update
+        def _(_: Any) -> None:
+            self.scene.follow(self.chosen if self._follow.value else None)
+
+        @self._size.on_update
+        def _(_: Any) -> None:
+            self.scene.resize(self._size.value)
+
+    def _add_layers(self) -> None:
+        gui = self.server.gui
+        with gui.add_folder("Layers", expand_by_default=False):
+            for title in self.scene.layers:
+                gui.add_checkbox(title, True).on_update(partial(self._show, title))
+            gui.add_markdown(f"Wind: blue is calm, red {STRONG_WIND:g} m/s and more; gusts are orange. Stopped: red.")
+
+    def add_plots(self, quantities: list[str]) -> None:
+        """Offer plots of what the chosen vehicle measures, against the truth."""
+        gui = self.server.gui
+        series = ({"label": "t"}, {"label": "measured", "stroke": "#d62728"}, {"label": "true", "stroke": "#1f77b4"})
+        with self._vehicle_folder:
+            for number in range(min(PLOTS, len(quantities))):
+                choice = gui.add_dropdown("Reading", quantities, initial_value=_first_choice(quantities, number))
+                # Some times, because a plot that begins without any never finds its scale.
+                empty = (np.array([0.0, 1.0]), *(np.full(2, np.nan),) * 2)
+                plot = gui.add_uplot(empty, series, scales={"x": {"time": False}}, height=150)  # type: ignore[arg-type]
+                self._plots.append((choice, plot))
+                choice.on_update(lambda _: self._plot())
+
+    # ---- what happens ----
+
+    def _show(self, title: str, event: Any) -> None:
+        self.scene.show(title, event.target.value)
+
+    def choose(self, vehicle: int | None) -> None:
+        """Plot a vehicle, and follow it where that is switched on."""
+        self.chosen = vehicle
+        name = NOBODY if vehicle is None else self.scene.cast.names[vehicle]
+        if self._who.value != name:
+            self._who.value = name
+        if self._follow.value or self.scene.followed is not None:
+            self.scene.follow(vehicle)
+        self._plot()
+
+    def draw(self, frame: Frame, everything: bool = False) -> None:
+        """Show a frame."""
+        self.scene.draw(frame, everything)
+        if everything or self.drawn % STATUS_FRAMES == 0:
+            self._say(frame)
+            self._plot()
+        self.drawn += 1
+        self._delivery.sent()
+
+    def _say(self, frame: Frame) -> None:
+        stopped = f", {len(frame.reasons)} stopped" if frame.reasons else ""
+        flying = f"{int(frame.valid.sum())} of {len(frame.valid)} vehicles fly{stopped}"
+        paused = "" if self.clock is None or self.clock.playing else " (paused)"
+        frames = f"{self.drawn} frames drawn, {self.dropped() + self._delivery.missed} dropped"
+        self._status.content = f"**{self.heading}**  \n**t = {frame.time:.2f} s**{paused}  \n{flying}  \n{frames}"
+        names = self.scene.cast.names
+        lines = [f"- {names[i]}: {why}" for i, why in list(frame.reasons.items())[:MOST_STOPPED]]
+        if len(frame.reasons) > MOST_STOPPED:
+            lines.append(f"- and {len(frame.reasons) - MOST_STOPPED} more")
+        self._stopped.content = "\n".join(lines)
+
+    def _plot(self) -> None:
+        if self.chosen is None or self.plotted is None:
+            return
+        for choice, plot in self._plots:
+            found = self.plotted(self.chosen, choice.value)
+            if len(found[0]) > 1:
+                plot.data = found
+
+
+def _speed_name(speed: float) -> str:
+    return "as fast as can be" if math.isinf(speed) else f"{speed:g} x"
+
+
+def _half(value: float) -> float:
+    return round(2.0 * value) / 2.0
+
+
+def _first_choice(quantities: list[str], number: int) -> str:
+    """Return what a plot shows at first: something that goes wrong in interesting ways, where it is measured."""
+    wanted = ("position_ned.x", "height")
+    return next((q for q in quantities if q.endswith(wanted[number])), quantities[number])

@@ -1,0 +1,83 @@
+"""Where vehicles came from: the last minute of their true and of their estimated paths."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.view.frame import Frame
+from qrsim.view.layers import Layer
+
+Floats = np.ndarray[Any, Any]
+LENGTH_S = 60.0
+# Of all vehicles together; each has at least the second and at most the third of these.
+SEGMENTS, FEWEST, MOST = 40_000, 8, 600
+ESTIMATE_COLOUR = (30, 30, 30)
+
+
+class Paths(Layer):
+    """The true path of each vehicle, in its colour."""
+
+    title = "true paths"
+    every = 15
+    thickness = 3.0
+
+    def begin(self) -> None:
+        """Let all paths begin at the start."""
+        cast = self.stage.cast
+        self._count = int(np.clip(SEGMENTS // cast.size, FEWEST, MOST))
+        self._points = np.repeat(cast.start_ned[None].astype(np.float32), self._count + 1, axis=0)
+        self._time, self._begun = np.zeros(self._count + 1), False
+        if cast.size <= 50:
+            self.every = 5
+        self._handle = self.stage.scene.add_line_segments(
+            f"{self.path}/lines", self._segments(), self._colours(), thickness=self.thickness, thickness_units="screen"
+        )
+
+    def note(self, frame: Frame) -> None:
+        """Remember a frame; one of an earlier time begins the paths anew."""
+        position = self.position(frame)
+        if frame.time < self._time[-1] or not self._begun:
+            self._begun = True
+            self._time[:] = frame.time
+            self._points[:] = np.where(np.isfinite(position), position, self.stage.cast.start_ned)
+        elif frame.time - self._time[-2] >= LENGTH_S / self._count:
+            self._points[:-1], self._time[:-1] = self._points[1:].copy(), self._time[1:].copy()
+        self._points[-1], self._time[-1] = np.where(np.isfinite(position), position, self._points[-1]), frame.time
+
+    def remember(self, time: Floats, points: Floats) -> None:
+        """Take the paths from a recording: times (K,) [s] and positions (K, n, 3) [m], as many as ``sample`` says."""
+        self._time[:], self._points[:], self._begun = time, points, True
+
+    def sample(self, time: float) -> Floats:
+        """Return the times [s] at which the paths that end at a time have their corners."""
+        return np.linspace(max(0.0, time - LENGTH_S), time, self._count + 1)
+
+    def position(self, frame: Frame) -> Floats:
+        """Return what is drawn of a frame (n, 3) [m]."""
+        return frame.position_ned
+
+    def draw(self, frame: Frame) -> None:
+        """Draw what was remembered."""
+        self._handle.points = self._segments()
+
+    def _segments(self) -> Floats:
+        return np.stack([self._points[:-1], self._points[1:]], axis=2).reshape(-1, 2, 3)
+
+    def _colours(self) -> Any:
+        return np.repeat(np.tile(self.stage.colours, (self._count, 1))[:, None], 2, axis=1)
+
+
+class EstimatedPaths(Paths):
+    """Where the controllers believed each vehicle to be."""
+
+    title = "estimated paths"
+    thickness = 1.5
+
+    def position(self, frame: Frame) -> Floats:
+        """Return the estimates (n, 3) [m]."""
+        return frame.estimate_ned
+
+    def _colours(self) -> Any:
+        return ESTIMATE_COLOUR

@@ -1,0 +1,123 @@
+"""The scene of a page: its layers, the camera, and whom it follows."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+from viser import ViserServer
+
+from qrsim.view.contents import contents_layers
+from qrsim.view.frame import Cast, Frame
+from qrsim.view.ground import Area, Ground, Obstacles
+from qrsim.view.layers import Ghosts, Gusts, Layer, Names, Poles, Stage, Vehicles, Wind
+from qrsim.view.paths import EstimatedPaths, Paths
+from qrsim.world_tree import World
+
+Floats = np.ndarray[Any, Any]
+# Spans of a drawn vehicle [m]: that of a Pelican, and what still leaves room between neighbours.
+SMALLEST_SPAN, LARGEST_SPAN = 0.65, 12.0
+
+
+class Scene:
+    """Everything that is drawn of one world, in NED.
+
+    Args:
+        server: of the page.
+        cast: who is in it.
+        world: what there is; None where that is not known, and only vehicles and ground are drawn.
+
+    Attributes:
+        cast: who is in it.
+        layers: what can be shown or hidden, by title.
+        followed: number of the vehicle in the middle; None: the world stands still.
+        frame: the last one drawn; None before the first.
+    """
+
+    def __init__(self, server: ViserServer, cast: Cast, world: World | None):
+        self._server = server
+        self.cast = cast
+        self.followed: int | None = None
+        self.frame: Frame | None = None
+        self._count = 0
+        # Drawn by one thread, changed by those of the panel.
+        self._lock = threading.RLock()
+        scene = server.scene
+        scene.set_up_direction((0.0, 0.0, -1.0))
+        scene.add_light_ambient("/light", intensity=1.2)
+        self._root = scene.add_frame("/world", show_axes=False)
+        self.stage = Stage(scene, self.cast, float(np.clip(self.cast.extent / 15.0, SMALLEST_SPAN, LARGEST_SPAN)))
+        self.vehicles = Vehicles(self.stage)
+        self.paths = (Paths(self.stage), EstimatedPaths(self.stage))
+        others = (Poles, Ghosts, Wind, Gusts, Names)
+        moving = [*self.paths, *(layer(self.stage) for layer in others)]
+        solid: list[Layer] = []
+        if world is not None:
+            solid = [Area(self.stage, world), Obstacles(self.stage, world), *contents_layers(self.stage, world)]
+        layers: list[Layer] = [Ground(self.stage), *solid, self.vehicles, *moving]
+        self.layers = {layer.title: layer for layer in layers}
+        self._look()
+
+    def _look(self) -> None:
+        """Let pages begin with a view from the south, of all starts."""
+        centre, far = self.cast.centre, self.cast.extent
+        camera = self._server.initial_camera
+        camera.up = (0.0, 0.0, -1.0)
+        camera.look_at = tuple(centre)
+        camera.position = tuple(centre + np.array([-0.85, -0.3, -0.45]) * far)
+        camera.near, camera.far = 0.1, max(1000.0, 20.0 * far)
+
+    def draw(self, frame: Frame, everything: bool = False) -> None:
+        """Show a frame.
+
+        Args:
+            frame: what to show.
+            everything: also what is otherwise drawn at some frames only.
+        """
+        with self._lock, self._server.atomic():
+            self.frame = frame
+            for paths in self.paths:
+                paths.note(frame)
+            if self.followed is not None:
+                self._root.position = -_known(frame.position_ned[self.followed])
+            for layer in self.layers.values():
+                if layer.root.visible and (everything or self._count % layer.every == 0):
+                    layer.draw(frame)
+            self._count += 1
+
+    def show(self, title: str, visible: bool) -> None:
+        """Show or hide a layer; what is hidden is not drawn."""
+        layer = self.layers[title]
+        with self._lock:
+            layer.root.visible = visible
+            if visible and self.frame is not None:
+                layer.draw(self.frame)
+
+    def resize(self, span: float) -> None:
+        """Draw vehicles and arrows larger or smaller."""
+        self.stage.span = span
+        if self.frame is not None:
+            self.draw(self.frame, everything=True)
+
+    def follow(self, vehicle: int | None) -> None:
+        """Keep a vehicle in the middle, or let the world stand still; what is looked at changes smoothly."""
+        before, after = np.array(self._root.position), np.zeros(3)
+        with self._lock:
+            self.followed = vehicle
+            if vehicle is not None and self.frame is not None:
+                after = -_known(self.frame.position_ned[vehicle])
+            self._root.position = after
+        for client in self._server.get_clients().values():
+            camera = client.camera
+            position, look_at = camera.position, camera.look_at
+            if vehicle is None:
+                camera.position, camera.look_at = position + after - before, look_at + after - before
+            else:
+                away = position - look_at
+                closer = min(1.0, 8.0 * self.stage.span / max(1e-6, float(np.linalg.norm(away))))
+                camera.position, camera.look_at = away * closer, np.zeros(3)
+
+
+def _known(position: Floats) -> Floats:
+    return np.nan_to_num(np.asarray(position, np.float64))

@@ -1,0 +1,93 @@
+"""The web server of a page: on this machine only, at a free port, and silent."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from qrsim.errors import RunError, UsageError
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+LOOPBACK, PORT = "127.0.0.1", 8080
+INSTALL = "pip install 'qrsim[view]'"
+
+
+def require_viser() -> None:
+    """Raise a UsageError that says how to install what the page needs, where it is absent."""
+    try:
+        import viser  # noqa: F401
+    except ImportError as error:
+        raise UsageError(f"the 3-D page needs viser, which is not installed ({error}): {INSTALL}") from None
+
+
+def start_server(port: int = PORT, label: str = "qrsim") -> ViserServer:
+    """Start a server that only this machine can reach; where its port is taken, the next free one is used.
+
+    Args:
+        port: to listen on; 0: any that is free.
+        label: heading of the page's panel.
+
+    Raises:
+        UsageError: viser is not installed, or it is no port.
+        RunError: no port is free.
+    """
+    require_viser()
+    if not 0 <= port <= 65535:
+        raise UsageError(f"--port {port}: expected 0 to 65535")
+    import rich
+    from viser import ViserServer
+
+    port = free_port(port)
+    # viser announces itself on standard output, which belongs to the command.
+    console = rich.get_console()
+    console.quiet = True
+    server = ViserServer(LOOPBACK, port, label=label, verbose=False)
+    # Sharing would send the scene to a server elsewhere.
+    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+    # Lights alone: reflections of a sky and shadows would cost a computer without graphics card most of its time.
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(enabled=True, cast_shadow=False)
+    return server
+
+
+class Delivery:
+    """Counts the frames that browsers missed: what a browser has not fetched when the next frame comes is replaced.
+
+    Attributes:
+        missed: frames, over all browsers.
+    """
+
+    def __init__(self, server: ViserServer):
+        # How far each browser is, viser says nowhere else.
+        self._buffer = server._websock_server._broadcast_buffer
+        self._last = self._buffer.message_counter - 1
+        self.missed = 0
+
+    def sent(self) -> None:
+        """Note that a frame was drawn."""
+        self.missed += sum(cursor < self._last for cursor in list(self._buffer.generator_cursors.values()))
+        self._last = self._buffer.message_counter - 1
+
+
+def free_port(port: int) -> int:
+    """Return a port, or where it is taken the next one that is free; 0 stays 0."""
+    import errno
+    import socket
+
+    for candidate in range(port, min(port + 100, 65536)):
+        with socket.socket() as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                trial.bind((LOOPBACK, candidate))
+            except OSError as error:
+                if error.errno in (errno.EADDRINUSE, errno.EACCES):
+                    continue
+                raise RunError(f"cannot listen on {LOOPBACK}:{candidate}: {error.strerror or error}") from None
+            return candidate
+    raise RunError(f"cannot listen on {LOOPBACK}: ports {port} to {min(port + 99, 65535)} are all in use")
+
+
+def address(server: ViserServer) -> str:
+    """Return the address to open in a browser."""
+    return f"http://{server.get_host()}:{server.get_port()}"

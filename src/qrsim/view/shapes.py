@@ -1,0 +1,103 @@
+"""Meshes, directions and colours of what is drawn; meshes are (V, 3) corners and (F, 3) triangles."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+Floats = np.ndarray[Any, Any]
+Mesh = tuple[Floats, Floats]
+
+# Ten colours that are told apart; dark, because the page's tone mapping brightens them.
+PALETTE = np.array(
+    [
+        (0, 60, 150), (220, 80, 0), (0, 110, 10), (170, 0, 10), (90, 30, 140),
+        (90, 40, 20), (200, 20, 120), (60, 60, 60), (120, 120, 0), (0, 120, 140),
+    ],
+    np.uint8,
+)  # fmt: skip
+# From weak to strong.
+SPEED_COLOURS = np.array([(10, 20, 150), (0, 100, 140), (10, 110, 10), (190, 110, 0), (170, 0, 10)], np.float64)
+_CUBE_FACES = np.array(
+    [
+        (0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
+        (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5),
+    ]
+)  # fmt: skip
+
+
+def merged(*meshes: Mesh) -> Mesh:
+    """Return several meshes as one."""
+    firsts = np.cumsum([0, *(len(corners) for corners, _ in meshes)])
+    faces = [triangles + first for (_, triangles), first in zip(meshes, firsts[:-1], strict=True)]
+    return np.concatenate([corners for corners, _ in meshes]), np.concatenate(faces)
+
+
+def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Mesh:
+    """Return a box between two corners."""
+    corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    return corners, _CUBE_FACES
+
+
+def disc(x: float, y: float, z: float, radius: float, corners: int = 10) -> Mesh:
+    """Return a flat disc that faces up."""
+    angles = np.arange(corners) * 2.0 * math.pi / corners
+    rim = np.stack([x + radius * np.cos(angles), y + radius * np.sin(angles), np.full(corners, z)], axis=1)
+    i = np.arange(corners)
+    return np.vstack([rim, [(x, y, z)]]), np.stack([i, np.roll(i, -1), np.full(corners, corners)], axis=1)
+
+
+def prism(radius: float, z_min: float, z_max: float, corners: int = 24) -> Mesh:
+    """Return an upright cylinder about the z axis."""
+    low, faces_low = disc(0.0, 0.0, z_min, radius, corners)
+    high, faces_high = disc(0.0, 0.0, z_max, radius, corners)
+    i, j = np.arange(corners), np.roll(np.arange(corners), -1)
+    above = corners + 1
+    sides = np.concatenate([np.stack([i, j, j + above], axis=1), np.stack([i, j + above, i + above], axis=1)])
+    return np.concatenate([low, high]), np.concatenate([faces_low, faces_high + above, sides])
+
+
+def cone(x_min: float, x_max: float, radius: float, corners: int = 8) -> Mesh:
+    """Return a cone along x, its tip at ``x_max``."""
+    angles = np.arange(corners) * 2.0 * math.pi / corners
+    rim = np.stack([np.full(corners, x_min), radius * np.cos(angles), radius * np.sin(angles)], axis=1)
+    i = np.arange(corners)
+    faces = [
+        np.stack([i, np.roll(i, -1), np.full(corners, corners)], axis=1),
+        np.stack([np.roll(i, -1), i, np.full(corners, corners + 1)], axis=1),
+    ]
+    return np.vstack([rim, [(x_max, 0.0, 0.0)], [(x_min, 0.0, 0.0)]]), np.concatenate(faces)
+
+
+def quadrotor() -> Mesh:
+    """Return a quadrotor of span 1 in body axes (x ahead, y right, z down), with a beak where it looks to."""
+    reach, rotor, high = 0.34, 0.16, -0.06
+    rotors = [disc(x, y, high, rotor) for x, y in ((reach, 0.0), (-reach, 0.0), (0.0, reach), (0.0, -reach))]
+    arms = [box((-reach, -0.02, -0.04), (reach, 0.02, 0.0)), box((-0.02, -reach, -0.04), (0.02, reach, 0.0))]
+    return merged(*rotors, *arms, box((-0.1, -0.07, -0.06), (0.1, 0.07, 0.06)), cone(0.08, 0.65, 0.06))
+
+
+def arrow() -> Mesh:
+    """Return an arrow of length 1 along x."""
+    return merged(box((0.0, -0.12, -0.12), (0.7, 0.12, 0.12)), cone(0.65, 1.0, 0.35))
+
+
+def along(direction: Floats) -> Floats:
+    """Return unit quaternions (n, 4), w first, that turn the x axis into directions (n, 3) of any length."""
+    length = np.linalg.norm(direction, axis=1)
+    unit = direction / np.maximum(length, 1e-9)[:, None]
+    # The half-way rotation between (1, 0, 0) and the unit vector; straight back it is half a turn about z.
+    quaternion = np.stack([1.0 + unit[:, 0], np.zeros(len(unit)), -unit[:, 2], unit[:, 1]], axis=1)
+    norm = np.linalg.norm(quaternion, axis=1)
+    back = norm < 1e-6
+    quaternion[back], norm[back] = (0.0, 0.0, 0.0, 1.0), 1.0
+    return quaternion / norm[:, None]
+
+
+def speed_colours(speed: Floats, strongest: float) -> Floats:
+    """Return (n, 3) colours of speeds (n,), the last one from ``strongest`` on."""
+    place = np.clip(speed / strongest, 0.0, 1.0) * (len(SPEED_COLOURS) - 1)
+    steps = np.arange(len(SPEED_COLOURS))
+    return np.stack([np.interp(place, steps, SPEED_COLOURS[:, i]) for i in range(3)], axis=1).astype(np.uint8)

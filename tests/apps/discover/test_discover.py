@@ -1,0 +1,117 @@
+"""Known laws are found again, and fly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.flight_logs.log_writing import flown, write_csv
+
+from qrsim import cli
+from qrsim.apps.discover import proposals
+from qrsim.apps.discover.discovery import published
+from qrsim.apps.discover.evolution import fitted
+from qrsim.apps.discover.flight import fly, windows_of
+from qrsim.errors import UsageError
+from qrsim.flight_logs import read_log
+from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
+from qrsim.models.vehicles.quadrotor import Quadrotor
+from qrsim.openloop import simulate_open_loop
+from qrsim.scenarios.scenario import load_scenario
+
+LEFT_OUT = ("velocity_north", "velocity_east", "velocity_down", "throttle", "battery")
+
+
+@pytest.fixture(scope="module")
+def log_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    signals = flown(24.0, seed=4)
+    kept = {name: values for name, values in signals.items() if name not in LEFT_OUT}
+    return write_csv(tmp_path_factory.mktemp("logs") / "turns.csv", kept)
+
+
+def test_published_laws_fly_as_the_simulator_does(log_file: Path) -> None:
+    """Windows of 0.3 s from smoothed starts: within three times the log's noise of 1 mrad in most windows.
+
+    Where a command steps beside the start, the parabola through the rows around it is no good start.
+    """
+    flight = windows_of(read_log(log_file), 0.0, 1.0, 15, 40)
+    laws = published()
+    found = fly(flight, {n: laws[n][0] for n in flight.laws}, {n: laws[n][1] for n in flight.laws}, 1.68)
+    error = np.abs(found[:, :, 0] - flight.recorded)
+    assert (np.median(error, axis=(1, 2)) < 3e-3).all()
+
+
+def test_a_discovered_vehicle_with_the_published_laws_is_the_published_vehicle() -> None:
+    v = Quadrotor()
+    raw = 1.0 / -math.radians(0.025)
+    tilt = f"{v.kpq1 * v.kpq0 * raw!r}*command - {v.kpq1!r}*angle - {-v.kpq2!r}*rate"
+    yaw = f"{v.kr0 / -math.radians(254.760 / 2047.0)!r}*command + ({v.kr1!r})*rate"
+    u = 4097.0
+    thrust = f"{v.cth0!r} + {v.cth1 * u!r}*throttle + {v.cth2 * u * u!r}*throttle**2"
+    signals = flown(5.0)
+    names = ("pitch_command", "roll_command", "throttle", "yaw_rate_command", "battery")
+    commands = np.stack([signals[name] for name in names], axis=1)
+    start = np.zeros(13)
+    start[12] = 16.0
+    theirs = simulate_open_loop(v, commands, start)
+    ours = simulate_open_loop(ExpressionQuadrotor(thrust_law=thrust, tilt_law=tilt, yaw_law=yaw), commands, start)
+    assert np.allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("law", "part"),
+    [
+        ("command +", "is no expression"),
+        ("comand*2", "'comand' is none of its inputs; did you mean 'command'"),
+        ("rate**rate", "is not allowed"),
+        ("__import__('os')", "is not allowed"),
+        ("command if rate else 1", "is not allowed"),
+    ],
+)
+def test_a_law_that_is_none(law: str, part: str) -> None:
+    with pytest.raises(UsageError, match="yaw_law") as error:
+        ExpressionQuadrotor(yaw_law=law)
+    assert part in str(error.value)
+
+
+def test_constants_are_fitted_and_terms_told() -> None:
+    tree = proposals.polynomial_tree([(1, 0), (0, 1)], "yaw")
+    rule = proposals.rule_of(tree, "yaw")
+    rng = np.random.default_rng(0)
+    command, rate = rng.standard_normal((2, 200))
+    wanted = 2.2 * command - 5.1 * rate
+    found, error = fitted(lambda c: rule(*(row[:, None] for row in c), command, rate) - wanted, np.ones(2), 10)
+    assert found == pytest.approx([2.2, -5.1], abs=1e-6)
+    assert error < 1e-12
+    terms = proposals.monomials(proposals.symbolic(tree, found), "yaw")
+    assert terms is not None
+    assert terms == pytest.approx({(1, 0): 2.2, (0, 1): -5.1}, abs=1e-6)
+
+
+def test_the_command_finds_laws_that_scenarios_fly(
+    log_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Few generations: the laws need not be the published ones, but must explain most of the motion."""
+    out = tmp_path / "found.yaml"
+    words = ["discover", str(log_file), "-o", str(out), "--generations", "3", "--population", "12", "--quiet"]
+    assert cli.main(words) == 0
+    printed = capsys.readouterr().out
+    assert "d(rate)/dt of yaw [rad/s^2] =" in printed
+    assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    fleet = next(iter(load_scenario("hover").spec.fleets))
+    vehicle = load_scenario("hover", [f"fleets.{fleet}.vehicle={{file: {out}}}"]).world().fleets[0].vehicle
+    assert vehicle.tilt_law
+    first = out.read_text()
+    assert cli.main([*words, "--overwrite"]) == 0
+    assert out.read_text() == first
+
+
+def test_wrong_usage(log_file: Path, refused: Callable[..., None], tmp_path: Path) -> None:
+    out = ["-o", str(tmp_path / "v.yaml")]
+    refused(["discover", str(log_file), *out, "--generations", "0"], "--generations 0: expected at least 1")
+    refused(["discover", str(tmp_path / "none.csv"), *out], "no such file")
+    path = write_csv(tmp_path / "log.csv", {k: v for k, v in flown(6.0).items() if k != "roll_rate"})
+    refused(["discover", str(path), "--quiet", *out], "the laws of rotation needs roll_rate")

@@ -1,0 +1,188 @@
+"""``qrsim view``: what is shown of a recording, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from tests.apps.conftest import DURATION, Flight
+from tests.logs.small_run import COLUMNS, VEHICLES
+
+from qrsim import cli
+from qrsim.apps.view.recording import Recording
+from qrsim.logs import RunInfo, RunWriter, open_run
+
+
+@pytest.fixture
+def copy(flown: Flight, tmp_path: Path) -> Path:
+    """A run folder of one's own."""
+    return Path(shutil.copytree(flown.folder, tmp_path / "run"))
+
+
+class TestRecording:
+    def test_frames_are_what_was_recorded(self, flown: Flight):
+        run = open_run(flown.folder)
+        recording = Recording(run)
+        truth, measured, wind = run["truth"], run["measurements"], run["wind"]
+        row = 250
+        time = float(truth.time[row])
+        frame = recording.frame(time)
+        assert frame.time == time
+        assert recording.end == pytest.approx(DURATION)
+        for i, axis in enumerate("xyz"):
+            np.testing.assert_array_equal(frame.position_ned[:, i], truth[f"position_ned.{axis}"][row])
+            np.testing.assert_array_equal(frame.ghost_ned[:, i], measured[f"gnss.position_ned.{axis}"][row])
+            np.testing.assert_array_equal(frame.wind_ned[:, i], wind[f"mean_ned.{axis}"][row])
+            np.testing.assert_array_equal(frame.gust_ned[:, i], wind[f"gust_ned.{axis}"][row])
+        np.testing.assert_array_equal(frame.attitude[:, 2], truth["attitude.yaw"][row])
+        # What the controllers are fed with: horizontal GNSS and the barometer.
+        np.testing.assert_array_equal(frame.estimate_ned[:, :2], frame.ghost_ned[:, :2])
+        np.testing.assert_array_equal(frame.estimate_ned[:, 2], -measured["barometer.height"][row])
+        assert frame.valid.all()
+
+    def test_between_ticks_the_last_one_counts(self, flown: Flight):
+        recording = Recording(open_run(flown.folder))
+        assert recording.frame(1.0).time == recording.frame(1.0199).time == pytest.approx(1.0)
+        # 0.3 is no float; it is the fifteenth tick all the same.
+        assert recording.frame(0.3).time == pytest.approx(0.3)
+
+    def test_long_logs_are_thinned_out(self, flown: Flight, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.setattr("qrsim.apps.view.recording.MOST_POSES", 600)
+        recording = Recording(open_run(flown.folder))
+        assert recording.shown == 5
+        whole = open_run(flown.folder)["truth"]
+        np.testing.assert_array_equal(recording.time, whole.time[::5])
+        np.testing.assert_array_equal(recording.frame(5.0).position_ned[:, 0], whole["position_ned.x"][250])
+
+    def test_stopped_vehicles_say_why(self, fly):
+        flight = fly("--duration", "3", "--no-figure", "--set", "fleets.pelicans.limits.rate=0.4")
+        assert flight.code == 0, flight.complaints
+        run = open_run(flight.folder)
+        stops = {event.vehicle: event for event in run.events if event.kind == "state_limit"}
+        assert stops, "nobody turned too fast: the test shows nothing"
+        recording = Recording(run)
+        vehicle, event = next(iter(stops.items()))
+        i = run.vehicles.index(vehicle)
+        before, after = recording.frame(event.time - 0.04), recording.frame(event.time)
+        assert i not in before.reasons
+        assert before.valid[i]
+        assert not after.valid[i]
+        assert "rates_body" in after.reasons[i]
+
+    def test_a_run_whose_scenario_is_gone_is_shown_without_area(self, copy: Path):
+        (copy / "scenario.yaml").write_text("name: [", encoding="utf-8")
+        with pytest.warns(UserWarning, match="its area is not shown"):
+            recording = Recording(open_run(copy))
+        assert recording.world is None
+        assert recording.cast.names == recording.run.vehicles
+
+    def test_plots_are_of_the_minute_before(self, flown: Flight):
+        recording = Recording(open_run(flown.folder))
+        times, measured, true = recording.plotted(2, "barometer.height", 4.0)
+        assert (times[0], times[-1]) == (0.0, pytest.approx(4.0))
+        np.testing.assert_allclose(true, -open_run(flown.folder)["truth"]["position_ned.z"][: len(times), 2], rtol=1e-6)
+        assert 0.0 < np.abs(measured - true).max() < 5.0
+
+
+class TestRefused:
+    @pytest.mark.parametrize(
+        ("words", "said"),
+        [
+            (["--at", "11"], "--at 11: the recording ends at 10 s"),
+            (["--at", "-1"], "--at -1: expected a number of seconds"),
+            (["--at", "nan"], "--at nan"),
+            (["--screenshot", "a.jpg"], "has to end in .png"),
+            (["--screenshot", "nowhere/a.png"], "there is no folder nowhere"),
+            (["--port", "70000"], "--port 70000: expected 0 to 65535"),
+        ],
+    )
+    def test_wrong_options(self, words: list[str], said: str, flown: Flight, refused):
+        refused(["view", str(flown.folder), *words], said)
+
+    def test_no_run(self, tmp_path: Path, refused):
+        refused(["view", str(tmp_path / "nothing")], "there is no such folder")
+        refused(["view", str(tmp_path)], "is not a run folder")
+
+    def test_a_later_format(self, copy: Path, refused):
+        info = json.loads((copy / "run.json").read_text("utf-8"))
+        (copy / "run.json").write_text(json.dumps({**info, "format": 2}), encoding="utf-8")
+        refused(["view", str(copy)], "run folder format 2", "reads format 1", code=1)
+
+    def test_a_damaged_log(self, copy: Path, refused):
+        part = next((copy / "truth").glob("part-*.parquet"))
+        part.write_bytes(part.read_bytes()[:1000])
+        refused(["view", str(copy)], str(part), "cannot be read", code=1)
+
+    def test_logs_that_are_missing(self, copy: Path, refused):
+        shutil.rmtree(copy / "truth")
+        refused(["view", str(copy)], "truth", "it is missing", code=1)
+
+    def test_logs_of_something_else(self, tmp_path: Path, refused):
+        info = RunInfo.collect(scenario="x", seed=1, precision="float64", time_step=0.02, vehicles=VEHICLES)
+        columns = {stream: found for stream, found in COLUMNS.items() if stream != "truth"}
+        with RunWriter.create(tmp_path / "run", info=info, scenario_yaml="name: x\n", columns=columns):
+            pass
+        refused(["view", str(tmp_path / "run")], "no true positions (truth.position_ned) were recorded", code=1)
+
+    def test_an_export_overwrites_nothing(self, flown: Flight, tmp_path: Path, refused):
+        (tmp_path / "kept.txt").write_text("kept", encoding="utf-8")
+        refused(["view", str(flown.folder), "--export", str(tmp_path)], "it exists and is not empty")
+        assert [path.name for path in tmp_path.iterdir()] == ["kept.txt"]
+
+    def test_no_browser_and_no_viser_are_said_with_how_to_install(
+        self, flown: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused
+    ):
+        words = ["view", str(flown.folder), "--screenshot", str(tmp_path / "a.png")]
+        monkeypatch.setattr("qrsim.view.browser.NAMES", ("no-such-browser",))
+        refused(words, "no-such-browser not found", "apt-get install chromium", code=1)
+        monkeypatch.setitem(sys.modules, "viser", None)
+        refused(words, "pip install 'qrsim[view]'")
+
+
+def test_two_pages_of_one_run_and_their_end(flown: Flight):
+    """In processes of their own, on two ports; Ctrl-C ends them."""
+    command = [sys.executable, "-m", "qrsim.cli", "view", str(flown.folder)]
+    pages = [
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1)
+        for _ in range(2)
+    ]
+    addresses = []
+    for page in pages:
+        assert page.stdout is not None
+        line = page.stdout.readline()
+        assert line.startswith("outdoor_patrol, seed 3, 5 vehicles, 10 s: http://127.0.0.1:")
+        addresses.append(line.split(": ")[1].split()[0])
+    assert addresses[0] != addresses[1]
+    for page, address in zip(pages, addresses, strict=True):
+        with urlopen(address, timeout=60.0) as answer:
+            assert b"<html" in answer.read(2000)
+        page.send_signal(signal.SIGINT)
+    for page in pages:
+        _, complaints = page.communicate(timeout=60.0)
+        assert (page.returncode, complaints) == (130, "interrupted\n")
+
+
+def test_a_run_prints_where_its_page_is(fly):
+    flight = fly("--duration", "0.4", "--no-figure", "--view", "--view-port", "0", "--json")
+    assert flight.code == 0
+    assert flight.complaints.startswith("page: http://127.0.0.1:")
+    assert flight.json["simulated_s"] == pytest.approx(0.4)
+
+
+def test_a_server_with_a_page_has_one_session(refused):
+    refused(["serve", "--view", "--sessions"], "it shows one simulation")
+
+
+def test_without_looking_nothing_of_the_page_is_imported():
+    """So 'make run' needs no viser."""
+    code = "import sys, qrsim.cli, qrsim.apps.run.recorder; print('viser' in sys.modules, 'qrsim.view' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False False\n"
+    assert cli.COMMANDS["view"] is not None

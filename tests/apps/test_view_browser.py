@@ -1,0 +1,203 @@
+"""The page in a browser: what is drawn, seen in pixels; time stops, is scrubbed; nothing is asked of other machines."""
+
+from __future__ import annotations
+
+import io
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from PIL import Image
+from tests.apps.conftest import DURATION, Flight
+
+from qrsim import cli
+from qrsim.apps.view.recording import Recording
+from qrsim.apps.view.replay import Replay
+from qrsim.logs import open_run
+from qrsim.view.browser import INSTALL, Browser, find_browser
+from qrsim.view.clock import SPEEDS, Clock
+from qrsim.view.page import Page
+from qrsim.view.server import address, start_server
+
+pytestmark = pytest.mark.skipif(find_browser() is None, reason=f"no browser; {INSTALL}")
+WIDTH, HEIGHT = 800, 600
+PATIENCE_S = 90.0
+# Of the picture's middle; the panel is beside it.
+VIEW = (slice(60, 540), slice(0, 480))
+
+
+def pixels(picture: bytes) -> np.ndarray:
+    """Return a PNG as (rows, columns, 3)."""
+    return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(int)
+
+
+def eventually(condition: Callable[[], bool]) -> None:
+    """Wait until something is the case."""
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.1)
+
+
+def changes(browser: Browser, before: np.ndarray, most: float = PATIENCE_S) -> bool:
+    """Return whether more than a few pixels of the view change within a time [s]."""
+    end = time.monotonic() + most
+    while time.monotonic() < end:
+        now = pixels(browser.picture())
+        if (np.abs(now - before).sum(axis=2) > 60)[VIEW].sum() > 100:
+            return True
+        time.sleep(0.2)
+    return False
+
+
+def settled(browser: Browser) -> np.ndarray:
+    """Return the picture once it no longer changes, and is not empty."""
+    end, before = time.monotonic() + PATIENCE_S, pixels(browser.picture())
+    while time.monotonic() < end:
+        time.sleep(0.7)
+        now = pixels(browser.picture())
+        if np.array_equal(now[VIEW], before[VIEW]) and len(np.unique(now[VIEW].reshape(-1, 3), axis=0)) > 50:
+            return now
+        before = now
+    raise AssertionError("the picture never settled")
+
+
+class Watched:
+    """A replay of the default scenario, and a browser that looks at it."""
+
+    def __init__(self, folder: Path, browser: Browser):
+        recording = Recording(open_run(folder))
+        self.browser, self.server = browser, start_server(0)
+        self.clock = Clock(playing=False, speeds=SPEEDS[:-1])
+        self.page = Page(self.server, recording.cast, recording.world, recording.heading, self.clock)
+        self.replay = Replay(recording, self.page, self.clock)
+        self._stop = threading.Event()
+        self._playing = threading.Thread(target=self.replay.run, args=(self._stop,))
+        self._playing.start()
+        browser.open(f"{address(self.server)}/?fixedDpr=1")
+        eventually(lambda: browser.evaluate("document.querySelectorAll('button').length") > 3)
+        eventually(lambda: bool(self.server.get_clients()))
+        # The browser says that it has no graphics card.
+        browser.evaluate("document.querySelectorAll('.mantine-Notification-closeButton').forEach(b => b.click())")
+        time.sleep(1.0)
+
+    def close(self) -> None:
+        self._stop.set()
+        self.clock.close()
+        self._playing.join(10.0)
+        self.server.stop()
+
+    def press(self, button: str) -> None:
+        """Press a button of the panel."""
+        self.browser.evaluate(f"[...document.querySelectorAll('button')].find(b => b.innerText == '{button}').click()")
+
+    def text(self) -> str:
+        """Return what the panel says."""
+        return str(self.browser.evaluate("document.body.innerText"))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with Browser(WIDTH, HEIGHT) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def watched(flown: Flight, browser: Browser) -> Iterator[Watched]:
+    found = Watched(flown.folder, browser)
+    yield found
+    found.close()
+
+
+def test_vehicles_are_drawn(watched: Watched):
+    """Seen in pixels: with and without the vehicles, and in the colour of one."""
+    scene = watched.page.scene
+    # Close to the first vehicle, which fills the middle then.
+    scene.follow(0)
+    scene.resize(20.0)
+    for title in scene.layers:
+        scene.show(title, title in ("vehicles", "ground and north"))
+    with_them = settled(watched.browser)
+    blue = (with_them[..., 2] > with_them[..., 0] + 80)[VIEW]
+    assert blue.sum() > 100, "no vehicle in the first one's colour, blue"
+    scene.show("vehicles", False)
+    assert changes(watched.browser, with_them)
+    without = settled(watched.browser)
+    assert (without[..., 2] > without[..., 0] + 80)[VIEW].sum() < 0.1 * blue.sum()
+    scene.show("vehicles", True)
+
+
+def test_time_goes_on_and_stops(watched: Watched):
+    watched.press("play")
+    eventually(lambda: watched.replay.time > 0.5)
+    watched.press("pause")
+    eventually(lambda: not watched.clock.playing)
+    time.sleep(0.3)
+    stopped = watched.replay.time
+    time.sleep(1.0)
+    assert watched.replay.time == stopped < DURATION
+    eventually(lambda: f"t = {stopped:.2f} s (paused)" in watched.text())
+    watched.press("step")
+    eventually(lambda: f"t = {stopped + 0.02:.2f} s (paused)" in watched.text())
+
+
+def test_a_slider_goes_through_time(watched: Watched):
+    before = settled(watched.browser)
+    slider = f"e => e.getAttribute('aria-valuemax') == '{DURATION:g}'"
+    watched.browser.evaluate(f"[...document.querySelectorAll('[role=slider]')].find({slider}).focus()")
+    for kind in ("keyDown", "keyUp"):
+        watched.browser.call("Input.dispatchKeyEvent", type=kind, key="End", code="End", windowsVirtualKeyCode=35)
+    eventually(lambda: watched.replay.time == pytest.approx(DURATION))
+    eventually(lambda: f"t = {DURATION:.2f} s" in watched.text())
+    assert changes(watched.browser, before)
+
+
+def test_a_vehicle_that_is_clicked_is_plotted(watched: Watched):
+    watched.page.choose(None)
+    watched.page.scene.follow(1)
+    settled(watched.browser)
+    # It is in the middle, where the camera looks at.
+    watched.browser.click(WIDTH / 2, watched.browser.evaluate("window.innerHeight") / 2)
+    eventually(lambda: watched.page.chosen == 1)
+    data = watched.page._plots[0][1].data
+    assert len(data[0]) > 100
+    assert np.isfinite(data[1]).all()
+
+
+def test_nothing_is_asked_of_other_machines(watched: Watched):
+    hosts = {(urlsplit(url).scheme, urlsplit(url).hostname) for url in watched.browser.requested}
+    # That the worker's connection is here shows that nothing was overlooked.
+    assert ("ws", "127.0.0.1") in hosts
+    assert {host for scheme, host in hosts if scheme not in ("data", "blob")} == {"127.0.0.1"}
+
+
+def test_an_export_opens_without_a_server(flown: Flight, tmp_path: Path, browser: Browser, capsys):
+    folder = tmp_path / "page"
+    assert cli.main(["view", str(flown.folder), "--export", str(folder)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.split() == [str(folder / "index.html")]
+    asked = len(browser.requested)
+    browser.open((folder / "index.html").as_uri())
+    before = pixels(browser.picture())
+    assert changes(browser, before)
+    eventually(lambda: len(np.unique(pixels(browser.picture())[VIEW].reshape(-1, 3), axis=0)) > 50)
+    schemes = {urlsplit(url).scheme for url in browser.requested[asked:]}
+    assert "file" in schemes
+    assert schemes <= {"file", "data", "blob"}
+
+
+def test_a_screenshot_shows_the_scene(flown: Flight, tmp_path: Path, capsys):
+    path = tmp_path / "shot.png"
+    assert cli.main(["view", str(flown.folder), "--screenshot", str(path), "--at", "5"]) == 0
+    assert capsys.readouterr().out == f"{path}\n"
+    picture = pixels(path.read_bytes())
+    assert picture.shape == (800, 1280, 3)
+    # The paths of five vehicles, in colours that nothing else has.
+    blue = picture[..., 2] > picture[..., 0] + 80
+    green = (picture[..., 1] > picture[..., 0] + 80) & (picture[..., 1] > picture[..., 2] + 80)
+    assert blue.sum() > 200
+    assert green.sum() > 200

@@ -1,0 +1,163 @@
+"""Every reader gives back what was logged, and says what is wrong with a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.flight_logs.log_writing import DT, Floats, flown, write_csv, write_dataflash, write_ulog
+
+from qrsim.errors import UsageError
+from qrsim.flight_logs import SIGNALS, FlightLog, read_log
+
+WRITERS: dict[str, Callable[..., Path]] = {"log.csv": write_csv, "log.ulg": write_ulog, "log.bin": write_dataflash}
+
+
+@pytest.fixture(scope="module")
+def signals() -> dict[str, Floats]:
+    return flown()
+
+
+def said(log: FlightLog, text: str) -> bool:
+    return any(text in note for note in log.notes)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_what_was_logged_is_read(name: str, signals: dict[str, Floats], tmp_path: Path) -> None:
+    log = read_log(WRITERS[name](tmp_path / name, signals))
+    assert set(log.signals) == set(SIGNALS) - {"thrust"}
+    assert log.dt == DT
+    rows = len(log.time)
+    assert rows > len(signals["time"]) - 15
+    for key, values in log.signals.items():
+        expected = signals[key][:rows]
+        # Velocities in between are interpolated; a command that a rounded time puts a row later differs for that row.
+        close = np.isclose(values, expected, atol=0.05 if "velocity" in key and name == "log.ulg" else 2e-3)
+        assert close.mean() > 0.97, key
+
+
+def test_units_of_a_table(signals: dict[str, Floats], tmp_path: Path) -> None:
+    units = {
+        "time": ("ms", 1e3), "roll": ("deg", 180 / np.pi), "velocity_north": ("km/h", 3.6), "battery": ("mV", 1e3),
+        "throttle": ("%", 100.0), "pitch_command": ("raw", -1 / np.radians(0.025)),
+    }  # fmt: skip
+    log = read_log(write_csv(tmp_path / "log.csv", signals, units))
+    for name in ("roll", "velocity_north", "battery", "throttle", "pitch_command"):
+        assert np.allclose(log.signals[name], signals[name][: len(log.time)], atol=1e-6), name
+
+
+@pytest.mark.parametrize(
+    ("header", "parts"),
+    [
+        ("time [s],roll", ("'roll' has no unit", "roll [rad]")),
+        ("time [s],roll [degs]", ("roll [degs]", "did you mean 'deg'")),
+        ("roll [rad],pitch [rad]", ("no column 'time [s]'", "pitch [rad]")),
+        ("time [s],roll [rad],roll [deg]", ("'roll' is there twice",)),
+        ("time [s],rol [rad]", ("no column of a vehicle", "rol [rad]", "roll,")),
+        ("time [s],roll [rad],x", ("line 2: 2 fields, the header has 3",)),
+    ],
+)
+def test_a_wrong_header(header: str, parts: tuple[str, ...], tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(header + "\n0,1\n")
+    with pytest.raises(UsageError) as error:
+        read_log(path)
+    for part in (str(path), *parts):
+        assert part in str(error.value)
+
+
+def test_no_number_and_no_file(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    for content, part in (
+        ("time [s],roll [rad]\n0,abc\n", "line 2: column 'roll [rad]': 'abc' is not a number"),
+        ("", "the file is empty"),
+        ("1,2,3\n1,2,3\n", "numbers without a header, 3 columns"),
+        ("a\0b", "neither ULog nor DataFlash nor text"),
+        ("1,2,3,4\n1,2\n", "neither a header with names nor numbers only"),
+    ):
+        path.write_text(content)
+        with pytest.raises(UsageError, match=r"log\.csv") as error:
+            read_log(path)
+        assert part in str(error.value)
+    with pytest.raises(UsageError, match=r"no such file; did you mean 'log\.csv'"):
+        read_log(tmp_path / "logs.csv")
+
+
+def test_suspect_units(signals: dict[str, Floats], tmp_path: Path) -> None:
+    for name, factor, guess in (
+        ("roll", 60.0, "degrees"),
+        ("throttle", 100.0, "per cent"),
+        ("battery", 1e3, "millivolts"),
+    ):
+        path = write_csv(tmp_path / "log.csv", signals | {name: signals[name] * factor})
+        with pytest.raises(UsageError, match=f"{name}: its unit is suspect") as error:
+            read_log(path)
+        assert f"is it in {guess}" in str(error.value)
+
+
+def test_too_short(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"too short: its signals have 1\.98 s in common"):
+        read_log(write_csv(tmp_path / "log.csv", flown(2.0)))
+
+
+def test_what_is_no_number_or_twice_or_out_of_order_is_dropped_and_said(
+    signals: dict[str, Floats], tmp_path: Path
+) -> None:
+    bad = {name: values.copy() for name, values in signals.items()}
+    bad["roll"][50] = np.nan
+    bad["pitch"][60] = np.inf
+    bad["time"][100] = bad["time"][99]
+    for name in bad:
+        bad[name][[200, 201]] = bad[name][[201, 200]]
+    log = read_log(write_csv(tmp_path / "log.csv", bad))
+    assert said(log, "roll: 1 of 600 samples are not finite numbers")
+    assert said(log, "pitch: 1 of 600 samples are not finite numbers")
+    assert said(log, "samples have the time of another")
+    assert said(log, "time goes back 1 times")
+    assert np.isfinite(log.signals["roll"]).all()
+    assert log.signals["roll"][201] == pytest.approx(signals["roll"][201], abs=1e-6)
+
+
+def test_time_that_runs_backwards_is_refused(signals: dict[str, Floats], tmp_path: Path) -> None:
+    bad = signals | {"time": signals["time"][::-1]}
+    with pytest.raises(UsageError, match="time goes back 599 times"):
+        read_log(write_csv(tmp_path / "log.csv", bad))
+
+
+def test_a_gap_is_not_filled(signals: dict[str, Floats], tmp_path: Path) -> None:
+    holed = {name: np.delete(values, np.arange(300, 360)) for name, values in signals.items()}
+    log = read_log(write_csv(tmp_path / "log.csv", holed))
+    missing = np.isnan(log.signals["roll"])
+    assert said(log, "roll: 1 gap longer than 0.25 s, the longest 1.22 s")
+    assert missing.sum() == 60
+    assert missing[300:360].all()
+
+
+def test_a_ulog_cut_in_the_middle_is_read_up_to_there(signals: dict[str, Floats], tmp_path: Path) -> None:
+    path = write_ulog(tmp_path / "log.ulg", signals)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) * 2 // 3 - 5])
+    log = read_log(path)
+    assert said(log, "the file ends inside a message")
+    assert 6.0 < log.time[-1] < 9.0
+    assert np.allclose(log.signals["roll"], signals["roll"][: len(log.time)], atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["log.ulg", "log.bin"])
+def test_a_missing_signal_is_named_and_the_others_listed(name: str, signals: dict[str, Floats], tmp_path: Path) -> None:
+    without = "vehicle_angular_velocity" if name == "log.ulg" else "RATE"
+    log = read_log(WRITERS[name](tmp_path / name, signals, (without,)))
+    with pytest.raises(UsageError, match="needs roll_rate, which this log") as error:
+        log.require(("roll", "roll_rate"), "rotation")
+    assert "there: " in str(error.value)
+    assert "velocity_north" in str(error.value)
+
+
+def test_binary_rubbish_is_refused(tmp_path: Path) -> None:
+    for name, beginning in (("log.ulg", b"ULog\x01\x12\x35\x01"), ("log.bin", b"\xa3\x95\x80")):
+        path = tmp_path / name
+        path.write_bytes(beginning + bytes(range(256)) * 3)
+        with pytest.raises(UsageError, match=name):
+            read_log(path)

@@ -1,0 +1,95 @@
+"""Baselines against simple worlds in which it is plain what they should do."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from qrsim.errors import UsageError
+from qrsim.scenarios.scenario import load_scenario
+from qrsim.tasks import Play
+from qrsim.tasks.baselines import Chasing, Descending, Mapping, baseline
+
+
+def play(name: str) -> Play:
+    scenario = load_scenario(name)
+    return Play(scenario.task(), scenario.world(), scenario.steps)
+
+
+def test_points_that_move_as_asked_keep_a_fleeing_mouse_in_the_area_and_end_near_it() -> None:
+    """Points that take 0.7 s to follow, for 300 s; who does nothing loses the mouse after 47 s."""
+    game = play("cats_and_mouse/1A")
+    short: Any = SimpleNamespace(world=game.world, task=game.task, steps=300)
+    for seed in (1, 2):
+        numbers = np.random.default_rng(seed)
+        angle = numbers.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi / 3.0 * np.arange(3)
+        cats, mouse, velocity, running = (
+            17.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1),
+            np.zeros(2),
+            np.zeros((3, 2)),
+            np.zeros(2),
+        )
+        chasing = Chasing(short)
+        for _ in range(300):
+            others = [cats[[(i + j) % 3 for i in range(3)]] - cats for j in (1, 2)]
+            asked = 3.0 * chasing.act(np.concatenate([cats, velocity, mouse - cats, *others], axis=1))
+            for _ in range(10):
+                away = np.sum((mouse - cats) / np.sum((mouse - cats) ** 2, axis=1, keepdims=True), axis=0)
+                running = running + 0.1 / 0.7 * (3.0 * away / max(float(np.linalg.norm(away)), 1e-9) - running)
+                velocity = velocity + 0.1 / 0.7 * (asked - velocity)
+                mouse, cats = mouse + 0.1 * running, cats + 0.1 * velocity
+            assert np.abs(mouse).max() < 140.0
+            assert np.linalg.norm(cats - mouse, axis=1).min() > 2.0
+        assert np.linalg.norm(cats - mouse, axis=1).max() < 9.0
+
+
+def test_a_searcher_goes_down_where_windows_speak_for_a_person() -> None:
+    """The windows that show one place say so again and again; after a hover there it goes on."""
+    searcher = Descending(play("search_and_rescue/2A"))
+    place, low = np.array([0.0, 0.0, -35.0]), np.inf
+    path = []
+    for _ in range(60):
+        half = np.array([0.21, 0.28]) * max(-place[2], 1.0)
+        rows, columns = max(1, round(2 * half[0] / 0.5)), max(1, round(2 * half[1] / 0.5))
+        ratio = np.full((rows, columns), -2.0)
+        north = place[0] + half[0] - (np.arange(rows) + 0.5) * 2.0 * half[0] / rows
+        east = place[1] - half[1] + (np.arange(columns) + 0.5) * 2.0 * half[1] / columns
+        ratio[(np.abs(north - 5.0) < 0.5)[:, None] & (np.abs(east - 2.0) < 0.5)] = 3.0
+        corners = np.array([[half[0], -half[1]], [half[0], half[1]], [-half[0], half[1]], [-half[0], -half[1]]])
+        vehicle = np.array([*place, *np.zeros(6)])
+        seen = {"vehicle": vehicle[None], "ratio": ratio[None], "corners": (place[:2] + corners)[None],
+                "grid": np.array([[rows, columns]])}  # fmt: skip
+        place = place + 3.0 * searcher.act(seen)[0]
+        path.append(place)
+        low = min(low, -place[2])
+    nearest = min(np.linalg.norm(point - [5.0, 2.0, 0.0]) for point in path)
+    assert nearest < 5.0
+    assert low > 1.0
+    assert -path[-1][2] > 10.0, "it has gone on"
+
+
+def test_a_mapper_learns_a_gaussian_by_flying_to_it() -> None:
+    """Within 400 steps its squared errors are a small part of those of one who says nothing."""
+    game = play("plume_mapping/3A")
+    mapper = Mapping(game, seed=1)
+    middle, std = np.array([30.0, -40.0, -30.0]), 14.0
+    numbers = np.random.default_rng(0)
+    locations = np.concatenate([middle + 1.5 * std * numbers.normal(size=(80, 3)), numbers.uniform(-70, 70, (20, 3))])
+
+    def field(points: Any) -> Any:
+        return np.exp(-0.5 * np.sum((points - middle) ** 2, axis=-1) / std**2)
+
+    place = np.array([0.0, 0.0, -10.0])
+    for _ in range(400):
+        vehicle = np.array([*place, *np.zeros(6), field(place)])
+        place = place + 3.0 * mapper.act({"vehicle": vehicle[None], "locations": locations[None]})[0]
+    error = np.sum((mapper.answer()[0] - field(locations)) ** 2)
+    assert error < 0.2 * np.sum(field(locations) ** 2)
+
+
+def test_a_task_without_a_baseline_says_so() -> None:
+    with pytest.raises(UsageError, match="this task has none; it is for pursuit, search and plume mapping"):
+        baseline(play("keep_spot"))

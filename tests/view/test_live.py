@@ -1,0 +1,204 @@
+"""Simulations with a page, and with browsers that fetch what is drawn, too slowly or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import viser
+from tests.small_worlds import bare_pair
+from websockets.sync.client import ClientConnection, connect
+
+from qrsim.apps.run.recorder import fly
+from qrsim.logs import open_run
+from qrsim.scenarios.scenario import Scenario
+from qrsim.simulation import Simulation
+from qrsim.view.clock import Clock
+from qrsim.view.live import LiveView
+from qrsim.view.server import free_port
+
+WIND = {"wind": {"type": "log_shear", "speed_20ft": 2.0, "wind_from_deg": 270.0}}
+
+
+@pytest.fixture
+def view() -> Iterator[LiveView]:
+    """A page of a simulation that flies as fast as it can."""
+    page = LiveView(0, Clock(float("inf")))
+    yield page
+    page.close()
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return bare_pair(**WIND, duration=4.0)
+
+
+def browser(view: LiveView) -> ClientConnection:
+    """Connect as the page's own script does."""
+    protocol = f"viser-v{viser.__version__}"
+    return connect(view.address.replace("http", "ws"), subprotocols=[protocol], max_size=None, proxy=None)  # type: ignore[list-item]
+
+
+def eventually(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    """Wait until something is the case."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.01)
+
+
+def shown(view: LiveView) -> float:
+    """Return the time that is drawn [s]."""
+    assert view._page is not None
+    return -1.0 if view._page.scene.frame is None else view._page.scene.frame.time
+
+
+def test_the_last_state_of_a_run_is_drawn(view: LiveView, scenario: Scenario, tmp_path: Path):
+    fly(scenario, tmp_path / "run", seed=1, precision="float32", view=view)
+    eventually(lambda: shown(view) == scenario.duration)
+    frame = view._page.scene.frame  # type: ignore[union-attr]
+    truth = open_run(tmp_path / "run")["truth"]
+    np.testing.assert_array_equal(frame.position_ned[:, 0], truth["position_ned.x"][-1])
+    np.testing.assert_array_equal(view._page.scene.vehicles.handle.batched_positions, frame.position_ned)  # type: ignore[union-attr]
+
+
+def test_a_page_changes_nothing_in_a_run(view: LiveView, scenario: Scenario, tmp_path: Path):
+    fly(scenario, tmp_path / "seen", seed=1, precision="float32", view=view)
+    fly(scenario, tmp_path / "unseen", seed=1, precision="float32")
+    seen, unseen = (open_run(tmp_path / name) for name in ("seen", "unseen"))
+    for stream in ("truth", "wind", "events"):
+        assert seen.table(stream).equals(unseen.table(stream))
+
+
+def test_a_wind_that_is_changed_blows_and_is_recorded(view: LiveView, scenario: Scenario, tmp_path: Path):
+    from qrsim.view.steering import Wind
+
+    view._wished = Wind(8.0, 180.0)
+    fly(scenario, tmp_path / "run", seed=1, precision="float32", view=view)
+    run = open_run(tmp_path / "run")
+    changed = [event for event in run.events if event.kind == "wind_changed"]
+    assert [(e.field, e.value) for e in changed] == [
+        ("world.wind.speed_20ft", 8.0),
+        ("world.wind.wind_from_deg", 180.0),
+    ]
+    wind, ticks = run["wind"], run["wind"].tick
+    before, after = ticks <= changed[0].tick, ticks > changed[0].tick
+    assert (wind["mean_ned.x"][after] > 5.0).all()
+    assert (np.abs(wind["mean_ned.x"][before]) < 1e-3).all()
+    assert (wind["mean_ned.y"][before][1:] > 1.0).all()
+
+
+def test_a_browser_that_fetches_nothing_keeps_nobody_waiting(scenario: Scenario):
+    """Its frames are dropped and counted; another browser gets the newest."""
+    page = LiveView(0, Clock(float("inf")))
+    simulation = Simulation(scenario.world(), seed=1)
+    simulation.reset()
+    page.begin(simulation, "test")
+    with contextlib.closing(page), browser(page), browser(page) as quick:
+        # The first one never reads: what is on its way to it fills the system's buffers, then nothing goes.
+        stop = threading.Event()
+
+        def read() -> None:
+            while not stop.is_set():
+                with contextlib.suppress(TimeoutError):
+                    quick.recv(0.1)
+
+        reader = threading.Thread(target=read)
+        reader.start()
+        assert page._page is not None
+        delivery, slowest = page._page._delivery, 0.0
+        end = time.monotonic() + 60.0
+        # What each frame weighs is made large, so that the buffers are soon full.
+        page._page.scene.paths[0].every = 1
+        page._page.scene.paths[0]._handle.points = np.zeros((400_000, 2, 3), np.float32)
+        while delivery.missed < 5:
+            assert time.monotonic() < end, "no frame was dropped"
+            history = simulation.record(1)
+            begun = time.perf_counter()
+            page.offer(history, always=True)
+            slowest = max(slowest, time.perf_counter() - begun)
+            time.sleep(0.02)
+            page._page.scene.paths[0]._handle.points = np.full((400_000, 2, 3), simulation.tick, np.float32)
+        eventually(lambda: shown(page) == pytest.approx(simulation.time))
+        stop.set()
+        reader.join()
+    # A frame would take the slow browser forever; this is what a busy machine may need.
+    assert slowest < 1.0
+
+
+def test_time_stops_and_steps(scenario: Scenario):
+    clock = Clock(playing=False)
+    page = LiveView(0, clock)
+    simulation = Simulation(scenario.world(), seed=1)
+    simulation.reset()
+    page.begin(simulation, "test")
+
+    def flight() -> None:
+        while simulation.tick < 100:
+            page.offer(simulation.record(page.wait(50)))
+
+    flying = threading.Thread(target=flight)
+    flying.start()
+    with contextlib.closing(page):
+        for tick in (1, 2):
+            clock.step()
+            eventually(lambda tick=tick: shown(page) == pytest.approx(tick * 0.02))  # type: ignore[misc]
+        assert simulation.tick == 2
+        clock.speed, clock.playing = 50.0, True
+        flying.join(30.0)
+    assert simulation.tick >= 100
+
+
+def test_a_second_page_gets_another_port():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert free_port(port) > port
+        page = LiveView(port)
+        try:
+            assert page.address.startswith("http://127.0.0.1:")
+            assert page.address != f"http://127.0.0.1:{port}"
+            # Nobody listens to other machines.
+            with socket.socket() as other:
+                other.settimeout(1.0)
+                assert other.connect_ex(("127.0.0.2", int(page.address.rpartition(":")[2]))) != 0
+        finally:
+            page.close()
+
+
+def test_pages_show_the_next_world_after_another(scenario: Scenario):
+    page = LiveView(0)
+    with contextlib.closing(page):
+        for name in ("first", "second"):
+            simulation = Simulation(scenario.world(), seed=1)
+            simulation.reset()
+            page.begin(simulation, name)
+            assert shown(page) <= 0.0
+            page.offer(simulation.record(3), always=True)
+            eventually(lambda: shown(page) == pytest.approx(0.06))
+            assert page._page is not None
+            assert page._page.heading == name
+
+
+def test_readings_are_plotted_against_the_truth(view: LiveView):
+    from tests.small_worlds import noisy_pair
+
+    simulation = Simulation(noisy_pair().world(), seed=1)
+    simulation.reset()
+    view.begin(simulation, "test")
+    assert view._page is not None
+    view._page.choose(1)
+    for _ in range(5):
+        view.offer(simulation.record(10), always=True)
+        eventually(lambda: shown(view) == pytest.approx(simulation.time))
+    time_s, measured, true = view._plotted(1, "barometer.height")
+    assert time_s[-1] == pytest.approx(simulation.time)
+    assert true[-1] == pytest.approx(-simulation.truth.position_ned[1, 2], rel=1e-5)
+    assert measured[-1] == pytest.approx(simulation.reading.barometer.height[1], rel=1e-5)

@@ -1,0 +1,52 @@
+"""Directions, meshes, grid and colours."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from qrsim.view import shapes
+from qrsim.view.ground import grid_cell
+
+
+def turned(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Rotate by quaternions (n, 4), w first."""
+    w, u = quaternion[:, :1], quaternion[:, 1:]
+    twice = 2.0 * np.cross(u, vector)
+    return vector + w * twice + np.cross(u, twice)
+
+
+def test_arrows_point_along_their_vectors():
+    rng = np.random.default_rng(1)
+    vectors = np.vstack([rng.normal(size=(200, 3)), np.eye(3), -np.eye(3), [[-1.0, 1e-5, 0.0], [-1.0, 0.0, 1e-5]]])
+    found = turned(shapes.along(vectors), np.tile([1.0, 0.0, 0.0], (len(vectors), 1)))
+    np.testing.assert_allclose(found, vectors / np.linalg.norm(vectors, axis=1)[:, None], atol=1e-4)
+    assert np.isfinite(shapes.along(np.zeros((2, 3)))).all()
+
+
+@pytest.mark.parametrize(
+    "mesh", [shapes.quadrotor(), shapes.arrow(), shapes.prism(2.0, -1.0, 1.0), shapes.box((0, 0, 0), (1, 2, 3))]
+)
+def test_triangles_have_corners(mesh: shapes.Mesh):
+    corners, faces = mesh
+    assert corners.shape[1] == faces.shape[1] == 3
+    assert set(np.unique(faces)) == set(range(len(corners)))
+
+
+def test_a_quadrotor_has_span_one_and_looks_ahead():
+    corners, _ = shapes.quadrotor()
+    assert np.ptp(corners[:, 1]) == pytest.approx(1.0, abs=0.02)
+    np.testing.assert_allclose(corners[np.argmax(corners[:, 0])], [0.65, 0.0, 0.0])
+    assert corners[:, 0].min() > -0.55
+
+
+def test_colours_of_speeds_end_where_the_scale_does():
+    found = shapes.speed_colours(np.array([0.0, 6.0, 12.0, 99.0]), 12.0)
+    np.testing.assert_array_equal(found[0], shapes.SPEED_COLOURS[0])
+    np.testing.assert_array_equal(found[2:], np.tile(shapes.SPEED_COLOURS[-1], (2, 1)))
+    assert not np.array_equal(found[1], found[0])
+
+
+@pytest.mark.parametrize(("extent", "cell"), [(10.0, 0.5), (127.0, 5.0), (400.0, 20.0), (999.0, 20.0), (1000.0, 50.0)])
+def test_grids_have_round_cells(extent: float, cell: float):
+    assert grid_cell(extent) == pytest.approx(cell)
