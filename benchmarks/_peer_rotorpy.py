@@ -1,7 +1,7 @@
 """Flies rotorpy for peers.py; run by the Python of an environment that has it. Arguments: KIND VEHICLES SECONDS.
 
-KIND 'single': one vehicle through rotorpy's own loop with its geometric controller, a constant wind, inertial and motion
-capture sensors with noise. 'batched': many in one PyTorch batch, dynamics only, motor speeds held.
+KIND 'single': one vehicle through rotorpy's own loop with its geometric controller, a constant wind, inertial and
+motion capture sensors with noise. 'batched': many in one PyTorch batch, dynamics only, motor speeds held.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+
 from _peer import timed
 
 STEP = 0.01

@@ -74,12 +74,11 @@ def flights(folder: Path, runs: int, scenario: str, cache: Path | None) -> tuple
     first_ticks, wholes = [], []
     for _ in range(runs):
         number = len(list(folder.iterdir()))
-        # The two limits are those that qrsim sets for the cache in the user's folder.
-        environment = os.environ | {
-            "JAX_COMPILATION_CACHE_DIR": str(cache or folder / f"cache-{number}"),
-            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
-            "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-        }
+        place = cache or folder / f"cache-{number}"
+        place.mkdir(exist_ok=True)
+        environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
+        # The user's cache, on Linux.
+        environment["XDG_CACHE_HOME"] = str(place)
         words = ["run", scenario, "--duration", "0.02", "--no-figure", "--json", "--out", str(folder / f"run-{number}")]
         begun = time.time()
         wall, cpu, printed = run_timed([sys.executable, "-m", "qrsim.cli", *words], environment)

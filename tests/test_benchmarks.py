@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -19,10 +21,20 @@ NAMES = sorted(path.stem for path in FOLDER.glob("[!_]*.py"))
 MACHINE = {"cpu", "cores", "load_average", "os", "python", "jax", "jaxlib", "qrsim"}
 # The keys of a row that are numbers above zero.
 NUMBERS = {
+    "bound": {"vehicles", "threads", "per_wall_second", "per_cpu_second", "flying", "of_bound_wall", "of_bound_cpu"},
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
+    "peers": {"vehicles", "processes"},
     "serve": {"count", "median_us", "p95_us", "per_second", "target"},
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},
-    "throughput": {"vehicles", "ticks", "compile_s", "us_per_step", "per_wall_second", "per_cpu_second", "flying"},
+    "throughput": {
+        "vehicles",
+        "worlds",
+        "ticks",
+        "compile_seconds",
+        "per_wall_second",
+        "per_cpu_second",
+        "flying",
+    },
     "view": {"vehicles", "per_second"},
 }
 
@@ -61,9 +73,10 @@ def test_startup():
 
 
 def test_throughput():
-    [row] = rows("throughput")
-    assert row["vehicles"] == row["flying"] == 1
-    assert row["per_wall_second"] == pytest.approx(1e6 / row["us_per_step"], rel=0.01)
+    many, one = rows("throughput")
+    assert (many["worlds"], many["vehicles"], many["flying"]) == (2, 4, 4)
+    assert (one["worlds"], one["vehicles"], one["flying"]) == (1, 1, 1)
+    assert many["stage"] == one["stage"] == "everything"
 
 
 def test_serve():
@@ -73,6 +86,99 @@ def test_serve():
 def test_latency():
     [row] = rows("latency")
     assert row["median_us"] <= row["p95_us"] <= row["p99_us"]
+
+
+def without_a_compiler() -> bool:
+    return shutil.which("g++") is None
+
+
+@pytest.mark.skipif(without_a_compiler(), reason="needs a C++ compiler: sudo apt-get install g++")
+def test_bound_agrees_with_the_package_and_is_timed_beside_it():
+    kernel, package = rows("bound")
+    assert (kernel["program"], package["program"]) == ("bound.cc", "qrsim")
+    assert (kernel["of_bound_wall"], kernel["of_bound_cpu"]) == (1.0, 1.0)
+    assert (kernel["flying"], package["flying"]) == (kernel["vehicles"], package["vehicles"])
+
+
+@pytest.mark.skipif(without_a_compiler(), reason="needs a C++ compiler: sudo apt-get install g++")
+def test_bound_notices_a_kernel_that_computes_something_else(common, tmp_path, monkeypatch):
+    bound = importlib.import_module("bound")
+    text = bound.SOURCE.read_text(encoding="utf-8")
+    assert text.count("KW = -1.35341f") == 1
+    source = tmp_path / "bound.cc"
+    source.write_text(text.replace("KW = -1.35341f", "KW = -1.36341f"), encoding="utf-8")
+    monkeypatch.setattr(bound, "SOURCE", source)
+    monkeypatch.setattr(bound, "FLAGS", ("-O1", "-march=native", "-std=c++17", "-pthread"))
+    with pytest.raises(SystemExit, match="differ from qrsim's"):
+        bound.check_ticks(bound.compiled(tmp_path), 5.0, 40, 1, 1e-4)
+
+
+def test_bound_without_a_compiler_says_how_to_get_one():
+    done = subprocess.run(
+        [sys.executable, str(FOLDER / "bound.py"), "--quick"],
+        capture_output=True, text=True, check=False, env=os.environ | {"PATH": ""},
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr == "bound: the C++ compiler g++ is not installed: sudo apt-get install g++\n"
+
+
+def test_peers_that_are_not_there_are_named_with_what_installs_them(tmp_path, monkeypatch):
+    monkeypatch.setenv("QRSIM_PEERS", str(tmp_path))
+    results = rows("peers")
+    assert {row["simulator"] for row in results} == {"qrsim", "crazyflow==0.4.0", "rotorpy==3.0.0"}
+    for row in results:
+        if row["simulator"] == "qrsim":
+            assert row["per_wall_second"] > 0
+        else:
+            assert (row["per_wall_second"], row["ours_to_theirs_steps"]) == (None, None)
+            assert row["note"].startswith("not installed: ")
+            assert "--install" in row["note"] or "pip install" in row["note"]
+
+
+FAKE = """import sys
+from _peer import timed
+assert sys.argv[2] == "4"
+if sys.argv[1] == "broken":
+    raise ValueError("no such drone")
+timed(lambda: 10, 0.005, float(sys.argv[3]), lambda: sys.argv[1] == "fine")
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "note"),
+    [("fine", ""), ("broken", "did not run: ValueError: no such drone"), ("wild", "did not run: its states")],
+)
+def test_a_peer_is_timed_in_all_its_processes_or_says_why_not(kind, note, common, tmp_path, monkeypatch):
+    peers = importlib.import_module("peers")
+    python = peers.python_of(tmp_path / "fake")
+    python.parent.mkdir(parents=True)
+    python.symlink_to(sys.executable)
+    (tmp_path / "_peer_fake.py").write_text(FAKE, encoding="utf-8")
+    shutil.copy(FOLDER / "_peer.py", tmp_path)
+    monkeypatch.setenv("QRSIM_PEERS", str(tmp_path))
+    monkeypatch.setattr(peers, "FOLDER", tmp_path)
+    monkeypatch.setitem(peers.REQUIREMENTS, "fake", "fake==1.0")
+    row = peers.fly(peers.Peer("fake", kind, "nothing", 8, 2, module="json"), 0.01)
+    assert row["note"].startswith(note)
+    assert bool(row["note"]) == bool(note)
+    if note:
+        assert row["per_wall_second"] is None
+    else:
+        assert row["simulated_per_second"] == pytest.approx(row["per_wall_second"] * 0.005, rel=1e-3)
+        own = {"per_wall_second": 2 * row["per_wall_second"], "simulated_per_second": row["simulated_per_second"]}
+        assert peers.compared(row, own)["ours_to_theirs_steps"] == 2.0
+        assert peers.compared(row, own)["ours_to_theirs_seconds"] == 1.0
+
+
+@pytest.mark.parametrize("name", ["crazyflow", "rotorpy"])
+def test_an_installed_peer_runs(name, common):
+    peers = importlib.import_module("peers")
+    peer = next(peer for peer in peers.peers(4) if peer.name == name)
+    if not peers.installed(peer):
+        pytest.skip(f"{name} is not installed: {peers.how_to_install(peer)}")
+    row = peers.fly(peer, 0.01)
+    assert row["note"] == ""
+    assert row["per_wall_second"] > 0
 
 
 def test_the_table_names_the_machine(common, capsys):

@@ -15,7 +15,16 @@ from qrsim.logs.reader import Run, Stream
 Floats = np.ndarray[Any, Any]
 Rows = np.ndarray[Any, Any]
 STREAMS = ("truth", "measurements", "commands", "wind")
-NOT_A_STOP = ("waypoint_reached", "command_clipped", "fault_begins", "fault_ends", "no_fix", "fix_lost", "fix_found")
+NOT_A_STOP = (
+    "waypoint_reached",
+    "command_clipped",
+    "fault_begins",
+    "fault_ends",
+    "no_fix",
+    "fix_lost",
+    "fix_found",
+    "wind_changed",
+)
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ def windows_of(log: FlightLog, first: float, last: float, steps: int, most: int)
     """
     names = channels_of(log)
     needed = [*names, *(name for name in COMMANDS if name in log.signals)]
-    good = np.isfinite(np.stack([log.signals[name] for name in needed])).all(axis=0)
+    good: Any = np.isfinite(np.stack([log.signals[name] for name in needed])).all(axis=0)
     begin, end = round(first * len(good)), round(last * len(good))
     runs = np.cumsum(np.concatenate([[0], good]))
     margin = SMOOTHED if end - begin > steps + 2 * SMOOTHED else 0

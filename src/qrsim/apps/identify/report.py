@@ -157,8 +157,10 @@ def _log_section(result: Result, i: int) -> list[str]:
         )
     if scores.get("velocity_5_s"):
         five = scores["velocity_5_s"]
-        cases = (("start", "start"), ("start with the same wind and trims", "start_with_nuisances"))
-        cases += (("identified", "identified"), ("no change", "no_change"))
+        cases = (
+            ("start", "start"), ("start with the same wind and trims", "start_with_nuisances"),
+            ("identified", "identified"), ("no change", "no_change"),
+        )  # fmt: skip
         told = ", ".join(f"{words} {five[name]:.4g}" for words, name in cases)
         lines += ["", f"Horizontal velocity within 5 s of {five['pieces']} starts from the record, (m/s)²: {told}."]
     lines += ["", "| residual | lag 1 | correlated over [s] | Ljung-Box p | with a command |", "|---|---|---|---|---|"]

@@ -18,8 +18,6 @@ AHEAD_S = 2.0
 GAIN, SPEED = 1.0, 3.0
 # Cats closer than this [m] move apart.
 SEPARATION = 6.0
-# Cats do not fly on towards a wall that is nearer than this [m].
-WALL = 12.0
 
 
 class Chasing:
@@ -36,8 +34,6 @@ class Chasing:
         area = play.world.area
         self._middle = 0.5 * np.array([float(area.x_min + area.x_max), float(area.y_min + area.y_max)])
         self._limit = float(play.task.axes[0].high)
-        self._low = np.array([float(area.x_min), float(area.y_min)]) + WALL
-        self._high = np.array([float(area.x_max), float(area.y_max)]) - WALL
 
     def act(self, seen: Array) -> Array:
         """Return the actions (n, 2)."""
@@ -53,13 +49,7 @@ class Chasing:
         self._left -= 1
         met = mouse + AHEAD_S * self._velocity
         wanted = self._velocity + GAIN * (met + self._ring(place - mouse, mouse) - place - AHEAD_S * velocity * 0.5)
-        wanted += self._apart(place)
-        # A vehicle takes some metres to stop.
-        stopped = place + AHEAD_S * velocity
-        wanted = np.clip(
-            wanted, np.minimum(self._low - stopped, self._limit), np.maximum(self._high - stopped, -self._limit)
-        )
-        return np.clip(wanted / self._limit, -1.0, 1.0)
+        return np.clip((wanted + self._apart(place)) / self._limit, -1.0, 1.0)
 
     def _ring(self, offset: Array, mouse: Array) -> Array:
         """Return where on the ring each cat is to be (n, 2): evenly, each as near as can be to where it is."""
