@@ -156,18 +156,6 @@ def test_a_slider_goes_through_time(watched: Watched):
     assert changes(watched.browser, before)
 
 
-def test_a_vehicle_that_is_clicked_is_plotted(watched: Watched):
-    watched.page.choose(None)
-    watched.page.scene.follow(1)
-    settled(watched.browser)
-    # It is in the middle, where the camera looks at.
-    watched.browser.click(WIDTH / 2, watched.browser.evaluate("window.innerHeight") / 2)
-    eventually(lambda: watched.page.chosen == 1)
-    data = watched.page._plots[0][1].data
-    assert len(data[0]) > 100
-    assert np.isfinite(data[1]).all()
-
-
 def test_nothing_is_asked_of_other_machines(watched: Watched):
     hosts = {(urlsplit(url).scheme, urlsplit(url).hostname) for url in watched.browser.requested}
     # That the worker's connection is here shows that nothing was overlooked.

@@ -168,7 +168,15 @@ class Browser:
 
     def picture(self) -> bytes:
         """Return what the page shows, as PNG."""
-        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+            except RunError as error:
+                # For a moment after another page was opened there is none.
+                if "active page" not in str(error) or time.monotonic() > deadline:
+                    raise
+                time.sleep(0.1)
 
     def click(self, x: float, y: float) -> None:
         """Press and release the left button at a place [pixels]."""

@@ -168,7 +168,8 @@ def test_every_built_in_scenario_has_every_sensor_of_the_measured_vector():
     types = {"gnss", "barometer", "attitude", "gyroscope", "accelerometer"}
     for name in Tasks().names:
         for fleet in Tasks().scenario(name).spec.fleets.values():
-            assert set(fleet.sensors) == types, name
+            # Those of a task may have a camera or a concentration sensor too.
+            assert set(fleet.sensors) >= types, name
 
 
 def test_reference_names_are_our_scenarios_and_an_empty_name_is_the_operators_own():
