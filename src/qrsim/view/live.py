@@ -89,9 +89,7 @@ class LiveView:
         self.offer_state(lambda: (_last_of(history.state), int(history.ticks[-1])), always)
 
     def show(self, simulation: Simulation) -> None:
-        """Offer the present state of a simulation; its copy takes the caller some microseconds, 30 times a second."""
-        if not self._due():
-            return
+        """Offer the present state of a simulation; its copy takes the caller some microseconds."""
         layout, buffers = simulation.packed
         copies, tick = tuple(np.array(buffer) for buffer in buffers), simulation.tick
         self.offer_state(lambda: (layout.unpack(copies), tick), always=True)  # type: ignore[arg-type]
@@ -145,6 +143,9 @@ class LiveView:
             except Exception as error:  # the flight goes on, whatever is wrong with its picture
                 print(f"warning: the page shows no more: {error!r}", file=sys.stderr)
                 return
+            # Paced here, where the last of some states is drawn whoever offered it when.
+            with self._there:
+                self._there.wait_for(lambda: self._closed, FRAME_S)
 
     def _draw(self, look: Look) -> None:
         assert self._page is not None

@@ -50,6 +50,13 @@ def test_what_a_client_flies_is_drawn(tmp_path: Path):
             time.sleep(0.05)
             client.restart()
             eventually(lambda: shown() == 0.0)
+        # The page stays when its client has gone, and shows what the next one flies.
+        with Client(port=serving.port, timeout=300.0) as client:
+            client.init(TASK)
+            client.step_waypoint(0.2, HOLD)
+            eventually(lambda: shown() == pytest.approx(0.2))
+            assert view._page is not None
+            assert "session 2" in view._page.heading
     first = open_run(sorted(tmp_path.iterdir())[0])
     changed = [event for event in first.events if event.kind == "wind_changed"]
     assert [(event.tick, event.value) for event in changed] == [(75, 6.0), (75, 180.0)]
