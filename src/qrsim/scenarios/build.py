@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -115,14 +114,32 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
             yield from _too_fast(f"{path}.velocity_body", vehicle.velocity_body, fleet, i)
             for j, waypoint in enumerate(vehicle.waypoints_ned):
                 yield from outside(f"{path}.waypoints_ned.{j}", waypoint, area)
-            for other_path, other in starts:
-                distance = math.dist(other, vehicle.position_ned)
-                if distance < scenario.world.collision_distance:
-                    yield (
-                        f"{path}.position_ned: starts {distance:.3g} m from {other_path}; "
-                        f"allowed: at least {scenario.world.collision_distance:g} m (world.collision_distance)"
-                    )
             starts.append((path, vehicle.position_ned))
+    allowed = scenario.world.collision_distance
+    for i, j, distance in _close_pairs(np.array([position for _, position in starts]), allowed):
+        yield (
+            f"{starts[j][0]}.position_ned: starts {distance:.3g} m from {starts[i][0]}; "
+            f"allowed: at least {allowed:g} m (world.collision_distance)"
+        )
+
+
+def _close_pairs(points: Any, distance: float) -> list[tuple[int, int, float]]:
+    """Return i < j and their distance of all pairs of points (n, 3) that are less than ``distance`` apart."""
+    if len(points) < 2:
+        return []
+    # In the order of one coordinate, whoever is close by is a few places further on.
+    along = int(np.argmax(np.ptp(points, axis=0)))
+    order = np.argsort(points[:, along], kind="stable")
+    ordered, found = points[order], []
+    for ahead in range(1, len(points)):
+        apart = ordered[ahead:] - ordered[:-ahead]
+        if not (apart[:, along] < distance).any():
+            break
+        apart = np.linalg.norm(apart, axis=1)
+        for first in np.flatnonzero(apart < distance):
+            i, j = sorted((int(order[first]), int(order[first + ahead])))
+            found.append((i, j, float(apart[first])))
+    return sorted(found)
 
 
 def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
