@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -14,15 +13,12 @@ import numpy as np
 
 from qrsim.configuration import FEW_VEHICLES, threads, uses_llvm
 from qrsim.core.pack import Buffers, Packer, struct
-from qrsim.native import Binary, Input, Mode, Program, Start, UnsupportedError, build, build_start, identity, kept
+from qrsim.native import Input, Mode, Program, Start, UnsupportedError, build, build_start, identity, once
 from qrsim.rollout_parts import Carry, Setup, begin_world, programs, tick_of_world
 from qrsim.ticking import mode_of
 from qrsim.world import WorldKeys
 
-log = logging.getLogger(__name__)
 Array = np.ndarray[Any, Any]
-# Programs of this process, by all that they depend on; None where the generator cannot make one.
-_PROGRAMS: dict[Any, Any] = {}
 
 
 class Flight:
@@ -98,18 +94,21 @@ class NativeFlight:
         host_keys = jax.tree.map(np.asarray, keys)
         self._layout, program = _begin(setup, self._fixed, layout_of((own, host_keys)), self._mode)
         self._state = self._many(program, 2)
-        self._scratches: dict[int, list[Any]] = {}
-        self._run(program, self._filled(program, 1, (own, host_keys)), 0, 1)
-        self._given: tuple[Any, Any, Any] = (None, None, None)
+        self._run(self._call(program, (own, host_keys)), 0, 1)
+        self._last: tuple[Any, _Call] | None = None
 
     def _many(self, program: Program, which: int) -> list[Buffers]:
         """Return an input's buffers, one pair for each tile."""
         return [program.buffers(which) for _ in range(self._tiles)]
 
-    def _filled(self, program: Program, which: int, tree: Any) -> list[Buffers]:
-        """Return an input's buffers for all tiles with the numbers of a tree, each leaf (B, ...)."""
-        layout, lanes = program.inputs[which].layout, self._mode.worlds
-        buffers = self._many(program, which)
+    def _call(self, program: Program, tree: Any) -> _Call:
+        call = _Call(program, self._shared, self._many(program, 1), min(threads(), self._tiles))
+        self._fill(call, tree)
+        return call
+
+    def _fill(self, call: _Call, tree: Any) -> None:
+        """Give a call the numbers of a tree, each leaf (B, ...), as what is each world's own."""
+        layout, lanes = call.program.inputs[1].layout, self._mode.worlds
         whole = self._tiles * lanes
         for leaf, part, is_float in zip(jax.tree.leaves(tree), layout.slices, layout.is_float, strict=True):
             rows = np.asarray(leaf).reshape(self._count, -1)
@@ -118,40 +117,34 @@ class NativeFlight:
             if whole != self._count:
                 # Lanes without a world of their own repeat the last one.
                 rows = rows[np.minimum(np.arange(whole), self._count - 1)]
-            for tile, pair in enumerate(buffers):
+            for tile, pair in enumerate(call.own):
                 mine = pair[0 if is_float else 1].reshape(-1, lanes)
                 mine[part] = rows[tile * lanes : (tile + 1) * lanes].T
-        return buffers
 
     def advance(self, tick: int, count: int, given: Any) -> None:
         """Run ``count`` ticks."""
         leaves, structure = jax.tree.flatten(given)
         tree = (self._own_leaves, given)
-        if leaves or self._given[0] is None or self._given[0] != structure:
-            layout = layout_of(tree)
-            program = _advance(self._setup, self._fixed, layout, self._layout, self._mode)
-            self._given = structure, program, self._filled(program, 1, tree)
-        _, program, own = self._given
-        self._run(program, own, tick, count)
+        # As text, because to JAX two structures are equal whose records differ in nothing but their type.
+        kind = repr(structure), [(np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves]
+        if self._last is None or self._last[0] != kind:
+            program = _advance(self._setup, self._fixed, layout_of(tree), self._layout, self._mode)
+            self._last = kind, self._call(program, tree)
+        elif leaves:
+            self._fill(self._last[1], tree)
+        self._run(self._last[1], tick, count)
 
-    def _run(self, program: Program, own: Any, tick: int, count: int) -> None:
-        shared = program.buffers(0)
-        for mine, values in zip(shared, self._shared, strict=True):
-            mine[...] = values
-        first = [part.ctypes.data for part in shared]
+    def _run(self, call: _Call, tick: int, count: int) -> None:
+        workers = len(call.scratches)
 
-        def run(tiles: range) -> None:
-            scratch = program.scratch()
-            for tile in tiles:
-                parts = (*own[tile], *self._state[tile])
-                program([*first, *(part.ctypes.data for part in parts)], scratch.ctypes.data, tick, count)
+        def run(worker: int, workers: int) -> None:
+            for tile in range(worker, self._tiles, workers):
+                call(worker, tile, self._state[tile], tick, count)
 
-        workers = min(threads(), self._tiles)
         if workers == 1 or count * self._tiles < 8:
-            run(range(self._tiles))
+            run(0, 1)
             return
-        shares = [range(worker, self._tiles, workers) for worker in range(workers)]
-        for _ in _pool(workers).map(run, shares):
+        for _ in _pool(workers).map(run, range(workers), [workers] * workers):
             pass
 
     def get(self, select: Callable[[Carry], Any]) -> Any:
@@ -167,6 +160,34 @@ class NativeFlight:
         if dtype == np.uint32:
             return np.ascontiguousarray(shaped).view(np.uint32)
         return shaped if shaped.dtype == dtype else shaped.astype(dtype)
+
+
+class _Call:
+    """A program with what it reads and its working memory.
+
+    Args:
+        program: what is called.
+        shared: values of what all worlds share.
+        own: for each tile, buffers of what is each world's own.
+        workers: threads that may call at the same time.
+    """
+
+    def __init__(self, program: Program, shared: Buffers, own: list[Buffers], workers: int):
+        self.program, self.own = program, own
+        self._shared = program.buffers(0)
+        for mine, values in zip(self._shared, shared, strict=True):
+            mine[...] = values
+        self._first = _addresses(self._shared)
+        self.scratches = [program.scratch() for _ in range(workers)]
+
+    def __call__(self, worker: int, tile: int, state: Buffers, tick: int, count: int) -> None:
+        """Advance the state of a tile."""
+        addresses = [*self._first, *_addresses(self.own[tile]), *_addresses(state)]
+        self.program(addresses, self.scratches[worker].ctypes.data, tick, count)
+
+
+def _addresses(buffers: Sequence[Array]) -> list[int]:
+    return [part.ctypes.data for part in buffers]
 
 
 def _mode(count: int, vehicles: int, dtype: np.dtype[Any]) -> Mode:
@@ -198,47 +219,34 @@ def _tick_tree(setup: Setup, fixed: list[Any], own: tuple[list[Any], Any], carry
     return tick_of_world(setup, fixed, own[0], carry, tick, own[1])
 
 
-def _made(what: str, setup: Setup, layouts: tuple[Packer, ...], mode: Mode, make: Callable[[], Any]) -> Any:
-    """Return a program from this process, from the cache, or made anew.
-
-    Raises:
-        UnsupportedError: it cannot be made.
-    """
-    key = (what, setup, layouts, mode)
-    if key not in _PROGRAMS:
-        # Only what is made of this package alone can be told by its structure in another process.
-        parts = (what, setup.types, setup.varied, *map(identity, layouts), mode)
-        try:
-            _PROGRAMS[key] = kept(parts, make) if setup.plain else make()
-        except UnsupportedError as why:
-            log.debug("%s compiled by XLA, because of %s", what, why)
-            _PROGRAMS[key] = why
-    found = _PROGRAMS[key]
-    if isinstance(found, UnsupportedError):
-        raise found
-    return found
-
-
-_LOADED: dict[Any, Any] = {}
+def _once(what: str, setup: Setup, layouts: tuple[Packer, ...], mode: Mode, make: Any, load: Any) -> Any:
+    # Only what is made of this package alone can be told by its structure in another process.
+    text = (what, setup.types, setup.varied, *map(identity, layouts), mode) if setup.plain else None
+    return once((what, setup, layouts, mode), text, make, load)
 
 
 def _begin(setup: Setup, fixed: Packer, own: Packer, mode: Mode) -> tuple[Packer, Program]:
     inputs = (Input(fixed, own=False), Input(own, own=True))
-    start: Start = _made(
-        "begin", setup, (fixed, own), mode, lambda: build_start(partial(_begin_tree, setup), inputs, mode)
-    )
-    if id(start) not in _LOADED:
+
+    def load(start: Start) -> tuple[Packer, Program]:
         layout = start.layout
-        _LOADED[id(start)] = start, layout, Program(start.binary, (*inputs, Input(layout, own=True)), mode)
-    return _LOADED[id(start)][1:]
+        return layout, Program(start.binary, (*inputs, Input(layout, own=True)), mode)
+
+    def make() -> Start:
+        return build_start(partial(_begin_tree, setup), inputs, mode)
+
+    found: tuple[Packer, Program] = _once("begin", setup, (fixed, own), mode, make, load)
+    return found
 
 
 def _advance(setup: Setup, fixed: Packer, own: Packer, carry: Packer, mode: Mode) -> Program:
     inputs = (Input(fixed, own=False), Input(own, own=True), Input(carry, own=True))
-    binary: Binary = _made(
-        "advance", setup, (fixed, own, carry), mode, lambda: build(partial(_tick_tree, setup), inputs, mode)
+    found: Program = _once(
+        "advance",
+        setup,
+        (fixed, own, carry),
+        mode,
+        lambda: build(partial(_tick_tree, setup), inputs, mode),
+        lambda binary: Program(binary, inputs, mode),
     )
-    if id(binary) not in _LOADED:
-        _LOADED[id(binary)] = binary, Program(binary, inputs, mode)
-    found: Program = _LOADED[id(binary)][1]
     return found

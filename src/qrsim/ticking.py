@@ -5,7 +5,6 @@ Both take and return the state in two flat NumPy buffers, see ``qrsim.core.pack`
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from typing import Any
 
@@ -17,12 +16,8 @@ from jax import lax
 from qrsim import world as ticks_of
 from qrsim.configuration import FEW_VEHICLES, QUICK_TO_COMPILE, uses_llvm
 from qrsim.core.pack import Buffers, Packer
-from qrsim.native import Binary, Input, Mode, Program, Start, UnsupportedError, build, build_start, identity, kept
+from qrsim.native import Input, Mode, Program, Start, UnsupportedError, aligned, build, build_start, identity, once
 from qrsim.world import State, World, WorldKeys
-
-log = logging.getLogger(__name__)
-# Programs of this process, by all that they depend on; None where the generator cannot make one.
-_PROGRAMS: dict[Any, Any] = {}
 
 
 def mode_of(vehicles: int, dtype: np.dtype[Any]) -> Mode:
@@ -63,10 +58,10 @@ class NativeTicks:
         keys = jax.tree.map(np.asarray, keys)
         key_layout = Packer(keys)
         inputs = (Input(self.layout, own=False), Input(key_layout, own=True))
-        start = _start(inputs, self._mode)
-        if start is None:
+        try:
+            layout, program = _start(inputs, self._mode)
+        except UnsupportedError:
             return self.instead.reset(keys)
-        layout, program = start
         call = _Call(program, [self._parameters, key_layout.pack(keys)])
         state = call.state()
         call(state, 0, 1)
@@ -74,8 +69,6 @@ class NativeTicks:
 
     def adopt(self, layout: Packer, state: Buffers) -> Buffers:
         """Return a state as ``advance`` takes it: a copy where vectors may begin."""
-        from qrsim.native.program import aligned
-
         buffers = tuple(aligned(part.size, np.dtype(part.dtype)) for part in state)
         for mine, given in zip(buffers, state, strict=True):
             mine[...] = given
@@ -129,8 +122,10 @@ class NativeTicks:
         key = (layout, given_layout)
         if key not in self._ready:
             inputs = (Input(self.layout, own=False), Input(given_layout, own=True), Input(layout, own=True))
-            program = _tick_program(inputs, self._mode)
-            self._ready[key] = None if program is None else _Call(program, [self._parameters, None])
+            try:
+                self._ready[key] = _Call(_tick_program(inputs, self._mode), [self._parameters, None])
+            except UnsupportedError:
+                self._ready[key] = None
         return self._ready[key]
 
 
@@ -176,32 +171,27 @@ def _tick(world: World, given: Any, state: State, tick: Any) -> State:
     return ticks_of.step(world, state, tick, *given)
 
 
-def _tick_program(inputs: tuple[Input, ...], mode: Mode) -> Program | None:
-    key = ("tick", inputs, mode)
-    if key not in _PROGRAMS:
-        what = ("tick", *(identity(given.layout) for given in inputs), mode)
-        try:
-            binary: Binary = kept(what, lambda: build(_tick, inputs, mode))
-            _PROGRAMS[key] = Program(binary, inputs, mode)
-        except UnsupportedError as why:
-            log.debug("compiled by XLA, because of %s", why)
-            _PROGRAMS[key] = None
-    found: Program | None = _PROGRAMS[key]
+def _tick_program(inputs: tuple[Input, ...], mode: Mode) -> Program:
+    found: Program = once(
+        ("tick", inputs, mode),
+        ("tick", *(identity(given.layout) for given in inputs), mode),
+        lambda: build(_tick, inputs, mode),
+        lambda binary: Program(binary, inputs, mode),
+    )
     return found
 
 
-def _start(inputs: tuple[Input, ...], mode: Mode) -> tuple[Packer, Program] | None:
-    key = ("start", inputs, mode)
-    if key not in _PROGRAMS:
-        what = ("start", *(identity(given.layout) for given in inputs), mode)
-        try:
-            start: Start = kept(what, lambda: build_start(ticks_of.reset, inputs, mode))
-            layout = start.layout
-            _PROGRAMS[key] = layout, Program(start.binary, (*inputs, Input(layout, own=True)), mode)
-        except UnsupportedError as why:
-            log.debug("start compiled by XLA, because of %s", why)
-            _PROGRAMS[key] = None
-    found: tuple[Packer, Program] | None = _PROGRAMS[key]
+def _start(inputs: tuple[Input, ...], mode: Mode) -> tuple[Packer, Program]:
+    def load(start: Start) -> tuple[Packer, Program]:
+        layout = start.layout
+        return layout, Program(start.binary, (*inputs, Input(layout, own=True)), mode)
+
+    found: tuple[Packer, Program] = once(
+        ("start", inputs, mode),
+        ("start", *(identity(given.layout) for given in inputs), mode),
+        lambda: build_start(ticks_of.reset, inputs, mode),
+        load,
+    )
     return found
 
 

@@ -7,7 +7,8 @@ loops over vectors, written as LLVM's text and compiled by it. What a program do
 
 from qrsim.native.cache import identity, kept
 from qrsim.native.graph import UnsupportedError
-from qrsim.native.program import Binary, Input, Mode, Program, build
+from qrsim.native.once import forget, once
+from qrsim.native.program import Binary, Input, Mode, Program, aligned, build
 from qrsim.native.start import Start, build_start
 
 __all__ = [
@@ -17,8 +18,11 @@ __all__ = [
     "Program",
     "Start",
     "UnsupportedError",
+    "aligned",
     "build",
     "build_start",
+    "forget",
     "identity",
     "kept",
+    "once",
 ]

@@ -19,16 +19,21 @@ def _target() -> Any:
 
 
 def _machine() -> Any:
-    features = llvm.get_host_cpu_features().flatten()
-    return _target().create_target_machine(cpu=llvm.get_host_cpu_name(), features=features, opt=2, jit=True)
+    name, features = llvm.get_host_cpu_name(), _features().flatten()
+    return _target().create_target_machine(cpu=name, features=features, opt=2, jit=True)
+
+
+@lru_cache(maxsize=1)
+def _features() -> Any:
+    _target()
+    return llvm.get_host_cpu_features()
 
 
 @lru_cache(maxsize=1)
 def machine_name() -> str:
     """Return what machine code depends on beside its text: processor, its features, and compiler."""
-    _target()
     version = ".".join(map(str, llvm.llvm_version_info))
-    return f"{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()} llvm {version}"
+    return f"{llvm.get_host_cpu_name()} {_features().flatten()} llvm {version}"
 
 
 def machine_code(text: str) -> bytes:

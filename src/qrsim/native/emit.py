@@ -17,8 +17,9 @@ import numpy as np
 
 from qrsim.native.graph import Access, Node, Shape, UnsupportedError
 from qrsim.native.neighbours import Neighbours
-from qrsim.native.operations import Operations, literal, scalar_type, splat, stored_bytes, stored_type, vector
+from qrsim.native.operations import Operations
 from qrsim.native.schedule import Step
+from qrsim.native.text import literal, scalar_type, splat, stored_bytes, stored_type, suffix, vector
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,27 @@ class Emitter:
         self.start_block(after)
         self.scope.offsets.clear()
 
+    @contextmanager
+    def counted(self, extent: str) -> Any:
+        """Write a loop over [0, extent) for an extent (i32) that the program computes; gives the counter (i64)."""
+        label, number = f"some{self.count}", self.name("i")
+        wide = self.emit(f"zext i32 {extent} to i64")
+        before = self.block
+        self.do(f"br label %{label}")
+        self.start_block(label)
+        place = len(self.lines)
+        self.lines.append("")
+        more = self.emit(f"icmp ult i64 {number}, {wide}")
+        self.do(f"br i1 {more}, label %{label}.one, label %{label}.after")
+        self.start_block(f"{label}.one")
+        self.scope.offsets.clear()
+        yield number
+        following = self.emit(f"add nuw nsw i64 {number}, 1")
+        self.do(f"br label %{label}")
+        self.lines[place] = f"  {number} = phi i64 [0, %{before}], [{following}, %{self.block}]"
+        self.start_block(f"{label}.after")
+        self.scope.offsets.clear()
+
     # Memory
 
     def _lanes_of(self, node: Node) -> int:
@@ -152,8 +174,7 @@ class Emitter:
         if mask is None:
             self.do(f"store {of} {value}, ptr {address}, align {align}")
             return
-        letter = {"float": "f32", "double": "f64"}.get(stored_type(dtype), stored_type(dtype))
-        name = f"llvm.masked.store.v{lanes}{letter}.p0"
+        name = f"llvm.masked.store.{suffix(stored_type(dtype), lanes)}.p0"
         self.declarations.add(f"declare void @{name}({of}, ptr, i32, {vector('i1', lanes)})")
         self.do(f"call void @{name}({of} {value}, ptr {address}, i32 {align}, {vector('i1', lanes)} {mask})")
 
@@ -175,9 +196,9 @@ class Emitter:
         found: tuple[str, int] = scope.offsets[key]
         return found
 
-    def open_scope(self, domain: Shape) -> None:
-        """Begin a loop nest that is written element by element."""
-        self.scope = Scope(domain, ["0"] * len(domain), None, {}, {})
+    def open_scope(self, domain: Shape, lane_axis: int | None = None) -> None:
+        """Begin a loop nest that is written element by element, or in vectors along an axis."""
+        self.scope = Scope(domain, ["0"] * len(domain), lane_axis, {}, {})
 
     def read(self, access: Access) -> tuple[str, int]:
         """Return what lies in memory at an access of the present loop, read anew."""
@@ -338,34 +359,54 @@ class Emitter:
         # A sum along the vector's own axis would be taken in another order.
         if self.side_by_side or self.lanes == 1 or (last in step.reduced and ordered):
             lane_axis = None
-        self.scope = Scope(step.domain, ["0"] * len(step.domain), lane_axis, {}, {})
-        with self._over(step.kept, step.domain, lane_axis):
+        together = 1 if step.reduced else _together(step, lane_axis)
+        scopes = [Scope(step.domain, ["0"] * len(step.domain), lane_axis, {}, {}) for _ in range(together)]
+        self.scope = scopes[0]
+        with self._over(step.kept, step.domain, lane_axis, together):
+            self._spread_counters(scopes, lane_axis)
             accumulators = {node.number: self._accumulator(node) for node in step.nodes if node.op == "reduce"}
             with self._over(step.reduced, step.domain, lane_axis):
-                for node in step.nodes:
-                    if 0 in step.domain:
-                        break
-                    if node.op == "reduce":
-                        self._accumulate(node, accumulators[node.number])
-                    else:
-                        lanes = self._width(node)
-                        self.scope.values[node.number] = self._compute(node, lanes)
                 if 0 not in step.domain:
-                    self._keep(step, stored)
+                    self._body(step, scopes, accumulators, stored)
             for node in step.nodes:
                 if node.op == "reduce":
                     self._finish(node, accumulators[node.number])
 
+    def _spread_counters(self, scopes: list[Scope], lane_axis: int | None) -> None:
+        """Let the further ones of several scopes stand beside the first along the axis that they share."""
+        axis = _shared_axis(scopes[0].domain, lane_axis)
+        for i, scope in enumerate(scopes[1:], 1):
+            scope.variables[:] = scopes[0].variables
+            assert axis is not None
+            counter = scopes[0].variables[axis]
+            scope.variables[axis] = self.emit(f"add nuw nsw i64 {counter}, {i}")
+            scope.offsets.clear()
+
+    def _body(self, step: Step, scopes: list[Scope], accumulators: dict[int, str], stored: set[int]) -> None:
+        """Write one turn of a loop, or several at once, operation by operation."""
+        for node in step.nodes:
+            for scope in scopes:
+                self.scope = scope
+                if node.op == "reduce":
+                    self._accumulate(node, accumulators[node.number])
+                else:
+                    scope.values[node.number] = self._compute(node, self._width(node))
+        for scope in scopes:
+            self.scope = scope
+            self._keep(step, stored)
+        self.scope = scopes[0]
+
     @contextmanager
-    def _over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None) -> Any:
-        """Write loops over some axes of the domain."""
+    def _over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Any:
+        """Write loops over some axes of the domain, ``together`` turns of one of them at once."""
         if not axes:
             yield
             return
         axis = axes[0]
-        with self.loop(domain[axis], self.lanes if axis == lane_axis else 1) as counter:
+        turns = together if axis == _shared_axis(domain, lane_axis) else 1
+        with self.loop(domain[axis], self.lanes if axis == lane_axis else turns) as counter:
             self.scope.variables[axis] = counter
-            with self._over(axes[1:], domain, lane_axis):
+            with self._over(axes[1:], domain, lane_axis, together):
                 yield
 
     def _keep(self, step: Step, stored: set[int]) -> None:
@@ -383,10 +424,10 @@ class Emitter:
         mask = None
         axis = self.scope.lane_axis
         if place.tight and axis is not None and lanes > 1 and self.scope.domain[axis] % lanes:
-            mask = self._inside(self.scope.variables[axis], self.scope.domain[axis])
+            mask = self.inside(self.scope.variables[axis], self.scope.domain[axis])
         self._store(dtype, address, value, wanted, mask)
 
-    def _inside(self, counter: str, extent: int) -> str:
+    def inside(self, counter: str, extent: int) -> str:
         """Return which lanes are elements of an axis."""
         ramp = "<" + ", ".join(f"i64 {lane}" for lane in range(self.lanes)) + ">"
         of = vector("i64", self.lanes)
@@ -430,7 +471,7 @@ class Emitter:
         value = self.widened(self.value(access), node.dtype, lanes)
         axis = self.scope.lane_axis
         if axis is not None and axis in node.attributes[1] and self.scope.domain[axis] % lanes:
-            inside = self._inside(self.scope.variables[axis], self.scope.domain[axis])
+            inside = self.inside(self.scope.variables[axis], self.scope.domain[axis])
             of = vector(scalar_type(node.dtype), lanes)
             neutral = splat(self._neutral(node), scalar_type(node.dtype), lanes)
             value = self.emit(f"select {vector('i1', lanes)} {inside}, {of} {value}, {of} {neutral}")
@@ -548,3 +589,21 @@ class Emitter:
     def spare(self, node: Node, shape: Shape) -> Place:
         """Return memory for a copy that waits; replaced by whoever owns the memory."""
         raise NotImplementedError
+
+
+def _shared_axis(domain: Shape, lane_axis: int | None) -> int | None:
+    """Return the axis along which several turns of a loop can be taken at once: the last but the vector's own."""
+    axes = [axis for axis in range(len(domain)) if axis != lane_axis]
+    return axes[-1] if axes else None
+
+
+def _together(step: Step, lane_axis: int | None) -> int:
+    """Return how many turns of a loop are written as one.
+
+    One turn of a body of some hundred operations that wait for each other fills what the processor looks ahead, and
+    few of them run at once. A shorter body needs no help, and a longer one no more of it than its registers hold.
+    """
+    axis = _shared_axis(step.domain, lane_axis)
+    if axis is None or not 100 <= len(step.nodes) <= 200:
+        return 1
+    return next((turns for turns in (4, 2) if step.domain[axis] % turns == 0), 1)

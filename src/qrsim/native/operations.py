@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
-from typing import Any
-
-import numpy as np
 
 from qrsim.native.graph import Node, UnsupportedError
+from qrsim.native.text import DType, literal, scalar_type, splat, suffix, vector
 
-DType = np.dtype[Any]
 # Emits an instruction and returns the name of its value.
 Emit = Callable[[str], str]
 
-_SCALAR = {"float32": "float", "float64": "double", "int32": "i32", "uint32": "i32", "int64": "i64", "uint64": "i64"}
 _LIBRARY = {
     "exp", "exp2", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh",
     "tanh", "pow",
@@ -22,44 +17,6 @@ _LIBRARY = {
 _FLOAT_COMPARISONS = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
 _BITS = {"and": "and", "or": "or", "xor": "xor"}
 _SHIFTS = {"shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}
-
-
-def scalar_type(dtype: DType) -> str:
-    """Return LLVM's name of one element in a register."""
-    if dtype.kind == "b":
-        return "i1"
-    if dtype.name not in _SCALAR:
-        raise UnsupportedError(f"numbers of {dtype}")
-    return _SCALAR[dtype.name]
-
-
-def stored_type(dtype: DType) -> str:
-    """Return LLVM's name of one element in memory: a bool takes as much as an int32."""
-    return "i32" if dtype.kind == "b" else scalar_type(dtype)
-
-
-def stored_bytes(dtype: DType) -> int:
-    """Return the bytes of one element in memory."""
-    return 4 if dtype.kind == "b" else dtype.itemsize
-
-
-def vector(element: str, lanes: int) -> str:
-    """Return the type of ``lanes`` elements; one is a scalar."""
-    return element if lanes == 1 else f"<{lanes} x {element}>"
-
-
-def literal(value: Any, dtype: DType) -> str:
-    """Return a number as LLVM writes it."""
-    if dtype.kind == "b":
-        return "true" if value else "false"
-    if dtype.kind == "f":
-        return f"0x{struct.unpack('>Q', struct.pack('>d', float(value)))[0]:016X}"
-    return str(int(value))
-
-
-def splat(text: str, element: str, lanes: int) -> str:
-    """Return a constant of all lanes."""
-    return text if lanes == 1 else f"splat ({element} {text})"
 
 
 class Operations:
@@ -111,9 +68,7 @@ class Operations:
     def _intrinsic(self, name: str, dtype: DType, lanes: int, values: list[str]) -> str:
         element = scalar_type(dtype)
         of = vector(element, lanes)
-        letter = {"float": "f32", "double": "f64"}.get(element, element)
-        suffix = letter if lanes == 1 else f"v{lanes}{letter}"
-        return self._call(f"llvm.{name}.{suffix}", of, [of] * len(values), values)
+        return self._call(f"llvm.{name}.{suffix(element, lanes)}", of, [of] * len(values), values)
 
     def _library(self, name: str, dtype: DType, values: list[str], lanes: int) -> str:
         element = scalar_type(dtype)
@@ -176,12 +131,7 @@ class Operations:
         if node.dtype.kind == "u":
             return values[0]
         negative = self._neg(node, of, values, lanes)
-        return self._call(f"llvm.smax.{self._suffix(node.dtype, lanes)}", of, [of, of], [values[0], negative])
-
-    @staticmethod
-    def _suffix(dtype: DType, lanes: int) -> str:
-        element = {"float": "f32", "double": "f64"}.get(scalar_type(dtype), scalar_type(dtype))
-        return element if lanes == 1 else f"v{lanes}{element}"
+        return self._call(f"llvm.smax.{suffix(scalar_type(node.dtype), lanes)}", of, [of, of], [values[0], negative])
 
     def _sign(self, node: Node, of: str, values: list[str], lanes: int) -> str:
         dtype, element = node.dtype, scalar_type(node.dtype)
@@ -214,7 +164,7 @@ class Operations:
             if dtype.kind == "b":
                 return self.emit(f"{'and' if how == 'min' else 'or'} {of} {a}, {b}")
             sign = "s" if dtype.kind == "i" else "u"
-            return self._call(f"llvm.{sign}{how}.{self._suffix(dtype, lanes)}", of, [of, of], [a, b])
+            return self._call(f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}", of, [of, of], [a, b])
         chosen = self.emit(f"fcmp {'olt' if how == 'min' else 'ogt'} {of} {b}, {a}")
         result = self.emit(f"select {mask} {chosen}, {of} {b}, {of} {a}")
         if b_is_number:
@@ -238,7 +188,7 @@ class Operations:
 
     def _rsqrt(self, node: Node, of: str, values: list[str], lanes: int) -> str:
         one = splat(literal(1.0, node.dtype), scalar_type(node.dtype), lanes)
-        return self.emit(f"fdiv {of} {one}, {self._sqrt(node, of, values, lanes)}")
+        return self._arithmetic("div", "f", of, node.dtype, [one, self._sqrt(node, of, values, lanes)], lanes)
 
     def _floor(self, node: Node, of: str, values: list[str], lanes: int) -> str:
         return self._intrinsic("floor", node.dtype, lanes, values)
@@ -273,7 +223,8 @@ class Operations:
         assert result is not None
         if power > 0:
             return result
-        return self.emit(f"fdiv {of} {splat(literal(1.0, node.dtype), scalar_type(node.dtype), lanes)}, {result}")
+        one = splat(literal(1.0, node.dtype), scalar_type(node.dtype), lanes)
+        return self._arithmetic("div", "f", of, node.dtype, [one, result], lanes)
 
     def _bitcast_convert_type(self, node: Node, of: str, values: list[str], lanes: int) -> str:
         to = vector(scalar_type(node.dtype), lanes)

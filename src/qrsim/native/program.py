@@ -13,9 +13,9 @@ from qrsim.core.pack import Buffers, Packer, struct
 from qrsim.native.compiler import Loaded, machine_code
 from qrsim.native.emit import Emitter, Place
 from qrsim.native.graph import Access, Graph, Node, Shape, View, squeezed
-from qrsim.native.operations import stored_bytes
 from qrsim.native.schedule import Arena, Scheduler, all_nodes, last_reads, materialised, readers
 from qrsim.native.simplify import contract, live_nodes
+from qrsim.native.text import stored_bytes
 from qrsim.native.tracing import Tracer, trace
 
 # A loop may read this many elements behind the last one.
@@ -145,7 +145,8 @@ class _Writer:
         self.tick = self.graph.node("input", (), (), np.dtype(np.int32), ("tick",), invariant=False, uniform=True)
         views.append(View.whole(self.tick, ()))
         closed = trace(function, *shapes, struct((), np.dtype(np.int32)))
-        found = Tracer(self.graph, alone=not self.side_by_side).run(closed.jaxpr, closed.consts, views)
+        alone = not self.side_by_side and self.lanes > 1
+        found = Tracer(self.graph, alone).run(closed.jaxpr, closed.consts, views)
         contract(self.graph)
         self.results = [view.access() for view in found]
 
@@ -275,7 +276,7 @@ class _Writer:
                 *writer.entry,
                 *writer.lines,
                 "}",
-                'attributes #0 = { nounwind "prefer-vector-width"="512" }',
+                'attributes #0 = { nounwind "stackrealign" "prefer-vector-width"="512" }',
             ]
         )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from qrsim.native.graph import Access, Graph, Index, Node, Region
 
 # A product that is kept from being contracted is written as its minimum with this (see fastmath.rounded).
@@ -43,8 +45,6 @@ def _contract_region(region: Region, graph: Graph) -> None:
 
 
 def _is_rounding_mark(node: Node) -> bool:
-    import numpy as np
-
     return (
         node.op == "constant"
         and node.shape == ()

@@ -41,7 +41,7 @@ class Tracer:
 
     Args:
         graph: to which nodes are added.
-        alone: the program is of one world.
+        alone: the program is of one world, and has vectors.
     """
 
     def __init__(self, graph: Graph, alone: bool):
