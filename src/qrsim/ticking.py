@@ -21,11 +21,9 @@ from qrsim.world import State, World, WorldKeys
 
 
 def mode_of(vehicles: int, dtype: np.dtype[Any]) -> Mode:
-    """Return how a world on its own is computed: its vehicles side by side, a single one number by number."""
+    """Return how a world on its own is computed: side by side its vehicles, or a single one's draws and satellites."""
     most = 64 // dtype.itemsize
-    if vehicles == 1:
-        return Mode(1, side_by_side=False)
-    return Mode(most if vehicles > most // 2 else most // 2, side_by_side=False)
+    return Mode(most // 2 if 1 < vehicles <= most // 2 else most, side_by_side=False)
 
 
 class NativeTicks:
