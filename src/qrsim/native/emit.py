@@ -1,16 +1,10 @@
-"""From steps to LLVM's text: one function that advances some worlds by any number of ticks.
-
-Either 16 worlds lie side by side in the lanes of a vector and every array is walked element by element (``worlds``), or
-there is one world and the last axis of an array is walked 16 elements at a time (``elements``). All sums run in the
-same order in both, so both give the same numbers to the bit.
-"""
+"""From steps to LLVM's text: one function that advances some worlds by any number of ticks."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,295 +13,32 @@ from qrsim.native.graph import Access, Node, Shape, UnsupportedError
 from qrsim.native.neighbours import Neighbours
 from qrsim.native.operations import Operations
 from qrsim.native.schedule import Step
-from qrsim.native.text import literal, scalar_type, splat, stored_bytes, stored_type, suffix, vector
+from qrsim.native.text import literal, scalar_type, splat, stored_bytes, stored_type, vector
+from qrsim.native.writing import Place, Scope, Writer
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where an array lies: a pointer, a byte offset, and bytes from element to element along each axis.
-
-    Attributes:
-        own: each world has its own elements, side by side.
-        tight: nothing may be written behind the last element of a row.
-    """
-
-    pointer: str
-    offset: int
-    strides: tuple[int, ...]
-    own: bool
-    tight: bool = False
-
-
-@dataclass
-class Scope:
-    """A loop nest being written."""
-
-    domain: Shape
-    variables: list[str]
-    lane_axis: int | None
-    values: dict[int, str]
-    offsets: dict[Any, Any]
-
-
-class Emitter:
+class Emitter(Writer):
     """Writes the text of steps.
 
     Args:
         places: of every node that is in memory.
         lanes: of a vector.
         side_by_side: the lanes are worlds, not elements.
+        spare: gives memory for a copy of a node that waits, none of which was given out before.
+        spare_bytes: gives the offset of so many bytes of it.
     """
 
-    def __init__(self, places: dict[int, Place], lanes: int, side_by_side: bool):
-        self.places, self.lanes, self.side_by_side = places, lanes, side_by_side
-        self.lines: list[str] = []
-        self.entry: list[str] = []
-        self.declarations: set[str] = set()
-        self.constants: list[str] = []
-        self.count = 0
-        self.block = "entry"
-        self.scalars: dict[int, tuple[str, int]] = {}
+    def __init__(
+        self,
+        places: dict[int, Place],
+        lanes: int,
+        side_by_side: bool,
+        spare: Callable[[Node, Shape], Place],
+        spare_bytes: Callable[[int], int],
+    ):
+        super().__init__(places, lanes, side_by_side)
+        self.spare, self.spare_bytes = spare, spare_bytes
         self.operations = Operations(self.emit, self.declarations)
-        self.scope = Scope((), [], None, {}, {})
-        self._constant_places: dict[int, Place] = {}
-
-    # Text
-
-    def name(self, prefix: str = "v") -> str:
-        """Return a fresh name."""
-        self.count += 1
-        return f"%{prefix}{self.count}"
-
-    def emit(self, text: str) -> str:
-        """Write an instruction with a result, and return the result's name."""
-        name = self.name()
-        self.lines.append(f"  {name} = {text}")
-        return name
-
-    def do(self, text: str) -> None:
-        """Write an instruction without a result."""
-        self.lines.append(f"  {text}")
-
-    def start_block(self, label: str) -> None:
-        """Begin a block of instructions."""
-        self.lines.append(f"{label}:")
-        self.block = label
-
-    @contextmanager
-    def loop(self, extent: int, step: int = 1) -> Any:
-        """Write a loop over [0, extent) around what is written inside; gives the name of its counter."""
-        if extent <= step:
-            yield "0"
-            return
-        before, head, number = self.block, f"loop{self.count}", self.name("i")
-        self.do(f"br label %{head}")
-        self.start_block(head)
-        place = len(self.lines)
-        self.lines.append("")
-        self.scope.offsets.clear()
-        yield number
-        following = self.emit(f"add nuw nsw i64 {number}, {step}")
-        more = self.emit(f"icmp ult i64 {following}, {extent}")
-        self.lines[place] = f"  {number} = phi i64 [0, %{before}], [{following}, %{self.block}]"
-        after = f"after{self.count}"
-        self.do(f"br i1 {more}, label %{head}, label %{after}")
-        self.start_block(after)
-        self.scope.offsets.clear()
-
-    @contextmanager
-    def counted(self, extent: str) -> Any:
-        """Write a loop over [0, extent) for an extent (i32) that the program computes; gives the counter (i64)."""
-        label, number = f"some{self.count}", self.name("i")
-        wide = self.emit(f"zext i32 {extent} to i64")
-        before = self.block
-        self.do(f"br label %{label}")
-        self.start_block(label)
-        place = len(self.lines)
-        self.lines.append("")
-        more = self.emit(f"icmp ult i64 {number}, {wide}")
-        self.do(f"br i1 {more}, label %{label}.one, label %{label}.after")
-        self.start_block(f"{label}.one")
-        self.scope.offsets.clear()
-        yield number
-        following = self.emit(f"add nuw nsw i64 {number}, 1")
-        self.do(f"br label %{label}")
-        self.lines[place] = f"  {number} = phi i64 [0, %{before}], [{following}, %{self.block}]"
-        self.start_block(f"{label}.after")
-        self.scope.offsets.clear()
-
-    # Memory
-
-    def _lanes_of(self, node: Node) -> int:
-        """Return the lanes of a value of a node where it stands for itself, outside of any vector of elements."""
-        return self.lanes if self.side_by_side and not node.uniform else 1
-
-    def _address(self, place: Place, index: Sequence[tuple[str | None, int]]) -> str:
-        """Return a pointer to an element; each axis is at a counter (None: none) plus an offset."""
-        fixed, terms = place.offset, []
-        for (variable, offset), stride in zip(index, place.strides, strict=True):
-            fixed += offset * stride
-            if variable is not None and variable != "0":
-                terms.append((variable, stride))
-        pointer = place.pointer
-        for term in terms:
-            pointer = self._moved(pointer, *term)
-        return pointer if fixed == 0 else self.emit(f"getelementptr i8, ptr {pointer}, i64 {fixed}")
-
-    def _moved(self, pointer: str, variable: str, stride: int) -> str:
-        key = (pointer, variable, stride)
-        if key not in self.scope.offsets:
-            distance = self.emit(f"mul nuw nsw i64 {variable}, {stride}")
-            self.scope.offsets[key] = self.emit(f"getelementptr i8, ptr {pointer}, i64 {distance}")
-        return self.scope.offsets[key]
-
-    def _load(self, dtype: Any, address: str, lanes: int) -> str:
-        stored, align = stored_type(dtype), stored_bytes(dtype)
-        value = self.emit(f"load {vector(stored, lanes)}, ptr {address}, align {align}")
-        if dtype.kind != "b":
-            return value
-        return self.emit(f"icmp ne {vector('i32', lanes)} {value}, {splat('0', 'i32', lanes)}")
-
-    def _store(self, dtype: Any, address: str, value: str, lanes: int, mask: str | None = None) -> None:
-        of, align = vector(stored_type(dtype), lanes), stored_bytes(dtype)
-        if dtype.kind == "b":
-            value = self.emit(f"zext {vector('i1', lanes)} {value} to {of}")
-        if mask is None:
-            self.do(f"store {of} {value}, ptr {address}, align {align}")
-            return
-        name = f"llvm.masked.store.{suffix(stored_type(dtype), lanes)}.p0"
-        self.declarations.add(f"declare void @{name}({of}, ptr, i32, {vector('i1', lanes)})")
-        self.do(f"call void @{name}({of} {value}, ptr {address}, i32 {align}, {vector('i1', lanes)} {mask})")
-
-    # Values
-
-    def value(self, access: Access) -> tuple[str, int]:
-        """Return the value of an access in the present loop, and its lanes."""
-        node, scope = access.node, self.scope
-        if node.number in self.scalars:
-            return self.scalars[node.number]
-        if node.number in scope.values and access.identical(scope.domain):
-            return scope.values[node.number], self._width(node)
-        if node.op == "constant" and node.shape == ():
-            number = np.frombuffer(node.attributes[0], node.dtype)[0]
-            return literal(number, node.dtype), 0
-        key = (node.number, access.index)
-        if key not in scope.offsets:
-            scope.offsets[key] = self._read(access, self.place(node))
-        found: tuple[str, int] = scope.offsets[key]
-        return found
-
-    def open_scope(self, domain: Shape, lane_axis: int | None = None) -> None:
-        """Begin a loop nest that is written element by element, or in vectors along an axis."""
-        self.scope = Scope(domain, ["0"] * len(domain), lane_axis, {}, {})
-
-    def read(self, access: Access) -> tuple[str, int]:
-        """Return what lies in memory at an access of the present loop, read anew."""
-        return self._read(access, self.place(access.node))
-
-    def _read(self, access: Access, place: Place) -> tuple[str, int]:
-        """Return what lies in memory at an access of the present loop, and its lanes."""
-        node, scope = access.node, self.scope
-        index = [(None if a is None else scope.variables[a], offset) for a, offset in access.index]
-        across = [i for i, (axis, _) in enumerate(access.index) if axis is not None and axis == scope.lane_axis]
-        if not across:
-            lanes = self._lanes_of(node)
-            return self._load(node.dtype, self._address(place, index), lanes), lanes
-        if len(across) == 1 and place.strides[across[0]] == stored_bytes(node.dtype):
-            return self._load(node.dtype, self._address(place, index), self.lanes), self.lanes
-        return self._gathered(node, place, index, across), self.lanes
-
-    def _dynamic(self, node: Node, lanes: int) -> str:
-        """Return a part of an array that begins where the program computes it."""
-        access, place = node.args[0], self.place(node.args[0].node)
-        starts = [self.value(start) for start in node.args[1:]]
-        if all(have <= 1 for _, have in starts):
-            moved = self._begun(place, node, [text for text, _ in starts])
-            return self.widened(self._read(access, moved), node.dtype, lanes)
-        element, result = scalar_type(node.dtype), "poison"
-        own = self._lanes_of(access.node) > 1
-        for lane in range(lanes):
-            texts = []
-            for (text, have), start in zip(starts, node.args[1:], strict=True):
-                of = vector(scalar_type(start.node.dtype), have)
-                texts.append(self.emit(f"extractelement {of} {text}, i32 {lane}") if have > 1 else text)
-            begun = self._begun(place, node, texts)
-            offset = begun.offset + (lane * stored_bytes(node.dtype) if own else 0)
-            index = [(None if a is None else self.scope.variables[a], o) for a, o in access.index]
-            address = self._address(Place(begun.pointer, offset, place.strides, False), index)
-            one = self._load(node.dtype, address, 1)
-            result = self.emit(f"insertelement {vector(element, lanes)} {result}, {element} {one}, i32 {lane}")
-        return result
-
-    def _begun(self, place: Place, node: Node, starts: list[str]) -> Place:
-        """Return a place moved by starts, each brought into its range."""
-        pointer = place.pointer
-        for axis, moved in enumerate(node.attributes):
-            if moved is None:
-                continue
-            which, largest = moved
-            dtype = node.args[1 + which].node.dtype
-            of, sign = scalar_type(dtype), "s" if dtype.kind == "i" else "u"
-            text = starts[which]
-            for how, limit in (("max", 0), ("min", largest)):
-                self.declarations.add(f"declare {of} @llvm.{sign}{how}.{of}({of}, {of})")
-                text = self.emit(f"call {of} @llvm.{sign}{how}.{of}({of} {text}, {of} {limit})")
-            wide = text if of == "i64" else self.emit(f"zext {of} {text} to i64")
-            distance = self.emit(f"mul i64 {wide}, {place.strides[axis]}")
-            pointer = self.emit(f"getelementptr i8, ptr {pointer}, i64 {distance}")
-        return Place(pointer, place.offset, place.strides, place.own)
-
-    def _width(self, node: Node) -> int:
-        if self.side_by_side:
-            return self._lanes_of(node)
-        return 1 if self.scope.lane_axis is None else self.lanes
-
-    def _gathered(self, node: Node, place: Place, index: list[tuple[str | None, int]], across: list[int]) -> str:
-        """Return elements that do not lie side by side as a vector; behind the last one it is read again."""
-        element = scalar_type(node.dtype)
-        of, result = vector(element, self.lanes), "poison"
-        extent = self.scope.domain[self.scope.lane_axis]  # type: ignore[index]
-        counter = self.scope.variables[self.scope.lane_axis]  # type: ignore[index]
-        for lane in range(self.lanes):
-            at = self.emit(f"add i64 {counter}, {lane}")
-            self.declarations.add("declare i64 @llvm.umin.i64(i64, i64)")
-            at = self.emit(f"call i64 @llvm.umin.i64(i64 {at}, i64 {extent - 1})")
-            moved = [(at if i in across else variable, offset) for i, (variable, offset) in enumerate(index)]
-            one = self._load(node.dtype, self._address(place, moved), 1)
-            result = self.emit(f"insertelement {of} {result}, {element} {one}, i32 {lane}")
-        return result
-
-    def widened(self, found: tuple[str, int], dtype: Any, lanes: int) -> str:
-        """Return a value in all lanes."""
-        text, have = found
-        if have == lanes or (have == 0 and lanes == 1):
-            return text
-        element = scalar_type(dtype)
-        if have == 0:
-            return splat(text, element, lanes)
-        if have != 1:
-            raise UnsupportedError("a value of one world that depends on all of them")
-        of = vector(element, lanes)
-        first = self.emit(f"insertelement {of} poison, {element} {text}, i32 0")
-        return self.emit(f"shufflevector {of} {first}, {of} poison, <{lanes} x i32> zeroinitializer")
-
-    def place(self, node: Node) -> Place:
-        """Return where a node lies; a constant array is put into the program."""
-        if node.op != "constant":
-            return self.places[node.number]
-        if node.number not in self._constant_places:
-            array = np.frombuffer(node.attributes[0], node.dtype).reshape(node.shape)
-            if array.dtype.kind == "b":
-                array = array.astype(np.int32)
-            # Rows are read in whole vectors.
-            padded = np.zeros((*array.shape[:-1], array.shape[-1] + 2 * self.lanes), array.dtype)
-            padded[..., : array.shape[-1]] = array
-            element = stored_type(node.dtype)
-            body = ", ".join(f"{element} {literal(v, np.dtype(array.dtype))}" for v in padded.ravel())
-            symbol = f"@constant{node.number}"
-            self.constants.append(f"{symbol} = private constant [{padded.size} x {element}] [{body}], align 64")
-            strides = tuple(int(s) for s in padded.strides)
-            self._constant_places[node.number] = Place(symbol, 0, strides, own=False)
-        return self._constant_places[node.number]
 
     # Steps
 
@@ -416,24 +147,6 @@ class Emitter:
                 value = self.scope.values[node.number]
                 self.write(self.places[node.number], node.dtype, value, self._width(node), self.scope.variables)
 
-    def write(self, place: Place, dtype: Any, value: str, lanes: int, variables: Sequence[str]) -> None:
-        """Store a value of the present loop at its element of a place."""
-        wanted = self.lanes if place.own and self.side_by_side else lanes
-        value = self.widened((value, lanes), dtype, wanted)
-        address = self._address(place, [(v, 0) for v in variables])
-        mask = None
-        axis = self.scope.lane_axis
-        if place.tight and axis is not None and lanes > 1 and self.scope.domain[axis] % lanes:
-            mask = self.inside(self.scope.variables[axis], self.scope.domain[axis])
-        self._store(dtype, address, value, wanted, mask)
-
-    def inside(self, counter: str, extent: int) -> str:
-        """Return which lanes are elements of an axis."""
-        ramp = "<" + ", ".join(f"i64 {lane}" for lane in range(self.lanes)) + ">"
-        of = vector("i64", self.lanes)
-        at = self.emit(f"add {of} {self.widened((counter, 1), np.dtype(np.int64), self.lanes)}, {ramp}")
-        return self.emit(f"icmp ult {of} {at}, {splat(str(extent), 'i64', self.lanes)}")
-
     # Reductions
 
     def _reduced_width(self, node: Node) -> int:
@@ -484,12 +197,11 @@ class Emitter:
         lanes, axis = self._reduced_width(node), self.scope.lane_axis
         value = self._load(node.dtype, pointer, lanes)
         if axis is not None and axis in node.attributes[1]:
-            of, element = vector(scalar_type(node.dtype), lanes), scalar_type(node.dtype)
+            of = vector(scalar_type(node.dtype), lanes)
             parts = [self.emit(f"extractelement {of} {value}, i32 {lane}") for lane in range(lanes)]
             value, lanes = parts[0], 1
             for part in parts[1:]:
                 value = self.operations.combine(node.attributes[0], node.dtype, 1, value, part)
-            assert element
         kept = [v for a, v in enumerate(self.scope.variables) if a not in node.attributes[1]]
         place = self.places[node.number]
         wanted = self.lanes if place.own and self.side_by_side else lanes
@@ -530,8 +242,8 @@ class Emitter:
             value = self.widened((found, lanes), access.node.dtype, wide)
             self.write(to, access.node.dtype, value, wide, self.scope.variables)
 
-    def move_all(self, moves: list[tuple[Access, Shape, Place]], spare: Callable[[Node, Shape], Place]) -> None:
-        """Write copies that all read before any of them writes; ``spare`` gives places for what must wait."""
+    def move_all(self, moves: list[tuple[Access, Shape, Place]]) -> None:
+        """Write copies that all read before any of them writes."""
         targets = {(to.pointer, to.offset) for _, _, to in moves}
         later: list[tuple[Access, Shape, Place]] = []
         for access, shape, to in moves:
@@ -539,7 +251,7 @@ class Emitter:
             if source is not None and source == to and access.identical(shape):
                 continue
             if source is not None and (source.pointer, source.offset) in targets:
-                place = spare(access.node, shape)
+                place = self.spare(access.node, shape)
                 self.copy(access, shape, place)
                 later.append((self._stand_in(access.node, shape, place), shape, to))
             else:
@@ -577,18 +289,10 @@ class Emitter:
                 (region.results[node.attributes[0]], node.shape, self.places[node.number])
                 for node in outputs if node.op == "output"
             ]  # fmt: skip
-            self.move_all(moves, self.spare)
+            self.move_all(moves)
             self.do(f"br label %{label}.after")
             self.scalars = dict(outside)
         self.start_block(f"{label}.after")
-
-    def spare_bytes(self, size: int) -> int:
-        """Return the offset of working memory; replaced by whoever owns the memory."""
-        raise NotImplementedError
-
-    def spare(self, node: Node, shape: Shape) -> Place:
-        """Return memory for a copy that waits; replaced by whoever owns the memory."""
-        raise NotImplementedError
 
 
 def _shared_axis(domain: Shape, lane_axis: int | None) -> int | None:

@@ -11,12 +11,13 @@ import numpy as np
 
 from qrsim.core.pack import Buffers, Packer, struct
 from qrsim.native.compiler import Loaded, machine_code
-from qrsim.native.emit import Emitter, Place
+from qrsim.native.emit import Emitter
 from qrsim.native.graph import Access, Graph, Node, Shape, View, squeezed
-from qrsim.native.schedule import Arena, Scheduler, all_nodes, last_reads, materialised, readers
+from qrsim.native.schedule import Arena, Scheduler, all_nodes, materialised, readers
 from qrsim.native.simplify import contract, live_nodes
 from qrsim.native.text import stored_bytes
 from qrsim.native.tracing import Tracer, trace
+from qrsim.native.writing import Place
 
 # A loop may read this many elements behind the last one.
 SPARE = 64
@@ -179,7 +180,7 @@ class _Writer:
             if node.number in self.stored:
                 self.places[node.number] = self._take(node)
         self._place_in_state()
-        last = last_reads(self.body)
+        last = {number: reads[-1][0] for number, reads in readers(self.body).items()}
         for access in self.results:
             last[access.node.number] = len(self.body)
         ending: dict[int, list[tuple[int, int]]] = {}
@@ -189,7 +190,7 @@ class _Writer:
                     place = self._take(node)
                     self.places[node.number] = place
                     inner = node not in step.nodes
-                    end = i if inner else max(i, last[node.number])
+                    end = i if inner else max(i, last.get(node.number, 0))
                     ending.setdefault(end, []).append((place.offset, self._bytes(node.shape, node)))
             for offset, size in ending.pop(i, []):
                 self.arena.give(offset, size)
@@ -246,9 +247,7 @@ class _Writer:
 
     def text(self) -> str:
         """Return the module."""
-        writer = Emitter(self.places, self.lanes, self.side_by_side)
-        writer.spare = self._spare  # type: ignore[method-assign]
-        writer.spare_bytes = self._spare_bytes  # type: ignore[method-assign]
+        writer = Emitter(self.places, self.lanes, self.side_by_side, self._spare, self._spare_bytes)
         arguments = [f"ptr noalias %{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
         arguments += ["ptr noalias %scratch", "i32 %first", "i32 %count"]
         writer.steps(self.prologue, self.stored)
@@ -260,7 +259,7 @@ class _Writer:
         writer.do("%tick.now = add i32 %first, %done")
         writer.scalars[self.tick.number] = "%tick.now", 1
         writer.steps(self.body, self.stored)
-        writer.move_all(self.moves, self._spare)
+        writer.move_all(self.moves)
         writer.do("%done.next = add i32 %done, 1")
         writer.do("%more = icmp ult i32 %done.next, %count")
         writer.lines[place] = f"  %done = phi i32 [0, %{before}], [%done.next, %{writer.block}]"

@@ -214,15 +214,6 @@ class Arena:
         self.free = merged
 
 
-def last_reads(steps: list[Step]) -> dict[int, int]:
-    """Return for each node number the last of the steps that reads it."""
-    last: dict[int, int] = defaultdict(int)
-    for i, step in enumerate(steps):
-        for _, access in inner_accesses(step):
-            last[access.node.number] = i
-    return last
-
-
 def readers(steps: list[Step]) -> dict[int, list[tuple[int, Any, Access]]]:
     """Return for each node number who reads it: (step, reading node or None, access)."""
     found: dict[int, list[tuple[int, Any, Access]]] = defaultdict(list)
