@@ -27,7 +27,7 @@ from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
 from qrsim.openloop import hover_state, simulate_open_loop
 
 DOC = "constants and laws found again in simulated flights; errors on held-out parts of the recordings"
-SEED = 20140916
+SEED = 20261121
 DT = 0.02
 VEHICLES, FLIGHT_S, HORIZON_S = 50, 40.0, 2.0
 SPREAD = 0.4
