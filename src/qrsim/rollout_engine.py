@@ -17,10 +17,10 @@ from qrsim.configuration import FEW_VEHICLES, threads, uses_llvm
 from qrsim.core.noise import Key
 from qrsim.core.pack import Packer
 from qrsim.errors import UsageError
-from qrsim.native import identity, kept
+from qrsim.native import identity, kept, layout_of
 from qrsim.policies import UserFunction
 from qrsim.readings import Reading
-from qrsim.rollout_flight import Flight, layout_of
+from qrsim.rollout_flight import Flight
 from qrsim.rollout_parts import Carry, Setup, begin_world, recorder
 from qrsim.world import State, World
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -12,13 +11,24 @@ import jax
 import numpy as np
 
 from qrsim.configuration import FEW_VEHICLES, threads, uses_llvm
-from qrsim.core.pack import Buffers, Packer, struct
-from qrsim.native import Input, Mode, Program, Start, UnsupportedError, build, build_start, identity, once
+from qrsim.core.pack import Packer
+from qrsim.native import (
+    Input,
+    Lanes,
+    Mode,
+    Program,
+    Start,
+    Together,
+    UnsupportedError,
+    build,
+    build_start,
+    identity,
+    layout_of,
+    once,
+)
 from qrsim.rollout_parts import Carry, Setup, begin_world, programs, tick_of_world
-from qrsim.ticking import mode_of
+from qrsim.ticking import mode_of_many
 from qrsim.world import WorldKeys
-
-Array = np.ndarray[Any, Any]
 
 
 class Flight:
@@ -86,40 +96,20 @@ class NativeFlight:
         self._count = len(jax.tree.leaves(keys)[0])
         shared = [np.asarray(leaf) for leaf in fixed]
         dtype = next((leaf.dtype for leaf in [*shared, *own] if leaf.dtype.kind == "f"), np.dtype(np.float32))
-        self._mode = _mode(self._count, vehicles, dtype)
-        self._tiles = -(-self._count // self._mode.worlds)
+        self._mode = mode_of_many(self._count, vehicles, dtype)
         self._fixed = Packer(shared)
         self._shared = self._fixed.pack(shared)
         self._own_leaves = own
         host_keys = jax.tree.map(np.asarray, keys)
         self._layout, program = _begin(setup, self._fixed, layout_of((own, host_keys)), self._mode)
-        self._state = self._many(program, 2)
-        self._run(self._call(program, (own, host_keys)), 0, 1)
-        self._last: tuple[Any, _Call] | None = None
+        self._state = Lanes(self._layout, self._count, self._mode)
+        self._together(program, (own, host_keys)).advance(0, 1)
+        self._last: tuple[Any, Together] | None = None
 
-    def _many(self, program: Program, which: int) -> list[Buffers]:
-        """Return an input's buffers, one pair for each tile."""
-        return [program.buffers(which) for _ in range(self._tiles)]
-
-    def _call(self, program: Program, tree: Any) -> _Call:
-        call = _Call(program, self._shared, self._many(program, 1), min(threads(), self._tiles))
-        self._fill(call, tree)
-        return call
-
-    def _fill(self, call: _Call, tree: Any) -> None:
-        """Give a call the numbers of a tree, each leaf (B, ...), as what is each world's own."""
-        layout, lanes = call.program.inputs[1].layout, self._mode.worlds
-        whole = self._tiles * lanes
-        for leaf, part, is_float in zip(jax.tree.leaves(tree), layout.slices, layout.is_float, strict=True):
-            rows = np.asarray(leaf).reshape(self._count, -1)
-            if rows.dtype.kind != "f":
-                rows = rows.view(np.int32) if rows.dtype == np.uint32 else rows.astype(np.int32)
-            if whole != self._count:
-                # Lanes without a world of their own repeat the last one.
-                rows = rows[np.minimum(np.arange(whole), self._count - 1)]
-            for tile, pair in enumerate(call.own):
-                mine = pair[0 if is_float else 1].reshape(-1, lanes)
-                mine[part] = rows[tile * lanes : (tile + 1) * lanes].T
+    def _together(self, program: Program, tree: Any) -> Together:
+        own = Lanes(program.inputs[1].layout, self._count, self._mode)
+        own.fill(tree)
+        return Together(program, self._shared, own, self._state, threads())
 
     def advance(self, tick: int, count: int, given: Any) -> None:
         """Run ``count`` ticks."""
@@ -129,86 +119,14 @@ class NativeFlight:
         kind = repr(structure), [(np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves]
         if self._last is None or self._last[0] != kind:
             program = _advance(self._setup, self._fixed, layout_of(tree), self._layout, self._mode)
-            self._last = kind, self._call(program, tree)
+            self._last = kind, self._together(program, tree)
         elif leaves:
-            self._fill(self._last[1], tree)
-        self._run(self._last[1], tick, count)
-
-    def _run(self, call: _Call, tick: int, count: int) -> None:
-        workers = len(call.scratches)
-
-        def run(worker: int, workers: int) -> None:
-            for tile in range(worker, self._tiles, workers):
-                call(worker, tile, self._state[tile], tick, count)
-
-        if workers == 1 or count * self._tiles < 8:
-            run(0, 1)
-            return
-        for _ in _pool(workers).map(run, range(workers), [workers] * workers):
-            pass
+            self._last[1].own.fill(tree)
+        self._last[1].advance(tick, count)
 
     def get(self, select: Callable[[Carry], Any]) -> Any:
         """Return a part of the worlds' Carry."""
-        return jax.tree.map(self._leaf, select(self._layout.numbers()))
-
-    def _leaf(self, number: int) -> Array:
-        layout, lanes = self._layout, self._mode.worlds
-        which, part = (0 if layout.is_float[number] else 1), layout.slices[number]
-        rows = np.concatenate([pair[which].reshape(-1, lanes)[part].T for pair in self._state])[: self._count]
-        shaped = rows.reshape(self._count, *layout.shapes[number])
-        dtype = layout.dtypes[number]
-        if dtype == np.uint32:
-            return np.ascontiguousarray(shaped).view(np.uint32)
-        return shaped if shaped.dtype == dtype else shaped.astype(dtype)
-
-
-class _Call:
-    """A program with what it reads and its working memory.
-
-    Args:
-        program: what is called.
-        shared: values of what all worlds share.
-        own: for each tile, buffers of what is each world's own.
-        workers: threads that may call at the same time.
-    """
-
-    def __init__(self, program: Program, shared: Buffers, own: list[Buffers], workers: int):
-        self.program, self.own = program, own
-        self._shared = program.buffers(0)
-        for mine, values in zip(self._shared, shared, strict=True):
-            mine[...] = values
-        self._first = _addresses(self._shared)
-        self.scratches = [program.scratch() for _ in range(workers)]
-
-    def __call__(self, worker: int, tile: int, state: Buffers, tick: int, count: int) -> None:
-        """Advance the state of a tile."""
-        addresses = [*self._first, *_addresses(self.own[tile]), *_addresses(state)]
-        self.program(addresses, self.scratches[worker].ctypes.data, tick, count)
-
-
-def _addresses(buffers: Sequence[Array]) -> list[int]:
-    return [part.ctypes.data for part in buffers]
-
-
-def _mode(count: int, vehicles: int, dtype: np.dtype[Any]) -> Mode:
-    """Return how vectors are used: worlds side by side where there are enough, or vehicles too few for a vector."""
-    lanes = 64 // dtype.itemsize
-    alone = count == 1 or (vehicles > lanes and count < lanes)
-    return mode_of(vehicles, dtype) if alone else Mode(lanes, side_by_side=True)
-
-
-def layout_of(tree: Any) -> Packer:
-    """Return the layout of one world's part of a tree, each leaf (B, ...)."""
-    return Packer(jax.tree.map(lambda leaf: struct(np.shape(leaf)[1:], np.asarray(leaf).dtype), tree))
-
-
-_POOLS: dict[int, ThreadPoolExecutor] = {}
-
-
-def _pool(workers: int) -> ThreadPoolExecutor:
-    if workers not in _POOLS:
-        _POOLS[workers] = ThreadPoolExecutor(workers, thread_name_prefix="qrsim-rollout")
-    return _POOLS[workers]
+        return self._state.get(select)
 
 
 def _begin_tree(setup: Setup, fixed: list[Any], own: tuple[list[Any], WorldKeys]) -> Carry:

@@ -26,6 +26,13 @@ def mode_of(vehicles: int, dtype: np.dtype[Any]) -> Mode:
     return Mode(most // 2 if 1 < vehicles <= most // 2 else most, side_by_side=False)
 
 
+def mode_of_many(count: int, vehicles: int, dtype: np.dtype[Any]) -> Mode:
+    """Return how ``count`` worlds are computed: side by side where there are enough, or vehicles too few."""
+    lanes = 64 // dtype.itemsize
+    alone = count == 1 or (vehicles > lanes and count < lanes)
+    return mode_of(vehicles, dtype) if alone else Mode(lanes, side_by_side=True)
+
+
 class NativeTicks:
     """One world, computed by our own machine code; by XLA where that cannot be had.
 

@@ -7,6 +7,7 @@ loops over vectors, written as LLVM's text and compiled by it. What a program do
 
 from qrsim.native.cache import identity, kept
 from qrsim.native.graph import UnsupportedError
+from qrsim.native.lanes import Lanes, Together, layout_of
 from qrsim.native.once import forget, once
 from qrsim.native.program import Binary, Input, Mode, Program, aligned, build
 from qrsim.native.start import Start, build_start
@@ -14,9 +15,11 @@ from qrsim.native.start import Start, build_start
 __all__ = [
     "Binary",
     "Input",
+    "Lanes",
     "Mode",
     "Program",
     "Start",
+    "Together",
     "UnsupportedError",
     "aligned",
     "build",
@@ -24,5 +27,6 @@ __all__ = [
     "forget",
     "identity",
     "kept",
+    "layout_of",
     "once",
 ]
