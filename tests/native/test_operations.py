@@ -186,6 +186,81 @@ class TestArrays:
         table = np.random.default_rng(4).normal(size=(6, 5)).astype(np.float32)
         check(function, state, mode, shared={"table": table}, ticks=4)
 
+    @pytest.mark.parametrize("size", SIZES[1:])
+    def test_elements_from_where_the_program_says(self, size, mode):
+        """Out of range there is a number in their place, or the nearest; from a shared array and from each its own."""
+
+        def function(shared, state, tick):
+            table, place, x = jnp.asarray(shared["table"]), state["place"] + tick, state["x"]
+            pairs = jnp.stack([x, -x, 2.0 * x], axis=1)
+            along = jnp.abs(place) % 3
+            return {
+                "place": place,
+                "x": table.at[place, 1].get(mode="fill", fill_value=-7.0),
+                "near": x.at[place].get(mode="clip") + jnp.take_along_axis(pairs, along[:, None], axis=1)[:, 0],
+                "whole": jnp.where(jnp.isnan(x[place]), 5.0, x[0]),
+                "flag": (x > 0.0).at[place].get(mode="clip"),
+            }
+
+        random = np.random.default_rng(8)
+        state = {
+            "place": random.integers(-size - 4, size + 4, (18, size), np.int32),
+            "x": random.normal(size=(18, size)).astype(np.float32),
+            "near": np.zeros((18, size), np.float32),
+            "whole": np.zeros((18, size), np.float32),
+            "flag": np.zeros((18, size), bool),
+        }
+        table = random.normal(size=(6, 3)).astype(np.float32)
+        check(function, state, mode, shared={"table": table}, ticks=3)
+
+    def test_numbers_put_where_the_program_says(self, mode):
+        """In their order; what is out of range is left out."""
+
+        def function(_, state, tick):
+            place, x = state["place"] + tick, state["x"]
+            table = jnp.full((4, 5), 2.0).at[place, 1].min(x, mode="drop").at[jnp.array([2, 3]), place[:2]].set(x[:2])
+            rows = jnp.stack([x, 2.0 * x]).at[jnp.arange(2), place[1:3]].add(x[:2], mode="drop")
+            seen = jnp.zeros((1, 9), bool).at[0, place].max(x > 0.0, mode="drop")
+            return {"place": place, "x": jnp.tanh(rows[0] + rows[1]), "table": table, "seen": seen}
+
+        random = np.random.default_rng(11)
+        state = {
+            "place": random.integers(-5, 9, (18, 9), np.int32),
+            "x": random.normal(size=(18, 9)).astype(np.float32),
+            "table": np.zeros((18, 4, 5), np.float32),
+            "seen": np.zeros((18, 1, 9), bool),
+        }
+        check(function, state, mode, ticks=4)
+
+    def test_other_shapes_of_the_same_numbers(self, mode):
+        def function(_, state, tick):
+            x = state * 2.0
+            return (x.reshape(6, 7, 2).T.reshape(84) + x.reshape(4, 21).T.ravel()) * 0.5
+
+        state = np.random.default_rng(9).normal(size=(18, 84)).astype(np.float32)
+        check(function, state, mode, ticks=3)
+
+    @pytest.mark.parametrize("size", SIZES)
+    def test_each_world_takes_a_branch_of_its_own(self, size, mode):
+        """Some take one, some the other, all or none; what they hold is kept, and may be swapped."""
+
+        def function(_, state, tick):
+            def due():
+                return dict(state, x=2.0 * state["y"] + jnp.sum(state["x"]), y=state["x"])
+
+            after = lax.cond((state["phase"] + tick) % 4 == 0, due, lambda: dict(state, y=state["y"] + 1.0))
+            often = lax.cond(after["phase"] >= 0, lambda: after["x"] * 0.5, lambda: after["y"])
+            return {"phase": state["phase"], "x": often + lax.cond(tick > 2, lambda: after["y"], lambda: after["x"]),
+                    "y": lax.cond(state["phase"] < 0, lambda: often, lambda: after["y"])}  # fmt: skip
+
+        random = np.random.default_rng(10)
+        state = {
+            "phase": np.arange(18, dtype=np.int32) % 4,
+            "x": random.normal(size=(18, size)).astype(np.float32),
+            "y": random.normal(size=(18, size)).astype(np.float32),
+        }
+        check(function, state, mode, ticks=5, rtol=1e-5)
+
     def test_only_every_third_tick(self, mode):
         """Branches that all worlds take together; the states that they hold, shift and swap."""
 
@@ -238,11 +313,8 @@ def test_double_precision():
     ("what", "function"),
     [
         ("sort", lambda _, state, tick: jnp.sort(state)),
-        ("reshape", lambda _, state, tick: state.reshape(2, 3).T.reshape(6)),
-        (
-            "a branch that each world takes",
-            lambda _, state, tick: lax.cond(state[0] > 0, lambda: state, lambda: -state),
-        ),
+        ("a gather of parts", lambda _, state, tick: state.reshape(2, 3)[state.astype(int) % 2].sum() + state),
+        ("a scatter of parts", lambda _, state, tick: state.reshape(2, 3).at[tick].set(1.0).ravel()),
     ],
 )
 def test_what_it_cannot_do_is_said(what, function):

@@ -12,6 +12,7 @@ import numpy as np
 from qrsim.native.graph import Access, Node, Shape, UnsupportedError
 from qrsim.native.neighbours import Neighbours
 from qrsim.native.operations import Operations
+from qrsim.native.scattering import write_scatter
 from qrsim.native.schedule import Step
 from qrsim.native.text import literal, scalar_type, splat, stored_bytes, stored_type, vector
 from qrsim.native.writing import Place, Scope, Writer
@@ -51,6 +52,8 @@ class Emitter(Writer):
                 self._concatenation(step.nodes[0])
             elif step.kind == "nearest":
                 Neighbours(self).write(step.nodes[0])
+            elif step.kind == "scatter":
+                write_scatter(self, step.nodes[0])
             elif step.domain == ():
                 self._straight(step)
             elif 0 not in step.domain or any(node.op == "reduce" for node in step.nodes):
@@ -59,8 +62,8 @@ class Emitter(Writer):
     def _compute(self, node: Node, lanes: int) -> str:
         if node.op == "iota":
             return self._iota(node, lanes)
-        if node.op == "dynamic_slice":
-            return self._dynamic(node, lanes)
+        if node.op == "pick":
+            return self._pick(node, lanes)
         values = [self.widened(self.value(access), access.node.dtype, lanes) for access in node.args]
         return self.operations.compute(node, values, lanes)
 
@@ -93,10 +96,10 @@ class Emitter(Writer):
         together = 1 if step.reduced else _together(step, lane_axis)
         scopes = [Scope(step.domain, ["0"] * len(step.domain), lane_axis, {}, {}) for _ in range(together)]
         self.scope = scopes[0]
-        with self._over(step.kept, step.domain, lane_axis, together):
+        with self.over(step.kept, step.domain, lane_axis, together):
             self._spread_counters(scopes, lane_axis)
             accumulators = {node.number: self._accumulator(node) for node in step.nodes if node.op == "reduce"}
-            with self._over(step.reduced, step.domain, lane_axis):
+            with self.over(step.reduced, step.domain, lane_axis):
                 if 0 not in step.domain:
                     self._body(step, scopes, accumulators, stored)
             for node in step.nodes:
@@ -128,7 +131,7 @@ class Emitter(Writer):
         self.scope = scopes[0]
 
     @contextmanager
-    def _over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Any:
+    def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Any:
         """Write loops over some axes of the domain, ``together`` turns of one of them at once."""
         if not axes:
             yield
@@ -137,7 +140,7 @@ class Emitter(Writer):
         turns = together if axis == _shared_axis(domain, lane_axis) else 1
         with self.loop(domain[axis], self.lanes if axis == lane_axis else turns) as counter:
             self.scope.variables[axis] = counter
-            with self._over(axes[1:], domain, lane_axis, together):
+            with self.over(axes[1:], domain, lane_axis, together):
                 yield
 
     def _keep(self, step: Step, stored: set[int]) -> None:
@@ -159,7 +162,7 @@ class Emitter(Writer):
         lanes, pointer = self._reduced_width(node), self.name("sum")
         of = vector(stored_type(node.dtype), lanes)
         self.entry.append(f"  {pointer} = alloca {of}, align 64")
-        self._store(node.dtype, pointer, splat(self._neutral(node), scalar_type(node.dtype), lanes), lanes)
+        self.store(node.dtype, pointer, splat(self._neutral(node), scalar_type(node.dtype), lanes), lanes)
         return pointer
 
     @staticmethod
@@ -188,14 +191,14 @@ class Emitter(Writer):
             of = vector(scalar_type(node.dtype), lanes)
             neutral = splat(self._neutral(node), scalar_type(node.dtype), lanes)
             value = self.emit(f"select {vector('i1', lanes)} {inside}, {of} {value}, {of} {neutral}")
-        before = self._load(node.dtype, pointer, lanes)
-        self._store(
+        before = self.load(node.dtype, pointer, lanes)
+        self.store(
             node.dtype, pointer, self.operations.combine(node.attributes[0], node.dtype, lanes, before, value), lanes
         )
 
     def _finish(self, node: Node, pointer: str) -> None:
         lanes, axis = self._reduced_width(node), self.scope.lane_axis
-        value = self._load(node.dtype, pointer, lanes)
+        value = self.load(node.dtype, pointer, lanes)
         if axis is not None and axis in node.attributes[1]:
             of = vector(scalar_type(node.dtype), lanes)
             parts = [self.emit(f"extractelement {of} {value}, i32 {lane}") for lane in range(lanes)]
@@ -205,9 +208,9 @@ class Emitter(Writer):
         kept = [v for a, v in enumerate(self.scope.variables) if a not in node.attributes[1]]
         place = self.places[node.number]
         wanted = self.lanes if place.own and self.side_by_side else lanes
-        self._store(
+        self.store(
             node.dtype,
-            self._address(place, [(v, 0) for v in kept]),
+            self.address(place, [(v, 0) for v in kept]),
             self.widened((value, lanes), node.dtype, wanted),
             wanted,
         )
@@ -228,22 +231,31 @@ class Emitter(Writer):
             # Parts are written in order, so that what is written behind one is overwritten by the next.
             self.copy(access, shape, moved)
 
-    def copy(self, access: Access, shape: Shape, to: Place) -> None:
-        """Write a loop that copies an array to a place."""
+    def copy(self, access: Access, shape: Shape, to: Place, keep: str | None = None) -> None:
+        """Write a loop that copies an array to a place, but for the worlds ``keep``."""
         if 0 in shape:
             return
         lane_axis = len(shape) - 1 if shape and not self.side_by_side and self.lanes > 1 else None
         if lane_axis is not None and to.strides[lane_axis] != stored_bytes(access.node.dtype):
             lane_axis = None
         self.scope = Scope(shape, ["0"] * len(shape), lane_axis, {}, {})
-        with self._over(range(len(shape)), shape, lane_axis):
+        with self.over(range(len(shape)), shape, lane_axis):
             found, lanes = self.value(access)
             wide = max(1, lanes) if lane_axis is None else self.lanes
             value = self.widened((found, lanes), access.node.dtype, wide)
+            if keep is not None:
+                value, wide = self._kept(to, access.node.dtype, value, wide, keep), self.lanes
             self.write(to, access.node.dtype, value, wide, self.scope.variables)
 
-    def move_all(self, moves: list[tuple[Access, Shape, Place]]) -> None:
-        """Write copies that all read before any of them writes."""
+    def _kept(self, to: Place, dtype: Any, value: str, lanes: int, keep: str) -> str:
+        """Return a value but for the worlds ``keep``, for which it is what lies at its place."""
+        of = vector(scalar_type(dtype), self.lanes)
+        before = self.load(dtype, self.address(to, [(v, 0) for v in self.scope.variables]), self.lanes)
+        value = self.widened((value, lanes), dtype, self.lanes)
+        return self.emit(f"select {vector('i1', self.lanes)} {keep}, {of} {before}, {of} {value}")
+
+    def move_all(self, moves: list[tuple[Access, Shape, Place]], keep: str | None = None) -> None:
+        """Write copies that all read before any of them writes; ``keep`` as of ``copy``."""
         targets = {(to.pointer, to.offset) for _, _, to in moves}
         later: list[tuple[Access, Shape, Place]] = []
         for access, shape, to in moves:
@@ -257,7 +269,7 @@ class Emitter(Writer):
             else:
                 later.append((access, shape, to))
         for access, shape, to in later:
-            self.copy(access, shape, to)
+            self.copy(access, shape, to, keep)
 
     def _in_register(self, node: Node) -> bool:
         return node.number in self.scalars or (node.op == "constant" and node.shape == ())
@@ -271,28 +283,51 @@ class Emitter(Writer):
     # Branches
 
     def _branching(self, step: Step, stored: set[int]) -> None:
-        cond, outputs = step.nodes[0], step.nodes[1:]
+        cond = step.nodes[0]
         self.scope = Scope((), [], None, {}, {})
         which, lanes = self.value(cond.args[0])
-        if lanes > 1:
-            raise UnsupportedError("a branch that each world takes for itself")
         dtype = cond.args[0].node.dtype
-        taken = which if dtype.kind == "b" else self.emit(f"icmp ne {scalar_type(dtype)} {which}, 0")
-        label = f"branch{self.count}"
+        of = vector(scalar_type(dtype), lanes)
+        taken = (
+            which if dtype.kind == "b" else self.emit(f"icmp ne {of} {which}, {splat('0', scalar_type(dtype), lanes)}")
+        )
         self.count += 1
+        label = f"branch{self.count}"
+        if lanes > 1:
+            self._branch_by_world(step, taken, label, stored)
+            return
         self.do(f"br i1 {taken}, label %{label}.true, label %{label}.false")
-        outside = dict(self.scalars)
-        for place, (region, steps) in enumerate(zip(cond.regions, step.branches, strict=True)):
-            self.start_block(f"{label}.{'true' if place else 'false'}")
-            self.steps(steps, stored)
-            moves = [
-                (region.results[node.attributes[0]], node.shape, self.places[node.number])
-                for node in outputs if node.op == "output"
-            ]  # fmt: skip
-            self.move_all(moves)
-            self.do(f"br label %{label}.after")
-            self.scalars = dict(outside)
+        for number in (0, 1):
+            self._branch(step, number, f"{label}.{'true' if number else 'false'}", f"{label}.after", stored)
         self.start_block(f"{label}.after")
+
+    def _branch_by_world(self, step: Step, taken: str, label: str, stored: set[int]) -> None:
+        """Write a branching that each world takes for itself: both branches, where any world takes it."""
+        mask = vector("i1", self.lanes)
+        some, every = (f"llvm.vector.reduce.{how}.v{self.lanes}i1" for how in ("or", "and"))
+        self.declarations.update(f"declare i1 @{name}({mask})" for name in (some, every))
+        self.do(f"br i1 {self.emit(f'call i1 @{some}({mask} {taken})')}, label %{label}.true, label %{label}.rest")
+        self._branch(step, 1, f"{label}.true", f"{label}.rest", stored)
+        self.start_block(f"{label}.rest")
+        self.do(f"br i1 {self.emit(f'call i1 @{every}({mask} {taken})')}, label %{label}.after, label %{label}.false")
+        self._branch(step, 0, f"{label}.false", f"{label}.after", stored, keep=taken)
+        self.start_block(f"{label}.after")
+
+    def _branch(
+        self, step: Step, number: int, label: str, after: str, stored: set[int], keep: str | None = None
+    ) -> None:
+        """Write one branch, and where its results go; ``keep`` are the worlds whose results are there already."""
+        outside = dict(self.scalars)
+        self.start_block(label)
+        self.steps(step.branches[number], stored)
+        region, outputs = step.nodes[0].regions[number], step.nodes[1:]
+        moves = [
+            (region.results[node.attributes[0]], node.shape, self.places[node.number])
+            for node in outputs if node.op == "output"
+        ]  # fmt: skip
+        self.move_all(moves, keep)
+        self.do(f"br label %{after}")
+        self.scalars = outside
 
 
 def _shared_axis(domain: Shape, lane_axis: int | None) -> int | None:

@@ -140,10 +140,7 @@ class Neighbours:
         wide = self.emit(f"zext {of} {word} to {vector('i64', lanes)}")
         begin = self.emit(f"getelementptr i32, ptr {marks}, i64 {offset}")
         places = self.emit(f"getelementptr i32, ptr {begin}, {vector('i64', lanes)} {wide}")
-        name, mask = f"llvm.masked.gather.v{lanes}i32.v{lanes}p0", vector("i1", lanes)
-        self.writer.declarations.add(f"declare {of} @{name}({vector('ptr', lanes)}, i32, {mask}, {of})")
-        every = splat("true", "i1", lanes)
-        return self.emit(f"call {of} @{name}({vector('ptr', lanes)} {places}, i32 4, {mask} {every}, {of} poison)")
+        return self.writer.gathered(places, "i32", 4, lanes)
 
     def _append(self, flags: str, first: str, near: str, number: str) -> None:
         """Append the numbers of the flagged points to a list."""

@@ -13,7 +13,7 @@ from qrsim.core.pack import Buffers, Packer, struct
 from qrsim.native.compiler import Loaded, machine_code
 from qrsim.native.emit import Emitter
 from qrsim.native.graph import Access, Graph, Node, Shape, View, squeezed
-from qrsim.native.schedule import Arena, Scheduler, all_nodes, materialised, readers
+from qrsim.native.schedule import ALONE, Arena, Scheduler, all_nodes, materialised, readers
 from qrsim.native.simplify import contract, live_nodes
 from qrsim.native.text import stored_bytes
 from qrsim.native.tracing import Tracer, trace
@@ -209,7 +209,7 @@ class _Writer:
                 step is not None
                 and node.number in self.stored
                 and node.number not in self.places
-                and node.op not in ("reduce", "concatenate", "nearest")
+                and node.op not in ("reduce", *ALONE)
                 and access.identical(leaf.shape)
                 and all(self._before(reading, step, leaf) for reading in read[leaf.number])
             )
@@ -222,7 +222,10 @@ class _Writer:
         at, reader, access = reading
         if at != step:
             return at < step
-        return self.body[step].kind == "cond" or (reader is not None and access.identical(leaf.shape))
+        if self.body[step].kind != "cond":
+            return reader is not None and access.identical(leaf.shape)
+        # A branching that each world takes for itself writes its results before it has read everything.
+        return not self.side_by_side or self.body[step].nodes[0].args[0].node.uniform
 
     def _bytes(self, shape: Shape, node: Node) -> int:
         lanes = self.lanes if self.side_by_side and not node.uniform else 1
@@ -281,7 +284,7 @@ class _Writer:
 
 
 def _in_register(node: Node) -> bool:
-    return node.shape == () and node.op not in ("reduce", "output", "concatenate", "cond")
+    return node.shape == () and node.op not in ("reduce", "output", "cond", *ALONE)
 
 
 def _row_major(shape: Shape, element: int) -> tuple[int, ...]:

@@ -10,7 +10,7 @@ from qrsim.native.graph import Access, Node, Region, Shape, UnsupportedError
 
 OUTSIDE = ("input", "constant")
 # Each of these is a step of its own.
-ALONE = ("concatenate", "nearest")
+ALONE = ("concatenate", "nearest", "scatter")
 
 
 @dataclass(eq=False)
@@ -18,7 +18,7 @@ class Step:
     """One loop nest, one joining of arrays, or one branching.
 
     Attributes:
-        kind: ``loop``, ``concatenate``, ``nearest`` or ``cond``.
+        kind: ``loop``, ``cond``, or one of ALONE.
         domain: extents of the loops.
         nodes: computed in it, in order.
         kept, reduced: axes of the domain, outer loops first.
@@ -75,7 +75,7 @@ class Scheduler:
                 continue
             if not all(self._available(access, domain, inside, done) for access in node.args):
                 continue
-            if node.op == "dynamic_slice" and node.args[0].node.number in inside:
+            if node.op == "pick" and node.args[0].node.number in inside:
                 continue
             if node.op == "reduce":
                 axes = tuple(sorted(node.attributes[1]))
@@ -170,7 +170,7 @@ def materialised(steps: list[Step], results: list[Access]) -> set[int]:
                 own = {node.number for node in step.nodes} if step.kind == "loop" else set()
                 read = [access.node.number for _, access in inner_accesses(step)]
                 needed.update(number for number in read if number not in own)
-                needed.update(node.args[0].node.number for node in step.nodes if node.op == "dynamic_slice")
+                needed.update(node.args[0].node.number for node in step.nodes if node.op == "pick")
             if step.kind == "loop":
                 needed.update(node.number for node in step.nodes if node.op == "reduce")
             for branch in step.branches:

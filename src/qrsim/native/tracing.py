@@ -29,6 +29,7 @@ REDUCTIONS = {
     "reduce_sum": "add", "reduce_prod": "mul", "reduce_min": "min", "reduce_max": "max", "reduce_and": "and",
     "reduce_or": "or",
 }  # fmt: skip
+SCATTERS = {"scatter": "set", "scatter-add": "add", "scatter-min": "min", "scatter-max": "max"}
 _ATTRIBUTES = {"integer_pow": "y", "round": "rounding_method"}
 
 
@@ -79,6 +80,8 @@ class Tracer:
             return self.run(inner, getattr(closed, "consts", ()), inputs)
         if name in REDUCTIONS:
             return [self._reduction(name, inputs[0], out, parameters["axes"])]
+        if name in SCATTERS:
+            return [self._scatter(SCATTERS[name], inputs, out, parameters)]
         rule = getattr(self, f"_{name}", None)
         if rule is None:
             raise UnsupportedError(f"'{name}'")
@@ -154,17 +157,109 @@ class Tracer:
         return self._reduction("reduce_min", chosen, out, axes)
 
     def _dynamic_slice(self, inputs: list[View], out: Any, parameters: Any) -> View:
-        operand, starts, shape = inputs[0], inputs[1:], tuple(out.shape)
-        axes = [axis for axis, extent in enumerate(operand.shape) if extent != shape[axis]]
-        part = operand.shifted([0] * len(shape), shape)
+        operand, shape = inputs[0], tuple(out.shape)
+        starts = {axis: inputs[1 + axis] for axis, extent in enumerate(operand.shape) if extent != shape[axis]}
+        limits = {axis: operand.shape[axis] - shape[axis] for axis in starts}
+        return self._pick(operand, starts, limits, {axis: axis for axis in range(len(shape))}, out)
+
+    def _pick(
+        self,
+        operand: View,
+        starts: dict[int, View],
+        limits: dict[int, int],
+        follows: dict[int, int],
+        out: Any,
+        fill: Any = None,
+    ) -> View:
+        """Return elements of an array that lie where the program computes.
+
+        Args:
+            operand: the array.
+            starts: axis of the array -> where it begins, () or of the result's shape.
+            limits: axis -> the largest start; others are brought into range.
+            follows: axis of the array -> axis of the result that it follows from there.
+            out: shape and type of the result.
+            fill: the result where a start is out of range, in place of the nearest in range.
+        """
+        shape = tuple(out.shape)
+        order = {axis: i for i, axis in enumerate(starts)}
         # For each axis of the array in memory: which start moves it, and the largest that it may be.
-        moved = []
-        for axis, _ in operand.index:
-            dynamic = axis is not None and axis in axes
-            moved.append((axes.index(axis), operand.shape[axis] - shape[axis]) if dynamic else None)  # type: ignore
-        accesses = (part.access(shape), *(starts[axis].access(()) for axis in axes))
-        node = self.graph.node("dynamic_slice", accesses, squeezed(shape), out.dtype, tuple(moved))
-        return View.whole(node, shape)
+        moved = tuple((order[a], limits[a]) if a in order else None for a, _ in operand.index)
+        still = operand.moved({axis: follows.get(axis) for axis in range(len(operand.shape))}, shape)
+        accesses = (still.access(), *(start.access(shape) for start in starts.values()))
+        attributes = (moved, None if fill is None else np.asarray(fill, out.dtype).tobytes())
+        return View.whole(self.graph.node("pick", accesses, squeezed(shape), out.dtype, attributes), shape)
+
+    def _gather(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Single elements, each from where an array of whole numbers says."""
+        operand, places = inputs
+        numbers, shape, axes = parameters["dimension_numbers"], tuple(out.shape), range(len(inputs[0].shape))
+        if numbers.offset_dims or {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims} != set(axes):
+            raise UnsupportedError("a gather of parts")
+        follows = dict(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
+        starts = self._along(places, numbers.start_index_map, shape)
+        limits = {axis: operand.shape[axis] - 1 for axis in starts}
+        fill = _filling(parameters["fill_value"], out.dtype) if "FILL" in parameters["mode"].name else None
+        return self._pick(operand, starts, limits, {int(a): int(b) for a, b in follows.items()}, out, fill)
+
+    def _scatter(self, how: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Single elements, each to where an array of whole numbers says."""
+        operand, places, updates = inputs
+        numbers, shape = parameters["dimension_numbers"], updates.shape
+        inserted = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
+        if numbers.update_window_dims or inserted != set(range(len(operand.shape))):
+            raise UnsupportedError("a scatter of parts")
+        if "FILL" not in parameters["mode"].name and "PROMISE" not in parameters["mode"].name:
+            raise UnsupportedError("a scatter that brings into range")
+        starts = self._along(places, numbers.scatter_dims_to_operand_dims, shape)
+        order = {axis: i for i, axis in enumerate(starts)}
+        kept = [axis for axis, extent in enumerate(operand.shape) if extent != 1]
+        moved = tuple((order[a], operand.shape[a] - 1) if a in order else None for a in kept)
+        single = tuple((order[a], 0) for a in order if a not in kept)
+        follows = dict(zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True))
+        index = View(updates.node, tuple((follows.get(a), 0) for a in kept), shape).access().index
+        accesses = (operand.access(), updates.access(), *(start.access() for start in starts.values()))
+        node = self.graph.node(
+            "scatter", accesses, squeezed(out.shape), out.dtype, (how, moved, single, index), domain=squeezed(shape)
+        )
+        return View.whole(node, tuple(out.shape))
+
+    @staticmethod
+    def _along(places: View, axes: Sequence[int], shape: Shape) -> dict[int, View]:
+        """Return how far along each of some axes, from an array that has them in its last one."""
+        found = {}
+        for which, axis in enumerate(axes):
+            one = places.shifted([0] * len(shape) + [which], (*shape, 1))
+            found[int(axis)] = one.moved({i: i for i in range(len(shape))}, shape)
+        return found
+
+    def _reshape(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        (operand, *_), shape = inputs, tuple(out.shape)
+        if squeezed(operand.shape) == squeezed(shape):
+            return self._without_unit_axes(operand, shape)
+        number = self._linear(shape)
+        starts, stride = {}, 1
+        for axis in reversed(range(len(operand.shape))):
+            extent = operand.shape[axis]
+            if extent != 1:
+                over = self._apply("div", shape, np.int32, number, self._number(stride, shape))
+                starts[axis] = self._apply("rem", shape, np.int32, over, self._number(extent, shape))
+            stride *= extent
+        return self._pick(operand, starts, {axis: operand.shape[axis] - 1 for axis in starts}, {}, out)
+
+    def _linear(self, shape: Shape) -> View:
+        """Return the place (int32) of each element of an array in the order of its rows."""
+        found, stride = self._number(0, shape), 1
+        for axis in reversed(range(len(shape))):
+            if shape[axis] != 1:
+                along = self._iota([], _Like(shape, np.int32), {"dimension": axis})
+                far = self._apply("mul", shape, np.int32, along, self._number(stride, shape))
+                found = self._apply("add", shape, np.int32, found, far)
+            stride *= shape[axis]
+        return found
+
+    def _number(self, value: int, shape: Shape) -> View:
+        return self._spread(self.graph.constant(np.int32(value)), shape)
 
     def _broadcast_in_dim(self, inputs: list[View], out: Any, parameters: Any) -> View:
         operand, to = inputs[0], parameters["broadcast_dimensions"]
@@ -172,11 +267,6 @@ class Tracer:
         return operand.moved({axis: grows.get(axis) for axis in range(len(operand.shape))}, tuple(out.shape))
 
     def _squeeze(self, inputs: list[View], out: Any, parameters: Any) -> View:
-        return self._without_unit_axes(inputs[0], tuple(out.shape))
-
-    def _reshape(self, inputs: list[View], out: Any, parameters: Any) -> View:
-        if squeezed(inputs[0].shape) != squeezed(out.shape):
-            raise UnsupportedError(f"reshape of {inputs[0].shape} to {out.shape}")
         return self._without_unit_axes(inputs[0], tuple(out.shape))
 
     @staticmethod
@@ -263,6 +353,18 @@ class Tracer:
             uniform=cond.uniform and all(view.node.uniform for view in views),
         )
         return View.whole(node, first.shape)
+
+
+def _filling(value: Any, dtype: Any) -> Any:
+    """Return what JAX puts where an index is out of range."""
+    if value is not None:
+        return value
+    kind = np.dtype(dtype).kind
+    if kind == "f":
+        return np.nan
+    if kind == "b":
+        return True
+    return np.iinfo(dtype).min if kind == "i" else np.iinfo(dtype).max
 
 
 class _Like(NamedTuple):

@@ -17,6 +17,9 @@ import numpy as np
 from qrsim.native.graph import Access, Node, Shape, UnsupportedError
 from qrsim.native.text import literal, scalar_type, splat, stored_bytes, stored_type, suffix, vector
 
+# For each axis of an array: which start moves it and the largest that it may be, None where it stands still.
+Moves = tuple[tuple[int, int] | None, ...]
+
 
 @dataclass(frozen=True)
 class Place:
@@ -136,7 +139,7 @@ class Writer:
         """Return the lanes of a value of a node where it stands for itself, outside of any vector of elements."""
         return self.lanes if self.side_by_side and not node.uniform else 1
 
-    def _address(self, place: Place, index: Sequence[tuple[str | None, int]]) -> str:
+    def address(self, place: Place, index: Sequence[tuple[str | None, int]]) -> str:
         """Return a pointer to an element; each axis is at a counter (None: none) plus an offset."""
         fixed, terms = place.offset, []
         for (variable, offset), stride in zip(index, place.strides, strict=True):
@@ -155,14 +158,16 @@ class Writer:
             self.scope.offsets[key] = self.emit(f"getelementptr i8, ptr {pointer}, i64 {distance}")
         return self.scope.offsets[key]
 
-    def _load(self, dtype: Any, address: str, lanes: int) -> str:
+    def load(self, dtype: Any, address: str, lanes: int) -> str:
+        """Return what lies at an address."""
         stored, align = stored_type(dtype), stored_bytes(dtype)
         value = self.emit(f"load {vector(stored, lanes)}, ptr {address}, align {align}")
         if dtype.kind != "b":
             return value
         return self.emit(f"icmp ne {vector('i32', lanes)} {value}, {splat('0', 'i32', lanes)}")
 
-    def _store(self, dtype: Any, address: str, value: str, lanes: int, mask: str | None = None) -> None:
+    def store(self, dtype: Any, address: str, value: str, lanes: int, mask: str | None = None) -> None:
+        """Write to an address, where there is a mask only its lanes."""
         of, align = vector(stored_type(dtype), lanes), stored_bytes(dtype)
         if dtype.kind == "b":
             value = self.emit(f"zext {vector('i1', lanes)} {value} to {of}")
@@ -206,50 +211,94 @@ class Writer:
         across = [i for i, (axis, _) in enumerate(access.index) if axis is not None and axis == scope.lane_axis]
         if not across:
             lanes = self._lanes_of(node)
-            return self._load(node.dtype, self._address(place, index), lanes), lanes
+            return self.load(node.dtype, self.address(place, index), lanes), lanes
         if len(across) == 1 and place.strides[across[0]] == stored_bytes(node.dtype):
-            return self._load(node.dtype, self._address(place, index), self.lanes), self.lanes
+            return self.load(node.dtype, self.address(place, index), self.lanes), self.lanes
         return self._gathered(node, place, index, across), self.lanes
 
-    def _dynamic(self, node: Node, lanes: int) -> str:
-        """Return a part of an array that begins where the program computes it."""
+    def _pick(self, node: Node, lanes: int) -> str:
+        """Return elements of an array that lie where the program computes."""
         access, place = node.args[0], self.place(node.args[0].node)
+        moved, fill = node.attributes
         starts = [self.value(start) for start in node.args[1:]]
+        dtypes = [start.node.dtype for start in node.args[1:]]
         if all(have <= 1 for _, have in starts):
-            moved = self._begun(place, node, [text for text, _ in starts])
-            return self.widened(self._read(access, moved), node.dtype, lanes)
-        element, result = scalar_type(node.dtype), "poison"
-        own = self._lanes_of(access.node) > 1
-        for lane in range(lanes):
-            texts = []
-            for (text, have), start in zip(starts, node.args[1:], strict=True):
-                of = vector(scalar_type(start.node.dtype), have)
-                texts.append(self.emit(f"extractelement {of} {text}, i32 {lane}") if have > 1 else text)
-            begun = self._begun(place, node, texts)
-            offset = begun.offset + (lane * stored_bytes(node.dtype) if own else 0)
-            index = [(None if a is None else self.scope.variables[a], o) for a, o in access.index]
-            address = self._address(Place(begun.pointer, offset, place.strides, False), index)
-            one = self._load(node.dtype, address, 1)
-            result = self.emit(f"insertelement {vector(element, lanes)} {result}, {element} {one}, i32 {lane}")
-        return result
+            begun = self.begun(place, moved, starts, dtypes)
+            found = self.widened(self._read(access, begun), node.dtype, lanes)
+        else:
+            wide = [self.widened(start, dtype, lanes) for start, dtype in zip(starts, dtypes, strict=True)]
+            starts = [(text, lanes) for text in wide]
+            found = self._picked(node, place, wide, lanes)
+        if fill is None:
+            return found
+        inside = self.in_range(moved, starts, dtypes, lanes)
+        of = vector(scalar_type(node.dtype), lanes)
+        number = splat(literal(np.frombuffer(fill, node.dtype)[0], node.dtype), scalar_type(node.dtype), lanes)
+        return self.emit(f"select {vector('i1', lanes)} {inside}, {of} {found}, {of} {number}")
 
-    def _begun(self, place: Place, node: Node, starts: list[str]) -> Place:
+    def begun(self, place: Place, moved: Moves, starts: list[tuple[str, int]], dtypes: list[Any]) -> Place:
         """Return a place moved by starts, each brought into its range."""
         pointer = place.pointer
-        for axis, moved in enumerate(node.attributes):
-            if moved is None:
-                continue
-            which, largest = moved
-            dtype = node.args[1 + which].node.dtype
-            of, sign = scalar_type(dtype), "s" if dtype.kind == "i" else "u"
-            text = starts[which]
-            for how, limit in (("max", 0), ("min", largest)):
-                self.declarations.add(f"declare {of} @llvm.{sign}{how}.{of}({of}, {of})")
-                text = self.emit(f"call {of} @llvm.{sign}{how}.{of}({of} {text}, {of} {limit})")
-            wide = text if of == "i64" else self.emit(f"zext {of} {text} to i64")
-            distance = self.emit(f"mul i64 {wide}, {place.strides[axis]}")
-            pointer = self.emit(f"getelementptr i8, ptr {pointer}, i64 {distance}")
+        for axis, move in enumerate(moved):
+            if move is not None:
+                distance = self._distance(starts[move[0]][0], dtypes[move[0]], move[1], place.strides[axis], 1)
+                pointer = self.emit(f"getelementptr i8, ptr {pointer}, i64 {distance}")
         return Place(pointer, place.offset, place.strides, place.own)
+
+    def _distance(self, start: str, dtype: Any, largest: int, stride: int, lanes: int) -> str:
+        """Return the bytes to a start that is brought into its range."""
+        of, sign = vector(scalar_type(dtype), lanes), "s" if dtype.kind == "i" else "u"
+        for how, limit in (("max", 0), ("min", largest)):
+            name = f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}"
+            self.declarations.add(f"declare {of} @{name}({of}, {of})")
+            bound = splat(str(limit), scalar_type(dtype), lanes)
+            start = self.emit(f"call {of} @{name}({of} {start}, {of} {bound})")
+        wide = vector("i64", lanes)
+        if of != wide:
+            start = self.emit(f"zext {of} {start} to {wide}")
+        return self.emit(f"mul {wide} {start}, {splat(str(stride), 'i64', lanes)}")
+
+    def _picked(self, node: Node, place: Place, starts: list[str], lanes: int) -> str:
+        """Return a vector of elements, each from its own start."""
+        access, (moved, _), wide = node.args[0], node.attributes, vector("i64", lanes)
+        # From lane to lane: to the next world, or to the next element along the vector's axis.
+        step = stored_bytes(node.dtype) if self._lanes_of(access.node) > 1 else 0
+        if self.scope.lane_axis is not None:
+            step = sum(s for (a, _), s in zip(access.index, place.strides, strict=True) if a == self.scope.lane_axis)
+        offsets = "<" + ", ".join(f"i64 {lane * step}" for lane in range(lanes)) + ">"
+        for axis, move in enumerate(moved):
+            if move is not None:
+                dtype = node.args[1 + move[0]].node.dtype
+                far = self._distance(starts[move[0]], dtype, move[1], place.strides[axis], lanes)
+                offsets = self.emit(f"add {wide} {offsets}, {far}")
+        index = [(None if a is None else self.scope.variables[a], offset) for a, offset in access.index]
+        first = self.address(place, index)
+        pointers = self.emit(f"getelementptr i8, ptr {first}, {wide} {offsets}")
+        found = self.gathered(pointers, stored_type(node.dtype), stored_bytes(node.dtype), lanes)
+        if node.dtype.kind != "b":
+            return found
+        return self.emit(f"icmp ne {vector('i32', lanes)} {found}, {splat('0', 'i32', lanes)}")
+
+    def gathered(self, pointers: str, element: str, align: int, lanes: int) -> str:
+        """Return what lies at a vector of pointers."""
+        of, places, mask = vector(element, lanes), vector("ptr", lanes), vector("i1", lanes)
+        name = f"llvm.masked.gather.{suffix(element, lanes)}.v{lanes}p0"
+        self.declarations.add(f"declare {of} @{name}({places}, i32, {mask}, {of})")
+        every = splat("true", "i1", lanes)
+        return self.emit(f"call {of} @{name}({places} {pointers}, i32 {align}, {mask} {every}, {of} poison)")
+
+    def in_range(self, moved: Moves, starts: list[tuple[str, int]], dtypes: list[Any], lanes: int) -> str:
+        """Return whether all starts are in range."""
+        inside, mask = splat("true", "i1", lanes), vector("i1", lanes)
+        for move in moved:
+            if move is not None:
+                dtype = dtypes[move[0]]
+                start = self.widened(starts[move[0]], dtype, lanes)
+                # What is below zero is large where it is taken for unsigned.
+                limit = splat(str(move[1]), scalar_type(dtype), lanes)
+                within = self.emit(f"icmp ule {vector(scalar_type(dtype), lanes)} {start}, {limit}")
+                inside = self.emit(f"and {mask} {inside}, {within}")
+        return inside
 
     def _width(self, node: Node) -> int:
         if self.side_by_side:
@@ -267,7 +316,7 @@ class Writer:
             self.declarations.add("declare i64 @llvm.umin.i64(i64, i64)")
             at = self.emit(f"call i64 @llvm.umin.i64(i64 {at}, i64 {extent - 1})")
             moved = [(at if i in across else variable, offset) for i, (variable, offset) in enumerate(index)]
-            one = self._load(node.dtype, self._address(place, moved), 1)
+            one = self.load(node.dtype, self.address(place, moved), 1)
             result = self.emit(f"insertelement {of} {result}, {element} {one}, i32 {lane}")
         return result
 
@@ -308,12 +357,12 @@ class Writer:
         """Store a value of the present loop at its element of a place."""
         wanted = self.lanes if place.own and self.side_by_side else lanes
         value = self.widened((value, lanes), dtype, wanted)
-        address = self._address(place, [(v, 0) for v in variables])
+        address = self.address(place, [(v, 0) for v in variables])
         mask = None
         axis = self.scope.lane_axis
         if place.tight and axis is not None and lanes > 1 and self.scope.domain[axis] % lanes:
             mask = self.inside(self.scope.variables[axis], self.scope.domain[axis])
-        self._store(dtype, address, value, wanted, mask)
+        self.store(dtype, address, value, wanted, mask)
 
     def inside(self, counter: str, extent: int) -> str:
         """Return which lanes are elements of an axis."""

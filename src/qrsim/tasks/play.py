@@ -11,7 +11,7 @@ from jax import Array, lax
 from qrsim import world as ticks_of
 from qrsim.control.setpoints import library
 from qrsim.core.noise import Draw, Key, StreamKeys
-from qrsim.core.tree import quantity, record, setting
+from qrsim.core.tree import quantity, record, replace, setting
 from qrsim.tasks.agents import all_fly, number_of
 from qrsim.world_tree import State, World, WorldKeys, period_ticks
 
@@ -35,6 +35,16 @@ class Step:
     reward: Array = quantity(doc="(n,)")
     terminated: Array = quantity(doc="() bool: a vehicle has stopped, and the episode has ended")
     truncated: Array = quantity(doc="() bool: the last step is done")
+
+
+@record
+class Progress:
+    """An episode between two ticks."""
+
+    episode: Episode = quantity()
+    commands: Any = quantity(doc="held over the ticks of a step")
+    last: Step = quantity(doc="what the last step brought")
+    truth: Any = quantity(doc="after the last step, by name")
 
 
 @record
@@ -90,20 +100,61 @@ class Play:
             episode: before; where it has ended, what comes has no meaning.
             action: (n, A) in [-1, 1], clipped; see ``axes`` of the task.
         """
-        wanted = self.scaled(action)
         begun = episode.step * self.ticks
-        commands = self.task.commands(episode.memory, self.world, wanted)
+        commands = self._commands(episode, action)
 
         def tick(number: Any, now: tuple[State, Any]) -> tuple[State, Any]:
-            # Where all are due together, the number is that of every world and slow sensors are really skipped.
-            when = (number, commands, None, begun) if self.in_step else (begun + number, commands, None, None)
-            state = ticks_of.step(self.world, now[0], *when)
-            return state, self.task.each_tick(now[1], self.world, state)
+            return self._tick(*now, commands, begun, number)
 
         carry = (episode.state, episode.memory)
         state, memory = tick(0, carry) if self.ticks == 1 else lax.fori_loop(0, self.ticks, tick, carry)
-        number = episode.step + 1
-        memory, reward = self.task.judge(memory, self.world, state, number, self.steps)
+        return self._judged(Episode(state, memory, episode.step))
+
+    def tick(self, action: Array, progress: Progress, number: Array) -> Progress:
+        """Advance an episode by one of the ``ticks`` of a step; as ``step``, for whoever runs ticks of many worlds.
+
+        Args:
+            action: (n, A) as of ``step``.
+            progress: after the tick before.
+            number: () int32 of the tick in its step, the same in all worlds.
+        """
+        episode = progress.episode
+        commands = lax.cond(number == 0, lambda: self._commands(episode, action), lambda: progress.commands)
+        begun = episode.step * self.ticks
+        state, memory = self._tick(episode.state, episode.memory, commands, begun, number)
+        after = Episode(state, memory, episode.step)
+
+        def judged() -> Progress:
+            ended, step = self._judged(after)
+            return Progress(ended, commands, step, self.truth(ended))
+
+        def going() -> Progress:
+            return Progress(after, commands, progress.last, progress.truth)
+
+        return lax.cond(number == self.ticks - 1, judged, going)
+
+    def progress(self, keys: EpisodeKeys) -> Progress:
+        """Return an episode at its start, for ``tick``; what the last step brought is only what the agents see."""
+        episode, seen = self.reset(keys)
+        action = jax.ShapeDtypeStruct((len(self.agents), len(self.task.axes)), seen_dtype(seen))  # type: ignore[no-untyped-call]
+        commands = jax.eval_shape(self._commands, episode, action)
+        _, step = jax.eval_shape(self._judged, episode)
+        zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), (commands, step))
+        return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode))
+
+    def _commands(self, episode: Episode, action: Array) -> Any:
+        return self.task.commands(episode.memory, self.world, self.scaled(action))
+
+    def _tick(self, state: State, memory: Any, commands: Any, begun: Array, number: Any) -> tuple[State, Any]:
+        # Where all are due together, the number is that of every world and slow sensors are really skipped.
+        when = (number, commands, None, begun) if self.in_step else (begun + number, commands, None, None)
+        state = ticks_of.step(self.world, state, *when)
+        return state, self.task.each_tick(memory, self.world, state)
+
+    def _judged(self, episode: Episode) -> tuple[Episode, Step]:
+        """Return an episode with one more step done, and what that brings."""
+        state, number = episode.state, episode.step + 1
+        memory, reward = self.task.judge(episode.memory, self.world, state, number, self.steps)
         fly = all_fly(state)
         reward = jnp.where(fly, reward, self.task.penalty)
         after = Episode(state, memory, number)
@@ -127,3 +178,8 @@ class Play:
             "reason": fleet.violation.code,
             "reason_value": fleet.violation.value,
         }
+
+
+def seen_dtype(seen: Any) -> Any:
+    """Return the floating-point type of what agents see."""
+    return jnp.result_type(*(leaf.dtype for leaf in jax.tree.leaves(seen)))

@@ -1,0 +1,48 @@
+"""Putting numbers into an array at places that the program computes, one after the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from qrsim.native.graph import Node
+from qrsim.native.text import scalar_type, stored_bytes, vector
+
+if TYPE_CHECKING:
+    from qrsim.native.emit import Emitter
+
+
+def write_scatter(writer: Emitter, node: Node) -> None:
+    """Write a copy of an array, and numbers into it in their order; what is out of range is left out.
+
+    Args:
+        writer: of the program.
+        node: its arguments are the array, the numbers, and how far along some axes each of them goes.
+    """
+    place = writer.places[node.number]
+    writer.copy(node.args[0], node.shape, place)
+    shape = node.domain
+    writer.open_scope(shape)
+    with writer.over(range(len(shape)), shape, None):
+        lanes = writer.lanes if writer.side_by_side and place.own else 1
+        values = [writer.widened(writer.value(access), access.node.dtype, lanes) for access in node.args[1:]]
+        for lane in range(lanes):
+            parts = []
+            for value, access in zip(values, node.args[1:], strict=True):
+                of = vector(scalar_type(access.node.dtype), lanes)
+                parts.append(writer.emit(f"extractelement {of} {value}, i32 {lane}") if lanes > 1 else value)
+            _put(writer, node, lane if lanes > 1 else 0, parts)
+
+
+def _put(writer: Emitter, node: Node, lane: int, parts: list[str]) -> None:
+    """Write one number of one world."""
+    how, moved, single, index = node.attributes
+    place, dtype = writer.places[node.number], node.dtype
+    number, starts = parts[0], [(text, 1) for text in parts[1:]]
+    dtypes = [access.node.dtype for access in node.args[2:]]
+    inside = writer.in_range((*moved, *single), starts, dtypes, 1)
+    begun = writer.begun(replace(place, offset=place.offset + lane * stored_bytes(dtype)), moved, starts, dtypes)
+    address = writer.address(begun, [(None if a is None else writer.scope.variables[a], o) for a, o in index])
+    before, of = writer.load(dtype, address, 1), scalar_type(dtype)
+    after = number if how == "set" else writer.operations.combine(how, dtype, 1, before, number)
+    writer.store(dtype, address, writer.emit(f"select i1 {inside}, {of} {after}, {of} {before}"), 1)
