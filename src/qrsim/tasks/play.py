@@ -136,7 +136,8 @@ class Play:
     def progress(self, keys: EpisodeKeys) -> Progress:
         """Return an episode at its start, for ``tick``; what the last step brought is only what the agents see."""
         episode, seen = self.reset(keys)
-        action = jax.ShapeDtypeStruct((len(self.agents), len(self.task.axes)), seen_dtype(seen))  # type: ignore[no-untyped-call]
+        dtype = self.world.fleets[0].start.position_ned.x.dtype
+        action = jnp.zeros((len(self.agents), len(self.task.axes)), dtype)
         commands = jax.eval_shape(self._commands, episode, action)
         _, step = jax.eval_shape(self._judged, episode)
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), (commands, step))
@@ -178,8 +179,3 @@ class Play:
             "reason": fleet.violation.code,
             "reason_value": fleet.violation.value,
         }
-
-
-def seen_dtype(seen: Any) -> Any:
-    """Return the floating-point type of what agents see."""
-    return jnp.result_type(*(leaf.dtype for leaf in jax.tree.leaves(seen)))

@@ -121,9 +121,8 @@ def test_a_plume_asks_for_samples_and_rewards_those_of_the_last_step() -> None:
     env.reset(seed=3)
     with pytest.raises(UsageError, match="samples are missing; a step of this task takes a dict"):
         env.step({"velocity": flight})
-    play, episode = env.batch.functional.play, env.batch.episode
-    assert episode is not None
-    at = jax.tree.map(lambda leaf: leaf[0], (episode.memory.locations_ned, episode.state.contents.plume))
+    play, episode = env.batch.functional.play, env.batch.episodes.episode(0)
+    at = episode.memory.locations_ned, episode.state.contents.plume
     sources, std, yaw = at[1].sources, np.asarray(at[1].std.stack())[0], float(at[1].yaw[0])
     offset = np.asarray(at[0].stack()) - np.asarray(sources.position_ned.stack())
     turned = np.array([[np.cos(yaw), np.sin(yaw), 0.0], [-np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])

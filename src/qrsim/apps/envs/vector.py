@@ -68,7 +68,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         rows = np.arange(self.num_envs)
         if options and "reset_mask" in options:
             rows = np.flatnonzero(options["reset_mask"])
-        if seed is None and self.batch.episode is not None:
+        if seed is None and self.batch.episodes.started:
             self.batch.again(rows)
         else:
             first = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
