@@ -11,6 +11,7 @@ import pytest
 
 import qrsim
 from qrsim.control import Estimate, VelocitySetpoint, WaypointSetpoint
+from qrsim.core.tree import replace
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
 from qrsim.scenarios.scenario import load_scenario
@@ -471,3 +472,21 @@ class TestSetState:
             first = 1 if row == 3 else row  # The first of two that collide is named.
             expected = f"state: vehicle {first} ('{shared.vehicle_names[first]}') would be invalid: {why}"
             assert said(shared.set_state, wrong) == expected
+
+
+def test_other_parameters_from_the_next_tick_on() -> None:
+    """They count at once; what is no number does not change in flight."""
+    simulation = simulate(quiet())
+    simulation.reset()
+    simulation.step(ticks=5)
+    calm = simulation.save()
+    simulation.step(ticks=20)
+    undisturbed = simulation.truth.state.copy()
+    simulation.load(calm)
+    fleet = simulation.world.fleets[0]
+    heavier = replace(fleet, vehicle=replace(fleet.vehicle, mass=fleet.vehicle.mass * np.float32(1.2)))
+    simulation.change_world(replace(simulation.world, fleets=(heavier, *simulation.world.fleets[1:])))
+    simulation.step(ticks=20)
+    assert (simulation.truth.state[:, 2] > undisturbed[:, 2] + 1e-3).any()
+    with pytest.raises(UsageError, match="differs in more than numbers"):
+        simulation.change_world(replace(simulation.world, time_step=0.01))

@@ -87,10 +87,10 @@ class Simulation:
         self.seed = _checked_seed(seed)
         self.number = _checked_number(number)
         self._checker = ActionChecker(world, self.dtype)
-        self._world_layout = Packer(world)
         with self.precision_context():
             self._ticks = ticks_of(world)
         self._layout: Packer | None = None
+        self._numbers: Any = None
         self._state: Buffers | None = None
         self._host: _Snapshot | None = None
 
@@ -226,8 +226,19 @@ class Simulation:
         self.tick, self.seed, self._host = saved.tick, saved.seed, None
         return self.reading
 
+    def change_world(self, world: World) -> None:
+        """Fly with other parameters from the next tick on; as they are numbers, nothing is compiled.
+
+        Raises:
+            UsageError: something else than numbers differs.
+        """
+        if Packer(world) != self._ticks.layout:
+            raise UsageError("world: it differs in more than numbers from the one that flies; make another Simulation")
+        with self.precision_context():
+            self.world, self._ticks = world, ticks_of(world)
+
     def _fingerprint(self) -> str:
-        return fingerprint(self._world_layout, self._world_layout.pack(jax.tree.map(np.asarray, self.world)))
+        return fingerprint(self._ticks.layout, self._ticks.parameters)
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:

@@ -44,7 +44,7 @@ class NativeTicks:
         self.world = world
         host = jax.tree.map(np.asarray, world)
         self.layout = Packer(host)
-        self._parameters = self.layout.pack(host)
+        self.parameters = self.layout.pack(host)
         self._size = sum(fleet.size for fleet in world.fleets)
         self._mode = mode_of(self._size, self.layout.dtype)
         self._instead: XlaTicks | None = None
@@ -67,7 +67,7 @@ class NativeTicks:
             layout, program = _start(inputs, self._mode)
         except UnsupportedError:
             return self.instead.reset(keys)
-        call = _Call(program, [self._parameters, key_layout.pack(keys)])
+        call = _Call(program, [self.parameters, key_layout.pack(keys)])
         state = call.state()
         call(state, 0, 1)
         return layout, state
@@ -128,7 +128,7 @@ class NativeTicks:
         if key not in self._ready:
             inputs = (Input(self.layout, own=False), Input(given_layout, own=True), Input(layout, own=True))
             try:
-                self._ready[key] = _Call(_tick_program(inputs, self._mode), [self._parameters, None])
+                self._ready[key] = _Call(_tick_program(inputs, self._mode), [self.parameters, None])
             except UnsupportedError:
                 self._ready[key] = None
         return self._ready[key]
@@ -259,7 +259,8 @@ class XlaTicks:
 
     def __init__(self, world: World):
         self.layout = Packer(world)
-        self._parameters: Buffers = jax.device_put(self.layout.pack(world))
+        self.parameters = self.layout.pack(jax.tree.map(np.asarray, world))
+        self._parameters: Buffers = jax.device_put(self.parameters)
         self._size = sum(fleet.size for fleet in world.fleets)
 
     def reset(self, keys: WorldKeys) -> tuple[Packer, Buffers]:

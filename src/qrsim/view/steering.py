@@ -11,7 +11,6 @@ import numpy as np
 
 from qrsim.core.tree import field_info, replace
 from qrsim.simulation import Simulation
-from qrsim.ticking import ticks
 from qrsim.world_tree import World
 
 
@@ -50,10 +49,7 @@ def change_wind(simulation: Simulation, wind: Wind) -> list[dict[str, Any]]:
         speed_20ft=np.asarray(wind.speed, simulation.dtype),
         wind_from_rad=np.asarray(math.radians(wind.from_deg), simulation.dtype),
     )
-    simulation.world = replace(world, wind=changed)
-    # A parameter is a number that compiled programs are given, so this compiles nothing.
-    with simulation.precision_context():
-        simulation._ticks = ticks(simulation.world)
+    simulation.change_world(replace(world, wind=changed))
     where = {"time": simulation.time, "tick": simulation.tick, "vehicle": None, "kind": "wind_changed"}
     speed = f"wind changed at {simulation.time:.2f} s: {wind.speed:g} m/s at 20 ft"
     bearing = f"wind changed at {simulation.time:.2f} s: from {wind.from_deg:g} degrees"
