@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 import qrsim
 from evidence.rollout import peak_bytes
@@ -17,7 +18,9 @@ from evidence.rollout import peak_bytes
 DOC = "vehicle-steps per second by stage, latency of one step, memory, compilation, against XLA on the same machine"
 SEED = 0
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-VEHICLES = ("1", "1000")
+VEHICLES = ("1", "10", "100", "1000", "4096", "65536")
+# Collisions cost less than the machine drifts within a minute: with and without them by turns.
+TURNS = 7
 TICKS = 1_000_000
 
 
@@ -36,6 +39,42 @@ def by_stage(rows: list[dict[str, Any]]) -> dict[str, Any]:
         where = f"{row['worlds']}x{row['vehicles'] // row['worlds']}"
         numbers = ("per_wall_second", "per_cpu_second", "compile_seconds", "flying")
         found.setdefault(where, {})[row["stage"]] = {key: row[key] for key in numbers}
+    return found
+
+
+def collisions(turns: int) -> float:
+    """Return which part of a CPU second collisions take at 1000 vehicles: the median of several pairs of runs."""
+    shares = []
+    for _ in range(turns):
+        rows = printed("throughput", "--no-many-worlds", "--vehicles", "1000", "--stages", "gnss", "everything")
+        stages = by_stage(rows)["1x1000"]
+        shares.append(1.0 - stages["everything"]["per_cpu_second"] / stages["gnss"]["per_cpu_second"])
+    return float(np.median(shares))
+
+
+def bound() -> dict[str, Any]:
+    """Return what this package reaches of a step written by hand in C++."""
+    rows = {(row["program"], row["threads"]): row for row in printed("bound")}
+    both = max(threads for _, threads in rows)
+    ours, by_hand = rows["qrsim", both], rows["bound.cc", both]
+    return {
+        "per_cpu_second": by_hand["per_cpu_second"],
+        "per_wall_second": by_hand["per_wall_second"],
+        "ours_per_cpu_second": ours["per_cpu_second"],
+        "of_bound_cpu": ours["of_bound_cpu"],
+        "of_bound_wall": ours["of_bound_wall"],
+    }
+
+
+def peers() -> dict[str, Any]:
+    """Return steps of ours for one of each other simulator that is installed, by wall time in the same run."""
+    found = {}
+    for row in printed("peers"):
+        if row["ours_to_theirs_steps"] is not None:
+            name = "_".join([row["simulator"].partition("=")[0], row["computed"].split(",")[0].replace(" ", "_")])
+            found[f"{name}_{row['processes']}"] = {
+                key: row[key] for key in ("per_wall_second", "ours_to_theirs_steps", "ours_to_theirs_seconds")
+            }
     return found
 
 
@@ -73,6 +112,7 @@ def run(full: bool) -> dict[str, Any]:
     }
     everything = results["throughput"]["512x8"]["everything"]  # type: ignore[index]
     results["times_xla"] = everything["per_wall_second"] / results["xla"]["512x8"]["everything"]["per_wall_second"]  # type: ignore[index]
-    one = results["throughput"]["1x1000"]  # type: ignore[index]
-    results["collisions_share"] = 1.0 - one["everything"]["per_cpu_second"] / one["gnss"]["per_cpu_second"]
+    results["collisions_share"] = collisions(TURNS)
+    results["bound"] = bound()
+    results["peers"] = peers()
     return results
