@@ -261,6 +261,39 @@ class TestArrays:
         }
         check(function, state, mode, ticks=5, rtol=1e-5)
 
+    @pytest.mark.parametrize("size", SIZES)
+    def test_each_world_goes_round_as_often_as_it_needs(self, size, mode):
+        """Not once, or many times; two arrays swap at every turn, within are branches and another such loop."""
+
+        def function(_, state, tick):
+            def turn(now):
+                left, x, y, total = now
+                y = lax.cond(left % 3 == 0, lambda: y * 0.5, lambda: y + 1.0)
+                total = total + lax.fori_loop(
+                    0, left % 4, lambda i, sum_: sum_ + jnp.sum(x) * (i + 1), jnp.float32(0.0)
+                )
+                return left - 1, y, x * 0.9, total
+
+            carry = (state["left"], state["x"], state["y"], jnp.float32(0.0))
+            left, x, y, total = lax.while_loop(lambda now: now[0] > 0, turn, carry)
+            return {"left": state["left"] + left, "x": x, "y": y + state["y"] * 1e-3, "total": state["total"] + total}
+
+        random = np.random.default_rng(12)
+        state = {
+            "left": np.arange(18, dtype=np.int32) % 7,
+            "x": random.normal(size=(18, size)).astype(np.float32),
+            "y": random.normal(size=(18, size)).astype(np.float32),
+            "total": np.zeros(18, np.float32),
+        }
+        check(function, state, mode, ticks=3, rtol=2e-5, atol=1e-4)
+
+    def test_running_sums(self, mode):
+        def function(_, state, tick):
+            return jnp.cumsum(state, axis=0) - lax.cumsum(state, axis=1, reverse=True) * 0.5
+
+        state = np.random.default_rng(13).normal(size=(18, 5, 21)).astype(np.float32)
+        check(function, state, mode, ticks=2, rtol=1e-5, atol=1e-4)
+
     def test_only_every_third_tick(self, mode):
         """Branches that all worlds take together; the states that they hold, shift and swap."""
 

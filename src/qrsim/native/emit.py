@@ -48,6 +48,10 @@ class Emitter(Writer):
         for step in steps:
             if step.kind == "cond":
                 self._branching(step, stored)
+            elif step.kind == "while":
+                self._repeating(step, stored)
+            elif step.kind == "cumsum":
+                self._running_sum(step.nodes[0])
             elif step.kind == "concatenate":
                 self._concatenation(step.nodes[0])
             elif step.kind == "nearest":
@@ -280,7 +284,57 @@ class Emitter(Writer):
         self.places[copy.number] = place
         return Access(copy, tuple((axis, 0) for axis in range(len(shape))))
 
-    # Branches
+    def _running_sum(self, node: Node) -> None:
+        """Write the sums of what comes before each element along an axis, itself included."""
+        axis, backwards = node.attributes
+        self.open_scope(node.shape)
+        lanes, (last, dtype) = self._lanes_of(node), (node.shape[axis] - 1, node.dtype)
+        pointer, of = self.name("sum"), vector(stored_type(dtype), lanes)
+        self.entry.append(f"  {pointer} = alloca {of}, align 64")
+        with self.over([i for i in range(len(node.shape)) if i != axis], node.shape, None):
+            self.store(dtype, pointer, splat(literal(0, dtype), scalar_type(dtype), lanes), lanes)
+            with self.loop(last + 1) as counter:
+                along = self.emit(f"sub i64 {last}, {counter}") if backwards else counter
+                self.scope.variables[axis] = along
+                value = self.widened(self.value(node.args[0]), dtype, lanes)
+                total = self.operations.combine("add", dtype, lanes, self.load(dtype, pointer, lanes), value)
+                self.store(dtype, pointer, total, lanes)
+                self.write(self.places[node.number], dtype, total, lanes, self.scope.variables)
+
+    # Branches and repetition
+
+    def _repeating(self, step: Step, stored: set[int]) -> None:
+        """Write a loop that each world leaves when its own condition no longer holds."""
+        node = step.nodes[0]
+        condition, body = node.regions
+        places = [self.places[output.number] for output in node.attributes[1]]
+        self.move_all([(a, c.shape, p) for a, c, p in zip(node.args, node.attributes[0], places, strict=True)])
+        outside = dict(self.scalars)
+        self.count += 1
+        label = f"while{self.count}"
+        self.do(f"br label %{label}")
+        self.start_block(label)
+        self.steps(step.branches[0], stored)
+        self.scope = Scope((), [], None, {}, {})
+        goes_on, lanes = self.value(condition.results[0])
+        keep = None
+        if lanes > 1:
+            mask, every = vector("i1", lanes), splat("true", "i1", lanes)
+            keep = self.emit(f"xor {mask} {goes_on}, {every}")
+            goes_on = self._any(goes_on)
+        self.do(f"br i1 {goes_on}, label %{label}.body, label %{label}.after")
+        self.start_block(f"{label}.body")
+        self.steps(step.branches[1], stored)
+        self.move_all([(a, c.shape, p) for a, c, p in zip(body.results, node.attributes[0], places, strict=True)], keep)
+        self.do(f"br label %{label}")
+        self.start_block(f"{label}.after")
+        self.scalars = outside
+
+    def _any(self, flags: str) -> str:
+        """Return whether any world has its flag set."""
+        mask, name = vector("i1", self.lanes), f"llvm.vector.reduce.or.v{self.lanes}i1"
+        self.declarations.add(f"declare i1 @{name}({mask})")
+        return self.emit(f"call i1 @{name}({mask} {flags})")
 
     def _branching(self, step: Step, stored: set[int]) -> None:
         cond = step.nodes[0]
@@ -304,12 +358,11 @@ class Emitter(Writer):
     def _branch_by_world(self, step: Step, taken: str, label: str, stored: set[int]) -> None:
         """Write a branching that each world takes for itself: both branches, where any world takes it."""
         mask = vector("i1", self.lanes)
-        some, every = (f"llvm.vector.reduce.{how}.v{self.lanes}i1" for how in ("or", "and"))
-        self.declarations.update(f"declare i1 @{name}({mask})" for name in (some, every))
-        self.do(f"br i1 {self.emit(f'call i1 @{some}({mask} {taken})')}, label %{label}.true, label %{label}.rest")
+        others = self.emit(f"xor {mask} {taken}, {splat('true', 'i1', self.lanes)}")
+        self.do(f"br i1 {self._any(taken)}, label %{label}.true, label %{label}.rest")
         self._branch(step, 1, f"{label}.true", f"{label}.rest", stored)
         self.start_block(f"{label}.rest")
-        self.do(f"br i1 {self.emit(f'call i1 @{every}({mask} {taken})')}, label %{label}.after, label %{label}.false")
+        self.do(f"br i1 {self._any(others)}, label %{label}.false, label %{label}.after")
         self._branch(step, 0, f"{label}.false", f"{label}.after", stored, keep=taken)
         self.start_block(f"{label}.after")
 

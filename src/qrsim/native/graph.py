@@ -26,14 +26,15 @@ class Node:
     """One array.
 
     Attributes:
-        op: what makes it; ``input``, ``constant``, ``iota``, ``reduce``, ``concatenate``, ``cond``, ``output`` (of a
-            cond), or an elementwise operation by JAX's name of it.
+        op: what makes it; ``input``, ``constant``, ``iota``, ``reduce``, ``concatenate``, ``pick``, ``scatter``,
+            ``cumsum``, ``cond``, ``while``, ``carry`` (what a while hands from turn to turn), ``output`` (of a cond or
+            while), or an elementwise operation by JAX's name of it.
         args: what it reads.
         shape: without axes of one element.
         dtype: NumPy's.
         attributes: what else the operation is told.
         domain: shape of the loop that computes it; its own unless it reduces.
-        regions: of a cond, one for each branch.
+        regions: of a cond, one for each branch; of a while, its condition and its body.
         invariant: the same at every tick.
         uniform: the same in every world.
     """
@@ -140,7 +141,7 @@ class Graph:
         """Return a node, invariant and uniform where all that it reads is."""
         dtype = np.dtype(dtype)
         key = (op, tuple((id(a.node), a.index) for a in args), shape, dtype, attributes, more.get("domain"))
-        if op not in ("cond", "output", "input"):
+        if op not in ("cond", "while", "carry", "output", "input"):
             found = self.region.find(key)
             if found is not None:
                 return found

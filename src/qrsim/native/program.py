@@ -13,7 +13,7 @@ from qrsim.core.pack import Buffers, Packer, struct
 from qrsim.native.compiler import Loaded, machine_code
 from qrsim.native.emit import Emitter
 from qrsim.native.graph import Access, Graph, Node, Shape, View, squeezed
-from qrsim.native.schedule import ALONE, Arena, Scheduler, all_nodes, materialised, readers
+from qrsim.native.schedule import ALONE, NESTED, Arena, Scheduler, all_nodes, materialised, readers
 from qrsim.native.simplify import contract, live_nodes
 from qrsim.native.text import stored_bytes
 from qrsim.native.tracing import Tracer, trace
@@ -194,6 +194,14 @@ class _Writer:
                     ending.setdefault(end, []).append((place.offset, self._bytes(node.shape, node)))
             for offset, size in ending.pop(i, []):
                 self.arena.give(offset, size)
+        self._place_carries()
+
+    def _place_carries(self) -> None:
+        """What a while hands from turn to turn lies where its results do."""
+        for node in all_nodes([*self.prologue, *self.body]):
+            if node.op == "while":
+                for carry, output in zip(*node.attributes, strict=True):
+                    self.places[carry.number] = self.places[output.number]
 
     def _place_in_state(self) -> None:
         """Let what becomes the next state be computed where the state lies, if nobody needs the old one any more."""
@@ -284,7 +292,7 @@ class _Writer:
 
 
 def _in_register(node: Node) -> bool:
-    return node.shape == () and node.op not in ("reduce", "output", "cond", *ALONE)
+    return node.shape == () and node.op not in ("reduce", "output", *ALONE, *NESTED)
 
 
 def _row_major(shape: Shape, element: int) -> tuple[int, ...]:

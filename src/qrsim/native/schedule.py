@@ -8,9 +8,11 @@ from typing import Any
 
 from qrsim.native.graph import Access, Node, Region, Shape, UnsupportedError
 
-OUTSIDE = ("input", "constant")
+OUTSIDE = ("input", "constant", "carry")
 # Each of these is a step of its own.
-ALONE = ("concatenate", "nearest", "scatter")
+ALONE = ("concatenate", "nearest", "scatter", "cumsum")
+# Of these, the steps of regions are parts.
+NESTED = ("cond", "while")
 
 
 @dataclass(eq=False)
@@ -18,11 +20,11 @@ class Step:
     """One loop nest, one joining of arrays, or one branching.
 
     Attributes:
-        kind: ``loop``, ``cond``, or one of ALONE.
+        kind: ``loop``, or one of ALONE or NESTED.
         domain: extents of the loops.
         nodes: computed in it, in order.
         kept, reduced: axes of the domain, outer loops first.
-        branches: of a cond, the steps of each.
+        branches: the steps of each region.
     """
 
     kind: str
@@ -59,8 +61,8 @@ class Scheduler:
         if not ready:
             raise UnsupportedError("a graph with a cycle")
         # Small domains first: what they make lets the large one run further in one loop.
-        first = min(ready, key=lambda node: (node.op == "cond", sizes[node.domain] if node.domain else -1))
-        if first.op == "cond":
+        first = min(ready, key=lambda node: (node.op in NESTED, sizes[node.domain] if node.domain else -1))
+        if first.op in NESTED:
             return self._branching(first, waiting, done)
         if first.op in ALONE:
             return Step(first.op, first.shape, [first])
@@ -71,7 +73,7 @@ class Scheduler:
         inside: set[int] = set()
         reduced: tuple[int, ...] | None = None
         for node in waiting.values():
-            if node.domain != domain or node.op in ("cond", "output", *ALONE):
+            if node.domain != domain or node.op in ("output", *ALONE, *NESTED):
                 continue
             if not all(self._available(access, domain, inside, done) for access in node.args):
                 continue
@@ -98,12 +100,12 @@ class Scheduler:
         return node.number in inside and access.identical(domain)
 
     def _ready(self, node: Node, done: set[int]) -> bool:
-        if node.op == "cond":
+        if node.op in NESTED:
             return all(access.node.op in OUTSIDE or access.node.number in done for access in self._outer(node))
         return all(access.node.op in OUTSIDE or access.node.number in done for access in node.args)
 
     def _outer(self, cond: Node) -> list[Access]:
-        """Return what a branching reads from outside."""
+        """Return what a step with parts reads from outside."""
         own: set[int] = set()
         accesses = list(cond.args)
 
@@ -122,7 +124,7 @@ class Scheduler:
 
     def _branching(self, cond: Node, waiting: dict[int, Node], done: set[int]) -> Step:
         outputs = [node for node in waiting.values() if node.op == "output" and node.args[0].node is cond]
-        step = Step("cond", (), [cond, *outputs])
+        step = Step(cond.op, (), [cond, *outputs])
         step.branches = [self.steps(region.nodes, done) for region in cond.regions]
         return step
 
@@ -131,7 +133,7 @@ def inner_accesses(step: Step) -> list[tuple[Node | None, Access]]:
     """Return (reader, access) of all that a step reads, branches included; the reader is None for their results."""
     found: list[tuple[Node | None, Access]] = []
     for node in step.nodes:
-        if node.op == "cond":
+        if node.op in NESTED:
             found.extend((None, access) for access in node.args)
             for inner in (inner for steps in step.branches for inner in steps):
                 found.extend((None, access) for _, access in inner_accesses(inner))
@@ -142,7 +144,9 @@ def inner_accesses(step: Step) -> list[tuple[Node | None, Access]]:
 
 
 def branch_results(step: Step) -> list[Access]:
-    """Return what the branches of a step hand out, of all that is wanted of it."""
+    """Return what the regions of a step hand out, of all that is wanted of it."""
+    if step.kind == "while":
+        return [access for region in step.nodes[0].regions for access in region.results]
     places = [output.attributes[0] for output in step.nodes if output.op == "output"]
     return [region.results[place] for region in step.nodes[0].regions for place in places]
 
@@ -163,9 +167,10 @@ def materialised(steps: list[Step], results: list[Access]) -> set[int]:
 
     def visit(steps: list[Step]) -> None:
         for step in steps:
-            if step.kind == "cond":
+            if step.kind in NESTED:
                 needed.update(access.node.number for access in branch_results(step))
                 needed.update(access.node.number for access in step.nodes[0].args)
+                needed.update(node.number for node in step.nodes if step.kind == "while" and node.op == "output")
             else:
                 own = {node.number for node in step.nodes} if step.kind == "loop" else set()
                 read = [access.node.number for _, access in inner_accesses(step)]

@@ -75,7 +75,11 @@ def live_nodes(region: Region, results: list[Access]) -> set[int]:
             continue
         live.add(node.number)
         stack.extend(access.node for access in node.args)
-        if node.op == "output":
+        if node.op == "output" and node.args[0].node.op == "cond":
             cond, place = node.args[0].node, node.attributes[0]
             stack.extend(branch.results[place].node for branch in cond.regions)
+        if node.op == "while":
+            # All that is handed from turn to turn, whether or not anybody wants it at the end.
+            live.update(output.number for output in node.attributes[1])
+            stack.extend(access.node for region in node.regions for access in region.results)
     return live

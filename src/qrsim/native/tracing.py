@@ -331,15 +331,50 @@ class Tracer:
             raise UnsupportedError("a switch of several branches")
         regions, results = [], []
         for branch in branches:
-            self.graph.region = Region(parent=self.graph.region)
-            results.append(self.run(branch.jaxpr, branch.consts, operands))
-            region = self.graph.region
-            region.results = [view.access() for view in results[-1]]
+            region, views = self._region(branch, operands)
             regions.append(region)
-            assert region.parent is not None
-            self.graph.region = region.parent
+            results.append(views)
         cond = self.graph.node("cond", (which.access(),), (), np.bool_, regions=tuple(regions), invariant=False)
         return [self._branch_result(cond, i, views) for i, views in enumerate(zip(*results, strict=True))]
+
+    def _while(self, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        conditions, bodies = parameters["cond_nconsts"], parameters["body_nconsts"]
+        first = inputs[conditions + bodies :]
+        if any(0 in view.shape for view in first):
+            raise UnsupportedError("a loop over nothing")
+        carries = [self._unknown("carry", (), view) for view in first]
+        views = [View.whole(node, view.shape) for node, view in zip(carries, first, strict=True)]
+        regions = [
+            self._region(parameters["cond_jaxpr"], [*inputs[:conditions], *views])[0],
+            self._region(parameters["body_jaxpr"], [*inputs[conditions : conditions + bodies], *views])[0],
+        ]
+        accesses = tuple(view.access() for view in first)
+        node = self.graph.node("while", accesses, (), np.bool_, regions=tuple(regions), invariant=False, uniform=False)
+        outputs = [self._unknown("output", (Access(node, ()),), view, i) for i, view in enumerate(first)]
+        node.attributes = (tuple(carries), tuple(outputs))
+        return [View.whole(output, view.shape) for output, view in zip(outputs, first, strict=True)]
+
+    def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: Any) -> Any:
+        dtype = like.node.dtype
+        return self.graph.node(op, args, squeezed(like.shape), dtype, attributes, invariant=False, uniform=False)
+
+    def _region(self, closed: Any, inputs: list[View]) -> tuple[Region, list[View]]:
+        """Return the nodes of an inner program, and its results."""
+        region = self.graph.region = Region(parent=self.graph.region)
+        views = self.run(closed.jaxpr, closed.consts, inputs)
+        region.results = [view.access() for view in views]
+        assert region.parent is not None
+        self.graph.region = region.parent
+        return region, views
+
+    def _cumsum(self, inputs: list[View], out: Any, parameters: Any) -> View:
+        shape = tuple(out.shape)
+        if shape[parameters["axis"]] == 1:
+            return inputs[0]
+        attributes = (len(squeezed(shape[: parameters["axis"]])), parameters["reverse"])
+        return View.whole(
+            self.graph.node("cumsum", (inputs[0].access(),), squeezed(shape), out.dtype, attributes), shape
+        )
 
     def _branch_result(self, cond: Any, place: int, views: tuple[View, ...]) -> View:
         first = views[0]

@@ -10,11 +10,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.apps.envs.episodes import episodes
 from qrsim.apps.envs.functional import Functional
 from qrsim.configuration import QUICK_TO_COMPILE, use_compilation_cache
 from qrsim.errors import UsageError
 from qrsim.tasks import Episode, Play
+from qrsim.tasks.episodes import episodes
 from qrsim.world import refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from qrsim.configuration import FEW_VEHICLES, QUICK_TO_COMPILE, threads, uses_llvm
+from qrsim.core.noise import Key
 from qrsim.core.pack import Packer, struct
 from qrsim.native import (
     Input,
     Lanes,
-    Mode,
     Program,
     Start,
     Together,
@@ -26,8 +26,7 @@ from qrsim.native import (
     layout_of,
     once,
 )
-from qrsim.tasks import Episode, Play, Step
-from qrsim.tasks.play import Progress
+from qrsim.tasks.play import Episode, Play, Progress, Step
 from qrsim.ticking import mode_of_many
 
 Array = np.ndarray[Any, Any]
@@ -70,15 +69,19 @@ class NativeEpisodes:
         self._fixed = Packer(self._play)
         self._shared = self._fixed.pack(self._play)
         self._actions = Packer(struct((len(play.agents), len(play.task.axes)), dtype))
-        keys = jax.tree.map(lambda leaf: np.asarray(leaf)[0], play.keys(_first_key()))
-        self._state = Lanes(Packer(jax.eval_shape(_progress, self._play, keys)), size, self._mode)
+        layout, self._first = self._start_program()
+        self._state = Lanes(layout, size, self._mode)
         own = Lanes(self._actions, size, self._mode)
         self._together = Together(self._tick_program(), self._shared, own, self._state, threads())
         self.started = False
 
     def start(self, rows: Array, keys: Any) -> Begun:
         """Start the episodes ``rows`` (b,) by their keys, each leaf (b, ...)."""
-        progress = self._begin(keys, len(rows))
+        own = Lanes(self._first.inputs[1].layout, len(rows), self._mode)
+        own.fill(keys)
+        state = Lanes(self._state.layout, len(rows), self._mode)
+        Together(self._first, self._shared, own, state, threads()).advance(0, 1)
+        progress: Progress = state.get(lambda progress: progress)
         self._state.put(rows, progress)
         self.started = True
         seen, truth = progress.last.observation, progress.truth
@@ -96,21 +99,8 @@ class NativeEpisodes:
         found: Episode = jax.tree.map(lambda leaf: leaf[row], self._state.get(lambda progress: progress.episode))
         return found
 
-    def _begin(self, keys: Any, count: int) -> Progress:
-        host = jax.tree.map(np.asarray, keys)
-        try:
-            layout, program = self._start_program(layout_of(host))
-        except UnsupportedError:
-            return _begin_by_xla(self._play, host, max(1, self._size // 16))
-        own = Lanes(program.inputs[1].layout, count, program.mode)
-        own.fill(host)
-        state = Lanes(layout, count, program.mode)
-        Together(program, self._shared, own, state, threads()).advance(0, 1)
-        found: Progress = state.get(lambda progress: progress)
-        return found
-
-    def _once(self, what: str, layouts: tuple[Packer, ...], mode: Mode, make: Any, load: Any) -> Any:
-        task = type(self._play.task)
+    def _once(self, what: str, layouts: tuple[Packer, ...], make: Any, load: Any) -> Any:
+        task, mode = type(self._play.task), self._mode
         # Of a user's task another process could not tell whether it is still the same.
         text = (what, *map(identity, layouts), mode) if task.__module__.startswith("qrsim.") else None
         return once((what, task, layouts, mode), text, make, load)
@@ -121,13 +111,13 @@ class NativeEpisodes:
         found: Program = self._once(
             "step of an episode",
             layouts,
-            self._mode,
             lambda: build(_tick, inputs, self._mode),
             lambda binary: Program(binary, inputs, self._mode),
         )
         return found
 
-    def _start_program(self, keys: Packer) -> tuple[Packer, Program]:
+    def _start_program(self) -> tuple[Packer, Program]:
+        keys = layout_of(self._play.keys(Key.roots(np.zeros(1, np.int64), np.zeros(1, np.int64))))
         inputs = (Input(self._fixed, own=False), Input(keys, own=True))
 
         def load(start: Start) -> tuple[Packer, Program]:
@@ -137,17 +127,10 @@ class NativeEpisodes:
         found: tuple[Packer, Program] = self._once(
             "start of an episode",
             (self._fixed, keys),
-            self._mode,
             lambda: build_start(_progress, inputs, self._mode),
             load,
         )
         return found
-
-
-def _first_key() -> Any:
-    from qrsim.core.noise import Key
-
-    return Key.roots(np.zeros(1, np.int64), np.zeros(1, np.int64))
 
 
 def _progress(play: Play, keys: Any) -> Progress:
@@ -156,21 +139,6 @@ def _progress(play: Play, keys: Any) -> Progress:
 
 def _tick(play: Play, action: Any, progress: Progress, number: Any) -> Progress:
     return play.tick(action, progress, number)
-
-
-@lru_cache
-def _progress_by_xla() -> Any:
-    return jax.jit(jax.vmap(_progress, in_axes=(None, 0)), compiler_options=QUICK_TO_COMPILE)
-
-
-def _begin_by_xla(play: Play, keys: Any, part: int) -> Progress:
-    """Return episodes at their start, ``part`` of them computed at a time."""
-    parts = [
-        _first(_progress_by_xla()(play, _rows(keys, filled)), len(some))
-        for some, filled in _parts(len(jax.tree.leaves(keys)[0]), part)
-    ]
-    found: Progress = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-    return found
 
 
 def _parts(count: int, part: int) -> Iterator[tuple[Array, Array]]:
