@@ -26,6 +26,8 @@ HEADINGS = {
 }
 OUTSTANDING = 16
 TICKS = 1000
+# Of the histogram of real time.
+EDGES_US = (-20_000, -5000, -2000, -1000, -500, -200, 200, 500, 1000, 2000, 5000, 20_000)
 
 
 @contextlib.contextmanager
@@ -107,7 +109,7 @@ def one_vehicle(quick: bool) -> list[dict[str, Any]]:
     """Round trips with one vehicle of the default scenario, and long steps."""
     from qrsim.client import Client
 
-    count, rows = (50, []) if quick else (5000, [])
+    count, rows = (50, []) if quick else (20_000, [])
     content = _common.patrol(1)
     with served(content) as port:
         for outstanding, target in ((1, 3000.0), (OUTSTANDING, 8000.0)):
@@ -126,8 +128,11 @@ def one_vehicle(quick: bool) -> list[dict[str, Any]]:
     return rows
 
 
-def real_time(seconds: float, vehicles: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Fly in real time; return the row, and how late the replies were."""
+def real_time(seconds: float, vehicles: int) -> dict[str, Any]:
+    """Fly in real time; return the row, and in it a histogram of how far intervals of replies were from the time step.
+
+    The counts in it are by numbers of microseconds; intervals beyond the first and the last are counted with those.
+    """
     import numpy as np
 
     content = _common.patrol(vehicles)
@@ -144,11 +149,10 @@ def real_time(seconds: float, vehicles: int) -> tuple[dict[str, Any], dict[str, 
     factor = content["time_step"] * (count - 1) / (came[-1] - came[0])
     found = row(f"real time, {vehicles} vehicles, {seconds:g} s (rate: factor)", taken, 0.0, 1.0)
     found["per_second"] = round(factor, 4)
-    late = 1e-6 * taken - content["time_step"]
-    edges = [-20.0, -5.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 5.0, 20.0, 1000.0]
-    counts, _ = np.histogram(1e3 * late, edges)
-    spans = [f"{low:g} to {high:g} ms" for low, high in itertools.pairwise(edges)]
-    return found, dict(zip(spans, counts.tolist(), strict=True))
+    late = taken - 1e6 * content["time_step"]
+    counts, _ = np.histogram(np.clip(late, EDGES_US[0], EDGES_US[-1]), EDGES_US)
+    names = [f"from_{low}_to_{high}_us" for low, high in itertools.pairwise(EDGES_US)]
+    return {**found, "late": dict(zip(names, counts.tolist(), strict=True))}
 
 
 def streamed(vehicles: int, seconds: float) -> dict[str, Any]:
@@ -183,16 +187,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = _common.options(__doc__.splitlines()[0], arguments)
     on = _common.machine()
     results = one_vehicle(chosen.quick)
-    late: dict[str, Any] = {}
     if not chosen.quick:
-        paced, late = real_time(60.0, 100)
-        results += [paced, streamed(1000, 10.0)]
+        results += [real_time(60.0, 100), streamed(1000, 10.0)]
     title = "Serving: one vehicle of the default scenario unless said, everything on, over loopback"
     _common.publish("serve", title, on, results, HEADINGS, chosen.json)
-    if late and not chosen.json:
-        print("interval between two replies in real time, minus the time step:")
-        for span, count in late.items():
-            print(f"  {span:>16}  {count}")
+    for found in results:
+        if "late" in found and not chosen.json:
+            print("real time, interval between two replies minus the time step:")
+            for span, count in found["late"].items():
+                print(f"  {span:24}  {count}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""A server under malformed input: one reply to each request, nobody else disturbed, nothing leaked."""
+"""A server: how fast it is, and under malformed input: one reply to each request, nobody disturbed, nothing leaked."""
 
 from __future__ import annotations
 
+import os
 import random
 import resource
 import socket
@@ -14,17 +15,20 @@ from typing import Any
 
 from google.protobuf.message import DecodeError
 
+from evidence.performance import printed
 from qrsim.client import Client
 from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.framing import frame
 from qrsim.protocol.qrsim_pb2 import Message, Step
 
-DOC = "a server under malformed and truncated requests"
+DOC = "round trips, real time and streams of a server, and a server under malformed and truncated requests"
 SEED = 20261120
 FULL, SMALL = 100_000, 500
 # Requests on one connection; every tenth connection sends bytes without frames and is cut off.
 PER_CONNECTION = 50
-TASK = "free_flight"
+# Bins of the benchmark's histogram that are within a millisecond.
+NEAR_US = ((-1000, -500), (-500, -200), (-200, 200), (200, 500), (500, 1000))
+TASK, PLAYED = "free_flight", "keep_spot"
 
 
 def valid() -> list[bytes]:
@@ -42,6 +46,8 @@ def valid() -> list[bytes]:
         Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()),
         Message(type=Message.WATCH, watch=pb.Watch(stop=True)),
         Message(type=Message.PACE, pace=pb.Pace()),
+        Message(type=Message.PLAY, play=pb.Play(task=PLAYED)),
+        Message(type=Message.ACT, act=pb.Act(action=[pb.Arrayd(value=[0.0, 0.0, 0.2, 0.0, 1.0])])),
     ]
     return [message.SerializeToString() for message in messages]
 
@@ -110,9 +116,9 @@ def memory(pid: int) -> int:
     return int(Path(f"/proc/{pid}/statm").read_text("utf-8").split()[1]) * resource.getpagesize()
 
 
-def run(full: bool) -> dict[str, Any]:
-    """Return what came back, what it took, and whether another client noticed."""
-    wanted, chance, requests = FULL if full else SMALL, random.Random(SEED), valid()
+def malformed(wanted: int) -> dict[str, Any]:
+    """Send so many requests; return what came back, what it took, and whether another client noticed."""
+    chance, requests = random.Random(SEED), valid()
     counted = dict.fromkeys(("connections", "frames", "fine", "errors", "unanswered", "cut_off"), 0)
     command = [sys.executable, "-m", "qrsim.cli", "serve", "--port", "0", "--sessions"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
@@ -138,13 +144,31 @@ def run(full: bool) -> dict[str, Any]:
         server.terminate()
         _, complaints = server.communicate(timeout=60.0)
     return {
-        "seed": SEED,
         **counted,
         "seconds": round(seconds, 1),
-        "server_alive": alive,
+        "server_alive": int(alive),
         "lines_on_stderr": complaints.count("\n"),
         "memory_after_a_quarter_bytes": before,
         "memory_at_the_end_bytes": after,
         "steps_of_another_client": steps,
         "slowest_of_them_s": round(slowest, 3),
     }
+
+
+def rates(full: bool) -> dict[str, Any]:
+    """Return what the benchmark of serving prints, by what was measured."""
+    rows = printed("serve", *(() if full else ("--quick",)))
+    names = ("lock_step", "outstanding", "long_steps", "real_time", "watched")
+    numbers = ("median_us", "p95_us", "per_second", "late")
+    found = {name: {key: row[key] for key in numbers if key in row} for name, row in zip(names, rows, strict=False)}
+    if full:
+        late = found["real_time"]["late"]
+        near = sum(late[f"from_{low}_to_{high}_us"] for low, high in NEAR_US)
+        found["real_time"]["within_1_ms_percent"] = 100.0 * near / sum(late.values())
+    return found
+
+
+def run(full: bool) -> dict[str, Any]:
+    """Return all of it; the small form only sees that it works."""
+    load = os.getloadavg()[0]
+    return {**rates(full), "malformed": malformed(FULL if full else SMALL), "load_average": load}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
@@ -76,6 +76,70 @@ class Session:
     vehicles: tuple[str, ...]
     time_step: float
     state: State
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One number of an action; -1 and 1 of the action mean ``low`` and ``high`` in ``unit``."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode of a task at its start, begun by ``play``, with n agents.
+
+    Attributes:
+        session: its number, for those who want to watch it.
+        scenario: name.
+        seed: of all randomness.
+        number: which episode of the seed's series it is, from 0.
+        agents: names of the n vehicles that are commanded.
+        axes: what the A numbers of an action are.
+        period: simulated time of a step [s].
+        steps: after which the episode is truncated.
+        answer_shape: of what each agent hands in with its last action; () where nothing is handed in.
+        observation: what the agents see, (n, O), or by name, (n, ...).
+        info: what is really the case, by name, (n, ...).
+    """
+
+    session: int
+    scenario: str
+    seed: int
+    number: int
+    agents: tuple[str, ...]
+    axes: tuple[Axis, ...]
+    period: float
+    steps: int
+    answer_shape: tuple[int, ...]
+    observation: Array | dict[str, Array]
+    info: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a step brings n agents.
+
+    Attributes:
+        step: steps done.
+        time: simulated time [s].
+        observation: what the agents see, (n, O), or by name, (n, ...).
+        reward: (n,).
+        terminated: a vehicle has stopped, and the episode has ended.
+        truncated: the last step is done, and the episode has ended.
+        info: what is really the case, by name, (n, ...).
+    """
+
+    step: int
+    time: float
+    observation: Array | dict[str, Array]
+    reward: Array
+    terminated: bool
+    truncated: bool
+    info: dict[str, Array]
 
 
 class Client:
@@ -235,6 +299,37 @@ class Client:
         found = self._ask(request, Message.PACING).pacing
         return {field.name: value for field, value in found.ListFields()}
 
+    def play(self, task: str | None = None, *, scenario: str | None = None, seed: int | None = None) -> Episode:
+        """Start an episode of the task of a scenario, or the next episode of the one that is played.
+
+        Args:
+            task: name; or
+            scenario: a scenario as YAML text, which names no files; neither: the task that is played already.
+            seed: of all randomness; default: the server's, or the next episode of the series that a seed has begun.
+        """
+        request = pb.Play(task=task, scenario=scenario, seed=_seed(seed))
+        found = self._ask(Message(type=Message.PLAY, play=request), Message.EPISODE).episode
+        return Episode(
+            session=found.id, scenario=found.scenario, seed=found.seed, number=found.number, agents=tuple(found.agent),
+            axes=tuple(Axis(axis.name, axis.unit, axis.low, axis.high) for axis in found.axis), period=found.period,
+            steps=found.steps, answer_shape=tuple(found.answer_shape), observation=_seen(found.observation),
+            info=_arrays(found.info),
+        )  # fmt: skip
+
+    def act(self, action: Any, answer: Any = None) -> Outcome:
+        """Advance the episode by a step.
+
+        Args:
+            action: (n, A) numbers in [-1, 1].
+            answer: what the n agents hand in, (n, ...); with the last action of tasks that ask for it.
+        """
+        request = pb.Act(action=_vectors("action", action), answer=_answers(answer))
+        found = self._ask(Message(type=Message.ACT, act=request), Message.OUTCOME).outcome
+        return Outcome(
+            step=found.step, time=found.t, observation=_seen(found.observation), reward=np.array(found.reward),
+            terminated=found.terminated, truncated=found.truncated, info=_arrays(found.info),
+        )  # fmt: skip
+
     def watch(
         self, session: int | None = None, *, period: float = 0.0, timeout: float | None = None
     ) -> Iterator[State]:
@@ -324,16 +419,27 @@ def _seed(seed: int | None) -> int | None:
     return seed
 
 
-def _vectors(what: str, rows: Any, widths: tuple[int, ...]) -> list[pb.Arrayd]:
-    """Return one vector for each vehicle."""
+def _vectors(what: str, rows: Any, widths: tuple[int, ...] = ()) -> list[pb.Arrayd]:
+    """Return one vector for each vehicle, of one of the widths; none: the server knows which."""
     try:
         array = np.atleast_2d(np.asarray(rows, np.float64))
     except (TypeError, ValueError):
         array = np.zeros((0, 0, 0))
-    if array.ndim != 2 or array.shape[1] not in widths:
-        allowed = " or ".join(map(str, widths))
+    if array.ndim != 2 or (widths and array.shape[1] not in widths):
+        allowed = " or ".join(map(str, widths)) or "numbers of an action"
         raise UsageError(f"{what}: expected numbers of shape (vehicles, {allowed}), found {np.shape(array)}")
     return [pb.Arrayd(value=row) for row in array.tolist()]
+
+
+def _answers(answer: Any) -> list[pb.Act.Answer]:
+    """Return what each agent hands in."""
+    try:
+        array = np.zeros((0, 1)) if answer is None else np.asarray(answer, np.float32)
+    except (TypeError, ValueError):
+        array = np.zeros(())
+    if array.ndim < 2:
+        raise UsageError(f"answer: expected numbers of shape (agents, ...), found shape {np.shape(array)}")
+    return [pb.Act.Answer(value=row.ravel().tolist()) for row in array]
 
 
 def _state(found: pb.State) -> State:
@@ -343,3 +449,12 @@ def _state(found: pb.State) -> State:
         np.array([row.value for row in found.eX]).reshape(len(found.eX), -1),
         tuple(found.reason),
     )
+
+
+def _arrays(found: Iterable[pb.Values]) -> dict[str, Array]:
+    return {part.name: np.array(part.value, np.float32).reshape(part.shape) for part in found}
+
+
+def _seen(found: Iterable[pb.Values]) -> Array | dict[str, Array]:
+    arrays = _arrays(found)
+    return arrays[""] if list(arrays) == [""] else arrays

@@ -244,8 +244,96 @@ class Pacing(_message.Message):
     wall: float
     def __init__(self, factor: _Optional[float] = ..., steps: _Optional[int] = ..., overruns: _Optional[int] = ..., worst_delay: _Optional[float] = ..., simulated: _Optional[float] = ..., wall: _Optional[float] = ...) -> None: ...
 
+class Play(_message.Message):
+    __slots__ = ("task", "scenario", "seed")
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    SCENARIO_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    task: str
+    scenario: str
+    seed: int
+    def __init__(self, task: _Optional[str] = ..., scenario: _Optional[str] = ..., seed: _Optional[int] = ...) -> None: ...
+
+class Values(_message.Message):
+    __slots__ = ("name", "shape", "value")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SHAPE_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    shape: _containers.RepeatedScalarFieldContainer[int]
+    value: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, name: _Optional[str] = ..., shape: _Optional[_Iterable[int]] = ..., value: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Episode(_message.Message):
+    __slots__ = ("id", "scenario", "seed", "number", "agent", "axis", "period", "steps", "answer_shape", "observation", "info")
+    class Axis(_message.Message):
+        __slots__ = ("name", "unit", "low", "high")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        UNIT_FIELD_NUMBER: _ClassVar[int]
+        LOW_FIELD_NUMBER: _ClassVar[int]
+        HIGH_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        unit: str
+        low: float
+        high: float
+        def __init__(self, name: _Optional[str] = ..., unit: _Optional[str] = ..., low: _Optional[float] = ..., high: _Optional[float] = ...) -> None: ...
+    ID_FIELD_NUMBER: _ClassVar[int]
+    SCENARIO_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    AGENT_FIELD_NUMBER: _ClassVar[int]
+    AXIS_FIELD_NUMBER: _ClassVar[int]
+    PERIOD_FIELD_NUMBER: _ClassVar[int]
+    STEPS_FIELD_NUMBER: _ClassVar[int]
+    ANSWER_SHAPE_FIELD_NUMBER: _ClassVar[int]
+    OBSERVATION_FIELD_NUMBER: _ClassVar[int]
+    INFO_FIELD_NUMBER: _ClassVar[int]
+    id: int
+    scenario: str
+    seed: int
+    number: int
+    agent: _containers.RepeatedScalarFieldContainer[str]
+    axis: _containers.RepeatedCompositeFieldContainer[Episode.Axis]
+    period: float
+    steps: int
+    answer_shape: _containers.RepeatedScalarFieldContainer[int]
+    observation: _containers.RepeatedCompositeFieldContainer[Values]
+    info: _containers.RepeatedCompositeFieldContainer[Values]
+    def __init__(self, id: _Optional[int] = ..., scenario: _Optional[str] = ..., seed: _Optional[int] = ..., number: _Optional[int] = ..., agent: _Optional[_Iterable[str]] = ..., axis: _Optional[_Iterable[_Union[Episode.Axis, _Mapping]]] = ..., period: _Optional[float] = ..., steps: _Optional[int] = ..., answer_shape: _Optional[_Iterable[int]] = ..., observation: _Optional[_Iterable[_Union[Values, _Mapping]]] = ..., info: _Optional[_Iterable[_Union[Values, _Mapping]]] = ...) -> None: ...
+
+class Act(_message.Message):
+    __slots__ = ("action", "answer")
+    class Answer(_message.Message):
+        __slots__ = ("value",)
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        value: _containers.RepeatedScalarFieldContainer[float]
+        def __init__(self, value: _Optional[_Iterable[float]] = ...) -> None: ...
+    ACTION_FIELD_NUMBER: _ClassVar[int]
+    ANSWER_FIELD_NUMBER: _ClassVar[int]
+    action: _containers.RepeatedCompositeFieldContainer[Arrayd]
+    answer: _containers.RepeatedCompositeFieldContainer[Act.Answer]
+    def __init__(self, action: _Optional[_Iterable[_Union[Arrayd, _Mapping]]] = ..., answer: _Optional[_Iterable[_Union[Act.Answer, _Mapping]]] = ...) -> None: ...
+
+class Outcome(_message.Message):
+    __slots__ = ("step", "t", "observation", "reward", "terminated", "truncated", "info")
+    STEP_FIELD_NUMBER: _ClassVar[int]
+    T_FIELD_NUMBER: _ClassVar[int]
+    OBSERVATION_FIELD_NUMBER: _ClassVar[int]
+    REWARD_FIELD_NUMBER: _ClassVar[int]
+    TERMINATED_FIELD_NUMBER: _ClassVar[int]
+    TRUNCATED_FIELD_NUMBER: _ClassVar[int]
+    INFO_FIELD_NUMBER: _ClassVar[int]
+    step: int
+    t: float
+    observation: _containers.RepeatedCompositeFieldContainer[Values]
+    reward: _containers.RepeatedScalarFieldContainer[float]
+    terminated: bool
+    truncated: bool
+    info: _containers.RepeatedCompositeFieldContainer[Values]
+    def __init__(self, step: _Optional[int] = ..., t: _Optional[float] = ..., observation: _Optional[_Iterable[_Union[Values, _Mapping]]] = ..., reward: _Optional[_Iterable[float]] = ..., terminated: bool = ..., truncated: bool = ..., info: _Optional[_Iterable[_Union[Values, _Mapping]]] = ...) -> None: ...
+
 class Message(_message.Message):
-    __slots__ = ("type", "init", "reset", "disconnect", "setsState", "step", "state", "taskInfo", "ack", "hello", "server", "open", "session", "restart", "get_readings", "readings", "watch", "get_events", "events", "pace", "pacing")
+    __slots__ = ("type", "init", "reset", "disconnect", "setsState", "step", "state", "taskInfo", "ack", "hello", "server", "open", "session", "restart", "get_readings", "readings", "watch", "get_events", "events", "pace", "pacing", "play", "episode", "act", "outcome")
     class Type(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         NONE: _ClassVar[Message.Type]
@@ -269,6 +357,10 @@ class Message(_message.Message):
         EVENTS: _ClassVar[Message.Type]
         PACE: _ClassVar[Message.Type]
         PACING: _ClassVar[Message.Type]
+        PLAY: _ClassVar[Message.Type]
+        EPISODE: _ClassVar[Message.Type]
+        ACT: _ClassVar[Message.Type]
+        OUTCOME: _ClassVar[Message.Type]
     NONE: Message.Type
     INIT: Message.Type
     RESET: Message.Type
@@ -290,6 +382,10 @@ class Message(_message.Message):
     EVENTS: Message.Type
     PACE: Message.Type
     PACING: Message.Type
+    PLAY: Message.Type
+    EPISODE: Message.Type
+    ACT: Message.Type
+    OUTCOME: Message.Type
     TYPE_FIELD_NUMBER: _ClassVar[int]
     INIT_FIELD_NUMBER: _ClassVar[int]
     RESET_FIELD_NUMBER: _ClassVar[int]
@@ -311,6 +407,10 @@ class Message(_message.Message):
     EVENTS_FIELD_NUMBER: _ClassVar[int]
     PACE_FIELD_NUMBER: _ClassVar[int]
     PACING_FIELD_NUMBER: _ClassVar[int]
+    PLAY_FIELD_NUMBER: _ClassVar[int]
+    EPISODE_FIELD_NUMBER: _ClassVar[int]
+    ACT_FIELD_NUMBER: _ClassVar[int]
+    OUTCOME_FIELD_NUMBER: _ClassVar[int]
     type: Message.Type
     init: Init
     reset: Reset
@@ -332,4 +432,8 @@ class Message(_message.Message):
     events: Events
     pace: Pace
     pacing: Pacing
-    def __init__(self, type: _Optional[_Union[Message.Type, str]] = ..., init: _Optional[_Union[Init, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., disconnect: _Optional[_Union[Disconnect, _Mapping]] = ..., setsState: _Optional[_Union[SetState, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., state: _Optional[_Union[State, _Mapping]] = ..., taskInfo: _Optional[_Union[TaskInfo, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., hello: _Optional[_Union[Hello, _Mapping]] = ..., server: _Optional[_Union[Server, _Mapping]] = ..., open: _Optional[_Union[Open, _Mapping]] = ..., session: _Optional[_Union[Session, _Mapping]] = ..., restart: _Optional[_Union[Restart, _Mapping]] = ..., get_readings: _Optional[_Union[GetReadings, _Mapping]] = ..., readings: _Optional[_Union[Readings, _Mapping]] = ..., watch: _Optional[_Union[Watch, _Mapping]] = ..., get_events: _Optional[_Union[GetEvents, _Mapping]] = ..., events: _Optional[_Union[Events, _Mapping]] = ..., pace: _Optional[_Union[Pace, _Mapping]] = ..., pacing: _Optional[_Union[Pacing, _Mapping]] = ...) -> None: ...
+    play: Play
+    episode: Episode
+    act: Act
+    outcome: Outcome
+    def __init__(self, type: _Optional[_Union[Message.Type, str]] = ..., init: _Optional[_Union[Init, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., disconnect: _Optional[_Union[Disconnect, _Mapping]] = ..., setsState: _Optional[_Union[SetState, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., state: _Optional[_Union[State, _Mapping]] = ..., taskInfo: _Optional[_Union[TaskInfo, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., hello: _Optional[_Union[Hello, _Mapping]] = ..., server: _Optional[_Union[Server, _Mapping]] = ..., open: _Optional[_Union[Open, _Mapping]] = ..., session: _Optional[_Union[Session, _Mapping]] = ..., restart: _Optional[_Union[Restart, _Mapping]] = ..., get_readings: _Optional[_Union[GetReadings, _Mapping]] = ..., readings: _Optional[_Union[Readings, _Mapping]] = ..., watch: _Optional[_Union[Watch, _Mapping]] = ..., get_events: _Optional[_Union[GetEvents, _Mapping]] = ..., events: _Optional[_Union[Events, _Mapping]] = ..., pace: _Optional[_Union[Pace, _Mapping]] = ..., pacing: _Optional[_Union[Pacing, _Mapping]] = ..., play: _Optional[_Union[Play, _Mapping]] = ..., episode: _Optional[_Union[Episode, _Mapping]] = ..., act: _Optional[_Union[Act, _Mapping]] = ..., outcome: _Optional[_Union[Outcome, _Mapping]] = ...) -> None: ...

@@ -91,6 +91,8 @@ def test_a_client_flies_a_scenario_of_its_own(clients):
         ("extends: ./other.yaml", "extends: expected the name of a built-in scenario"),
         ("extends: hover\nworld: {sky: {orbits: {type: sp3, file: /etc/passwd}}}", "world.sky.orbits.file: "),
         ("extends: hover\nworld: {area: {type: fence, file: x.kml}}", "can name no files"),
+        ("extends: plume_mapping/3A\ntask: {locations: 1001}", "task.locations: 1001; allowed in a scenario that a"),
+        ("extends: search_and_rescue/2A\nfleets: {a: {sensors: {camera: {most_rows: 1000000000}}}}", "most_rows: 1000"),
         ("a: &a [1, 1]\nb: [*a, *a]", "line 2: '*' is not allowed"),
         ("[" * 100_000, "nested too deeply"),
         ("- " * 50_000, "nested too deeply"),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from wires import DISCONNECT, HERE, RESET, TASK, Wire, running, step
+from wires import DISCONNECT, HELLO, HERE, RESET, TASK, Wire, running, step
 
 import qrsim
 from qrsim.apps.serve.readout import Readout, largest_fleet, state_size
 from qrsim.apps.serve.tasks import REFERENCE_TASKS, Tasks, offboard
 from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.framing import frame
+from qrsim.protocol.framing import LARGEST_REQUEST, Deframer, frame
 from qrsim.protocol.qrsim_pb2 import Message, Step
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation import Simulation
@@ -126,6 +126,47 @@ def test_sixteen_outstanding_requests_are_answered_in_order(connect):
     assert plain.refused(step()) == "there is no session on this connection: send INIT first"
 
 
+def test_replies_to_requests_that_came_together_are_whole_messages_in_each_write(serving, wire):
+    """Also where an error, another kind of request, a long STEP or one that is not understood comes between."""
+    wire.init()
+    # The first STEP of a kind is not short yet.
+    for _ in range(3):
+        wire.ask(step())
+    [connection] = [found for found in serving.server._connections if found.session is not None]
+    written: list[bytes] = []
+    write = connection.transport.write
+    connection.transport.write = lambda content: (written.append(content), write(content))
+    mixed = [step(), step(dt=0.03), step(), RESET, step(), HELLO, step(dt=10.0), step(), Message(type=Message.NONE)]
+    wire.send(*[step()] * 16, *mixed, *[step()] * 16)
+    replies = [wire.receive() for _ in range(32 + len(mixed))]
+    assert [reply.type for reply in replies[16:-16]] == [
+        Message.STATE, Message.ACK, Message.STATE, Message.ACK, Message.STATE, Message.SERVER, Message.STATE,
+        Message.STATE, Message.ACK,
+    ]  # fmt: skip
+    assert {reply.type for reply in replies[:16] + replies[-16:]} == {Message.STATE}
+    counts = []
+    for content in written:
+        deframer = Deframer(LARGEST_REQUEST)
+        deframer.feed(content)
+        counts.append(sum(1 for _ in iter(deframer.next, None)))
+        assert deframer.waiting == 0
+    assert sum(counts) == len(replies)
+    assert max(counts) > 1, "what came together is answered together"
+
+
+def test_who_sends_many_requests_leaves_the_others_their_turn(serving, connect):
+    busy, other = connect(), connect()
+    busy.init()
+    count = 10_000
+    busy.send(*[step()] * count)
+    assert other.ask(HELLO).type == Message.SERVER
+    [session] = serving.server.sessions.values()
+    assert session.simulation.tick < count
+    for _ in range(count):
+        busy.receive()
+    assert session.simulation.tick == count
+
+
 def test_a_fleet_without_a_sensor_has_nan_and_fleets_stand_one_after_the_other():
     simulation = simulate(quiet())
     simulation.step(ticks=3)
@@ -167,7 +208,7 @@ def test_a_served_scenario_takes_all_commands_and_keeps_its_gains(name):
 def test_every_built_in_scenario_has_every_sensor_of_the_measured_vector():
     types = {"gnss", "barometer", "attitude", "gyroscope", "accelerometer"}
     for name in Tasks().names:
-        for fleet in Tasks().scenario(name).spec.fleets.values():
+        for fleet in Tasks().offboard(name).spec.fleets.values():
             # Those of a task may have a camera or a concentration sensor too.
             assert set(fleet.sensors) >= types, name
 
@@ -176,8 +217,8 @@ def test_reference_names_are_our_scenarios_and_an_empty_name_is_the_operators_ow
     own = load_scenario({**quiet(), "name": "mine"})
     tasks = Tasks(own)
     for name, ours in REFERENCE_TASKS.items():
-        assert tasks.scenario(name).name == ours
-    assert tasks.scenario("").spec == tasks.scenario("mine").spec == offboard(own).spec
+        assert tasks.offboard(name).spec == offboard(load_scenario(ours)).spec
+    assert tasks.offboard("").spec == tasks.offboard("mine").spec == offboard(own).spec
     assert tasks.names[0] == "mine"
 
 

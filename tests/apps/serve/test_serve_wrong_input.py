@@ -33,9 +33,7 @@ def set_state(*rows: list[float]) -> Message:
     [
         ("keep_spott", "no task is called 'keep_spott'; did you mean 'keep_spot'?"),
         ("TaskGoToWP", "did you mean 'TaskGotoWP'?"),
-        ("TaskCatsMouseNoisy", "cats and mouse is not part of this version"),
-        ("TaskSearchRescueSingleNoisy", "search and rescue is not part"),
-        ("TaskPlumeSingleSourceGaussian", "plume mapping is not part"),
+        ("TaskPlumeSingleSource", "no task is called 'TaskPlumeSingleSource'; did you mean 'TaskPlumeSingleSource"),
         ("/etc/passwd", "no task is called '/etc/passwd'"),
         ("../keep_spot.yaml", "no task is called"),
         ("", "no task is called ''"),
@@ -256,6 +254,8 @@ VALID = [
         Message(type=Message.PACE, pace=pb.Pace()), Message(type=Message.GET_READINGS),
         Message(type=Message.RESTART, restart=pb.Restart(seed=3)), Message(type=Message.GET_EVENTS),
         Message(type=Message.OPEN, open=pb.Open(scenario="name: x\nfleets: {}")),
+        Message(type=Message.PLAY, play=pb.Play(task="keep_spot")),
+        Message(type=Message.ACT, act=pb.Act(action=[pb.Arrayd(value=[0.0, 0.0, 0.2, 0.0, 1.0])])),
     )
 ]  # fmt: skip
 
@@ -279,7 +279,7 @@ def mutated(draw: st.DrawFn) -> bytes:
 
 
 REPLIES = {Message.STATE, Message.TASKINFO, Message.ACK, Message.SERVER, Message.SESSION, Message.READINGS,
-           Message.EVENTS, Message.PACING}  # fmt: skip
+           Message.EVENTS, Message.PACING, Message.EPISODE, Message.OUTCOME}  # fmt: skip
 
 
 @seed(7)

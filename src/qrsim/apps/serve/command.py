@@ -175,7 +175,7 @@ def _prepare(tasks: object, options: Options) -> None:
     from qrsim.protocol.framing import LARGEST_FOR_REFERENCE_CLIENT
 
     assert isinstance(tasks, Tasks)
-    session = Session(0, Wishes(tasks.scenario(""), options.seed, realtime=1.0))
+    session = Session(0, Wishes(tasks.offboard(""), options.seed, realtime=1.0))
     session.begin()
     session.end()
     size, limit = session.simulation.size, LARGEST_FOR_REFERENCE_CLIENT

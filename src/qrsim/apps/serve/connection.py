@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, cast
 
 from google.protobuf.message import DecodeError
 
+from qrsim.apps.serve.playing import Playing
+from qrsim.apps.serve.requests import known_step, parsed_step, step
 from qrsim.apps.serve.session import Session
 from qrsim.errors import QrsimError, UsageError
 from qrsim.protocol.framing import HEAD_SIZE, LARGEST_REQUEST, Deframer, frame
@@ -21,6 +24,10 @@ if TYPE_CHECKING:
 MOST_WAITING = 4 << 20
 LONGEST_TEXT = 4000
 LINGER_S = 1.0
+# So long a connection may answer what it has been sent already before the others have their turn.
+TURN_S = 0.002
+# Timers of the loop are up to a millisecond late, the sleep of a thread is not.
+COARSE_S = 0.0015
 KEEPALIVE = {"TCP_KEEPIDLE": 20, "TCP_KEEPINTVL": 10, "TCP_KEEPCNT": 3}
 
 
@@ -37,7 +44,7 @@ class Connection(asyncio.Protocol):
 
     def __init__(self, server: Server):
         self.server = server
-        self.session: Session | None = None
+        self.session: Session | Playing | None = None
         self.reasons = False
         self.gone, self.leaving = asyncio.Event(), asyncio.Event()
         self._deframer = Deframer(LARGEST_REQUEST)
@@ -45,6 +52,7 @@ class Connection(asyncio.Protocol):
         self._can_write = asyncio.Event()
         self._can_write.set()
         self._full = self._discard = False
+        self._held: list[bytes] = []
         self.finished: asyncio.Task[None] | None = None
 
     # ---- called by asyncio ----
@@ -110,9 +118,19 @@ class Connection(asyncio.Protocol):
         self.send_frame(frame(message.SerializeToString()))
 
     def send_frame(self, content: bytes) -> None:
-        """Send a message that has its length message already, in one write."""
-        if not self.gone.is_set():
-            self.transport.write(content)
+        """Send a message that has its length message already, in one write with those that are held back."""
+        self.hold_frame(content)
+        self.send_held()
+
+    def hold_frame(self, content: bytes) -> None:
+        """Send a message with the next one, or before this connection waits for anything."""
+        self._held.append(content)
+
+    def send_held(self) -> None:
+        """Send what is held back."""
+        if self._held and not (self.gone.is_set() or self.transport.is_closing()):
+            self.transport.write(b"".join(self._held))
+        self._held.clear()
 
     def acknowledge(self, error: str | None = None, note: str = "") -> None:
         """Send an ACK, an error if there is one to tell."""
@@ -127,7 +145,7 @@ class Connection(asyncio.Protocol):
         """Bytes that wait to be sent."""
         return self.transport.get_write_buffer_size()
 
-    def required_session(self) -> Session:
+    def any_session(self) -> Session | Playing:
         """Return the session.
 
         Raises:
@@ -137,10 +155,38 @@ class Connection(asyncio.Protocol):
             raise UsageError("there is no session on this connection: send INIT first")
         return self.session
 
+    def required_session(self) -> Session:
+        """Return the session, of a simulation.
+
+        Raises:
+            UsageError: there is none, or it plays a task.
+        """
+        session = self.any_session()
+        if isinstance(session, Playing):
+            raise UsageError("this session plays a task: ACT advances it, and PLAY starts its next episode")
+        return session
+
+    def required_playing(self) -> Playing:
+        """Return the session, of a task.
+
+        Raises:
+            UsageError: there is none, or it plays no task.
+        """
+        if not isinstance(self.session, Playing):
+            raise UsageError("no task is played on this connection: send PLAY first")
+        return self.session
+
     async def pause(self, seconds: float) -> None:
         """Wait, but not for a client that leaves."""
-        with suppress(TimeoutError):
-            await asyncio.wait_for(self.leaving.wait(), seconds)
+        self.send_held()
+        loop = asyncio.get_running_loop()
+        end = loop.time() + seconds
+        if seconds > COARSE_S:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self.leaving.wait(), seconds - COARSE_S)
+        rest = end - loop.time()
+        if rest > 0.0 and not self.leaving.is_set():
+            await loop.run_in_executor(None, time.sleep, rest)
 
     async def _serve(self, refused: str | None) -> None:
         try:
@@ -156,6 +202,8 @@ class Connection(asyncio.Protocol):
 
     async def _answer_all(self) -> None:
         """Answer one request after the other until the connection is to be closed."""
+        clock = asyncio.get_running_loop().time
+        turn_ends = clock() + TURN_S
         while not self.gone.is_set():
             try:
                 payload = self._deframer.next()
@@ -165,18 +213,22 @@ class Connection(asyncio.Protocol):
             if self._full and self._deframer.waiting < LARGEST_REQUEST // 2:
                 self._full = False
                 self.transport.resume_reading()
-            if payload is None:
-                if self.leaving.is_set():
+            if payload is not None:
+                if not await self._answer(payload):
                     return
+                if self._can_write.is_set() and clock() < turn_ends:
+                    continue
+            self.send_held()
+            if not self._can_write.is_set():
+                await self._can_write.wait()
+            elif payload is not None:
+                await asyncio.sleep(0)
+            elif self.leaving.is_set():
+                return
+            else:
                 self._more = asyncio.get_running_loop().create_future()
                 await self._more
-            elif not await self._answer(payload):
-                return
-            elif not self._can_write.is_set():
-                await self._can_write.wait()
-            elif self._deframer.waiting:
-                # The next request is here already: give the other connections their turn.
-                await asyncio.sleep(0)
+            turn_ends = clock() + TURN_S
 
     async def _answer(self, payload: bytes) -> bool:
         """Answer a request; return whether to go on.
@@ -185,10 +237,17 @@ class Connection(asyncio.Protocol):
         """
         message = Message()
         try:
-            message.ParseFromString(payload)
-            if not message.IsInitialized():
-                raise UsageError("message: a required field is missing, or a kind is unknown")
-            return await self.server.answer(self, message)
+            asked = known_step(self, payload)
+            if asked is None:
+                message.ParseFromString(payload)
+                if not message.IsInitialized():
+                    raise UsageError("message: a required field is missing, or a kind is unknown")
+                if message.type != Message.STEP:
+                    self.send_held()
+                    return await self.server.answer(self, message)
+                asked = parsed_step(self, message, payload)
+            await step(self, *asked)
+            return True
         except DecodeError:
             self.acknowledge(f"message: {len(payload)} bytes that are no Message")
         except QrsimError as error:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from qrsim.core.pack import Buffers, Packer
 from qrsim.models.attitude import AttitudeReading
 from qrsim.models.barometer import BarometerReading
 from qrsim.models.gnss import GnssReading
 from qrsim.models.inertial import AccelerometerReading, GyroscopeReading
 from qrsim.protocol.framing import HEAD_SIZE, frame
-from qrsim.simulation import Simulation
 from qrsim.world import FleetState
 
 Array = np.ndarray[Any, Any]
@@ -49,14 +49,30 @@ def state_size(vehicles: int) -> int:
     return HEAD_SIZE + 3 + len(varint(body)) + body
 
 
+class Source(Protocol):
+    """What a STATE is read from: a simulation that has been reset, or an episode."""
+
+    @property
+    def size(self) -> int:
+        """Number of vehicles."""
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+
+    @property
+    def packed(self) -> tuple[Packer, Buffers]:
+        """The state of the world in flat buffers, and their layout."""
+
+
 class Readout:
-    """Writes STATE messages of one simulation, which has been reset.
+    """Writes STATE messages of one simulation.
 
     The measured vector is NaN where a fleet lacks the sensor and where a sensor has no reading. Where a fleet has
     several of a kind, the first one counts.
     """
 
-    def __init__(self, simulation: Simulation):
+    def __init__(self, simulation: Source):
         self._simulation = simulation
         count = simulation.size
         body = len(_T_HEAD) + 8 + count * BYTES_PER_VEHICLE
@@ -74,7 +90,7 @@ class Readout:
         self._ex[:, UNUSED] = 0.0
         self._find_places(simulation)
 
-    def _find_places(self, simulation: Simulation) -> None:
+    def _find_places(self, simulation: Source) -> None:
         """Find where in the packed state the numbers of each vehicle are."""
         layout, _ = simulation.packed
         floats, integers = layout.sizes
@@ -98,8 +114,8 @@ class Readout:
         """Return the STATE of now with its length message."""
         floats = np.asarray(self._simulation.packed[1][0])
         self._time[0] = self._simulation.time
-        self._x[...] = floats[self._x_places]
-        self._ex[self._ex_rows, self._ex_columns] = floats[self._ex_places]
+        self._x[...] = floats.take(self._x_places)
+        self._ex[self._ex_rows, self._ex_columns] = floats.take(self._ex_places)
         return bytes(self._buffer)
 
     def body(self) -> bytes:
@@ -108,7 +124,7 @@ class Readout:
 
     def all_valid(self) -> bool:
         """Return whether all vehicles fly."""
-        return not np.asarray(self._simulation.packed[1][1])[self._codes].any()
+        return not np.count_nonzero(np.asarray(self._simulation.packed[1][1]).take(self._codes))
 
 
 def _state_places(fleet: FleetState) -> Array:

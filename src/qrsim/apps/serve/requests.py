@@ -7,8 +7,9 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from qrsim.apps.serve.pacing import Pacer, checked_factor
+from qrsim.apps.serve.playing import Playing
 from qrsim.apps.serve.session import Session, Wishes
-from qrsim.apps.serve.tasks import uploaded
+from qrsim.apps.serve.tasks import offboard, uploaded
 from qrsim.errors import UsageError
 from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.framing import LARGEST_REQUEST
@@ -17,9 +18,13 @@ from qrsim.protocol.qrsim_pb2 import Message
 if TYPE_CHECKING:
     from qrsim.apps.serve.connection import Connection
 
-CAPABILITIES = ("seed", "scenario", "realtime", "readings", "reasons", "watch", "events")
+CAPABILITIES = ("seed", "scenario", "realtime", "readings", "reasons", "watch", "events", "episodes")
 # What clients of the reference implementation look for.
 INVALID = "invalid uav state"
+# A STEP that takes less than this is not handed to another thread, which would take as long.
+SHORT_S = 0.0005
+# Of one ACT, which cannot be cut into pieces where its client leaves.
+MOST_TICKS_OF_ACT = 10_000
 
 
 async def init(connection: Connection, message: Message) -> bool:
@@ -27,7 +32,7 @@ async def init(connection: Connection, message: Message) -> bool:
     server, request = connection.server, message.init
     realtime = server.options.realtime or float(request.realTime)
     wishes = await server.aside(lambda: _wishes(connection, request.task, realtime=realtime))
-    session = await server.open(connection, wishes)
+    session = await server.open(connection, lambda number: Session(number, wishes, server.options.view))
     state = session.readout.frame()
     connection.send_frame(state)
     connection.send(Message(type=Message.TASKINFO, taskInfo=_info(session)))
@@ -35,12 +40,18 @@ async def init(connection: Connection, message: Message) -> bool:
     return True
 
 
-def _wishes(connection: Connection, task: str, *, scenario: str | None = None, **others: Any) -> Wishes:
+def _wishes(
+    connection: Connection, task: str, *, scenario: str | None = None, flown: bool = True, **others: Any
+) -> Wishes:
+    """Return what a client wishes, its scenario to be flown by commands or to be played."""
     server = connection.server
     # What is not UTF-8 comes as bytes.
     if not isinstance(task, str) or not isinstance(scenario, str | None):
         raise UsageError("message: a text is not UTF-8")
-    found = server.tasks.scenario(task) if scenario is None else uploaded(scenario)
+    if scenario is not None:
+        found = offboard(uploaded(scenario)) if flown else uploaded(scenario)
+    else:
+        found = server.tasks.offboard(task) if flown else server.tasks.scenario(task)
     return Wishes(found, **{"seed": server.options.seed, "record": server.options.record, **others})
 
 
@@ -79,23 +90,48 @@ async def set_state(connection: Connection, message: Message) -> bool:
     return True
 
 
-async def step(connection: Connection, message: Message) -> bool:
-    """Advance, in real time not before the wall clock has."""
-    session, server = connection.required_session(), connection.server
-    ticks = session.ticks(message.step.dt)
-    await server.advance(connection, session, session.command(message.step), ticks)
+def known_step(connection: Connection, payload: bytes) -> tuple[Any, int] | None:
+    """Return the command and the ticks of a STEP; None where the request is to be parsed."""
+    session = connection.session
+    return session.commands.known(payload) if isinstance(session, Session) else None
+
+
+def parsed_step(connection: Connection, message: Message, payload: bytes) -> tuple[Any, int]:
+    """Return the command and the ticks of a STEP.
+
+    Raises:
+        UsageError: the request is wrong, or there is nothing to advance.
+    """
+    session, request = connection.required_session(), message.step
+    if not message.HasField("step"):
+        raise UsageError("STEP: the message has no 'step'")
+    ticks, command = session.ticks(request.dt), session.commands.of(request)
+    session.commands.learn(payload, request, ticks)
+    return command, ticks
+
+
+async def step(connection: Connection, command: Any, ticks: int) -> None:
+    """Advance, in real time not before the wall clock has.
+
+    Raises:
+        UsageError: the command cannot be flown, and nothing has changed; or its client leaves meanwhile.
+    """
+    session = connection.required_session()
+    if session.expected_s(command, ticks) < SHORT_S:
+        session.advance(command, ticks)
+    else:
+        await connection.server.advance(connection, session, command, ticks)
     state = session.readout.frame()
     wait = session.pacer.wait_s(session.time)
     if wait > 0.0:
         await connection.pause(wait)
     if session.readout.all_valid():
-        connection.send_frame(state)
+        connection.hold_frame(state)
     elif connection.reasons:
         connection.send(Message(type=Message.STATE, state=session.state_with_reasons()))
     else:
         connection.acknowledge(INVALID)
-    server.broadcast(session, state)
-    return True
+    connection.server.broadcast(session, state)
 
 
 # ---- extensions ----
@@ -119,29 +155,38 @@ async def hello(connection: Connection, message: Message) -> bool:
 async def open_session(connection: Connection, message: Message) -> bool:
     """Start a session with a seed, a pace or a scenario of the client's own."""
     server, request = connection.server, message.open
-    if request.HasField("task") and request.HasField("scenario"):
-        raise UsageError("OPEN: give either a task or a scenario")
-    scenario = request.scenario if request.HasField("scenario") else None
     factor = checked_factor(request.realtime if request.HasField("realtime") else server.options.realtime or 0.0)
-    seed = request.seed if request.HasField("seed") else server.options.seed
-    _check_seed(seed)
-    wishes = await server.aside(
-        lambda: _wishes(connection, request.task, scenario=scenario, seed=seed, realtime=factor, events=request.events)
-    )
-    session = await server.open(connection, wishes)
+    chosen = _chosen(connection, request)
+    wishes = await server.aside(lambda: _wishes(connection, **chosen, realtime=factor, events=request.events))
+    session = await server.open(connection, lambda number: Session(number, wishes, server.options.view))
     _send_session(connection, session)
     return True
 
 
-def _check_seed(seed: int) -> None:
-    if seed >= 2**63:
-        raise UsageError(f"seed: {seed} is not an integer from 0 to 2**63 - 1")
+def _chosen(connection: Connection, request: pb.Open | pb.Play) -> dict[str, Any]:
+    """Return task, scenario and seed of a request as ``_wishes`` takes them."""
+    if request.HasField("task") and request.HasField("scenario"):
+        raise UsageError("give either a task or a scenario")
+    seed = _seed(request)
+    return {
+        "task": request.task,
+        "scenario": request.scenario if request.HasField("scenario") else None,
+        "seed": connection.server.options.seed if seed is None else seed,
+    }
+
+
+def _seed(request: pb.Open | pb.Play | pb.Restart) -> int | None:
+    """Return the seed of a request, None where it has none."""
+    if not request.HasField("seed"):
+        return None
+    if request.seed >= 2**63:
+        raise UsageError(f"seed: {request.seed} is not an integer from 0 to 2**63 - 1")
+    return request.seed
 
 
 async def restart(connection: Connection, message: Message) -> bool:
     """Start the task again, with another seed if one is given."""
-    session, request = connection.required_session(), message.restart
-    seed = request.seed if request.HasField("seed") else None
+    session, seed = connection.required_session(), _seed(message.restart)
     await connection.server.run(session, lambda: session.restart(seed))
     _send_session(connection, session)
     return True
@@ -210,11 +255,73 @@ async def get_events(connection: Connection, message: Message) -> bool:
 
 async def pace(connection: Connection, message: Message) -> bool:
     """Say how it went, and change the pace if asked to."""
-    session = connection.required_session()
+    session = connection.any_session()
     report = session.pacer.report()
     if message.pace.HasField("factor"):
         session.pacer = Pacer(message.pace.factor, session.time)
     connection.send(Message(type=Message.PACING, pacing=report))
+    return True
+
+
+async def play(connection: Connection, message: Message) -> bool:
+    """Start an episode: of a task, or the next one."""
+    server, request = connection.server, message.play
+    if request.HasField("task") or request.HasField("scenario") or not isinstance(connection.session, Playing):
+        chosen = _chosen(connection, request)
+        wishes = await server.aside(lambda: _wishes_to_play(connection, chosen))
+        session = await server.open(connection, lambda number: Playing(number, wishes))
+    else:
+        session, seed = connection.session, _seed(request)
+        await server.run(session, lambda: session.restart(seed))
+    found = pb.Episode(
+        id=session.number,
+        scenario=session.scenario.name,
+        seed=session.seed,
+        number=session.episode,
+        agent=session.play.agents,
+        axis=[pb.Episode.Axis(**vars(axis)) for axis in session.play.task.axes],
+        period=session.play.ticks * session.play.world.time_step,
+        steps=session.play.steps,
+        answer_shape=session.answer_shape,
+        observation=session.observation(),
+        info=session.info(),
+    )
+    connection.send(Message(type=Message.EPISODE, episode=found))
+    _show(connection, session)
+    return True
+
+
+def _wishes_to_play(connection: Connection, chosen: dict[str, Any]) -> Wishes:
+    options = connection.server.options
+    if options.record is not None or options.view is not None:
+        raise UsageError(
+            "PLAY: episodes are neither recorded nor drawn, and this server was started with --record or --view"
+        )
+    wishes = _wishes(connection, **chosen, flown=False, realtime=options.realtime)
+    scenario = wishes.scenario
+    if not scenario.steps:
+        raise UsageError(f"PLAY: scenario '{scenario.name}' has no task; INIT or OPEN let it be flown")
+    if scenario.ticks > MOST_TICKS_OF_ACT * scenario.steps:
+        ticks = scenario.ticks // scenario.steps
+        raise UsageError(f"PLAY: a step of this task is {ticks} time steps; allowed: up to {MOST_TICKS_OF_ACT}")
+    return wishes
+
+
+def _show(connection: Connection, session: Playing) -> None:
+    """Send the state of an episode to those who watch it."""
+    if connection.server.watched(session):
+        connection.server.broadcast(session, session.state())
+
+
+async def act(connection: Connection, message: Message) -> bool:
+    """Advance an episode by a step."""
+    session = connection.required_playing()
+    found = await connection.server.run(session, lambda: session.act(message.act))
+    wait = session.pacer.wait_s(session.time)
+    if wait > 0.0:
+        await connection.pause(wait)
+    connection.send(Message(type=Message.OUTCOME, outcome=found))
+    _show(connection, session)
     return True
 
 
@@ -225,7 +332,6 @@ HANDLERS: dict[int, Handler] = {
     Message.RESET: reset,
     Message.DISCONNECT: disconnect,
     Message.SETSTATE: set_state,
-    Message.STEP: step,
     Message.HELLO: hello,
     Message.OPEN: open_session,
     Message.RESTART: restart,
@@ -233,6 +339,8 @@ HANDLERS: dict[int, Handler] = {
     Message.WATCH: watch,
     Message.GET_EVENTS: get_events,
     Message.PACE: pace,
+    Message.PLAY: play,
+    Message.ACT: act,
 }
 # The part of a message that a request of the reference protocol needs.
-NEEDED = {Message.INIT: "init", Message.RESET: "reset", Message.DISCONNECT: "disconnect", Message.STEP: "step"}
+NEEDED = {Message.INIT: "init", Message.RESET: "reset", Message.DISCONNECT: "disconnect"}

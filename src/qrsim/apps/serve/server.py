@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from qrsim.apps.serve.connection import MOST_WAITING, Connection
+from qrsim.apps.serve.playing import Playing
 from qrsim.apps.serve.requests import HANDLERS, NEEDED
-from qrsim.apps.serve.session import Session, Wishes
+from qrsim.apps.serve.session import Session
 from qrsim.apps.serve.tasks import Tasks
 from qrsim.errors import RunError, UsageError
 from qrsim.protocol.qrsim_pb2 import Message
@@ -26,8 +27,7 @@ if TYPE_CHECKING:
     from qrsim.view.live import LiveView
 
 T = TypeVar("T")
-# A step that takes less than this is done at once: to hand it to another thread would take as long.
-SHORT_S = 0.002
+S = TypeVar("S", Session, Playing)
 # A client that reconnects can be here before it is known that its old connection has gone, or before its last step has
 # ended.
 PATIENCE_S, LEAVING_S = 0.3, 30.0
@@ -80,7 +80,7 @@ class Server:
 
     def __init__(self, options: Options, tasks: Tasks, say: Callable[[str], None] = lambda line: None):
         self.options, self.tasks, self.say = options, tasks, say
-        self.sessions: dict[int, Session] = {}
+        self.sessions: dict[int, Session | Playing] = {}
         self._connections: set[Connection] = set()
         self._watching: dict[Connection, Watching] = {}
         self._opened = 0
@@ -170,12 +170,16 @@ class Server:
             raise UsageError(f"{name}: the message has no '{needed}'")
         return await handler(connection, message)
 
-    async def open(self, connection: Connection, wishes: Wishes) -> Session:
+    async def open(self, connection: Connection, make: Callable[[int], S]) -> S:
         """Start a session for a connection, in place of the one it has.
+
+        Args:
+            connection: whose it is to be.
+            make: returns the session of a number.
 
         Raises:
             UsageError: another client has the only session.
-            RunError: it cannot be recorded.
+            RunError: it cannot be recorded, or a fleet found no place.
         """
         await self.close_session(connection)
         if not self.options.sessions:
@@ -191,7 +195,7 @@ class Server:
         self._watching.pop(connection, None)
         self._opened += 1
         self._opening += 1
-        session = Session(self._opened, wishes, self.options.view)
+        session = make(self._opened)
         try:
             await asyncio.get_running_loop().run_in_executor(session.thread, session.begin)
         except BaseException:
@@ -201,8 +205,8 @@ class Server:
             self._opening -= 1
         connection.session = session
         self.sessions[session.number] = session
-        size = session.simulation.size
-        self.say(f"session {session.number} begins: {session.scenario.name}, {size} vehicle{'s' if size != 1 else ''}")
+        count = f"{session.size} vehicle{'s' if session.size != 1 else ''}"
+        self.say(f"session {session.number} begins: {session.scenario.name}, {count}")
         return session
 
     def _owner_leaves(self) -> bool:
@@ -213,31 +217,26 @@ class Server:
         session = connection.session
         if session is None:
             return
-        await self.run(session, session.close_recording)
-        session.end()
+        await self.run(session, session.end)
         connection.session = None
         self.sessions.pop(session.number, None)
-        report = session.pacer.report()
-        late = f", {report.overruns} late, at worst by {1e3 * report.worst_delay:.1f} ms" if report.factor else ""
-        self.say(f"session {session.number} ended: {report.steps} steps, {report.simulated:g} s{late}")
+        self.say(f"session {session.number} ended: {session.summary()}")
 
     async def aside(self, work: Callable[[], T]) -> T:
         """Do something slow that belongs to no session."""
         return await asyncio.get_running_loop().run_in_executor(self._others, work)
 
-    async def run(self, session: Session, work: Callable[[], T]) -> T:
+    async def run(self, session: Session | Playing, work: Callable[[], T]) -> T:
         """Do something with a session that may take long."""
         return await asyncio.get_running_loop().run_in_executor(session.thread, work)
 
     async def advance(self, connection: Connection, session: Session, command: Any, ticks: int) -> None:
-        """Advance a session.
+        """Advance a session in its own thread.
 
         Raises:
             UsageError: the command cannot be flown, and nothing has changed; or its client leaves meanwhile.
         """
-        if len(self.sessions) == 1 and session.expected_s(command, ticks) < SHORT_S:
-            session.advance(command, ticks)
-            return
+        connection.send_held()
         loop = asyncio.get_running_loop()
         left = ticks
         while left:
@@ -267,7 +266,11 @@ class Server:
             session = next(iter(self.sessions))
         self._watching[connection] = Watching(session, period)
 
-    def broadcast(self, session: Session, state: bytes) -> None:
+    def watched(self, session: Session | Playing) -> bool:
+        """Return whether somebody watches a session."""
+        return any(watching.session in (None, session.number) for watching in self._watching.values())
+
+    def broadcast(self, session: Session | Playing, state: bytes) -> None:
         """Send a state to those who watch a session; whoever is too slow misses it."""
         for connection, watching in self._watching.items():
             if watching.session not in (None, session.number):

@@ -14,20 +14,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from qrsim.apps.serve.commands import Commands, rows_of
 from qrsim.apps.serve.pacing import Pacer
 from qrsim.apps.serve.readout import Readout
 from qrsim.control import VelocitySetpoint, WaypointSetpoint
 from qrsim.errors import RunError, UsageError, warn_user
 from qrsim.logs import RunInfo, RunWriter
 from qrsim.logs.streams import STREAMS, EventFinder, columns, values
-from qrsim.protocol.qrsim_pb2 import Arrayd, Events, State, Step
+from qrsim.protocol.qrsim_pb2 import Arrayd, Events, State
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation import History, Simulation
 
 if TYPE_CHECKING:
     from qrsim.view.live import LiveView
 
-WIDTHS = {Step.WP: 4, Step.CTRL: 5, Step.VEL: 3}
 # How far a dt, often a sum of rounded numbers, may be from a whole number of time steps: in time steps, and of itself.
 DT_TOLERANCE, DT_RELATIVE_TOLERANCE = 1e-6, 1e-9
 # Of one STEP, so that a slip of the pen does not keep the server busy for days.
@@ -65,9 +65,11 @@ class Session:
         scenario: what is flown.
         thread: a thread of its own, for what takes long.
         simulation, readout, pacer: of the present episode.
+        commands: makes commands of STEPs.
     """
 
     simulation: Simulation
+    commands: Commands
     readout: Readout
     pacer: Pacer
 
@@ -84,6 +86,11 @@ class Session:
         self._finder: EventFinder | None = None
         self._columns: dict[str, Any] = {}
         self._episode = 0
+
+    @property
+    def size(self) -> int:
+        """Number of vehicles."""
+        return self.simulation.size
 
     @property
     def time(self) -> float:
@@ -106,6 +113,7 @@ class Session:
             scenario.world(), seed=wishes.seed, name=scenario.name, site=scenario.site, number=0
         )
         self.simulation.reset()
+        self.commands = Commands(self.simulation.vehicle_names, self.simulation.dtype)
         if wishes.realtime:
             self.warm()
         self._start_episode()
@@ -184,39 +192,6 @@ class Session:
             raise UsageError(f"dt: {dt:g} s is {count:.0f} time steps; allowed: up to {MOST_TICKS} in one STEP")
         return round(count)
 
-    def rows(self, given: Sequence[Arrayd], widths: Sequence[int], what: str) -> np.ndarray[Any, Any]:
-        """Return the vectors of a message as an array, one row for each vehicle.
-
-        Raises:
-            UsageError: their number or lengths are wrong.
-        """
-        size = self.simulation.size
-        if len(given) != size:
-            raise UsageError(f"{what}: {len(given)} vectors; expected {size}, one for each vehicle")
-        found = [row.value for row in given]
-        width = len(found[0])
-        allowed = " or ".join(map(str, widths))
-        for i, row in enumerate(found):
-            if len(row) not in widths:
-                name = self.simulation.vehicle_names[i]
-                raise UsageError(f"{what} of vehicle {i} ('{name}'): {len(row)} numbers; expected {allowed}")
-            if len(row) != width:
-                raise UsageError(f"{what}: vectors of {width} and of {len(row)} numbers; expected the same for all")
-        return np.array(found, np.float64)
-
-    def command(self, request: Step) -> Any:
-        """Return the command of a STEP as ``Simulation.step`` takes it.
-
-        Raises:
-            UsageError: the number of vectors or of their entries is wrong.
-        """
-        rows = self.rows(request.cmd, (WIDTHS[request.type],), "cmd")
-        if request.type == Step.WP:
-            return WaypointSetpoint.of(rows[:, :3], rows[:, 3])
-        if request.type == Step.VEL:
-            return VelocitySetpoint.of(rows)
-        return rows
-
     def expected_s(self, command: Any, ticks: int) -> float:
         """Return how long so many ticks should take [s]; infinite for a kind of command that was not seen yet."""
         seconds, measured = self._seconds.get(type(command), (math.inf, 1))
@@ -236,9 +211,7 @@ class Session:
             UsageError: the command cannot be flown; nothing has changed.
         """
         begun = time.perf_counter()
-        # What is too large for the simulation's numbers becomes infinite, and is refused as such.
-        with np.errstate(over="ignore"):
-            self._advance(command, ticks)
+        self._advance(command, ticks)
         if self._view is not None:
             self._view.show(self.simulation)
             self._keep_events(self._view.changes(self.simulation))
@@ -259,7 +232,7 @@ class Session:
         Raises:
             UsageError: wrong numbers, or a state beyond area and limits or in collision.
         """
-        rows = self.rows(given, (3, 6, 12, 13), "X")
+        rows = np.array(rows_of(given, (3, 6, 12, 13), "X", self.simulation.vehicle_names), np.float64)
         if not np.isfinite(rows).all():
             i = int(np.argmax(~np.isfinite(rows).all(axis=1)))
             raise UsageError(f"X of vehicle {i} ('{self.simulation.vehicle_names[i]}') is not finite")
@@ -328,6 +301,12 @@ class Session:
         except RunError as error:
             warn_user(f"session {self.number}: {error}")
         self._writer = None
+
+    def summary(self) -> str:
+        """Return what came of it, for the operator."""
+        report = self.pacer.report()
+        late = f", {report.overruns} late, at worst by {1e3 * report.worst_delay:.1f} ms" if report.factor else ""
+        return f"{report.steps} steps, {report.simulated:g} s{late}"
 
     def end(self) -> None:
         """End the recording; nothing is to be called after it."""

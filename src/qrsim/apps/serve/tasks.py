@@ -22,11 +22,25 @@ REFERENCE_TASKS = {
     "TaskGotoWP": "goto_waypoint",
     "TaskKeepVel": "keep_velocity",
     "TaskComplacs": "free_flight",
+    "TaskCatsMouseNoiseless": "cats_and_mouse/1A",
+    "TaskCatsMouseNoisy": "cats_and_mouse/1B",
+    "TaskCatsMouseNoisyAndWindy": "cats_and_mouse/1C",
+    "TaskSearchRescueSingleNoiseless": "search_and_rescue/2A",
+    "TaskSearchRescueSingleNoisy": "search_and_rescue/2B",
+    "TaskSearchRescueMultipleNoiseless": "search_and_rescue/2C",
+    "TaskSearchRescueMultipleNoisyAndWindy": "search_and_rescue/2D",
+    "TaskPlumeSingleSourceGaussian": "plume_mapping/3A",
+    "TaskPlumeSingleSourceGaussianDispersion": "plume_mapping/3B",
+    "TaskPlumeMultiSourceGaussianDispersion": "plume_mapping/3C",
+    "TaskPlumeMultiHeliMultiSourceGaussianDispersion": "plume_mapping/3D",
+    "TaskPlumeSingleSourceGaussianPuffDispersion": "plume_mapping/3E",
+    "TaskPlumeMultiSourceGaussianPuffDispersion": "plume_mapping/3F",
+    "TaskPlumeMultiHeliMultiSourceGaussianPuffDispersion": "plume_mapping/3G",
 }
-# Those of the reference implementation that are not built yet begin so.
-NOT_BUILT = {"TaskCatsMouse": "cats and mouse", "TaskSearchRescue": "search and rescue", "TaskPlume": "plume mapping"}
 LARGEST_SCENARIO, DEEPEST = 256 * 1024, 100
 MOST_FLEETS, MOST_SENSORS, MOST_VEHICLES = 8, 16, 1000
+# Settings that memory grows with, and that scenarios of the operator may have as large as he likes.
+LARGEST = {"puffs": 10_000, "most_columns": 200, "most_rows": 200, "locations": 1000, "samples": 5000}
 _GAINS = [field.name for field in dataclasses.fields(OffboardController)]
 
 
@@ -56,25 +70,27 @@ class Tasks:
         own = [self.own.name] if self.own else []
         return [*own, *(name for name in built_in_names() if name not in own), *REFERENCE_TASKS]
 
-    def scenario(self, name: str) -> Scenario:
+    def offboard(self, name: str) -> Scenario:
         """Return the scenario of a task, ready for commands of every kind.
 
         Raises:
             UsageError: no task is called so.
         """
         if name not in self._loaded:
-            self._loaded[name] = offboard(self._named(name))
+            self._loaded[name] = offboard(self.scenario(name))
         return self._loaded[name]
 
-    def _named(self, name: str) -> Scenario:
+    def scenario(self, name: str) -> Scenario:
+        """Return the scenario of a task as it is written.
+
+        Raises:
+            UsageError: no task is called so.
+        """
         if self.own and name in ("", self.own.name):
             return self.own
         known = REFERENCE_TASKS.get(name, name)
         if known in built_in_names():
             return load_scenario(known)
-        for begin, family in NOT_BUILT.items():
-            if name.startswith(begin):
-                raise UsageError(f"task '{_short(name)}': {family} is not part of this version")
         raise UsageError(f"no task is called '{_short(name)}'{did_you_mean(name[:100], self.names)}")
 
 
@@ -95,7 +111,7 @@ def uploaded(text: str) -> Scenario:
         problems = list(_upload_problems(content))
         if problems:
             raise ScenarioError("scenario", problems)
-        return offboard(load_scenario(content))
+        return load_scenario(content)
     except RecursionError:
         raise UsageError("scenario: nested too deeply") from None
 
@@ -122,8 +138,11 @@ def _upload_problems(content: Any) -> Iterator[str]:
     parent = content.get("extends")
     if parent is not None and parent not in built_in_names():
         yield f"extends: expected the name of a built-in scenario, found {_short(str(parent))!r}"
-    for path in _files(content, ""):
-        yield f"{path}: a scenario that a client sends can name no files"
+    for path, key, value in _entries(content, ""):
+        if key == "file":
+            yield f"{path}: a scenario that a client sends can name no files"
+        if isinstance(value, int) and value > LARGEST.get(key, value):
+            yield f"{path}: {value}; allowed in a scenario that a client sends: up to {LARGEST[key]}"
     fleets = content.get("fleets")
     if not isinstance(fleets, Mapping):
         return
@@ -144,16 +163,13 @@ def _count(value: Any) -> int:
     return len(value) if isinstance(value, list | dict) else 0
 
 
-def _files(part: Any, path: str) -> Iterator[str]:
-    if isinstance(part, dict):
-        for key, value in part.items():
-            where = f"{path}.{key}" if path else str(key)
-            if key == "file":
-                yield where
-            yield from _files(value, where)
-    elif isinstance(part, list):
-        for i, value in enumerate(part):
-            yield from _files(value, f"{path}.{i}")
+def _entries(part: Any, path: str) -> Iterator[tuple[str, str, Any]]:
+    """Return path, key and value of everything that has a key."""
+    for key, value in part.items() if isinstance(part, dict) else enumerate(part) if isinstance(part, list) else ():
+        where = f"{path}.{key}" if path else str(key)
+        if isinstance(part, dict):
+            yield where, str(key), value
+        yield from _entries(value, where)
 
 
 def _short(name: str) -> str:

@@ -1,0 +1,133 @@
+"""The vectors of a STEP as the simulation takes them, in arrays that are made once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from qrsim.control import VelocitySetpoint, WaypointSetpoint
+from qrsim.core.vectors import Vec3
+from qrsim.errors import UsageError
+from qrsim.protocol.qrsim_pb2 import Arrayd, Message, Step
+
+Array = np.ndarray[Any, Any]
+# Tags and lengths of a vector and of the Arrayd in it.
+HEAD_SIZE = 4
+WIDTHS = {Step.WP: 4, Step.CTRL: 5, Step.VEL: 3}
+
+
+def rows_of(given: Sequence[Arrayd], widths: Sequence[int], what: str, names: Sequence[str]) -> list[list[float]]:
+    """Return the vectors of a message, one for each vehicle.
+
+    Args:
+        given: the vectors.
+        widths: how many numbers each may have, the same for all.
+        what: they are, for messages.
+        names: of the vehicles.
+
+    Raises:
+        UsageError: their number or lengths are wrong.
+    """
+    if len(given) != len(names):
+        raise UsageError(f"{what}: {len(given)} vectors; expected {len(names)}, one for each vehicle")
+    found = [list(row.value) for row in given]
+    width = len(found[0])
+    for i, row in enumerate(found):
+        if len(row) not in widths:
+            allowed = " or ".join(map(str, widths))
+            raise UsageError(f"{what} of vehicle {i} ('{names[i]}'): {len(row)} numbers; expected {allowed}")
+        if len(row) != width:
+            raise UsageError(f"{what}: vectors of {width} and of {len(row)} numbers; expected the same for all")
+    return found
+
+
+@dataclass(frozen=True)
+class _Known:
+    """The bytes of a STEP around its numbers, and what they mean.
+
+    Attributes:
+        begin: all that comes before the first number of a vector, the time among it.
+        ticks: that time in time steps.
+        numbers: (n, width) what the vectors go into.
+        command: that has these numbers.
+    """
+
+    begin: bytes
+    ticks: int
+    numbers: Array
+    command: Any
+
+
+class Commands:
+    """Makes commands of STEPs; one is valid until the next one of its kind is made.
+
+    A client sends many STEPs that differ in the numbers of their vectors alone. Those are not parsed again.
+
+    Args:
+        names: of the vehicles.
+        dtype: of the simulation's numbers.
+    """
+
+    def __init__(self, names: Sequence[str], dtype: np.dtype[Any]):
+        self._names = names
+        still: Any = np.zeros(len(names), dtype)
+        waypoint, velocity = (np.zeros((WIDTHS[kind], len(names)), dtype) for kind in (Step.WP, Step.VEL))
+        control = np.zeros((len(names), WIDTHS[Step.CTRL]), dtype)
+        self._made: dict[int, tuple[Array, Any]] = {
+            Step.WP: (waypoint.T, WaypointSetpoint(Vec3(*waypoint[:3]), waypoint[3])),
+            Step.VEL: (velocity.T, VelocitySetpoint(Vec3(*velocity), still)),
+            Step.CTRL: (control, control),
+        }
+        # By length, which those of each kind have their own of.
+        self._known: dict[int, _Known] = {}
+        self._last: bytes = b""
+
+    def of(self, request: Step) -> Any:
+        """Return the command of a STEP as ``Simulation.step`` takes it.
+
+        Raises:
+            UsageError: the number of vectors or of their entries is wrong.
+        """
+        numbers, command = self._made[request.type]
+        rows = rows_of(request.cmd, (WIDTHS[request.type],), "cmd", self._names)
+        # What is too large for the simulation's numbers becomes infinite, and is refused as such.
+        with np.errstate(over="ignore"):
+            numbers[...] = rows
+        return command
+
+    def learn(self, payload: bytes, request: Step, ticks: int) -> None:
+        """Know STEPs from now on that differ from this one in the numbers of their vectors alone.
+
+        Args:
+            payload: the message as it came.
+            request: what is in it, and right.
+            ticks: its time in time steps.
+        """
+        width = WIDTHS[request.type]
+        begin = payload[: len(payload) - len(self._names) * (HEAD_SIZE + 8 * width) + HEAD_SIZE]
+        # The second one of its kind is worth the effort, if it is written as protobuf itself writes it.
+        known = self._known.get(len(payload))
+        if begin == self._last and (known is None or known.begin != begin):
+            plain = Step(dt=request.dt, type=request.type, cmd=[Arrayd(value=row.value) for row in request.cmd])
+            if payload == Message(type=Message.STEP, step=plain).SerializeToString():
+                self._known[len(payload)] = _Known(begin, ticks, *self._made[request.type])
+        self._last = begin
+
+    def known(self, payload: bytes) -> tuple[Any, int] | None:
+        """Return the command and the ticks of a STEP, None where it has to be parsed."""
+        known = self._known.get(len(payload))
+        if known is None or not payload.startswith(known.begin):
+            return None
+        count, width = known.numbers.shape
+        first, stride = len(known.begin), HEAD_SIZE + 8 * width
+        if count > 1:
+            heads = np.ndarray((count, HEAD_SIZE), np.uint8, payload, first - HEAD_SIZE, (stride, 1))
+            if (heads != heads[0]).any():
+                return None
+        given = np.ndarray((count, width), "<f8", payload, first, (stride, 8))
+        with np.errstate(over="ignore"):
+            known.numbers[...] = given
+        return known.command, known.ticks

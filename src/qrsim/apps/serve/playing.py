@@ -1,0 +1,229 @@
+"""One client's episodes of a task; the methods are called one at a time, from whichever thread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from qrsim.apps.serve.commands import rows_of
+from qrsim.apps.serve.pacing import Pacer
+from qrsim.apps.serve.readout import Readout
+from qrsim.apps.serve.session import Wishes
+from qrsim.configuration import QUICK_TO_COMPILE, use_compilation_cache
+from qrsim.core.noise import Key
+from qrsim.core.pack import Buffers, Packer
+from qrsim.core.tree import cast
+from qrsim.errors import UsageError
+from qrsim.protocol import qrsim_pb2 as pb
+from qrsim.protocol.qrsim_pb2 import Act, Arrayd, Outcome
+from qrsim.tasks import Episode, Play, Step
+from qrsim.world import refuse_unplaced
+
+Array = np.ndarray[Any, Any]
+PRECISION = np.dtype(np.float32)
+# An action may be outside [-1, 1] by no more than rounding.
+ROUNDING = 1e-5
+
+
+class _Programs(NamedTuple):
+    """The compiled parts, which all sessions share; each is for a batch of one, as environments compute it by XLA."""
+
+    begin: Any
+    advance: Any
+    score: Any
+
+
+@cache
+def _programs() -> _Programs:
+    def begin(play: Play, keys: Any) -> Any:
+        episode, seen = jax.vmap(play.reset)(keys)
+        return episode, seen, jax.vmap(play.truth)(episode)
+
+    def advance(play: Play, episode: Episode, action: Any) -> Any:
+        after, step = jax.vmap(play.step)(episode, action)
+        return after, step, jax.vmap(play.truth)(after)
+
+    def score(play: Play, episode: Episode, answer: Any) -> Any:
+        alone = jax.tree.map(lambda leaf: leaf[0], episode)
+        return play.task.score(alone.memory, play.world, alone.state, answer)
+
+    return _Programs(
+        jax.jit(begin, compiler_options=QUICK_TO_COMPILE),
+        jax.jit(advance, compiler_options=QUICK_TO_COMPILE, donate_argnums=1),
+        jax.jit(score, compiler_options=QUICK_TO_COMPILE),
+    )
+
+
+class Playing:
+    """Episodes of a task. ``begin`` comes first, in the thread that may compile.
+
+    Attributes:
+        number: id of the session.
+        scenario: what is played.
+        thread: a thread of its own, for what takes long.
+        play: the task and its world.
+        pacer: of the present episode.
+        episode: () which one of its seed's series.
+    """
+
+    play: Play
+    pacer: Pacer
+
+    def __init__(self, number: int, wishes: Wishes):
+        self.number, self.scenario, self._wishes = number, wishes.scenario, wishes
+        self.thread = ThreadPoolExecutor(1, thread_name_prefix=f"session-{number}")
+        self.seed, self.episode, self._step = wishes.seed, 0, 0
+        self._running = False
+        self._layout: Packer | None = None
+        self._readout: Readout | None = None
+
+    @property
+    def vehicle_names(self) -> tuple[str, ...]:
+        """Name of each vehicle of the world, also of those that nobody commands."""
+        return tuple(name for fleet in self.play.world.fleets for name in fleet.vehicle_names)
+
+    @property
+    def size(self) -> int:
+        """Number of vehicles of the world."""
+        return len(self.vehicle_names)
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self._step * self.play.ticks * self.play.world.time_step
+
+    @property
+    def answer_shape(self) -> tuple[int, ...]:
+        """Shape of what an agent hands in with its last action; () where it hands nothing in."""
+        found: Any = getattr(self.play.task, "answer_shape", None)
+        return () if found is None else tuple(found(self.play.world))
+
+    def begin(self) -> None:
+        """Start the first episode.
+
+        Raises:
+            RunError: a fleet found no place.
+        """
+        use_compilation_cache()
+        task, world = self.scenario.task(PRECISION.name), self.scenario.world(PRECISION.name)
+        # Of every number one array, so that all scenarios of a structure share a program.
+        self.play = Play(cast(task, PRECISION), world, self.scenario.steps)
+        self._player = jax.device_put(self.play)
+        self.pacer = Pacer(self._wishes.realtime, 0.0)
+        self._start()
+
+    def restart(self, seed: int | None) -> None:
+        """Start the episode of another seed, or the next one of the same.
+
+        Raises:
+            RunError: a fleet found no place.
+        """
+        self.seed, self.episode = (self.seed, self.episode + 1) if seed is None else (seed, 0)
+        self._start()
+        self.pacer.restarted()
+
+    def _start(self) -> None:
+        keys = self.play.keys(Key.roots(np.array([self.seed]), np.array([self.episode])))
+        self._running = False
+        self._now, self._seen, self._truth = _programs().begin(self._player, keys)
+        refuse_unplaced(self.play.world, jax.tree.map(np.asarray, self._now.state.placed))
+        self._running, self._step = True, 0
+
+    def act(self, request: Act) -> Outcome:
+        """Advance by a step.
+
+        Raises:
+            UsageError: the episode has ended; or wrong actions or answers, and nothing has changed.
+        """
+        if not self._running:
+            raise UsageError("ACT: the episode has ended; PLAY starts the next one")
+        action = self._action(request.action)
+        last = self._step + 1 >= self.play.steps
+        answer = self._answer(request.answer) if request.answer or (last and self.answer_shape) else None
+        step: Step
+        self._now, step, self._truth = _programs().advance(self._player, self._now, action[None])
+        self._seen = step.observation
+        self._step += 1
+        reward = np.asarray(step.reward)[0].astype(np.float64)
+        terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
+        if truncated and answer is not None:
+            reward += np.asarray(_programs().score(self._player, self._now, answer))
+        self._running = not (terminated or truncated)
+        return Outcome(
+            step=self._step, t=self.time, observation=self.observation(), reward=reward.tolist(),
+            terminated=terminated, truncated=truncated, info=self.info(),
+        )  # fmt: skip
+
+    def _action(self, given: Sequence[Arrayd]) -> Array:
+        """Return the actions (n, A) of a request."""
+        axes, agents = self.play.task.axes, self.play.agents
+        with np.errstate(over="ignore"):
+            action = np.array(rows_of(given, (len(axes),), "action", agents), PRECISION)
+        wrong = ~(np.abs(action) <= 1.0 + ROUNDING)
+        if wrong.any():
+            row, axis = np.argwhere(wrong)[0]
+            said = f"{axes[axis].name} of '{agents[row]}' is {action[row, axis]:g}"
+            raise UsageError(f"action: {said}; allowed: -1 to 1")
+        return action
+
+    def _answer(self, given: Sequence[Act.Answer]) -> Array:
+        """Return what each of the n agents hands in, (n, ...)."""
+        shape, agents = self.answer_shape, self.play.agents
+        if not shape:
+            raise UsageError("answer: nothing is handed in in this task")
+        if len(given) != len(agents):
+            raise UsageError(f"answer: there are {len(given)}; expected {len(agents)}, one of each agent")
+        wanted = int(np.prod(shape))
+        for name, row in zip(agents, given, strict=True):
+            if len(row.value) != wanted:
+                raise UsageError(f"answer of '{name}': {len(row.value)} numbers; expected {wanted}, of shape {shape}")
+        answer = np.array([row.value for row in given], PRECISION)
+        if not np.isfinite(answer).all():
+            row, number = np.argwhere(~np.isfinite(answer))[0]
+            raise UsageError(f"answer of '{agents[row]}': number {number} is not finite")
+        return answer.reshape(len(agents), *shape)
+
+    # ---- what is told ----
+
+    def observation(self) -> list[pb.Values]:
+        """Return what the agents see."""
+        return _values(self._seen if isinstance(self._seen, dict) else {"": self._seen})
+
+    def info(self) -> list[pb.Values]:
+        """Return what is really the case."""
+        return _values(self._truth)
+
+    def state(self) -> bytes:
+        """Return the STATE of now with its length message, for those who watch."""
+        self._readout = self._readout or Readout(self)
+        return self._readout.frame()
+
+    @property
+    def packed(self) -> tuple[Packer, Buffers]:
+        """The state of the world in flat buffers, and their layout."""
+        state = jax.tree.map(lambda leaf: np.asarray(leaf)[0], self._now.state)
+        if self._layout is None:
+            self._layout = Packer(state)
+        return self._layout, self._layout.pack(state)
+
+    def summary(self) -> str:
+        """Return what came of it, for the operator."""
+        return f"{self._step} steps of episode {self.episode} of seed {self.seed}"
+
+    def end(self) -> None:
+        """End; nothing is to be called after it."""
+        self.thread.shutdown(wait=False)
+
+
+def _values(arrays: dict[str, Any]) -> list[pb.Values]:
+    """Return arrays (1, n, ...) as messages."""
+    found = []
+    for name, array in arrays.items():
+        numbers = np.asarray(array)[0]
+        found.append(pb.Values(name=name, shape=numbers.shape, value=numbers.ravel().tolist()))
+    return found

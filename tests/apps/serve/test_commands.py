@@ -1,0 +1,89 @@
+"""Commands of STEPs: what is known without being parsed is what parsing says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from wires import step
+
+from qrsim.apps.serve.commands import WIDTHS, Commands
+from qrsim.protocol import qrsim_pb2 as pb
+from qrsim.protocol.qrsim_pb2 import Message, Step
+
+CHANCE = np.random.default_rng(5)
+NUMBERS = [1e300, -1e-300, np.nan, -np.inf, -0.0, 0.1, 16777217.0]
+
+
+def commands(size: int) -> Commands:
+    return Commands([f"pelicans_{i}" for i in range(size)], np.dtype(np.float32))
+
+
+def request(kind: Step.Type, size: int, dt: float = 0.04) -> bytes:
+    """Return a STEP with numbers of all sizes."""
+    rows = CHANCE.choice([*NUMBERS, *CHANCE.normal(size=20)], (size, WIDTHS[kind]))
+    return step(kind, *rows.tolist(), dt=dt).SerializeToString()
+
+
+def learn(made: Commands, payload: bytes) -> None:
+    message = Message.FromString(payload)
+    made.of(message.step)
+    made.learn(payload, message.step, 2)
+
+
+def numbers(command: Any) -> list[np.ndarray]:
+    return [np.array(leaf) for leaf in jax.tree.leaves(command)]
+
+
+@pytest.mark.parametrize("size", [1, 2, 40])
+@pytest.mark.parametrize("kind", [Step.WP, Step.CTRL, Step.VEL])
+def test_a_known_step_has_the_numbers_of_a_parsed_one(kind, size):
+    made, parsed = commands(size), commands(size)
+    learn(made, request(kind, size))
+    assert made.known(request(kind, size)) is None, "one is not enough"
+    learn(made, request(kind, size))
+    for _ in range(20):
+        payload = request(kind, size)
+        found = made.known(payload)
+        assert found is not None
+        assert found[1] == 2
+        expected = parsed.of(Message.FromString(payload).step)
+        assert type(found[0]) is type(expected)
+        for mine, theirs in zip(numbers(found[0]), numbers(expected), strict=True):
+            np.testing.assert_array_equal(mine.view(np.int32), theirs.view(np.int32))
+
+
+def test_what_is_not_the_same_but_for_its_numbers_is_parsed():
+    made = commands(2)
+    for _ in range(2):
+        learn(made, request(Step.WP, 2))
+    payload = request(Step.WP, 2)
+    assert made.known(payload) is not None
+    assert made.known(request(Step.WP, 2, dt=0.02)) is None
+    assert made.known(payload[:-1]) is None
+    assert made.known(request(Step.VEL, 2)) is None
+    # Every byte that is not part of a number.
+    first = payload.index(bytes([0x1A, 34, 0x0A, 32]))
+    for at in [*range(first + 4), *range(first + 36, first + 40)]:
+        changed = bytearray(payload)
+        changed[at] ^= 1
+        assert made.known(bytes(changed)) is None, at
+
+
+def test_a_step_that_is_written_in_another_way_is_always_parsed():
+    plain = step(Step.VEL, [1.0, 2.0, 3.0]).SerializeToString()
+    body = plain[4:]
+    others = [
+        plain[2:] + plain[:2],  # the kind of message comes last
+        b"\x08\x05\x32" + bytes([len(body)]) + body[9:11] + body[:9] + body[11:],  # the kind of step before the time
+        plain[:3] + bytes([len(body) + 2]) + body + b"\x78\x01",  # with a field that nobody knows
+        Message(type=Message.STEP, step=Message.FromString(plain).step, ack=pb.Ack(error=False)).SerializeToString(),
+    ]
+    for payload in others:
+        made = commands(1)
+        assert list(Message.FromString(payload).step.cmd[0].value) == [1.0, 2.0, 3.0]
+        for _ in range(3):
+            learn(made, payload)
+        assert made.known(payload) is None
