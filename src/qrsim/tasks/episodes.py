@@ -50,6 +50,19 @@ def episodes(play: Play, size: int, dtype: np.dtype[Any]) -> NativeEpisodes | Xl
     return XlaEpisodes(play, size)
 
 
+@lru_cache
+def _scored() -> Any:
+    def score(play: Play, episode: Episode, answer: Any) -> Any:
+        return play.task.score(episode.memory, play.world, episode.state, answer)
+
+    return jax.jit(score, compiler_options=QUICK_TO_COMPILE)
+
+
+def score(play: Play, episode: Episode, answer: Array) -> Array:
+    """Return the score (n,) of what the agents of an episode hand in, (n, ...)."""
+    return np.asarray(_scored()(play, episode, answer))
+
+
 class NativeEpisodes:
     """B episodes, a few side by side in the lanes of vectors.
 

@@ -31,12 +31,6 @@ def client(serving: Running):
         yield found
 
 
-@pytest.fixture
-def _by_xla(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let environments of this process be computed as a server computes episodes."""
-    monkeypatch.setattr("qrsim.apps.envs.episodes.uses_llvm", lambda: False)
-
-
 def same(told: Any, expected: Any) -> None:
     """Compare what is told of the agents, arrays (n, ...), with that of an environment of one agent."""
     if isinstance(expected, dict):
@@ -47,7 +41,6 @@ def same(told: Any, expected: Any) -> None:
         np.testing.assert_array_equal(told, np.asarray(expected)[None])
 
 
-@pytest.mark.usefixtures("_by_xla")
 def test_an_episode_is_that_of_the_environment_bit_for_bit(client):
     environment = SingleTask(yaml.safe_load(SHORT))
     chance = np.random.default_rng(4)
@@ -72,7 +65,6 @@ def test_an_episode_is_that_of_the_environment_bit_for_bit(client):
             client.act([HOVER])
 
 
-@pytest.mark.usefixtures("_by_xla")
 def test_several_agents_see_by_name_and_hand_in_answers(client):
     environment = ParallelTask(yaml.safe_load(PLUMES))
     episode = client.play(scenario=PLUMES, seed=3)

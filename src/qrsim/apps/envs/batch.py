@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,25 +10,15 @@ import jax
 import numpy as np
 
 from qrsim.apps.envs.functional import Functional
-from qrsim.configuration import QUICK_TO_COMPILE, use_compilation_cache
+from qrsim.configuration import use_compilation_cache
 from qrsim.errors import UsageError
-from qrsim.tasks import Episode, Play
-from qrsim.tasks.episodes import episodes
+from qrsim.tasks.episodes import episodes, score
 from qrsim.world import refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]
 # An action may be outside [-1, 1] by no more than rounding.
 ROUNDING = 1e-5
 LARGEST_SEED = 2**63
-
-
-def _score(play: Play, episode: Episode, answer: Any) -> Any:
-    return play.task.score(episode.memory, play.world, episode.state, answer)
-
-
-@lru_cache
-def _scored() -> Any:
-    return jax.jit(_score, compiler_options=QUICK_TO_COMPILE)
 
 
 class Batch:
@@ -148,7 +137,7 @@ class Batch:
         if not np.isfinite(array).all():
             raise UsageError(f"samples: number {np.argwhere(~np.isfinite(array))[0][1]} is not finite")
         with self._precision():
-            return np.asarray(_scored()(self.functional.play, self.episodes.episode(row), array))
+            return score(self.functional.play, self.episodes.episode(row), array)
 
 
 def _empty(tree: Any, size: int) -> Any:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -14,49 +13,21 @@ from qrsim.apps.serve.commands import rows_of
 from qrsim.apps.serve.pacing import Pacer
 from qrsim.apps.serve.readout import Readout
 from qrsim.apps.serve.session import Wishes
-from qrsim.configuration import QUICK_TO_COMPILE, use_compilation_cache
+from qrsim.configuration import use_compilation_cache
 from qrsim.core.noise import Key
 from qrsim.core.pack import Buffers, Packer
 from qrsim.core.tree import cast
 from qrsim.errors import UsageError
 from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.qrsim_pb2 import Act, Arrayd, Outcome
-from qrsim.tasks import Episode, Play, Step
+from qrsim.tasks import Play
+from qrsim.tasks.episodes import episodes, score
 from qrsim.world import refuse_unplaced
 
 Array = np.ndarray[Any, Any]
 PRECISION = np.dtype(np.float32)
 # An action may be outside [-1, 1] by no more than rounding.
 ROUNDING = 1e-5
-
-
-class _Programs(NamedTuple):
-    """The compiled parts, which all sessions share; each is for a batch of one, as environments compute it by XLA."""
-
-    begin: Any
-    advance: Any
-    score: Any
-
-
-@cache
-def _programs() -> _Programs:
-    def begin(play: Play, keys: Any) -> Any:
-        episode, seen = jax.vmap(play.reset)(keys)
-        return episode, seen, jax.vmap(play.truth)(episode)
-
-    def advance(play: Play, episode: Episode, action: Any) -> Any:
-        after, step = jax.vmap(play.step)(episode, action)
-        return after, step, jax.vmap(play.truth)(after)
-
-    def score(play: Play, episode: Episode, answer: Any) -> Any:
-        alone = jax.tree.map(lambda leaf: leaf[0], episode)
-        return play.task.score(alone.memory, play.world, alone.state, answer)
-
-    return _Programs(
-        jax.jit(begin, compiler_options=QUICK_TO_COMPILE),
-        jax.jit(advance, compiler_options=QUICK_TO_COMPILE, donate_argnums=1),
-        jax.jit(score, compiler_options=QUICK_TO_COMPILE),
-    )
 
 
 class Playing:
@@ -113,7 +84,8 @@ class Playing:
         task, world = self.scenario.task(PRECISION.name), self.scenario.world(PRECISION.name)
         # Of every number one array, so that all scenarios of a structure share a program.
         self.play = Play(cast(task, PRECISION), world, self.scenario.steps)
-        self._player = jax.device_put(self.play)
+        # Alone, as an environment computes it, so that it is the same episode to the bit.
+        self._episodes = episodes(self.play, 1, PRECISION)
         self.pacer = Pacer(self._wishes.realtime, 0.0)
         self._start()
 
@@ -130,8 +102,9 @@ class Playing:
     def _start(self) -> None:
         keys = self.play.keys(Key.roots(np.array([self.seed]), np.array([self.episode])))
         self._running = False
-        self._now, self._seen, self._truth = _programs().begin(self._player, keys)
-        refuse_unplaced(self.play.world, jax.tree.map(np.asarray, self._now.state.placed))
+        begun = self._episodes.start(np.zeros(1, int), keys)
+        self._seen, self._truth = begun.seen, begun.truth
+        refuse_unplaced(self.play.world, begun.placed)
         self._running, self._step = True, 0
 
     def act(self, request: Act) -> Outcome:
@@ -145,14 +118,13 @@ class Playing:
         action = self._action(request.action)
         last = self._step + 1 >= self.play.steps
         answer = self._answer(request.answer) if request.answer or (last and self.answer_shape) else None
-        step: Step
-        self._now, step, self._truth = _programs().advance(self._player, self._now, action[None])
+        step, self._truth = self._episodes.step(action[None])
         self._seen = step.observation
         self._step += 1
         reward = np.asarray(step.reward)[0].astype(np.float64)
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         if truncated and answer is not None:
-            reward += np.asarray(_programs().score(self._player, self._now, answer))
+            reward += score(self.play, self._episodes.episode(0), answer)
         self._running = not (terminated or truncated)
         return Outcome(
             step=self._step, t=self.time, observation=self.observation(), reward=reward.tolist(),
@@ -206,7 +178,7 @@ class Playing:
     @property
     def packed(self) -> tuple[Packer, Buffers]:
         """The state of the world in flat buffers, and their layout."""
-        state = jax.tree.map(lambda leaf: np.asarray(leaf)[0], self._now.state)
+        state = jax.tree.map(np.asarray, self._episodes.episode(0).state)
         if self._layout is None:
             self._layout = Packer(state)
         return self._layout, self._layout.pack(state)
