@@ -31,6 +31,7 @@ from qrsim.models.contents import Surroundings
 from qrsim.models.gnss import SkyState
 from qrsim.models.orbits import split_time
 from qrsim.models.vehicles.quadrotor import Command, clip_command
+from qrsim.sensing import estimate_of, faulted, measured_quantities, scene_of, sense
 from qrsim.world_tree import (
     PLUME,
     PROCESS,
@@ -140,7 +141,7 @@ def step(
     contents = step_contents(world, state, checked, due, after)
     view = surroundings(world, contents, after)
     sensed = tuple(
-        _sense(world, fleet, fleet_state, sky, view, drawn, due, after)
+        sense(world, fleet, fleet_state, sky, view, drawn, due, after)
         for fleet, fleet_state, drawn in zip(world.fleets, checked, noise, strict=True)
     )
     return replace(state, sky=sky, fleets=sensed, contents=contents)
@@ -180,7 +181,7 @@ def _fly(
     if isinstance(action, Command):
         wanted = action
     else:
-        fed = _estimate(fleet, state) if believed is None else believed
+        fed = estimate_of(fleet, state) if believed is None else believed
         estimate = jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(new), new, old), fed, estimate)
         asked = action
         if asked is None:
@@ -211,7 +212,7 @@ def _others(world: World, before: tuple[FleetState, ...], fleet: Fleet) -> dict[
     for other, state in zip(world.fleets, before, strict=True):
         if other.name != fleet.name:
             flies = state.violation.code == 0
-            position = _estimate(other, state).position_ned
+            position = estimate_of(other, state).position_ned
             positions.append(position.map(lambda axis: jnp.where(flies, axis, jnp.nan)))  # noqa: B023
     if not positions:
         return {}
@@ -283,44 +284,6 @@ def _hits_obstacle(world: World, position_ned: Vec3) -> tuple[int, Array, Array]
     return reason_code("collision", "obstacle"), number, hit
 
 
-def _sense(
-    world: World,
-    fleet: Fleet,
-    state: FleetState,
-    sky: SkyState,
-    view: Surroundings,
-    noise: dict[str, Any],
-    due: Array,
-    after: Array,
-) -> FleetState:
-    """Step the sensors that are due; the readings of invalid vehicles are NaN."""
-    scene = _scene(state, sky, view)
-    valid = state.violation.code == 0
-    states, delivered, undisturbed = [], [], []
-    passed_on = state.passed_on
-    for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
-        faulty = any(fault.sensor == name for fault in fleet.faults)
-        held = state.true_readings[i] if faulty else state.readings[i]
-        inputs = {item: scene[item] for item in sensor.reads}
-
-        def fresh(sensor: Any = sensor, memory: Any = state.sensors[i], name: str = name, inputs: Any = inputs) -> Any:
-            return sensor.step(memory, noise[name], **inputs)
-
-        ticks = period_ticks(sensor.period, world.time_step)
-        memory, reading = when_due(ticks, due, fresh, (state.sensors[i], held))
-        states.append(memory)
-        undisturbed.append(reading if faulty else None)
-        reading, passed_on = _faulted(fleet, name, reading, passed_on, after)
-        delivered.append(jax.tree.map(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
-    return replace(
-        state,
-        sensors=tuple(states),
-        readings=tuple(delivered),
-        true_readings=tuple(undisturbed),
-        passed_on=passed_on,
-    )
-
-
 def _start(world: World, fleet: Fleet, start: Start, keys: StreamKeys, sky: SkyState, view: Surroundings) -> FleetState:
     vehicle = fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
     like = vehicle.thrust
@@ -367,7 +330,7 @@ def _start(world: World, fleet: Fleet, start: Start, keys: StreamKeys, sky: SkyS
         true_readings=(),
         passed_on=(),
     )
-    scene = _scene(state, sky, view)
+    scene = scene_of(state, sky, view)
     firsts = [
         sensor.init(draws[name], **{item: scene[item] for item in sensor.reads})
         for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True)
@@ -377,7 +340,7 @@ def _start(world: World, fleet: Fleet, start: Start, keys: StreamKeys, sky: SkyS
     passed_on: tuple[Any, ...] = (None,) * len(fleet.faults)
     delivered = []
     for name, reading in readings.items():
-        first, passed_on = _faulted(fleet, name, reading, passed_on, jnp.int32(0))
+        first, passed_on = faulted(fleet, name, reading, passed_on, jnp.int32(0))
         delivered.append(first)
     return replace(
         state,
@@ -386,59 +349,6 @@ def _start(world: World, fleet: Fleet, start: Start, keys: StreamKeys, sky: SkyS
         true_readings=tuple(reading if name in faulty else None for name, reading in readings.items()),
         passed_on=passed_on,
     )
-
-
-def _faulted(
-    fleet: Fleet, name: str, reading: Any, passed_on: tuple[Any, ...], tick: Array
-) -> tuple[Any, tuple[Any, ...]]:
-    """Return the reading of a sensor as delivered, each fault having its turn, and what all faults passed on last."""
-    memories = list(passed_on)
-    for i, fault in enumerate(fleet.faults):
-        if fault.sensor == name:
-            # At the start nothing was passed on before: what is frozen then is the first reading.
-            reading = fault.apply(reading, reading if memories[i] is None else memories[i], tick)
-            memories[i] = reading if fault.remembers else None
-    return reading, tuple(memories)
-
-
-def _scene(state: FleetState, sky: SkyState, view: Surroundings | None = None) -> dict[str, Any]:
-    """Everything a sensor may declare in ``reads``."""
-    vehicle = state.vehicle
-    return {
-        "position_ned": vehicle.position_ned,
-        "velocity_ned": rotation(vehicle.attitude).to_ned(vehicle.velocity_body),
-        "attitude": vehicle.attitude,
-        "velocity_body": vehicle.velocity_body,
-        "rates_body": vehicle.rates_body,
-        "specific_force": state.specific_force,
-        "wind_ned": state.mean_wind_ned + state.gust_ned,
-        "sky": sky,
-        "surroundings": view,
-    }
-
-
-def _estimate(fleet: Fleet, state: FleetState) -> Estimate:
-    """Return what the controller is fed with: the truth, or horizontal GNSS, the barometer and the attitude."""
-    truth = state.vehicle
-    if fleet.controller.feed == "truth":
-        velocity = rotation(truth.attitude).to_ned(truth.velocity_body)
-        return Estimate(truth.position_ned, velocity, truth.attitude)
-    measured = measured_quantities(state.readings)
-    position, velocity = measured["position_ned"], measured["velocity_ned"]
-    return Estimate(
-        Vec3(position.x, position.y, -measured["height"]),
-        Vec3(velocity.x, velocity.y, -measured["height_rate"]),
-        measured["attitude"],
-    )
-
-
-def measured_quantities(readings: tuple[Any, ...]) -> dict[str, Any]:
-    """Merge the fields of all readings by name; of two sensors with the same field the first counts."""
-    merged: dict[str, Any] = {}
-    for reading in readings:
-        for name in reading.__dataclass_fields__:
-            merged.setdefault(name, getattr(reading, name))
-    return merged
 
 
 def _stream_keys(fleet: Fleet, key: Key, suffix: str = "") -> StreamKeys:

@@ -39,7 +39,8 @@ from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.quadrotor import Command
 from qrsim.models.wind import LogShear
 from qrsim.scenarios import catalogue
-from qrsim.world import Start, _scene
+from qrsim.sensing import scene_of
+from qrsim.world import Start
 
 DT = 0.02
 # Spread and middle of waypoints along north, east and down [m].
@@ -304,7 +305,7 @@ def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
     )
     command = Command(axis(0.3), axis(0.3), axis(0.1, offset=0.6, first=0.59), axis(0.5), axis(0.5, 11.0, 11.0))
     view = surroundings(world, dtype)
-    scene = jax.tree.map(np.asarray, _scene(state, sky, view))  # type: ignore[arg-type]
+    scene = jax.tree.map(np.asarray, scene_of(state, sky, view))  # type: ignore[arg-type]
     moved = jax.tree.map(lambda leaf: leaf + dtype(3.0), scene["position_ned"])
     return {
         "scene": scene,

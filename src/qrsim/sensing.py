@@ -1,0 +1,107 @@
+"""The sensors' part of a tick: what they see, which of them are due, and what a controller makes of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control import Estimate
+from qrsim.core.tree import replace
+from qrsim.core.vectors import Vec3, rotation
+from qrsim.models.contents import Surroundings
+from qrsim.models.gnss import SkyState
+from qrsim.world_tree import Fleet, FleetState, World, period_ticks, when_due
+
+
+def sense(
+    world: World,
+    fleet: Fleet,
+    state: FleetState,
+    sky: SkyState,
+    view: Surroundings,
+    noise: dict[str, Any],
+    due: Array,
+    after: Array,
+) -> FleetState:
+    """Step the sensors that are due; the readings of invalid vehicles are NaN."""
+    scene = scene_of(state, sky, view)
+    valid = state.violation.code == 0
+    states, delivered, undisturbed = [], [], []
+    passed_on = state.passed_on
+    for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
+        faulty = any(fault.sensor == name for fault in fleet.faults)
+        held = state.true_readings[i] if faulty else state.readings[i]
+        inputs = {item: scene[item] for item in sensor.reads}
+
+        def fresh(sensor: Any = sensor, memory: Any = state.sensors[i], name: str = name, inputs: Any = inputs) -> Any:
+            return sensor.step(memory, noise[name], **inputs)
+
+        ticks = period_ticks(sensor.period, world.time_step)
+        memory, reading = when_due(ticks, due, fresh, (state.sensors[i], held))
+        states.append(memory)
+        undisturbed.append(reading if faulty else None)
+        reading, passed_on = faulted(fleet, name, reading, passed_on, after)
+        delivered.append(jax.tree.map(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
+    return replace(
+        state,
+        sensors=tuple(states),
+        readings=tuple(delivered),
+        true_readings=tuple(undisturbed),
+        passed_on=passed_on,
+    )
+
+
+def faulted(
+    fleet: Fleet, name: str, reading: Any, passed_on: tuple[Any, ...], tick: Array
+) -> tuple[Any, tuple[Any, ...]]:
+    """Return the reading of a sensor as delivered, each fault having its turn, and what all faults passed on last."""
+    memories = list(passed_on)
+    for i, fault in enumerate(fleet.faults):
+        if fault.sensor == name:
+            # At the start nothing was passed on before: what is frozen then is the first reading.
+            reading = fault.apply(reading, reading if memories[i] is None else memories[i], tick)
+            memories[i] = reading if fault.remembers else None
+    return reading, tuple(memories)
+
+
+def scene_of(state: FleetState, sky: SkyState, view: Surroundings | None = None) -> dict[str, Any]:
+    """Everything a sensor may declare in ``reads``."""
+    vehicle = state.vehicle
+    return {
+        "position_ned": vehicle.position_ned,
+        "velocity_ned": rotation(vehicle.attitude).to_ned(vehicle.velocity_body),
+        "attitude": vehicle.attitude,
+        "velocity_body": vehicle.velocity_body,
+        "rates_body": vehicle.rates_body,
+        "specific_force": state.specific_force,
+        "wind_ned": state.mean_wind_ned + state.gust_ned,
+        "sky": sky,
+        "surroundings": view,
+    }
+
+
+def estimate_of(fleet: Fleet, state: FleetState) -> Estimate:
+    """Return what the controller is fed with: the truth, or horizontal GNSS, the barometer and the attitude."""
+    truth = state.vehicle
+    if fleet.controller.feed == "truth":
+        velocity = rotation(truth.attitude).to_ned(truth.velocity_body)
+        return Estimate(truth.position_ned, velocity, truth.attitude)
+    measured = measured_quantities(state.readings)
+    position, velocity = measured["position_ned"], measured["velocity_ned"]
+    return Estimate(
+        Vec3(position.x, position.y, -measured["height"]),
+        Vec3(velocity.x, velocity.y, -measured["height_rate"]),
+        measured["attitude"],
+    )
+
+
+def measured_quantities(readings: tuple[Any, ...]) -> dict[str, Any]:
+    """Merge the fields of all readings by name; of two sensors with the same field the first counts."""
+    merged: dict[str, Any] = {}
+    for reading in readings:
+        for name in reading.__dataclass_fields__:
+            merged.setdefault(name, getattr(reading, name))
+    return merged
