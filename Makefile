@@ -4,7 +4,7 @@ PYTHON ?= python3
 ARGS ?=
 BIN := .venv/bin
 STAMP := .venv/.installed
-CODE := src tests $(wildcard benchmarks) $(wildcard evidence)
+CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard examples/*.py)
 
 .DEFAULT_GOAL := help
 .PHONY: install run test lint bench evidence pictures proto clean help
@@ -55,8 +55,9 @@ bench: $(STAMP)  ## run every benchmarks/*.py
 evidence: $(STAMP)  ## run every study of evidence/, or those named: make evidence turbulence
 	@$(BIN)/python -m evidence $(NAMES)
 
-pictures: $(STAMP)  ## write docs/images/view_*.png: the page of each family of scenarios (needs chromium)
+pictures: $(STAMP)  ## write docs/images/view_*.png (needs chromium) and task_*.png: the page and a plan of each family of scenarios
 	@$(BIN)/python -m evidence.pictures
+	@$(BIN)/python -m evidence.task_pictures
 
 proto: $(STAMP)  ## generate the Python of src/qrsim/protocol/qrsim.proto anew
 	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/protocol/qrsim.proto

@@ -24,7 +24,7 @@ from qrsim.apps.slam.study import Study
 DOC = "errors of range-only SLAM under white and coloured GNSS noise, with paired tests; time and memory"
 SEED = 20140918
 # Seeds, seconds of each flight, states per second; the small form solves for poses only.
-FULL, SMALL = (50, 120.0, 5), (10, 30.0, 5)
+FULL, SMALL = (50, 120.0, 5), (8, 30.0, 5)
 # Seeds of the sweep over correlation times.
 SWEPT = 25
 # Flights whose time and memory are measured [s].

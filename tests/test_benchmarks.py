@@ -22,6 +22,14 @@ MACHINE = {"cpu", "cores", "load_average", "os", "python", "jax", "jaxlib", "qrs
 # The keys of a row that are numbers above zero.
 NUMBERS = {
     "bound": {"vehicles", "threads", "per_wall_second", "per_cpu_second", "flying", "of_bound_wall", "of_bound_cpu"},
+    "envs": {
+        "num_envs",
+        "per_wall_second",
+        "per_cpu_second",
+        "simulated_per_wall_second",
+        "first_step_seconds",
+        "steps",
+    },
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
     "peers": {"vehicles", "processes"},
     "serve": {"count", "median_us", "p95_us", "per_second", "target"},
@@ -86,6 +94,14 @@ def test_serve():
 def test_latency():
     [row] = rows("latency")
     assert row["median_us"] <= row["p95_us"] <= row["p99_us"]
+
+
+def test_envs():
+    keep_spot, cart_pole = rows("envs")
+    assert (keep_spot["environment"], cart_pole["environment"]) == ("keep_spot", "CartPole")
+    assert keep_spot["num_envs"] == cart_pole["num_envs"] == 2
+    for row in (keep_spot, cart_pole):  # both at steps of 0.02 s
+        assert row["simulated_per_wall_second"] == pytest.approx(0.02 * row["per_wall_second"], abs=0.1)
 
 
 def without_a_compiler() -> bool:

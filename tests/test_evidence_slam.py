@@ -18,7 +18,7 @@ def small() -> dict[str, Any]:
 
 
 def test_fixes_are_alike_in_size_and_differ_in_colour(small: dict[str, Any]) -> None:
-    """Wider bounds than those of the full study, for a fifth of its flights and half their length."""
+    """Wider bounds than those of the full study, for a sixth of its flights and of their length."""
     white, coloured = (small["gnss"]["fixes"][noise] for noise in ("white", "coloured"))
     assert white["rms_m"] == pytest.approx(coloured["rms_m"], rel=0.1)
     assert white["allan"]["slope"] == pytest.approx(-0.5, abs=0.12)
@@ -26,7 +26,7 @@ def test_fixes_are_alike_in_size_and_differ_in_colour(small: dict[str, Any]) -> 
 
 
 def test_with_gnss_factors_coloured_errors_are_larger(small: dict[str, Any]) -> None:
-    """Every pair: Wilcoxon's two-sided p of ten pairs is then 0.002."""
+    """Every pair: Wilcoxon's two-sided p of eight pairs is then 0.008."""
     found = small["gnss"]["paired"]["plain"]["trajectory_m"]
     assert found["mean"] > 0.0
     assert found["p"] < 0.01

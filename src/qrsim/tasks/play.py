@@ -150,7 +150,8 @@ class Play:
         # Where all are due together, the number is that of every world and slow sensors are really skipped.
         when = (number, commands, None, begun) if self.in_step else (begun + number, commands, None, None)
         state = ticks_of.step(self.world, state, *when)
-        return state, self.task.each_tick(memory, self.world, state)
+        each_tick = getattr(self.task, "each_tick", lambda memory, world, state: memory)
+        return state, each_tick(memory, self.world, state)
 
     def _judged(self, episode: Episode) -> tuple[Episode, Step]:
         """Return an episode with one more step done, and what that brings."""

@@ -89,10 +89,6 @@ class PlumeMapping:
         """Return velocities of numbers (n, 3), heading north."""
         return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), jnp.zeros_like(action[:, 0])))
 
-    def each_tick(self, memory: PlumeMemory, world: World, state: State) -> PlumeMemory:
-        """Remember nothing."""
-        return memory
-
     def judge(
         self, memory: PlumeMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[PlumeMemory, Array]:

@@ -50,10 +50,6 @@ class Pursuit:
         zero = jnp.zeros_like(action[:, 0])
         return only(world, self.fleet, VelocityHeightSetpoint(action[:, 0], action[:, 1], memory.height, zero))
 
-    def each_tick(self, memory: PursuitMemory, world: World, state: State) -> PursuitMemory:
-        """Remember nothing."""
-        return memory
-
     def judge(
         self, memory: PursuitMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[PursuitMemory, Array]:

@@ -60,10 +60,6 @@ class Search:
         """Return velocities of numbers (n, 3), at the heading of the start."""
         return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), memory.yaw))
 
-    def each_tick(self, memory: SearchMemory, world: World, state: State) -> SearchMemory:
-        """Remember nothing."""
-        return memory
-
     def judge(
         self, memory: SearchMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[SearchMemory, Array]:

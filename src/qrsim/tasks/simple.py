@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -13,7 +13,7 @@ from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3, rotation
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
 from qrsim.tasks.agents import BELIEVED, Axis, action_period, believed, estimate_of, fleet_of, only, penalty, square
-from qrsim.world_tree import Action, FleetState, State, World
+from qrsim.world_tree import Action, State, World
 
 _UNITS = {"pitch": "rad", "roll": "rad", "throttle": "1", "yaw_rate": "rad/s", "battery": "V"}
 AXES = tuple(Axis(name, _UNITS[name], *COMMAND_LIMITS[name]) for name in COMMAND_FIELDS)
@@ -52,39 +52,39 @@ class SimpleMemory:
     effort: Array = quantity(doc="integral of what the commands of this step cost")
 
 
-def _effort() -> Any:
-    return quantity(default=Effort(), doc="what commands cost")
-
-
-def _fleet() -> Any:
-    return setting(default="pelicans", doc="name of the fleet whose vehicles are the agents")
-
-
 @record
-class KeepSpot:
-    """Stay at the start, with little effort; the costs of several vehicles are summed."""
+class Commanded:
+    """What the simple tasks share: they are flown by SI commands, which cost."""
 
-    effort: Effort = _effort()
+    effort: Effort = quantity(default=Effort(), doc="what commands cost")
     penalty: Array = penalty()
-    fleet: str = _fleet()
+    fleet: str = setting(default="pelicans", doc="name of the fleet whose vehicles are the agents")
     period: float = action_period(0.02)
 
     axes: ClassVar[tuple[Axis, ...]] = AXES
     asks_for: ClassVar[type | None] = None
     ids: ClassVar[int] = 0
-    sees: ClassVar[tuple[Axis, ...]] = (*BELIEVED, *(Axis(f"to_{name}", "m") for name in ("north", "east", "down")))
 
     def init(self, world: World, state: State, draw: Draw) -> SimpleMemory:
         """Return what is remembered at the start."""
-        return _begin(world, state, self.fleet)
+        _, fleet = fleet_of(world, state, self.fleet)
+        return SimpleMemory(fleet.vehicle.position_ned, jnp.zeros_like(fleet.vehicle.thrust))
 
     def commands(self, memory: SimpleMemory, world: World, action: Array) -> tuple[Action, ...]:
         """Return commands of numbers (n, 5)."""
-        return _flown(world, self.fleet, action)
+        return only(world, self.fleet, Command(*(action[:, i] for i in range(len(COMMAND_FIELDS)))))
 
     def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:
         """Add what the command costs during a tick."""
-        return _with_effort(memory, self, world, state)
+        _, fleet = fleet_of(world, state, self.fleet)
+        return SimpleMemory(memory.start_ned, memory.effort + self.effort.rate(fleet.command) * world.time_step)
+
+
+@record
+class KeepSpot(Commanded):
+    """Stay at the start, with little effort; the costs of several vehicles are summed."""
+
+    sees: ClassVar[tuple[Axis, ...]] = (*BELIEVED, *(Axis(f"to_{name}", "m") for name in ("north", "east", "down")))
 
     def judge(
         self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
@@ -116,40 +116,24 @@ class ReachWaypoint(KeepSpot):
 
 
 @record
-class KeepVelocity:
+class KeepVelocity(Commanded):
     """Fly at one velocity, with little effort."""
 
     velocity_north: Array = parameter(default=0.0, unit="m/s", doc="wanted velocity over ground, north")
     velocity_east: Array = parameter(default=0.0, unit="m/s", doc="wanted velocity over ground, east")
     velocity_down: Array = parameter(default=0.0, unit="m/s", doc="wanted velocity over ground, down")
-    effort: Effort = _effort()
-    penalty: Array = penalty()
-    fleet: str = _fleet()
-    period: float = action_period(0.02)
 
-    axes: ClassVar[tuple[Axis, ...]] = AXES
-    asks_for: ClassVar[type | None] = None
-    ids: ClassVar[int] = 0
     sees: ClassVar[tuple[Axis, ...]] = (
         *BELIEVED,
         *(Axis(f"wanting_{name}", "m/s") for name in ("north", "east", "down")),
     )
 
-    def init(self, world: World, state: State, draw: Draw) -> SimpleMemory:
-        """Return what is remembered at the start."""
-        return _begin(world, state, self.fleet)
-
-    def commands(self, memory: SimpleMemory, world: World, action: Array) -> tuple[Action, ...]:
-        """Return commands of numbers (n, 5)."""
-        return _flown(world, self.fleet, action)
-
     def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:
         """Add what the command and the error of the velocity cost during a tick."""
         _, fleet = fleet_of(world, state, self.fleet)
-        vehicle = fleet.vehicle
-        error = rotation(vehicle.attitude).to_ned(vehicle.velocity_body) - self._wanted()
-        memory = _with_effort(memory, self, world, state)
-        return SimpleMemory(memory.start_ned, memory.effort + square(error) * world.time_step)
+        error = rotation(fleet.vehicle.attitude).to_ned(fleet.vehicle.velocity_body) - self._wanted()
+        rate = self.effort.rate(fleet.command) + square(error)
+        return SimpleMemory(memory.start_ned, memory.effort + rate * world.time_step)
 
     def judge(
         self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
@@ -165,20 +149,6 @@ class KeepVelocity:
 
     def _wanted(self) -> Vec3:
         return Vec3(self.velocity_north, self.velocity_east, self.velocity_down)
-
-
-def _begin(world: World, state: State, name: str) -> SimpleMemory:
-    _, fleet = fleet_of(world, state, name)
-    return SimpleMemory(fleet.vehicle.position_ned, jnp.zeros_like(fleet.vehicle.thrust))
-
-
-def _flown(world: World, name: str, action: Array) -> tuple[Action, ...]:
-    return only(world, name, Command(*(action[:, i] for i in range(len(COMMAND_FIELDS)))))
-
-
-def _with_effort(memory: SimpleMemory, task: Any, world: World, state: State) -> SimpleMemory:
-    fleet: FleetState = fleet_of(world, state, task.fleet)[1]
-    return SimpleMemory(memory.start_ned, memory.effort + task.effort.rate(fleet.command) * world.time_step)
 
 
 def _paid(memory: SimpleMemory) -> SimpleMemory:

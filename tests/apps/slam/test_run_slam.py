@@ -138,9 +138,56 @@ def test_the_command_solves_a_run(run: Path, tmp_path: Path, capsys: pytest.Capt
         (["--vehicle", "a"], "--vehicle: only with --run"),
         (["--run", "nowhere"], "no run at nowhere"),
         (["--run", "nowhere", "--sweep"], "--sweep: not with --run"),
+        (["--run", "nowhere", "--seeds", "3"], "--seeds: not with --run, whose flight is what it is"),
+        (["--run", "nowhere", "--noise", "white"], "--noise: not with --run"),
+        (["--run", "nowhere", "--duration", "3"], "--duration: not with --run"),
+        (["--duration", "20.01"], "duration: 20.01 s is not a multiple of the simulator's step, 0.02 s"),
         (["--noise", "white", "--sweep"], "leave out --noise white"),
     ],
 )
 def test_wrong_words(words: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["slam", *words]) == 2
     assert reason in capsys.readouterr().err
+
+
+def test_a_study_that_does_not_fit_is_refused_before_it_flies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def flown(*_: Any, **__: Any) -> None:
+        pytest.fail("it flew")
+
+    monkeypatch.setattr("qrsim.apps.slam.study.fly", flown)
+    monkeypatch.setattr("qrsim.apps.slam.study.available_bytes", lambda: 2**33)
+    out = tmp_path / "out"
+    assert cli.main(["slam", "--duration", "200000", "--seeds", "1", "--out", str(out)]) == 1
+    said = capsys.readouterr().err
+    assert "2000001 states of 15 numbers and 10 landmarks need" in said
+    assert "take a shorter --duration" in said
+    # Short flights, but so many that they do not fit beside each other.
+    assert cli.main(["slam", "--duration", "100", "--seeds", "10000", "--out", str(out)]) == 1
+    assert "1001 states of 15 numbers and 10 landmarks" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_figures_are_not_mixed_with_those_of_another_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "result.json").write_text("{}")
+    assert cli.main(["slam", "--out", str(tmp_path)]) == 2
+    assert "it exists and is not empty; choose another folder" in capsys.readouterr().err
+
+
+def test_a_flight_that_determines_no_landmark(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One second: there is a trajectory, but no error of landmarks, and of one flight there are no intervals."""
+    out = tmp_path / "out"
+    words = ["slam", "--duration", "1", "--seeds", "1", "--states", "poses", "--noise", "coloured", "--out", str(out)]
+    assert cli.main(words) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert "graph gnss, 1 flight of 1 s" in said.out
+    assert "landmarks that the ranges determine: 0 of 10" in said.out
+    assert "not converged after 100 iterations: 2 of the solutions" in said.out
+    result = json.loads((out / "result.json").read_text("utf-8"))
+    found = result["errors"]["coloured"]["plain"]
+    assert found["landmarks_m"] == {}
+    assert set(found["trajectory_m"]) == {"mean", "median"}
+    (row,) = (line for line in said.out.splitlines() if line.startswith("  converged  "))
+    assert row.split()[-1] == "-"

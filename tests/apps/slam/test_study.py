@@ -84,6 +84,8 @@ def test_the_allan_slopes_of_known_noises() -> None:
     assert found["slope"] == pytest.approx(-0.5, abs=0.05)
     walk = [np.cumsum(record, axis=0) for record in white]
     assert studies.allan_slope(walk, 0.2)["slope"] == pytest.approx(0.5, abs=0.1)
+    # One record says nothing of how far another would be from it.
+    assert set(studies.allan_slope(white[:1], 0.2)) == {"slope"}
 
 
 def test_the_allan_deviation_is_that_of_an_independent_implementation() -> None:

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from qrsim.apps.envs.batch import Batch
-from qrsim.apps.envs.single import split_answer
+from qrsim.apps.envs.single import refuse_drawing, shaped, split_answer
 from qrsim.apps.envs.spaces import action_space, observation_space
 from qrsim.errors import UsageError, did_you_mean
 
@@ -24,10 +24,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
     stopped, truncated after the last step.
 
     Args:
-        scenario: as ``qrsim.load`` takes it.
-        overrides: assignments such as "world.wind.speed_20ft=7".
-        precision: float32 or float64.
-        render_mode: None; nothing is drawn.
+        scenario, overrides, precision, render_mode: as of ``SingleTask``.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "name": "qrsim"}  # noqa: RUF012
@@ -39,8 +36,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         precision: str = "float32",
         render_mode: str | None = None,
     ):
-        if render_mode is not None:
-            raise UsageError(f"render_mode: {render_mode!r}; allowed: None")
+        refuse_drawing(render_mode)
         self.render_mode = None
         self.batch = Batch(scenario, 1, overrides, precision)
         self.metadata = {**self.metadata, "name": self.batch.functional.name}
@@ -94,11 +90,9 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         if missing:
             raise UsageError(f"actions: there is none for {', '.join(missing)}")
         parts = [split_answer(self.batch, actions[agent], f"action of {agent}") for agent in self.agents]
-        width = (len(self.batch.functional.play.task.axes),)
-        for agent, (flight, _) in zip(self.agents, parts, strict=True):
-            if np.shape(flight) != width:
-                raise UsageError(f"action of {agent}: expected shape {width}, found {np.shape(flight)}")
-        rewards, terminated, truncated = self.batch.step(np.stack([np.asarray(flight) for flight, _ in parts])[None])
+        named = zip(self.agents, parts, strict=True)
+        flown = np.stack([shaped(self.batch, flight, f"action of {agent}") for agent, (flight, _) in named])
+        rewards, terminated, truncated = self.batch.step(flown[None])
         totals = rewards[0].astype(float)
         if parts[0][1] is not None and truncated[0]:
             totals += self.batch.score(0, np.stack([np.asarray(answer) for _, answer in parts]))

@@ -29,6 +29,30 @@ def only_one(batch: Batch) -> None:
         )
 
 
+def refuse_drawing(render_mode: str | None) -> None:
+    """Refuse every render mode but None.
+
+    Raises:
+        UsageError: another one is asked for.
+    """
+    if render_mode is not None:
+        raise UsageError(f"render_mode: {render_mode!r}; allowed: None")
+
+
+def shaped(batch: Batch, flight: Any, who: str, *lead: int) -> np.ndarray[Any, Any]:
+    """Return the flight's part of actions as an array (*lead, A).
+
+    Raises:
+        UsageError: it has another shape.
+    """
+    axes = batch.functional.play.task.axes
+    expected = (*lead, len(axes))
+    if np.shape(flight) != expected:
+        names = ", ".join(axis.name for axis in axes)
+        raise UsageError(f"{who}: expected shape {expected} ({names}), found {np.shape(flight)}")
+    return np.asarray(flight)
+
+
 def split_answer(batch: Batch, action: Any, who: str) -> tuple[Any, Any]:
     """Return the flight's part of an action, and what is handed in, None where a task asks for nothing.
 
@@ -66,8 +90,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         precision: str = "float32",
         render_mode: str | None = None,
     ):
-        if render_mode is not None:
-            raise UsageError(f"render_mode: {render_mode!r}; allowed: None")
+        refuse_drawing(render_mode)
         self.render_mode = None
         self.batch = Batch(scenario, 1, overrides, precision)
         only_one(self.batch)
@@ -97,11 +120,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         if not self._running:
             raise UsageError("the episode has ended, or has not begun: call reset()")
         flight, answer = split_answer(self.batch, action, "action")
-        if np.shape(flight) != (len(self.batch.functional.play.task.axes),):
-            names = ", ".join(axis.name for axis in self.batch.functional.play.task.axes)
-            expected = (len(self.batch.functional.play.task.axes),)
-            raise UsageError(f"action: expected shape {expected} ({names}), found {np.shape(flight)}")
-        reward, terminated, truncated = self.batch.step(np.asarray(flight)[None, None])
+        reward, terminated, truncated = self.batch.step(shaped(self.batch, flight, "action")[None, None])
         total = float(reward[0, 0])
         if answer is not None and truncated[0]:
             total += float(self.batch.score(0, np.asarray(answer)[None])[0])

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from qrsim.apps.envs.batch import Batch
-from qrsim.apps.envs.single import only_one, split_answer
+from qrsim.apps.envs.single import only_one, refuse_drawing, shaped, split_answer
 from qrsim.apps.envs.spaces import action_space, observation_space
 from qrsim.errors import UsageError
 
@@ -26,9 +26,8 @@ class VectorTask(VectorEnv[Any, Any, Any]):
     ended, and what was really the case, is in ``infos["final_obs"]`` and ``infos["final_info"]``.
 
     Args:
-        scenario, overrides, precision: as of ``SingleTask``.
+        scenario, overrides, precision, render_mode: as of ``SingleTask``.
         num_envs: how many.
-        render_mode: None; nothing is drawn.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
@@ -41,8 +40,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         precision: str = "float32",
         render_mode: str | None = None,
     ):
-        if render_mode is not None:
-            raise UsageError(f"render_mode: {render_mode!r}; allowed: None")
+        refuse_drawing(render_mode)
         self.render_mode = None
         self.batch = Batch(scenario, num_envs, overrides, precision)
         only_one(self.batch)
@@ -85,10 +83,8 @@ class VectorTask(VectorEnv[Any, Any, Any]):
             UsageError: nothing has started, or actions of another shape, not finite, out of range or incomplete.
         """
         flight, answers = split_answer(self.batch, actions, "actions")
-        width = len(self.batch.functional.play.task.axes)
-        if np.shape(flight) != (self.num_envs, width):
-            raise UsageError(f"actions: expected shape {(self.num_envs, width)}, found {np.shape(flight)}")
-        reward, terminated, truncated = self.batch.step(np.asarray(flight)[:, None], "actions")
+        flown = shaped(self.batch, flight, "actions", self.num_envs)
+        reward, terminated, truncated = self.batch.step(flown[:, None], "actions")
         rewards = reward[:, 0].astype(np.float64)
         if answers is not None:
             for row in np.flatnonzero(truncated):

@@ -18,6 +18,11 @@ if TYPE_CHECKING:
     from qrsim.apps.slam.study import Study, Sweep
 
 
+SWEPT = {"plain": "taken for white", "bias": "as a state"}
+# Arms that are meant to converge.
+CONVERGED = ("converged", "plain", "bias")
+
+
 @dataclass(frozen=True)
 class SlamCommand:
     """Show what coloured GNSS noise does to range-only SLAM: fly, find trajectory and landmarks, compare.
@@ -54,22 +59,26 @@ class SlamCommand:
     vehicle: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = None
     """Vehicle of the run."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: no figures)")] = None
-    """Folder for figures and result.json; made if needed."""
+    """New or empty folder for figures and result.json."""
     json: bool = False
     """Print the result as JSON."""
 
     def run(self) -> None:
         """Check, fly, solve, report."""
         self._check()
-        if self.out is not None:
-            try:
-                self.out.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise RunError(f"--out {self.out}: {error.strerror or error}") from None
         if self.run_folder is not None:
             self._solve_run(self.run_folder)
         else:
             self._study()
+
+    def _make_out(self) -> None:
+        """Make the folder, so that what cannot be written is known before anything is flown."""
+        if self.out is None:
+            return
+        try:
+            self.out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RunError(f"--out {self.out}: {error.strerror or error}") from None
 
     def _check(self) -> None:
         if self.seeds < 1:
@@ -80,8 +89,12 @@ class SlamCommand:
             raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
         if self.vehicle is not None and self.run_folder is None:
             raise UsageError("--vehicle: only with --run")
-        if self.sweep and self.run_folder is not None:
-            raise UsageError("--sweep: not with --run, whose noise is what it is")
+        if self.run_folder is not None:
+            for name in ("noise", "seeds", "first_seed", "duration", "sweep"):
+                if getattr(self, name) != getattr(SlamCommand, name):
+                    raise UsageError(f"--{name.replace('_', '-')}: not with --run, whose flight is what it is")
+        if self.out is not None and self.out.is_dir() and any(self.out.iterdir()):
+            raise UsageError(f"--out {self.out}: it exists and is not empty; choose another folder")
         if self.sweep and self.noise == "white":
             raise UsageError("--sweep: takes the size of the errors from coloured flights; leave out --noise white")
 
@@ -90,6 +103,7 @@ class SlamCommand:
         from qrsim.apps.slam.figures import draw_run
         from qrsim.logs.picture import save_picture
 
+        self._make_out()
         found = slam(folder, graph=self.graph, states=self.states, vehicle=self.vehicle)
         result = _of_run(found)
         if self.out is not None:
@@ -99,8 +113,9 @@ class SlamCommand:
             _print_json(result)
             return
         print(f"{found.flight.name}, graph {self.graph}, {len(found.time)} states\n")
-        print(f"trajectory RMSE {found.trajectory_rmse_m:8.3f} m")
-        print(f"landmark RMSE   {found.landmark_rmse_m:8.3f} m, of {int(found.determined.sum())} that are determined")
+        print(f"trajectory RMSE {_metres(result['trajectory_rmse_m'])} m")
+        determined = f"of {int(found.determined.sum())} that are determined"
+        print(f"landmark RMSE   {_metres(result['landmark_rmse_m'])} m, {determined}")
         if self.out is not None:
             print(f"\nfigure and numbers: {self.out}")
 
@@ -109,6 +124,9 @@ class SlamCommand:
 
         noises = studies.NOISES if self.noise == "both" else (self.noise,)
         seeds = range(self.first_seed, self.first_seed + self.seeds)
+        # Coloured flights are always flown; those of a sweep come one kind after the other.
+        studies.check_size(len(seeds), len({"coloured", *noises}) + self.sweep, self.duration, self.states)
+        self._make_out()
         solves = len(seeds) * (len(noises) + (self.sweep and 1 + len(studies.TIME_CONSTANTS)))
         with _progress(solves) as progress:
             flights = studies.fly(seeds, noises, self.duration)
@@ -162,20 +180,25 @@ def _of_run(found: Slam) -> dict[str, Any]:
 
 
 def _print_study(result: dict[str, Any]) -> None:
+    from qrsim.apps.slam.estimate import MOST_ITERATIONS
     from qrsim.apps.slam.study import ARMS
 
     arms = ARMS[result["graph"]]
-    print(f"graph {result['graph']}, {result['seeds']} flights of {result['duration_s']:g} s with each noise")
+    count = f"{result['seeds']} flight{'s' if result['seeds'] > 1 else ''}"
+    print(f"graph {result['graph']}, {count} of {result['duration_s']:g} s with each noise")
     determined = result["landmarks"]
     print(f"landmarks that the ranges determine: {determined['determined']} of {determined['all']}\n")
     print(f"  {'RMSE [m], mean over flights':<32} {'noise':<9} {'trajectory':>10} {'landmarks':>10}")
     for arm, meaning in arms.items():
         for noise, found in result["errors"].items():
             if arm in found:
-                means = [found[arm][name]["mean"] for name in ("trajectory_m", "landmarks_m")]
-                print(f"  {meaning:<32} {noise:<9} {means[0]:>10.3f} {means[1]:>10.3f}")
+                means = [_metres(found[arm][name].get("mean"), 10) for name in ("trajectory_m", "landmarks_m")]
+                print(f"  {meaning:<32} {noise:<9} {means[0]} {means[1]}")
+    left = sum(found[arm]["not_converged"] for found in result["errors"].values() for arm in found if arm in CONVERGED)
+    if left:
+        print(f"\n  not converged after {MOST_ITERATIONS} iterations: {left} of the solutions", end="")
     for arm, found in result["paired"].items():
-        for name, test in found.items():
+        for name, test in ((name, test) for name, test in found.items() if test["pairs"]):
             what = f"{arms[arm]}, {name.removesuffix('_m')}"
             print(f"\n  {what}: coloured - white {_interval(test)} m, Wilcoxon p = {test['p']:.2g}", end="")
     if "remedy" in result:
@@ -187,9 +210,14 @@ def _print_study(result: dict[str, Any]) -> None:
             slope = _interval(fixes["allan"], "slope")
             print(f"\n  {noise} fixes: slope of the Allan deviation, 0.4 to 10 s: {slope}", end="")
     for name, found in result.get("sweep", {}).items():
-        errors = "".join(f"  {arm} {found[arm]['mean']:.3f} m" for arm in ("plain", "bias") if arm in found)
-        print(f"\n  correlation {name.removeprefix('tau_').replace('_', ' '):<6}{errors}", end="")
+        means = [f"{found[arm]['mean']:.3f} m {how}" for arm, how in SWEPT.items() if arm in found]
+        print(f"\n  correlation {name.removeprefix('tau_').replace('_', ' '):<7}{', '.join(means)}", end="")
     print()
+
+
+def _metres(value: float | None, width: int = 8) -> str:
+    """Return a number of metres, or a dash where there is none."""
+    return f"{'-':>{width}}" if value is None else f"{value:{width}.3f}"
 
 
 def _interval(found: dict[str, float], name: str = "mean", unit: float = 1.0) -> str:

@@ -10,20 +10,17 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from qrsim.apps.slam.flight import Flight, Floats
-from qrsim.apps.slam.graph import GRAPHS, PRIORS, STATES, make_graph
+from qrsim.apps.slam.flight import SIZE, Flight, Floats
+from qrsim.apps.slam.graph import GRAPHS, POSE, PRIORS, STATES, make_graph
 from qrsim.apps.slam.mirror import Mirrors, mirrors
 from qrsim.apps.slam.ranging import (
     FEWEST_RANGES,
-    GUESSES,
-    LANDMARKS,
-    PLACES,
     RANGE_LIMIT,
     RANGE_STD,
-    SIDE,
     Ranging,
-    draw_landmarks,
     given_ranges,
+    guesses_of,
+    landmarks_of,
     measure_ranges,
 )
 from qrsim.apps.slam.solve import DAMPINGS, Point, Solution, landmark_covariance, solve
@@ -190,6 +187,8 @@ def slam(
         range_std=range_std, range_limit=range_limit, fix_std=fix_std, bias_time_constant=bias_time_constant,
         process_noise=process_noise, state_period=state_period,
     )  # fmt: skip
+    if seed is not None and seed < 0:
+        raise UsageError(f"seed: {seed} is negative")
     opened = run if isinstance(run, Run) else open_run(run)
     flight = flight_of_run(opened, vehicle, state_period, process_noise)
     number = opened.info.seed if seed is None else seed
@@ -232,7 +231,7 @@ def estimate(
     if isinstance(iterations, bool) or not isinstance(iterations, int | np.integer) or iterations < 1:
         raise UsageError(f"iterations: {iterations!r} is not a positive whole number")
     std = flight.fix_std if fix_std is None else fix_std
-    size = (13 if states == "full" else 4) + 2 * (bias_time_constant is not None)
+    size = state_size(states, bias_time_constant is not None)
     check_memory(len(flight.truth), size, ranging.ranges.shape[1], available_bytes())
     per_landmark = ranging.per_landmark
     active = (per_landmark >= FEWEST_RANGES).astype(np.float64)
@@ -291,12 +290,12 @@ def _ranging(
     known = None if true_ned is None else _places("landmarks_ned", true_ned)
     guess = None if guess_ned is None else _places("landmarks_guess_ned", guess_ned)
     if ranges is None and known is None:
-        known = draw_landmarks(seed, PLACES, LANDMARKS, centre, SIDE)
+        known = landmarks_of(seed, centre)
     if known is None and guess is None:
         raise UsageError("ranges: say how many landmarks there are by landmarks_ned or landmarks_guess_ned, (L, 3)")
     count = len(known if known is not None else guess)  # type: ignore[arg-type]
     if guess is None:
-        guess = draw_landmarks(seed, GUESSES, count, centre, SIDE)
+        guess = guesses_of(seed, centre, count)
     if known is not None and len(guess) != count:
         raise UsageError(f"landmarks_guess_ned: {len(guess)} places for {count} landmarks")
     if ranges is not None:
@@ -316,6 +315,11 @@ def _check_numbers(**numbers: float | None) -> None:
     for name, value in numbers.items():
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise UsageError(f"{name}: {value!r} is not a positive number")
+
+
+def state_size(states: str, bias: bool) -> int:
+    """Return how many numbers are unknown at each time."""
+    return (SIZE if states == "full" else len(POSE)) + 2 * bias
 
 
 def bytes_needed(states: int, size: int, landmarks: int) -> int:
@@ -340,11 +344,16 @@ def available_bytes() -> int:
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
-def check_memory(states: int, size: int, landmarks: int, available: int) -> None:
-    """Refuse a problem that does not fit, before it starts; raises RunError."""
-    needed = bytes_needed(states, size, landmarks)
+SMALLER = "take a longer state_period, states poses, or fewer landmarks"
+
+
+def check_memory(
+    states: int, size: int, landmarks: int, available: int, flights: int = 0, smaller: str = SMALLER
+) -> None:
+    """Refuse a problem that does not fit beside the bytes of the flights, before it starts; raises RunError."""
+    needed = bytes_needed(states, size, landmarks) + flights
     if needed > available:
         raise RunError(
             f"slam: {states} states of {size} numbers and {landmarks} landmarks need {needed / 2**30:.1f} GiB, and "
-            f"{available / 2**30:.1f} GiB are free; take a longer state_period, states poses, or fewer landmarks"
+            f"{available / 2**30:.1f} GiB are free; {smaller}"
         )

@@ -15,19 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from jax import Array
 
+from qrsim.apps.slam import ranging
 from qrsim.apps.slam.flight import SIZE, Believed, Flight, Floats, make_flight, ticks_between
-from qrsim.apps.slam.ranging import (
-    GUESSES,
-    LANDMARKS,
-    PLACES,
-    RANGE_LIMIT,
-    RANGE_STD,
-    SIDE,
-    WAYPOINTS,
-    Ranging,
-    draw_landmarks,
-    measure_ranges,
-)
+from qrsim.apps.slam.ranging import Ranging
 from qrsim.core.noise import Draw, ou_step
 from qrsim.core.tree import parameter, record, replace, setting
 from qrsim.core.vectors import Vec3
@@ -108,7 +98,7 @@ def base_world(precision: str = "float32", **overrides: Any) -> World:
 
 def world_of(base: World, seed: int) -> World:
     """Return the world with the waypoints of a seed, the vehicle starting at the first of them."""
-    places = draw_landmarks(seed, WAYPOINTS, ROUTE, CENTRE, SIDE)
+    places = ranging.draw_landmarks(seed, ranging.WAYPOINTS, ROUTE, CENTRE, ranging.SIDE)
     fleet = base.fleets[0]
     dtype = fleet.start.position_ned.x.dtype
     columns: list[Any] = [np.asarray(column, dtype) for column in (places[:, 0], places[:, 1], np.full(ROUTE, -HEIGHT))]
@@ -192,8 +182,7 @@ def _flight(name: str, world: World, seed: int, recorded: dict[str, Floats], tic
     )
 
 
-def ranging_of(flight: Flight, seed: int, std: float = RANGE_STD) -> Ranging:
+def ranging_of(flight: Flight, seed: int, std: float = ranging.RANGE_STD) -> Ranging:
     """Return the ranges of a flight to the landmarks of its seed, which all its flights share."""
-    landmarks = draw_landmarks(seed, PLACES, LANDMARKS, CENTRE, SIDE)
-    guesses = draw_landmarks(seed, GUESSES, LANDMARKS, CENTRE, SIDE)
-    return measure_ranges(flight.truth[:, :3], landmarks, guesses, seed, std, RANGE_LIMIT)
+    landmarks, guesses = ranging.landmarks_of(seed, CENTRE), ranging.guesses_of(seed, CENTRE)
+    return ranging.measure_ranges(flight.truth[:, :3], landmarks, guesses, seed, std, ranging.RANGE_LIMIT)

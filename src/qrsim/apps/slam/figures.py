@@ -45,7 +45,9 @@ def draw_trajectories(study: Study, index: int = 0) -> Figure:
             axes, study.flights[noise][index], found.position_ned[index], found.landmarks_ned[index],
             study.landmarks_ned[index], found.determined[index],
         )  # fmt: skip
-        axes.set_title(f"{noise} GNSS noise, {SHORT[arm]}".replace("\n", " "), fontsize=10)
+        error = study.trajectory_errors(noise, arm)[index]
+        what = f"{noise} GNSS noise, {SHORT[arm]}".replace("\n", " ")
+        axes.set_title(f"{what}:\ntrajectory RMSE {error:.2f} m", fontsize=10)
     # A landmark that is not determined is in some panels only.
     named = dict(pair[::-1] for axes in panels for pair in zip(*axes.get_legend_handles_labels(), strict=True))
     figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=3, fontsize=9)
@@ -91,13 +93,15 @@ def draw_allan(study: Study) -> Figure:
     slope = np.array([windows[0], windows[-1]])
     highest = max(line.get_ydata()[0] for line in panels[0].get_lines())
     panels[0].loglog(slope, highest * (slope / slope[0]) ** -0.5, "k--", lw=0.8, label="slope -1/2")
-    for axes, title in zip(panels, ["GNSS fixes", *(SHORT[arm].replace("\n", " ") for arm in arms)], strict=True):
+    solutions = ("SLAM, " + SHORT[arm].replace("\n", " ") for arm in arms)
+    for axes, title in zip(panels, ["GNSS fixes", *solutions], strict=True):
         axes.set_title(title, fontsize=10)
         axes.set_xlabel("averaging window [s]")
         axes.grid(alpha=0.3, which="both")
         axes.legend(fontsize=9)
     panels[0].set_ylabel("Allan deviation of the position error [m]")
-    figure.suptitle(f"Errors at fix epochs, {len(study.seeds)} seed{'s' if len(study.seeds) > 1 else ''}")
+    count = f"{len(study.seeds)} seed{'s' if len(study.seeds) > 1 else ''}"
+    figure.suptitle(f"Position errors of the fixes and of SLAM at fix epochs, graph '{study.graph}', {count}")
     return figure
 
 
@@ -115,7 +119,8 @@ def draw_errors(study: Study) -> Figure:
             for noise, values in found.items():
                 label = noise if i == 0 else None
                 axes.plot(np.full(len(values), places[noise]), values, ".", color=COLOURS[noise], ms=5, label=label)
-                axes.plot(places[noise], np.nanmedian(values), "_", color="black", ms=22, mew=2, zorder=3)
+                if np.isfinite(values).any():
+                    axes.plot(places[noise], np.nanmedian(values), "_", color="black", ms=22, mew=2, zorder=3)
         axes.set_xticks(range(len(arms)), [SHORT[arm] for arm in arms], fontsize=8)
         axes.set_yscale("log")
         for formatter in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
@@ -135,16 +140,23 @@ def draw_sweep(sweep: Sweep) -> Figure:
     axes = figure.subplots()
     # White noise stands left of the shortest time constant.
     abscissa = np.array([tau if tau != example.WHITE else sweep.time_constants[1] / 4 for tau in sweep.time_constants])
-    for values, label, colour in (
-        (sweep.plain, "GNSS error taken for white", "tab:red"),
-        (sweep.bias, "GNSS error as a state", "tab:green"),
+    # Side by side, so that both intervals are seen.
+    for values, label, colour, aside in (
+        (sweep.plain, "GNSS error taken for white", "tab:red", 0.96),
+        (sweep.bias, "GNSS error as a state", "tab:green", 1.04),
     ):
         known = np.isfinite(values).any(axis=1)
         found = [interval(row) for row in values[known]]
         mean = np.array([item["mean"] for item in found])
         low, high = (np.array([item.get(end, item["mean"]) for item in found]) for end in ("low", "high"))
         axes.errorbar(
-            abscissa[known], mean, yerr=[mean - low, high - mean], fmt="o-", capsize=3, color=colour, label=label
+            aside * abscissa[known],
+            mean,
+            yerr=[mean - low, high - mean],
+            fmt="o-",
+            capsize=3,
+            color=colour,
+            label=label,
         )
     axes.set_xscale("log")
     labels = ["white", *(f"{tau:g}" for tau in sweep.time_constants[1:])]
@@ -153,7 +165,9 @@ def draw_sweep(sweep: Sweep) -> Figure:
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("correlation time of the GNSS error [s]")
     axes.set_ylabel("trajectory error, mean over seeds [m]")
-    axes.set_title(f"Equal variance, graph 'gnss', {sweep.plain.shape[1]} seeds, 95 % intervals", fontsize=10)
+    count = sweep.plain.shape[1]
+    seeds = f"{count} seeds, 95 % intervals" if count > 1 else "1 seed"
+    axes.set_title(f"GNSS errors of equal variance, graph 'gnss', {seeds}", fontsize=10)
     axes.grid(alpha=0.3)
     axes.legend()
     return figure

@@ -54,6 +54,16 @@ def draw_landmarks(seed: int, purpose: int, count: int, centre: Floats, side: fl
     return np.concatenate([horizontal, np.zeros((count, 1))], axis=1)
 
 
+def landmarks_of(seed: int, centre: Floats) -> Floats:
+    """Return the true places (L, 3) that a seed draws about a centre (2,)."""
+    return draw_landmarks(seed, PLACES, LANDMARKS, centre, SIDE)
+
+
+def guesses_of(seed: int, centre: Floats, count: int = LANDMARKS) -> Floats:
+    """Return where a seed begins to look for landmarks (L, 3) about a centre (2,)."""
+    return draw_landmarks(seed, GUESSES, count, centre, SIDE)
+
+
 def measure_ranges(
     position_ned: Floats, landmarks_ned: Floats, guess_ned: Floats, seed: int, std: float, limit: float
 ) -> Ranging:

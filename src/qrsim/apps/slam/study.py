@@ -16,8 +16,17 @@ import numpy.typing as npt
 from scipy import stats
 
 from qrsim.apps.slam import example
-from qrsim.apps.slam.estimate import BIAS_TIME_CONSTANT, Slam, estimate, rms_distance
-from qrsim.apps.slam.flight import Flight, Floats
+from qrsim.apps.slam.estimate import (
+    BIAS_TIME_CONSTANT,
+    Slam,
+    available_bytes,
+    check_memory,
+    estimate,
+    rms_distance,
+    state_size,
+)
+from qrsim.apps.slam.flight import Flight, Floats, ticks_between
+from qrsim.apps.slam.ranging import LANDMARKS
 from qrsim.core.allan import overlapping_allan_deviation
 from qrsim.errors import UsageError, did_you_mean
 
@@ -29,6 +38,8 @@ RESAMPLES, RESAMPLE_SEED = 2000, 20140917
 TIME_CONSTANTS = (1.0, 3.0, 10.0, 30.0, 100.0)
 # Windows between which the slope of the Allan deviation is fitted [s].
 SLOPE_WINDOWS = (0.4, 10.0)
+# What is kept of a flight for each of its ticks, and what recording it takes.
+BYTES_PER_TICK = 400
 # What the arms of each graph are, in the order of figures and tables.
 ARMS = {
     "paper": {
@@ -114,6 +125,23 @@ class Study:
         return found
 
 
+def check_size(
+    seeds: int, noises: int, duration: float, states: str, state_period: float = example.STATE_PERIOD
+) -> None:
+    """Refuse a study that does not fit into memory, before anything is flown.
+
+    Raises:
+        UsageError: a duration that is no whole number of ticks.
+        RunError: it does not fit.
+    """
+    ticks = ticks_between(duration, example.base_world().time_step, "duration")
+    flown = BYTES_PER_TICK * ticks * seeds * noises
+    # With the GNSS error as a state, the largest problem of a study.
+    count, size = round(duration / state_period) + 1, state_size(states, bias=True)
+    smaller = "take a shorter --duration, --states poses, or fewer --seeds"
+    check_memory(count, size, LANDMARKS, available_bytes(), flown, smaller)
+
+
 def fly(
     seeds: Sequence[int], noises: Sequence[str] = NOISES, duration: float = example.DURATION,
     state_period: float = example.STATE_PERIOD,
@@ -188,8 +216,10 @@ def _solved(flight: Flight, ranging: Any, bias: float | None, **options: Any) ->
 
 
 def interval(values: Floats) -> dict[str, float]:
-    """Return the mean with its Student t interval; the mean alone where there are fewer than two values."""
+    """Return the mean with its Student t interval; the mean alone of one value, and nothing of none."""
     known = values[np.isfinite(values)]
+    if not len(known):
+        return {}
     found = {"mean": float(known.mean()), "median": float(np.median(known))}
     if len(known) > 1:
         half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(known) - 1) * known.std(ddof=1) / math.sqrt(len(known))
@@ -214,14 +244,26 @@ def recovered(white: Floats, coloured: Floats, remedied: Floats) -> dict[str, fl
     The interval is a percentile bootstrap over seeds.
     """
     both = np.isfinite(white) & np.isfinite(coloured) & np.isfinite(remedied)
-    rows = np.stack([white[both], coloured[both], remedied[both]])
-    chosen = np.random.default_rng(RESAMPLE_SEED).integers(0, rows.shape[1], (RESAMPLES, rows.shape[1]))
-    means = rows[:, chosen].mean(axis=2)
-    shares = (means[1] - means[2]) / (means[1] - means[0])
+    rows = np.stack([white[both], coloured[both], remedied[both]], axis=1)
+
+    def part(means: Floats) -> Floats:
+        return np.asarray((means[..., 1] - means[..., 2]) / (means[..., 1] - means[..., 0]))
+
+    low, high = _bootstrapped(part(_resampled(rows).mean(axis=1)))
+    return {"part": float(part(rows.mean(axis=0))), "low": low, "high": high}
+
+
+def _resampled(rows: Floats) -> Floats:
+    """Return rows (S, K) drawn anew with replacement, (RESAMPLES, S, K)."""
+    chosen = np.random.default_rng(RESAMPLE_SEED).integers(0, len(rows), (RESAMPLES, len(rows)))
+    return np.asarray(rows[chosen])
+
+
+def _bootstrapped(values: Floats) -> tuple[float, float]:
+    """Return the percentile interval of resampled values (RESAMPLES,)."""
     tail = 0.5 * (1.0 - CONFIDENCE)
-    low, high = np.quantile(shares, [tail, 1.0 - tail])
-    centre = rows.mean(axis=1)
-    return {"part": float((centre[1] - centre[2]) / (centre[1] - centre[0])), "low": float(low), "high": float(high)}
+    low, high = np.quantile(values, [tail, 1.0 - tail])
+    return float(low), float(high)
 
 
 def allan(errors: Sequence[Floats], period: float, longest: float | None = None) -> tuple[Floats, Floats]:
@@ -245,20 +287,23 @@ def _allan_variances(errors: Sequence[Floats], period: float, longest: float | N
 
 
 def allan_slope(errors: Sequence[Floats], period: float) -> dict[str, float]:
-    """Return the slope of the pooled Allan deviation over SLOPE_WINDOWS in logarithms, with a bootstrap interval."""
+    """Return the slope of the pooled Allan deviation over SLOPE_WINDOWS in logarithms.
+
+    Its interval is a percentile bootstrap over seeds; of one seed there is none.
+    """
     windows, variances = _allan_variances(errors, period, SLOPE_WINDOWS[1])
     within = windows >= SLOPE_WINDOWS[0] - 1e-9
     abscissa = np.log(windows[within])
+    centred = (abscissa - abscissa.mean()) / np.sum(np.square(abscissa - abscissa.mean()))
 
-    def slope(of: Floats) -> float:
-        return float(np.polyfit(abscissa, 0.5 * np.log(of[:, within].mean(axis=0)), 1)[0])
+    def slope(pooled: Floats) -> Floats:
+        return np.asarray(0.5 * np.log(pooled[..., within]) @ centred)
 
-    generator = np.random.default_rng(RESAMPLE_SEED)
-    count = len(variances)
-    resampled = [slope(variances[generator.integers(0, count, count)]) for _ in range(RESAMPLES)]
-    tail = 0.5 * (1.0 - CONFIDENCE)
-    low, high = np.quantile(resampled, [tail, 1.0 - tail])
-    return {"slope": slope(variances), "low": float(low), "high": float(high)}
+    found = {"slope": float(slope(variances.mean(axis=0)))}
+    if len(variances) > 1:
+        low, high = _bootstrapped(slope(_resampled(variances).mean(axis=1)))
+        found |= {"low": low, "high": high}
+    return found
 
 
 def numbers(found: Study) -> dict[str, Any]:

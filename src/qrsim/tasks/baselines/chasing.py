@@ -1,4 +1,4 @@
-"""Cats that intercept the mouse, each on its own side of it, and drive it back to the middle of the area."""
+"""Cats that follow the mouse in a fan, steer it round the middle of the area from behind, and close in at the end."""
 
 from __future__ import annotations
 
@@ -6,80 +6,76 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.tasks.baselines.separation import apart
 from qrsim.tasks.play import Play
 
 Array = np.ndarray[Any, Any]
-# Where the cats are to be around the mouse [m]: far for most of the time, near at the end.
-FAR, NEAR, CLOSING_STEPS = 14.0, 5.0, 30
-# The cat behind the mouse is nearer by this part: the mouse then flees to where the others leave it room.
-PUSH = 0.3
-# Interception: the mouse is met where it will be after so many seconds.
-AHEAD_S = 2.0
-GAIN, SPEED = 1.0, 3.0
+# The mouse is to run round the middle of the area at this distance [m]; so far off it runs straight to it.
+ORBIT, PULL = 45.0, 30.0
+# Where the cats are behind the mouse: how far for most of the time and at the end [m], bearing between two [rad].
+FAR, NEAR, CLOSING_STEPS, FAN = 9.0, 4.5, 40, 0.8
+# The fan is turned from where the mouse runs to where it is to run by no more than this [rad].
+STEER = 0.6
+MOUSE_SPEED = 3.0
+# Cats keep apart where they will be after so long [s].
+AHEAD_S = 0.7
+# How fast places are made good [1/s], and how fast it is learned what the wind adds to a velocity, a step.
+GAIN, LEARN = 0.7, 0.15
 # Cats closer than this [m] move apart.
-SEPARATION = 6.0
+SEPARATION, SEPARATION_AT_END = 6.0, 4.0
 
 
 class Chasing:
-    """Cats on a ring around the mouse.
+    """Cats in a fan behind the mouse.
 
-    The mouse runs away from all cats at once, so those on a ring around it leave it nowhere to go; the cat on the far
-    side of the middle of the area comes nearer, and the mouse runs to the middle.
+    Who runs as fast as they do cannot be overtaken, but it runs away from all of them: cats that go to one side of its
+    way turn it to the other side. It is led round the middle of the area, and is followed closely at the end.
     """
 
     def __init__(self, play: Play, seed: int = 0):
-        self._mouse: Array | None = None
-        self._velocity = np.zeros(2)
-        self._left = play.steps
         area = play.world.area
         self._middle = 0.5 * np.array([float(area.x_min + area.x_max), float(area.y_min + area.y_max)])
         self._limit = float(play.task.axes[0].high)
+        self._left = play.steps
+        self._asked: Array | None = None
+        self._drift = np.zeros(2)
 
     def act(self, seen: Array) -> Array:
         """Return the actions (n, 2)."""
         seen = np.asarray(seen, np.float64)
         place, velocity = seen[:, :2], seen[:, 2:4]
         mouse = np.mean(place + seen[:, 4:6], axis=0)
-        if self._mouse is not None:
-            # A measured step of one second, of which nobody is faster than the mouse.
-            moved = mouse - self._mouse
-            moved *= min(1.0, SPEED / max(float(np.linalg.norm(moved)), 1e-9))
-            self._velocity = 0.5 * self._velocity + 0.5 * moved
-        self._mouse = mouse
+        if self._asked is not None:
+            self._drift = self._drift + LEARN * (np.mean(self._asked - velocity, axis=0) - self._drift)
+        closing = min(1.0, max(0.0, self._left / CLOSING_STEPS))
         self._left -= 1
-        met = mouse + AHEAD_S * self._velocity
-        wanted = self._velocity + GAIN * (met + self._ring(place - mouse, mouse) - place - AHEAD_S * velocity * 0.5)
-        return np.clip((wanted + self._apart(place)) / self._limit, -1.0, 1.0)
+        offset = mouse - place
+        away = np.sum(offset / np.sum(offset**2, axis=1, keepdims=True), axis=0)
+        runs = float(np.arctan2(away[1], away[0]))
+        turn = np.clip(_wrapped(self._way(mouse) - runs), -STEER, STEER)
+        goal = mouse + (NEAR + (FAR - NEAR) * closing) * self._fan(offset, runs + turn)
+        running = MOUSE_SPEED * np.array([np.cos(runs), np.sin(runs)])
+        self._asked = np.clip(running + GAIN * (goal - place), -self._limit, self._limit)
+        distance = SEPARATION_AT_END + (SEPARATION - SEPARATION_AT_END) * closing
+        wanted = self._asked + self._drift + apart(place + AHEAD_S * velocity, distance)
+        return np.clip(wanted / self._limit, -1.0, 1.0)
 
-    def _ring(self, offset: Array, mouse: Array) -> Array:
-        """Return where on the ring each cat is to be (n, 2): evenly, each as near as can be to where it is."""
-        count = len(offset)
-        home = self._middle - mouse
-        distance = float(np.linalg.norm(home))
-        push = PUSH * min(1.0, distance / 15.0)
-        # One place is behind the mouse, seen from the middle of the area.
-        behind = np.arctan2(-home[1], -home[0])
-        places = behind + 2.0 * np.pi * np.arange(count) / count
-        bearing = np.arctan2(offset[:, 1], offset[:, 0])
-        turns = [(bearing[:, None] - places[None] + np.pi) % (2.0 * np.pi) - np.pi]
-        # The cats keep their order around the ring, and all of them take the shift that turns them least.
-        order = np.argsort(bearing)
-        costs = []
-        for shift in range(count):
-            taken = np.empty(count, int)
-            taken[order] = (np.arange(count) + shift) % count
-            costs.append((float(np.sum(turns[0][np.arange(count), taken] ** 2)), shift, taken))
-        taken = min(costs, key=lambda cost: cost[:2])[2]
-        far = NEAR + (FAR - NEAR) * min(1.0, max(0, self._left) / CLOSING_STEPS)
-        radius = np.where(taken == 0, far * (1.0 - push), far * (1.0 + 0.5 * push))
-        # A cat that has far to go round the ring goes round, not across.
-        turn = (places[taken] - bearing + np.pi) % (2.0 * np.pi) - np.pi
-        angle = bearing + np.clip(turn, -0.6, 0.6)
-        return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    def _way(self, mouse: Array) -> float:
+        """Return the heading that the mouse is to take [rad]."""
+        offset = mouse - self._middle
+        distance = float(np.linalg.norm(offset))
+        outward = float(np.arctan2(offset[1], offset[0]))
+        return outward + 0.5 * np.pi * (1.0 + np.clip((distance - ORBIT) / PULL, -1.0, 1.0))
 
     @staticmethod
-    def _apart(place: Array) -> Array:
-        offset = place[:, None] - place[None]
-        distance = np.linalg.norm(offset, axis=-1) + 1e9 * np.eye(len(place))
-        strength = np.maximum(SEPARATION - distance, 0.0) / distance
-        return np.sum(strength[:, :, None] * offset, axis=1)
+    def _fan(offset: Array, heading: float) -> Array:
+        """Return where each cat is to be from the mouse, unit vectors (n, 2): in the order in which they are now."""
+        count = len(offset)
+        side = _wrapped(np.arctan2(offset[:, 1], offset[:, 0]) - heading)
+        rank = np.argsort(np.argsort(side))
+        angle = heading + FAN * (rank - 0.5 * (count - 1))
+        return -np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _wrapped(angle: Any) -> Any:
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.tasks.baselines.separation import apart
 from qrsim.tasks.play import Play
 
 Array = np.ndarray[Any, Any]
@@ -49,7 +50,7 @@ class Descending:
         for i in range(len(place)):
             self._look(seen["ratio"][i], seen["corners"][i], seen["grid"][i])
         wanted = np.stack([self._steer(i, place) for i in range(len(place))])
-        return np.clip((wanted + self._apart(place)) / self._limit, -1.0, 1.0)
+        return np.clip((wanted + apart(place, SEPARATION)) / self._limit, -1.0, 1.0)
 
     def _look(self, ratio: Array, corners: Array, grid: Array) -> None:
         """Add a picture to the map."""
@@ -139,10 +140,3 @@ class Descending:
         distance = np.linalg.norm(offset, axis=1)
         way: Array = offset[int(np.argmin(distance))]
         return way * max(1.0, 8.0 / max(float(np.linalg.norm(way)), 1e-9))
-
-    @staticmethod
-    def _apart(place: Array) -> Array:
-        offset = place[:, None] - place[None]
-        distance = np.linalg.norm(offset, axis=-1) + 1e9 * np.eye(len(place))
-        strength = np.maximum(SEPARATION - distance, 0.0) / distance
-        return np.sum(strength[:, :, None] * offset, axis=1)

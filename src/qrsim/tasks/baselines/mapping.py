@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError
+from qrsim.tasks.baselines.separation import apart
 from qrsim.tasks.play import Play
 
 Array = np.ndarray[Any, Any]
@@ -64,7 +65,7 @@ class Mapping:
         offset = self._target - place
         wanted = GAIN * offset
         wanted *= np.minimum(1.0, self._limit / np.maximum(np.abs(wanted).max(axis=1, keepdims=True), 1e-9))
-        return np.clip((wanted + self._apart(place)) / self._limit, -1.0, 1.0)
+        return np.clip((wanted + apart(place, SEPARATION)) / self._limit, -1.0, 1.0)
 
     def answer(self) -> Array:
         """Return what each agent hands in: the mean, or samples with that mean."""
@@ -104,10 +105,3 @@ class Mapping:
                 worth = np.where(np.linalg.norm(places - self._target[j], axis=1) < 30.0, 0.1 * worth, worth)
         chosen: Array = places[int(np.argmax(worth / (20.0 + np.linalg.norm(places - place[i], axis=1))))]
         return chosen
-
-    @staticmethod
-    def _apart(place: Array) -> Array:
-        offset = place[:, None] - place[None]
-        distance = np.linalg.norm(offset, axis=-1) + 1e9 * np.eye(len(place))
-        strength = np.maximum(SEPARATION - distance, 0.0) / distance
-        return np.sum(strength[:, :, None] * offset, axis=1)
