@@ -382,3 +382,10 @@ class TestLoadFunction:
     def test_what_cannot_be_loaded(self, source: str, message: str):
         with pytest.raises(UsageError, match=f"policy.*{message}"):
             load_function("policy", source)
+
+
+def test_a_word_that_is_nearly_right_is_named() -> None:
+    with pytest.raises(UsageError, match="for example my_policy:hover; did you mean 'baseline'\\?"):
+        load_function("policy", "basline", ("baseline",))
+    with pytest.raises(UsageError, match="for example my_policy:hover, or 'baseline'$"):
+        load_function("policy", "pilot", ("baseline",))

@@ -18,7 +18,7 @@ import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,7 +26,7 @@ from typing import Any
 
 import jax
 
-from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
+from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean, nearest
 
 
 @dataclass(frozen=True)
@@ -114,15 +114,23 @@ def _check_arguments(what: str, name: str, function: Any, arguments: list[str]) 
         raise UsageError(f"{what} {name}: it is called with {expected}, but takes {signature}") from None
 
 
-def load_function(what: str, source: str) -> Any:
+def load_function(what: str, source: str, words: Sequence[str] = ()) -> Any:
     """Return what ``module:name`` or ``file.py:name`` names; modules in the working folder are found too.
+
+    Args:
+        what: it is, for messages.
+        source: its name.
+        words: that would have been understood in its place.
 
     Raises:
         UsageError: no such module, file or name in it, or it fails while it is imported.
     """
     place, colon, name = source.rpartition(":")
     if not colon or not place or not name:
-        raise UsageError(f"{what} {source}: expected module:function or file.py:function, for example my_policy:hover")
+        built_in = nearest(source, words)
+        meant = f"; did you mean '{built_in}'?" if built_in else "".join(f", or '{word}'" for word in words)
+        example = "expected module:function or file.py:function, for example my_policy:hover"
+        raise UsageError(f"{what} {source}: {example}{meant}")
     module = _import_file(what, Path(place)) if place.endswith(".py") else _import_module(what, place)
     if not hasattr(module, name):
         public = [other for other in vars(module) if not other.startswith("_")]

@@ -131,7 +131,8 @@ class Run:
 
             chosen = {"policy": self.policy, "estimator": self.estimator}
             given = {what: source for what, source in chosen.items() if source not in (None, BASELINE)}
-            functions = {what: load_function(what, source) for what, source in given.items()}
+            words = {"policy": (BASELINE,), "estimator": ()}
+            functions = {what: load_function(what, source, words[what]) for what, source in given.items()}
         policy_ticks = self.policy_ticks
         if self.policy == BASELINE:
             from qrsim.apps.run.baseline import baseline_policy
