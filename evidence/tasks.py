@@ -19,11 +19,11 @@ from qrsim.tasks import Play
 from qrsim.tasks.baselines import baseline
 
 DOC = "mean scores of the baseline of each family of tasks and of a random policy, over 100 seeds"
-SEED = 0
+# The baselines were made while seeds from 0 on were looked at.
+SEED = 1000
 CONFIDENCE = 0.95
 # Scenarios, seeds, and the duration [s] in place of theirs (0: theirs).
-FULL = (("cats_and_mouse/1A", "cats_and_mouse/1C", "search_and_rescue/2B", "search_and_rescue/2D",
-         "plume_mapping/3A", "plume_mapping/3C", "plume_mapping/3G"), 100, 0.0)  # fmt: skip
+FULL = (("cats_and_mouse/1A", "cats_and_mouse/1C", "plume_mapping/3A", "search_and_rescue/2D"), 100, 0.0)
 SMALL = (("search_and_rescue/2A",), 3, 10.0)
 
 Values = np.ndarray[Any, Any]
