@@ -32,6 +32,8 @@ from qrsim.apps.run.command import Run
 from qrsim.apps.scenario.command import List, Schema, Show
 from qrsim.apps.serve.command import Serve
 from qrsim.apps.slam.command import SlamCommand
+from qrsim.apps.sweep.command import Sweep
+from qrsim.apps.sweep.report_command import SweepReport
 from qrsim.apps.validate.command import Validate
 from qrsim.apps.view.command import View
 from qrsim.errors import QrsimError, UsageError, did_you_mean
@@ -106,6 +108,8 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "discover": Discover,
     "serve": Serve,
     "slam": SlamCommand,
+    "sweep": Sweep,
+    "sweep-report": SweepReport,
     "data": DATA,
     "version": Version,
 }

@@ -1,0 +1,311 @@
+"""Sweeps: how fast beside the raw core, and whether what comes out is the same whatever happens on the way.
+
+Every program runs in processes of its own. The raw core is ``qrsim.rollout`` of as many worlds of the same structure
+for as many ticks, in turns with the sweep, both compiled before; medians of the rounds are compared. Datasets are the
+same where every coordinate, metric and attribute is, to the bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from qrsim.scenarios.reading import dump_yaml
+
+DOC = "time of 10 000 episodes beside the raw core, kills, workers and clusters, memory of a study of a million points"
+SEED = 0
+ROOT = Path(__file__).parents[1]
+STUDY = "station_keeping"
+# Words for ``qrsim sweep``: a part of the study, for what is flown many times.
+PART = [STUDY, "--seeds", "12", "--values", "8"]
+# A study small enough to be flown in a test.
+SMALL: dict[str, Any] = {
+    "name": "small",
+    "scenario": "hover",
+    "set": {
+        "duration": 1.0,
+        "world.wind": {"type": "log_shear", "speed_20ft": 1.0, "wind_from_deg": 90.0},
+        "fleets.pelicans.vehicle.process_noise": 1.0,
+    },
+    "vary": {
+        "world.wind.speed_20ft": {"values": [0.0, 2.0, 4.0], "name": "wind", "unit": "m/s"},
+        "fleets.pelicans.vehicle.mass": {"low": 1.5, "high": 1.8, "count": 4, "name": "mass"},
+    },
+    "seeds": 5,
+    "metrics": ["tracking_error_rms_m", "wind_max_m_s"],
+    "failure": {"metric": "tracking_error_max_m", "above": 0.05},
+    "batch": 5,
+}
+ROUNDS, WORKERS, MILLION = 3, 2, 2**20
+WAIT_S = 300.0
+
+THROUGHPUT = """
+import json, sys, tempfile, time
+from pathlib import Path
+
+import qrsim
+from qrsim.apps.sweep.cluster import workers_of
+from qrsim.apps.sweep.flying import fly
+from qrsim.apps.sweep.prepare import plan_of
+from qrsim.apps.sweep.store import Store
+from qrsim.apps.sweep.study import load_study
+from qrsim.apps.sweep.sweeping import Jobs, sweep
+
+if __name__ == "__main__":
+    study, rounds, workers = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+    qrsim.configure(cpu_devices=workers)
+    plan = plan_of(load_study(study))
+    (group,) = plan.groups.values()
+    steps = plan.episodes * group.ticks * group.vehicles
+
+    def raw():
+        begun = time.perf_counter()
+        qrsim.rollout(group.world, ticks=group.ticks, worlds=plan.episodes)
+        return time.perf_counter() - begun
+
+    with tempfile.TemporaryDirectory() as folder, workers_of(None, workers) as client:
+        first = Store(Path(folder) / "first.zarr", plan)
+        job = Jobs(plan, first.metrics).job(plan.batch(0))
+        first.close()
+        client.gather([client.submit(fly, job, workers=[name], pure=False) for name in client.nthreads()])
+        raw()
+        times = {"sweep": [], "raw": []}
+        for number in range(rounds):
+            times["raw"].append(raw())
+            store = Store(Path(folder) / f"{number}.zarr", plan)
+            begun = time.perf_counter()
+            sweep(plan, store, client)
+            times["sweep"].append(time.perf_counter() - begun)
+            size = store.bytes_per_episode()
+            store.close()
+    print(json.dumps({"episodes": plan.episodes, "episode_s": group.ticks * group.time_step, "batches": plan.batches,
+                      "vehicle_steps": steps, "bytes_per_episode": size, **times}))
+"""
+
+MEMORY = """
+import json, sys, tempfile
+from pathlib import Path
+
+from evidence.rollout import peak_bytes
+from qrsim.apps.sweep.prepare import plan_of
+from qrsim.apps.sweep.store import Store
+from qrsim.apps.sweep.study import load_study
+
+with tempfile.TemporaryDirectory() as folder:
+    study = Path(folder) / "million.yaml"
+    study.write_text(f'''
+name: million
+scenario: keep_spot
+set: {{world.wind: {{type: log_shear, speed_20ft: 0.0, wind_from_deg: 225.0}}}}
+vary:
+  world.wind.speed_20ft: {{low: 0.0, high: 8.0}}
+  world.turbulence.speed_20ft: {{low: 0.5, high: 10.0}}
+  fleets.pelicans.vehicle.mass: {{low: 1.5, high: 2.0}}
+sampling: {{type: sobol, points: {sys.argv[1]}}}
+seeds: 1
+metrics: [tracking_error_rms_m]
+''')
+    few = plan_of(load_study(str(study), {"points": 1024}))
+    Store(Path(folder) / "few.zarr", few).close()
+    before = peak_bytes()
+    plan = plan_of(load_study(str(study)))
+    store = Store(Path(folder) / "million.zarr", plan)
+    total = sum(plan.batch(index).episodes for index in range(plan.batches))
+    store.close()
+    print(json.dumps({"points": plan.points, "planned": total, "batches": plan.batches, "before_bytes": before,
+                      "more_bytes": peak_bytes() - before}))
+"""
+
+
+def program(text: str, *words: str) -> dict[str, Any]:
+    """Return what a program prints."""
+    # A file, because the processes that it starts import it.
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "program.py"
+        path.write_text(text, encoding="utf-8")
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(
+            [sys.executable, str(path), *words], check=True, stdout=subprocess.PIPE, text=True, env=environment
+        )
+    result: dict[str, Any] = json.loads(done.stdout)
+    return result
+
+
+def throughput(study: str, rounds: int) -> dict[str, Any]:
+    """Return times of a study of one program on two cores, and the ratio to the raw core."""
+    found = program(THROUGHPUT, study, str(rounds), str(WORKERS))
+    seconds = {name: statistics.median(found.pop(name)) for name in ("sweep", "raw")}
+    return {
+        **found,
+        "workers": WORKERS,
+        "rounds": rounds,
+        "sweep_s": seconds["sweep"],
+        "raw_s": seconds["raw"],
+        "vehicle_steps_per_s": found["vehicle_steps"] / seconds["sweep"],
+        "raw_vehicle_steps_per_s": found["vehicle_steps"] / seconds["raw"],
+        "ratio": seconds["raw"] / seconds["sweep"],
+    }
+
+
+def million(points: int) -> dict[str, Any]:
+    """Return how much more memory it takes to plan so many points than to plan 1024."""
+    return program(MEMORY, str(points))
+
+
+def sweep(store: Path, words: list[str], *more: str) -> subprocess.Popen[bytes]:
+    """Start ``qrsim sweep`` in a process of its own."""
+    line = [sys.executable, "-m", "qrsim.cli", "sweep", *words, *more, "--out", str(store)]
+    return subprocess.Popen(line, stdout=subprocess.DEVNULL)
+
+
+def finish(process: subprocess.Popen[bytes]) -> None:
+    """Wait until a command has ended well."""
+    if process.wait(WAIT_S):
+        raise RuntimeError(f"qrsim sweep ended with {process.returncode}")
+
+
+def until(what: Callable[[], Any]) -> Any:
+    """Wait until something is true, and return it."""
+    end = time.monotonic() + WAIT_S
+    while time.monotonic() < end:
+        found = what()
+        if found:
+            return found
+        time.sleep(0.02)
+    raise RuntimeError(f"nothing happened in {WAIT_S:g} s")
+
+
+def written(store: Path) -> int:
+    """Return how many batches of a store are written."""
+    return sum(path.is_file() and path.suffix != ".partial" for path in (store / "flown" / "c").rglob("*"))
+
+
+def kill_process(store: Path, words: list[str], after: int) -> int:
+    """Kill a sweep in its middle and give the command again; return how many batches the kill left."""
+    process = sweep(store, words, "--workers", "1")
+    until(lambda: written(store) >= after)
+    family = psutil.Process(process.pid).children(recursive=True)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    left = written(store)
+    # Its workers notice, and nobody is left behind.
+    until(lambda: not any(one.is_running() and one.status() != psutil.STATUS_ZOMBIE for one in family))
+    finish(sweep(store, words, "--workers", "2"))
+    return left
+
+
+def kill_worker(store: Path, words: list[str], after: int) -> int:
+    """Kill one of two workers in the middle of a sweep; return how many batches were written then."""
+    process = sweep(store, words, "--workers", "2")
+    until(lambda: written(store) >= after)
+    workers = [
+        child
+        for child in psutil.Process(process.pid).children(recursive=True)
+        if "spawn_main" in " ".join(child.cmdline())
+    ]
+    workers[0].send_signal(signal.SIGKILL)
+    left = written(store)
+    finish(process)
+    return left
+
+
+@contextlib.contextmanager
+def dask(*words: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a Dask program while the context lasts."""
+    line = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
+    process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        own = psutil.Process(process.pid)
+        for one in [*own.children(recursive=True), own]:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                one.kill()
+        process.wait()
+
+
+@contextlib.contextmanager
+def scheduler(folder: Path) -> Iterator[str]:
+    """Run a Dask scheduler on loopback, and yield its address."""
+    file = folder / "scheduler.json"
+    with dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file), "--no-show") as process:
+
+        def address() -> str:
+            if process.poll() is not None:
+                raise RuntimeError("the scheduler ended")
+            with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):
+                return str(json.loads(file.read_text(encoding="utf-8"))["address"])
+            return ""
+
+        yield until(address)
+
+
+def opened(store: Path) -> Any:
+    """Return the Dataset of a store, in memory."""
+    import xarray as xr
+
+    return xr.open_zarr(store, consolidated=False, chunks=None).load()
+
+
+def same(one: Any, other: Any) -> bool:
+    """Return whether two Datasets are the same to the bit, attributes included."""
+    return bool(
+        one.identical(other)
+        and all(np.asarray(one[name]).tobytes() == np.asarray(other[name]).tobytes() for name in one.variables)
+    )
+
+
+def sameness(words: list[str], after: int) -> dict[str, Any]:
+    """Return whether a study is the same on 1 worker, on 2, on separate processes, and after kills; 1 for yes."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        stores = {what: folder / f"{what}.zarr" for what in ("one", "two", "cluster", "process", "worker")}
+        finish(sweep(stores["one"], words, "--workers", "1"))
+        finish(sweep(stores["two"], words, "--workers", "2"))
+        with (
+            scheduler(folder) as address,
+            dask("worker", address, "--nthreads", "1", "--local-directory", name),
+            dask("worker", address, "--nthreads", "1", "--local-directory", name),
+        ):
+            finish(sweep(stores["cluster"], words, "--scheduler", address))
+        left = {
+            "process": kill_process(stores["process"], words, after),
+            "worker": kill_worker(stores["worker"], words, after),
+        }
+        first = opened(stores["one"])
+        found: dict[str, Any] = {what: int(same(first, opened(store))) for what, store in stores.items()}
+    return {
+        "episodes": int(first["flown"].size),
+        "batches": written_batches(first),
+        "same": {what: found[what] for what in ("two", "cluster", "process", "worker")},
+        "batches_at_kill": left,
+    }
+
+
+def written_batches(dataset: Any) -> int:
+    """Return how many batches a complete Dataset has."""
+    chunks = dataset["flown"].encoding["chunks"]
+    return int(np.prod([-(-size // step) for size, step in zip(dataset["flown"].shape, chunks, strict=True)]))
+
+
+def run(full: bool) -> dict[str, Any]:
+    """Return time, sameness and memory."""
+    if not full:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "small.yaml"
+            path.write_text(dump_yaml(SMALL), encoding="utf-8")
+            return {"throughput": throughput(str(path), 1), "million": million(2**18)}
+    return {"throughput": throughput(STUDY, ROUNDS), "sameness": sameness(PART, 6), "million": million(MILLION)}

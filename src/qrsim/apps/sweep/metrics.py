@@ -1,0 +1,100 @@
+"""What is kept of an episode: one number of each metric, from those of its vehicles."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray[Any, Any]
+Found = Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number of an episode.
+
+    Attributes:
+        unit: its unit, "1" for counts.
+        doc: what it means.
+        of: from the metrics of all vehicles (W, n, ...) to that of the episodes (W,); NaN where it is not defined.
+        low_is_bad: whether small values are the bad ones.
+        task: whether only a task that its baseline flies has it.
+    """
+
+    unit: str
+    doc: str
+    of: Callable[[Found], Array]
+    low_is_bad: bool = False
+    task: bool = False
+
+
+def _over(reduce: Callable[..., Array], name: str) -> Callable[[Found], Array]:
+    def of(found: Found) -> Array:
+        with warnings.catch_warnings():
+            # A vehicle without a value does not count; an episode in which nobody has one has none.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            return reduce(np.asarray(found[name], np.float64), axis=1)
+
+    return of
+
+
+def _root_mean_square(values: Array, axis: int) -> Array:
+    return np.sqrt(np.nanmean(values * values, axis=axis))
+
+
+def _stopped(*kinds: str) -> Callable[[Found], Array]:
+    def of(found: Found) -> Array:
+        from qrsim.models.area import REASONS
+
+        bad = [code for code, (kind, _) in enumerate(REASONS) if code and (not kinds or kind in kinds)]
+        return np.isin(found["reason"], bad).sum(axis=1).astype(np.float64)
+
+    return of
+
+
+def _end_error(found: Found) -> Array:
+    offset = np.asarray(found["position_ned"], np.float64) - found["goal_ned"]
+    return _root_mean_square(np.sqrt(np.sum(offset * offset, axis=-1)), axis=1)
+
+
+METRICS: dict[str, Metric] = {
+    "tracking_error_rms_m": Metric(
+        "m", "distance from the leg being flown, or from the waypoint that is held; RMS over time and vehicles",
+        _over(_root_mean_square, "tracking_error_rms_m"),
+    ),
+    "tracking_error_max_m": Metric("m", "largest such distance", _over(np.nanmax, "tracking_error_max_m")),
+    "end_error_m": Metric("m", "distance from the last waypoint at the end, RMS over vehicles", _end_error),
+    "gnss_horizontal_rms_m": Metric(
+        "m", "horizontal error of the fixes, RMS over fixes and vehicles",
+        _over(_root_mean_square, "gnss_horizontal_rms_m"),
+    ),
+    "gnss_vertical_rms_m": Metric("m", "the same, vertical", _over(_root_mean_square, "gnss_vertical_rms_m")),
+    "without_fix_s": Metric("s", "time without a fix, of the worst vehicle", _over(np.nanmax, "without_fix_s")),
+    "clipped_s": Metric("s", "time with a clipped command, of the worst vehicle", _over(np.nanmax, "clipped_s")),
+    "wind_max_m_s": Metric("m/s", "largest speed of the air at a vehicle, gusts included",
+                           _over(np.nanmax, "wind_max_m_s")),
+    "distance_m": Metric("m", "length of the true path, mean over vehicles", _over(np.nanmean, "distance_m")),
+    "separation_min_m": Metric("m", "smallest distance between two vehicles", _over(np.nanmin, "separation_min_m"),
+                               low_is_bad=True),
+    "fence_distance_min_m": Metric("m", "smallest distance to the edge of the area",
+                                   _over(np.nanmin, "fence_distance_min_m"), low_is_bad=True),
+    "charge_min": Metric("1", "lowest charge of a battery", _over(np.nanmin, "charge_min"), low_is_bad=True),
+    "flown_s": Metric("s", "time until the first vehicle stopped, or the end", _over(np.nanmin, "flown_s"),
+                      low_is_bad=True),
+    "stopped": Metric("1", "vehicles that stopped, for whatever reason", _stopped()),
+    "collided": Metric("1", "vehicles that collided", _stopped("collision")),
+    "left_area": Metric("1", "vehicles that left the area", _stopped("out_of_area")),
+    "persons_found": Metric("1", "persons found", lambda found: found["persons_found"], low_is_bad=True, task=True),
+    "found_share": Metric("1", "part of the persons that were found", lambda found: found["found_share"],
+                          low_is_bad=True, task=True),
+    "first_found_s": Metric("s", "time of the first find", lambda found: found["first_found_s"], task=True),
+}  # fmt: skip
+
+
+def of_episodes(names: tuple[str, ...], found: Found) -> dict[str, Array]:
+    """Return metrics (W,) of episodes by name, single precision, from those of all vehicles (W, n, ...)."""
+    return {name: np.asarray(METRICS[name].of(found), np.float32) for name in names}
