@@ -12,10 +12,11 @@ import pytest
 from tests.apps.sweep.conftest import flown, planned
 
 from qrsim.apps.sweep import analysis
-from qrsim.apps.sweep.report import find
+from qrsim.apps.sweep.report import find, replay, write
 from qrsim.apps.sweep.results import Results
 from qrsim.apps.sweep.store import Store
 from qrsim.cli import main
+from qrsim.scenarios.scenario import load_scenario
 
 WIND, MASS = "world.wind.speed_20ft", "fleets.pelicans.vehicle.mass"
 Made = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -145,3 +146,20 @@ def test_what_cannot_be_reported_is_said(
 def test_an_empty_store_is_told(tmp_path: Path, capsys: Any) -> None:
     assert main(["sweep-report", str(made(tmp_path, lambda wind, mass, noise: wind, batches=0))]) == 1
     assert "no episode has been flown yet" in capsys.readouterr().err
+
+
+def test_the_worst_of_several_numbers_of_vehicles_is_flown_from_a_scenario_of_its_own(tmp_path: Path) -> None:
+    """Its vehicles would be too many words for a command."""
+    content = load_scenario("outdoor_patrol").spec.model_dump(mode="json")
+    counts = {"fleets.pelicans.vehicles.count": {"values": [1, 3], "name": "vehicles"}}
+    plan = planned(tmp_path, scenario=content, vary=counts, seeds=1, metrics=["collided"])
+    store = Store(tmp_path / "made.zarr", plan)
+    for index in range(plan.batches):
+        store.write(plan.batch(index), dict.fromkeys(store.metrics, np.full(1, index, np.float32)))
+    store.close()
+    report, folder = find(tmp_path / "made.zarr", None, []), tmp_path / "report"
+    write(report, folder)
+    command = replay(report.results, report.worst[0], folder)
+    assert f"qrsim run {folder / 'scenario_3.yaml'} --seed" in command
+    assert "vehicles" not in command.partition("--out")[0].replace("scenario_3.yaml", "")
+    assert len(load_scenario(str(folder / "scenario_3.yaml")).spec.fleets["pelicans"].vehicles) == 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import shlex
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.apps.sweep import analysis
-from qrsim.apps.sweep.axes import override
+from qrsim.apps.sweep.axes import COUNT, apply, override
 from qrsim.apps.sweep.metrics import METRICS
 from qrsim.apps.sweep.results import Parameter, Results
 from qrsim.apps.sweep.study import assignment
@@ -93,8 +94,10 @@ def replay(results: Results, episode: int, folder: Path) -> str:
     """Return the command that flies an episode again, recorded, for the viewer."""
     values = results.values_at(episode)
     source, changes = results.source, dict(results.spec.set)
-    if source is None:
-        source, changes = str(folder / SCENARIO), {}
+    name, counts = _scenario_name(values)
+    if source is None or counts:
+        source, changes = str(folder / name), {}
+        values = {path: value for path, value in values.items() if path not in counts}
     words = ["qrsim", "run", source, "--seed", str(int(results.seeds[episode]))]
     settings = [assignment(path, value) for path, value in changes.items()]
     settings += [override(results.scenario, path, value) for path, value in values.items()]
@@ -106,6 +109,26 @@ def replay(results: Results, episode: int, folder: Path) -> str:
     words += ["--precision", spec.precision] if spec.precision != "float32" else []
     run = folder / f"episode_{int(results.positions[episode])}"
     return shlex.join([*words, "--out", str(run)]) + f" && qrsim view {shlex.quote(str(run))}"
+
+
+def _scenario_name(values: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Return the file of the scenario of an episode, and the numbers of vehicles that are its own there."""
+    counts = {path: value for path, value in values.items() if path.endswith(COUNT)}
+    return "_".join(["scenario", *map(str, counts.values())]) + ".yaml", counts
+
+
+def _write_scenarios(report: Report, folder: Path) -> list[str]:
+    """Write the scenario, and those of the worst episodes whose vehicles are too many words for a command."""
+    results = report.results
+    contents = {SCENARIO: results.scenario}
+    for episode in report.worst:
+        name, counts = _scenario_name(results.values_at(episode))
+        contents[name] = copy.deepcopy(results.scenario)
+        for path, value in counts.items():
+            apply(contents[name], path, value)
+    for name, content in contents.items():
+        (folder / name).write_text(dump_yaml(content), "utf-8")
+    return list(contents)
 
 
 def write(report: Report, folder: Path) -> list[Path]:
@@ -125,9 +148,9 @@ def write(report: Report, folder: Path) -> list[Path]:
         pictures["sensitivity.png"] = lambda: figures.draw_sensitivity(results, indices, report.metric)
     for name, draw in pictures.items():
         save_picture(draw, folder / name)
-    (folder / SCENARIO).write_text(dump_yaml(results.scenario), "utf-8")
+    scenarios = _write_scenarios(report, folder)
     (folder / "report.json").write_text(json.dumps(to_json(report, folder), indent=2) + "\n", "utf-8")
-    return [folder / name for name in (*pictures, SCENARIO, "report.json")]
+    return [folder / name for name in (*pictures, *scenarios, "report.json")]
 
 
 def to_json(report: Report, folder: Path) -> dict[str, Any]:
