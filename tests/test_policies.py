@@ -387,5 +387,5 @@ class TestLoadFunction:
 def test_a_word_that_is_nearly_right_is_named() -> None:
     with pytest.raises(UsageError, match="for example my_policy:hover; did you mean 'baseline'\\?"):
         load_function("policy", "basline", ("baseline",))
-    with pytest.raises(UsageError, match="for example my_policy:hover, or 'baseline'$"):
+    with pytest.raises(UsageError, match=r"for example my_policy:hover, or 'baseline'$"):
         load_function("policy", "pilot", ("baseline",))
