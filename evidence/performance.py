@@ -112,7 +112,7 @@ def run(full: bool) -> dict[str, Any]:
     }
     everything = results["throughput"]["512x8"]["everything"]  # type: ignore[index]
     results["times_xla"] = everything["per_wall_second"] / results["xla"]["512x8"]["everything"]["per_wall_second"]  # type: ignore[index]
-    results["collisions_share"] = collisions(TURNS)
+    results["collisions_share"], results["collisions_turns"] = collisions(TURNS), TURNS
     results["bound"] = bound()
     results["peers"] = peers()
     return results

@@ -12,9 +12,11 @@ from tests.flight_logs.log_writing import flown, write_csv
 
 from qrsim import cli
 from qrsim.apps.discover import proposals
+from qrsim.apps.discover.choosing import choose
 from qrsim.apps.discover.discovery import published
-from qrsim.apps.discover.evolution import fitted
+from qrsim.apps.discover.evolution import Population, Proposal, fitted
 from qrsim.apps.discover.flight import fly, windows_of
+from qrsim.core.tree import replace
 from qrsim.errors import UsageError
 from qrsim.flight_logs import read_log
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
@@ -89,6 +91,28 @@ def test_constants_are_fitted_and_terms_told() -> None:
     terms = proposals.monomials(proposals.symbolic(tree, found), "yaw")
     assert terms is not None
     assert terms == pytest.approx({(1, 0): 2.2, (0, 1): -5.1}, abs=1e-6)
+
+
+def test_long_flights_choose_the_smaller_law_and_find_trims(log_file: Path) -> None:
+    """The constants begin 20 % wrong, and the log's commands lack 20 mrad/s and 10 mrad that the vehicle got."""
+    log = read_log(log_file)
+    late = {"yaw_rate_command": 0.02, "roll_command": 0.01}
+    log = replace(log, signals={name: values - late.get(name, 0.0) for name, values in log.signals.items()})
+    laws = published()
+    terms = {"tilt": [(1, 0, 0), (0, 1, 0), (0, 0, 1)], "yaw": [(1, 0), (0, 1)]}
+    larger = {"tilt": (0, 2, 0), "yaw": (0, 3)}
+    populations = {}
+    for law, own in terms.items():
+        constants = laws[law][1][:, 0]
+        small = Proposal(proposals.polynomial_tree(own, law), 1.2 * constants, error=1.0)
+        tree = proposals.polynomial_tree([*own, larger[law]], law)
+        large = Proposal(tree, np.append(1.2 * constants, 0.0), error=0.5)
+        populations[law] = Population(law, front={each.size: each for each in (small, large)})
+    choice = choose(log, populations, 80, 1.68, 0.6)
+    for law, own in terms.items():
+        assert len(choice.laws[law].constants) == len(own), law
+        assert choice.laws[law].constants == pytest.approx(laws[law][1][:, 0], rel=0.03), law
+    assert choice.trims == pytest.approx({"roll": 0.01, "pitch": 0.0, "yaw_rate": 0.02}, abs=2e-3)
 
 
 def test_the_command_finds_laws_that_scenarios_fly(

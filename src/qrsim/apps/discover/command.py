@@ -21,7 +21,8 @@ class Discover:
 
     There is a population of expressions (+ - x /, inputs, constants) for each law: wanted thrust, roll and pitch, yaw,
     drag. Each is judged by flying short pieces of the first part of the log together with the best of the others, and
-    its constants are fitted to that. Printed are the laws with the best trade of error and size, and the Pareto front.
+    its constants are fitted to that. Of those with the best trade of error and size the one is taken that flies best
+    over seconds. Printed are these laws and the Pareto front.
 
     Example:
       qrsim discover flight.csv -o discovered.yaml
@@ -101,13 +102,17 @@ def _summary(found: Discovery) -> dict[str, Any]:
         }
         for name, law in found.laws.items()
     }
-    return {"laws": laws, "held_out_mean_squared_error": found.held_out}
+    return {"laws": laws, "trims": found.trims, "held_out_mean_squared_error": found.held_out}
 
 
 def _print(found: Discovery, out: Path) -> None:
+    from qrsim.apps.discover.flight import TRIM_UNITS
+
     for law in found.laws.values():
         print(f"\n{law.text}\n  {law.chosen.size} nodes; error by nodes:", end=" ")
         print(", ".join(f"{nodes}: {error:.3g}" for nodes, error in law.front))
+    for name, trim in found.trims.items():
+        print(f"\n{name.replace('_', ' ')} command of this log: {trim:+.4g} {TRIM_UNITS[name]} added")
     print(f"\nheld-out part, open loop: mean squared error\n  {'signal':<16} {'published':>11} {'discovered':>11}")
     for name in found.names:
         print(f"  {name:<16} {found.held_out['published'][name]:>11.4g} {found.held_out['discovered'][name]:>11.4g}")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.apps.discover.choosing import choose
 from qrsim.apps.discover.evolution import Evolution, Proposal
 from qrsim.apps.discover.flight import LEAVES, LEFT_SIDES, Flight, Floats, Rule, fly, windows_of
 from qrsim.apps.discover.proposals import count_constants, monomials, rule_of, shown, symbolic
@@ -57,13 +58,15 @@ class Discovery:
     Attributes:
         laws: by name.
         held_out: mean squared error of each channel over the rest of the log, open loop: "published", "discovered".
-        flights: of the rest, (C, H) recorded and by the two sets of laws.
+        flights: of the rest, (C, H) recorded and by the two sets of laws, those discovered with their trims.
+        trims: added to the commands in this log, by name.
         names: of the channels.
     """
 
     laws: dict[str, Law]
     held_out: dict[str, dict[str, float]]
     flights: dict[str, Floats]
+    trims: dict[str, float]
     names: tuple[str, ...]
     dt: float
 
@@ -94,17 +97,18 @@ def discover(
     """
     evolution = Evolution(windows_of(log, 0.0, train, STEPS, WINDOWS), mass, population, seed)
     evolution.run(generations, progress)
+    choice = choose(log, evolution.populations, evolution.windows, mass, train)
     laws = {}
     for name, each in evolution.populations.items():
-        best = each.chosen(evolution.windows)
+        best = choice.laws[name]
         front = [(p.size, p.error) for p in each.pareto()]
         laws[name] = Law(name, best, front, symbolic(best.tree, best.constants))
     rest = _rest(log, train)
     found = {name: (rule_of(law.chosen.tree, name), law.chosen.constants[:, None]) for name, law in laws.items()}
     flights = {
         "recorded": rest.recorded[:, :, 0],
-        "published": _flown(rest, published(), mass),
-        "discovered": _flown(rest, found, mass),
+        "published": _flown(rest, published(), mass, {}),
+        "discovered": _flown(rest, found, mass, choice.trims),
     }
     scores = {
         name: dict(
@@ -112,7 +116,7 @@ def discover(
         )
         for name in ("published", "discovered")
     }
-    return Discovery(laws, scores, flights, rest.names, log.dt)
+    return Discovery(laws, scores, flights, choice.trims, rest.names, log.dt)
 
 
 def _rest(log: FlightLog, train: float) -> Flight:
@@ -127,9 +131,9 @@ def _rest(log: FlightLog, train: float) -> Flight:
     return windows_of(log, train, 1.0, STEPS, 1)
 
 
-def _flown(flight: Flight, laws: Mapping[str, tuple[Rule, Floats]], mass: float) -> Floats:
+def _flown(flight: Flight, laws: Mapping[str, tuple[Rule, Floats]], mass: float, trims: Mapping[str, float]) -> Floats:
     rules = {name: laws[name][0] for name in flight.laws}
-    return fly(flight, rules, {name: laws[name][1] for name in flight.laws}, mass)[:, :, 0, 0]
+    return fly(flight, rules, {name: laws[name][1] for name in flight.laws}, mass, trims)[:, :, 0, 0]
 
 
 def published() -> dict[str, tuple[Rule, Floats]]:

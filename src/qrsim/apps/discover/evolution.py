@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -186,9 +186,7 @@ class Evolution:
         weights = type("Smaller", (fitness,), {"weights": (-1.0, -1.0)})
         for proposal in proposals:
             if proposal.fitness is None:
-                together = TOGETHER[population.law] & set(self.populations)
-                if population.law == "thrust" and "drag" not in together:
-                    together = set()
+                together = partners_of(population.law, self.populations)
                 best = {law: self.populations[law].partner for law in together}
                 drawn = {law: random.choice(self.populations[law].pareto() or [p]) for law, p in sorted(best.items())}
                 if any(drawn[law] is not best[law] for law in drawn):
@@ -202,33 +200,66 @@ class Evolution:
             if proposal.error < FAILED and (kept is None or proposal.error < kept.error):
                 population.front[proposal.size] = proposal
 
-    def _part(self, law: str) -> Flight:
-        """Return the flight without what a law does not act on: nothing but rotation, or nothing but thrust."""
-        wanted = ("thrust",) if law == "thrust" else ANGULAR
-        rows = [i for i, name in enumerate(self.flight.names) if name in wanted]
-        names = tuple(self.flight.names[i] for i in rows)
-        return replace(self.flight, names=names, recorded=self.flight.recorded[rows])
-
     def _error(self, law: str, proposal: Proposal, partners: dict[str, Any], refine: bool) -> float:
         """Return the mean squared error in flight; ``refine`` fits the proposal's constants to it."""
-        rules: dict[str, Rule] = {name: rule_of(each.tree, name) for name, each in partners.items()}
-        rules[law] = rule_of(proposal.tree, law)
-        others = {name: each.constants[:, None] for name, each in partners.items()}
-        seen = self.flight if "drag" in rules else self._part(law)
-        own = [i for i, name in enumerate(seen.names) if name in SHOWS[law]]
-        noise = self.noise[[self.flight.names.index(seen.names[i]) for i in own]]
+        errors = errors_of(law, proposal, partners, self.flight, self.noise, self.mass, {})
 
         def residual(constants: Floats) -> Floats:
-            found = fly(seen, rules, others | {law: constants}, self.mass)
-            if found.shape[2] != constants.shape[1]:
-                found = np.broadcast_to(found, (*found.shape[:2], constants.shape[1], found.shape[3]))
-            error = (found[own] - seen.recorded[own][:, :, None]) / noise[:, None, None, None]
-            return np.moveaxis(error, 2, 0).reshape(constants.shape[1], -1)
+            return errors(constants, {}).reshape(constants.shape[1], -1)
 
         constants, error = fitted(residual, proposal.constants, REFINEMENTS if refine else 0)
         if refine:
             proposal.constants = constants
         return error
+
+
+def errors_of(
+    law: str,
+    proposal: Proposal,
+    partners: Mapping[str, Proposal],
+    flight: Flight,
+    noise: Floats,
+    mass: float,
+    trims: Mapping[str, float],
+) -> Callable[[Floats, Mapping[str, Floats]], Floats]:
+    """Return (constants (K, B), trims (B,)) -> errors (B, C, H, n) of what a law shows in, over the channels' noise.
+
+    Args:
+        law, proposal: what is tried.
+        partners: of the other laws, by name.
+        flight: windows.
+        noise: (C,) of the flight's channels.
+        mass: [kg].
+        trims: by name, where the function's own do not replace them.
+    """
+    rules: dict[str, Rule] = {name: rule_of(each.tree, name) for name, each in partners.items()}
+    rules[law] = rule_of(proposal.tree, law)
+    others = {name: each.constants[:, None] for name, each in partners.items()}
+    seen = flight if "drag" in rules else _part(flight, law)
+    own = [i for i, name in enumerate(seen.names) if name in SHOWS[law]]
+    scale = noise[[flight.names.index(seen.names[i]) for i in own]]
+
+    def errors(constants: Floats, tried: Mapping[str, Floats]) -> Floats:
+        found = fly(seen, rules, others | {law: constants}, mass, {**trims, **tried})
+        if found.shape[2] != constants.shape[1]:
+            found = np.broadcast_to(found, (*found.shape[:2], constants.shape[1], found.shape[3]))
+        return np.moveaxis((found[own] - seen.recorded[own][:, :, None]) / scale[:, None, None, None], 2, 0)
+
+    return errors
+
+
+def _part(flight: Flight, law: str) -> Flight:
+    """Return a flight without what a law does not act on: nothing but rotation, or nothing but thrust."""
+    wanted = ("thrust",) if law == "thrust" else ANGULAR
+    rows = [i for i, name in enumerate(flight.names) if name in wanted]
+    names = tuple(flight.names[i] for i in rows)
+    return replace(flight, names=names, recorded=flight.recorded[rows])
+
+
+def partners_of(law: str, laws: Iterable[str]) -> set[str]:
+    """Return which of the laws fly with one."""
+    together = TOGETHER[law] & set(laws)
+    return set() if law == "thrust" and "drag" not in together else together
 
 
 # Which laws act on what a law shows in: its partners. Thrust alone does not turn a body.
@@ -266,9 +297,10 @@ def fitted(residual: Callable[[Floats], Floats], start: Floats, steps: int) -> t
         if error >= FAILED or step == steps or not count:
             break
         jacobian = (values[1:] - values[:1]) / moves[:, None]
-        if not np.isfinite(jacobian).all():
+        with np.errstate(all="ignore"):
+            normal, gradient = jacobian @ jacobian.T, jacobian @ values[0]
+        if not (np.isfinite(normal).all() and np.isfinite(gradient).all()):
             break
-        normal, gradient = jacobian @ jacobian.T, jacobian @ values[0]
         scale = np.maximum(np.diag(normal), 1e-12 * max(float(np.diag(normal).max()), 1e-300))
         better = False
         for _ in range(3):

@@ -38,6 +38,9 @@ LEFT_SIDES = {
     "drag": "drag along body x and y [m/s^2]",
 }
 SHOWN_BY = {"thrust": "thrust", "tilt": "roll", "yaw": "yaw", "drag": "velocity_north"}
+# Added to the commands of roll, pitch and yaw rate; of the log and not of the vehicle. By the law that they go into.
+TRIMS = {"tilt": ("roll", "pitch"), "yaw": ("yaw_rate",)}
+TRIM_UNITS = {"roll": "rad", "pitch": "rad", "yaw_rate": "rad/s"}
 # Rows on either side whose parabola gives a start free of most of the noise.
 SMOOTHED = 4
 
@@ -138,7 +141,13 @@ def _turned(angles: Any, vector: Any, to_body: bool) -> Any:
     return np.stack([sum(rows[i][k] * vector[i] for i in range(3)) for k in range(3)])
 
 
-def fly(flight: Flight, rules: Mapping[str, Rule], constants: Mapping[str, Floats], mass: float) -> Floats:
+def fly(
+    flight: Flight,
+    rules: Mapping[str, Rule],
+    constants: Mapping[str, Floats],
+    mass: float,
+    trims: Mapping[str, Floats | float] | None = None,
+) -> Floats:
     """Return the channels (C, H, B, n) of B sets of constants flown through all windows by Heun's rule.
 
     Args:
@@ -146,8 +155,11 @@ def fly(flight: Flight, rules: Mapping[str, Rule], constants: Mapping[str, Float
         rules: by the law's name.
         constants: by the law's name, (K, B) each.
         mass: [kg].
+        trims: by name, a number or (B,) each; 0 where there is none.
     """
     batch = max([1, *(c.shape[1] for c in constants.values())])
+    added = trims or {}
+    offset = [np.reshape(added.get(name, 0.0), (-1, 1)) for name in ("pitch", "roll", "", "yaw_rate")]
     state = np.broadcast_to(flight.start[:, None, :], (10, batch, flight.start.shape[1])).copy()
     fixed = {name: tuple(row[:, None] for row in constants[name]) for name in rules}
     moving = VELOCITY[0] in flight.names
@@ -155,9 +167,9 @@ def fly(flight: Flight, rules: Mapping[str, Rule], constants: Mapping[str, Float
     found = []
     with np.errstate(all="ignore"):
         for step in range(flight.commands.shape[1]):
-            asked = flight.commands[:, step]
+            asked = [row + trim for row, trim in zip(flight.commands[:, step], offset, strict=True)]
 
-            def slope(now: Floats, asked: Floats = asked) -> Floats:
+            def slope(now: Floats, asked: list[Floats] = asked) -> Floats:
                 return _slope(now, asked, rules, fixed, flight.dt, mass, moving, vehicle)
 
             first = slope(state)
@@ -167,7 +179,7 @@ def fly(flight: Flight, rules: Mapping[str, Rule], constants: Mapping[str, Float
 
 
 def _slope(
-    now: Floats, asked: Floats, rules: Mapping[str, Rule], fixed: Any, dt: float, mass: float, moving: bool,
+    now: Floats, asked: list[Floats], rules: Mapping[str, Rule], fixed: Any, dt: float, mass: float, moving: bool,
     vehicle: Quadrotor,
 ) -> Floats:  # fmt: skip
     change = np.zeros_like(now)

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from qrsim.apps.identify.constants import NUISANCES, bounds_of, vehicle_of
 from qrsim.apps.identify.intervals import Covariance, covariance
-from qrsim.apps.identify.problem import ROBUST_AT, Piece, Shooting, weights
+from qrsim.apps.identify.problem import ROBUST_AT, Misfit, Piece, Shooting, weights
 from qrsim.errors import UsageError
 from qrsim.flight_logs.signals import Floats
 
@@ -20,8 +20,8 @@ Progress = Callable[[str], None]
 # Rounds in which the noise of each channel is estimated anew from what the fit leaves.
 ROUNDS = 4
 NOISE_TOLERANCE = 0.05
-# A constant whose standard error is more than this share of itself is not identified.
-LARGEST_RELATIVE_ERROR = 0.5
+# A constant whose interval reaches further than this share of its weak prior's standard deviation is not identified.
+LARGEST_HALF_WIDTH = 0.5
 # Constants that may be near zero count by what they add: a fifth of the thrust of hovering [N, N/raw].
 SMALLEST_WIDTH = {"cth0": 3.3, "cth1": 1.4e-3}
 # A standard deviation beside which nothing counts.
@@ -101,7 +101,7 @@ class _Sum:
         self.scale = np.array([scales.get(name) or NUISANCES[name.partition("@")[0]].scale for name in self.names])
         self.robust = question.robust
         self.evaluations = 0
-        self._last: tuple[Any, tuple[list[Floats], list[Floats]]] | None = None
+        self._last: tuple[Any, list[Misfit]] | None = None
 
     def be_robust(self, robust: bool) -> None:
         """Choose the loss of residuals, in flight and in the starts of windows alike."""
@@ -135,22 +135,27 @@ class _Sum:
             own["delay"] = self.question.delay
         return {name: values[name] for name in self.constants} | own
 
-    def evaluate(self, unknowns: Floats, noise: Sequence[Mapping[str, float]]) -> tuple[list[Floats], list[Floats]]:
-        """Return the residuals of each log, (W, n, C), and their derivatives by all scaled unknowns, (W, n, C, K)."""
-        now = (unknowns.tolist(), [dict(scale) for scale in noise])
+    def evaluate(self, unknowns: Floats, noise: Sequence[Mapping[str, float]]) -> list[Misfit]:
+        """Return the misfit of each log with its derivatives by all scaled unknowns."""
+        now = (unknowns.tolist(), [dict(scale) for scale in noise], [each.gust.tolist() for each in self.shootings])
         if self._last is not None and self._last[0] == now:
             return self._last[1]
-        residuals, derivatives = [], []
+        misfits = []
         for i, shooting in enumerate(self.shootings):
-            residual, by_value = shooting.residuals(values := self.of_log(unknowns, i), noise[i])
+            misfit = shooting.misfit(values := self.of_log(unknowns, i), noise[i])
             place = {name: k for k, name in enumerate(values)}
             own = [place.get(name if "@" not in name else self._own(name, i), -1) for name in self.names]
-            padded = np.concatenate([by_value, np.zeros((*by_value.shape[:3], 1))], axis=3)
-            residuals.append(residual)
-            derivatives.append(padded[..., own] * self.scale)
+
+            def spread(by_value: Floats, own: list[int] = own) -> Floats:
+                padded = np.concatenate([by_value, np.zeros((*by_value.shape[:-1], 1))], axis=-1)
+                return padded[..., own] * self.scale
+
+            misfits.append(
+                misfit._replace(by_value=spread(misfit.by_value), gust_by_value=spread(misfit.gust_by_value))
+            )
         self.evaluations += 1
-        self._last = now, (residuals, derivatives)
-        return residuals, derivatives
+        self._last = now, misfits
+        return misfits
 
     def _own(self, name: str, i: int) -> str:
         """Return a nuisance's name in its own log, elsewhere one that is not there."""
@@ -183,7 +188,7 @@ def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lamb
     """Estimate; a constant that the logs do not determine is held by its prior, whose width the others' intervals feel.
 
     Raises:
-        UsageError: no constant at all is determined by the logs.
+        UsageError: no constant at all shows in the logs.
     """
     total = _Sum(question, pieces)
     unknowns, noise = total.first(), [_first_noise(shooting.piece, question.ignored) for shooting in total.shootings]
@@ -191,7 +196,8 @@ def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lamb
         unknowns = _search_delays(total, unknowns, noise)
     unknowns, noise = _rounds(total, unknowns, noise, progress)
     answer = _answer(total, unknowns, noise)
-    if not answer.estimated:
+    # Constants whose intervals are wide are told as such; only a log that nothing shows in is refused.
+    if not (answer.covariance.information[: len(question.constants)] > 0.0).any():
         reasons = "; ".join(f"{name}: {why}" for name, why in answer.left.items())
         raise UsageError(f"{pieces[0].log.source}: no constant can be identified; {reasons}")
     return answer
@@ -234,6 +240,8 @@ def _rounds(
         unknowns = _least_squares(total, np.clip(unknowns, low, high), noise, 1e-4 if number == 0 else 1e-7)
         before = noise
         noise = _noise(total, unknowns, noise)
+        for shooting in total.shootings:
+            shooting.learn_gust()
         change = max(abs(math.log(b[n] / a[n])) for a, b in zip(before, noise, strict=True) for n in a)
         progress(f"round {number + 1}: noise of the channels changed by up to {100 * math.expm1(change):.1f} %")
         if change < NOISE_TOLERANCE and number > 0:
@@ -248,11 +256,13 @@ def _least_squares(total: _Sum, first: Floats, noise: list[dict[str, float]], to
 
     def both(unknowns: Floats) -> tuple[Floats, Floats]:
         if "at" not in last or not np.array_equal(last["at"], unknowns):
-            residuals, derivatives = total.evaluate(unknowns, noise)
+            misfits = total.evaluate(unknowns, noise)
             prior, matrix = total.prior(unknowns)
+            rows = [part for each in misfits for part in (each.residual, each.gust)]
+            slopes = [part for each in misfits for part in (each.by_value, each.gust_by_value)]
             last["found"] = (
-                np.concatenate([*(r.ravel() for r in residuals), prior]),
-                np.concatenate([*(d.reshape(-1, d.shape[-1]) for d in derivatives), matrix]),
+                np.concatenate([*(r.ravel() for r in rows), prior]),
+                np.concatenate([*(d.reshape(-1, d.shape[-1]) for d in slopes), matrix]),
             )
             last["at"] = unknowns.copy()
         return last["found"]
@@ -274,10 +284,10 @@ def _least_squares(total: _Sum, first: Floats, noise: list[dict[str, float]], to
 
 def _noise(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> list[dict[str, float]]:
     """Return the standard deviation that each channel's residual has, in the sense of the robust loss."""
-    residuals, _ = total.evaluate(unknowns, noise)
+    misfits = total.evaluate(unknowns, noise)
     result = []
-    for residual, scale, shooting in zip(residuals, noise, total.shootings, strict=True):
-        count = shooting.piece.used.sum()
+    for misfit, scale, shooting in zip(misfits, noise, total.shootings, strict=True):
+        residual, count = misfit.residual, shooting.piece.used.sum()
         spread = np.sqrt((np.square(residual) * weights(residual, total.robust)).sum(axis=(0, 1)) / count)
         named = zip(shooting.piece.channels, spread.tolist(), strict=True)
         new = {name: scale[name] * max(size, 1e-6) for name, size in named}
@@ -286,33 +296,35 @@ def _noise(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> list
 
 
 def _covariance(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> tuple[Covariance, list[Floats]]:
-    residuals, derivatives = total.evaluate(unknowns, noise)
+    misfits = total.evaluate(unknowns, noise)
     lengths = [len(shooting.piece.windows) * shooting.piece.log.dt for shooting in total.shootings]
     found = covariance(
-        total.names, unknowns * total.scale, total.scale, residuals, derivatives, lengths, total.prior(unknowns)[1],
+        total.names, unknowns * total.scale, total.scale, misfits, lengths, total.prior(unknowns)[1],
         total.question.robust,
     )  # fmt: skip
-    return found, residuals
+    return found, [each.residual for each in misfits]
 
 
-def _undetermined(total: _Sum, unknowns: Floats, found: Covariance) -> dict[str, str]:
+def _undetermined(total: _Sum, found: Covariance) -> dict[str, str]:
     """Return the constants that the logs do not determine, with the reason."""
     left = {}
     for k, name in enumerate(total.constants):
-        value = float(unknowns[k] * total.scale[k])
+        # The prior and not the estimate is the measure, and no error smaller than that of white residuals: else those
+        # estimates would count as identified that chance has made large or their errors small.
+        half = float(found.quantile[k] * max(found.std[k], found.white[k]))
         if found.information[k] <= 0.0:
             left[name] = "nothing in the logs depends on it"
-        elif found.std[k] > LARGEST_RELATIVE_ERROR * max(abs(value), total.width(name)):
+        elif half > LARGEST_HALF_WIDTH * total.width(name):
             left[name] = (
-                f"its standard error is {100.0 * found.std[k] / abs(value):.0f} % of it: too little excitation, or not"
-                " to be told from other constants"
+                f"its 95 % interval is +-{half:.3g}, against {total.width(name):.3g} of its prior: too little"
+                " excitation, or not to be told from other constants"
             )
     return left
 
 
 def _answer(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> Answer:
     found, residuals = _covariance(total, unknowns, noise)
-    left = _undetermined(total, unknowns, found)
+    left = _undetermined(total, found)
     real = dict(zip(total.names, (unknowns * total.scale).tolist(), strict=True))
     low, high = total.bounds()
     edge = 1e-4 * (high - low)

@@ -3,20 +3,25 @@
 The start of a window matters to that window alone. It is therefore found inside (a few Gauss-Newton steps, weighted by
 the same robust loss), and what is left to the outer solver are the constants and the few nuisances of each log. At
 the inner optimum the derivative of the outer sum is exact although the starts move with the constants.
+
+Where velocity is measured a window has a gust besides: what its wind differs by from the constant wind of the log, and
+how that changes from its beginning to its end. A vehicle is carried by slow turbulence, so that its velocity goes with
+the wind that a constant leaves out, and drag would come out too small. Gusts are normal; how large they are is
+estimated with the noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.apps.identify.constants import CHANNELS, TILT_COMMANDS, channels_of, nuisances_in
-from qrsim.apps.identify.simulate import PLACE, linearised, predict
+from qrsim.apps.identify.constants import TILT_COMMANDS, channels_of, nuisances_in
+from qrsim.apps.identify.simulate import DRIFT, GUST, PLACE, linearised, predict
 from qrsim.core.tree import cast
 from qrsim.errors import UsageError
 from qrsim.flight_logs import FlightLog
@@ -31,6 +36,8 @@ INNER_STEPS, INNER_TOLERANCE = 2, 0.1
 SHORTEST_ROWS = 25
 # The robust loss grows linearly beyond so many standard deviations.
 ROBUST_AT = 3.0
+# Standard deviation of gusts and their drift to begin with, and what they are at least [m/s].
+FIRST_GUST, FIRST_DRIFT, SMALLEST_GUST = 0.5, 0.2, 0.01
 
 
 @dataclass(frozen=True)
@@ -61,13 +68,18 @@ class Piece:
         return tuple(PLACE[name] for name in self.channels)
 
     @property
+    def gusts(self) -> tuple[int, ...]:
+        """Places of the gust and its drift in a window's start; none where no velocity is measured."""
+        return (*GUST, *DRIFT) if "velocity_north" in self.channels else ()
+
+    @property
     def recorded(self) -> Floats:
         """The measured channels in each window, (W, n, C)."""
         return self.measured[self.windows]
 
     def starts(self) -> Floats:
-        """Return (n, 10) channels at the first row of each window, as measured; 0 for what is not."""
-        starts = np.zeros((self.windows.shape[1], len(CHANNELS)))
+        """Return (n, 16) channels at the first row of each window, as measured, gust and drift; 0 for what is not."""
+        starts = np.zeros((self.windows.shape[1], DRIFT[-1] + 1))
         starts[:, list(self.places)] = self.measured[self.windows[0]]
         return starts
 
@@ -131,6 +143,22 @@ def _runs(good: np.ndarray[Any, Any]) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
+class Misfit(NamedTuple):
+    """What a piece's simulation differs by from the record, and the derivatives by K unknowns.
+
+    Attributes:
+        residual: simulated minus recorded over the noise, (W, n, C); 0 where a row does not count.
+        by_value: (W, n, C, K).
+        gust: of each window and its drift over their standard deviations, (n, G).
+        gust_by_value: (n, G, K).
+    """
+
+    residual: Floats
+    by_value: Floats
+    gust: Floats
+    gust_by_value: Floats
+
+
 class Shooting:
     """One piece with the starts of its windows, which are remembered from one evaluation to the next."""
 
@@ -139,65 +167,77 @@ class Shooting:
         self.vehicle = cast(vehicle, np.float64)
         self.robust = robust
         self.starts = piece.starts()
+        # Standard deviations of the gusts and drifts [m/s].
+        self.gust = np.array([FIRST_GUST] * 3 + [FIRST_DRIFT] * 3)[: len(piece.gusts)]
         self._follow: tuple[Floats, Floats] | None = None
+        self._gust_variance = np.zeros(len(piece.gusts))
 
-    def residuals(
-        self, values: Mapping[str, float], noise: Mapping[str, float], free_starts: bool = True
-    ) -> tuple[Floats, Floats]:
+    def misfit(self, values: Mapping[str, float], noise: Mapping[str, float]) -> Misfit:
         """Return residuals and their derivatives by ``values``, with the starts at their optimum.
 
         Args:
             values: of the unknowns by name.
             noise: standard deviation of each channel, which residuals are divided by.
-            free_starts: estimate the starts; else they stay.
-
-        Returns:
-            (W, n, C) and (W, n, C, K); 0 where a row does not count.
         """
-        scale = np.array([noise[name] for name in self.piece.channels])
-        counts = self.piece.used[:, :, None] / scale
+        piece, free = self.piece, [*self.piece.places, *self.piece.gusts]
+        scale = np.array([noise[name] for name in piece.channels])
+        counts = piece.used[:, :, None] / scale
         at = np.array(list(values.values()))
-        if free_starts and self._follow is not None and len(self._follow[0]) == len(at):
-            self.starts[:, list(self.piece.places)] += self._follow[1] @ (at - self._follow[0])
+        if self._follow is not None and len(self._follow[0]) == len(at):
+            self.starts[:, free] += self._follow[1] @ (at - self._follow[0])
         for step in range(INNER_STEPS):
             with jax.enable_x64(True):
-                found, by_value, by_start = (np.asarray(part) for part in linearised(*self._arguments(values)))
+                parts = linearised(piece.places, tuple(free), **self._arguments(values))
+                found, by_value, by_start = (np.asarray(part) for part in parts)
             if not (np.isfinite(found).all() and np.isfinite(by_value).all() and np.isfinite(by_start).all()):
                 # The solver tried constants that no vehicle has; it comes back from there.
-                self.starts, self._follow = self.piece.starts(), None
-                return np.full_like(found, 1e6) * self.piece.used[:, :, None], np.zeros_like(by_value)
-            residual = (found - self.piece.recorded) * counts
+                self.starts, self._follow = piece.starts(), None
+                gust = np.zeros((len(self.starts), len(self.gust)))
+                far = np.full_like(found, 1e6) * piece.used[:, :, None]
+                return Misfit(far, np.zeros_like(by_value), gust, np.zeros((*gust.shape, len(at))))
+            residual = (found - piece.recorded) * counts
             by_value, by_start = by_value * counts[..., None], by_start * counts[..., None]
             normal, cross, gradient = self._sums(residual, by_value, by_start)
             move = -np.linalg.solve(normal, gradient[..., None])[..., 0]
-            if not free_starts or step == INNER_STEPS - 1 or np.abs(move / scale).max() < INNER_TOLERANCE:
+            if step == INNER_STEPS - 1 or np.abs(move / [*scale, *self.gust]).max() < INNER_TOLERANCE:
                 break
-            self.starts[:, list(self.piece.places)] += move
-        if free_starts:
-            # To first order, how the optimal starts follow the unknowns.
-            follows: Floats = -np.linalg.solve(normal, cross).astype(np.float64)
-            self._follow = at, follows
-            by_value = by_value + np.einsum("wncd,ndk->wnck", by_start, follows)
-        return residual, by_value
+            self.starts[:, free] += move
+        # To first order, how the optimal starts follow the unknowns.
+        follows: Floats = -np.linalg.solve(normal, cross).astype(np.float64)
+        self._follow = at, follows
+        by_value = by_value + np.einsum("wncd,ndk->wnck", by_start, follows)
+        own = len(piece.places)
+        self._gust_variance = np.linalg.inv(normal)[:, range(own, len(free)), range(own, len(free))].mean(axis=0)
+        return Misfit(residual, by_value, self._gusts() / self.gust, follows[:, own:] / self.gust[:, None])
+
+    def learn_gust(self) -> None:
+        """Set the gusts' standard deviations, horizontal and vertical, to what the last misfit says (a step of EM)."""
+        if len(self.gust):
+            variance = np.square(self._gusts()).mean(axis=0) + self._gust_variance
+            north, east, down = variance.reshape(2, 3).T
+            across = (north + east) / 2.0
+            self.gust = np.maximum(np.sqrt(np.stack([across, across, down], axis=1).ravel()), SMALLEST_GUST)
+
+    def _gusts(self) -> Floats:
+        return self.starts[:, list(self.piece.gusts)]
 
     def simulated(self, values: Mapping[str, float]) -> Floats:
         """Return the channels (W, n, C) from the starts as they are."""
         with jax.enable_x64(True):
-            return np.asarray(predict(*self._arguments(values)))
+            return np.asarray(predict(self.piece.places, **self._arguments(values)))
 
-    def _arguments(self, values: Mapping[str, float]) -> tuple[Any, ...]:
+    def _arguments(self, values: Mapping[str, float]) -> dict[str, Any]:
         piece = self.piece
-        return (
-            tuple(values),
-            piece.places,
-            "thrust" in piece.channels,
-            self.vehicle,
-            jnp.array(list(values.values()), jnp.float64),
-            jnp.asarray(self.starts),
-            jnp.asarray(piece.commands),
-            jnp.asarray(piece.windows),
-            piece.log.dt,
-        )
+        return {
+            "names": tuple(values),
+            "thrust_measured": "thrust" in piece.channels,
+            "vehicle": self.vehicle,
+            "unknowns": jnp.array(list(values.values()), jnp.float64),
+            "starts": jnp.asarray(self.starts),
+            "commands": jnp.asarray(piece.commands),
+            "windows": jnp.asarray(piece.windows),
+            "dt": piece.log.dt,
+        }
 
     def _sums(self, residual: Floats, by_value: Floats, by_start: Floats) -> tuple[Floats, Floats, Floats]:
         """Return, of each window, the weighted J'J of the starts, that with the unknowns, and J'r."""
@@ -206,7 +246,12 @@ class Shooting:
         # A start that a window does not show (a rate at its last row) stays where it is.
         normal = normal + 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(normal.shape[-1])
         cross = np.einsum("wncd,wnck->ndk", weighted, by_value)
-        return normal, cross, np.einsum("wncd,wnc->nd", weighted, residual)
+        gradient = np.einsum("wncd,wnc->nd", weighted, residual)
+        own = len(self.piece.places)
+        gusts = range(own, normal.shape[-1])
+        normal[:, gusts, gusts] += 1.0 / self.gust**2
+        gradient[:, own:] += self._gusts() / self.gust**2
+        return normal, cross, gradient
 
 
 def weights(residual: Floats, robust: bool) -> Floats:

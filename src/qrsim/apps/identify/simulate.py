@@ -17,6 +17,10 @@ from qrsim.models.vehicles.quadrotor import Command, ProcessNoise, Quadrotor, Qu
 
 _WIDTH = len(CHANNELS)
 PLACE = {name: i for i, name in enumerate(CHANNELS)}
+# Places in a start beside those of the channels: the wind in the middle of a window less that of its log, along north,
+# east and down, and by how much it changes from there to the window's end.
+GUST = tuple(range(_WIDTH, _WIDTH + 3))
+DRIFT = tuple(range(_WIDTH + 3, _WIDTH + 6))
 
 
 def delayed(commands: Array, delay: Array, dt: float) -> Array:
@@ -47,14 +51,15 @@ def thrust_history(vehicle: Quadrotor, throttle: Array, battery: Array, first: A
     return jax.lax.scan(tick, first, (throttle, battery))[1]
 
 
-def fly(vehicle: Quadrotor, start: Array, commands: Array, wind_ned: Vec3, dt: float) -> Array:
+def fly(vehicle: Quadrotor, start: Array, commands: Array, wind_ned: Vec3, drift_ned: Vec3, dt: float) -> Array:
     """Return the channels (W, n, 10) of n vehicles at each row.
 
     Args:
         vehicle: parameters.
         start: (n, 10) channels before the first row.
         commands: (W, 5, n) SI.
-        wind_ned: velocity of the air [m/s], numbers.
+        wind_ned: velocity of the air in the middle of each window [m/s], (n,).
+        drift_ned: its change from there to the end, (n,).
         dt: step [s].
     """
     zero = Vec3.zeros((start.shape[0],), start.dtype)
@@ -63,16 +68,17 @@ def fly(vehicle: Quadrotor, start: Array, commands: Array, wind_ned: Vec3, dt: f
     velocity = rotation(attitude).to_body(Vec3(*column[6:9]))
     first = QuadrotorState(zero, attitude, velocity, Vec3(*column[3:6]), column[9])
     noise = ProcessNoise(zero, zero)
-    wind = Vec3(*(jnp.broadcast_to(axis, zero.x.shape) for axis in (wind_ned.x, wind_ned.y, wind_ned.z)))
 
-    def tick(state: QuadrotorState, row: Array) -> tuple[QuadrotorState, Array]:
+    def tick(state: QuadrotorState, now: tuple[Array, Array]) -> tuple[QuadrotorState, Array]:
+        row, part = now
+        wind = wind_ned + drift_ned * part
         over_ground = rotation(state.attitude).to_ned(state.velocity_body)
         leaves = [*jax.tree.leaves((state.attitude, state.rates_body, over_ground)), state.thrust]
         command = Command(*(row[i] for i in range(5)))
         after, _ = vehicle.step(state, command, lambda trig: trig.rotation().to_body(wind), noise, dt)
         return after, jnp.stack(leaves, axis=-1)
 
-    return jax.lax.scan(tick, first, commands)[1]
+    return jax.lax.scan(tick, first, (commands, jnp.linspace(-1.0, 1.0, len(commands), dtype=start.dtype)))[1]
 
 
 def channels(
@@ -92,7 +98,7 @@ def channels(
         thrust_measured: whether the thrust at the start of a window is one of ``starts``, or follows from the commands.
         vehicle: what is not among the unknowns.
         unknowns: (K,) in the order of ``names``.
-        starts: (n, 10) channels at the first row of each window.
+        starts: (n, 16) channels at the first row of each window, its gust and drift.
         commands: (T, 5) of the whole log.
         windows: (W, n) rows.
         dt: step [s].
@@ -107,51 +113,38 @@ def channels(
     if not thrust_measured:
         history = thrust_history(vehicle, late[:, 2], late[:, 4], None, dt)
         starts = starts.at[:, PLACE["thrust"]].set(history[windows[0]])
-    wind = Vec3(value.get("wind_north", zero), value.get("wind_east", zero), value.get("wind_down", zero))
-    return fly(vehicle, starts, jnp.moveaxis(late[windows], 2, 1), wind, dt)
+    axes = zip(("wind_north", "wind_east", "wind_down"), GUST, strict=True)
+    wind = Vec3(*(value.get(name, zero) + starts[:, place] for name, place in axes))
+    drift = Vec3(*(starts[:, place] for place in DRIFT))
+    return fly(vehicle, starts[:, :_WIDTH], jnp.moveaxis(late[windows], 2, 1), wind, drift, dt)
 
 
 @partial(jax.jit, static_argnames=("names", "places", "thrust_measured", "dt"))
-def predict(
-    names: tuple[str, ...],
-    places: tuple[int, ...],
-    thrust_measured: bool,
-    vehicle: Quadrotor,
-    unknowns: Array,
-    starts: Array,
-    commands: Array,
-    windows: Array,
-    dt: float,
-) -> Array:
-    """Return the measured channels (W, n, C), those at ``places``; see ``channels``."""
-    every = channels(names, thrust_measured, vehicle, unknowns, starts, commands, windows, dt)
-    return every[:, :, jnp.array(places)]
+def predict(places: tuple[int, ...], **arguments: Any) -> Array:
+    """Return the measured channels (W, n, C), those at ``places``; the rest is of ``channels``."""
+    return channels(**arguments)[:, :, jnp.array(places)]
 
 
-@partial(jax.jit, static_argnames=("names", "places", "thrust_measured", "dt"))
+@partial(jax.jit, static_argnames=("names", "places", "free", "thrust_measured", "dt"))
 def linearised(
-    names: tuple[str, ...],
-    places: tuple[int, ...],
-    thrust_measured: bool,
-    vehicle: Quadrotor,
-    unknowns: Array,
-    starts: Array,
-    commands: Array,
-    windows: Array,
-    dt: float,
+    places: tuple[int, ...], free: tuple[int, ...], unknowns: Array, starts: Array, **rest: Any
 ) -> tuple[Array, Array, Array]:
-    """Return the measured channels (W, n, C) and their derivatives by unknowns (W, n, C, K) and own start (W, n, C, C).
+    """Return channels (W, n, C) and their derivatives by unknowns (W, n, C, K) and by what is free in a start, S.
 
     A window depends on its own start alone, so one direction moves the starts of all windows together.
+
+    Args:
+        places: of the measured channels.
+        free: places in ``starts`` by which is differentiated.
+        unknowns, starts, rest: of ``channels``.
     """
 
     def moved(both: tuple[Array, Array]) -> tuple[Array, Array]:
         theta, shift = both
-        shifted = starts.at[:, jnp.array(places)].add(jnp.broadcast_to(shift, (starts.shape[0], len(places))))
-        every = channels(names, thrust_measured, vehicle, theta, shifted, commands, windows, dt)
-        found = every[:, :, jnp.array(places)]
+        shifted = starts.at[:, jnp.array(free)].add(jnp.broadcast_to(shift, (starts.shape[0], len(free))))
+        found = channels(unknowns=theta, starts=shifted, **rest)[:, :, jnp.array(places)]
         return found, found
 
-    at: Any = (unknowns, jnp.zeros(len(places), unknowns.dtype))
+    at: Any = (unknowns, jnp.zeros(len(free), unknowns.dtype))
     (by_unknowns, by_start), found = jax.jacfwd(moved, has_aux=True)(at)
     return found, by_unknowns, by_start
