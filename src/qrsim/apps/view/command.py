@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import signal
 import sys
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -106,7 +109,23 @@ class View:
         try:
             page = Page(server, recording.cast, recording.world, recording.heading, clock)
             replay = Replay(recording, page, clock, self.at or 0.0)
-            print(f"{recording.heading}, {recording.end:g} s: {address(server)}  (Ctrl-C ends it)", flush=True)
-            replay.run(threading.Event())
+            stop = threading.Event()
+            with _on_interrupt(lambda: (stop.set(), clock.close())):
+                print(f"{recording.heading}, {recording.end:g} s: {address(server)}  (Ctrl-C ends it)", flush=True)
+                replay.run(stop)
+            raise KeyboardInterrupt
         finally:
             server.stop()
+
+
+@contextmanager
+def _on_interrupt(do: Callable[[], Any]) -> Iterator[None]:
+    """Let Ctrl-C do something in place of raising: an exception is lost where it meets a callback of a library."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, lambda number, frame: do())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
