@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -110,7 +110,12 @@ class View:
             page = Page(server, recording.cast, recording.world, recording.heading, clock)
             replay = Replay(recording, page, clock, self.at or 0.0)
             stop = threading.Event()
-            with _on_interrupt(lambda: (stop.set(), clock.close())):
+
+            def end() -> None:
+                stop.set()
+                clock.close()
+
+            with _on_interrupt(end):
                 print(f"{recording.heading}, {recording.end:g} s: {address(server)}  (Ctrl-C ends it)", flush=True)
                 replay.run(stop)
             raise KeyboardInterrupt
@@ -119,7 +124,7 @@ class View:
 
 
 @contextmanager
-def _on_interrupt(do: Callable[[], Any]) -> Iterator[None]:
+def _on_interrupt(do: Callable[[], None]) -> Iterator[None]:
     """Let Ctrl-C do something in place of raising: an exception is lost where it meets a callback of a library."""
     if threading.current_thread() is not threading.main_thread():
         yield
