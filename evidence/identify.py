@@ -297,7 +297,6 @@ def laws(seeds: int, folder: Path | None, generations: int, population: int) -> 
             "held_out": recorded.held_out,
             "nodes": {name: law.chosen.size for name, law in recorded.laws.items()},
             "terms": {name: len(law.terms or {}) for name, law in recorded.laws.items()},
-            "equations": {name: law.text for name, law in recorded.laws.items()},
             "trims": recorded.trims,
             "mean_lower_percent": 100.0
             - 100.0
