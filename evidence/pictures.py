@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,19 +57,24 @@ def write(family: str, source: Any, output: Path = IMAGES) -> Path:
     return path
 
 
-def main(names: Sequence[str]) -> int:
-    """Write the named pictures, all of them where none is named; return the exit code."""
+def write_named(names: Sequence[str], kind: str, known: Collection[str], draw: Callable[[str], Path]) -> int:
+    """Write the named pictures, all that are known where none is named; return the exit code."""
     try:
-        known = families()
         for name in names:
             if name not in known:
-                raise UsageError(f"no family of scenarios '{name}'{did_you_mean(name, known)}")
+                raise UsageError(f"no family of {kind} '{name}'{did_you_mean(name, known)}")
         for name in names or known:
-            print(write(name, known[name]))
+            print(draw(name))
     except QrsimError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     return 0
+
+
+def main(names: Sequence[str]) -> int:
+    """Write the named pictures of the page; return the exit code."""
+    known = families()
+    return write_named(names, "scenarios", known, lambda name: write(name, known[name]))
 
 
 if __name__ == "__main__":

@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
+from evidence.pictures import write_named
 from qrsim.apps.envs.batch import Batch
 from qrsim.core.vectors import Vec3
 from qrsim.episode import surroundings
-from qrsim.errors import QrsimError, UsageError, did_you_mean
 from qrsim.logs.picture import new_figure, save_picture
 from qrsim.tasks import Play
 from qrsim.tasks.baselines import baseline
@@ -236,20 +236,16 @@ FAMILIES: dict[str, Callable[[], Figure]] = {
 }
 
 
+def write(name: str) -> Path:
+    """Write the picture of a family and return the file."""
+    path = IMAGES / f"task_{name}.png"
+    save_picture(FAMILIES[name], path)
+    return path
+
+
 def main(names: Sequence[str]) -> int:
-    """Write the named pictures, all of them where none is named; return the exit code."""
-    try:
-        for name in names:
-            if name not in FAMILIES:
-                raise UsageError(f"no family of tasks '{name}'{did_you_mean(name, FAMILIES)}")
-        for name in names or FAMILIES:
-            path = IMAGES / f"task_{name}.png"
-            save_picture(FAMILIES[name], path)
-            print(path)
-    except QrsimError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
-    return 0
+    """Write the named pictures of tasks; return the exit code."""
+    return write_named(names, "tasks", FAMILIES, write)
 
 
 if __name__ == "__main__":
