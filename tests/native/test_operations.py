@@ -287,6 +287,33 @@ class TestArrays:
         }
         check(function, state, mode, ticks=3, rtol=2e-5, atol=1e-4)
 
+    @pytest.mark.parametrize("keeps", ["nothing", "the array before", "sums of both"])
+    def test_changes_in_a_loop_stay_in_worlds_that_still_turn(self, keeps, mode):
+        """Cells are changed one at a turn, each world as often as it needs, whether or not the old ones are wanted."""
+
+        def function(_, state, tick):
+            def turn(now):
+                left, cells, before, total = now
+                at = (left * 7) % 24
+                total = total + cells[at]
+                after = cells.at[at].set(0.5 * cells[at] + left.astype(jnp.float32))
+                if keeps == "sums of both":
+                    total = total + jnp.sum(after) - 0.5 * jnp.sum(cells)
+                return left - 1, after, cells if keeps == "the array before" else before, total
+
+            carry = (state["left"], state["cells"], state["before"], state["total"])
+            left, cells, before, total = lax.while_loop(lambda now: now[0] > 0, turn, carry)
+            return {"left": state["left"] + left, "cells": cells, "before": before, "total": total}
+
+        random = np.random.default_rng(15)
+        state = {
+            "left": np.arange(18, dtype=np.int32) % 7,
+            "cells": random.normal(size=(18, 24)).astype(np.float32),
+            "before": np.zeros((18, 24), np.float32),
+            "total": np.zeros(18, np.float32),
+        }
+        check(function, state, mode, ticks=3, rtol=2e-5, atol=1e-3)
+
     def test_running_sums(self, mode):
         def function(_, state, tick):
             return jnp.cumsum(state, axis=0) - lax.cumsum(state, axis=1, reverse=True) * 0.5

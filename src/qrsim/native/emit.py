@@ -40,6 +40,8 @@ class Emitter(Writer):
         super().__init__(places, lanes, side_by_side)
         self.spare, self.spare_bytes = spare, spare_bytes
         self.operations = Operations(self.emit, self.declarations)
+        # Which worlds have not left the innermost loop; None where all go together.
+        self.turning: str | None = None
 
     # Steps
 
@@ -317,7 +319,8 @@ class Emitter(Writer):
         self.steps(step.branches[0], stored)
         self.scope = Scope((), [], None, {}, {})
         goes_on, lanes = self.value(condition.results[0])
-        keep = None
+        keep, outer = None, self.turning
+        self.turning = goes_on if lanes > 1 else None
         if lanes > 1:
             mask, every = vector("i1", lanes), splat("true", "i1", lanes)
             keep = self.emit(f"xor {mask} {goes_on}, {every}")
@@ -328,7 +331,7 @@ class Emitter(Writer):
         self.move_all([(a, c.shape, p) for a, c, p in zip(body.results, node.attributes[0], places, strict=True)], keep)
         self.do(f"br label %{label}")
         self.start_block(f"{label}.after")
-        self.scalars = outside
+        self.scalars, self.turning = outside, outer
 
     def _any(self, flags: str) -> str:
         """Return whether any world has its flag set."""

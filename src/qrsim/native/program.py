@@ -13,7 +13,7 @@ from qrsim.core.pack import Buffers, Packer, struct
 from qrsim.native.compiler import Loaded, machine_code
 from qrsim.native.emit import Emitter
 from qrsim.native.graph import Access, Graph, Node, Shape, View, squeezed
-from qrsim.native.schedule import ALONE, NESTED, Arena, Scheduler, all_nodes, materialised, readers
+from qrsim.native.schedule import ALONE, NESTED, Arena, Scheduler, all_nodes, in_place, materialised, readers
 from qrsim.native.simplify import contract, live_nodes
 from qrsim.native.text import stored_bytes
 from qrsim.native.tracing import Tracer, trace
@@ -173,11 +173,12 @@ class _Writer:
         every = materialised([*self.prologue, *self.body], self.results)
         computed = all_nodes([*self.prologue, *self.body])
         self.stored = {node.number for node in computed if node.number in every and not _in_register(node)}
-        self._place(live)
+        self.in_place = in_place([*self.prologue, *self.body])
+        self._place()
 
-    def _place(self, live: set[int]) -> None:
+    def _place(self) -> None:
         for node in all_nodes(self.prologue):
-            if node.number in self.stored:
+            if node.number in self.stored and node.number not in self.in_place:
                 self.places[node.number] = self._take(node)
         self._place_in_state()
         last = {number: reads[-1][0] for number, reads in readers(self.body).items()}
@@ -186,7 +187,7 @@ class _Writer:
         ending: dict[int, list[tuple[int, int]]] = {}
         for i, step in enumerate(self.body):
             for node in all_nodes([step]):
-                if node.number in self.stored and node.number not in self.places:
+                if node.number in self.stored and node.number not in self.places and node.number not in self.in_place:
                     place = self._take(node)
                     self.places[node.number] = place
                     inner = node not in step.nodes
@@ -197,11 +198,13 @@ class _Writer:
         self._place_carries()
 
     def _place_carries(self) -> None:
-        """What a while hands from turn to turn lies where its results do."""
+        """What a while hands from turn to turn lies where its results do, and so do the changes made in place."""
         for node in all_nodes([*self.prologue, *self.body]):
             if node.op == "while":
                 for carry, output in zip(*node.attributes, strict=True):
                     self.places[carry.number] = self.places[output.number]
+        for number, output in self.in_place.items():
+            self.places[number] = self.places[output.number]
 
     def _place_in_state(self) -> None:
         """Let what becomes the next state be computed where the state lies, if nobody needs the old one any more."""

@@ -60,8 +60,12 @@ class Scheduler:
         ready = [node for node in waiting.values() if node.op != "output" and self._ready(node, done)]
         if not ready:
             raise UnsupportedError("a graph with a cycle")
-        # Small domains first: what they make lets the large one run further in one loop.
-        first = min(ready, key=lambda node: (node.op in NESTED, sizes[node.domain] if node.domain else -1))
+        # Small domains first: what they make lets the large one run further in one loop. What changes a carry last, so
+        # that it may do so in its place.
+        first = min(
+            ready,
+            key=lambda node: (node.op in NESTED, _changes_carry(node), sizes[node.domain] if node.domain else -1),
+        )
         if first.op in NESTED:
             return self._branching(first, waiting, done)
         if first.op in ALONE:
@@ -127,6 +131,38 @@ class Scheduler:
         step = Step(cond.op, (), [cond, *outputs])
         step.branches = [self.steps(region.nodes, done) for region in cond.regions]
         return step
+
+
+def _changes_carry(node: Node) -> bool:
+    return node.op == "scatter" and node.args[0].node.op == "carry"
+
+
+def in_place(steps: list[Step]) -> dict[int, Node]:
+    """Return, by its number, each scatter of a loop's body that may write where its carry lies: that carry's output.
+
+    It hands on what it was handed with some numbers changed, and nobody reads after it what was there before.
+    """
+    found: dict[int, Node] = {}
+    for step in steps:
+        for branch in step.branches:
+            found |= in_place(branch)
+        if step.kind == "while":
+            node, body = step.nodes[0], step.branches[1]
+            for carry, output, result in zip(*node.attributes, node.regions[1].results, strict=True):
+                scatter = result.node
+                reads = [(i, reader) for i, reader, access in readers(body)[carry.number]]
+                reads += [(len(body), None) for access in node.regions[1].results if access.node is carry]
+                own = [i for i, reader in reads if reader is scatter]
+                if (
+                    _changes_carry(scatter)
+                    and scatter.args[0].node is carry
+                    and scatter.args[0].identical(scatter.shape)
+                    and result.identical(scatter.shape)
+                    and len(own) == 1
+                    and max(i for i, _ in reads) == own[0]
+                ):
+                    found[scatter.number] = output
+    return found
 
 
 def inner_accesses(step: Step) -> list[tuple[Node | None, Access]]:
