@@ -15,7 +15,7 @@ from scipy import stats
 
 import qrsim
 from evidence.recordings import data_folder
-from qrsim.apps.discover.discovery import discover, is_published
+from qrsim.apps.discover.discovery import Discovery, discover, is_published
 from qrsim.apps.identify.constants import CONSTANTS, PITCH, constants_in
 from qrsim.apps.identify.fit import Answer, Question, solve
 from qrsim.apps.identify.identification import identify
@@ -38,7 +38,7 @@ WIND_20FT, HEIGHT = 4.0, 300.0
 NOISE = {"angle": 0.005, "rate": 0.01, "velocity": 0.05}
 THRUST_NOISE_N = 0.1
 # Of discovering.
-SEEDS, GENERATIONS, POPULATION = 10, 12, 30
+SEEDS, RECORDED_SEEDS, GENERATIONS, POPULATION = 10, 5, 12, 30
 DRAWN = tuple(name for name in CONSTANTS if name not in (*PITCH, "mass"))
 
 Floats = np.ndarray[Any, Any]
@@ -292,28 +292,40 @@ def laws(seeds: int, folder: Path | None, generations: int, population: int) -> 
         "nodes": {law: float(np.median([each.laws[law].chosen.size for each in found])) for law in found[0].laws},
     }
     if folder is not None:
-        recorded = discover(read_log(folder / "rotation_rig.csv"), 0, generations, population)
-        result["rotation"] = {
-            "held_out": recorded.held_out,
-            "nodes": {name: law.chosen.size for name, law in recorded.laws.items()},
-            "terms": {name: len(law.terms or {}) for name, law in recorded.laws.items()},
-            "trims": recorded.trims,
-            "mean_lower_percent": 100.0
-            - 100.0
-            * float(
-                np.mean(
-                    [
-                        after / recorded.held_out["published"][name]
-                        for name, after in recorded.held_out["discovered"].items()
-                    ]
-                )
-            ),
-            "lower_percent": {
-                name: 100.0 * (1.0 - after / recorded.held_out["published"][name])
-                for name, after in recorded.held_out["discovered"].items()
-            },
-        }
+        rotation = read_log(folder / "rotation_rig.csv")
+        recorded = [discover(rotation, seed, generations, population) for seed in range(RECORDED_SEEDS)]
+        result["rotation"] = _law_scores(recorded[0]) | {"seeds": _over_seeds([_law_scores(each) for each in recorded])}
     return result
+
+
+def _law_scores(found: Discovery) -> dict[str, Any]:
+    published, after = found.held_out["published"], found.held_out["discovered"]
+    lower = {name: 100.0 * (1.0 - after[name] / published[name]) for name in published}
+    return {
+        "held_out": found.held_out,
+        "delay_s": found.delay,
+        "nodes": {name: law.chosen.size for name, law in found.laws.items()},
+        "terms": {name: len(law.terms or {}) for name, law in found.laws.items()},
+        "trims": found.trims,
+        "mean_lower_percent": float(np.mean(list(lower.values()))),
+        "lower_percent": lower,
+    }
+
+
+def _over_seeds(scores: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return how the scores of several seeds differ."""
+    means = [each["mean_lower_percent"] for each in scores]
+    worst = [min(each["lower_percent"].values()) for each in scores]
+    return {
+        "count": len(scores),
+        "mean_lower_percent": {"least": min(means), "most": max(means)},
+        "none_worse": sum(each >= 0.0 for each in worst),
+        "worst_lower_percent": min(worst),
+        "nodes_tilt": {
+            "least": min(s["nodes"]["tilt"] for s in scores),
+            "most": max(s["nodes"]["tilt"] for s in scores),
+        },
+    }
 
 
 def run(full: bool, folder: Path | None = None) -> dict[str, Any]:

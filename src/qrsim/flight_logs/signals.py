@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -93,3 +93,19 @@ class FlightLog:
                 f"{self.source}: {purpose} needs {', '.join(missing)}, which this log ({self.kind}) has not;"
                 f" there: {', '.join(self.signals)}"
             )
+
+    def delayed(self, delay: float) -> FlightLog:
+        """Return the log with commands that act late, each the mean over its step of what is held during it.
+
+        Args:
+            delay: [s], at least 0; before the log's first row its first commands are held.
+        """
+        whole, part = divmod(delay / self.dt, 1.0)
+        rows = np.arange(len(self.time)) - int(whole)
+        later, earlier = np.maximum(rows, 0), np.maximum(rows - 1, 0)
+        late = {
+            name: values[later] + part * (values[earlier] - values[later]) if part else values[later]
+            for name, values in self.signals.items()
+            if SIGNALS[name].command and name != "battery"
+        }
+        return replace(self, signals=self.signals | late)

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence.identify import pelican_log
 from tests.flight_logs.log_writing import flown, write_csv
 
 from qrsim import cli
 from qrsim.apps.discover import proposals
 from qrsim.apps.discover.choosing import choose
+from qrsim.apps.discover.delay import refined_delay, rough_delay
 from qrsim.apps.discover.discovery import published
 from qrsim.apps.discover.evolution import Population, Proposal, fitted
 from qrsim.apps.discover.flight import fly, windows_of
@@ -93,6 +95,42 @@ def test_constants_are_fitted_and_terms_told() -> None:
     assert terms == pytest.approx({(1, 0): 2.2, (0, 1): -5.1}, abs=1e-6)
 
 
+def _polynomials(factor: float) -> dict[str, Proposal]:
+    """Return the published laws of rotation, every constant wrong by a factor."""
+    terms = {"tilt": [(1, 0, 0), (0, 1, 0), (0, 0, 1)], "yaw": [(1, 0), (0, 1)]}
+    return {
+        law: Proposal(proposals.polynomial_tree(own, law), factor * published()[law][1][:, 0])
+        for law, own in terms.items()
+    }
+
+
+@pytest.mark.parametrize("late", [0.0, 0.07])
+def test_the_delay_of_commands_is_found(log_file: Path, late: float) -> None:
+    """Within 2 ms, a tenth of a step; before any law is known, within a step."""
+    log = read_log(log_file)
+    whole, part = divmod(late / log.dt, 1.0)
+    rows = np.minimum(np.arange(len(log.time)) + int(whole), len(log.time) - 1)
+    after = np.minimum(rows + 1, len(log.time) - 1)
+    early = {
+        name: (1.0 - part) * values[rows] + part * values[after] if name.endswith("command") else values
+        for name, values in log.signals.items()
+    }
+    asked = replace(log, signals=early)
+    rough = rough_delay(asked, 0.6)
+    assert abs(rough - late) <= log.dt
+    assert refined_delay(asked, _polynomials(1.1), 1.68, 0.6, rough) == pytest.approx(late, abs=2e-3)
+
+
+def test_the_delay_of_a_thrust_alone_is_found() -> None:
+    """Within a step: the slope of the thrust is limited, which is no delay."""
+    log = pelican_log(1, 20.0)
+    log = replace(log, signals={name: log.signals[name] for name in ("throttle", "thrust")})
+    assert rough_delay(log, 0.6) <= log.dt
+    throttle = log.signals["throttle"]
+    early = np.concatenate([throttle[4:], np.repeat(throttle[-1], 4)])
+    assert rough_delay(replace(log, signals=log.signals | {"throttle": early}), 0.6) == pytest.approx(0.08, abs=0.021)
+
+
 def test_long_flights_choose_the_smaller_law_and_find_trims(log_file: Path) -> None:
     """The constants begin 20 % wrong, and the log's commands lack 20 mrad/s and 10 mrad that the vehicle got."""
     log = read_log(log_file)
@@ -120,7 +158,7 @@ def test_the_command_finds_laws_that_scenarios_fly(
 ) -> None:
     """Few generations: the laws need not be the published ones, but must explain most of the motion."""
     out = tmp_path / "found.yaml"
-    words = ["discover", str(log_file), "-o", str(out), "--generations", "3", "--population", "12", "--quiet"]
+    words = ["discover", str(log_file), "-o", str(out), "--generations", "2", "--population", "10", "--quiet"]
     assert cli.main(words) == 0
     printed = capsys.readouterr().out
     assert "d(rate)/dt of yaw [rad/s^2] =" in printed
@@ -136,6 +174,7 @@ def test_the_command_finds_laws_that_scenarios_fly(
 def test_wrong_usage(log_file: Path, refused: Callable[..., None], tmp_path: Path) -> None:
     out = ["-o", str(tmp_path / "v.yaml")]
     refused(["discover", str(log_file), *out, "--generations", "0"], "--generations 0: expected at least 1")
+    refused(["discover", str(log_file), *out, "--delay", "-0.1"], "--delay -0.1: expected 0 to 1 s")
     refused(["discover", str(tmp_path / "none.csv"), *out], "no such file")
     path = write_csv(tmp_path / "log.csv", {k: v for k, v in flown(6.0).items() if k != "roll_rate"})
     refused(["discover", str(path), "--quiet", *out], "the laws of rotation needs roll_rate")

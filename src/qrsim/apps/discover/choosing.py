@@ -59,40 +59,40 @@ def choose(log: FlightLog, populations: Mapping[str, Population], windows: int, 
     middle = FIRST_PART * train
     try:
         lengths = [min(length, 0.5 * middle * len(log.time) * log.dt) for length in FIT_S]
-        fits = [_windows(log, 0.0, middle, length) for length in lengths]
+        fits = [long_windows(log, 0.0, middle, length) for length in lengths]
         rest_s = (train - middle) * len(log.time) * log.dt
-        compare = _windows(log, middle, train, min(COMPARE_S, 0.5 * rest_s))
-        everything = [_windows(log, 0.0, train, length) for length in lengths]
+        compare = long_windows(log, middle, train, min(COMPARE_S, 0.5 * rest_s))
+        everything = [long_windows(log, 0.0, train, length) for length in lengths]
     except UsageError:
         # Too short for long windows: what evolution says counts.
         return choice
     # At first what the channels move counts, then what the laws leave of them.
     noise = np.std(fits[0].recorded - fits[0].recorded[:, :1], axis=(1, 2)) + 1e-9
     for law in populations:
-        choice.laws[law], own = _refined(choice, law, choice.laws[law], fits[0], noise, mass)
+        choice.laws[law], own = refined(choice, law, choice.laws[law], fits[0], noise, mass)
         choice.trims |= own
-    noise = _left(choice, fits[0], mass)
+    noise = left_by(choice, fits[0], mass)
     independent = rest_s / (compare.commands.shape[1] * log.dt)
     for law, population in populations.items():
         _choose_law(choice, law, population, fits[0], compare, noise, mass, independent)
     for law in populations:
         ways = [(i, trimmed) for i in range(len(fits)) for trimmed in (True, False)]
-        tried = [_refined(choice, law, choice.laws[law], fits[i], noise, mass, trimmed) for i, trimmed in ways]
+        tried = [refined(choice, law, choice.laws[law], fits[i], noise, mass, trimmed) for i, trimmed in ways]
         means = [float(_compared(choice, law, *each, compare, noise, mass).mean()) for each in tried]
         best = int(np.argmin(means))
         i, trimmed = ways[best]
-        choice.laws[law], own = _refined(choice, law, tried[best][0], everything[i], noise, mass, trimmed)
+        choice.laws[law], own = refined(choice, law, tried[best][0], everything[i], noise, mass, trimmed)
         choice.trims |= own
     return choice
 
 
-def _windows(log: FlightLog, first: float, last: float, length_s: float) -> Flight:
+def long_windows(log: FlightLog, first: float, last: float, length_s: float) -> Flight:
     """Return windows that cover a share of a log once; they overlap where it is too short for FEWEST_WINDOWS."""
     steps = round(length_s / log.dt)
     return windows_of(log, first, last, steps, max(FEWEST_WINDOWS, math.ceil((last - first) * len(log.time) / steps)))
 
 
-def _left(choice: Choice, flight: Flight, mass: float) -> Floats:
+def left_by(choice: Choice, flight: Flight, mass: float) -> Floats:
     """Return what the laws leave of each channel (C,): its root mean square."""
     rules = {name: rule_of(each.tree, name) for name, each in choice.laws.items()}
     constants = {name: each.constants[:, None] for name, each in choice.laws.items()}
@@ -126,7 +126,7 @@ def _choose_law(
     """Put the law of a front into the choice that is the smallest of those that are as good as the best."""
     front = population.pareto()
     likely = [each for each in front if each.error <= HOPELESS * front[-1].error]
-    tried = [_refined(choice, law, proposal, fit, noise, mass) for proposal in likely]
+    tried = [refined(choice, law, proposal, fit, noise, mass) for proposal in likely]
     errors = [_compared(choice, law, *each, compare, noise, mass) for each in tried]
     best = min(errors, key=lambda each: float(each.mean()))
     for (found, own), error in zip(tried, errors, strict=True):
@@ -138,7 +138,7 @@ def _choose_law(
             return
 
 
-def _refined(
+def refined(
     choice: Choice,
     law: str,
     proposal: Proposal,

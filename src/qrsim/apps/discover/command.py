@@ -41,6 +41,8 @@ class Discover:
     """Expressions for each law."""
     mass: float = 1.68
     """Take-off mass [kg]."""
+    delay: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: estimated)")] = None
+    """By which commands act late."""
     train: float = 0.6
     """Share of the log that is used; the rest scores the laws."""
     overwrite: bool = False
@@ -62,7 +64,7 @@ class Discover:
 
         log = read_log(self.log)
         say = (lambda text: None) if self.quiet or self.json else (lambda text: print(text, flush=True))
-        found = discover(log, self.seed, self.generations, self.population, self.mass, self.train, say)
+        found = discover(log, self.seed, self.generations, self.population, self.mass, self.train, self.delay, say)
         content = dump_yaml({"vehicle": found.vehicle(self.mass), "discovered": _summary(found)})
         head = f"# Discovered by 'qrsim discover' from {self.log.name}, seed {self.seed}.\n"
         try:
@@ -89,6 +91,8 @@ class Discover:
                 raise UsageError(f"{option} {value}: expected at least {least}")
         if not 0.1 <= self.train <= 0.95:
             raise UsageError(f"--train {self.train:g}: expected a share from 0.1 to 0.95; the rest scores the laws")
+        if self.delay is not None and not 0.0 <= self.delay <= 1.0:
+            raise UsageError(f"--delay {self.delay:g}: expected 0 to 1 s")
         if not (math.isfinite(self.mass) and self.mass > 0.0):
             raise UsageError(f"--mass {self.mass:g}: expected a mass above 0 kg")
 
@@ -102,7 +106,7 @@ def _summary(found: Discovery) -> dict[str, Any]:
         }
         for name, law in found.laws.items()
     }
-    return {"laws": laws, "trims": found.trims, "held_out_mean_squared_error": found.held_out}
+    return {"laws": laws, "delay_s": found.delay, "trims": found.trims, "held_out_mean_squared_error": found.held_out}
 
 
 def _print(found: Discovery, out: Path) -> None:
@@ -111,6 +115,7 @@ def _print(found: Discovery, out: Path) -> None:
     for law in found.laws.values():
         print(f"\n{law.text}\n  {law.chosen.size} nodes; error by nodes:", end=" ")
         print(", ".join(f"{nodes}: {error:.3g}" for nodes, error in law.front))
+    print(f"\ncommands of this log act {found.delay:.4g} s late")
     for name, trim in found.trims.items():
         print(f"\n{name.replace('_', ' ')} command of this log: {trim:+.4g} {TRIM_UNITS[name]} added")
     print(f"\nheld-out part, open loop: mean squared error\n  {'signal':<16} {'published':>11} {'discovered':>11}")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.apps.discover.choosing import choose
+from qrsim.apps.discover.delay import refined_delay, rough_delay
 from qrsim.apps.discover.evolution import Evolution, Proposal
 from qrsim.apps.discover.flight import LEAVES, LEFT_SIDES, Flight, Floats, Rule, fly, windows_of
 from qrsim.apps.discover.proposals import count_constants, monomials, rule_of, shown, symbolic
@@ -57,13 +58,16 @@ class Discovery:
 
     Attributes:
         laws: by name.
-        held_out: mean squared error of each channel over the rest of the log, open loop: "published", "discovered".
+        delay: [s] by which the commands of this log act late.
+        held_out: mean squared error of each channel over the rest of the log, open loop and with that delay:
+            "published", "discovered".
         flights: of the rest, (C, H) recorded and by the two sets of laws, those discovered with their trims.
         trims: added to the commands in this log, by name.
         names: of the channels.
     """
 
     laws: dict[str, Law]
+    delay: float
     held_out: dict[str, dict[str, float]]
     flights: dict[str, Floats]
     trims: dict[str, float]
@@ -88,15 +92,21 @@ def discover(
     population: int,
     mass: float = MASS,
     train: float = TRAIN,
+    delay: float | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Discovery:
-    """Evolve laws on the first share ``train`` of a log and score them on the rest.
+    """Evolve laws on the first share ``train`` of a log and score them on the rest; ``delay`` None is estimated.
 
     Raises:
         UsageError: signals are missing, or the log is too short.
     """
-    evolution = Evolution(windows_of(log, 0.0, train, STEPS, WINDOWS), mass, population, seed)
+    late = rough_delay(log, train) if delay is None else delay
+    evolution = Evolution(windows_of(log.delayed(late), 0.0, train, STEPS, WINDOWS), mass, population, seed)
     evolution.run(generations, progress)
+    if delay is None:
+        likely = {name: each.chosen(evolution.windows) for name, each in evolution.populations.items()}
+        late = refined_delay(log, likely, mass, train, late)
+    log = log.delayed(late)
     choice = choose(log, evolution.populations, evolution.windows, mass, train)
     laws = {}
     for name, each in evolution.populations.items():
@@ -116,7 +126,7 @@ def discover(
         )
         for name in ("published", "discovered")
     }
-    return Discovery(laws, scores, flights, choice.trims, rest.names, log.dt)
+    return Discovery(laws, late, scores, flights, choice.trims, rest.names, log.dt)
 
 
 def _rest(log: FlightLog, train: float) -> Flight:

@@ -98,7 +98,7 @@ class Evolution:
         self.windows = flight.start.shape[1]
         # First what the channels move; later what the best partners leave.
         self.noise = np.std(flight.recorded - flight.recorded[:, :1], axis=(1, 2)) + 1e-9
-        self.rough = {law: _derivatives(flight, law) for law in flight.laws}
+        self.rough = {law: slopes(flight, law) for law in flight.laws}
         self.random = random.Random(seed)
 
     def run(self, generations: int, progress: Callable[[str], None] = lambda text: None) -> None:
@@ -320,7 +320,7 @@ def _mean_square(values: Floats) -> float:
     return min(error, FAILED) if math.isfinite(error) else FAILED
 
 
-def _derivatives(flight: Flight, law: str) -> tuple[list[Floats], Floats]:
+def slopes(flight: Flight, law: str) -> tuple[list[Floats], Floats]:
     """Return a law's leaves, (N,) each, and what it has to give, (N,), from differences of the record."""
     place = {name: i for i, name in enumerate(flight.names)}
     middle = slice(2, -2)
