@@ -20,8 +20,8 @@ from qrsim.errors import UsageError
 from qrsim.native import identity, kept, layout_of
 from qrsim.policies import UserFunction
 from qrsim.readings import Reading
-from qrsim.rollout_flight import Flight
-from qrsim.rollout_parts import Carry, Setup, begin_world, recorder
+from qrsim.rollout_flight import Flight, traced_start
+from qrsim.rollout_parts import Carry, Setup, recorder
 from qrsim.world import State, World
 
 Array = np.ndarray[Any, Any]
@@ -83,15 +83,16 @@ class Engine:
         """Return the size of what a world takes from tick to tick."""
         setup = self.setup.compiled
         if setup not in _BYTES:
-            layouts = Packer([np.asarray(leaf) for leaf in self.fixed]), layout_of(self.varied)
+            keys = jax.tree.map(lambda leaf: np.asarray(leaf)[None], ticks_of.keys_of(self.example, Key.root(0)))
+            layouts = Packer([np.asarray(leaf) for leaf in self.fixed]), layout_of((self.varied, keys))
             what = ("bytes per world", setup.types, setup.varied, *map(identity, layouts))
-            _BYTES[setup] = kept(what, self._count_bytes) if setup.plain else self._count_bytes()
-        return _BYTES[setup]
 
-    def _count_bytes(self) -> int:
-        own, keys = [part[0] for part in self.varied], ticks_of.keys_of(self.example, Key.root(0))
-        shapes = jax.eval_shape(partial(begin_world, self.setup.compiled), self.fixed, keys, own)
-        return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(shapes))
+            def count() -> int:
+                _, shapes = traced_start(setup, *layouts)
+                return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(shapes))
+
+            _BYTES[setup] = kept(what, count) if setup.plain else count()
+        return _BYTES[setup]
 
     def fly(self, rows: Array, seeds: Array, numbers: Array) -> tuple[dict[str, Array], Any]:
         """Fly the worlds ``rows`` (B,), and return their metrics and what was recorded of them."""

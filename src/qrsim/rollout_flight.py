@@ -25,6 +25,7 @@ from qrsim.native import (
     identity,
     layout_of,
     once,
+    trace_of,
 )
 from qrsim.rollout_parts import Carry, Setup, begin_world, programs, tick_of_world
 from qrsim.ticking import mode_of_many
@@ -129,6 +130,25 @@ class NativeFlight:
         return self._state.get(select)
 
 
+# What was traced last: how large it is, is asked before it is compiled.
+_TRACED: dict[Any, tuple[Any, Any]] = {}
+
+
+def traced_start(setup: Setup, fixed: Packer, own: Packer) -> tuple[Any, Any]:
+    """Return the closed jaxpr of the start of one world, and the shapes of its Carry.
+
+    Args:
+        setup: what the rollout is made of.
+        fixed: leaves that all worlds share.
+        own: leaves and keys that they do not.
+    """
+    key = setup, identity(fixed), identity(own)
+    if key not in _TRACED:
+        _TRACED.clear()
+        _TRACED[key] = trace_of(partial(_begin_tree, setup), (Input(fixed, own=False), Input(own, own=True)))
+    return _TRACED[key]
+
+
 def _begin_tree(setup: Setup, fixed: list[Any], own: tuple[list[Any], WorldKeys]) -> Carry:
     return begin_world(setup, fixed, own[1], own[0])
 
@@ -151,7 +171,7 @@ def _begin(setup: Setup, fixed: Packer, own: Packer, mode: Mode) -> tuple[Packer
         return layout, Program(start.binary, (*inputs, Input(layout, own=True)), mode)
 
     def make() -> Start:
-        return build_start(partial(_begin_tree, setup), inputs, mode)
+        return build_start(traced_start(setup, fixed, own), inputs, mode)
 
     found: tuple[Packer, Program] = _once("begin", setup, (fixed, own), mode, make, load)
     return found

@@ -16,7 +16,19 @@ from jax import lax
 from qrsim import world as ticks_of
 from qrsim.configuration import FEW_VEHICLES, QUICK_TO_COMPILE, uses_llvm
 from qrsim.core.pack import Buffers, Packer
-from qrsim.native import Input, Mode, Program, Start, UnsupportedError, aligned, build, build_start, identity, once
+from qrsim.native import (
+    Input,
+    Mode,
+    Program,
+    Start,
+    UnsupportedError,
+    aligned,
+    build,
+    build_start,
+    identity,
+    once,
+    trace_of,
+)
 from qrsim.world import State, World, WorldKeys
 
 
@@ -194,7 +206,7 @@ def _start(inputs: tuple[Input, ...], mode: Mode) -> tuple[Packer, Program]:
     found: tuple[Packer, Program] = once(
         ("start", inputs, mode),
         ("start", *(identity(given.layout) for given in inputs), mode),
-        lambda: build_start(ticks_of.reset, inputs, mode),
+        lambda: build_start(trace_of(ticks_of.reset, inputs), inputs, mode),
         load,
     )
     return found

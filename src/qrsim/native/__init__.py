@@ -10,7 +10,7 @@ from qrsim.native.graph import UnsupportedError
 from qrsim.native.lanes import Lanes, Together, layout_of
 from qrsim.native.once import forget, once
 from qrsim.native.program import Binary, Input, Mode, Program, aligned, build
-from qrsim.native.start import Start, build_start
+from qrsim.native.start import Start, build_start, trace_of
 
 __all__ = [
     "Binary",
@@ -29,4 +29,5 @@ __all__ = [
     "kept",
     "layout_of",
     "once",
+    "trace_of",
 ]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 
 from qrsim.core.pack import Buffers, Packer, struct
 from qrsim.native.compiler import Loaded, machine_code
@@ -62,11 +63,12 @@ class Binary:
     scratch_bytes: int
 
 
-def build(function: Callable[..., Any], inputs: Sequence[Input], mode: Mode) -> Binary:
+def build(function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode) -> Binary:
     """Compile a function from a state to the next one.
 
     Args:
         function: called as function(*trees, tick) of one world; returns a tree like the last one, which it advances.
+            Or what was traced of one that needs neither the last tree nor the tick.
         inputs: the trees; the last one is the state.
         mode: how vectors are used.
 
@@ -122,7 +124,7 @@ def aligned(size: int, dtype: np.dtype[Any]) -> Any:
 class _Writer:
     """Traces, schedules and writes."""
 
-    def __init__(self, function: Callable[..., Any], inputs: tuple[Input, ...], lanes: int, side_by_side: bool):
+    def __init__(self, function: Any, inputs: tuple[Input, ...], lanes: int, side_by_side: bool):
         self.inputs, self.lanes, self.side_by_side = inputs, lanes, side_by_side
         self.graph = Graph()
         self.arena = Arena()
@@ -131,7 +133,7 @@ class _Writer:
         self._trace(function)
         self._schedule()
 
-    def _trace(self, function: Callable[..., Any]) -> None:
+    def _trace(self, function: Callable[..., Any] | ClosedJaxpr) -> None:
         views: list[View] = []
         shapes: list[Any] = []
         for which, given in enumerate(self.inputs):
@@ -145,9 +147,11 @@ class _Writer:
             shapes.append(layout.template())
         self.tick = self.graph.node("input", (), (), np.dtype(np.int32), ("tick",), invariant=False, uniform=True)
         views.append(View.whole(self.tick, ()))
-        closed = trace(function, *shapes, struct((), np.dtype(np.int32)))
+        closed = function
+        if not isinstance(closed, ClosedJaxpr):
+            closed = trace(closed, *shapes, struct((), np.dtype(np.int32)))
         alone = not self.side_by_side and self.lanes > 1
-        found = Tracer(self.graph, alone).run(closed.jaxpr, closed.consts, views)
+        found = Tracer(self.graph, alone).run(closed.jaxpr, closed.consts, views[: len(closed.jaxpr.invars)])
         contract(self.graph)
         self.results = [view.access() for view in found]
 

@@ -31,18 +31,23 @@ class Start:
         return Packer(self.template)
 
 
-def build_start(function: Callable[..., Any], inputs: Sequence[Input], mode: Mode) -> Start:
+def trace_of(function: Callable[..., Any], inputs: Sequence[Input]) -> tuple[Any, Any]:
+    """Return the closed jaxpr of a function of some trees, and the shapes (jax.ShapeDtypeStruct) of what it returns."""
+    found: tuple[Any, Any] = jax.make_jaxpr(function, return_shape=True)(*(each.layout.template() for each in inputs))
+    return found
+
+
+def build_start(traced: tuple[Any, Any], inputs: Sequence[Input], mode: Mode) -> Start:
     """Compile a start.
 
     Args:
-        function: called as function(*trees) of one world; returns its first state.
+        traced: by ``trace_of``: a function of the trees of one world that returns its first state.
         inputs: the trees.
         mode: how vectors are used.
 
     Raises:
         UnsupportedError: the function does what this code generator cannot do.
     """
-    shapes = [given.layout.template() for given in inputs]
-    template = jax.tree.map(lambda leaf: struct(leaf.shape, np.dtype(leaf.dtype)), jax.eval_shape(function, *shapes))
-    every = [*inputs, Input(Packer(template), own=True)]
-    return Start(build(lambda *trees: function(*trees[:-2]), every, mode), template)
+    closed, shape = traced
+    template = jax.tree.map(lambda leaf: struct(leaf.shape, np.dtype(leaf.dtype)), shape)
+    return Start(build(closed, [*inputs, Input(Packer(template), own=True)], mode), template)

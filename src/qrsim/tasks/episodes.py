@@ -25,6 +25,7 @@ from qrsim.native import (
     identity,
     layout_of,
     once,
+    trace_of,
 )
 from qrsim.tasks.play import Episode, Play, Progress, Step
 from qrsim.ticking import mode_of_many
@@ -140,7 +141,7 @@ class NativeEpisodes:
         found: tuple[Packer, Program] = self._once(
             "start of an episode",
             (self._fixed, keys),
-            lambda: build_start(_progress, inputs, self._mode),
+            lambda: build_start(trace_of(_progress, inputs), inputs, self._mode),
             load,
         )
         return found
