@@ -36,7 +36,7 @@ run: $(STAMP)  ## run the default scenario (ARGS='...' is handed to 'qrsim run')
 
 test: lint  ## all checks, then all tests
 	@echo "== pytest"
-	@$(BIN)/python -m pytest -n 2 $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
 
 lint: $(STAMP)  ## formatting, lint, types, layers of imports
 	@echo "== ruff check"

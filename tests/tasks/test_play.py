@@ -131,20 +131,19 @@ def test_hovering_near_a_person_finds_it_and_gives_one() -> None:
 
 def test_an_episode_is_the_same_alone_and_in_a_batch() -> None:
     """The noise to the bit, the flight within rounding; where sensors are due at other times than actions too."""
-    for name, steps in (("keep_spot", 15), ("plume_mapping/3E", 2)):
-        game = play(name, "world.plume.gap=0.4", "world.plume.puffs=1500") if "/" in name else play(name)
-        rows = {}
-        for seeds in ([7], [3, 7, 11, 12]):
-            episode, _ = begin(game, seeds)
-            for _ in range(steps):
-                episode, step = steer(game, episode, np.zeros((1, len(game.agents), len(game.task.axes))))
-            row = seeds.index(7)
-            rows[len(seeds)] = jax.tree.map(lambda leaf, row=row: np.asarray(leaf)[row], (episode, step))
-        alone, batch = rows[1], rows[4]
-        barometer = [fleet.sensors[1].drift for fleet in (alone[0].state.fleets[0], batch[0].state.fleets[0])]
-        np.testing.assert_array_equal(*barometer)
-        for one, other in zip(jax.tree.leaves(alone[1]), jax.tree.leaves(batch[1]), strict=True):
-            np.testing.assert_allclose(one, other, rtol=2e-4, atol=2e-4)
+    game = play("plume_mapping/3E", "world.plume.gap=0.4", "world.plume.puffs=1500")
+    rows = {}
+    for seeds in ([7], [3, 7, 11, 12]):
+        episode, _ = begin(game, seeds)
+        for _ in range(2):
+            episode, step = steer(game, episode, np.zeros((1, len(game.agents), len(game.task.axes))))
+        row = seeds.index(7)
+        rows[len(seeds)] = jax.tree.map(lambda leaf, row=row: np.asarray(leaf)[row], (episode, step))
+    alone, batch = rows[1], rows[4]
+    barometer = [fleet.sensors[1].drift for fleet in (alone[0].state.fleets[0], batch[0].state.fleets[0])]
+    np.testing.assert_array_equal(*barometer)
+    for one, other in zip(jax.tree.leaves(alone[1]), jax.tree.leaves(batch[1]), strict=True):
+        np.testing.assert_allclose(one, other, rtol=2e-4, atol=2e-4)
 
 
 def test_the_noise_of_worlds_at_different_ticks_is_the_same_bits_alone_and_in_a_batch_of_1024() -> None:
