@@ -45,7 +45,22 @@ def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str]
     notes.append(
         f"{len(grid)} rows of {dt:g} s, {grid[-1] - grid[0]:.2f} s, from signals logged at {', '.join(rates)} Hz"
     )
-    return FlightLog(path.stem, path, kind, dt, grid - grid[0], signals, notes)
+    return FlightLog(path.stem, path, kind, dt, grid - grid[0], signals, _together(notes, list(signals)))
+
+
+def _together(notes: list[str], names: list[str]) -> list[str]:
+    """Return notes that say the same of several signals as one."""
+    whom: dict[str, list[str]] = {}
+    for note in notes:
+        name, _, what = note.partition(": ")
+        if name in names:
+            whom.setdefault(what, []).append(name)
+        else:
+            whom[note] = []
+    return [
+        f"all signals: {what}" if len(who) == len(names) > 1 else f"{', '.join(who)}: {what}" if who else what
+        for what, who in whom.items()
+    ]
 
 
 def _clean(path: Path, name: str, track: Track, notes: list[str]) -> Track:

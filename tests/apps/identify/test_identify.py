@@ -10,7 +10,7 @@ import pytest
 from tests.flight_logs.log_writing import flown, write_csv
 
 from qrsim import cli
-from qrsim.apps.identify.constants import CONSTANTS
+from qrsim.apps.identify.constants import CONSTANTS, channels_of, lacking
 from qrsim.apps.identify.fit import Answer, Prior, Question, solve
 from qrsim.apps.identify.problem import cut
 from qrsim.core.tree import replace
@@ -129,6 +129,15 @@ def test_a_missing_signal_is_named(refused: Callable[..., None], tmp_path: Path)
         ["identify", str(path), "--quiet", "-o", str(tmp_path / "v.yaml")],
         "the rotation of a vehicle needs pitch_rate", "there: roll, pitch, yaw",
     )  # fmt: skip
+
+
+def test_a_thrust_that_cannot_be_used_leaves_the_rotation(log: FlightLog) -> None:
+    with_thrust = replace(log, signals=log.signals | {"thrust": np.full(len(log.time), 16.0)})
+    assert channels_of(with_thrust) == channels_of(log)
+    assert lacking(with_thrust) == ("throttle", "battery")
+    alone = replace(log, signals={"thrust": with_thrust.signals["thrust"]})
+    with pytest.raises(UsageError, match="thrust needs throttle, battery"):
+        channels_of(alone)
 
 
 @pytest.mark.parametrize(

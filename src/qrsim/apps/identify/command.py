@@ -78,6 +78,7 @@ class Identify:
     def run(self) -> None:
         """Check, read, fit, write, say."""
         self._check()
+        from qrsim.apps.identify.constants import lacking
         from qrsim.apps.identify.identification import identify, part_of
         from qrsim.apps.identify.report import write_report
         from qrsim.apps.identify.result import write_text
@@ -87,6 +88,8 @@ class Identify:
         logs = [part_of(read_log(path), self.begin, self.end) for path in self.logs]
         for log in logs:
             self._say(f"{log.source} ({log.kind})", *(f"  {note}" for note in log.notes))
+            if missing := lacking(log):
+                self._say(f"  thrust: left out, because there is no {' and no '.join(missing)}")
         found = identify(logs, question, self.horizon, self.train, self._say)
         write_text(self.out, found.yaml(self.out))
         folder = self.out.with_name(f"{self.out.stem}_report")

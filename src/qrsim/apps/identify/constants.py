@@ -54,6 +54,10 @@ NUISANCES: dict[str, Nuisance] = {
 }
 
 
+# Beside a measured thrust.
+FOR_THRUST = ("throttle", "battery")
+
+
 def channels_of(log: FlightLog) -> tuple[str, ...]:
     """Return the measured signals of a log that the fit compares with.
 
@@ -68,10 +72,15 @@ def channels_of(log: FlightLog) -> tuple[str, ...]:
         if any(name in there for name in VELOCITY) and "throttle" in there:
             log.require(VELOCITY, "translation")
             channels += VELOCITY
-    if "thrust" in there:
-        log.require(("throttle", "battery"), "thrust")
+    if "thrust" in there and not (channels and lacking(log)):
+        log.require(FOR_THRUST, "thrust")
         channels += ("thrust",)
     return channels
+
+
+def lacking(log: FlightLog) -> tuple[str, ...]:
+    """Return what a log with a thrust has not that a thrust needs; it is then used for its rotation alone."""
+    return tuple(name for name in FOR_THRUST if "thrust" in log.signals and name not in log.signals)
 
 
 def constants_in(channels: Iterable[str], separate: bool) -> tuple[str, ...]:
