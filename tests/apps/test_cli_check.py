@@ -210,10 +210,10 @@ class TestBadInput:
         refused(["check", "keep_spot", "--out", str(tmp_path / "none" / "worst.png")], "there is no folder", code=1)
 
     def test_numbers_are_not_lost_with_the_picture(self, check, tmp_path, capsys, monkeypatch):
-        def full(self: Path, data: bytes) -> int:
+        def full(path: Path, data: bytes) -> None:
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(Path, "write_bytes", full)
+        monkeypatch.setattr("qrsim.logs.picture.write_atomically", full)
         assert check("--out", str(tmp_path / "worst.svg")) == 1
         printed = capsys.readouterr()
         assert "leaves the area" in printed.out

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from qrsim.apps.check.outcomes import ANY, KINDS, LOST, Outcome
-from qrsim.errors import RunError
+from qrsim.logs.picture import new_figure
+from qrsim.logs.picture import save_picture as save
 from qrsim.models.area import REASONS
 from qrsim.rollouts import Rollout
 from qrsim.scenarios.scenario import Scenario
@@ -27,18 +25,16 @@ def save_picture(scenario: Scenario, flown: Rollout, found: list[Outcome], path:
     Raises:
         RunError: it cannot be written.
     """
-    figure = Figure(figsize=(12, 5.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    plan, bars = figure.subplots(1, 2, width_ratios=(3, 2))
-    _plan(plan, scenario, flown)
-    _bars(bars, found)
+    save(lambda: _drawn(scenario, flown, found), path)
+
+
+def _drawn(scenario: Scenario, flown: Rollout, found: list[Outcome]) -> Any:
+    figure = new_figure(12, 5.5)
+    axes: Any = figure.subplots(1, 2, width_ratios=(3, 2))
+    _plan(axes[0], scenario, flown)
+    _bars(axes[1], found)
     figure.suptitle(f"{scenario.name}: {len(flown.seeds)} runs of {scenario.duration:g} s")
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=path.suffix.lstrip(".").lower(), dpi=120)
-    try:
-        path.write_bytes(buffer.getvalue())
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror or error}") from None
+    return figure
 
 
 def _plan(axes: Any, scenario: Scenario, flown: Rollout) -> None:
