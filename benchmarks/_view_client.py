@@ -8,10 +8,10 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from importlib.metadata import version
 from typing import Any
 
 import msgspec
-import viser
 import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
@@ -29,7 +29,7 @@ def messages(window: bytes) -> Iterator[dict[str, Any]]:
 def main() -> None:
     """Fetch from the address given until the input ends or the page goes away."""
     address = sys.argv[1].replace("http", "ws")
-    protocol: Any = f"viser-v{viser.__version__}"
+    protocol: Any = f"viser-v{version('viser')}"
     begun, size, windows, whole_s = time.perf_counter(), 0, 0, None
     found = set()
     with connect(address, subprotocols=[protocol], max_size=None, proxy=None) as connection:

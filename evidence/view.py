@@ -2,6 +2,9 @@
 
 The default scenario with more vehicles (benchmarks/_common.py), recorded, at the speed of the wall clock. Browsers are
 processes that fetch what a browser fetches (benchmarks/_view_client.py). Memory is that of the simulating process.
+
+Then the same scenario as fast as it can, recorded, without a page and with one that one browser or two look at
+(benchmarks/view.py): medians of runs in turns, and how they spread.
 """
 
 from __future__ import annotations
@@ -22,20 +25,46 @@ from qrsim.apps.run.recorder import fly
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView
 
-DOC = "1000 vehicles live on the 3-D page for a minute: frames, bytes, memory, a browser that returns"
+DOC = "1000 vehicles live on the 3-D page for a minute: frames, bytes, memory, a browser that returns; slowdown"
 SEED = 20261121
 FULL, SMALL = (1000, 60.0), (20, 3.0)
+# Pairs of runs, and vehicles and seconds of each.
+FULL_RUNS, SMALL_RUNS = (1000, 60.0, 5), (2, 2.0, 1)
+# Part of the flight during which memory is looked at.
+LOOK = 0.08
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
+
+
+def benchmark(name: str) -> Any:
+    """Return one of the benchmarks, which are no package."""
+    if str(BENCHMARKS) not in sys.path:
+        sys.path.append(str(BENCHMARKS))
+    spec = importlib.util.spec_from_file_location(f"benchmark_{name}", BENCHMARKS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    found = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(found)
+    return found
 
 
 def patrol(count: int) -> dict[str, Any]:
     """Return the default scenario with so many vehicles."""
-    spec = importlib.util.spec_from_file_location("_common", BENCHMARKS / "_common.py")
-    assert spec is not None
-    assert spec.loader is not None
-    common = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(common)
-    found: dict[str, Any] = common.patrol(count)
+    found: dict[str, Any] = benchmark("_common").patrol(count)
+    return found
+
+
+def slowdown(count: int, seconds: float, repeats: int) -> dict[str, Any]:
+    """Return how much slower a run is with a page open, in percent, and how fast it is without [times real time]."""
+    rows = benchmark("view").slowdown(count, seconds, repeats)
+    runs = {row["clients"]: row for row in rows if row["what"].startswith("run")}
+    frames = {row["clients"]: row for row in rows if row["what"] == "its frames"}
+    alone = runs[0]["per_second"]
+    found: dict[str, Any] = {"factor": round(alone, 2), "factor_lowest": round(runs[0]["lowest"], 2)}
+    found["factor_highest"] = round(runs[0]["highest"], 2)
+    for browsers, word in ((1, "one"), (2, "two")):
+        for key, name in (("per_second", "percent"), ("highest", "percent_least"), ("lowest", "percent_most")):
+            found[f"with_{word}_{name}"] = round(100.0 * (1.0 - runs[browsers][key] / alone), 1)
+        found[f"with_{word}_frames_per_second"] = round(frames[browsers]["per_second"], 1)
     return found
 
 
@@ -52,9 +81,13 @@ class Browser:
         return found
 
 
-def memory() -> int:
-    """Return the resident memory of this process [bytes]."""
-    return int(Path("/proc/self/statm").read_text("utf-8").split()[1]) * resource.getpagesize()
+def memory(seconds: float) -> int:
+    """Return the least memory of this process in some seconds [bytes]: what waits to be written comes and goes."""
+    found, end = [], time.monotonic() + seconds
+    while not found or time.monotonic() < end:
+        found.append(int(Path("/proc/self/statm").read_text("utf-8").split()[1]) * resource.getpagesize())
+        time.sleep(0.02)
+    return min(found)
 
 
 def watch(view: LiveView, duration: float, found: dict[str, Any]) -> None:
@@ -67,11 +100,11 @@ def watch(view: LiveView, duration: float, found: dict[str, Any]) -> None:
     stays, leaves = Browser(view.address), Browser(view.address)
     until(1.0 / 3.0)
     found["left"] = leaves.leave()
-    found["memory"] = memory()
+    found["memory"] = memory(LOOK * duration)
     until(2.0 / 3.0)
     returns = Browser(view.address)
-    until(0.97)
-    found["memory_at_end"] = memory()
+    until(0.97 - LOOK)
+    found["memory_at_end"] = memory(LOOK * duration)
     found["returned"], found["stayed"] = returns.leave(), stays.leave()
 
 
@@ -101,4 +134,5 @@ def run(full: bool) -> dict[str, Any]:
         "memory_at_end_megabytes": round(1e-6 * found["memory_at_end"], 1),
         "memory_growth_percent": round(100.0 * (found["memory_at_end"] / found["memory"] - 1.0), 2),
         "whole_scene_after_return_s": round(returned["whole_s"], 3),
+        "slowdown": slowdown(*(FULL_RUNS if full else SMALL_RUNS)),
     }

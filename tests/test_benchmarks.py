@@ -186,15 +186,17 @@ def test_a_peer_is_timed_in_all_its_processes_or_says_why_not(kind, note, common
         assert peers.compared(row, own)["ours_to_theirs_seconds"] == 1.0
 
 
-@pytest.mark.parametrize("name", ["crazyflow", "rotorpy"])
-def test_an_installed_peer_runs(name, common):
-    peers = importlib.import_module("peers")
-    peer = next(peer for peer in peers.peers(4) if peer.name == name)
-    if not peers.installed(peer):
-        pytest.skip(f"{name} is not installed: {peers.how_to_install(peer)}")
-    row = peers.fly(peer, 0.01)
-    assert row["note"] == ""
-    assert row["per_wall_second"] > 0
+# Peers are whole simulators with environments of their own; where nobody installed them, there is nothing to test.
+if os.environ.get("QRSIM_PEERS"):
+
+    @pytest.mark.parametrize("name", ["crazyflow", "rotorpy"])
+    def test_an_installed_peer_runs(name, common):
+        peers = importlib.import_module("peers")
+        peer = next(peer for peer in peers.peers(4) if peer.name == name)
+        assert peers.installed(peer), f"{name} is not installed: {peers.how_to_install(peer)}"
+        row = peers.fly(peer, 0.01)
+        assert row["note"] == ""
+        assert row["per_wall_second"] > 0
 
 
 def test_the_table_names_the_machine(common, capsys):
@@ -229,4 +231,6 @@ def test_view():
     updates = [row for row in results if row["cpu_ms"] is not None]
     assert [(row["vehicles"], row["clients"]) for row in updates] == [(2, 0), (2, 0), (2, 2), (2, 2)]
     assert all((row["client_bytes_per_second"] or 0) > 0 for row in updates if row["clients"])
-    assert [row["what"] for row in results[4:]] == ["run, times real time", "run with page", "its frames"]
+    assert [(row["what"], row["clients"]) for row in results[4:]] == [
+        ("run, times real time", 0), ("run with page", 1), ("run with page", 2), ("its frames", 1), ("its frames", 2),
+    ]  # fmt: skip

@@ -18,3 +18,7 @@ def test_browsers_come_and_go_while_vehicles_fly() -> None:
     assert found["fetched_megabytes_per_second"] > 0.0
     # The browser that returned got vehicles, their places and their attitudes.
     assert found["whole_scene_after_return_s"] > 0.0
+    slower = found["slowdown"]
+    assert slower["factor_lowest"] <= slower["factor"] <= slower["factor_highest"]
+    assert slower["with_two_percent_least"] <= slower["with_two_percent"] <= slower["with_two_percent_most"]
+    assert slower["with_one_frames_per_second"] > 0.0

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from qrsim.core.noise import Draw
+from qrsim.core.noise import Draw, Stream
 from qrsim.core.tree import replace
 from qrsim.errors import RunError
 from qrsim.models.camera import Picture
@@ -152,8 +152,21 @@ def picture(world: World, state: State, number: int, camera: str) -> Picture:
     index = fleet.sensor_names.index(camera)
     ids = jnp.arange(fleet.size, dtype=jnp.uint32)
     stream = state.fleet_keys[number].stream(fleet.stream_names.index(camera), ids)
+    return develop(world, state.contents, fleet.sensors[index], fleet_state.readings[index], stream)
+
+
+def develop(world: World, contents: ContentsState, camera: Any, reading: Any, stream: Stream) -> Picture:
+    """Return the pictures that a camera of vehicles (n,) took last.
+
+    Args:
+        world: with the numbers of the episode.
+        contents: of the world.
+        camera: the sensor.
+        reading: its last one.
+        stream: of its noise.
+    """
     # Whoever looks where nobody is to be found looks with windows of the usual size.
     persons = world.contents.persons if hasattr(world.contents.persons, "size") else Persons()
-    around = surroundings(world, state.contents, jnp.int32(0))
-    found: Picture = fleet.sensors[index].develop(fleet_state.readings[index], around, stream, persons.size)
+    around = surroundings(world, contents, jnp.int32(0))
+    found: Picture = camera.develop(reading, around, stream, persons.size)
     return found

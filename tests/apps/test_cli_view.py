@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from tests.apps.conftest import DURATION, Flight
 from tests.logs.small_run import COLUMNS, VEHICLES
+from tests.view.fetching import fetching
 
 from qrsim import cli
 from qrsim.apps.view.recording import Recording
@@ -54,7 +56,7 @@ class TestRecording:
         assert recording.frame(0.3).time == pytest.approx(0.3)
 
     def test_long_logs_are_thinned_out(self, flown: Flight, monkeypatch: pytest.MonkeyPatch):
-        monkeypatch.setattr("qrsim.apps.view.recording.MOST_POSES", 600)
+        monkeypatch.setattr("qrsim.apps.view.columns.MOST_POSES", 600)
         recording = Recording(open_run(flown.folder))
         assert recording.shown == 5
         whole = open_run(flown.folder)["truth"]
@@ -174,6 +176,33 @@ def test_a_run_prints_where_its_page_is(fly):
     assert flight.code == 0
     assert flight.complaints.startswith("page: http://127.0.0.1:")
     assert flight.json["simulated_s"] == pytest.approx(0.4)
+
+
+def test_a_browser_that_goes_away_ends_no_run(tmp_path: Path):
+    """Closed without a word in mid-run; another one gets the page, and Ctrl-C ends the run as always."""
+    words = ["outdoor_patrol", "--duration", "900", "--view", "--view-port", "0", "--out", str(tmp_path / "run")]
+    command = [sys.executable, "-m", "qrsim.cli", "run", *words]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1)
+    assert running.stderr is not None
+    line = running.stderr.readline()
+    assert line.startswith("page: http://127.0.0.1:")
+    address = line.split()[1]
+    # Browsers do that too.
+    socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2]))).close()
+    for _ in range(2):
+        with fetching(address) as browser:
+            for _ in range(20):
+                browser.recv(60.0)
+            # So that no closing handshake is made.
+            browser.socket.shutdown(socket.SHUT_RDWR)
+    running.send_signal(signal.SIGINT)
+    printed, complaints = running.communicate(timeout=60.0)
+    assert (running.returncode, printed) == (130, "")
+    assert f"interrupted; the log so far is in {tmp_path / 'run'}" in complaints
+    assert "Traceback" not in complaints
+    run = open_run(tmp_path / "run")
+    assert run.info.state == "interrupted"
+    assert run["truth"].tick[-1] == run.info.ticks > 0
 
 
 def test_a_server_with_a_page_has_one_session(refused):

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -83,7 +84,14 @@ class Watched:
         eventually(lambda: bool(self.server.get_clients()))
         # The browser says that it has no graphics card.
         browser.evaluate("document.querySelectorAll('.mantine-Notification-closeButton').forEach(b => b.click())")
-        time.sleep(1.0)
+        # What is asked of the camera before it is where pages begin would be undone.
+        begin = self.server.initial_camera.position
+        eventually(lambda: all(np.allclose(c.camera.position, begin, rtol=0.01) for c in self.clients()))
+        settled(browser)
+
+    def clients(self) -> list[Any]:
+        """Return the browsers that look."""
+        return list(self.server.get_clients().values())
 
     def close(self) -> None:
         self._stop.set()
@@ -129,6 +137,48 @@ def test_vehicles_are_drawn(watched: Watched):
     without = settled(watched.browser)
     assert (without[..., 2] > without[..., 0] + 80)[VIEW].sum() < 0.1 * blue.sum()
     scene.show("vehicles", True)
+
+
+def test_a_click_on_a_vehicle_shows_its_readings(watched: Watched):
+    """Of the vehicle in the middle, at one of its pixels."""
+    scene = watched.page.scene
+    scene.follow(3)
+    watched.replay.seek(DURATION)
+    scene.show("vehicles", False)
+    without = settled(watched.browser)
+    scene.show("vehicles", True)
+    assert changes(watched.browser, without)
+    with_it = settled(watched.browser)
+    rows, columns = np.nonzero((np.abs(with_it - without).sum(axis=2) > 60)[VIEW])
+    nearest = np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2)
+    x, y = float(columns[nearest] + VIEW[1].start), float(rows[nearest] + VIEW[0].start)
+
+    def clicked() -> bool:
+        watched.browser.click(x, y)
+        end = time.monotonic() + 5.0
+        while watched.page.chosen is None and time.monotonic() < end:
+            time.sleep(0.05)
+        return watched.page.chosen == 3
+
+    eventually(clicked)
+    assert len(watched.page._plots[0][1].data[0]) > 100
+    # The name in the panel, and curves: pixels of the plots in the colours of what is measured and true.
+    eventually(lambda: watched.page.scene.cast.names[3] in panel_values(watched.browser))
+    watched.browser.evaluate("document.querySelector('.uplot').scrollIntoView()")
+    eventually(lambda: red_and_blue(watched.browser))
+    watched.page.choose(None)
+
+
+def panel_values(browser: Browser) -> list[str]:
+    """Return what the inputs of the panel hold."""
+    return list(browser.evaluate("[...document.querySelectorAll('input')].map(i => i.value)"))
+
+
+def red_and_blue(browser: Browser) -> bool:
+    """Return whether the panel has some pixels in the colours of the plots."""
+    panel = pixels(browser.picture())[:, VIEW[1].stop :]
+    colours = ((214, 39, 40), (31, 119, 180))
+    return all((np.abs(panel - colour).sum(axis=2) < 120).sum() > 20 for colour in colours)
 
 
 def test_time_goes_on_and_stops(watched: Watched):
@@ -184,6 +234,11 @@ def test_a_screenshot_shows_the_scene(flown: Flight, tmp_path: Path, capsys):
     assert capsys.readouterr().out == f"{path}\n"
     picture = pixels(path.read_bytes())
     assert picture.shape == (800, 1280, 3)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("qrsim.view.picture.photograph", lambda server, caption: b"")
+        (tmp_path / "taken.png").mkdir()
+        assert cli.main(["view", str(flown.folder), "--screenshot", str(tmp_path / "taken.png")]) == 1
+    assert f"--screenshot {tmp_path / 'taken.png'}: Is a directory" in capsys.readouterr().err
     # The paths of five vehicles, in colours that nothing else has.
     blue = picture[..., 2] > picture[..., 0] + 80
     green = (picture[..., 1] > picture[..., 0] + 80) & (picture[..., 1] > picture[..., 2] + 80)

@@ -35,6 +35,17 @@ def test_simulated_time_goes_at_the_speed(speed: float):
     assert done * STEP == pytest.approx(20.0 * speed, abs=2.0 * max(STEP, speed / 30.0))
 
 
+def test_who_flies_is_sent_off_thirty_times_a_second():
+    """However long a time step is, unless it is longer than that."""
+    for step, rate in ((0.02, 30.0), (0.001, 30.0), (0.1, 10.0)):
+        wall = Wall()
+        clock, sent, begun = Clock(1.0, now=wall), 0, wall.time
+        while wall.time < begun + 20.0:
+            wall.time += 0.001
+            sent += clock._due(step, 1000) > 0
+        assert sent == pytest.approx(20.0 * rate, rel=0.05)
+
+
 def test_who_is_too_slow_does_not_hurry_afterwards():
     wall = Wall()
     clock = Clock(1.0, now=wall)

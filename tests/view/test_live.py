@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import viser
 from tests.small_worlds import bare_pair
-from websockets.sync.client import ClientConnection, connect
+from tests.view.fetching import fetching
 
 from qrsim.apps.run.recorder import fly
 from qrsim.logs import open_run
@@ -37,12 +36,6 @@ def view() -> Iterator[LiveView]:
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     return bare_pair(**WIND, duration=4.0)
-
-
-def browser(view: LiveView) -> ClientConnection:
-    """Connect as the page's own script does."""
-    protocol = f"viser-v{viser.__version__}"
-    return connect(view.address.replace("http", "ws"), subprotocols=[protocol], max_size=None, proxy=None)  # type: ignore[list-item]
 
 
 def eventually(condition: Callable[[], bool], seconds: float = 20.0) -> None:
@@ -94,13 +87,21 @@ def test_a_wind_that_is_changed_blows_and_is_recorded(view: LiveView, scenario: 
     assert (wind["mean_ned.y"][before][1:] > 1.0).all()
 
 
+def test_the_panel_offers_the_wind_that_blows():
+    from qrsim.view.steering import wind_of
+
+    wind = wind_of(bare_pair(wind={**WIND["wind"], "wind_from_deg": 225.0}, duration=4.0).world())
+    assert wind is not None
+    assert (wind.speed, wind.from_deg) == (2.0, 225.0)
+
+
 def test_a_browser_that_fetches_nothing_keeps_nobody_waiting(scenario: Scenario):
     """Its frames are dropped and counted; another browser gets the newest."""
     page = LiveView(0, Clock(float("inf")))
     simulation = Simulation(scenario.world(), seed=1)
     simulation.reset()
     page.begin(simulation, "test")
-    with contextlib.closing(page), browser(page), browser(page) as quick:
+    with contextlib.closing(page), fetching(page.address), fetching(page.address) as quick:
         # The first one never reads: what is on its way to it fills the system's buffers, then nothing goes.
         stop = threading.Event()
 
@@ -121,7 +122,7 @@ def test_a_browser_that_fetches_nothing_keeps_nobody_waiting(scenario: Scenario)
             assert time.monotonic() < end, "no frame was dropped"
             history = simulation.record(1)
             begun = time.perf_counter()
-            page.offer(history, always=True)
+            page.offer(history)
             slowest = max(slowest, time.perf_counter() - begun)
             time.sleep(0.02)
             page._page.scene.paths[0]._handle.points = np.full((400_000, 2, 3), simulation.tick, np.float32)
@@ -181,10 +182,28 @@ def test_pages_show_the_next_world_after_another(scenario: Scenario):
             simulation.reset()
             page.begin(simulation, name)
             assert shown(page) <= 0.0
-            page.offer(simulation.record(3), always=True)
+            page.offer(simulation.record(3))
             eventually(lambda: shown(page) == pytest.approx(0.06))
             assert page._page is not None
             assert page._page.heading == name
+
+
+def test_states_that_come_together_are_drawn_one_after_the_other(view: LiveView, scenario: Scenario):
+    """In the time that they took to come."""
+    simulation = Simulation(scenario.world(), seed=1)
+    simulation.reset()
+    view.begin(simulation, "test")
+    assert view._page is not None
+    drawn, draw = [], view._page.draw
+    view._page.draw = lambda frame, everything: (drawn.append(frame.time), draw(frame, everything))  # type: ignore
+    for _ in range(2):
+        view.offer(simulation.record(50))
+        eventually(lambda: bool(drawn) and drawn[-1] == pytest.approx(simulation.time))
+        # The next ones take so long.
+        time.sleep(1.0)
+    later = [moment for moment in drawn if moment > 1.001]
+    assert len(later) >= 3, "the last one alone was drawn"
+    assert later == sorted(later)
 
 
 def test_readings_are_plotted_against_the_truth(view: LiveView):
@@ -196,7 +215,7 @@ def test_readings_are_plotted_against_the_truth(view: LiveView):
     assert view._page is not None
     view._page.choose(1)
     for _ in range(5):
-        view.offer(simulation.record(10), always=True)
+        view.offer(simulation.record(10))
         eventually(lambda: shown(view) == pytest.approx(simulation.time))
     time_s, measured, true = view._plotted(1, "barometer.height")
     assert time_s[-1] == pytest.approx(simulation.time)

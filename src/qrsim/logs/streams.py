@@ -16,6 +16,8 @@ from qrsim.world import FleetState, World
 
 Values = dict[str, np.ndarray[Any, Any]]
 STREAMS = ("truth", "measurements", "commands", "wind")
+# Kind of the event that says that a person was found; its value is the number of the person.
+PERSON_FOUND = "person_found"
 
 
 def _tree(stream: str, names: tuple[str, ...], state: FleetState) -> list[tuple[str, Any, str, str]]:
@@ -104,6 +106,7 @@ class EventFinder:
                 found.append((int(row), int(vehicle), self._event(key, history, int(row), int(vehicle))))
         found += self._faults(history)
         found += self._losses(history)
+        found += self._persons(history)
         found.sort(key=lambda item: item[:2])
         return [event for _, _, event in found]
 
@@ -151,6 +154,21 @@ class EventFinder:
             first += fleet.size
         return found
 
+    def _persons(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+        """Return who was found, by the vehicle that was nearest."""
+        persons = history.state.contents.persons
+        if persons is None:
+            return []
+        found = []
+        for row, number in np.argwhere(persons.found_tick == history.ticks[:, None]):
+            where = np.array([persons.north[row, number], persons.east[row, number], 0.0])
+            vehicle = self._nearest_to(history, int(row), where)
+            event = self._at(history, int(row), vehicle)
+            message = f"{event['vehicle']} found person {number} at {event['time']:.2f} s"
+            event |= {"kind": PERSON_FOUND, "field": "persons", "value": float(number), "message": message}
+            found.append((int(row), vehicle, event))
+        return found
+
     def _at(self, history: History, row: int, vehicle: int) -> dict[str, Any]:
         return {"time": float(history.time[row]), "tick": int(history.ticks[row]), "vehicle": self.names[vehicle]}
 
@@ -172,13 +190,21 @@ class EventFinder:
         return {**event, "kind": kind, "field": field, "value": value, "message": message}
 
     def _nearest(self, history: History, row: int, vehicle: int) -> str:
+        own = self._positions(history, row)[vehicle]
+        return self.names[self._nearest_to(history, row, own, vehicle)]
+
+    def _nearest_to(self, history: History, row: int, where: np.ndarray[Any, Any], but: int | None = None) -> int:
+        """Return who is nearest to a place (3,), without one of them where that is asked for."""
+        distance = np.linalg.norm(self._positions(history, row) - where, axis=1)
+        if but is not None:
+            distance[but] = np.inf
+        return int(np.argmin(distance))
+
+    @staticmethod
+    def _positions(history: History, row: int) -> np.ndarray[Any, Any]:
+        """Return the positions (n, 3) of all vehicles."""
         axes = "xyz"
-        position = np.stack(
-            [
-                np.concatenate([getattr(f.vehicle.position_ned, axis)[row] for f in history.state.fleets])
-                for axis in axes
-            ]
+        fleets = history.state.fleets
+        return np.stack(
+            [np.concatenate([getattr(f.vehicle.position_ned, axis)[row] for f in fleets]) for axis in axes], axis=1
         )
-        distance = np.linalg.norm(position - position[:, [vehicle]], axis=0)
-        distance[vehicle] = np.inf
-        return self.names[int(np.argmin(distance))]

@@ -24,6 +24,7 @@ NOT_A_STOP = (
     "fix_lost",
     "fix_found",
     "wind_changed",
+    "person_found",
 )
 
 

@@ -38,7 +38,8 @@ class Clock:
         self._changed = threading.Condition()
         self._speed, self._playing, self._closed = checked_speed(speed), playing, False
         self._steps = 0
-        self._anchor = now()
+        # Up to when simulated time was let pass, and when somebody was last sent off.
+        self._anchor = self._sent = now()
 
     @property
     def speed(self) -> float:
@@ -104,6 +105,7 @@ class Clock:
         if self._missing(step_s) > 0.0:
             return 0
         now = self._now()
+        self._sent = max(self._sent + FRAME_S, now - FRAME_S)
         count = int((now - self._anchor) * self._speed / step_s + 1e-9)
         limit = min(most, 1 + int(LONGEST_S * self._speed / step_s))
         self._anchor = now if count > limit else self._anchor + count * step_s / self._speed
@@ -111,7 +113,7 @@ class Clock:
 
     def _missing(self, step_s: float) -> float:
         """Return how long it takes until a frame and a step are due [s]."""
-        return max(FRAME_S, step_s / self._speed) - (self._now() - self._anchor)
+        return max(self._sent + FRAME_S, self._anchor + step_s / self._speed) - self._now()
 
 
 def checked_speed(speed: float) -> float:

@@ -1,4 +1,4 @@
-"""What is in a world beside vehicles: cover of the ground, persons, a plume; drawn of simulations that run."""
+"""What is in a world beside vehicles: cover of the ground, persons, a plume."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import jax
 import numpy as np
 
 from qrsim.view import shapes
-from qrsim.view.frame import Frame
+from qrsim.view.frame import Beside, Frame
 from qrsim.view.layers import Layer, Stage
-from qrsim.world_tree import State, World
+from qrsim.world_tree import World
 
 Floats = np.ndarray[Any, Any]
 # Of the classes of the ground, from the second on: clutter and occlusion.
@@ -21,7 +21,7 @@ PLACES, DRAWN, FAINTEST = 20_000, 1500, 0.01
 
 
 class Contents(Layer):
-    """Base of layers that need a whole State; a replay has none, because logs have none."""
+    """Base of layers of what there is beside vehicles; where that is not known nothing is drawn."""
 
     every = 10
 
@@ -30,11 +30,11 @@ class Contents(Layer):
         super().__init__(stage)
 
     def draw(self, frame: Frame) -> None:
-        """Draw of the state what there is."""
-        if frame.state is not None:
-            self.look(frame.state, frame.time)
+        """Draw what there is."""
+        if frame.beside is not None:
+            self.look(frame.beside, frame.time)
 
-    def look(self, state: State, time: float) -> None:
+    def look(self, beside: Beside, time: float) -> None:
         """Draw."""
 
 
@@ -47,12 +47,12 @@ class Cover(Contents):
         """Nothing is known yet."""
         self._drawn = False
 
-    def look(self, state: State, time: float) -> None:
+    def look(self, beside: Beside, time: float) -> None:
         """Make a plate for every cell that is not clear."""
         if self._drawn:
             return
         self._drawn = True
-        cells = np.asarray(self.world.contents.terrain.cells(state.contents.terrain))
+        cells = np.asarray(self.world.contents.terrain.cells(beside.contents.terrain))
         area = self.world.area
         low, high = (np.array([float(area.x_min), float(area.y_min)]), np.array([float(area.x_max), float(area.y_max)]))
         side = (high - low) / cells.shape[0]
@@ -63,13 +63,13 @@ class Cover(Contents):
                 f"{self.path}/cells", *shapes.box((-0.5, -0.5, -1.0), (0.5, 0.5, 0.0)),
                 batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(where), 1)),
                 batched_positions=np.insert(low + (where + 0.5) * side, 2, 0.0, axis=1),
-                batched_scales=np.tile(np.array([*side, 0.1], np.float32), (len(where), 1)),
+                batched_scales=np.tile(np.array([*side, self.stage.lift], np.float32), (len(where), 1)),
                 batched_colors=COVER_COLOURS[cells[tuple(where.T)] - 1], **plain,
             )  # fmt: skip
 
 
 class Persons(Contents):
-    """Persons, orange before they are found and green after."""
+    """A pin where each person is, orange before it is found and green after."""
 
     title = "persons"
 
@@ -77,21 +77,21 @@ class Persons(Contents):
         """Nobody is known yet."""
         self._handle: Any = None
 
-    def look(self, state: State, time: float) -> None:
+    def look(self, beside: Beside, time: float) -> None:
         """Colour who is found."""
-        persons = state.contents.persons
+        persons = beside.contents.persons
         there, found = np.asarray(persons.there), np.asarray(persons.found_tick) >= 0
         colours = np.where(found[:, None], FOUND_COLOUR, MISSING_COLOUR).astype(np.uint8)
+        tall = np.where(there, 0.8 * self.stage.span, 0.0)
+        scales = np.repeat(tall, 3).reshape(-1, 3).astype(np.float32)
         if self._handle is not None:
-            self._handle.batched_colors = colours
+            self._handle.batched_colors, self._handle.batched_scales = colours, scales
             return
-        tall = np.where(there, 0.5 * self.stage.span, 0.0)
         self._handle = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/persons", *shapes.prism(0.5, -1.0, 0.0, 12),
+            f"{self.path}/persons", *shapes.pin(),
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(there), 1)),
             batched_positions=np.stack([persons.north, persons.east, np.zeros(len(there))], axis=1),
-            batched_scales=np.stack([0.5 * tall, 0.5 * tall, tall], axis=1).astype(np.float32),
-            batched_colors=colours, lod="off", flat_shading=True, cast_shadow=False,
+            batched_scales=scales, batched_colors=colours, lod="off", flat_shading=True, cast_shadow=False,
         )  # fmt: skip
 
 
@@ -115,11 +115,11 @@ class Plume(Contents):
             batched_colors=PLUME_COLOUR, opacity=0.6, lod="off", cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
 
-    def look(self, state: State, time: float) -> None:
+    def look(self, beside: Beside, time: float) -> None:
         """Ask for the concentration, and draw the strongest."""
         tick = np.int32(round(time / self.world.time_step))
         with jax.enable_x64(self._dtype == np.float64):
-            found = np.asarray(self._ask(self.world.with_drawn(state.drawn), state.contents, tick, self._places))
+            found = np.asarray(self._ask(beside.world, beside.drawn, beside.contents, tick, self._places))
         strongest = np.argsort(found)[-DRAWN:]
         share = found[strongest] / max(float(found.max()), 1e-30)
         size = np.where(share > FAINTEST, 0.35 * self.stage.span, 0.0)
@@ -128,11 +128,11 @@ class Plume(Contents):
         self._handle.batched_opacities = np.sqrt(share).astype(np.float32)
 
 
-def _concentration(world: World, contents: Any, tick: Any, places: Any) -> Any:
+def _concentration(world: World, drawn: Any, contents: Any, tick: Any, places: Any) -> Any:
     from qrsim.core.vectors import Vec3
-    from qrsim.models.contents import Surroundings
+    from qrsim.episode import surroundings
 
-    around = Surroundings(world.contents, contents, world.wind, world.area, tick, world.time_step)
+    around = surroundings(world.with_drawn(drawn), contents, tick)
     return around.concentration(Vec3(places[:, 0], places[:, 1], places[:, 2]))
 
 

@@ -7,10 +7,32 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.noise import StreamKeys
 from qrsim.models.area import reason_text
+from qrsim.models.camera import CameraReading
+from qrsim.models.contents import ContentsState
 from qrsim.world_tree import FleetState, State, World
 
 Floats = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What there is beside vehicles, and what their cameras saw of it.
+
+    Attributes:
+        world: as it is now.
+        drawn: what the episode has drawn for the ranges of the world.
+        contents: plume, cover of the ground, persons.
+        fleet_keys: keys of each fleet's randomness.
+        cameras: (number of the fleet, number of the sensor) -> where and when its last pictures were taken.
+    """
+
+    world: World
+    drawn: tuple[Any, ...]
+    contents: ContentsState
+    fleet_keys: tuple[StreamKeys, ...]
+    cameras: dict[tuple[int, int], CameraReading]
 
 
 @dataclass(frozen=True)
@@ -26,7 +48,7 @@ class Frame:
         wind_ned, gust_ned: (n, 3) mean wind and gusts at the vehicles [m/s].
         valid: (n,) whether each still flies.
         reasons: vehicle -> why it has stopped.
-        state: all there is; None in a replay.
+        beside: what there is beside vehicles; None where that is not known.
     """
 
     time: float
@@ -38,7 +60,7 @@ class Frame:
     gust_ned: Floats
     valid: Floats
     reasons: dict[int, str] = field(default_factory=dict)
-    state: State | None = None
+    beside: Beside | None = None
 
 
 @dataclass(frozen=True)
@@ -99,8 +121,8 @@ def _contents_corners(world: World) -> Floats | None:
     return np.array([[float(getattr(area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max")])
 
 
-def frame_of(state: State, time: float) -> Frame:
-    """Return the frame of a state of NumPy arrays at a simulated time [s]."""
+def frame_of(state: State, time: float, world: World) -> Frame:
+    """Return the frame of a state of NumPy arrays of a world at a simulated time [s]."""
 
     def gather(pick: Any) -> Floats:
         return np.concatenate([axes_of(pick(fleet)) for fleet in state.fleets])
@@ -117,8 +139,18 @@ def frame_of(state: State, time: float) -> Frame:
         gather(lambda fleet: fleet.gust_ned),
         codes == 0,
         {int(i): reason_text(int(codes[i]), float(values[i])) for i in np.flatnonzero(codes)},
-        state,
+        Beside(world, state.drawn, state.contents, state.fleet_keys, _pictures(state)),
     )
+
+
+def _pictures(state: State) -> dict[tuple[int, int], CameraReading]:
+    """Return the readings of all cameras."""
+    return {
+        (number, index): reading
+        for number, fleet in enumerate(state.fleets)
+        for index, reading in enumerate(fleet.readings)
+        if isinstance(reading, CameraReading)
+    }
 
 
 def axes_of(vector: Any) -> Floats:

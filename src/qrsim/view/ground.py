@@ -22,10 +22,17 @@ class Ground(Layer):
 
     title = "ground and north"
 
+    def __init__(self, stage: Stage, world: World | None):
+        self._area = None if world is None else world.area
+        super().__init__(stage)
+
     def begin(self) -> None:
-        """Make plane, grid and arrow."""
-        cell = grid_cell(self.stage.cast.extent)
-        size = 10.0 * cell * max(4, math.ceil(2.0 * _reach(self.stage) / (10.0 * cell)))
+        """Make plane, grid and arrow; below all starts and the area, and some more."""
+        found, extent = corners_of(self._area), self.stage.cast.extent
+        edge = 0.0 if found is None else float(np.abs(found[0]).max())
+        reach = max(float(np.abs(self.stage.cast.start_ned[:, :2]).max()), edge) + extent
+        cell = grid_cell(max(extent, 0.8 * edge))
+        size = 10.0 * cell * max(4, math.ceil(2.0 * reach / (10.0 * cell)))
         scene = self.stage.scene
         scene.add_grid(
             f"{self.path}/grid", width=size, height=size, plane="xy", cell_size=cell, section_size=10.0 * cell,
@@ -110,8 +117,3 @@ def _edges(corners: Floats, z_min: float, z_max: float) -> Floats:
     return np.concatenate(
         [np.stack(pair, axis=1) for pair in ((low, np.roll(low, -1, 0)), (high, np.roll(high, -1, 0)), (low, high))]
     )
-
-
-def _reach(stage: Stage) -> float:
-    """Return how far from the origin anybody starts, and as much again [m]."""
-    return float(np.abs(stage.cast.start_ned[:, :2]).max()) + stage.cast.extent

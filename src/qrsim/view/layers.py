@@ -17,6 +17,8 @@ STOPPED_COLOUR = (200, 20, 20)
 GHOST_COLOUR, GUST_COLOUR, POLE_COLOUR = (60, 70, 100), (200, 70, 0), (40, 40, 40)
 # More labels than this cannot be read.
 MOST_LABELS = 20
+# Of more vehicles than this, what shows where they are believed to be cannot be told apart from where they are.
+MANY = 200
 # The strongest wind that has a colour of its own [m/s].
 STRONG_WIND = 12.0
 # Lengths of arrows, in spans of a vehicle for each m/s.
@@ -31,11 +33,18 @@ class Stage:
         scene: of the page.
         cast: who is in it.
         span: how large a vehicle is drawn [m].
+        chosen: number of the vehicle that somebody looks at; None: nobody.
     """
 
     scene: SceneApi
     cast: Cast
     span: float
+    chosen: int | None = None
+
+    @property
+    def lift(self) -> float:
+        """How far apart things that lie on the ground are drawn [m], so that a browser can tell which is above."""
+        return max(0.1, self.cast.extent / 800.0)
 
     @property
     def colours(self) -> Floats:
@@ -51,15 +60,17 @@ class Layer:
     Attributes:
         title: what the page calls it.
         every: it is drawn anew at every so-many-th frame.
+        most: of more vehicles than these it is hidden at first.
     """
 
     title = ""
     every = 1
+    most = 1_000_000
 
     def __init__(self, stage: Stage):
         self.stage = stage
         self.path = f"/world/{type(self).__name__.lower()}"
-        self.root = stage.scene.add_frame(self.path, show_axes=False)
+        self.root = stage.scene.add_frame(self.path, show_axes=False, visible=stage.cast.size <= self.most)
         self.begin()
 
     def begin(self) -> None:
@@ -130,6 +141,7 @@ class Ghosts(Layer):
 
     title = "GNSS positions"
     every = 3
+    most = MANY
 
     def begin(self) -> None:
         """Make one pale instance for each."""

@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,15 +25,29 @@ from qrsim.world_tree import State, World
 Floats = np.ndarray[Any, Any]
 # How many values a plot keeps: a minute, at every frame.
 MOST_VALUES = 1800
-# Returns the state to show, time first; called in the page's thread.
-Look = Callable[[], tuple[State, int]]
+
+
+@dataclass(frozen=True)
+class _Offered:
+    """States of consecutive ticks that may be drawn.
+
+    Attributes:
+        look: returns one of them and its tick; called in the page's thread.
+        count: how many there are.
+        arrived: wall time [s].
+    """
+
+    look: Callable[[int], tuple[State, int]]
+    count: int
+    arrived: float
 
 
 class LiveView:
     """Shows a simulation.
 
-    The simulation's thread calls ``begin`` once, then ``offer`` as often as it likes; one of the page's own draws the
-    newest of what was offered, 30 times a second.
+    The simulation's thread calls ``begin`` once, then ``offer`` as often as it likes; one of the page's own draws of
+    what was offered last, 30 times a second. Many states that are offered together are drawn one after the other, in
+    the time that they took to come.
 
     Args:
         port: to listen on; where it is taken, the next free one.
@@ -46,9 +61,8 @@ class LiveView:
         self.clock = clock
         self._server = start_server(port)
         self.address = address(self._server)
-        self._newest: Look | None = None
+        self._newest: _Offered | None = None
         self._there = threading.Condition()
-        self._last = 0.0
         self._closed = False
         self._page: Page | None = None
         self._thread: threading.Thread | None = None
@@ -79,40 +93,29 @@ class LiveView:
         """Return how many ticks, up to ``most``, to fly next; waits while the page is paused or ahead of its speed."""
         return most if self.clock is None else self.clock.wait(self._step_s, most)
 
-    def offer(self, history: History, always: bool = False) -> None:
-        """Offer the last of some states to be drawn; costs the caller next to nothing.
-
-        Args:
-            history: of the ticks just flown.
-            always: even where the frame before is not over yet.
-        """
-        self.offer_state(lambda: (_last_of(history.state), int(history.ticks[-1])), always)
+    def offer(self, history: History) -> None:
+        """Offer some states to be drawn; costs the caller next to nothing."""
+        self._offer(lambda row: (_row(history.state, row), int(history.ticks[row])), len(history.ticks))
 
     def show(self, simulation: Simulation) -> None:
         """Offer the present state of a simulation; its copy takes the caller some microseconds."""
         layout, buffers = simulation.packed
         copies, tick = tuple(np.array(buffer) for buffer in buffers), simulation.tick
-        self.offer_state(lambda: (layout.unpack(copies), tick), always=True)  # type: ignore[arg-type]
+        self._offer(lambda _: (layout.unpack(copies), tick), 1)  # type: ignore[arg-type]
 
-    def _due(self) -> bool:
-        """Return whether the next frame may be drawn; at every step of a clock that is paused."""
-        paused = self.clock is not None and not self.clock.playing
-        return paused or time.perf_counter() - self._last >= FRAME_S
-
-    def offer_state(self, look: Look, always: bool = False) -> None:
-        """Offer what ``look`` returns, as ``offer`` does."""
-        if not (always or self._due()):
-            return
-        self._last = time.perf_counter()
+    def _offer(self, look: Callable[[int], tuple[State, int]], count: int) -> None:
         with self._there:
-            self._overtaken += self._newest is not None
-            self._newest = look
+            self._newest = _Offered(look, count, time.perf_counter())
             self._there.notify()
 
     def changes(self, simulation: Simulation) -> list[dict[str, Any]]:
         """Make the changes that the page asks for, and return them as events of a run."""
         wished, self._wished = self._wished, None
-        return [] if wished is None else change_wind(simulation, wished)
+        if wished is None:
+            return []
+        events = change_wind(simulation, wished)
+        self._world = simulation.world
+        return events
 
     def close(self) -> None:
         """Draw what is still to be drawn, and take the page off."""
@@ -132,27 +135,49 @@ class LiveView:
     # ---- the page's thread ----
 
     def _draw_all(self) -> None:
+        due, span, before = time.perf_counter(), 0.0, None
+        offered: _Offered | None = None
+        row = -1
         while True:
             with self._there:
-                self._there.wait_for(lambda: self._newest is not None or self._closed)
-                look, self._newest = self._newest, None
-            if look is None:
+                # What was drawn to its end waits for something newer.
+                self._there.wait_for(lambda: self._newest or self._closed or (offered and row < offered.count - 1))  # noqa: B023
+                if self._newest is not None:
+                    offered, self._newest, row = self._newest, None, -1
+                    span, before = offered.arrived - (before or offered.arrived), offered.arrived
+                    # While nothing came, nothing was due.
+                    due = max(due, offered.arrived)
+            if offered is None or (self._closed and row == offered.count - 1):
                 return
             try:
-                self._draw(look)
+                row = self._draw(offered, row, 0.0 if self._closed else span)
             except Exception as error:  # the flight goes on, whatever is wrong with its picture
                 print(f"warning: the page shows no more: {error!r}", file=sys.stderr)
                 return
-            # Paced here, where the last of some states is drawn whoever offered it when.
-            with self._there:
-                self._there.wait_for(lambda: self._closed, FRAME_S)
+            due = self._pace(due)
 
-    def _draw(self, look: Look) -> None:
+    def _pace(self, due: float) -> float:
+        """Wait until the next frame is due, and return when it is; what is too slow for that drops frames."""
+        due, now = due + FRAME_S, time.perf_counter()
+        if now > due:
+            self._overtaken += int((now - due) / FRAME_S)
+            return now
+        with self._there:
+            self._there.wait_for(lambda: self._closed, due - now)
+        return due
+
+    def _draw(self, offered: _Offered, row: int, span: float) -> int:
+        """Draw the state whose turn it is of those that came in a time ``span`` [s], and return its number."""
         assert self._page is not None
-        state, tick = look()
-        frame = frame_of(state, tick * self._step_s)
+        share = (time.perf_counter() - offered.arrived + FRAME_S) / max(span, FRAME_S)
+        now = min(offered.count - 1, max(0, int(share * offered.count) - 1))
+        if now <= row:
+            return row
+        state, tick = offered.look(now)
+        frame = frame_of(state, tick * self._step_s, self._world)
         self._keep(state, frame)
         self._page.draw(frame, everything=self.clock is not None and not self.clock.playing)
+        return now
 
     def _keep(self, state: State, frame: Frame) -> None:
         """Remember what the chosen vehicle measures."""
@@ -187,11 +212,11 @@ class LiveView:
             self._wished = Wind(speed.value, bearing.value)
 
 
-def _last_of(state: State) -> State:
+def _row(state: State, row: int) -> State:
     import jax
 
-    last: State = jax.tree.map(lambda leaf: leaf[-1], state)
-    return last
+    found: State = jax.tree.map(lambda leaf: leaf[row], state)
+    return found
 
 
 def _place(world: World, vehicle: int) -> tuple[int, int]:

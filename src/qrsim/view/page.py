@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from viser import ViserServer
 
+from qrsim.view.cameras import Cameras
 from qrsim.view.clock import Clock
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.layers import STRONG_WIND
@@ -37,7 +38,6 @@ class Page:
 
     Attributes:
         scene: in which things are drawn.
-        chosen: number of the vehicle that is plotted; None: nobody.
         time_folder: of the panel, where there is a clock.
         drawn: number of frames.
         dropped: returns how many frames were not drawn, because newer ones were there already.
@@ -48,7 +48,6 @@ class Page:
     def __init__(self, server: ViserServer, cast: Cast, world: World | None, heading: str, clock: Clock | None):
         self.server, self.heading, self.clock = server, heading, clock
         self.scene = Scene(server, cast, world)
-        self.chosen: int | None = None
         self.dropped: Callable[[], int] = lambda: 0
         self.plotted: Callable[[int, str], tuple[Floats, Floats, Floats]] | None = None
         self.drawn = 0
@@ -59,7 +58,12 @@ class Page:
             self._add_clock(clock)
         self._add_vehicle()
         self._add_layers()
-        self.scene.vehicles.handle.on_click(lambda event: self.choose(event.instance_index))
+        self.scene.vehicles.handle.on_click(self._clicked)
+
+    @property
+    def chosen(self) -> int | None:
+        """Number of the vehicle that is plotted; None: nobody."""
+        return self.scene.stage.chosen
 
     # ---- the panel ----
 
@@ -110,9 +114,11 @@ class Page:
     def _add_layers(self) -> None:
         gui = self.server.gui
         with gui.add_folder("Layers", expand_by_default=False):
-            for title in self.scene.layers:
-                gui.add_checkbox(title, True).on_update(partial(self._show, title))
+            for title, layer in self.scene.layers.items():
+                gui.add_checkbox(title, layer.root.visible).on_update(partial(self._show, title))
             gui.add_markdown(f"Wind: blue is calm, red {STRONG_WIND:g} m/s and more; gusts are orange. Stopped: red.")
+            if Cameras.title in self.scene.layers:
+                gui.add_markdown("Camera pictures: red speaks for a person, blue against.")
 
     def add_plots(self, quantities: list[str]) -> None:
         """Offer plots of what the chosen vehicle measures, against the truth."""
@@ -129,12 +135,17 @@ class Page:
 
     # ---- what happens ----
 
+    def _clicked(self, event: Any) -> None:
+        # The outline of what the mouse is over has no number.
+        by_ray = event.instance_index is None
+        self.choose(self.scene.nearest(event.ray_origin, event.ray_direction) if by_ray else event.instance_index)
+
     def _show(self, title: str, event: Any) -> None:
         self.scene.show(title, event.target.value)
 
     def choose(self, vehicle: int | None) -> None:
         """Plot a vehicle, and follow it where that is switched on."""
-        self.chosen = vehicle
+        self.scene.choose(vehicle)
         name = NOBODY if vehicle is None else self.scene.cast.names[vehicle]
         if self._who.value != name:
             self._who.value = name

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.view.frame import Frame
-from qrsim.view.layers import Layer
+from qrsim.view.layers import MANY, Layer
 
 Floats = np.ndarray[Any, Any]
 LENGTH_S = 60.0
@@ -20,7 +20,7 @@ class Paths(Layer):
     """The true path of each vehicle, in its colour."""
 
     title = "true paths"
-    every = 15
+    every = 30
     thickness = 3.0
 
     def begin(self) -> None:
@@ -73,6 +73,7 @@ class EstimatedPaths(Paths):
     """Where the controllers believed each vehicle to be."""
 
     title = "estimated paths"
+    most = MANY
     thickness = 1.5
 
     def position(self, frame: Frame) -> Floats:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import io
 import time
 from pathlib import Path
-from typing import Any
 
-import numpy as np
+from PIL import Image, ImageDraw
 from viser import ViserServer
 
 from qrsim.errors import RunError, UsageError
@@ -15,8 +14,13 @@ from qrsim.view.browser import Browser
 from qrsim.view.server import address
 
 WIDTH, HEIGHT = 1280, 800
-# A page that has just been opened still makes its labels; pictures are taken until two are the same.
-MOST_TRIES, PATIENCE_S = 8, 120.0
+# A page that has just been opened still makes its labels; pictures are taken until none has changed for so long [s].
+QUIET_S, PATIENCE_S = 2.0, 120.0
+# What is beside the scene: the panel, and that the browser has no graphics card.
+SCENE_ONLY = """
+    document.head.insertAdjacentHTML('beforeend',
+        '<style>.mantine-Paper-root, .mantine-Notification-root {display: none !important}</style>')
+"""
 
 
 def check_name(path: Path) -> None:
@@ -33,37 +37,40 @@ def photograph(server: ViserServer, caption: str) -> bytes:
     Raises:
         RunError: there is no browser, or it draws nothing.
     """
-    from PIL import Image, ImageDraw
-
     with Browser(WIDTH, HEIGHT) as browser:
+        browser.call(
+            "Emulation.setDeviceMetricsOverride", width=WIDTH, height=HEIGHT, deviceScaleFactor=1, mobile=False
+        )
         browser.open(f"{address(server)}/?fixedDpr=1")
-        shot = _settled(_client(server))
-    picture = Image.fromarray(shot).convert("RGBA")
-    white = Image.new("RGBA", picture.size, "white")
-    white.alpha_composite(picture)
-    ImageDraw.Draw(white).text((16, 12), caption, fill="black", font_size=20)
+        _wait_for_client(server)
+        browser.evaluate(SCENE_ONLY)
+        picture = _settled(browser)
+    ImageDraw.Draw(picture).text((16, 12), caption, fill="black", font_size=20)
     found = io.BytesIO()
-    white.convert("RGB").save(found, "PNG", optimize=True)
+    picture.save(found, "PNG", optimize=True)
     return found.getvalue()
 
 
-def _client(server: ViserServer) -> Any:
+def _wait_for_client(server: ViserServer) -> None:
     deadline = time.monotonic() + PATIENCE_S
-    while not (clients := server.get_clients()):
+    while not server.get_clients():
         if time.monotonic() > deadline:
             raise RunError(f"the browser did not open the page within {PATIENCE_S:g} s")
         time.sleep(0.05)
-    return next(iter(clients.values()))
 
 
-def _settled(client: Any) -> Any:
-    before = None
-    for _ in range(MOST_TRIES):
-        try:
-            shot = client.get_render(HEIGHT, WIDTH, transport_format="png", timeout=PATIENCE_S)
-        except (RuntimeError, TimeoutError) as error:
-            raise RunError(f"the browser draws nothing: {error}") from None
-        if before is not None and np.array_equal(before, shot):
-            break
-        before = shot
-    return shot
+def _settled(browser: Browser) -> Image.Image:
+    """Return the picture once it does not change any more, and shows something."""
+    before, changed = b"", time.monotonic()
+    deadline = changed + PATIENCE_S
+    while True:
+        shot = browser.picture()
+        picture, now = Image.open(io.BytesIO(shot)).convert("RGB"), time.monotonic()
+        empty = picture.getcolors(1) is not None
+        if shot != before or empty:
+            before, changed = shot, now
+        if empty and now > deadline:
+            raise RunError(f"the browser drew nothing within {PATIENCE_S:g} s")
+        if now > min(changed + QUIET_S, deadline):
+            return picture
+        time.sleep(0.25)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from viser import ViserServer
 
+from qrsim.view.cameras import Cameras, camera_layers
 from qrsim.view.contents import contents_layers
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.ground import Area, Ground, Obstacles
@@ -16,8 +17,10 @@ from qrsim.view.paths import EstimatedPaths, Paths
 from qrsim.world_tree import World
 
 Floats = np.ndarray[Any, Any]
-# Spans of a drawn vehicle [m]: that of a Pelican, and what still leaves room between neighbours.
-SMALLEST_SPAN, LARGEST_SPAN = 0.65, 12.0
+# Spans of a drawn vehicle [m]: that of a Pelican, and the largest of a few; of many, a part of the room that each has.
+SMALLEST_SPAN, LARGEST_SPAN, SHARE_OF_ROOM, MANY = 0.65, 12.0, 0.35, 50
+# Where pages look from at first.
+SOUTH = (-0.85, -0.3, -0.45)
 
 
 class Scene:
@@ -47,7 +50,7 @@ class Scene:
         scene.set_up_direction((0.0, 0.0, -1.0))
         scene.add_light_ambient("/light", intensity=1.2)
         self._root = scene.add_frame("/world", show_axes=False)
-        self.stage = Stage(scene, self.cast, float(np.clip(self.cast.extent / 15.0, SMALLEST_SPAN, LARGEST_SPAN)))
+        self.stage = Stage(scene, self.cast, _span(cast))
         self.vehicles = Vehicles(self.stage)
         self.paths = (Paths(self.stage), EstimatedPaths(self.stage))
         others = (Poles, Ghosts, Wind, Gusts, Names)
@@ -55,18 +58,23 @@ class Scene:
         solid: list[Layer] = []
         if world is not None:
             solid = [Area(self.stage, world), Obstacles(self.stage, world), *contents_layers(self.stage, world)]
-        layers: list[Layer] = [Ground(self.stage), *solid, self.vehicles, *moving]
+            solid += camera_layers(self.stage, world)
+        layers: list[Layer] = [Ground(self.stage, world), *solid, self.vehicles, *moving]
         self.layers = {layer.title: layer for layer in layers}
         self._look()
 
     def _look(self) -> None:
         """Let pages begin with a view from the south, of all starts."""
-        centre, far = self.cast.centre, self.cast.extent
+        # Vehicles leave where they start; what they fly in is seen as a whole.
+        self.look(self.cast.centre, self.cast.extent * (1.15 if self.cast.around is None else 0.8))
+        self._server.initial_camera.near, self._server.initial_camera.far = 0.1, max(1000.0, 20.0 * self.cast.extent)
+
+    def look(self, at: Floats, distance: float, from_ned: tuple[float, float, float] = SOUTH) -> None:
+        """Let pages begin with a view of a place (3,), from a distance [m] and a direction."""
         camera = self._server.initial_camera
         camera.up = (0.0, 0.0, -1.0)
-        camera.look_at = tuple(centre)
-        camera.position = tuple(centre + np.array([-0.85, -0.3, -0.45]) * far)
-        camera.near, camera.far = 0.1, max(1000.0, 20.0 * far)
+        camera.look_at = tuple(at)
+        camera.position = tuple(np.asarray(at) + distance * np.array(from_ned))
 
     def draw(self, frame: Frame, everything: bool = False) -> None:
         """Show a frame.
@@ -81,8 +89,9 @@ class Scene:
                 paths.note(frame)
             if self.followed is not None:
                 self._root.position = -_known(frame.position_ned[self.followed])
-            for layer in self.layers.values():
-                if layer.root.visible and (everything or self._count % layer.every == 0):
+            for number, layer in enumerate(self.layers.values()):
+                # Not all at the same frame.
+                if layer.root.visible and (everything or (self._count + number) % layer.every == 0):
                     layer.draw(frame)
             self._count += 1
 
@@ -99,6 +108,24 @@ class Scene:
         self.stage.span = span
         if self.frame is not None:
             self.draw(self.frame, everything=True)
+
+    def choose(self, vehicle: int | None) -> None:
+        """Show of one vehicle what cannot be shown of all, or of nobody."""
+        with self._lock:
+            self.stage.chosen = vehicle
+            for layer in self.layers.values():
+                if isinstance(layer, Cameras) and layer.root.visible and self.frame is not None:
+                    layer.draw(self.frame)
+
+    def nearest(self, origin: Any, direction: Any) -> int | None:
+        """Return the vehicle that is nearest to a ray from the camera, seen from there."""
+        if self.frame is None:
+            return None
+        away = self.frame.position_ned + np.asarray(self._root.position) - np.asarray(origin)
+        along = away @ np.asarray(direction)
+        across = np.linalg.norm(away - along[:, None] * np.asarray(direction), axis=1)
+        angle = np.where(along > 0.0, np.arctan2(across, along), np.inf)
+        return int(np.argmin(np.nan_to_num(angle, nan=np.inf)))
 
     def follow(self, vehicle: int | None) -> None:
         """Keep a vehicle in the middle, or let the world stand still; what is looked at changes smoothly."""
@@ -121,3 +148,12 @@ class Scene:
 
 def _known(position: Floats) -> Floats:
     return np.nan_to_num(np.asarray(position, np.float64))
+
+
+def _span(cast: Cast) -> float:
+    """Return how large vehicles are drawn at first [m]."""
+    largest = LARGEST_SPAN
+    if cast.size > MANY:
+        room = float(np.sqrt(np.prod(np.ptp(cast.start_ned[:, :2], axis=0)) / cast.size))
+        largest = max(SMALLEST_SPAN, SHARE_OF_ROOM * room)
+    return float(np.clip(cast.extent / 15.0, SMALLEST_SPAN, largest))

@@ -35,6 +35,8 @@ def start_server(port: int = PORT, label: str = "qrsim") -> ViserServer:
     require_viser()
     if not 0 <= port <= 65535:
         raise UsageError(f"--port {port}: expected 0 to 65535")
+    import logging
+
     import rich
     from viser import ViserServer
 
@@ -42,6 +44,8 @@ def start_server(port: int = PORT, label: str = "qrsim") -> ViserServer:
     # viser announces itself on standard output, which belongs to the command.
     console = rich.get_console()
     console.quiet = True
+    # Browsers open connections that they close without a word.
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
     server = ViserServer(LOOPBACK, port, label=label, verbose=False)
     # Sharing would send the scene to a server elsewhere.
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")

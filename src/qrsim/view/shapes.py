@@ -20,6 +20,8 @@ PALETTE = np.array(
 )  # fmt: skip
 # From weak to strong.
 SPEED_COLOURS = np.array([(10, 20, 150), (0, 100, 140), (10, 110, 10), (190, 110, 0), (170, 0, 10)], np.float64)
+# From against to for.
+RATIO_COLOURS = np.array([(10, 50, 150), (90, 140, 200), (215, 215, 215), (230, 120, 80), (170, 0, 10)], np.float64)
 _CUBE_FACES = np.array(
     [
         (0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
@@ -84,6 +86,12 @@ def arrow() -> Mesh:
     return merged(box((0.0, -0.12, -0.12), (0.7, 0.12, 0.12)), cone(0.65, 1.0, 0.35))
 
 
+def pin() -> Mesh:
+    """Return a cone of height 1 whose tip points down, at the origin."""
+    corners, faces = cone(-1.0, 0.0, 0.25, 12)
+    return corners[:, [1, 2, 0]], faces
+
+
 def along(direction: Floats) -> Floats:
     """Return unit quaternions (n, 4), w first, that turn the x axis into directions (n, 3) of any length."""
     length = np.linalg.norm(direction, axis=1)
@@ -98,6 +106,15 @@ def along(direction: Floats) -> Floats:
 
 def speed_colours(speed: Floats, strongest: float) -> Floats:
     """Return (n, 3) colours of speeds (n,), the last one from ``strongest`` on."""
-    place = np.clip(speed / strongest, 0.0, 1.0) * (len(SPEED_COLOURS) - 1)
-    steps = np.arange(len(SPEED_COLOURS))
-    return np.stack([np.interp(place, steps, SPEED_COLOURS[:, i]) for i in range(3)], axis=1).astype(np.uint8)
+    return _colours(SPEED_COLOURS, speed / strongest)
+
+
+def ratio_colours(ratio: Floats, strongest: float) -> Floats:
+    """Return (n, 3) colours of logarithmic ratios (n,), from that of minus ``strongest`` to that of it."""
+    return _colours(RATIO_COLOURS, 0.5 + 0.5 * ratio / strongest)
+
+
+def _colours(scale: Floats, share: Floats) -> Floats:
+    place = np.clip(share, 0.0, 1.0) * (len(scale) - 1)
+    steps = np.arange(len(scale))
+    return np.stack([np.interp(place, steps, scale[:, i]) for i in range(3)], axis=1).astype(np.uint8)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,10 @@ import numpy as np
 from qrsim.core.tree import field_info, replace
 from qrsim.simulation import Simulation
 from qrsim.world_tree import World
+
+# Of the events that say so: their kind, and the fields of the two of a change.
+WIND_CHANGED = "wind_changed"
+SPEED, BEARING = "world.wind.speed_20ft", "world.wind.wind_from_deg"
 
 
 @dataclass(frozen=True)
@@ -36,24 +41,26 @@ def wind_of(world: World) -> Wind | None:
     drawn = any(path[:1] == ("wind",) for item in getattr(world, "ranges", ()) for path in item.paths)
     if drawn or not (hasattr(wind, "speed_20ft") and hasattr(wind, "wind_from_rad")):
         return None
-    speed, bearing = float(wind.speed_20ft), math.degrees(float(wind.wind_from_rad)) % 360.0
+    # As they were written, not as they are rounded to float32.
+    speed, bearing = round(float(wind.speed_20ft), 3), round(math.degrees(float(wind.wind_from_rad)) % 360.0, 3)
     limit = next(field_info(f).maximum for f in dataclasses.fields(wind) if f.name == "speed_20ft")
     return Wind(speed, bearing, min(limit or math.inf, max(20.0, math.ceil(speed))))
 
 
 def change_wind(simulation: Simulation, wind: Wind) -> list[dict[str, Any]]:
     """Let another wind blow from the next tick on; return that as events of a run."""
-    world = simulation.world
-    changed = replace(
-        world.wind,
-        speed_20ft=np.asarray(wind.speed, simulation.dtype),
-        wind_from_rad=np.asarray(math.radians(wind.from_deg), simulation.dtype),
-    )
-    simulation.change_world(replace(world, wind=changed))
-    where = {"time": simulation.time, "tick": simulation.tick, "vehicle": None, "kind": "wind_changed"}
-    speed = f"wind changed at {simulation.time:.2f} s: {wind.speed:g} m/s at 20 ft"
-    bearing = f"wind changed at {simulation.time:.2f} s: from {wind.from_deg:g} degrees"
+    asked = {SPEED: wind.speed, BEARING: wind.from_deg}
+    simulation.change_world(with_wind(simulation.world, asked))
+    where = {"time": simulation.time, "tick": simulation.tick, "vehicle": None, "kind": WIND_CHANGED}
+    said = (f"{wind.speed:g} m/s at 20 ft", f"from {wind.from_deg:g} degrees")
     return [
-        {**where, "field": "world.wind.speed_20ft", "value": wind.speed, "message": speed},
-        {**where, "field": "world.wind.wind_from_deg", "value": wind.from_deg, "message": bearing},
+        {**where, "field": field, "value": value, "message": f"wind changed at {simulation.time:.2f} s: {what}"}
+        for (field, value), what in zip(asked.items(), said, strict=True)
     ]
+
+
+def with_wind(world: World, asked: Mapping[Any, Any]) -> World:
+    """Return a world with the wind that was asked for, by the fields of the events."""
+    dtype = np.asarray(world.wind.speed_20ft).dtype
+    speed, bearing = np.asarray(asked[SPEED], dtype), np.asarray(math.radians(asked[BEARING]), dtype)
+    return replace(world, wind=replace(world.wind, speed_20ft=speed, wind_from_rad=bearing))

@@ -112,7 +112,7 @@ def fly(
                 for event in finder.find(history):
                     writer.append_event(**event)
             if view is not None:
-                view.offer(history, always=simulation.tick >= scenario.ticks)
+                view.offer(history)
                 for event in view.changes(simulation):
                     writer.append_event(**event)
 

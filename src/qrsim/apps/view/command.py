@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.errors import UsageError
+from qrsim.errors import RunError, UsageError
 
 if TYPE_CHECKING:
     from qrsim.apps.view.recording import Recording
@@ -95,7 +95,10 @@ class View:
             picture = photograph(server, f"{recording.heading}, {frame.time:.2f} s")
         finally:
             server.stop()
-        write_atomically(path, picture)
+        try:
+            write_atomically(path, picture)
+        except OSError as error:
+            raise RunError(f"--screenshot {path}: {error.strerror or error}") from None
         print(path)
 
     def _serve(self, recording: Recording) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
+from qrsim.apps.view.columns import Columns, vector
+from qrsim.apps.view.rebuilt import rebuilt
 from qrsim.errors import QrsimError, RunError, warn_user
 from qrsim.logs import Run
 from qrsim.logs.layout import EVENTS, INDEX, Event
@@ -16,53 +17,8 @@ from qrsim.view.truth import ANGLES, AXES, true_values
 from qrsim.world_tree import World
 
 Floats = np.ndarray[Any, Any]
-# Times of vehicles that are kept in memory; of longer logs only every so-many-th tick is shown.
-MOST_POSES = 3_000_000
 # Of a plot [s].
 PLOT_S = 60.0
-
-
-class Columns:
-    """Vectors of one stream at the times that are kept.
-
-    Args:
-        run: what is read.
-        stream: its name.
-        vectors: name -> its three columns; one of None is NaN.
-
-    Attributes:
-        time: (T,) [s].
-    """
-
-    def __init__(self, run: Run, stream: str, vectors: dict[str, tuple[str, ...] | None]):
-        self._size = len(run.vehicles)
-        wanted = [column for columns in vectors.values() if columns for column in columns]
-        times, parts = [np.zeros(0)], {name: [np.zeros((0, self._size), np.float32)] for name in wanted}
-        if wanted:
-            self.stride = max(1, math.ceil(len(run[stream].time) * self._size / MOST_POSES))
-            seen = 0
-            for batch in run[stream].batches(wanted):
-                chosen = slice(-seen % self.stride, None, self.stride)
-                seen += len(batch.time)
-                times.append(batch.time[chosen])
-                for name in wanted:
-                    parts[name].append(batch.arrays[name][chosen].astype(np.float32))
-        self.time = np.concatenate(times)
-        arrays = {name: np.concatenate(found) for name, found in parts.items()}
-        self._vectors = {
-            name: np.stack([arrays[column] for column in columns], axis=-1)
-            for name, columns in vectors.items()
-            if columns
-        }
-
-    def at(self, name: str, time: Any) -> Floats:
-        """Return the last values (..., n, k) up to times (...) [s]; NaN where there are none."""
-        shape = (*np.shape(time), self._size, 3)
-        if name not in self._vectors or not len(self.time):
-            return np.full(shape, np.nan, np.float32)
-        # A time that was typed, or comes from a slider, may be a rounding below that of its tick.
-        rows = np.searchsorted(self.time, np.asarray(time) + 1e-6, side="right") - 1
-        return self._vectors[name][np.maximum(rows, 0)]
 
 
 class Recording:
@@ -84,18 +40,19 @@ class Recording:
             raise RunError(
                 f"{run.folder}: no true positions (truth.position_ned) were recorded, so nothing can be shown"
             )
-        position, attitude = (_vector(run, "truth", *part) for part in (("position_ned", AXES), ("attitude", ANGLES)))
+        position, attitude = (vector(run, "truth", *part) for part in (("position_ned", AXES), ("attitude", ANGLES)))
         valid = ("valid",) if "valid" in run["truth"] else None
         self._truth = Columns(run, "truth", {"position": position, "attitude": attitude, "valid": valid})
         if not len(self._truth.time):
             raise RunError(f"{run.folder}: not a single tick was recorded, so there is nothing to show")
         self._measured = Columns(run, "measurements", {"fix": _fixes(run), "height": _heights(run)})
-        mean, gust = (_vector(run, "wind", name, AXES) for name in ("mean_ned", "gust_ned"))
+        mean, gust = (vector(run, "wind", name, AXES) for name in ("mean_ned", "gust_ned"))
         self._wind = Columns(run, "wind", {"mean": mean, "gust": gust})
         self.time, self.shown = self._truth.time, self._truth.stride
         numbers = {name: i for i, name in enumerate(run.vehicles)}
         self._stops = [(event, numbers[event.vehicle]) for event in _stops(run) if event.vehicle is not None]
         self.world, self.cast = self._surroundings()
+        self._rebuilt = rebuilt(run, self.world)
         self._plotted: dict[str, Any] = {}
 
     @property
@@ -116,7 +73,7 @@ class Recording:
 
         start = self._truth.at("position", self.time[0])
         try:
-            world = load_scenario(yaml.safe_load(self.run.scenario_yaml)).world()
+            world = load_scenario(yaml.safe_load(self.run.scenario_yaml)).world(self.run.info.precision)
             cast = cast_of(world, start)
             if cast.names == self.run.vehicles:
                 return world, cast
@@ -142,6 +99,7 @@ class Recording:
             self._wind.at("gust", now),
             ~(valid == 0.0),
             {i: event.message.partition(", ")[2] for event, i in self._stops if event.time <= now + 1e-6},
+            self._rebuilt.at(now) if self._rebuilt else None,
         )
 
     def positions(self, times: Floats) -> Floats:
@@ -189,12 +147,6 @@ class Recording:
         return found
 
 
-def _vector(run: Run, stream: str, name: str, parts: tuple[str, ...]) -> tuple[str, ...] | None:
-    """Return the columns of a vector; None where one was not recorded."""
-    columns = tuple(f"{name}.{part}" for part in parts)
-    return columns if stream in run and all(column in run[stream] for column in columns) else None
-
-
 def _first(run: Run, ending: str) -> str | None:
     """Return the name of the first measured quantity with this ending, without it."""
     columns = run["measurements"].columns() if "measurements" in run else ()
@@ -203,7 +155,7 @@ def _first(run: Run, ending: str) -> str | None:
 
 def _fixes(run: Run) -> tuple[str, ...] | None:
     sensor = _first(run, "position_ned.x")
-    return _vector(run, "measurements", f"{sensor}.position_ned", AXES) if sensor else None
+    return vector(run, "measurements", f"{sensor}.position_ned", AXES) if sensor else None
 
 
 def _heights(run: Run) -> tuple[str, ...] | None:

@@ -1,0 +1,154 @@
+"""What there was beside the vehicles of a recorded run, which logs do not have.
+
+Cover of the ground, persons, sources and puffs are drawn from the seed alone, so they are drawn again; who was found
+when, and which wind was asked for, the events say; where pictures were taken, the measurements do, and what they show
+follows from all of these.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from qrsim.apps.view.columns import Columns, vector
+from qrsim.core.noise import Draw, Key
+from qrsim.core.tree import replace
+from qrsim.core.vectors import Euler, Vec3
+from qrsim.episode import draw_ranges, episode_draws, start_contents
+from qrsim.logs import Run
+from qrsim.logs.layout import EVENTS
+from qrsim.logs.streams import PERSON_FOUND
+from qrsim.models.camera import CameraReading
+from qrsim.models.contents import ContentsState
+from qrsim.view.cameras import camera_places
+from qrsim.view.frame import Beside
+from qrsim.view.steering import WIND_CHANGED, with_wind
+from qrsim.view.truth import ANGLES, AXES
+from qrsim.world import keys_of
+from qrsim.world_tree import World, WorldKeys, period_ticks
+
+Floats = np.ndarray[Any, Any]
+
+
+class Rebuilt:
+    """What there was at any time.
+
+    Args:
+        run: what was recorded.
+        world: of its scenario, in its precision.
+    """
+
+    def __init__(self, run: Run, world: World):
+        self._world = world
+        self._wide = run.info.precision == "float64"
+        with self._precision():
+            self._keys = keys_of(world, Key.root(run.info.seed, 0))
+            self._drawn, self._start = jax.jit(_drawn)(world, self._keys)
+        self._puffs, self._puffs_ticks = self._start.plume, 0
+        self._blow = jax.jit(_blown)
+        events = run.events if EVENTS in run else []
+        self._winds = [event for event in events if event.kind == WIND_CHANGED]
+        persons = self._start.persons
+        self._found = np.full(0 if persons is None else len(persons.there), np.iinfo(np.int32).max, np.int32)
+        for event in events:
+            number = -1 if event.kind != PERSON_FOUND or event.value is None else int(event.value)
+            if 0 <= number < len(self._found):
+                self._found[number] = event.tick
+        self._cameras = _cameras(run, world)
+
+    def _precision(self) -> Any:
+        return jax.enable_x64(self._wide)
+
+    def at(self, time: float) -> Beside:
+        """Return what there was at a time [s]."""
+        tick = round(time / self._world.time_step)
+        contents = self._start
+        if contents.persons is not None:
+            when = np.where(self._found <= tick, self._found, -1)
+            contents = replace(contents, persons=replace(contents.persons, found_tick=when))
+        if hasattr(self._world.contents.plume, "step"):
+            contents = replace(contents, plume=self._blown(tick))
+        cameras = {place: camera.at(time) for place, camera in self._cameras.items()}
+        return Beside(self._blowing(time), self._drawn, contents, self._keys.fleets, cameras)
+
+    def _blowing(self, time: float) -> World:
+        """Return the world with the wind that was asked for last."""
+        asked = {event.field: event.value for event in self._winds if event.time <= time}
+        return with_wind(self._world, asked) if asked else self._world
+
+    def _blown(self, tick: int) -> Any:
+        """Return the puffs at a tick: from those before it, or from the start again."""
+        done = tick // period_ticks(self._world.contents.plume.period, self._world.time_step)
+        if done < self._puffs_ticks:
+            self._puffs, self._puffs_ticks = self._start.plume, 0
+        if done > self._puffs_ticks:
+            with self._precision():
+                span = (np.int32(self._puffs_ticks), np.int32(done))
+                self._puffs = self._blow(self._world, self._keys.plume, self._puffs, *span)
+            self._puffs_ticks = done
+        return self._puffs
+
+
+def rebuilt(run: Run, world: World | None) -> Rebuilt | None:
+    """Return what there was beside the vehicles of a run; None where nothing was, or its world is not known."""
+    if world is None:
+        return None
+    parts = any(hasattr(part, "init") for part in vars(world.contents).values())
+    return Rebuilt(run, world) if parts or camera_places(world) else None
+
+
+def _drawn(world: World, keys: WorldKeys) -> tuple[tuple[Any, ...], ContentsState]:
+    """Return what an episode draws for the ranges of a world, and its contents at the start."""
+    draws = episode_draws(world, keys, jnp.zeros((), world.fleets[0].start.position_ned.x.dtype))
+    drawn = draw_ranges(world, draws)
+    return drawn, start_contents(world.with_drawn(drawn), draws)
+
+
+def _blown(world: World, keys: Any, puffs: Any, done: Any, wanted: Any) -> Any:
+    """Return the puffs after ``wanted`` of their periods, from those after ``done``."""
+    plume = world.contents.plume
+    stream = keys.stream(0, jnp.arange(plume.ids, dtype=jnp.uint32))
+    ticks = period_ticks(plume.period, world.time_step)
+
+    def step(number: Any, puffs: Any) -> Any:
+        return plume.step(puffs, Draw(stream, (number + 1) * ticks, jnp.zeros((), puffs.age.dtype)))
+
+    return lax.fori_loop(done, wanted, step, puffs)
+
+
+class _Camera:
+    """Where and when the cameras of a fleet took their last pictures."""
+
+    def __init__(self, run: Run, sensor: str, vehicles: slice, dtype: Any):
+        parts = {"taken_at_ned": AXES, "taken_attitude": ANGLES}
+        vectors = {name: vector(run, "measurements", f"{sensor}.{name}", axes) for name, axes in parts.items()}
+        number = f"{sensor}.picture"
+        known = "measurements" in run and number in run["measurements"] and all(vectors.values())
+        self.known = known
+        self._columns = Columns(run, "measurements", {**vectors, "picture": (number,)} if known else {})
+        self._vehicles, self._dtype = vehicles, dtype
+
+    def at(self, time: float) -> CameraReading:
+        """Return the reading at a time [s]."""
+        where, attitude, number = (
+            self._columns.at(name, time)[self._vehicles].astype(self._dtype)
+            for name in ("taken_at_ned", "taken_attitude", "picture")
+        )
+        return CameraReading(Vec3(*where.T), Euler(*attitude.T), number[:, 0])  # type: ignore[arg-type]
+
+
+def _cameras(run: Run, world: World) -> dict[tuple[int, int], _Camera]:
+    """Return the cameras that were recorded, by the numbers of fleet and sensor."""
+    found, first = {}, 0
+    for number, fleet in enumerate(world.fleets):
+        for index in (index for place, index in camera_places(world) if place == number):
+            dtype = np.asarray(fleet.start.position_ned.x).dtype
+            camera = _Camera(run, fleet.sensor_names[index], slice(first, first + fleet.size), dtype)
+            if camera.known:
+                found[number, index] = camera
+        first += fleet.size
+    return found

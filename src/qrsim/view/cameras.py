@@ -1,0 +1,156 @@
+"""What cameras show: where on the ground each window of a picture lies, and what the classifier says of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qrsim.episode import develop
+from qrsim.models.camera import CameraReading
+from qrsim.view import shapes
+from qrsim.view.contents import Contents
+from qrsim.view.frame import Beside
+from qrsim.view.layers import Layer, Stage
+from qrsim.world_tree import World
+
+Floats = np.ndarray[Any, Any]
+# While nobody is chosen, of so many cameras.
+MOST_SHOWN = 4
+# The strongest colours stand for a ratio of this and more, and of minus this and less.
+STRONG_RATIO = 10.0
+# Instances are added so many at a time: a browser makes its mesh anew where their number changes.
+INSTANCES = 512
+EDGE_COLOUR = (40, 40, 40)
+
+
+class Cameras(Contents):
+    """Footprints of the last pictures, coloured by the ratio of each window: red speaks for a person, blue against."""
+
+    title = "camera pictures"
+    every = 5
+
+    def begin(self) -> None:
+        """Nothing has been seen yet."""
+        first = np.cumsum([0, *(fleet.size for fleet in self.world.fleets)])
+        self._owners = [
+            (int(first[number]) + i, number, index, i)
+            for number, index in camera_places(self.world)
+            for i in range(self.world.fleets[number].size)
+        ]
+        self._drawn: list[Any] = []
+        self._develop = jax.jit(_developed, static_argnums=(5, 6))
+        self._dtype = np.asarray(self.world.fleets[0].start.position_ned.x).dtype
+        nothing = np.zeros((INSTANCES, 3), np.float32)
+        self._windows = self.stage.scene.add_batched_meshes_simple(
+            f"{self.path}/windows", *_window(), batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (INSTANCES, 1)),
+            batched_positions=nothing, batched_scales=nothing, batched_colors=np.zeros((INSTANCES, 3), np.uint8),
+            opacity=0.85, lod="off", flat_shading=True, side="double", cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+        self._edges = self.stage.scene.add_line_segments(
+            f"{self.path}/edges", np.zeros((8, 2, 3), np.float32), EDGE_COLOUR, thickness=1.5, thickness_units="screen"
+        )
+
+    def look(self, beside: Beside, time: float) -> None:
+        """Draw the pictures that are not drawn yet."""
+        owners = [owner for owner in self._owners if owner[1:3] in beside.cameras]
+        chosen = [owner for owner in owners if owner[0] == self.stage.chosen] or owners[:MOST_SHOWN]
+        shown = []
+        for owner in chosen:
+            reading = jax.tree.map(lambda leaf: float(leaf[owner[3]]), beside.cameras[owner[1:3]])  # noqa: B023
+            # A vehicle that has stopped has no picture any more.
+            if np.isfinite(reading.picture):
+                # Where it was taken, because in another run another picture has this number.
+                shown.append((owner, reading.picture, reading.taken_at_ned.x, reading.taken_at_ned.y))
+        if shown == self._drawn:
+            return
+        self._drawn = shown
+        pictures = [self._picture(beside, *owner[1:]) for owner, *_ in shown]
+        # Above the plates of the ground's cover.
+        z = -2.0 * self.stage.lift
+        self._put([_windows(picture, z) for _, picture in pictures])
+        edges = [_edges(where, picture, z) for where, picture in pictures] or [np.zeros((8, 2, 3))]
+        self._edges.points = np.concatenate(edges).astype(np.float32)
+
+    def _picture(self, beside: Beside, number: int, index: int, i: int) -> tuple[Floats, Any]:
+        """Return where a vehicle took its last picture (3,), and the picture."""
+        reading = jax.tree.map(lambda leaf: np.asarray(leaf)[i : i + 1], beside.cameras[number, index])
+        with jax.enable_x64(self._dtype == np.float64):
+            keys = beside.fleet_keys[number]
+            found = self._develop(
+                beside.world, beside.drawn, beside.contents, keys, reading, number, index, np.uint32(i)
+            )
+            picture = jax.tree.map(lambda leaf: np.asarray(leaf)[0], found)
+        return np.array([np.asarray(axis)[0] for axis in vars(reading.taken_at_ned).values()]), picture
+
+    def _put(self, windows: list[tuple[Floats, ...]]) -> None:
+        """Draw windows: (K, 3) positions, (K, 4) quaternions, (K, 3) scales, (K, 3) colours, of each picture."""
+        rest = -sum(len(part[0]) for part in windows) % INSTANCES or (0 if windows else INSTANCES)
+        nothing = (np.zeros((rest, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (rest, 1)), np.zeros((rest, 3)))
+        parts = zip(*windows, (*nothing, np.zeros((rest, 3), np.uint8)), strict=True)
+        positions, wxyzs, scales, colours = (np.concatenate(part) for part in parts)
+        self._windows.batched_positions = positions.astype(np.float32)
+        self._windows.batched_wxyzs = wxyzs.astype(np.float32)
+        self._windows.batched_scales = scales.astype(np.float32)
+        self._windows.batched_colors = colours
+
+
+def _developed(
+    world: World, drawn: Any, contents: Any, keys: Any, reading: CameraReading, number: int, index: int, i: Any
+) -> Any:
+    """Return the last picture of vehicle ``i`` of a fleet, as one of (1,) vehicles."""
+    world = world.with_drawn(drawn)
+    fleet = world.fleets[number]
+    # A number of a camera may differ from vehicle to vehicle.
+    camera = jax.tree.map(lambda leaf: leaf[i][None] if jnp.ndim(leaf) else leaf, fleet.sensors[index])
+    stream = keys.stream(fleet.stream_names.index(fleet.sensor_names[index]), jnp.asarray(i, jnp.uint32)[None])
+    return develop(world, contents, camera, reading, stream)
+
+
+def _window() -> shapes.Mesh:
+    """Return a square of side 1 that lies on the ground."""
+    corners = np.array([(-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0)])
+    return corners, np.array([(0, 1, 2), (0, 2, 3)])
+
+
+def _windows(picture: Any, z: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return positions, quaternions, scales and colours of the windows of a picture, at a height -z [m]."""
+    corners = np.stack([picture.north, picture.east], axis=-1).astype(np.float64)
+    middle = 0.25 * (corners[:-1, :-1] + corners[:-1, 1:] + corners[1:, :-1] + corners[1:, 1:])
+    across, down = corners[:-1, 1:] - corners[:-1, :-1], corners[1:, :-1] - corners[:-1, :-1]
+    there = np.isfinite(picture.ratio)
+    across, down = across[there], down[there]
+    half = 0.5 * np.arctan2(across[:, 1], across[:, 0])
+    flat = np.zeros(len(half))
+    return (
+        np.insert(middle[there], 2, z, axis=1),
+        np.stack([np.cos(half), flat, flat, np.sin(half)], axis=1),
+        np.stack([np.linalg.norm(across, axis=1), np.linalg.norm(down, axis=1), flat + 1.0], axis=1),
+        shapes.ratio_colours(picture.ratio[there], STRONG_RATIO),
+    )
+
+
+def _edges(where: Floats, picture: Any, z: float) -> Floats:
+    """Return lines (8, 2, 3) from where a picture was taken to its corners at a height -z [m], and round these."""
+    rows, columns = int(picture.rows), int(picture.columns)
+    ends = ((0, 0), (0, columns), (rows, columns), (rows, 0))
+    corners = np.array([(picture.north[end], picture.east[end], z) for end in ends])
+    sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    return np.concatenate([np.stack([np.tile(where, (4, 1)), corners], axis=1), sides])
+
+
+def camera_places(world: World) -> list[tuple[int, int]]:
+    """Return the numbers of fleet and sensor of each camera of a world."""
+    return [
+        (number, index)
+        for number, fleet in enumerate(world.fleets)
+        for index, sensor in enumerate(fleet.sensors)
+        if hasattr(sensor, "develop")
+    ]
+
+
+def camera_layers(stage: Stage, world: World) -> list[Layer]:
+    """Return the layer of the cameras, where there are any."""
+    return [Cameras(stage, world)] if camera_places(world) else []

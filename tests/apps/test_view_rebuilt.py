@@ -1,0 +1,110 @@
+"""What there was beside the vehicles of a recorded run, against the simulation that was recorded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from qrsim.apps.run.recorder import fly
+from qrsim.apps.view.recording import Recording
+from qrsim.episode import develop, picture
+from qrsim.logs import open_run
+from qrsim.scenarios.scenario import Scenario, load_scenario
+from qrsim.simulation import Simulation
+from qrsim.view.clock import Clock
+from qrsim.view.live import LiveView
+from qrsim.view.steering import Wind
+
+SEED = 3
+SEARCH = load_scenario(
+    "search_and_rescue/2D",
+    ["duration=4", "world.persons.found_distance=200", "world.persons.found_speed=50", "world.persons.period=2.0"],
+)
+PUFFS = load_scenario("plume_mapping/3E", ["duration=6", "world.plume.gap=1.0", "world.plume.puffs=600"])
+
+
+def recorded(scenario: Scenario, folder: Path) -> Recording:
+    """Fly a scenario and read what was recorded."""
+    fly(scenario, folder, seed=SEED, precision="float32")
+    return Recording(open_run(folder))
+
+
+def simulated(scenario: Scenario, time: float) -> Simulation:
+    """Return the simulation at a time [s]."""
+    simulation = Simulation(scenario.world(), seed=SEED)
+    simulation.reset()
+    if time:
+        simulation.advance(ticks=round(time / simulation.world.time_step))
+    return simulation
+
+
+def same(found: Any, wanted: Any) -> None:
+    """Compare two trees up to the rounding of differently compiled programs."""
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def search(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return recorded(SEARCH, tmp_path_factory.mktemp("search") / "run")
+
+
+def test_ground_and_persons_are_there_and_found_when_they_were(search: Recording):
+    found = []
+    for time in (1.9, 2.0, 3.0, 0.5):
+        beside = search.frame(time).beside
+        assert beside is not None
+        same(beside.contents, simulated(SEARCH, time).state.contents)
+        found.append(int((np.asarray(beside.contents.persons.found_tick) >= 0).sum()))
+    assert found[0] == found[3] == 0
+    assert 0 < found[1] == found[2], "nobody was found: the test shows nothing"
+    events = [event for event in search.run.events if event.kind == "person_found"]
+    assert [(event.tick, event.field) for event in events] == [(100, "persons")] * found[1]
+    assert all(event.vehicle in search.run.vehicles for event in events)
+
+
+@pytest.mark.parametrize("time", [0.0, 2.5])
+def test_pictures_are_those_that_were_taken(search: Recording, time: float):
+    beside, simulation = search.frame(time).beside, simulated(SEARCH, time)
+    assert beside is not None
+    wanted = jax.jit(lambda world, state: picture(world, state, 0, "camera"))(simulation.world, simulation.state)
+    (number, index), reading = next(iter(beside.cameras.items()))
+    fleet = simulation.world.fleets[number]
+    stream = beside.fleet_keys[number].stream(
+        fleet.stream_names.index(fleet.sensor_names[index]), np.arange(fleet.size, dtype=np.uint32)
+    )
+    found = jax.jit(lambda world: develop(world, beside.contents, fleet.sensors[index], reading, stream))(beside.world)
+    np.testing.assert_array_equal(found.rows, wanted.rows)
+    np.testing.assert_allclose(found.ratio, wanted.ratio, atol=1e-2)
+    assert np.nanstd(wanted.ratio) > 1.0
+
+
+def test_puffs_are_where_they_were_at_any_time(tmp_path: Path):
+    recording = recorded(PUFFS, tmp_path / "run")
+    for time in (2.0, 6.0, 4.5):
+        beside = recording.frame(time).beside
+        assert beside is not None
+        same(beside.contents, simulated(PUFFS, time).state.contents)
+    assert np.asarray(beside.contents.plume.released).sum() > 0
+
+
+def test_a_plume_goes_with_the_wind_that_was_asked_for(tmp_path: Path):
+    view = LiveView(0, Clock(float("inf")))
+    try:
+        view._wished = Wind(7.0, 90.0)
+        fly(PUFFS, tmp_path / "run", seed=SEED, precision="float32", view=view)
+    finally:
+        view.close()
+    recording = Recording(open_run(tmp_path / "run"))
+    winds = [recording.frame(time).beside.world.wind for time in (0.0, 6.0)]  # type: ignore[union-attr]
+    assert [float(wind.speed_20ft) for wind in winds] == [1.0, 7.0]
+    assert float(winds[1].wind_from_rad) == pytest.approx(np.pi / 2)
+
+
+def test_where_nothing_is_beside_the_vehicles_nothing_is_rebuilt(tmp_path: Path):
+    recording = recorded(load_scenario("outdoor_patrol", ["duration=0.1"]), tmp_path / "run")
+    assert recording.frame(0.0).beside is None

@@ -1,0 +1,55 @@
+"""Whom a ray from the camera means, and what is hidden of many."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from qrsim.view.frame import Cast, Frame
+from qrsim.view.scene import Scene
+from qrsim.view.server import start_server
+
+PLACES = np.array([[0.0, 0.0, -10.0], [30.0, 0.0, -10.0], [0.0, 40.0, -20.0]])
+
+
+def cast(places: np.ndarray) -> Cast:
+    return Cast(tuple(f"v{i}" for i in range(len(places))), np.zeros(len(places), int), places)
+
+
+def frame(places: np.ndarray) -> Frame:
+    nothing = np.zeros_like(places)
+    return Frame(0.0, places, nothing, places, places, nothing, nothing, np.ones(len(places), bool))
+
+
+@pytest.fixture
+def scene() -> Iterator[Scene]:
+    server = start_server(0)
+    yield Scene(server, cast(PLACES), None)
+    server.stop()
+
+
+def test_a_ray_means_the_vehicle_it_passes_nearest(scene: Scene):
+    assert scene.nearest((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)) is None, "nothing is drawn yet"
+    scene.draw(frame(PLACES))
+    camera = np.array([-50.0, -20.0, -60.0])
+    for followed in (None, 2):
+        scene.follow(followed)
+        shift = np.zeros(3) if followed is None else -PLACES[followed]
+        for i, place in enumerate(PLACES):
+            aim = place + shift + [0.5, -0.5, 0.3] - camera
+            assert scene.nearest(camera, aim / np.linalg.norm(aim)) == i
+    # What is behind the camera is not meant, though it is nearest to the line.
+    behind = PLACES[0] - PLACES[2] + [0.0, 10.0, 0.0]
+    assert scene.nearest(behind, (0.0, 1.0, 0.0)) == 2
+
+
+def test_of_many_vehicles_only_what_can_be_told_apart_is_shown_at_first():
+    server = start_server(0)
+    places = np.stack([np.arange(201.0) * 20.0, np.zeros(201), np.full(201, -10.0)], axis=1)
+    try:
+        hidden = [title for title, layer in Scene(server, cast(places), None).layers.items() if not layer.root.visible]
+    finally:
+        server.stop()
+    assert hidden == ["estimated paths", "GNSS positions"]
