@@ -124,7 +124,7 @@ def pursuit(scenario: str = "cats_and_mouse/1C", seed: int = 3) -> Figure:
     return figure
 
 
-def plume_mapping(scenario: str = "plume_mapping/3A", seed: int = 1) -> Figure:
+def plume_mapping(scenario: str = "plume_mapping/3C", seed: int = 6) -> Figure:
     """Draw the plumes, where they were measured, and what was handed in against the truth."""
     flown = fly(scenario, seed)
     area, plume = flown.play.world.area, flown.play.world.contents.plume
@@ -145,15 +145,14 @@ def plume_mapping(scenario: str = "plume_mapping/3A", seed: int = 1) -> Figure:
     filled = above.contourf(easts, norths, np.maximum(highest, 1e-9), levels, norm="log", cmap="Oranges", extend="max")
     figure.colorbar(filled, ax=above, label="true concentration, highest over all heights", format="{x:g}")
     path = flown.places[0][:, 0]
-    smelt = np.array([each["vehicle"][0, -1] for each in flown.seen])
-    above.plot(path[:, 1], path[:, 0], "-", color="0.45", lw=0.6, label="way of the vehicle")
-    loud = smelt > 0.05
-    above.plot(path[loud, 1], path[loud, 0], ".", color="tab:blue", ms=5, label="measured more than 0.05")
+    locations = flown.memory.locations_ned
+    above.plot(locations.y, locations.x, "o", mfc="none", color="0.35", ms=4, label="asked for, at all heights")
+    above.plot(path[:, 1], path[:, 0], "-", color="tab:blue", lw=0.8, label="way of the vehicle")
+    above.plot(path[0, 1], path[0, 0], "s", color="tab:blue", ms=8, label="start")
     there = np.asarray(sources.strength) > 0.0
-    above.plot(sources.position_ned.y[there], sources.position_ned.x[there], "k*", ms=13, label="middle, or source")
+    above.plot(sources.position_ned.y[there], sources.position_ned.x[there], "k*", ms=13, label="source")
     _ground(above, area, f"{len(path)} s of flight, seen from above")
     above.legend(fontsize=8, loc="lower right")
-    locations = flown.memory.locations_ned
     true, handed = (
         mean(*(np.asarray(axis) for axis in (locations.x, locations.y, locations.z))),
         flown.policy.answer()[0],
@@ -165,8 +164,8 @@ def plume_mapping(scenario: str = "plume_mapping/3A", seed: int = 1) -> Figure:
     compared.set_ylabel("handed in")
     compared.legend(fontsize=8, loc="upper left")
     score, nothing = -np.sum((handed - true) ** 2), -np.sum(true**2)
-    compared.set_title(f"score {score:.2f}; zeros everywhere would have {nothing:.2f}", fontsize=10)
-    figure.suptitle(f"{scenario}: the baseline, a Gaussian process, seed {seed}")
+    compared.set_title(f"score {score:.2g}; zeros everywhere would have {nothing:.2g}", fontsize=10)
+    figure.suptitle(f"{scenario}: the baseline, a fit of the plumes, seed {seed}")
     return figure
 
 

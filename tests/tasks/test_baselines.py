@@ -11,7 +11,7 @@ import pytest
 from qrsim.errors import UsageError
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.tasks import Play
-from qrsim.tasks.baselines import Chasing, Descending, Mapping, baseline
+from qrsim.tasks.baselines import Chasing, Descending, baseline
 
 
 def play(name: str) -> Play:
@@ -72,25 +72,6 @@ def test_a_searcher_goes_down_where_windows_speak_for_a_person() -> None:
     assert nearest < 5.0
     assert low > 1.0
     assert -path[-1][2] > 10.0, "it has gone on"
-
-
-def test_a_mapper_learns_a_gaussian_by_flying_to_it() -> None:
-    """Within 400 steps its squared errors are a small part of those of one who says nothing."""
-    game = play("plume_mapping/3A")
-    mapper = Mapping(game, seed=1)
-    middle, std = np.array([30.0, -40.0, -30.0]), 14.0
-    numbers = np.random.default_rng(0)
-    locations = np.concatenate([middle + 1.5 * std * numbers.normal(size=(80, 3)), numbers.uniform(-70, 70, (20, 3))])
-
-    def field(points: Any) -> Any:
-        return np.exp(-0.5 * np.sum((points - middle) ** 2, axis=-1) / std**2)
-
-    place = np.array([0.0, 0.0, -10.0])
-    for _ in range(400):
-        vehicle = np.array([*place, *np.zeros(6), field(place)])
-        place = place + 3.0 * mapper.act({"vehicle": vehicle[None], "locations": locations[None]})[0]
-    error = np.sum((mapper.answer()[0] - field(locations)) ** 2)
-    assert error < 0.2 * np.sum(field(locations) ** 2)
 
 
 def test_a_task_without_a_baseline_says_so() -> None:

@@ -1,107 +1,141 @@
-"""Plume mapping by a Gaussian process (scikit-learn), flying to where it is unsure or where much is to be expected."""
+"""Plume mapping by a fit of the plume's own numbers, flying to where a measurement tells most of what is asked for."""
 
 from __future__ import annotations
 
-import warnings
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from qrsim.errors import UsageError
+from qrsim.models.plume import GaussianPlume
+from qrsim.tasks.agents import number_of
+from qrsim.tasks.baselines.ellipsoids import Ellipsoids
+from qrsim.tasks.baselines.particles import Particles
+from qrsim.tasks.baselines.puffs import puff_samples
 from qrsim.tasks.baselines.separation import apart
+from qrsim.tasks.baselines.tubes import WindPlume
 from qrsim.tasks.play import Play
 
 Array = np.ndarray[Any, Any]
-# Scale [m] of the process along north, east and down, and the noise of a measurement beside its signal.
-LENGTHS, NOISE = (14.0, 14.0, 10.0), 0.03
-EVERY, MOST_POINTS, CANDIDATES = 40, 250, 200
-GAIN, SEPARATION = 0.5, 10.0
-# How much more than the spread the mean is worth.
-GREED = 2.0
+# Steps between two fits, each of which tells the vehicles where to fly.
+EVERY = 40
+# Places that are looked at, how long [s] a vehicle is thought to measure there, and what any flight costs [s].
+CANDIDATES, STAY, PAUSE = 240, 15.0, 20.0
+# Vehicles keep so far [m] from walls and ceiling and from the ground, their targets and they from each other.
+WALL, GROUND, TARGETS_APART, SEPARATION = 12.0, 6.0, 25.0, 16.0
+# They keep apart where they will be after so long [s].
+AHEAD_S = 1.0
+# How fast places are made good [1/s], and how fast it is learned what the wind adds to a velocity, a step.
+GAIN, LEARN, MOST_DRIFT = 0.5, 0.1, 1.5
+
+
+class Fit(Protocol):
+    """Many guesses (G,) of what an episode drew, each about as likely as the others."""
+
+    def measured(self, points: Array, values: Array) -> None:
+        """Take all that was measured until now: values (M,) at points (M, 3) [m]."""
+
+    def concentration(self, points: Array) -> Array:
+        """Return the mean concentration (G, P) that each guess expects at points (P, 3)."""
+        ...
+
+    def variance(self, mean: Array, seconds: Array | float) -> Array:
+        """Return the variance of means of measurements over some time whose expectation is ``mean``."""
+        ...
+
+    def promising(self, count: int) -> Array:
+        """Return places (count, 3) [m] at which there is something to smell, say some of the guesses."""
+        ...
 
 
 class Mapping:
-    """A Gaussian process of what was measured; each vehicle flies to the place that promises most for its distance."""
+    """A fit of the plume to the locations asked for and to measurements.
+
+    It knows what a scenario says of a plume, and not what an episode draws. Each vehicle flies to the place where a
+    measurement would leave least doubt about the concentration at the locations, for its distance.
+    """
 
     def __init__(self, play: Play, seed: int = 0):
-        try:
-            from sklearn.gaussian_process import GaussianProcessRegressor
-            from sklearn.gaussian_process.kernels import RBF, WhiteKernel
-        except ModuleNotFoundError:
-            raise UsageError("policy baseline: scikit-learn is not installed; install qrsim[envs]") from None
-        self._make: Any = lambda: GaussianProcessRegressor(RBF(LENGTHS) + WhiteKernel(NOISE), optimizer=None)
         area = play.world.area
-        bounds = [(float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max"))) for axis in "xyz"]
-        self._low, self._high = np.array(bounds).T
-        margin = 0.06 * (self._high - self._low)
-        self._low, self._high = self._low + margin, self._high - margin
+        bounds = np.array([[float(getattr(area, f"{axis}_{end}")) for end in ("min", "max")] for axis in "xyz"])
+        # No more than a third of a small box is kept clear of at each side.
+        margin = np.minimum([[WALL, WALL], [WALL, WALL], [WALL, GROUND]], (bounds[:, 1:] - bounds[:, :1]) / 3.0)
+        self._low, self._high = bounds[:, 0] + margin[:, 0], bounds[:, 1] - margin[:, 1]
         self._random = np.random.default_rng(seed)
         self._play = play
         self._points: list[Array] = []
-        self._values: list[float] = []
-        self._target: Array | None = None
-        self._since = 0
-        self._process: Any = None
-        self._scale = 1.0
-        self._locations: Array | None = None
+        self._values: list[Array] = []
+        self._fit: Fit | None = None
+        self._locations = np.zeros((0, 3))
+        self._target = np.zeros((0, 3))
+        self._drift: Array | None = None
         self._limit = float(play.task.axes[0].high)
 
     def act(self, seen: dict[str, Array]) -> Array:
         """Return the actions (n, 3)."""
         vehicle = np.asarray(seen["vehicle"], np.float64)
-        place, smelt = vehicle[:, :3], vehicle[:, -1]
-        self._locations = np.asarray(seen["locations"][0], np.float64)
-        self._points += list(place)
-        self._values += list(smelt)
-        if self._target is None:
-            self._target = place.copy()
-        arrived = np.linalg.norm(self._target - place, axis=1) < 4.0
-        if arrived.any() or self._since >= EVERY:
-            self._fit()
-            for i in np.flatnonzero(arrived) if arrived.any() else range(len(place)):
-                self._target[i] = self._next(int(i), place)
-            self._since = 0
-        self._since += 1
-        offset = self._target - place
-        wanted = GAIN * offset
+        place, velocity = vehicle[:, :3], vehicle[:, 3:6]
+        if self._fit is None:
+            self._locations = np.asarray(seen["locations"][0], np.float64)
+            self._fit = self._begun()
+        if self._drift is None:
+            self._drift, self._asked = np.zeros_like(place), velocity
+        self._points.append(place)
+        self._values.append(vehicle[:, -1])
+        if len(self._points) % EVERY == 1:
+            if len(self._points) > 1:
+                self._learn()
+            self._target = self._targets(place)
+        # A steady wind leaves less than what is asked for.
+        self._drift = np.clip(self._drift + LEARN * (self._asked - velocity - self._drift), -MOST_DRIFT, MOST_DRIFT)
+        wanted = GAIN * (self._target - place)
         wanted *= np.minimum(1.0, self._limit / np.maximum(np.abs(wanted).max(axis=1, keepdims=True), 1e-9))
-        return np.clip((wanted + apart(place, SEPARATION)) / self._limit, -1.0, 1.0)
+        self._asked = np.clip(wanted + apart(place + AHEAD_S * velocity, SEPARATION), -self._limit, self._limit)
+        return np.clip((self._asked + self._drift) / self._limit, -1.0, 1.0)
 
     def answer(self) -> Array:
-        """Return what each agent hands in: the mean, or samples with that mean."""
-        self._fit()
-        assert self._locations is not None
-        mean = np.maximum(self._process.predict(self._locations) * self._scale, 0.0)
+        """Return what each agent hands in: the mean that is to be expected, or samples of puffs."""
+        self._learn()
+        assert self._fit is not None
         shape = self._play.task.answer_shape(self._play.world)
         if len(shape) == 1:
-            found = mean
+            found = self._fit.concentration(self._locations).mean(axis=0)
         else:
-            # Puffs come and go: of a mean m they make something like an exponential distribution.
-            found = self._random.exponential(np.maximum(mean, 1e-4)[:, None], shape)
+            assert isinstance(self._fit, Particles)
+            rows = self._random.integers(0, len(self._fit.guess.bearing), shape[1])
+            guess, plume = self._fit.guess.picked(rows), self._play.world.contents.plume
+            found = puff_samples(self._fit.plume, plume, guess, self._locations, self._random)
         return np.broadcast_to(found, (len(self._play.agents), *shape)).copy()
 
-    def _fit(self) -> None:
-        points, values = np.array(self._points), np.array(self._values)
-        if len(points) > MOST_POINTS:
-            # What stands out is kept, of the rest a random part.
-            loud = np.argsort(-np.abs(values))[: MOST_POINTS // 2]
-            rest = self._random.choice(np.setdiff1d(np.arange(len(points)), loud), MOST_POINTS // 2, replace=False)
-            points, values = points[np.r_[loud, rest]], values[np.r_[loud, rest]]
-        self._scale = max(float(np.abs(values).max()), 1e-3)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            self._process = self._make().fit(points, values / self._scale)
+    def _begun(self) -> Fit:
+        """Return a fit to the locations that lie in the plume."""
+        play = self._play
+        fleet = play.world.fleets[number_of(play.world, play.task.fleet)]
+        sensor = fleet.sensors[fleet.sensor_names.index(play.task.sensor)]
+        white, told = float(getattr(sensor, "white_std", 0.0)), self._locations[play.task.anywhere :]
+        if isinstance(play.world.contents.plume, GaussianPlume):
+            return Ellipsoids(play, white, told, self._random)
+        return Particles(WindPlume.of(play), white, told, self._random)
 
-    def _next(self, i: int, place: Array) -> Array:
-        """Return where a vehicle is to fly: of some random places the best, none that another flies to."""
-        assert self._target is not None
-        near = place[i] + self._random.normal(0.0, 20.0, (CANDIDATES // 3, 3))
-        anywhere = self._random.uniform(self._low, self._high, (CANDIDATES - len(near), 3))
-        places = np.clip(np.concatenate([near, anywhere]), self._low, self._high)
-        mean, spread = self._process.predict(places, return_std=True)
-        worth = spread + GREED * np.maximum(mean, 0.0) * spread
-        for j in range(len(place)):
-            if j != i:
-                worth = np.where(np.linalg.norm(places - self._target[j], axis=1) < 30.0, 0.1 * worth, worth)
-        chosen: Array = places[int(np.argmax(worth / (20.0 + np.linalg.norm(places - place[i], axis=1))))]
-        return chosen
+    def _learn(self) -> None:
+        assert self._fit is not None
+        self._fit.measured(np.concatenate(self._points), np.concatenate(self._values))
+
+    def _targets(self, place: Array) -> Array:
+        """Return where each vehicle is to fly: of some places the best, none near that of another."""
+        assert self._fit is not None
+        places = np.clip(self._fit.promising(CANDIDATES), self._low, self._high)
+        there, asked = self._fit.concentration(places), self._fit.concentration(self._locations)
+        mean = there.mean(axis=0)
+        there, asked = there - mean, asked - asked.mean(axis=0)
+        common = there.T @ asked / len(there)
+        # By so much a measurement makes the sum of the variances at the locations smaller.
+        worth = np.sum(common**2, axis=1) / (np.mean(there**2, axis=0) + self._fit.variance(mean, STAY))
+        found = np.clip(place, self._low, self._high)
+        for i in range(len(place)):
+            time = PAUSE + np.linalg.norm(places - place[i], axis=1) / self._limit
+            best = int(np.argmax(worth / time))
+            # Where no place is left, a vehicle stays.
+            if worth[best] >= 0.0:
+                found[i] = places[best]
+            worth = np.where(np.linalg.norm(places - found[i], axis=1) < TARGETS_APART, -np.inf, worth)
+        return found

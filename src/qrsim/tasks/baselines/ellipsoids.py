@@ -1,0 +1,137 @@
+"""Fit of Gaussians in space to where they are told to be and to what was measured: least squares (SciPy).
+
+Locations asked for lie uniformly where the concentration is above a threshold: in ellipsoids, whose middles and
+covariances say what the Gaussians are. Measurements make that better.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+from scipy.cluster.vq import kmeans2
+from scipy.optimize import least_squares
+
+from qrsim.models.plume import INNER
+from qrsim.tasks.play import Play
+
+Array = np.ndarray[Any, Any]
+# Numbers of a Gaussian: middle [m], logarithms of the standard deviations, heading of its first axis.
+NUMBERS = 7
+# Guesses that are about as likely as each other, and tell how much is not known.
+GUESSES = 64
+# A measurement is explained as well as this at best, in parts of the peak; errors of its place make errors of it.
+FINEST, RELATIVE = 1e-3, 0.25
+# What locations say is less sure by this factor than it would be where no wall cuts the ellipsoid.
+DOUBT = 3.0
+# Measurements that a fit looks at, and its steps.
+MOST_POINTS, MOST_STEPS = 400, 30
+
+
+class Ellipsoids:
+    """Gaussians of an episode.
+
+    Args:
+        play: the task and its world.
+        white: standard deviation of a measurement.
+        locations: (L, 3) in the ellipsoids [m]; none where nobody tells.
+        random: where random numbers come from.
+    """
+
+    def __init__(self, play: Play, white: float, locations: Array, random: np.random.Generator):
+        plume, area = play.world.contents.plume, play.world.area
+        self._random, self._peak = random, float(plume.peak)
+        self._white = max(white, FINEST * self._peak)
+        corners = np.array([[float(getattr(area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max")])
+        # Bounds of a fit must not be the same.
+        stds = np.log(np.array([0.999, 1.001]) * [float(plume.std_min), float(plume.std_max)])
+        edges = corners.mean(axis=0) + 0.5 * INNER * np.array([[-1.0], [1.0]]) * (corners[1] - corners[0])
+        self._low, self._high = (
+            np.array([*edge, *[std] * 3, turn * np.pi]) for edge, std, turn in zip(edges, stds, (-2, 2), strict=True)
+        )
+        # The farthest location is so many standard deviations away.
+        self._reach = math.sqrt(max(-2.0 * math.log(float(play.task.threshold)), 0.1))
+        tried = [self._told(locations, count) for count in range(plume.fewest, plume.most + 1)]
+        _, self._prior, self._doubt = min(tried, key=lambda told: told[0])
+        self._best = self._prior
+        self._guesses = self._like(self._prior, np.diag(self._doubt.ravel() ** 2))
+
+    def measured(self, points: Array, values: Array) -> None:
+        """Take all that was measured until now: values (M,) at points (M, 3) [m]."""
+        loud = np.argsort(-np.abs(values), kind="stable")[:MOST_POINTS]
+        points, values = points[loud], values[loud]
+
+        def error(flat: Array) -> Array:
+            gaussians = flat.reshape(self._prior.shape)
+            wrong = (self._field(gaussians[None], points)[0] - values) / self._white
+            return np.concatenate([wrong, ((gaussians - self._prior) / self._doubt).ravel()])
+
+        bounds = (
+            np.broadcast_to(self._low, self._prior.shape).ravel(),
+            np.broadcast_to(self._high, self._prior.shape).ravel(),
+        )
+        starts = self._best, self._guesses[self._random.integers(len(self._guesses))]
+        fits = [least_squares(error, start.ravel(), bounds=bounds, max_nfev=MOST_STEPS) for start in starts]
+        best = min(fits, key=lambda fit: float(fit.cost))
+        self._best = best.x.reshape(self._prior.shape)
+        self._guesses = self._like(self._best, np.linalg.inv(best.jac.T @ best.jac))
+
+    def concentration(self, points: Array) -> Array:
+        """Return the concentration (G, P) at points (P, 3) that each guess expects."""
+        return self._field(self._guesses, np.asarray(points, float))
+
+    def variance(self, mean: Array, seconds: Array | float) -> Array:
+        """Return the variance of means of measurements over some time whose expectation is ``mean``."""
+        return np.asarray(self._white**2 / seconds + RELATIVE**2 * mean * mean)
+
+    def promising(self, count: int) -> Array:
+        """Return places (count, 3) [m] at which there is something to smell, say some of the guesses."""
+        random = self._random
+        rows, which = random.integers(0, len(self._guesses), count), random.integers(0, self._prior.shape[0], count)
+        gaussian = self._guesses[rows, which]
+        offset = np.exp(gaussian[:, 3:6]) * random.normal(0.0, 1.2, (count, 3))
+        sine, cosine = np.sin(gaussian[:, 6]), np.cos(gaussian[:, 6])
+        north, east = cosine * offset[:, 0] - sine * offset[:, 1], sine * offset[:, 0] + cosine * offset[:, 1]
+        return np.asarray(gaussian[:, :3] + np.stack([north, east, offset[:, 2]], axis=1))
+
+    def _told(self, locations: Array, count: int) -> tuple[float, Array, Array]:
+        """Return how badly so many ellipsoids fit the locations, their Gaussians (K, 7), and the errors of these."""
+        middle = np.broadcast_to(0.5 * (self._low + self._high), (count, NUMBERS)).copy()
+        doubt = np.broadcast_to(0.5 * (self._high - self._low), (count, NUMBERS)).copy()
+        if len(locations) < count:
+            return math.inf, middle, doubt
+        with warnings.catch_warnings():
+            # A cluster may be empty; it says nothing then.
+            warnings.simplefilter("ignore", UserWarning)
+            _, nearest = kmeans2(locations, self._random.choice(locations, count, replace=False), minit="matrix")
+        volume = 0.0
+        for k in range(count):
+            own = locations[nearest == k]
+            if len(own) < 4:
+                volume += float(np.exp(middle[k, 3:6].sum()))
+                continue
+            spread = np.cov(own.T) * 5.0 / self._reach**2
+            values, axes = np.linalg.eigh(spread[:2, :2])
+            stds = 0.5 * np.log(np.maximum([*values, spread[2, 2]], 1e-6))
+            found = np.array([*own.mean(axis=0), *stds, math.atan2(axes[1, 0], axes[0, 0])])
+            middle[k] = np.clip(found, self._low, self._high)
+            sure = DOUBT / math.sqrt(len(own))
+            doubt[k] = sure * np.array([*np.sqrt(np.diag(spread)) * self._reach / math.sqrt(5.0), 0.7, 0.7, 0.7, 1.0])
+            volume += float(np.exp(middle[k, 3:6].sum()))
+        cost = len(locations) * math.log(max(volume, 1e-9)) + 0.5 * NUMBERS * count * math.log(len(locations))
+        return cost, middle, doubt
+
+    def _like(self, best: Array, covariance: Array) -> Array:
+        """Return guesses (G, K, 7) like the best one (K, 7)."""
+        drawn = self._random.multivariate_normal(best.ravel(), covariance, GUESSES, check_valid="ignore", method="eigh")
+        return np.asarray(np.clip(drawn.reshape(GUESSES, *best.shape), self._low, self._high))
+
+    def _field(self, gaussians: Array, points: Array) -> Array:
+        """Return the concentration (G, P) of Gaussians (G, K, 7) at points (P, 3)."""
+        north, east, down = (points[:, i] - gaussians[..., i, None] for i in range(3))
+        sine, cosine = np.sin(gaussians[..., 6, None]), np.cos(gaussians[..., 6, None])
+        first, second, third = np.moveaxis(np.exp(-gaussians[..., 3:6, None]), -2, 0)
+        square = ((cosine * north + sine * east) * first) ** 2 + ((cosine * east - sine * north) * second) ** 2
+        return np.asarray(self._peak * np.exp(-0.5 * (square + (down * third) ** 2)).sum(axis=1))
