@@ -158,7 +158,8 @@ def test_the_command_finds_laws_that_scenarios_fly(
 ) -> None:
     """Few generations: the laws need not be the published ones, but must explain most of the motion."""
     out = tmp_path / "found.yaml"
-    words = ["discover", str(log_file), "-o", str(out), "--generations", "2", "--population", "10", "--quiet"]
+    words = ["discover", str(log_file), "-o", str(out), "--generations", "2", "--population", "10"]
+    words += ["--delay", "0", "--quiet"]
     assert cli.main(words) == 0
     printed = capsys.readouterr().out
     assert "d(rate)/dt of yaw [rad/s^2] =" in printed
