@@ -23,6 +23,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import yaml
+from tests.interrupting import INTERRUPTIBLE
 
 from qrsim import cli
 from qrsim.apps.run import command, recorder
@@ -557,12 +558,6 @@ def test_real_time_on_the_real_clock(fly):
 
 # ---------------------------------------------------------------- stopped from outside
 
-# Restores Ctrl-C, which a child of a background process inherits as ignored.
-PROGRAM = (
-    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
-    " from qrsim.cli import main; sys.exit(main(sys.argv[1:]))"
-)
-
 
 def rows_of(folder: Path) -> dict[str, int]:
     run = open_run(folder)
@@ -590,7 +585,7 @@ def stopped(tmp_path_factory, flown):
     for name in ("interrupted", "killed"):
         words = ["run", "--realtime", "--duration", "1000", "--out", str(root / name)]
         started[name] = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [sys.executable, "-c", INTERRUPTIBLE, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
     found = {}
     try:

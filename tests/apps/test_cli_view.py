@@ -14,6 +14,7 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 from tests.apps.conftest import DURATION, Flight
+from tests.interrupting import INTERRUPTIBLE
 from tests.logs.small_run import COLUMNS, VEHICLES
 from tests.view.fetching import fetching
 
@@ -181,12 +182,7 @@ def test_a_run_prints_where_its_page_is(fly):
 def test_a_browser_that_goes_away_ends_no_run(tmp_path: Path):
     """Closed without a word in mid-run; another one gets the page, and Ctrl-C ends the run as always."""
     words = ["outdoor_patrol", "--duration", "900", "--view", "--view-port", "0", "--out", str(tmp_path / "run")]
-    # Who is started in the background of a shell is deaf to Ctrl-C.
-    code = (
-        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "from qrsim import cli; sys.exit(cli.main(sys.argv[1:]))"
-    )
-    command = [sys.executable, "-c", code, "run", *words]
+    command = [sys.executable, "-c", INTERRUPTIBLE, "run", *words]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1)
     assert running.stderr is not None
     line = running.stderr.readline()

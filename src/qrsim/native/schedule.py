@@ -148,9 +148,10 @@ def in_place(steps: list[Step]) -> dict[int, Node]:
             found |= in_place(branch)
         if step.kind == "while":
             node, body = step.nodes[0], step.branches[1]
+            read = readers(body)
             for carry, output, result in zip(*node.attributes, node.regions[1].results, strict=True):
                 scatter = result.node
-                reads = [(i, reader) for i, reader, access in readers(body)[carry.number]]
+                reads = [(i, reader) for i, reader, _ in read[carry.number]]
                 reads += [(len(body), None) for access in node.regions[1].results if access.node is carry]
                 own = [i for i, reader in reads if reader is scatter]
                 if (
