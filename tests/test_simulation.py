@@ -453,6 +453,22 @@ class TestSetState:
         assert np.isfinite(flying.reading["alpha"].gnss.position_ned).all()
         flying.load(start)
 
+    def test_sensors_and_loops_are_those_of_the_new_place_at_once(self, flying: Simulation) -> None:
+        """In the middle of the periods of an ideal barometer and an ideal GNSS; the flight goes on from there."""
+        start = flying.save()
+        flying.step(ticks=4)
+        rows = np.zeros((5, 3))
+        rows[:, 0], rows[:, 1], rows[:, 2] = 30.0, 10.0 * np.arange(5) - 20.0, -15.0
+        reading = flying.set_state(rows)
+        np.testing.assert_array_equal(reading["alpha"].gnss.position_ned, rows[:3])
+        np.testing.assert_array_equal(reading["alpha"].gnss.velocity_ned, 0.0)
+        np.testing.assert_array_equal(reading["alpha"].barometer.height, 15.0)
+        np.testing.assert_array_equal(reading["bravo"].height.height, 15.0)
+        flying.step(flying.waypoint(rows), ticks=50)
+        assert np.abs(flying.truth.attitude).max() < 0.01
+        assert np.abs(flying.truth.position_ned - rows).max() < 0.1
+        flying.load(start)
+
     def test_bad_states_are_refused(self, shared: Simulation) -> None:
         assert said(shared.set_state, np.zeros((5, 7))).startswith(
             "state: expected shape (5, 13), 12, 6 or 3 columns, "

@@ -9,36 +9,69 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.control import Estimate
 from qrsim.core.tree import replace, select
-from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.area import Violation, collisions, reason_text
-from qrsim.world import Fleet, FleetState, State, World, own_checks
+from qrsim.world import Fleet, FleetState, State, World, own_checks, start_fleet, surroundings
 
 FloatArray = np.ndarray[Any, Any]
 WIDTHS = (3, 6, 12, 13)
 
 
-def placed(world: World, state: State, rows: Any, names: Sequence[str]) -> State:
-    """Return a state with vehicles put into the states ``rows``; see ``Simulation.set_state``.
+def place(world: World, given: tuple[Any, Any], state: State, tick: Any) -> State:
+    """Return a state with vehicles put into given states, and all that is theirs as at a start there.
+
+    That is their sensors, estimates and control loops, the gusts around them, and the specific force. They keep their
+    battery and their way along the route. What is drawn is drawn from the numbers of this tick.
+
+    Args:
+        world: its parameters.
+        given: rows (n, 13) of all vehicles, a thrust of NaN being the weight; and which of them (n,) are placed.
+        state: of the world; the violations of those that are placed say whether they can be where they were put.
+        tick: () int32, now.
+    """
+    rows, chosen = given
+    world = world.with_drawn(state.drawn)
+    view = surroundings(world, state.contents, tick)
+    fleets, first = [], 0
+    for fleet, before, keys in zip(world.fleets, state.fleets, state.fleet_keys, strict=True):
+        mine = slice(first, first + fleet.size)
+        first += fleet.size
+        fresh = start_fleet(world, fleet, _vehicles(fleet, rows[mine]), keys, tick, state.sky, view, before)
+        fresh = replace(fresh, guidance=before.guidance, setpoint=before.setpoint, battery=before.battery)
+        fleets.append(select(chosen[mine], fresh, before))
+    return replace(state, fleets=_checked(world, tuple(fleets), chosen))
+
+
+def _vehicles(fleet: Fleet, rows: Any) -> Any:
+    columns: list[Any] = [rows[:, i] for i in range(13)]
+    vehicle = fleet.vehicle.initial_state(
+        Vec3(*columns[0:3]), Euler(*columns[3:6]), Vec3(*columns[6:9]), Vec3(*columns[9:12])
+    )
+    return replace(vehicle, thrust=jnp.where(jnp.isfinite(columns[12]), columns[12], vehicle.thrust))
+
+
+def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple[FleetState, ...]:
+    """Return the fleets with what is wrong with each vehicle that was placed."""
+    together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *(fleet.vehicle.position_ned for fleet in fleets))
+    collided = collisions(together, world.collision_distance)
+    checked, first = [], 0
+    for fleet, state in zip(world.fleets, fleets, strict=True):
+        mine = slice(first, first + fleet.size)
+        first += fleet.size
+        own = Violation.first(own_checks(world, fleet, state), state.vehicle.thrust)
+        found = own.or_else(jax.tree.map(lambda leaf: leaf[mine], collided))  # noqa: B023
+        checked.append(replace(state, violation=select(chosen[mine], found, state.violation)))
+    return tuple(checked)
+
+
+def checked_rows(rows: Any, names: Sequence[str], dtype: np.dtype[Any]) -> tuple[FloatArray, FloatArray]:
+    """Return what ``place`` is given: states (n, 13) and which vehicles (n,) are placed; see ``Simulation.set_state``.
 
     Raises:
-        UsageError: wrong shape, a row that is partly NaN, or a state beyond area and limits or in collision.
+        UsageError: wrong shape, or a row that is partly NaN.
     """
-    dtype = np.dtype(world.fleets[0].start.position_ned.x.dtype)
-    full, chosen = _rows(rows, names, dtype)
-    ends = np.cumsum([fleet.size for fleet in world.fleets])
-    fleets = tuple(
-        _place(fleet, fleet_state, full[end - fleet.size : end], chosen[end - fleet.size : end])
-        for fleet, fleet_state, end in zip(world.fleets, state.fleets, ends, strict=True)
-    )
-    _refuse(world, fleets, chosen, names)
-    return jax.tree.map(np.asarray, replace(state, fleets=fleets))
-
-
-def _rows(rows: Any, names: Sequence[str], dtype: np.dtype[Any]) -> tuple[FloatArray, FloatArray]:
-    """Return states (n, 13), NaN where not given, and which vehicles (n,) are placed."""
     try:
         given = np.asarray(rows, dtype)
     except (TypeError, ValueError):
@@ -52,39 +85,25 @@ def _rows(rows: Any, names: Sequence[str], dtype: np.dtype[Any]) -> tuple[FloatA
         raise UsageError(f"state: the row of vehicle {row} ('{names[row]}') is partly not finite: {given[row]}")
     full = np.zeros((len(names), 13), dtype)
     full[:, 12] = np.nan
-    full[:, : given.shape[1]] = given
+    full[chosen, : given.shape[1]] = given[chosen]
     return full, chosen
 
 
-def _place(fleet: Fleet, state: FleetState, rows: FloatArray, chosen: FloatArray) -> FleetState:
-    columns: list[Any] = [jnp.asarray(rows[:, i]) for i in range(13)]
-    position, attitude = Vec3(*columns[0:3]), Euler(*columns[3:6])
-    vehicle = fleet.vehicle.initial_state(position, attitude, Vec3(*columns[6:9]), Vec3(*columns[9:12]))
-    thrust = jnp.where(jnp.isfinite(columns[12]), columns[12], vehicle.thrust)
-    vehicle = replace(vehicle, thrust=thrust)
-    estimate = Estimate(position, rotation(attitude).to_ned(vehicle.velocity_body), attitude)
-    none = Violation(jnp.zeros(len(rows), jnp.int32), jnp.zeros_like(thrust))
-    where = jnp.asarray(chosen)
-    return replace(
-        state,
-        vehicle=select(where, vehicle, state.vehicle),
-        estimate=select(where, estimate, state.estimate),
-        controller=select(where, fleet.controller.init(estimate), state.controller),
-        violation=select(where, none, state.violation),
-    )
+def refuse_misplaced(violations: Sequence[Violation], chosen: FloatArray, names: Sequence[str]) -> None:
+    """Raise an error where a vehicle that was placed would stop at once.
 
+    Args:
+        violations: of each fleet, as ``place`` left them.
+        chosen: (n,) which vehicles were placed.
+        names: of the vehicles.
 
-def _refuse(world: World, fleets: tuple[FleetState, ...], chosen: FloatArray, names: Sequence[str]) -> None:
-    """Raise a UsageError where a placed vehicle would stop at once."""
-    together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *(fleet.vehicle.position_ned for fleet in fleets))
-    collided = collisions(together, world.collision_distance)
-    own = [
-        Violation.first(own_checks(world, fleet, state), state.vehicle.thrust)
-        for fleet, state in zip(world.fleets, fleets, strict=True)
-    ]
-    found = jax.tree.map(lambda *parts: jnp.concatenate(parts), *own).or_else(collided)
-    wrong = chosen & (np.asarray(found.code) != 0)
+    Raises:
+        UsageError: it names the first one, and why.
+    """
+    codes = np.concatenate([found.code for found in violations])
+    values = np.concatenate([found.value for found in violations])
+    wrong = chosen & (codes != 0)
     if wrong.any():
         row = int(np.argmax(wrong))
-        why = reason_text(int(found.code[row]), float(found.value[row]))
+        why = reason_text(int(codes[row]), float(values[row]))
         raise UsageError(f"state: vehicle {row} ('{names[row]}') would be invalid: {why}")

@@ -18,7 +18,7 @@ from qrsim.core.pack import Buffers, Glimpse, Packer
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.area import reason_text
 from qrsim.models.site import Site
-from qrsim.placing import placed
+from qrsim.placing import checked_rows, refuse_misplaced
 from qrsim.readings import Reading, Truth
 from qrsim.saved import SavedState, fingerprint, write
 from qrsim.ticking import ticks as ticks_of
@@ -175,9 +175,13 @@ class Simulation:
         return History(numbers, self.world.time_step, layout.unpack(rows))
 
     def set_state(self, state: Any) -> Reading:
-        """Put the vehicles into given states, flying again where they had stopped; their controllers start anew.
+        """Put vehicles into given states, flying again where they had stopped, and return the reading there.
 
-        Sensors keep their errors and speak again at their next reading; until then they say what they last said.
+        All that belongs to such a vehicle is as at a start at that place: its sensors (GNSS, barometer, attitude, and
+        what they deliver later), what its controller is fed with, its control loops, and the gusts around it. It keeps
+        its battery and its way along its route. Time, mean wind, satellites, faults and the other vehicles go on. First
+        errors are drawn from the numbers of this tick, so that the same state set at the same tick of an episode brings
+        the same reading.
 
         Args:
             state: (n, 13) position NED [m], roll, pitch, yaw [rad], body velocity [m/s], body rates [rad/s] and thrust
@@ -187,11 +191,13 @@ class Simulation:
         Raises:
             UsageError: another shape, a row that is partly NaN, or a state beyond area and limits or in collision.
         """
-        layout, _ = self._running()
+        layout, before = self._running()
+        rows, chosen = checked_rows(state, self.vehicle_names, self.dtype)
         with self.precision_context():
-            changed = placed(self.world, self.state, state, self.vehicle_names)
-            self._state = self._ticks.adopt(layout, layout.pack(jax.tree.map(np.asarray, changed)))
-        self._host = None
+            changed = self._ticks.place(layout, before, self.tick, (rows, chosen))
+        fleets = layout.unpack(changed).fleets
+        refuse_misplaced([fleet.violation for fleet in fleets], chosen, self.vehicle_names)
+        self._state, self._host = changed, None
         return self.reading
 
     def save(self, path: str | Path | None = None) -> bytes:

@@ -29,6 +29,7 @@ from qrsim.native import (
     once,
     trace_of,
 )
+from qrsim.placing import place
 from qrsim.world import State, World, WorldKeys
 
 
@@ -122,6 +123,16 @@ class NativeTicks:
                 rows_of[i] = part
         return state, kept_rows  # type: ignore[return-value]
 
+    def place(self, layout: Packer, state: Buffers, tick: int, given: Any) -> Buffers:
+        """Return another state, with vehicles put somewhere; see ``qrsim.placing.place``."""
+        call = self._found(layout, given, "place")
+        if call is None:
+            return self.adopt(layout, self.instead.place(layout, state, tick, given))
+        changed = self.adopt(layout, state)
+        call.fill(1, list(given))
+        call(changed, tick, 1)
+        return changed
+
     def _call(self, layout: Packer, given: Any) -> _Call | None:
         leaves, structure = jax.tree.flatten(given)
         # Compared with the last one first, because to make a layout takes as long as a tick.
@@ -134,13 +145,13 @@ class NativeTicks:
             call.fill(1, leaves)
         return call
 
-    def _found(self, layout: Packer, given: Any) -> _Call | None:
+    def _found(self, layout: Packer, given: Any, what: str = "tick") -> _Call | None:
         given_layout = Packer(given)
-        key = (layout, given_layout)
+        key = (what, layout, given_layout)
         if key not in self._ready:
             inputs = (Input(self.layout, own=False), Input(given_layout, own=True), Input(layout, own=True))
             try:
-                self._ready[key] = _Call(_tick_program(inputs, self._mode), [self.parameters, None])
+                self._ready[key] = _Call(_program(what, inputs, self._mode), [self.parameters, None])
             except UnsupportedError:
                 self._ready[key] = None
         return self._ready[key]
@@ -188,11 +199,15 @@ def _tick(world: World, given: Any, state: State, tick: Any) -> State:
     return ticks_of.step(world, state, tick, *given)
 
 
-def _tick_program(inputs: tuple[Input, ...], mode: Mode) -> Program:
+_CHANGES: dict[str, Callable[[World, Any, State, Any], State]] = {"tick": _tick, "place": place}
+
+
+def _program(what: str, inputs: tuple[Input, ...], mode: Mode) -> Program:
+    """Return the program of a change of the state, a tick or vehicles put somewhere."""
     found: Program = once(
-        ("tick", inputs, mode),
-        ("tick", *(identity(given.layout) for given in inputs), mode),
-        lambda: build(_tick, inputs, mode),
+        (what, inputs, mode),
+        (what, *(identity(given.layout) for given in inputs), mode),
+        lambda: build(_CHANGES[what], inputs, mode),
         lambda binary: Program(binary, inputs, mode),
     )
     return found
@@ -257,7 +272,14 @@ def _record_world(
     return layout.pack(final), kept_rows
 
 
+def _place_world(
+    world_layout: Packer, layout: Packer, world: Buffers, state: Buffers, tick: Any, given: Any
+) -> Buffers:
+    return layout.pack(place(world_layout.unpack(world), given, layout.unpack(state), tick))
+
+
 _reset = _Compiled(_reset_world, static_argnums=0)
+_place = _Compiled(_place_world, static_argnums=(0, 1))
 _advance = _Compiled(_advance_world, static_argnums=(0, 1))
 _record = _Compiled(_record_world, static_argnums=(0, 1, 7))
 
@@ -290,6 +312,11 @@ class XlaTicks:
         """Run ``count`` ticks and return the state."""
         first, number = np.int32(tick), np.int32(count)
         after = _advance(self._size, self.layout, layout, self._parameters, state, first, number, given)
+        return np.asarray(after[0]), np.asarray(after[1])
+
+    def place(self, layout: Packer, state: Buffers, tick: int, given: Any) -> Buffers:
+        """Return another state, with vehicles put somewhere; see ``qrsim.placing.place``."""
+        after = _place(self._size, self.layout, layout, self._parameters, state, np.int32(tick), given)
         return np.asarray(after[0]), np.asarray(after[1])
 
     def record(

@@ -65,6 +65,7 @@ __all__ = [
     "period_ticks",
     "refuse_unplaced",
     "reset",
+    "start_fleet",
     "step",
     "surroundings",
 ]
@@ -99,7 +100,7 @@ def reset(world: World, key: Key | WorldKeys) -> State:
     placed = [place(world, fleet, draws) for fleet in world.fleets]
     view = surroundings(world, contents, jnp.int32(0))
     fleets = tuple(
-        _start(world, fleet, start, first, sky, view)
+        start_fleet(world, fleet, _vehicle_at(fleet, start), first, jnp.int32(0), sky, view)
         for fleet, (start, _), first in zip(world.fleets, placed, keys.fleets_start, strict=True)
     )
     found = tuple(found for _, found in placed if found is not None)
@@ -284,12 +285,30 @@ def _hits_obstacle(world: World, position_ned: Vec3) -> tuple[int, Array, Array]
     return reason_code("collision", "obstacle"), number, hit
 
 
-def _start(world: World, fleet: Fleet, start: Start, keys: StreamKeys, sky: SkyState, view: Surroundings) -> FleetState:
-    vehicle = fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
+def start_fleet(
+    world: World,
+    fleet: Fleet,
+    vehicle: Any,
+    keys: StreamKeys,
+    tick: Array,
+    sky: SkyState,
+    view: Surroundings,
+    before: FleetState | None = None,
+) -> FleetState:
+    """Return a fleet at its start: noise processes stationary, every sensor with a first reading.
+
+    Args:
+        world, fleet: parameters.
+        vehicle: true states (n,).
+        keys: of what is drawn.
+        tick: () int32, now.
+        sky, view: what sensors may look at.
+        before: where the fleet has flown before, of which sensors may keep what is theirs, as the number of a picture.
+    """
     like = vehicle.thrust
-    draws = _draw_fleet(world, fleet, keys, jnp.int32(0))
+    draws = _draw_fleet(world, fleet, keys, tick)
     height = world.area.height_agl(vehicle.position_ned)
-    time = split_time(jnp.int32(0), world.time_step, height.dtype)
+    time = split_time(tick, world.time_step, height.dtype)
     mean_wind = world.wind.velocity_ned(height, *time)
     turbulence = world.turbulence.init(draws[TURBULENCE])
     gust = world.turbulence.gust_ned(turbulence, height) + world.gust.velocity_ned(vehicle.position_ned, *time)
@@ -331,16 +350,20 @@ def _start(world: World, fleet: Fleet, start: Start, keys: StreamKeys, sky: SkyS
         passed_on=(),
     )
     scene = scene_of(state, sky, view)
-    firsts = [
-        sensor.init(draws[name], **{item: scene[item] for item in sensor.reads})
-        for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True)
-    ]
+    firsts = []
+    for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
+        inputs = {item: scene[item] for item in sensor.reads}
+        if before is not None and hasattr(sensor, "restart"):
+            since = (tick % period_ticks(sensor.period, world.time_step)).astype(like.dtype) * world.time_step
+            firsts.append(sensor.restart(before.sensors[i], draws[name], since, **inputs))
+        else:
+            firsts.append(sensor.init(draws[name], **inputs))
     faulty = {fault.sensor for fault in fleet.faults}
     readings = dict(zip(fleet.sensor_names, (reading for _, reading in firsts), strict=True))
     passed_on: tuple[Any, ...] = (None,) * len(fleet.faults)
     delivered = []
     for name, reading in readings.items():
-        first, passed_on = faulted(fleet, name, reading, passed_on, jnp.int32(0))
+        first, passed_on = faulted(fleet, name, reading, passed_on, tick)
         delivered.append(first)
     return replace(
         state,
@@ -349,6 +372,10 @@ def _start(world: World, fleet: Fleet, start: Start, keys: StreamKeys, sky: SkyS
         true_readings=tuple(reading if name in faulty else None for name, reading in readings.items()),
         passed_on=passed_on,
     )
+
+
+def _vehicle_at(fleet: Fleet, start: Start) -> Any:
+    return fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
 
 
 def _stream_keys(fleet: Fleet, key: Key, suffix: str = "") -> StreamKeys:

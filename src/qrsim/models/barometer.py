@@ -51,6 +51,14 @@ class Barometer:
         height = drift - position_ned.z + self.white_std * white_normal
         return BarometerState(drift, height), BarometerReading(height, -velocity_ned.z)
 
+    def restart(
+        self, state: BarometerState, draw: Noise, since: Array, position_ned: Vec3, velocity_ned: Vec3
+    ) -> tuple[BarometerState, BarometerReading]:
+        """Return the first reading of vehicles that were put elsewhere ``since`` [s] after a reading."""
+        fresh, reading = self.init(draw, position_ned, velocity_ned)
+        # The height that it would have read then, because the next rate is that of a whole period.
+        return BarometerState(fresh.drift, fresh.height + velocity_ned.z * since), reading
+
     def step(
         self, state: BarometerState, draw: Noise, position_ned: Vec3, velocity_ned: Vec3
     ) -> tuple[BarometerState, BarometerReading]:

@@ -142,6 +142,12 @@ class Camera:
         number = jnp.zeros_like(position_ned.x)
         return number, CameraReading(position_ned, attitude, number)
 
+    def restart(
+        self, state: Array, draw: Noise, since: Array, position_ned: Vec3, attitude: Euler
+    ) -> tuple[Array, CameraReading]:
+        """Take the last picture again, from where the vehicles were put."""
+        return state, CameraReading(position_ned, attitude, state)
+
     def step(self, state: Array, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
         """Take the next picture."""
         number = state + 1.0

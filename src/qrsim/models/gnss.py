@@ -14,7 +14,7 @@ from jax import Array
 
 from qrsim.core.fastmath import sincos
 from qrsim.core.noise import Draw, ou_step
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.orbits import Orbits
 
@@ -220,6 +220,15 @@ class GnssReceiver:
         position = position_ned + fix.offset_ned
         reading = GnssReading(position, velocity_ned, fix.satellites, fix.hdop, fix.vdop)
         return ReceiverState(position, position_ned, (reading,) * self.delay, listed), reading
+
+    def restart(
+        self, state: ReceiverState, draw: Draw, since: Array, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
+    ) -> tuple[ReceiverState, GnssReading]:
+        """Return the first fix of receivers that were put elsewhere ``since`` [s] after an epoch."""
+        fresh, reading = self.init(draw, position_ned, velocity_ned, sky)
+        # Where they would have been at that epoch, because the next velocity is that of a whole period.
+        moved = velocity_ned * since
+        return replace(fresh, position_ned=fresh.position_ned - moved, true_ned=fresh.true_ned - moved), reading
 
     def step(
         self, state: ReceiverState, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
