@@ -3,11 +3,13 @@
 PYTHON ?= python3
 ARGS ?=
 BIN := .venv/bin
+# What running needs, and beside it what checking needs.
 STAMP := .venv/.installed
+TOOLS := .venv/.tools
 CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard examples/*.py)
 
 .DEFAULT_GOAL := help
-.PHONY: install run test lint bench evidence pictures proto clean help
+.PHONY: install tools run test test-long lint bench evidence pictures proto clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -19,26 +21,38 @@ $(NAMES): evidence
 endif
 endif
 
-install: $(STAMP)  ## make .venv and install qrsim with its pinned dependencies (PYTHON=python3.12 chooses another Python)
+install: $(STAMP)  ## make .venv and install qrsim with what running it needs, pinned (PYTHON=python3.12 chooses another Python)
 
 # Both variables, because older and newer pip differ in which one pins what a build needs.
+PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable
+
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || { \
 		echo "qrsim needs Python 3.11, 3.12 or 3.13, and '$(PYTHON)' is not one: $$($(PYTHON) --version 2>&1)"; \
 		echo "name another: make $(or $(firstword $(MAKECMDGOALS)),install) PYTHON=python3.12"; exit 1; }
 	@$(PYTHON) -m venv .venv || { echo "no .venv could be made: on Debian or Ubuntu, install python3-venv"; exit 1; }
-	PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
-		$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,identify]'
+	$(PIP) .
+	@touch $@
+
+tools: $(TOOLS)  ## the same, with every extra and what checks, benchmarks and evidence need
+
+$(TOOLS): $(STAMP)
+	$(PIP) '.[dev]'
 	@touch $@
 
 run: $(STAMP)  ## run the default scenario (ARGS='...' is handed to 'qrsim run')
 	@$(BIN)/qrsim run $(ARGS)
 
-test: lint  ## all checks, then all tests
+test: lint  ## all checks, then all tests but the long ones
 	@echo "== pytest"
-	@$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long" $(ARGS)
 
-lint: $(STAMP)  ## formatting, lint, types, layers of imports
+test-long: $(TOOLS)  ## the long tests: real clients, fuzzing, browsers, long statistics, newest dependencies
+	@echo "== pytest (long)"
+	@$(BIN)/python -m pytest -n 2 --dist loadfile -m long $(ARGS)
+
+lint: $(TOOLS)  ## formatting, lint, types, layers of imports
 	@echo "== ruff check"
 	@$(BIN)/ruff check $(CODE)
 	@echo "== ruff format"
@@ -48,18 +62,18 @@ lint: $(STAMP)  ## formatting, lint, types, layers of imports
 	@echo "== import-linter"
 	@$(BIN)/lint-imports --no-logo
 
-bench: $(STAMP)  ## run every benchmarks/*.py
+bench: $(TOOLS)  ## run every benchmarks/*.py
 	@set -e; for script in $(filter-out benchmarks/_%,$(sort $(wildcard benchmarks/*.py))); do \
 		echo "== $$script"; $(BIN)/python $$script; done
 
-evidence: $(STAMP)  ## run every study of evidence/, or those named: make evidence turbulence
+evidence: $(TOOLS)  ## run every study of evidence/, or those named: make evidence turbulence
 	@$(BIN)/python -m evidence $(NAMES)
 
-pictures: $(STAMP)  ## write docs/images/view_*.png (needs chromium) and task_*.png: the page and a plan of each family of scenarios
+pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium) and task_*.png: the page and a plan of each family of scenarios
 	@$(BIN)/python -m evidence.pictures
 	@$(BIN)/python -m evidence.task_pictures
 
-proto: $(STAMP)  ## generate the Python of src/qrsim/protocol/qrsim.proto anew
+proto: $(TOOLS)  ## generate the Python of src/qrsim/protocol/qrsim.proto anew
 	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/protocol/qrsim.proto
 
 clean:  ## remove caches and build output (.venv stays)
@@ -67,5 +81,5 @@ clean:  ## remove caches and build output (.venv stays)
 	find $(CODE) -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:  ## list the targets
-	@grep -hE '^[a-z]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*  ## (.*)/\1|\2/' | \
+	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*  ## (.*)/\1|\2/' | \
 		while IFS='|' read -r target text; do printf '  make %-9s %s\n' "$$target" "$$text"; done

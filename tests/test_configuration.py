@@ -53,6 +53,25 @@ class TestDevices:
         assert configuration.available_cores() >= 1
 
 
+class TestQuickToCompile:
+    def test_an_option_that_this_xla_does_not_have_is_left_out(self, monkeypatch: pytest.MonkeyPatch):
+        configuration.quick_to_compile.cache_clear()
+        monkeypatch.setattr(configuration, "_QUICK_TO_COMPILE", {"xla_cpu_no_such_option": True})
+        try:
+            assert configuration.quick_to_compile() == {}
+            assert int(configuration.quick_jit(lambda x, n: x * n, static_argnums=1)(3, 2)) == 6
+        finally:
+            configuration.quick_to_compile.cache_clear()
+
+    def test_an_option_that_it_has_is_used(self, monkeypatch: pytest.MonkeyPatch):
+        configuration.quick_to_compile.cache_clear()
+        monkeypatch.setattr(configuration, "_QUICK_TO_COMPILE", {"xla_cpu_enable_fast_math": False})
+        try:
+            assert configuration.quick_to_compile() == {"xla_cpu_enable_fast_math": False}
+        finally:
+            configuration.quick_to_compile.cache_clear()
+
+
 class TestCompilationCache:
     def test_in_the_users_cache_by_default(self, config, monkeypatch, tmp_path):
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

@@ -14,9 +14,9 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from google.protobuf.message import DecodeError
 
 from qrsim.errors import RunError, UsageError
+from qrsim.protocol import DecodeError
 from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.framing import Deframer, frame
 from qrsim.protocol.qrsim_pb2 import Message, Step

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from functools import lru_cache, wraps
 from typing import Any
 
 import jax
@@ -12,8 +14,7 @@ from qrsim.errors import UsageError
 # The older code generator of XLA:CPU compiles a tick in half the time of the newer one. It runs a few vehicles as fast,
 # hundreds more slowly.
 FEW_VEHICLES = 64
-QUICK_TO_COMPILE = {"xla_cpu_use_fusion_emitters": False}
-
+_QUICK_TO_COMPILE = {"xla_cpu_use_fusion_emitters": False}
 
 COMPILERS = ("llvm", "xla")
 _chosen: dict[str, Any] = {"compiler": None, "threads": None}
@@ -74,6 +75,28 @@ def threads() -> int:
 def available_cores() -> int:
     """Return the number of cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@lru_cache(maxsize=1)
+def quick_to_compile() -> dict[str, Any]:
+    """Return the options with which XLA compiles quickly what runs for a short time, those that this XLA knows."""
+    try:
+        jax.jit(lambda: 0, compiler_options=_QUICK_TO_COMPILE).lower().compile()
+    except jax.errors.JaxRuntimeError:
+        # Newer ones have no other code generator, and refuse an option that they do not know.
+        return {}
+    return _QUICK_TO_COMPILE
+
+
+def quick_jit(function: Callable[..., Any], **options: Any) -> Any:
+    """Return ``jax.jit(function, **options)`` that compiles quickly; XLA is asked for its options at the first call."""
+    compiled = lru_cache(maxsize=1)(lambda: jax.jit(function, compiler_options=quick_to_compile(), **options))
+
+    @wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        return compiled()(*arguments, **named)
+
+    return call
 
 
 def use_compilation_cache() -> None:

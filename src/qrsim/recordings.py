@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from qrsim import extras
 from qrsim.errors import RunError, UsageError, did_you_mean
 
 UPSTREAM = "https://raw.githubusercontent.com/UCL-CompLACS/qrsim/efd8539a11604edfe8fa7c95a9e1ea1753ad516e/"
@@ -136,7 +137,7 @@ def fetch_file(name: str, folder: Path, progress_bar: Any = None) -> Path:
     Raises:
         RunError: no answer, a wrong answer, or the folder cannot be written.
     """
-    import pooch
+    pooch = extras.load("data", "fetching recordings", "pooch")
 
     recording = RECORDINGS[name]
     try:

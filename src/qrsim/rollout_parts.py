@@ -15,7 +15,7 @@ from jax.sharding import Mesh, PartitionSpec
 
 from qrsim import world as ticks_of
 from qrsim.actions import ActionChecker
-from qrsim.configuration import QUICK_TO_COMPILE
+from qrsim.configuration import quick_to_compile
 from qrsim.errors import UsageError
 from qrsim.metrics import FLIGHT_METRICS
 from qrsim.models.site import Site
@@ -227,4 +227,4 @@ def _compiled(function: Callable[..., Any], arguments: str, mesh: Mesh | None, f
         cut, same = PartitionSpec(AXIS), PartitionSpec()  # type: ignore[no-untyped-call]
         specs = tuple(cut if kind == "r" else same for kind in arguments)
         function = jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=cut, check_vma=False)
-    return jax.jit(function, compiler_options=QUICK_TO_COMPILE if few else None, **more)
+    return jax.jit(function, compiler_options=quick_to_compile() if few else None, **more)

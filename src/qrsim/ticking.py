@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 
 from qrsim import world as ticks_of
-from qrsim.configuration import FEW_VEHICLES, QUICK_TO_COMPILE, uses_llvm
+from qrsim.configuration import FEW_VEHICLES, quick_jit, uses_llvm
 from qrsim.core.pack import Buffers, Packer
 from qrsim.native import (
     Input,
@@ -231,7 +231,7 @@ class _Compiled:
     """A function compiled by XLA with the options that suit the number of vehicles."""
 
     def __init__(self, function: Callable[..., Any], **options: Any):
-        self._few = jax.jit(function, compiler_options=QUICK_TO_COMPILE, **options)
+        self._few = quick_jit(function, **options)
         self._many = jax.jit(function, **options)
 
     def __call__(self, vehicles: int, *arguments: Any) -> Any:

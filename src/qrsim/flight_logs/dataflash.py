@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from qrsim import extras
 from qrsim.errors import UsageError
-from qrsim.flight_logs.extra import load_extra
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Track
 
@@ -45,7 +45,7 @@ def read_dataflash(path: Path) -> FlightLog:
         UsageError: no DataFlash log, or none of the messages.
         RunError: pymavlink is not installed.
     """
-    reader = load_extra("pymavlink.DFReader", "pymavlink", "reading a DataFlash log")
+    reader = extras.load("identify", "reading a DataFlash log", "pymavlink.DFReader")
     said = io.StringIO()
     times: dict[str, list[float]] = {}
     values: dict[str, list[float]] = {}

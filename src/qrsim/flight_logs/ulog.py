@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from qrsim import extras
 from qrsim.errors import UsageError
-from qrsim.flight_logs.extra import load_extra
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Floats, Track
 
@@ -37,7 +37,7 @@ def read_ulog(path: Path) -> FlightLog:
         UsageError: no ULog, or none of the topics.
         RunError: pyulog is not installed.
     """
-    pyulog = load_extra("pyulog", "pyulog", "reading a ULog")
+    pyulog = extras.load("identify", "reading a ULog", "pyulog")
     content = path.read_bytes()
     whole = _whole_messages(content)
     notes = []

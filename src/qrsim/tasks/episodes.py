@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.configuration import FEW_VEHICLES, QUICK_TO_COMPILE, threads, uses_llvm
+from qrsim.configuration import FEW_VEHICLES, quick_jit, quick_to_compile, threads, uses_llvm
 from qrsim.core.noise import Key
 from qrsim.core.pack import Packer, struct
 from qrsim.native import (
@@ -56,7 +56,7 @@ def _scored() -> Any:
     def score(play: Play, episode: Episode, answer: Any) -> Any:
         return play.task.score(episode.memory, play.world, episode.state, answer)
 
-    return jax.jit(score, compiler_options=QUICK_TO_COMPILE)
+    return quick_jit(score)
 
 
 def score(play: Play, episode: Episode, answer: Array) -> Array:
@@ -196,7 +196,7 @@ class _Programs(NamedTuple):
 @lru_cache
 def _programs(few: bool) -> _Programs:
     """Return the programs for a few vehicles, or for many."""
-    options = QUICK_TO_COMPILE if few else None
+    options = quick_to_compile() if few else None
     return _Programs(
         jax.jit(_begin, compiler_options=options),
         jax.jit(_advance, compiler_options=options, donate_argnums=1),

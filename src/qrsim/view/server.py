@@ -5,20 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from qrsim.errors import RunError, UsageError
+from qrsim.extras import require
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
 LOOPBACK, PORT = "127.0.0.1", 8080
-INSTALL = "pip install 'qrsim[view]'"
 
 
 def require_viser() -> None:
-    """Raise a UsageError that says how to install what the page needs, where it is absent."""
-    try:
-        import viser  # noqa: F401
-    except ImportError as error:
-        raise UsageError(f"the 3-D page needs viser, which is not installed ({error}): {INSTALL}") from None
+    """Raise a MissingExtraError that says how to install what the page needs, where it is absent."""
+    require("view", "the 3-D page")
 
 
 def start_server(port: int = PORT, label: str = "qrsim") -> ViserServer:
@@ -29,7 +26,8 @@ def start_server(port: int = PORT, label: str = "qrsim") -> ViserServer:
         label: heading of the page's panel.
 
     Raises:
-        UsageError: viser is not installed, or it is no port.
+        MissingExtraError: viser is not installed.
+        UsageError: it is no port.
         RunError: no port is free.
     """
     require_viser()

@@ -14,7 +14,7 @@ from tests.apps.slam.problems import exact_flight, exact_ranges
 from qrsim.apps.slam import graph as graphs
 from qrsim.apps.slam.estimate import estimate
 from qrsim.apps.slam.solve import Damping, Point, landmark_covariance, solve, step
-from qrsim.configuration import QUICK_TO_COMPILE
+from qrsim.configuration import quick_jit
 from qrsim.core.tree import replace
 
 
@@ -76,9 +76,7 @@ def test_the_normal_equations_are_those_of_central_differences(small: tuple[grap
     problem, x, landmarks = small
     with jax.enable_x64(True):
         unknown = np.concatenate([x.ravel(), landmarks.ravel()])
-        every = jax.jit(
-            jax.vmap(lambda values: flat(problem, *split(values, x, landmarks))), compiler_options=QUICK_TO_COMPILE
-        )
+        every = quick_jit(jax.vmap(lambda values: flat(problem, *split(values, x, landmarks))))
         width = 1e-5
         ends = [np.asarray(every(jnp.asarray(unknown[None] + sign * width * np.eye(len(unknown))))) for sign in (1, -1)]
         jacobian = (ends[0] - ends[1]).T / (2.0 * width)
@@ -147,7 +145,7 @@ def test_scipy_finds_the_same_optimum(small: tuple[graphs.Graph, Any, Any]) -> N
 def functions(problem: graphs.Graph, x: Any, landmarks: Any) -> tuple[Any, Any]:
     """Residuals and their Jacobian as functions of a row of all unknowns."""
     whole = jax.jit(lambda states, places: flat(problem, states, places))
-    slopes = jax.jit(jax.jacfwd(whole, argnums=(0, 1)), compiler_options=QUICK_TO_COMPILE)
+    slopes = quick_jit(jax.jacfwd(whole, argnums=(0, 1)))
 
     def residuals(values: Any) -> Any:
         with jax.enable_x64(True):

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim import extras
 from qrsim.apps.discover.flight import ANGULAR, Flight, Floats, Rule, fly
 from qrsim.apps.discover.proposals import (
     count_constants,
@@ -26,7 +27,6 @@ from qrsim.apps.discover.proposals import (
     text_of,
     varied,
 )
-from qrsim.flight_logs.extra import load_extra
 
 REFINEMENTS, ROUGH_REFINEMENTS = 3, 12
 # So many samples of a window count as independent where error is weighed against size.
@@ -128,7 +128,7 @@ class Evolution:
             self._judge(population, population.members)
 
     def _generation(self) -> None:
-        tools = load_extra("deap.tools", "deap", "discovering laws")
+        tools = extras.load("identify", "discovering laws", "deap.tools")
         for population in self._all():
             parents = [*population.members, *population.pareto()]
             children = []
@@ -182,7 +182,7 @@ class Evolution:
 
     def _judge(self, population: Population, proposals: Sequence[Proposal]) -> None:
         """Fly proposals with the best partners, and with others drawn at random; the better of the two counts."""
-        fitness = load_extra("deap.base", "deap", "discovering laws").Fitness
+        fitness = extras.load("identify", "discovering laws", "deap.base").Fitness
         weights = type("Smaller", (fitness,), {"weights": (-1.0, -1.0)})
         for proposal in proposals:
             if proposal.fitness is None:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from qrsim import extras
 from qrsim.apps.discover.flight import LEAVES, Floats, Rule
-from qrsim.flight_logs.extra import load_extra
 
 MOST_NODES = 21
 CONSTANT = "C"
@@ -19,7 +19,7 @@ _SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 def gp() -> Any:
     """Return DEAP's genetic programming."""
-    return load_extra("deap.gp", "deap", "discovering laws")
+    return extras.load("identify", "discovering laws", "deap.gp")
 
 
 @functools.cache
@@ -110,13 +110,13 @@ def varied(first: Any, second: Any, law: str) -> Any:
 
 def symbolic(tree: Any, constants: Floats) -> Any:
     """Return a tree with its constants as a SymPy expression, multiplied out where it is a polynomial."""
-    sympy = load_extra("sympy", "sympy", "printing laws")
+    sympy = extras.load("identify", "printing laws", "sympy")
     return sympy.expand(sympy.sympify(text_of(tree, constants)))
 
 
 def monomials(expression: Any, law: str) -> dict[tuple[int, ...], float] | None:
     """Return the coefficients of a polynomial in a law's leaves by their powers, None where it is none."""
-    sympy = load_extra("sympy", "sympy", "printing laws")
+    sympy = extras.load("identify", "printing laws", "sympy")
     try:
         terms = sympy.Poly(sympy.cancel(expression), *(sympy.Symbol(leaf) for leaf in LEAVES[law]))
     except sympy.PolynomialError:
@@ -145,7 +145,7 @@ def polynomial_tree(powers: list[tuple[int, ...]], law: str) -> Any:
 
 def shown(expression: Any, digits: int = 6) -> str:
     """Return an expression as text with rounded numbers."""
-    sympy = load_extra("sympy", "sympy", "printing laws")
+    sympy = extras.load("identify", "printing laws", "sympy")
     return str(expression.xreplace({n: sympy.Float(n, digits) for n in expression.atoms(sympy.Float)}))
 
 

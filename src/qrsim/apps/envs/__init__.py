@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from qrsim.apps.envs.functional import Functional
-from qrsim.errors import UsageError
+from qrsim.extras import require
 
 if TYPE_CHECKING:
     from qrsim.apps.envs.parallel import ParallelTask
@@ -66,12 +66,11 @@ def parallel_env(scenario: Any, **options: Any) -> ParallelTask:
     """Return the PettingZoo environment of a scenario; see ``ParallelTask``.
 
     Raises:
-        UsageError: PettingZoo is not installed.
+        MissingExtraError: PettingZoo is not installed.
     """
-    try:
-        from qrsim.apps.envs.parallel import ParallelTask
-    except ModuleNotFoundError as error:
-        raise UsageError(f"{error.name} is not installed; install qrsim[envs]") from None
+    require("envs", "an environment of PettingZoo")
+    from qrsim.apps.envs.parallel import ParallelTask
+
     return ParallelTask(scenario, **options)
 
 

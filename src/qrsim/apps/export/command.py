@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from qrsim.errors import UsageError
+from qrsim.extras import require
 
 if TYPE_CHECKING:
     from qrsim.apps.export.output import Written
@@ -90,7 +91,7 @@ class Export:
         return [write_stream(recorded, *pair, every) for pair in zip(streams, targets, strict=True)]
 
     def _write_file(self, recorded: Run, every: int) -> Written:
-        from qrsim.apps.export import geojson, gpx, kml, mcap_file
+        from qrsim.apps.export import geojson, gpx, kml
         from qrsim.apps.export.output import check_target
         from qrsim.apps.export.place import place_of
         from qrsim.apps.export.tracks import read_tracks
@@ -99,6 +100,9 @@ class Export:
         check_target(target, self.force)
         place = place_of(recorded)
         if self.format == "mcap":
+            require("export", "an MCAP file")
+            from qrsim.apps.export import mcap_file
+
             return mcap_file.write(recorded, place, target, every)
         write = {"geojson": geojson.write, "gpx": gpx.write, "kml": kml.write}[self.format]
         return write(read_tracks(recorded, place, every), target)

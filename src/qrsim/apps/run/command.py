@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from qrsim.errors import RunError, UsageError
+from qrsim.extras import require
 
 if TYPE_CHECKING:
     from qrsim.apps.run.recorder import Pace
@@ -123,6 +124,8 @@ class Run:
         from qrsim.apps.run.recorder import fly
 
         # The folder is checked before anything is compiled.
+        if self.view:
+            require("view", "--view")
         if folder.exists():
             raise UsageError(f"run folder {folder} exists and is never overwritten; choose another --out")
         functions: dict[str, Any] = {}

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from qrsim.errors import RunError, UsageError
+from qrsim.extras import require
 
 if TYPE_CHECKING:
     from qrsim.apps.serve.server import Options
@@ -135,6 +136,7 @@ class Serve:
             return None
         if self.sessions:
             raise UsageError("--view: it shows one simulation, and with --sessions there are several")
+        require("view", "--view")
         from qrsim.view.live import LiveView
 
         return LiveView(self.view_port)

@@ -8,12 +8,11 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, cast
 
-from google.protobuf.message import DecodeError
-
 from qrsim.apps.serve.playing import Playing
 from qrsim.apps.serve.requests import known_step, parsed_step, step
 from qrsim.apps.serve.session import Session
 from qrsim.errors import QrsimError, UsageError
+from qrsim.protocol import DecodeError
 from qrsim.protocol.framing import HEAD_SIZE, LARGEST_REQUEST, Deframer, frame
 from qrsim.protocol.qrsim_pb2 import Ack, Message
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from qrsim.configuration import QUICK_TO_COMPILE
+from qrsim.configuration import quick_jit
 from qrsim.core.noise import Drawn
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3, rotation
@@ -186,7 +186,7 @@ def advance(vehicle: Quadrotor, x: Array, commands: Array, air_ned: Array, norma
     return jnp.stack(jax.tree.leaves(final))
 
 
-@partial(jax.jit, static_argnums=4, compiler_options=QUICK_TO_COMPILE)
+@partial(quick_jit, static_argnums=4)
 def _reckon(vehicle: Quadrotor, start: Array, commands: Array, air_ned: Array, time_step: float) -> Array:
     def forward(x: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
         quiet = jnp.zeros((inputs[0].shape[0], vehicle.normals))

@@ -23,12 +23,11 @@ from jax import Array
 
 from qrsim.apps.slam.flight import SIZE, Flight, Floats, advance, dead_reckon
 from qrsim.apps.slam.ranging import Ranging
-from qrsim.configuration import QUICK_TO_COMPILE
+from qrsim.configuration import quick_jit
 from qrsim.core.tree import quantity, record, replace, setting
 from qrsim.errors import UsageError
 from qrsim.models.vehicles.quadrotor import PROCESS_NOISE_STEP_S
 
-quick_jit = partial(jax.jit, compiler_options=QUICK_TO_COMPILE)
 GRAPHS, STATES, PRIORS = ("paper", "gnss"), ("full", "poses"), ("start", "estimate")
 YAW = 5
 POSE = (0, 1, 2, YAW)

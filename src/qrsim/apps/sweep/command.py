@@ -62,9 +62,9 @@ class Sweep:
     def run(self) -> None:
         """Check, fly what is missing, say where it is."""
         study = self._study()
-        from qrsim.apps.sweep.extras import require
+        from qrsim.extras import require
 
-        require("qrsim sweep")
+        require("sweep", "qrsim sweep")
         from qrsim.apps.sweep.prepare import plan_of
 
         plan = plan_of(study)

@@ -44,9 +44,9 @@ class SweepReport:
 
     def run(self) -> None:
         """Find, write, tell."""
-        from qrsim.apps.sweep.extras import require
+        from qrsim.extras import require
 
-        require("qrsim sweep-report")
+        require("sweep", "qrsim sweep-report")
         from qrsim.apps.sweep.report import find, print_report, to_json, write
 
         folder = self.out or self.store.with_name(f"{self.store.name.removesuffix('.zarr')}-report")

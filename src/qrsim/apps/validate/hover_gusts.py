@@ -13,7 +13,7 @@ import numpy as np
 from qrsim.apps.validate.jsbsim_gusts import jsbsim_series
 from qrsim.apps.validate.spectra import DT, Case, Floats, scales
 from qrsim.apps.validate.statistics import against, mean_and_error
-from qrsim.configuration import QUICK_TO_COMPILE
+from qrsim.configuration import quick_jit
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
@@ -39,7 +39,7 @@ def mean_wind() -> Floats:
         return np.asarray(wind.velocity_ned(jnp.asarray([CASE.height])).stack())[0]
 
 
-@partial(jax.jit, static_argnames="steps", compiler_options=QUICK_TO_COMPILE)
+@partial(quick_jit, static_argnames="steps")
 def _fly(turbulence: Any, wind: LogShear, height: jax.Array, key: Key, steps: int) -> jax.Array:
     ids = jnp.arange(height.size, dtype=jnp.uint32)
     stream, mean = key.stream("gust", ids), wind.velocity_ned(height)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from qrsim.apps.validate.recorded import Table, read_table
-from qrsim.configuration import QUICK_TO_COMPILE
+from qrsim.configuration import quick_jit
 from qrsim.core.allan import overlapping_allan_deviation
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
@@ -63,7 +63,7 @@ def sky_over(path: Path, site: Site, start: Any, duration_s: float, errors: Any)
     return Sky(orbits, cast(errors, LIKE), jnp.asarray(ephemeris.satellite_ids), PERIOD)
 
 
-@partial(jax.jit, static_argnames=("ticks", "seeds"), compiler_options=QUICK_TO_COMPILE)
+@partial(quick_jit, static_argnames=("ticks", "seeds"))
 def _fixes(sky: Sky, receiver: GnssReceiver, ticks: int, seeds: int) -> tuple[jax.Array, jax.Array]:
     like = jnp.zeros((), LIKE)
     still = Vec3.zeros((1,), jnp.dtype(LIKE))

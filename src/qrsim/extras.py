@@ -1,0 +1,61 @@
+"""What only some commands need, installed by name: ``pip install 'qrsim[NAME]'``."""
+
+from __future__ import annotations
+
+import importlib
+from importlib.util import find_spec
+from typing import Any
+
+from qrsim.errors import UsageError
+
+# Extra -> the modules that it installs.
+EXTRAS: dict[str, tuple[str, ...]] = {
+    "data": ("pooch",),
+    "export": ("mcap",),
+    "serve": ("google.protobuf",),
+    "identify": ("pyulog", "pymavlink", "deap", "sympy"),
+    "view": ("viser",),
+    "envs": ("gymnasium", "pettingzoo"),
+    "sweep": ("distributed", "xarray", "zarr", "SALib"),
+}
+
+
+class MissingExtraError(UsageError):
+    """Something was asked for that needs packages which are not installed; says how to install them."""
+
+
+def require(extra: str, purpose: str, *modules: str) -> None:
+    """Refuse to begin where a module of an extra is missing.
+
+    Args:
+        extra: a key of EXTRAS.
+        purpose: what needs it; the message begins with it.
+        modules: those that are needed; all of the extra's where none is named.
+
+    Raises:
+        MissingExtraError: names what is missing, and the line that installs it.
+    """
+    missing = [_package(name) for name in modules or EXTRAS[extra] if not _present(name)]
+    if missing:
+        raise MissingExtraError(f"{purpose} needs {', '.join(missing)}: python -m pip install 'qrsim[{extra}]'")
+
+
+def load(extra: str, purpose: str, module: str) -> Any:
+    """Return a module of an extra.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    require(extra, purpose, module)
+    return importlib.import_module(module)
+
+
+def _package(module: str) -> str:
+    return "protobuf" if module == "google.protobuf" else module.partition(".")[0]
+
+
+def _present(name: str) -> bool:
+    try:
+        return find_spec(name) is not None
+    except (ModuleNotFoundError, ValueError):  # a package around it is missing, or it was replaced by nothing
+        return False

@@ -1,0 +1,94 @@
+"""What is installed by name: running needs none of it, and what needs it says how to get it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from qrsim.extras import EXTRAS, MissingExtraError, load, require
+
+PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+# Runs commands in one process in which no extra can be imported: prints exit codes and errors as JSON.
+WITHOUT_EXTRAS = """
+import contextlib, io, json, sys
+from importlib.abc import MetaPathFinder
+
+class Absent(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if any(name == gone or name.startswith(gone + ".") for gone in {absent!r}):
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+        return None
+
+sys.meta_path.insert(0, Absent())
+from qrsim.cli import main
+results = []
+for words in json.loads(sys.argv[1]):
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+        code = main(words)
+    results.append((code, said.getvalue()))
+print(json.dumps(results))
+"""
+
+
+def without_extras(*commands: list[str]) -> list[tuple[int, str]]:
+    absent = [module for modules in EXTRAS.values() for module in modules]
+    script = WITHOUT_EXTRAS.format(absent=absent)
+    done = subprocess.run(
+        [sys.executable, "-c", script, json.dumps(commands)], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return [(code, said) for code, said in json.loads(done.stdout.splitlines()[-1])]
+
+
+def test_every_extra_is_one_of_the_package():
+    extras = PROJECT["optional-dependencies"]
+    assert set(EXTRAS) | {"all", "dev"} == set(extras)
+    assert extras["all"] == [f"qrsim[{','.join(EXTRAS)}]"]
+
+
+def test_flying_plotting_and_exporting_need_no_extra(tmp_path: Path):
+    run, fetched = str(tmp_path / "run"), str(tmp_path / "fetched")
+    commands = {
+        "run": ["run", "hover", "--duration", "1", "--out", run],
+        "plot": ["plot", run],
+        "csv": ["export", run, "--format", "csv", "--out", str(tmp_path / "csv")],
+        "check": ["check", "hover", "--seeds", "1", "--duration", "1"],
+        "mcap": ["export", run, "--format", "mcap"],
+        "serve": ["serve", "hover"],
+        "view": ["view", run],
+        "run view": ["run", "hover", "--view", "--out", str(tmp_path / "seen")],
+        "data": ["data", "fetch", "--folder", fetched],
+        "sweep": ["sweep", "swarm_collisions", "--out", str(tmp_path / "study")],
+    }
+    said = dict(zip(commands, without_extras(*commands.values()), strict=True))
+    for name in ("run", "plot", "csv", "check"):
+        assert said[name][0] == 0, said[name][1]
+    extras = {"mcap": "export", "serve": "serve", "view": "view", "run view": "view", "sweep": "sweep"}
+    for name, extra in extras.items():
+        code, text = said[name]
+        assert code == 2, (name, text)
+        assert f"python -m pip install 'qrsim[{extra}]'" in text, (name, text)
+        assert text.count("\n") == 1, (name, text)
+
+
+def test_what_is_missing_is_named_by_its_package(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "google.protobuf", None)
+    monkeypatch.setitem(sys.modules, "deap", None)
+    with pytest.raises(MissingExtraError) as caught:
+        require("serve", "a server")
+    assert str(caught.value) == "a server needs protobuf: python -m pip install 'qrsim[serve]'"
+    with pytest.raises(MissingExtraError) as caught:
+        load("identify", "discovering laws", "deap.gp")
+    assert str(caught.value) == "discovering laws needs deap: python -m pip install 'qrsim[identify]'"
+
+
+def test_what_makes_machine_code_is_bounded_from_above():
+    bounded = [line for line in PROJECT["dependencies"] if line.startswith(("jax", "llvmlite"))]
+    assert len(bounded) == 2
+    assert all("<" in line for line in bounded), bounded
