@@ -41,11 +41,12 @@ def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str]
         )
     grid = first + dt * np.arange(int((last - first) / dt + 1e-6) + 1)
     signals = {name: _sampled(name, track, grid, notes) for name, track in clean.items()}
-    rates = sorted({f"{1.0 / float(np.median(np.diff(track.time))):.3g}" for track in clean.values()}, key=float)
+    rates = {name: 1.0 / float(np.median(np.diff(track.time))) for name, track in clean.items()}
+    different = sorted({f"{rate:.3g}" for rate in rates.values()}, key=float)
     notes.append(
-        f"{len(grid)} rows of {dt:g} s, {grid[-1] - grid[0]:.2f} s, from signals logged at {', '.join(rates)} Hz"
+        f"{len(grid)} rows of {dt:g} s, {grid[-1] - grid[0]:.2f} s, from signals logged at {', '.join(different)} Hz"
     )
-    return FlightLog(path.stem, path, kind, dt, grid - grid[0], signals, _together(notes, list(signals)))
+    return FlightLog(path.stem, path, kind, dt, grid - grid[0], signals, _together(notes, list(signals)), rates)
 
 
 def _together(notes: list[str], names: list[str]) -> list[str]:

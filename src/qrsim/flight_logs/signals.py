@@ -71,6 +71,7 @@ class FlightLog:
         time: (T,) since the first row [s].
         signals: by name, (T,) each in SI; NaN within gaps.
         notes: what reading did to the data, one sentence each.
+        rates: by name, how often a signal was logged [Hz]; where it is known.
     """
 
     name: str
@@ -80,6 +81,7 @@ class FlightLog:
     time: Floats
     signals: dict[str, Floats]
     notes: list[str] = field(default_factory=list)
+    rates: dict[str, float] = field(default_factory=dict)
 
     def require(self, names: Iterable[str], purpose: str) -> None:
         """Refuse a log that lacks a signal.

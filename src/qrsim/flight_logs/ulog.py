@@ -14,20 +14,25 @@ from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Floats, Track
 
 _HEADER_BYTES = 16
-# Signal, topic, the field that holds it (the first that is there), factor to SI.
+# Signal, topic, the field that holds it (the first that is there), factor to SI. Of rows for the same signal the first
+# whose topic is there counts: until 2019 PX4 logged the body rates with the attitude, and the thrust as a number.
 FIELDS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
     ("roll_rate", "vehicle_angular_velocity", ("xyz[0]",), 1.0),
     ("pitch_rate", "vehicle_angular_velocity", ("xyz[1]",), 1.0),
     ("yaw_rate", "vehicle_angular_velocity", ("xyz[2]",), 1.0),
+    ("roll_rate", "vehicle_attitude", ("rollspeed",), 1.0),
+    ("pitch_rate", "vehicle_attitude", ("pitchspeed",), 1.0),
+    ("yaw_rate", "vehicle_attitude", ("yawspeed",), 1.0),
     ("velocity_north", "vehicle_local_position", ("vx",), 1.0),
     ("velocity_east", "vehicle_local_position", ("vy",), 1.0),
     ("velocity_down", "vehicle_local_position", ("vz",), 1.0),
     ("yaw_rate_command", "vehicle_attitude_setpoint", ("yaw_sp_move_rate",), 1.0),
     # Upwards is negative in body axes.
     ("throttle", "vehicle_attitude_setpoint", ("thrust_body[2]",), -1.0),
+    ("throttle", "vehicle_attitude_setpoint", ("thrust",), 1.0),
     ("battery", "battery_status", ("voltage_v", "voltage_filtered_v"), 1.0),
 )
-TOPICS = ("vehicle_attitude", *dict.fromkeys(topic for _, topic, _, _ in FIELDS))
+TOPICS = tuple(dict.fromkeys(("vehicle_attitude", *(topic for _, topic, _, _ in FIELDS))))
 
 
 def read_ulog(path: Path) -> FlightLog:
@@ -91,7 +96,7 @@ def _tracks(topics: dict[str, Any], notes: list[str]) -> dict[str, Track]:
         notes.append("roll and pitch commands from the set-point's quaternion")
     for name, topic, choices, factor in FIELDS:
         there = [field for field in choices if topic in topics and field in topics[topic]]
-        if there:
+        if there and name not in tracks:
             add(name, topic, factor * topics[topic][there[0]])
     return tracks
 

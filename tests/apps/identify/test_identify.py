@@ -80,7 +80,7 @@ def test_the_command_writes_a_vehicle_that_scenarios_fly(
     words = ["identify", str(log_file), "--separate", "--horizon", "2", "--fit", ",".join(ROTATION), "-o", str(out)]
     assert cli.main(words) == 0
     printed = capsys.readouterr().out
-    assert "kr0: not identified, held by its prior" in printed
+    assert "kr0 -0.004818, kr1 -5.089: held at its start: yaw_rate_command is constant" in printed
     assert "held-out" in printed
     folder = tmp_path / "mine_report"
     report = (folder / "report.md").read_text()

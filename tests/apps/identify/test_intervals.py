@@ -47,3 +47,26 @@ def test_intervals_hold_as_often_as_they_say() -> None:
         found = covariance(("a", "b"), estimate, np.ones(2), [misfit], [5.0], np.eye(2) * 1e-6, False)
         inside += np.abs(estimate) < found.quantile * found.std
     assert (np.abs(inside / 400 - 0.95) < 3.5 * (0.05 * 0.95 / 400) ** 0.5).all()
+
+
+def test_a_direction_that_one_block_shows_has_no_interval() -> None:
+    """Without the window that shows the second unknown its curvature is singular; the first is as before."""
+    shows = np.ones((10, 2))
+    shows[1:, 1] = 0.0
+    rng = np.random.default_rng(3)
+    found = covariance(("a", "b"), np.zeros(2), np.ones(2), [line(rng, shows)], [5.0], np.zeros((0, 2)), False)
+    assert found.lost.tolist() == [False, True]
+    assert np.isfinite(found.matrix).all()
+    assert found.white[0] == pytest.approx(500**-0.5, rel=0.15)
+    assert 0.5 < found.std[0] / found.white[0] < 2.0
+
+
+def test_what_nothing_shows_and_what_is_not_told_apart_have_no_interval() -> None:
+    """The second unknown has no effect; the third has that of the first."""
+    rng = np.random.default_rng(4)
+    one = line(rng, np.ones((10, 1)) * [1.0, 0.0])
+    by_value = np.concatenate([one.by_value, one.by_value[..., :1]], axis=-1)
+    same = Misfit(one.residual, by_value, np.zeros((10, 0)), np.zeros((10, 0, 3)))
+    found = covariance(("a", "b", "c"), np.zeros(3), np.ones(3), [same], [5.0], np.zeros((0, 3)), False)
+    assert found.lost.all()
+    assert np.isfinite(found.matrix).all()

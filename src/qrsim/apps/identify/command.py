@@ -24,7 +24,8 @@ class Identify:
 
     Logs: PX4 ULog, ArduPilot DataFlash .bin, CSV with names and units ('roll [deg]'), the public recordings. The first
     part of each is fitted through the simulator's own equations; the rest is held out and scored open loop. A constant
-    that the logs do not show stays at its start, and that is said.
+    that the logs do not show, or that predicts the rest no better, stays at its start, and that is said. Logs that show
+    none (on the ground, not commanded) are refused, and nothing is written.
 
     Example:
       qrsim identify flight.ulg --mass 1.9 -o my_vehicle.yaml
@@ -182,13 +183,14 @@ def _print(found: Result, out: Path, folder: Path) -> None:
             f"{name:<10} {each['value']:>13.6g} {each['low']:>14.5g} {each['high']:>14.5g}   {each['start']:>13.6g}"
             f"  {each['unit']}"
         )
-    for name, why in found.answer.left.items():
-        print(f"{name}: not identified, held by its prior at {found.answer.values[name]:g}: {why}")
-    for name in found.answer.at_bounds:
-        print(f"{name}: ended at the bound of its search")
-    for piece, scores in zip(found.pieces, found.held_out, strict=True):
+    values = found.answer.values
+    for verdict, names in found.other_verdicts().items():
+        listed = ", ".join(f"{name} {values[name]:.4g}" for name in names)
+        print(f"{listed}: {verdict}")
+    for i, (piece, scores) in enumerate(zip(found.pieces, found.held_out, strict=True)):
+        _print_signals(found, i)
         print(f"\n{piece.log.source.name}, held-out {scores['rows']} rows, open loop: mean squared error")
-        print(f"  {'signal':<16} {'start':>11} {'identified':>11}   lower by")
+        print(f"  {'signal':<16} {'start':>11} {'fitted':>11}   lower by")
         for name, after in scores["identified"].items():
             change = scores["lower_percent"].get(name, 0.0)
             print(f"  {name:<16} {scores['start'][name]:>11.4g} {after:>11.4g}   {change:6.1f} %")
@@ -199,3 +201,14 @@ def _print(found: Result, out: Path, folder: Path) -> None:
                 f"   {five['lower_percent']:6.1f} %"
             )
     print(f"\n{found.wall_s:.1f} s, compiling included; {out}, {folder / 'report.md'}")
+
+
+def _print_signals(found: Result, i: int) -> None:
+    print(f"\n{found.pieces[i].log.source.name}, fitted part: how much its signals move")
+    print(f"  {'signal':<17} {'std':>10} {'noise':>10} {'std/noise':>10}  unit")
+    for name, each in found.channels(i).items():
+        words = "" if each["moves"] else "  does not move"
+        words = "  identified" if each.get("identified") else words
+        print(
+            f"  {name:<17} {each['std']:>10.3g} {each['noise']:>10.2g} {each['ratio']:>10.3g}  {each['unit']:<6}{words}"
+        )

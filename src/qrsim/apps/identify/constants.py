@@ -115,6 +115,19 @@ def needed_for(constant: str) -> tuple[str, ...]:
     return ("throttle", "battery", "thrust")
 
 
+def aspects_of(constant: str, separate: bool) -> tuple[str, ...]:
+    """Return the aspects of a flight (flight_logs.excitation) of which any one shows a constant."""
+    if constant in PITCH:
+        return ("pitch",)
+    if constant in ROLL:
+        return ("roll",) if separate else ("roll", "pitch")
+    if constant in YAW:
+        return ("yaw",)
+    if constant in DRAG:
+        return ("drag",) if constant == "kuv" else ("heave",)
+    return ("heave",) if constant == "mass" else ("thrust", "heave")
+
+
 def check_names(names: Iterable[str], separate: bool) -> None:
     """Refuse the name of something that is no constant.
 

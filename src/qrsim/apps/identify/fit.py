@@ -24,8 +24,12 @@ NOISE_TOLERANCE = 0.05
 LARGEST_HALF_WIDTH = 0.5
 # Constants that may be near zero count by what they add: a fifth of the thrust of hovering [N, N/raw].
 SMALLEST_WIDTH = {"cth0": 3.3, "cth1": 1.4e-3}
+# Correlation of two estimates from which on one is not to be told from the other.
+COMBINED = 0.8
 # A standard deviation beside which nothing counts.
 IGNORED_NOISE = 1e6
+# One below which a fit is as exact as its arithmetic.
+SMALLEST_NOISE = 1e-6
 DELAY_STEP_S, LONGEST_DELAY_S = 0.02, 0.7
 
 
@@ -49,6 +53,7 @@ class Question:
         delay: [s] given for all logs; None: estimated for each.
         robust: soft_l1 rather than plain squares.
         ignored: measured signals that count for nothing, because they are known to be wrong.
+        held: of the constants those that stay at their start.
     """
 
     constants: tuple[str, ...]
@@ -58,6 +63,7 @@ class Question:
     delay: float | None = None
     robust: bool = True
     ignored: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -67,7 +73,7 @@ class Answer:
     Attributes:
         values: every constant of the vehicle by name.
         estimated: names of those that the logs determine.
-        left: the others that were asked for, with the reason in words; their values are held by their priors.
+        left: the others that were fitted, with the reason in words; their values are held by their priors.
         nuisances: of each log by name.
         covariance: of estimated constants and nuisances.
         noise: of each log, standard deviation of each channel.
@@ -91,8 +97,8 @@ class _Sum:
     """The residuals of all logs as a function of one vector of scaled unknowns."""
 
     def __init__(self, question: Question, pieces: Sequence[Piece]):
-        self.question, self.constants = question, question.constants
-        constants = self.constants
+        self.question = question
+        self.constants = constants = tuple(name for name in question.constants if name not in question.held)
         vehicle = vehicle_of(dict(question.start), question.separate)
         self.shootings = [Shooting(piece, vehicle, question.robust) for piece in pieces]
         self.free = [tuple(name for name in piece.nuisances if not self._is_given(name)) for piece in pieces]
@@ -128,12 +134,15 @@ class _Sum:
         return np.array([self.question.start.get(name, 0.0) for name in self.names]) / self.scale
 
     def of_log(self, unknowns: Floats, i: int) -> dict[str, float]:
-        """Return what the simulation of a log needs: the constants and its own nuisances, those given too."""
+        """Return what the simulation of a log needs: the constants and its own nuisances, those held and given too.
+
+        What is held is among them, so that the compiled simulation is the same whatever is.
+        """
         values = dict(zip(self.names, (unknowns * self.scale).tolist(), strict=True))
         own = {name: values.get(f"{name}@{i}", 0.0) for name in self.shootings[i].piece.nuisances}
         if self.question.delay is not None:
             own["delay"] = self.question.delay
-        return {name: values[name] for name in self.constants} | own
+        return {name: values.get(name, self.question.start[name]) for name in self.question.constants} | own
 
     def evaluate(self, unknowns: Floats, noise: Sequence[Mapping[str, float]]) -> list[Misfit]:
         """Return the misfit of each log with its derivatives by all scaled unknowns."""
@@ -162,10 +171,6 @@ class _Sum:
         base, _, log = name.partition("@")
         return base if int(log) == i else ""
 
-    def width(self, name: str) -> float:
-        """Return the standard deviation of the prior that a constant has unless another is given: all of its start."""
-        return max(abs(self.question.start[name]), SMALLEST_WIDTH.get(name, 0.0))
-
     def prior(self, unknowns: Floats) -> tuple[Floats, Floats]:
         """Return the residuals of the priors and their derivatives."""
         rows, targets = [], []
@@ -174,7 +179,7 @@ class _Sum:
             if known is None and "@" in name and not name.startswith("delay@"):
                 known = Prior(0.0, NUISANCES[name.partition("@")[0]].scale * 10.0)
             elif known is None and "@" not in name:
-                known = Prior(self.question.start[name], self.width(name))
+                known = Prior(self.question.start[name], width_of(name, self.question))
             if known is not None:
                 row = np.zeros(len(self.names))
                 row[k] = self.scale[k] / known.std
@@ -184,6 +189,11 @@ class _Sum:
         return matrix @ unknowns - np.array(targets), matrix
 
 
+def width_of(name: str, question: Question) -> float:
+    """Return the standard deviation of the prior that a constant has unless another is given: all of its start."""
+    return max(abs(question.start[name]), SMALLEST_WIDTH.get(name, 0.0))
+
+
 def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lambda text: None) -> Answer:
     """Estimate; a constant that the logs do not determine is held by its prior, whose width the others' intervals feel.
 
@@ -191,13 +201,13 @@ def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lamb
         UsageError: no constant at all shows in the logs.
     """
     total = _Sum(question, pieces)
-    unknowns, noise = total.first(), [_first_noise(shooting.piece, question.ignored) for shooting in total.shootings]
+    unknowns, noise = total.first(), [_first_noise(piece, question.ignored) for piece in pieces]
     if question.delay is None:
         unknowns = _search_delays(total, unknowns, noise)
     unknowns, noise = _rounds(total, unknowns, noise, progress)
     answer = _answer(total, unknowns, noise)
     # Constants whose intervals are wide are told as such; only a log that nothing shows in is refused.
-    if not (answer.covariance.information[: len(question.constants)] > 0.0).any():
+    if not (answer.covariance.information[: len(total.constants)] > 0.0).any():
         reasons = "; ".join(f"{name}: {why}" for name, why in answer.left.items())
         raise UsageError(f"{pieces[0].log.source}: no constant can be identified; {reasons}")
     return answer
@@ -208,7 +218,8 @@ def _first_noise(piece: Piece, ignored: Sequence[str]) -> dict[str, float]:
     recorded = np.where(piece.used[:, :, None], piece.recorded, np.nan)
     spread = np.sqrt(np.nanmean(np.nanvar(recorded, axis=0), axis=0))
     named = zip(piece.channels, spread.tolist(), strict=True)
-    return {name: IGNORED_NOISE if name in ignored else max(0.5 * size, 1e-6) for name, size in named}
+    unused = {*ignored, *piece.silent}
+    return {name: IGNORED_NOISE if name in unused else max(0.5 * size, SMALLEST_NOISE) for name, size in named}
 
 
 def _search_delays(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> Floats:
@@ -290,8 +301,9 @@ def _noise(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> list
         residual, count = misfit.residual, shooting.piece.used.sum()
         spread = np.sqrt((np.square(residual) * weights(residual, total.robust)).sum(axis=(0, 1)) / count)
         named = zip(shooting.piece.channels, spread.tolist(), strict=True)
-        new = {name: scale[name] * max(size, 1e-6) for name, size in named}
-        result.append(new | {name: IGNORED_NOISE for name in total.question.ignored if name in new})
+        new = {name: max(scale[name] * max(size, 1e-6), SMALLEST_NOISE) for name, size in named}
+        unused = {*total.question.ignored, *shooting.piece.silent}
+        result.append(new | {name: IGNORED_NOISE for name in unused if name in new})
     return result
 
 
@@ -314,12 +326,21 @@ def _undetermined(total: _Sum, found: Covariance) -> dict[str, str]:
         half = float(found.quantile[k] * max(found.std[k], found.white[k]))
         if found.information[k] <= 0.0:
             left[name] = "nothing in the logs depends on it"
-        elif half > LARGEST_HALF_WIDTH * total.width(name):
+        elif found.lost[k]:
+            left[name] = "a single part of the logs shows it, so that it has no interval"
+        elif half > LARGEST_HALF_WIDTH * width_of(name, total.question):
             left[name] = (
-                f"its 95 % interval is +-{half:.3g}, against {total.width(name):.3g} of its prior: too little"
-                " excitation, or not to be told from other constants"
+                f"its 95 % interval is +-{half:.3g}, against {width_of(name, total.question):.3g} of its prior: "
+                + (_partners(total, found, k) or "too little excitation")
             )
     return left
+
+
+def _partners(total: _Sum, found: Covariance, k: int) -> str:
+    """Return the constants from which one is not to be told, in words; "" if there are none."""
+    others = [(abs(found.correlation[k, i]), name) for i, name in enumerate(total.constants) if i != k]
+    near = [name for size, name in sorted(others, reverse=True)[:2] if size > COMBINED]
+    return f"not to be told from {' and '.join(near)}" if near else ""
 
 
 def _answer(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> Answer:

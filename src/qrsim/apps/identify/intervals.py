@@ -8,6 +8,9 @@ Methodology 28, 2002). Nothing is assumed of the correlation within a block.
 A constant that shows in few blocks (the battery's ceiling, where full throttle is asked for) has a variance from few
 moves, whatever the number of blocks: the degrees of freedom of its t distribution are those of Satterthwaite's rule, as
 in Bell and McCaffrey, for each component of its own.
+
+A direction that a single block shows, or none, has no estimate without it: the pseudo-inverse leaves it where it is,
+and the components along it are marked as having no interval.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -25,6 +29,10 @@ from qrsim.flight_logs.signals import Floats
 CONFIDENCE = 0.95
 # A block is as long as residuals are correlated at most, but there are to be so many at least.
 BLOCK_S, FEWEST_BLOCKS = 5.0, 8
+# Eigenvalues below this share of the largest, of a curvature scaled to a diagonal of 1, are rounding.
+SINGULAR = 1e-13
+# The share of a component within singular directions from which on it has no interval.
+LOST = 0.01
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,8 @@ class Covariance:
         information: (K,) curvature of the sum along each, in units of its scale; 0 where nothing depends on it.
         freedom: (K,) degrees of freedom of the t distribution.
         white: (K,) standard errors if residuals were white, priors counted as data.
+        correlation: (K, K) of the components if residuals were white.
+        lost: (K,) whether a component has no interval, because too few blocks show it.
     """
 
     names: tuple[str, ...]
@@ -46,6 +56,8 @@ class Covariance:
     information: Floats
     freedom: Floats
     white: Floats
+    correlation: Floats
+    lost: np.ndarray[Any, np.dtype[np.bool_]]
 
     @property
     def std(self) -> Floats:
@@ -88,21 +100,42 @@ def covariance(
     information = np.diag(curvatures.sum(axis=0))
     prior_part = prior.T @ prior
     total = curvatures.sum(axis=0) + prior_part
-    without = np.linalg.inv(total - curvatures)
+    pairs = [inverse_of(total - each) for each in curvatures]
+    without, lost = np.stack([pair[0] for pair in pairs]), np.any([pair[1] for pair in pairs], axis=0)
     moves = np.einsum("bkl,bl->bk", without, scores)
     blocks = len(moves)
     # What only the priors hold moves with none of the blocks.
-    inverse = np.linalg.inv(total)
+    inverse, never = inverse_of(total)
     matrix = (blocks - 1) / blocks * moves.T @ moves + inverse @ prior_part @ inverse
     nothing = information <= 1e-12 * max(float(information.max()), 1e-300)
+    white = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    # One block says nothing of how an estimate differs from one to the next.
     return Covariance(
         names,
         values,
         np.outer(scale, scale) * matrix,
         np.where(nothing, 0.0, information),
         _freedom(curvatures, without, inverse),
-        scale * np.sqrt(np.diag(inverse)),
+        scale * white,
+        inverse / np.maximum(np.outer(white, white), 1e-300),
+        lost | never | (blocks < 2),
     )
+
+
+def inverse_of(matrix: Floats) -> tuple[Any, Any]:
+    """Return the inverse of a curvature (K, K), and which components lie in directions in which it has none.
+
+    In those directions the inverse is 0 (Moore and Penrose), after scaling the diagonal to 1.
+    """
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    good = values > SINGULAR * max(float(values.max(initial=0.0)), 1e-300)
+    if good.all():
+        return np.linalg.inv(matrix), np.zeros(len(scale), bool)
+    lost = np.sum(vectors[:, ~good] ** 2, axis=1) > LOST
+    found = (vectors[:, good] / values[good]) @ vectors[:, good].T / np.outer(scale, scale)
+    found[lost] = found[:, lost] = 0.0
+    return found, lost
 
 
 def _blocks(misfits: Sequence[Misfit], window_s: Sequence[float], robust: bool) -> tuple[Floats, Floats]:

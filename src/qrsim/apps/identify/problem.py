@@ -52,6 +52,7 @@ class Piece:
         measured: (T, C) measured channels of the whole log.
         windows: (W, n) rows of each window; those beyond its end repeat its last.
         used: (W, n) whether a row counts.
+        silent: channels that count for nothing, because they were not measured or do not follow their commands.
     """
 
     log: FlightLog
@@ -61,6 +62,14 @@ class Piece:
     measured: Floats
     windows: np.ndarray[Any, Any]
     used: np.ndarray[Any, Any]
+    silent: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> np.ndarray[Any, Any]:
+        """Whether a row of the log is in a window, (T,)."""
+        found = np.zeros(len(self.log.time), bool)
+        found[self.windows[self.used]] = True
+        return found
 
     @property
     def places(self) -> tuple[int, ...]:

@@ -120,9 +120,8 @@ def page(result: Result) -> str:
         lines.append(f"| {name} | {each['unit']} | {each['value']:.6g} | {span} | {each['start']:.6g} |")
     lines += [
         "",
-        *(f"- **{name}** not identified, held by its prior: {why}." for name, why in result.answer.left.items()),
+        *(f"- **{', '.join(names)}** {verdict}." for verdict, names in result.other_verdicts().items()),
     ]
-    lines += [f"- **{name}** ended at the bound of its search." for name in result.answer.at_bounds]
     lines += ["", "![constants](constants.png)", ""]
     for i in range(len(result.pieces)):
         lines += _log_section(result, i)
@@ -137,7 +136,12 @@ def _log_section(result: Result, i: int) -> list[str]:
         *(f"- {note}" for note in content["notes"]),
         "",
     ]
-    lines += ["| of this log | value | 95 % interval |", "|---|---|---|"]
+    lines += ["| signal | unit | std | noise | std/noise | |", "|---|---|---|---|---|---|"]
+    for name, each in content["channels"].items():
+        words = "identified" if each.get("identified") else "" if each["moves"] else "does not move"
+        numbers = f"{each['std']:.3g} | {each['noise']:.2g} | {each['ratio']:.3g}"
+        lines.append(f"| {name} | {each['unit']} | {numbers} | {words} |")
+    lines += ["", "| of this log | value | 95 % interval |", "|---|---|---|"]
     for name, each in content["nuisances"].items():
         span = f"{each['low']:.4g} to {each['high']:.4g}" if "low" in each else "given"
         lines.append(f"| {name} [{each['unit']}] | {each['value']:.4g} | {span} |")

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from qrsim.apps.identify.constants import unit_of
+from qrsim.apps.identify.constants import aspects_of, unit_of
 from qrsim.apps.identify.fit import Answer, Question
 from qrsim.apps.identify.problem import Piece
+from qrsim.apps.identify.verdicts import Verdict, channels_in
 from qrsim.errors import RunError
+from qrsim.flight_logs.excitation import Excitation
+from qrsim.flight_logs.signals import SIGNALS
 from qrsim.logs.writer import write_atomically
 from qrsim.scenarios.reading import dump_yaml
 
@@ -26,6 +29,8 @@ class Result:
         whiteness: of each log's residuals.
         wall_s: [s] that it took, compiling included.
         train: share of the rows that was fitted.
+        verdicts: on every constant of the vehicle.
+        excitations: of the training part of each log.
     """
 
     question: Question
@@ -35,11 +40,13 @@ class Result:
     whiteness: Sequence[dict[str, dict[str, float]]]
     wall_s: float
     train: float
+    verdicts: Mapping[str, Verdict]
+    excitations: Sequence[Excitation]
 
     def constants(self) -> dict[str, dict[str, Any]]:
         """Return each constant that was identified with its interval."""
         found = {}
-        for name in self.answer.estimated:
+        for name in (name for name, verdict in self.verdicts.items() if verdict.status == "identified"):
             low, high = self.answer.covariance.interval(name)
             found[name] = {
                 "value": self.answer.values[name], "low": low, "high": high, "start": self.question.start[name],
@@ -47,12 +54,29 @@ class Result:
             }  # fmt: skip
         return found
 
+    def other_verdicts(self) -> dict[str, list[str]]:
+        """Return the constants that were not identified by what is said of them."""
+        found: dict[str, list[str]] = {}
+        for name, verdict in self.verdicts.items():
+            if verdict.status == "fitted":
+                found.setdefault(f"fitted, but not known one by one: {verdict.why}", []).append(name)
+            elif verdict.status == "held":
+                found.setdefault(f"held at its start: {verdict.why}", []).append(name)
+        return found
+
     def to_json(self) -> dict[str, Any]:
         """Return everything as plain values."""
         return {
             "constants": self.constants(),
-            "held_by_prior": dict(self.answer.left),
-            "at_bounds": list(self.answer.at_bounds),
+            "verdicts": {
+                name: {
+                    "status": each.status,
+                    "value": self.answer.values[name],
+                    "start": self.question.start[name],
+                    "why": each.why,
+                }
+                for name, each in self.verdicts.items()
+            },
             "trained_on_share": self.train,
             "wall_s": round(self.wall_s, 2),
             "evaluations": self.answer.evaluations,
@@ -62,6 +86,8 @@ class Result:
                     "kind": piece.log.kind,
                     "notes": piece.log.notes,
                     "nuisances": self._nuisances(i),
+                    "channels": self.channels(i),
+                    "standing_still_share": self.excitations[i].still,
                     "noise": self.answer.noise[i],
                     "held_out": self.held_out[i],
                     "whiteness": self.whiteness[i],
@@ -70,11 +96,35 @@ class Result:
             ],
         }
 
+    def channels(self, i: int) -> dict[str, dict[str, Any]]:
+        """Return, of each signal of a log, how much it moves, and whether it is one that constants were identified by.
+
+        ``identified`` is for measured signals alone: an aspect that the log shows has a constant that was identified.
+        """
+        known = {
+            channel
+            for name, verdict in self.verdicts.items()
+            if verdict.status == "identified"
+            for aspect in aspects_of(name, self.question.separate)
+            if aspect in self.excitations[i].shown
+            for channel in channels_in(aspect)
+        }
+        found = {}
+        for name, movement in self.excitations[i].movements.items():
+            found[name] = {
+                "std": movement.std, "noise": movement.noise, "ratio": movement.ratio, "moves": movement.moves,
+                "unit": SIGNALS[name].unit,
+            }  # fmt: skip
+            if not SIGNALS[name].command:
+                found[name]["identified"] = name in known
+        return found
+
     def _nuisances(self, i: int) -> dict[str, dict[str, Any]]:
         found: dict[str, dict[str, Any]] = {}
         for name, value in self.answer.nuisances[i].items():
             found[name] = {"value": value, "unit": unit_of(name)}
-            if f"{name}@{i}" in self.answer.covariance.names:
+            names = self.answer.covariance.names
+            if f"{name}@{i}" in names and not self.answer.covariance.lost[names.index(f"{name}@{i}")]:
                 found[name]["low"], found[name]["high"] = self.answer.covariance.interval(f"{name}@{i}")
         return found
 
@@ -87,7 +137,8 @@ class Result:
         """Return the text of the vehicle's file."""
         logs = ", ".join(piece.log.source.name for piece in self.pieces)
         head = (
-            f"# Identified by 'qrsim identify' from {logs}.\n"
+            f"# Identified by 'qrsim identify' from {logs}: {', '.join(self.constants()) or 'no constant by itself'}.\n"
+            "# All others: see 'verdicts' below.\n"
             f"# In a scenario:  fleets: {{NAME: {{vehicle: {{file: {path.name}}}}}}}\n"
         )
         return head + dump_yaml({"vehicle": self.vehicle(), "identified": rounded(self.to_json())})

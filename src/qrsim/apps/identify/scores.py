@@ -26,9 +26,10 @@ def open_loop(piece: Piece, values: Mapping[str, float], nuisances: Mapping[str,
 
 
 def mean_square(piece: Piece, simulated: Floats) -> dict[str, float]:
-    """Return the mean squared error of each channel."""
-    error = np.square(simulated - piece.recorded)[piece.used]
-    return dict(zip(piece.channels, error.mean(axis=0).tolist(), strict=True))
+    """Return the mean squared error of each channel; infinite where a simulation has left what numbers can hold."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.square(simulated - piece.recorded)[piece.used].mean(axis=0)
+    return dict(zip(piece.channels, np.nan_to_num(error, nan=np.inf, posinf=np.inf).tolist(), strict=True))
 
 
 def score(
@@ -67,8 +68,9 @@ def score(
 
 
 def lower(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
-    """Return by how many per cent each error became smaller."""
-    return {name: 100.0 * (1.0 - after[name] / before[name]) for name in before if before[name] > 0.0}
+    """Return by how many per cent each error became smaller; errors that are 0 or infinite have no such number."""
+    names = [name for name in before if before[name] > 0.0 and math.isfinite(before[name] + after[name])]
+    return {name: 100.0 * (1.0 - after[name] / before[name]) for name in names}
 
 
 def _horizon(
@@ -87,6 +89,8 @@ def _horizon(
     errors = mean_square(piece, still)
     result["no_change"] = errors["velocity_north"] + errors["velocity_east"]
     result["pieces"] = piece.windows.shape[1]
+    if not all(math.isfinite(each) and each > 0.0 for each in (result[name] for name in cases)):
+        return {}
     result["lower_percent"] = 100.0 * (1.0 - result["identified"] / result["start"])
     result["lower_percent_with_nuisances"] = 100.0 * (1.0 - result["identified"] / result["start_with_nuisances"])
     return result
@@ -104,8 +108,8 @@ def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
     for c, name in enumerate(piece.channels):
         r = np.where(piece.used, residuals[:, :, c] - residuals[:, :, c][piece.used].mean(), 0.0)
         correlations = _correlations(r, r, piece)
-        count = int(piece.used.sum())
-        box = count * (count + 2) * float(np.sum(correlations[1 : LAGS + 1] ** 2 / (count - np.arange(1, LAGS + 1))))
+        count, lags = int(piece.used.sum()), np.arange(1, len(correlations))
+        box = count * (count + 2) * float(np.sum(correlations[1:] ** 2 / np.maximum(count - lags, 1)))
         below = np.flatnonzero(correlations < 1.0 / math.e)
         largest = 0.0
         for k in range(commands.shape[2]):
@@ -113,9 +117,9 @@ def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
             if np.std(u[piece.used]) > 1e-9:
                 largest = max(largest, float(np.abs(_correlations(np.where(piece.used, u, 0.0), r, piece)).max()))
         result[name] = {
-            "lag_1": float(correlations[1]),
+            "lag_1": float(correlations[1]) if len(correlations) > 1 else 0.0,
             "correlated_s": float(below[0] if len(below) else len(correlations)) * piece.log.dt,
-            "ljung_box_p": float(stats.chi2.sf(box, LAGS)),
+            "ljung_box_p": float(stats.chi2.sf(box, max(len(lags), 1))),
             "input": largest,
         }
     return result
@@ -123,7 +127,7 @@ def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
 
 def _correlations(first: Floats, second: Floats, piece: Piece) -> Floats:
     """Return the correlations of (W, n) with what comes 0 to 20 rows later, within windows; rows unused are 0."""
-    length = min(LAGS, len(first) - 2)
+    length = max(min(LAGS, len(first) - 2), 0)
     scale = math.sqrt(float(np.sum(first**2)) * float(np.sum(second**2))) or 1.0
     sums = [float(np.sum(first[: len(first) - lag] * second[lag:])) for lag in range(length + 1)]
     return np.array(sums) / scale
