@@ -157,13 +157,13 @@ def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation
     """
     lines = []
     for log, each in zip(logs, excitations, strict=True):
-        lines.append(f"{log.source}: {nature(each)}")
+        lines.append(f"{log.source}: refused, and nothing is written: {nature(each)}")
         lines += [f"  {told(name, movement)}" for name, movement in each.movements.items()]
     reasons: dict[str, list[str]] = {}
     for name, why in held.items():
         reasons.setdefault(why, []).append(name)
     lines += [f"  {', '.join(names)}: {why}" for why, names in reasons.items()]
-    raise UsageError("\n".join(["no constant can be identified, and nothing is written", *lines]))
+    raise UsageError("\n".join(lines))
 
 
 def refuse_useless(logs: Sequence[FlightLog], held: Mapping[str, str]) -> None:
