@@ -5,13 +5,21 @@ from __future__ import annotations
 import io
 import subprocess
 import sys
+import time
+import tracemalloc
+import zipfile
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from evidence._mutated_states import attempt, mutants
+from tests import small_worlds
 
 import qrsim
 from qrsim.errors import UsageError
+from qrsim.simulation import Simulation
 
 SCENARIO = "outdoor_patrol"
 
@@ -82,14 +90,140 @@ def test_of_another_version(flown: tuple[bytes, bytes]) -> None:
     simulation = qrsim.load(SCENARIO)
     with pytest.raises(UsageError, match="another version"):
         simulation.load(rewritten(flown[0], format=1))
-    with pytest.raises(UsageError, match="another version"):
+    with pytest.raises(UsageError, match=r"it has 7 floats, this simulation's state \d+: it is of another version"):
         simulation.load(rewritten(flown[0], floats=np.zeros(7, np.float32)))
     # What was refused has changed nothing.
+    with pytest.raises(UsageError, match="call reset"):
+        simulation.step()
     assert simulation.load(flown[0]).time == pytest.approx(73 * 0.02)
 
 
-def test_missing_file_and_save_before_the_start() -> None:
+def test_missing_file_and_save_before_the_start(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"nowhere\.npz: cannot be read"):
         qrsim.load("hover").load("nowhere.npz")
+    with pytest.raises(UsageError, match=r"cannot be read: it is not a regular file"):
+        qrsim.load("hover").load("/dev/zero")
+    with pytest.raises(UsageError, match=r"expected bytes or the path of a file, found int"):
+        qrsim.load("hover").load(7)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="call reset"):
         qrsim.load("hover").save()
+    # Larger than any state, and not read: it takes no room on the disk.
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(2**33)
+    with pytest.raises(UsageError, match=r"8589934592 bytes; a saved state has at most 268435456"):
+        qrsim.load("hover").load(tmp_path / "large")
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    """One simulation for everything that is refused."""
+    return qrsim.load(SCENARIO, seed=1)
+
+
+def with_float(data: bytes, simulation: Simulation, pick: Any, value: float) -> bytes:
+    """The archive with one number of the state replaced: the first of the leaf that is picked."""
+    with np.load(io.BytesIO(data)) as archive:
+        floats, integers = archive["floats"], archive["integers"]
+    layout = simulation.packed[0]
+    number = pick(layout.numbers())
+    buffer = floats if layout.is_float[number] else integers
+    buffer[layout.slices[number].start] = value
+    return rewritten(data, floats=floats, integers=integers)
+
+
+@pytest.mark.parametrize("dtype", ["int8", "bool", "float16", "float64", "int32", "complex64", ">f4"])
+def test_floats_of_another_type(simulation: Simulation, flown: tuple[bytes, bytes], dtype: str) -> None:
+    with np.load(io.BytesIO(flown[0])) as archive:
+        count = archive["floats"].size
+    with pytest.raises(UsageError, match=r"saved state: its floats are .*"):
+        simulation.load(rewritten(flown[0], floats=np.zeros(count, dtype)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"tick": -1}, "its tick is -1; expected a whole number from 0 to 2147483646"),
+        ({"tick": 2**40}, "its tick is 1099511627776; expected"),
+        ({"tick": 1.5}, "its tick is float64; expected a whole number"),
+        ({"seed": -1}, "its seed is -1; expected a whole number from 0 to 9223372036854775807"),
+        ({"seed": 6}, "its randomness is not that of its seed, 6"),
+        ({"number": 2**32}, "its number is 4294967296; expected a whole number from 0 to 4294967295"),
+        ({"number": 1}, "its randomness is not that of its seed, 5"),
+        ({"name": 3}, "its name is no text"),
+        ({"name": "hover"}, "of the scenario 'hover', this simulation is 'outdoor_patrol'"),
+        ({"name": [SCENARIO]}, "its name is no text"),
+        ({"more": 1}, "another version of qrsim, or not by qrsim"),
+        ({"floats": np.array([[1, "x"]], object)}, "no state that qrsim saved, or it is damaged"),
+        (
+            {"integers": np.zeros((0, 3), np.int32)},
+            r"its integers are int32 of shape \(0, 3\); expected int32, one row",
+        ),
+    ],
+)
+def test_wrong_numbers(
+    simulation: Simulation, flown: tuple[bytes, bytes], changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        simulation.load(rewritten(flown[0], **changes))
+
+
+@pytest.mark.parametrize(
+    ("pick", "value", "message"),
+    [
+        (lambda s: s.sky.satellites_ned.x, np.nan, "the sky is not finite"),
+        (lambda s: s.fleets[0].vehicle.position_ned.x, np.nan, "the vehicle of fleet 0 is not finite"),
+        (lambda s: s.fleets[0].vehicle.thrust, np.inf, "the vehicle of fleet 0 is not finite"),
+        (lambda s: s.fleets[0].estimate.position_ned.z, np.nan, "the estimate of fleet 0 is not finite"),
+        (lambda s: s.fleets[0].violation.code, 99, "why a vehicle stopped, of fleet 0, is 99; allowed: 0 to 17"),
+        (lambda s: s.fleets[0].guidance.index, 4, "number of a waypoint of fleet 0 is 4; allowed: 0 to 3"),
+        (lambda s: s.fleets[0].command_clipped, 7, "7 is neither 0 nor 1"),
+        (lambda s: s.fleet_keys[0].high, 1, "its randomness is not that of its seed, 5"),
+    ],
+)
+def test_what_no_simulation_can_be_in(
+    simulation: Simulation, flown: tuple[bytes, bytes], pick: Any, value: float, message: str
+) -> None:
+    simulation.load(flown[0])
+    with pytest.raises(UsageError, match=f"damaged: .*{message}|{message}"):
+        simulation.load(with_float(flown[0], simulation, pick, value))
+    # What was refused has changed nothing.
+    assert simulation.save() == flown[0]
+
+
+def test_the_state_of_vehicles_that_have_stopped_is_taken() -> None:
+    """Their readings are NaN, and so may be what was asked of them."""
+    started = small_worlds.simulate(small_worlds.quiet(), seed=2)
+    beyond = started.truth.position_ned
+    started.step(np.tile([0.6, 0.0, 0.9, 0.0, 12.0], (started.size, 1)), ticks=400)
+    assert not started.valid.all()
+    again = small_worlds.simulate(small_worlds.quiet(), seed=3)
+    again.load(started.save())
+    assert again.reasons == started.reasons
+    assert np.abs(again.truth.position_ned - beyond).max() > 1.0
+
+
+def test_a_bomb_is_not_opened(simulation: Simulation, flown: tuple[bytes, bytes]) -> None:
+    """A thousand million zeros in a megabyte."""
+    buffer = io.BytesIO()
+    with np.load(io.BytesIO(flown[0])) as archive, zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as bomb:
+        for name in archive.files:
+            with bomb.open(f"{name}.npy", "w") as file:
+                np.save(file, archive[name] if name != "floats" else np.zeros(2**26, np.float32))
+    tracemalloc.start()
+    with pytest.raises(UsageError, match="no state that qrsim saved, or it is damaged"):
+        simulation.load(buffer.getvalue())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**22
+
+
+def test_300_mutants(simulation: Simulation, flown: tuple[bytes, bytes]) -> None:
+    """The small form of the fuzz study: each is refused in one line or flown, in less than 2 s."""
+    results = Counter()
+    for kind, data in mutants(flown[0], seed=20, count=300):
+        begun = time.perf_counter()
+        results[attempt(simulation, data)] += 1
+        assert time.perf_counter() - begun < 2.0, kind
+    # There is no study of what is always refused, nor of what never is.
+    assert results["refused"] > 200
+    assert results["taken"] > 10

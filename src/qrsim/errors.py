@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 
 class QrsimError(Exception):
@@ -35,9 +36,17 @@ class ScenarioError(UsageError):
         head = f"{source}: {count} problem{'s' if count != 1 else ''}"
         super().__init__("\n".join([head, *(f"  {problem}" for problem in self.problems)]))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # By its own arguments, which are not those of Exception; notes and the like are in the dict.
+        return type(self), (self.source, self.problems), self.__dict__
+
 
 class RunError(QrsimError):
     """A run that was well described could not be carried out (disk full, folder not writable, data missing)."""
+
+
+class BusyError(RunError, RuntimeError):
+    """Two threads used at once what only one may use at a time."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

@@ -42,11 +42,21 @@ class Pilot:
             if function is not None:
                 with simulation.precision_context(), function.blamed():
                     self.memories[function.what] = function.init(simulation.reading)
+        self._compile()
+
+    def _compile(self) -> None:
         self._compiled = {
             function.what: jax.jit(lambda state, tick, memory, f=function: self._answer(f, state, tick, memory))
             for function in (self.policy, self.estimator)
             if function is not None and function.compiled
         }
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_compiled"}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        vars(self).update(kept)
+        self._compile()
 
     def record(self, ticks: int, capacity: int = 50) -> History:
         """Fly at most ``ticks`` ticks, no more than until somebody must be asked again, and return their states.

@@ -68,6 +68,9 @@ class UserFunction:
         except Exception as error:
             raise RunError(f"{self.what} {self.name}{where}: {type(error).__name__}: {error}") from error
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return user_function, (self.what, self.given)
+
     def __call__(self, reading: Any, memory: Any) -> tuple[Any, Any]:
         """Return the result and the new memory."""
         result = self.step(reading, memory)

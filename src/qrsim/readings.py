@@ -166,7 +166,7 @@ class FleetReading:
         if sensor not in self.sensors:
             raise AttributeError(f"no sensor is called '{sensor}'{did_you_mean(sensor, self.sensors)}")
         picture = None if self._picture is None else partial(self._picture, sensor)
-        return SensorReading(sensor, self._reading(sensor), self._site, lambda: self._withheld(sensor), picture)
+        return SensorReading(sensor, self._reading(sensor), self._site, partial(self._withheld, sensor), picture)
 
     def _reading(self, sensor: str) -> Any:
         return self._state.readings[self.sensors.index(sensor)]
@@ -223,6 +223,9 @@ class Reading:
     @property
     def state(self) -> State:
         """The whole state; not for policies that are to be judged: it is the truth."""
+        return self._whole()
+
+    def _whole(self) -> State:
         return self._state.whole() if isinstance(self._state, Glimpse) else self._state
 
     @cached_property
@@ -233,8 +236,8 @@ class Reading:
         pictured = isinstance(state, State | Glimpse)
         return {
             fleet.name: FleetReading(
-                fleet, state.fleets[i], lambda: state.sky, self._tick, self._site,
-                partial(_picture, self._world, lambda: self.state, i) if pictured else None,
+                fleet, state.fleets[i], partial(getattr, state, "sky"), self._tick, self._site,
+                partial(_picture, self._world, self._whole, i) if pictured else None,
             )
             for i, fleet in enumerate(self._world.fleets)
         }  # fmt: skip

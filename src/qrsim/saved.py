@@ -4,17 +4,34 @@ from __future__ import annotations
 
 import hashlib
 import io
-import zipfile
+import stat
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
+from qrsim.archive import DamagedError, OtherNamesError, read_archive
+from qrsim.control import RouteState
 from qrsim.core.pack import Buffers, Packer
 from qrsim.errors import RunError, UsageError
+from qrsim.models.area import REASONS
+from qrsim.models.sp3 import Sp3Orbits
+from qrsim.models.terrain import OCCLUSION
+from qrsim.world import FleetState, State, World
 
-FORMAT = 2
+FORMAT = 3
+NAMES = ("format", "floats", "integers", "tick", "seed", "number", "name", "world")
+LARGEST_TICK = 2**31 - 2
+LARGEST_SEED, LARGEST_NUMBER = 2**63 - 1, 2**32 - 1
+# No state comes near it: a thousand vehicles take 600 kB.
+LARGEST_FILE = 2**28
+# What may be NaN of a state: what sensors say where they have nothing to say, and what nobody asked for.
+MAY_BE_NAN = ("readings", "true_readings", "passed_on", "sensors", "setpoint", "controller", "violation")
+# What may be NaN of a vehicle that has stopped.
+MAY_BE_NAN_ONCE_STOPPED = ("command", "estimate")
 
 
 @dataclass(frozen=True)
@@ -24,7 +41,7 @@ class SavedState:
     Attributes:
         floats, integers: the packed state.
         tick: steps done.
-        seed: of all randomness.
+        seed, number: of all randomness.
         name: of the scenario.
         world: fingerprint of the world's structure and parameters.
     """
@@ -33,50 +50,41 @@ class SavedState:
     integers: np.ndarray[Any, Any]
     tick: int
     seed: int
+    number: int
     name: str
     world: str
 
     def to_bytes(self) -> bytes:
         """Return the state as a NumPy archive."""
         buffer = io.BytesIO()
-        np.savez(
-            buffer,
-            format=FORMAT,
-            floats=self.floats,
-            integers=self.integers,
-            tick=self.tick,
-            seed=self.seed,
-            name=self.name,
-            world=self.world,
-        )
+        content: dict[str, Any] = {name: getattr(self, name, FORMAT) for name in NAMES}
+        np.savez(buffer, **content)
         return buffer.getvalue()
 
     @staticmethod
     def of(source: bytes | str | Path) -> SavedState:
-        """Read a state from bytes or a file.
+        """Read a state from bytes or a file, and check what can be without knowing whose it is.
 
         Raises:
-            UsageError: the file is missing, or this is no saved state of this version.
+            UsageError: the file is missing, or this is no saved state of this version, or a damaged one.
         """
-        where = "saved state" if isinstance(source, bytes) else f"saved state {source}"
+        where = "saved state" if isinstance(source, bytes | bytearray | memoryview) else f"saved state {source}"
         try:
-            data = source if isinstance(source, bytes) else Path(source).read_bytes()
-            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-                content = {name: archive[name] for name in archive.files}
-        except OSError as error:
-            raise UsageError(f"{where}: cannot be read: {error.strerror or error}") from None
-        except (ValueError, EOFError, zipfile.BadZipFile):
+            content = read_archive(_data(source, where), NAMES)
+        except DamagedError:
             raise UsageError(f"{where}: this is no state that qrsim saved, or it is damaged") from None
-        expected = {"format", "floats", "integers", "tick", "seed", "name", "world"}
-        if set(content) != expected or int(content["format"]) != FORMAT:
-            raise UsageError(f"{where}: it was saved by another version of qrsim, or not by qrsim")
+        except OtherNamesError:
+            raise _another_version(where) from None
+        if _whole(content["format"]) != FORMAT:
+            raise _another_version(where)
         return SavedState(
-            content["floats"],
-            content["integers"],
-            int(content["tick"]),
-            int(content["seed"]),
-            str(content["name"]),
-            str(content["world"]),
+            _buffer(where, "floats", content, ("float32", "float64")),
+            _buffer(where, "integers", content, ("int32",)),
+            _number(where, "tick", content, LARGEST_TICK),
+            _number(where, "seed", content, LARGEST_SEED),
+            _number(where, "number", content, LARGEST_NUMBER),
+            _text(where, "name", content),
+            _text(where, "world", content),
         )
 
     def check(self, name: str, world: str) -> None:
@@ -86,11 +94,160 @@ class SavedState:
             UsageError: the name or a parameter of the world differs.
         """
         if self.name != name:
-            raise UsageError(f"saved state: it is of the scenario '{self.name}', this simulation is '{name}'")
+            raise UsageError(f"saved state: it is of the scenario {self.name!r}, this simulation is {name!r}")
         if self.world != world:
             raise UsageError(
                 f"saved state: it is of '{name}' with other parameters, vehicles, sensors or precision than here"
             )
+
+    def buffers(self, layout: Packer, like: Buffers) -> Buffers:
+        """Return the packed state, of the types and sizes of another one.
+
+        Args:
+            layout: of both.
+            like: the other one.
+
+        Raises:
+            UsageError: it has another type or size.
+        """
+        for what, part, own in zip(("floats", "integers"), (self.floats, self.integers), like, strict=True):
+            if part.dtype != own.dtype:
+                raise UsageError(f"saved state: its {what} are {part.dtype}, those of this simulation {own.dtype}")
+            if part.shape != own.shape:
+                raise UsageError(
+                    f"saved state: it has {part.size} {what}, this simulation's state {own.size}: "
+                    "it is of another version"
+                )
+        for number, dtype in enumerate(layout.dtypes):
+            values = self.integers[layout.slices[number]]
+            if dtype.kind == "b" and not ((values == 0) | (values == 1)).all():
+                raise UsageError(f"saved state: it is damaged: {values[(values & ~1) != 0][0]} is neither 0 nor 1")
+        return self.floats, self.integers
+
+    def check_state(self, world: World, state: State, keys: Any) -> None:
+        """Refuse a state that no simulation of a world can be in.
+
+        Args:
+            world: of this simulation.
+            state: unpacked, NumPy arrays.
+            keys: of this state's seed and number, ``world.keys_of``.
+
+        Raises:
+            UsageError: something is not finite or out of its range, or it is not of its own seed.
+        """
+        for where, leaf in _finite_leaves(world, state):
+            if not np.isfinite(leaf).all():
+                raise UsageError(f"saved state: it is damaged: {where} is not finite")
+        for where, leaf, low, high in _ranges(world, state, self.tick):
+            wrong = (leaf < low) | (leaf > high)
+            if wrong.any():
+                raise UsageError(
+                    f"saved state: it is damaged: {where} is {leaf[wrong].flat[0]}; allowed: {low} to {high}"
+                )
+        own, given = (keys.sky, keys.fleets, keys.plume), (state.sky_keys, state.fleet_keys, state.contents_keys)
+        if not all(map(np.array_equal, jax.tree.leaves(own), jax.tree.leaves(given))):
+            raise UsageError(f"saved state: it is damaged: its randomness is not that of its seed, {self.seed}")
+
+
+def _data(source: Any, where: str) -> bytes:
+    if isinstance(source, bytes | bytearray | memoryview):
+        size = memoryview(source).nbytes
+    elif isinstance(source, str | Path):
+        size, source = _file(Path(source), where)
+    else:
+        raise UsageError(f"saved state: expected bytes or the path of a file, found {type(source).__name__}")
+    if size > LARGEST_FILE:
+        raise UsageError(f"{where}: {size} bytes; a saved state has at most {LARGEST_FILE}")
+    return source.read_bytes() if isinstance(source, Path) else bytes(source)
+
+
+def _file(path: Path, where: str) -> tuple[int, Path]:
+    """Return the size of a file, and the file."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if not stat.S_ISREG(found.st_mode):
+        raise UsageError(f"{where}: cannot be read: it is not a regular file")
+    return found.st_size, path
+
+
+def _another_version(where: str) -> UsageError:
+    return UsageError(f"{where}: it was saved by another version of qrsim, or not by qrsim")
+
+
+def _whole(array: np.ndarray[Any, Any]) -> int | None:
+    """Return the whole number that an array is, if it is one."""
+    return int(array) if array.shape == () and array.dtype.kind in "iu" else None
+
+
+def _number(where: str, name: str, content: dict[str, Any], largest: int) -> int:
+    found = _whole(content[name])
+    if found is None or not 0 <= found <= largest:
+        what = content[name].dtype if found is None else found
+        raise UsageError(f"{where}: its {name} is {what}; expected a whole number from 0 to {largest}")
+    return found
+
+
+def _text(where: str, name: str, content: dict[str, Any]) -> str:
+    array = content[name]
+    try:
+        if array.shape == () and array.dtype.kind == "U":
+            return str(array)
+    except ValueError:  # it is no Unicode
+        pass
+    raise UsageError(f"{where}: its {name} is no text")
+
+
+def _buffer(where: str, name: str, content: dict[str, Any], known: tuple[str, ...]) -> np.ndarray[Any, Any]:
+    array = content[name]
+    if array.ndim != 1 or array.dtype.name not in known or not array.dtype.isnative:
+        raise UsageError(
+            f"{where}: its {name} are {array.dtype} of shape {array.shape}; expected {' or '.join(known)}, one row"
+        )
+    return array
+
+
+def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+    """Yield where and what in a state is finite in every simulation."""
+    # Recorded orbits end, and have gaps.
+    if not isinstance(world.sky.orbits, Sp3Orbits):
+        yield from _floats("the sky", state.sky)
+    yield from _floats("what the episode has drawn", state.drawn)
+    yield from _floats("what the area holds", state.contents)
+    for number, fleet in enumerate(state.fleets):
+        flies = np.asarray(fleet.violation.code) == 0
+        for name in FleetState.__dataclass_fields__:
+            if name not in MAY_BE_NAN:
+                here = f"the {name.replace('_', ' ')} of fleet {number}"
+                stopped = name in MAY_BE_NAN_ONCE_STOPPED
+                yield from _floats(here, getattr(fleet, name), flies if stopped else None)
+
+
+def _floats(where: str, tree: Any, flies: Any = None) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+    for leaf in jax.tree.leaves(tree):
+        if np.issubdtype(leaf.dtype, np.floating):
+            yield where, leaf if flies is None or leaf.shape[:1] != flies.shape else leaf[flies]
+
+
+def _ranges(world: World, state: State, tick: int) -> Iterator[tuple[str, Any, int, int]]:
+    """Yield where and what in a state is a number of something, and its smallest and largest value."""
+    for number, (fleet, now) in enumerate(zip(world.fleets, state.fleets, strict=True)):
+        here = f"of fleet {number}"
+        yield f"the reason why a vehicle stopped, {here},", now.violation.code, 0, len(REASONS) - 1
+        last = max(0, len(fleet.route.yaw) - 1)
+        if isinstance(now.guidance, RouteState):
+            yield f"the number of a waypoint {here}", now.guidance.index, 0, last
+            yield f"the number of waypoints reached {here}", now.guidance.reached, 0, tick + 1
+    contents = state.contents
+    for name, what, low, high in (
+        ("terrain", "classes", 0, OCCLUSION),
+        ("persons", "found_tick", -1, tick),
+        ("plume", "released", 0, tick + 1),
+    ):
+        part = getattr(getattr(contents, name), what, None)
+        if part is not None:
+            yield f"{what.replace('_', ' ')} of the {name}", part, low, high
 
 
 def write(path: str | Path, data: bytes) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import jax
 import numpy as np
 
 from qrsim.actions import ActionChecker
+from qrsim.alone import alone
 from qrsim.configuration import use_compilation_cache
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
@@ -20,12 +22,11 @@ from qrsim.models.area import reason_text
 from qrsim.models.site import Site
 from qrsim.placing import checked_rows, refuse_misplaced
 from qrsim.readings import Reading, Truth
-from qrsim.saved import SavedState, fingerprint, write
+from qrsim.saved import LARGEST_TICK, SavedState, fingerprint, write
 from qrsim.ticking import ticks as ticks_of
-from qrsim.world import FleetState, State, World, keys_of, refuse_unplaced
+from qrsim.world import FleetState, State, World, WorldKeys, keys_of, refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]
-LARGEST_TICK = 2**31 - 2
 
 
 class History:
@@ -41,6 +42,10 @@ class History:
         self.ticks = ticks
         self.time = ticks * time_step
         self.state = state
+
+
+# Of a simulation, what a copy makes for itself.
+_MADE_AGAIN = ("_checker", "_ticks", "_numbers", "_host", "_flying", "_changing")
 
 
 class _Snapshot:
@@ -60,6 +65,10 @@ class _Snapshot:
 
 class Simulation:
     """A world that flies.
+
+    One thread at a time may fly it: where another is in a call that changes its state, ``reset``, ``step`` and the like
+    raise a ``BusyError`` at once, and the first goes on undisturbed. Looking at it is allowed at any time, and shows it
+    between two steps. It can be pickled and deep-copied at any time, and a copy has the same future.
 
     Args:
         world: its parameters, as arrays of one floating-point type.
@@ -93,6 +102,23 @@ class Simulation:
         self._numbers: Any = None
         self._state: Buffers | None = None
         self._host: _Snapshot | None = None
+        self._flying = threading.RLock()
+        # Held while the state is changed or copied.
+        self._changing = threading.RLock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Programs are those of the world, and made again; locks are nobody else's.
+        with self._changing:
+            kept = {name: value for name, value in vars(self).items() if name not in _MADE_AGAIN}
+            return kept | {"_state": None if self._state is None else tuple(map(np.array, self._state))}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__init__(kept["world"], seed=kept["seed"], number=kept["number"])  # type: ignore[misc]
+        vars(self).update(kept)
+        if self._state is not None and self._layout is not None:
+            self._numbers = self._layout.numbers()
+            with self.precision_context():
+                self._state = self._ticks.adopt(self._layout, self._state)
 
     @property
     def precision(self) -> str:
@@ -109,20 +135,23 @@ class Simulation:
         """Simulated time since the reset [s]."""
         return self.tick * self.world.time_step
 
+    @alone
     def reset(self, seed: int | None = None) -> Reading:
         """Start an episode and return its first reading; a new seed makes another episode."""
         if seed is not None:
             self.seed = _checked_seed(seed)
-        with self.precision_context():
-            keys = keys_of(self.world, Key.root(self.seed, self.number))
-            self._layout, self._state = self._ticks.reset(keys)
+        with self._changing, self.precision_context():
+            self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
             self._numbers = self._layout.numbers()
+            self.tick, self._host = 0, None
             placed = Glimpse(self._layout, self._state, self._numbers, (State,)).placed
             refuse_unplaced(self.world, placed)
-        self.tick = 0
-        self._host = None
         return self.reading
 
+    def _keys(self, seed: int, number: int) -> WorldKeys:
+        return keys_of(self.world, Key.root(seed, number))
+
+    @alone
     def step(self, command: Any = None, ticks: int = 1, estimate: Estimate | None = None) -> Reading:
         """Advance and return the reading at the end.
 
@@ -139,20 +168,25 @@ class Simulation:
             UsageError: wrong shape, a value for a vehicle that flies that is not finite, one outside its range (field,
                 value and range are named), or a number of ticks that is not a positive integer.
         """
-        self.advance(command, ticks, estimate)
+        self._advance(command, ticks, estimate)
         return self.reading
 
+    @alone
     def advance(self, command: Any = None, ticks: int = 1, estimate: Estimate | None = None) -> None:
         """Advance as ``step`` does, for those who do not look at the reading of every step."""
+        self._advance(command, ticks, estimate)
+
+    def _advance(self, command: Any, ticks: int, estimate: Estimate | None) -> None:
         actions = self._checker.actions(command, lambda: self.valid)
         estimates = self._checker.estimates(estimate)
         count = self._checked_ticks(ticks)
         layout, state = self._running()
-        with self.precision_context():
+        with self._changing, self.precision_context():
             self._state = self._ticks.advance(layout, state, self.tick, count, (actions, estimates))
-        self.tick += count
-        self._host = None
+            self.tick += count
+            self._host = None
 
+    @alone
     def record(self, ticks: int, command: Any = None, capacity: int = 50, estimate: Estimate | None = None) -> History:
         """Advance as ``step`` does and return the state of every tick on the way.
 
@@ -167,13 +201,14 @@ class Simulation:
         if count > capacity:
             raise UsageError(f"ticks: {count} is more than the capacity, {capacity}")
         layout, state = self._running()
-        with self.precision_context():
+        with self._changing, self.precision_context():
             self._state, rows = self._ticks.record(layout, state, self.tick, count, (actions, estimates), capacity)
-        numbers = np.arange(self.tick + 1, self.tick + count + 1)
-        self.tick += count
-        self._host = None
+            numbers = np.arange(self.tick + 1, self.tick + count + 1)
+            self.tick += count
+            self._host = None
         return History(numbers, self.world.time_step, layout.unpack(rows))
 
+    @alone
     def set_state(self, state: Any) -> Reading:
         """Put vehicles into given states, flying again where they had stopped, and return the reading there.
 
@@ -193,13 +228,14 @@ class Simulation:
         """
         layout, before = self._running()
         rows, chosen = checked_rows(state, self.vehicle_names, self.dtype)
-        with self.precision_context():
+        with self._changing, self.precision_context():
             changed = self._ticks.place(layout, before, self.tick, (rows, chosen))
-        fleets = layout.unpack(changed).fleets
-        refuse_misplaced([fleet.violation for fleet in fleets], chosen, self.vehicle_names)
-        self._state, self._host = changed, None
+            fleets = layout.unpack(changed).fleets
+            refuse_misplaced([fleet.violation for fleet in fleets], chosen, self.vehicle_names)
+            self._state, self._host = changed, None
         return self.reading
 
+    @alone
     def save(self, path: str | Path | None = None) -> bytes:
         """Return the whole state as bytes, and write them to a file where a path is given.
 
@@ -209,29 +245,36 @@ class Simulation:
         """
         _, state = self._running()
         floats, integers = (np.array(buffer) for buffer in state)
-        data = SavedState(floats, integers, self.tick, self.seed, self.name, self._fingerprint()).to_bytes()
+        where = (self.tick, self.seed, self.number)
+        data = SavedState(floats, integers, *where, self.name, self._fingerprint()).to_bytes()
         if path is not None:
             write(path, data)
         return data
 
+    @alone
     def load(self, source: bytes | str | Path) -> Reading:
         """Continue from a saved state, of this scenario with these parameters; the future is that of the original.
 
+        What is read is checked first, and where it is refused, nothing has changed.
+
         Raises:
-            UsageError: it is no saved state, or one of another scenario or version.
+            UsageError: it is no saved state, a damaged one, or one of another scenario or version.
         """
         saved = SavedState.of(source)
         saved.check(self.name, self._fingerprint())
-        if self._layout is None:
-            self.reset(saved.seed)
-        layout, state = self._running()
-        if [part.shape for part in (saved.floats, saved.integers)] != [part.shape for part in state]:
-            raise UsageError("saved state: its size is not that of this simulation's state: it is of another version")
-        with self.precision_context():
-            self._state = self._ticks.adopt(layout, (saved.floats, saved.integers))
-        self.tick, self.seed, self._host = saved.tick, saved.seed, None
+        with self._changing, self.precision_context():
+            keys = self._keys(saved.seed, saved.number)
+            layout, own = (self._layout, self._state) if self._layout is not None else self._ticks.reset(keys)
+            assert layout is not None
+            assert own is not None
+            buffers = saved.buffers(layout, own)
+            saved.check_state(self.world, layout.unpack(buffers), keys)
+            self._state = self._ticks.adopt(layout, tuple(map(np.array, buffers)))  # type: ignore[arg-type]
+            self._layout, self._numbers = layout, layout.numbers()
+            self.tick, self.seed, self.number, self._host = saved.tick, saved.seed, saved.number, None
         return self.reading
 
+    @alone
     def change_world(self, world: World) -> None:
         """Fly with other parameters from the next tick on; as they are numbers, nothing is compiled.
 
@@ -257,22 +300,25 @@ class Simulation:
         return self._snapshot().state
 
     def _snapshot(self) -> _Snapshot:
-        if self._host is None:
-            # A copy, because the next step overwrites the buffers themselves.
-            self._host = _Snapshot(*self._running())
-        return self._host
+        with self._changing:
+            if self._host is None:
+                # A copy, because the next step overwrites the buffers themselves.
+                self._host = _Snapshot(*self._running())
+            return self._host
 
     @property
     def history(self) -> History:
         """The present state as a History of one tick."""
-        layout, state = self._running()
-        host = tuple(np.array(buffer)[None] for buffer in state)
-        return History(np.array([self.tick]), self.world.time_step, layout.unpack(host))  # type: ignore[arg-type]
+        with self._changing:
+            layout, state = self._running()
+            host, tick = tuple(np.array(buffer)[None] for buffer in state), self.tick
+        return History(np.array([tick]), self.world.time_step, layout.unpack(host))  # type: ignore[arg-type]
 
     @property
     def reading(self) -> Reading:
         """What the sensors say now."""
-        return Reading(self.world, self._snapshot().glimpse(self._numbers), self.tick, self.site)
+        with self._changing:
+            return Reading(self.world, self._snapshot().glimpse(self._numbers), self.tick, self.site)
 
     @property
     def truth(self) -> Truth:

@@ -46,6 +46,10 @@ class Packer:
         # By its text, because to JAX two structures are equal whose records differ in nothing but their type.
         return (repr(self.structure), tuple(self.shapes), tuple(self.dtypes))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # JAX cannot pickle a structure in which there are records.
+        return Packer, (self.template(),)
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Packer) and self._identity == other._identity
 

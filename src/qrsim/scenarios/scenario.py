@@ -67,9 +67,17 @@ class Scenario:
         """Return what is to be done, its numbers as arrays of ``precision``; ``NoTask`` where there is nothing."""
         return build.build_task(self.spec, precision)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # By its content, because the classes of its parts are made while the package is imported and have no names.
+        return _of_content, (self.spec.model_dump(),)
+
     def to_yaml(self) -> str:
         """Return the scenario as YAML, every default written out; loading it gives the same scenario."""
         return dump_yaml(self.spec.model_dump(mode="json"))
+
+
+def _of_content(content: dict[str, Any]) -> Scenario:
+    return Scenario(ScenarioSpec.model_validate(content))
 
 
 def load_scenario(source: str | Path | dict[str, Any], overrides: Iterable[str] = ()) -> Scenario:

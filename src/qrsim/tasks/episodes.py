@@ -89,6 +89,18 @@ class NativeEpisodes:
         self._together = Together(self._tick_program(), self._shared, own, self._state, threads())
         self.started = False
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Programs are in memory of this process, and are loaded or made again in another.
+        state = self._state.get(lambda progress: progress) if self.started else None
+        return {"play": self._play, "size": self._size, "dtype": self._fixed.dtype, "state": state}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        with jax.enable_x64(kept["dtype"] == np.float64):
+            self.__init__(kept["play"], kept["size"], kept["dtype"])  # type: ignore[misc]
+        if kept["state"] is not None:
+            self._state.put(np.arange(self._size), kept["state"])
+            self.started = True
+
     def start(self, rows: Array, keys: Any) -> Begun:
         """Start the episodes ``rows`` (b,) by their keys, each leaf (b, ...)."""
         own = Lanes(self._first.inputs[1].layout, len(rows), self._mode)
@@ -218,6 +230,16 @@ class XlaEpisodes:
         # So many are started in one call: a large part of the batch would be wasted on few, a small one take long.
         self._part = max(1, size // 16)
         self._episodes: Any = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        play, state = jax.device_get((self._play, self._episodes))
+        return {"play": play, "size": self._size, "state": state}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        with jax.enable_x64(any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(kept["play"]))):
+            self.__init__(kept["play"], kept["size"])  # type: ignore[misc]
+            if kept["state"] is not None:
+                self._episodes = jax.device_put(kept["state"])
 
     @property
     def started(self) -> bool:
