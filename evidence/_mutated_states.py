@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import struct
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -183,7 +184,8 @@ def _of_names(content: Content, random: Any) -> bytes:
 def _twice(content: Content, random: Any) -> bytes:
     """The same name again, or many more entries."""
     buffer = io.BytesIO(_packed(content))
-    with zipfile.ZipFile(buffer, "a") as archive:
+    with warnings.catch_warnings(), zipfile.ZipFile(buffer, "a") as archive:
+        warnings.simplefilter("ignore", UserWarning)
         for i in range(int(_choice(random, (1, 1, 20_000)))):
             archive.writestr(zipfile.ZipInfo(f"{_choice(random, ['floats', 'tick'])}.npy" if i == 0 else f"{i}"), b"")
     return buffer.getvalue()
