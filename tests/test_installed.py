@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -50,12 +52,27 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     """An interpreter with the wheel and what it depends on, and nothing else."""
-    folder = tmp_path_factory.mktemp("installed")
-    subprocess.run([newest_python(), "-m", "venv", str(folder / "venv")], check=True, timeout=120)
+    return installed(newest_python(), tmp_path_factory.mktemp("newest"), str(wheel))
+
+
+@pytest.fixture(scope="module")
+def oldest(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """An interpreter with the wheel and the oldest dependencies that it allows."""
+    if sys.version_info[:2] != (3, 11):
+        pytest.skip("the oldest dependencies are those of Python 3.11: make test-long PYTHON=python3.11")
+    folder = tmp_path_factory.mktemp("oldest")
+    allowed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    bounds = [re.match(r"([\w-]+)>=([\d.]+)", line) for line in allowed]
+    constraints = folder / "constraints.txt"
+    constraints.write_text("".join(f"{b[1]}=={b[2]}.*\n" for b in bounds if b), encoding="utf-8")
+    return installed(sys.executable, folder, "--constraint", str(constraints), str(wheel))
+
+
+def installed(python: str, folder: Path, *words: str) -> str:
+    subprocess.run([python, "-m", "venv", str(folder / "venv")], check=True, timeout=120)
     found = str(folder / "venv" / "bin" / "python")
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PIP_CONSTRAINT")}
-    command = [found, "-m", "pip", "install", "--quiet", "--upgrade", str(wheel)]
-    subprocess.run(command, check=True, timeout=900, env=environment)
+    subprocess.run([found, "-m", "pip", "install", "--quiet", *words], check=True, timeout=900, env=environment)
     return found
 
 
@@ -102,3 +119,9 @@ def test_it_plots(python: str, tmp_path: Path):
     qrsim(python, tmp_path, "-m", "qrsim.cli", "run", "hover", "--duration", "1", "--out", "run", "--no-figure")
     qrsim(python, tmp_path, "-m", "qrsim.cli", "plot", "run", "--out", "figure.png")
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_it_flies_and_plots_with_the_oldest_dependencies(oldest: str, tmp_path: Path):
+    assert json.loads(qrsim(oldest, tmp_path, "-c", LIST))["jax"].startswith("0.8.")
+    qrsim(oldest, tmp_path, "-m", "qrsim.cli", "run", "outdoor_patrol", "--duration", "1", "--out", "run")
+    assert (tmp_path / "run" / "figure.png").read_bytes().startswith(b"\x89PNG")

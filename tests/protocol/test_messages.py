@@ -86,7 +86,7 @@ def test_extensions_have_numbers_above_those_of_the_reference():
 
 
 def test_what_is_generated_is_what_make_proto_makes(tmp_path):
-    pytest.importorskip("grpc_tools", reason="grpcio-tools is not installed: make install")
+    pytest.importorskip("grpc_tools", reason="grpcio-tools is not installed: make tools")
     folder = "qrsim/protocol"
     words = ["-m", "grpc_tools.protoc", f"--proto_path={ROOT / 'src'}", f"--python_out={tmp_path}"]
     subprocess.run([sys.executable, *words, f"--pyi_out={tmp_path}", f"{folder}/qrsim.proto"], check=True)

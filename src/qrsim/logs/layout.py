@@ -235,5 +235,11 @@ def column_of(item: pa.Field) -> Column:
     """Return the description of a stored column."""
     metadata = item.metadata or {}
     is_text = pa.types.is_dictionary(item.type) or pa.types.is_string(item.type)
-    dtype = "str" if is_text else np.dtype(item.type.to_pandas_dtype()).name
+    dtype = "str" if is_text else numpy_dtype(item.type).name
     return Column(item.name, metadata.get(b"unit", b"").decode(), metadata.get(b"doc", b"").decode(), dtype)
+
+
+def numpy_dtype(kind: pa.DataType) -> np.dtype[Any]:
+    """Return NumPy's name of the type of a column of numbers (Arrow's own way to it needs pandas in some versions)."""
+    found: np.dtype[Any] = pa.array([], kind).to_numpy(zero_copy_only=False).dtype
+    return found

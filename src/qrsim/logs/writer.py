@@ -31,6 +31,7 @@ from qrsim.logs.layout import (
     FinalState,
     RunInfo,
     check_every,
+    numpy_dtype,
     part_name,
     stream_schema,
     utc_now,
@@ -96,7 +97,7 @@ class _VehicleRows(_Buffer):
         self.stream, self.every = stream, every
         self.vehicles = pa.array(vehicles, pa.string())
         index = {column.name for column in INDEX}
-        self.dtypes = {f.name: np.dtype(f.type.to_pandas_dtype()) for f in schema if f.name not in index}
+        self.dtypes = {f.name: numpy_dtype(f.type) for f in schema if f.name not in index}
 
     def add(self, ticks: npt.ArrayLike, times: npt.ArrayLike, values: Mapping[str, npt.ArrayLike]) -> tuple[int, int]:
         """Copy what is kept of (T,) ticks and times and (T, n) values into the buffer; return (rows, last tick)."""
