@@ -162,6 +162,10 @@ def _dispatch(arguments: list[str]) -> int:
 
         print(f"qrsim {version('qrsim')}")
         return 0
+    for argument in arguments:
+        # Python keeps bytes that are no text of the terminal's encoding; logs and JSON could not hold them.
+        if any("\ud800" <= character <= "\udfff" for character in argument):
+            raise UsageError(f"qrsim: the argument {argument!a} is no text in UTF-8")
     try:
         command = _parse(arguments, COMMANDS, "qrsim", DESCRIPTION)
     except SystemExit as leaving:  # tyro has printed its help (0) or its complaint (2)

@@ -9,6 +9,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+# To look for similar names takes the square of their lengths; messages are to be read.
+LONGEST_NAME, MOST_KNOWN, LONGEST_PROBLEM, MOST_PROBLEMS = 200, 100, 2000, 200
+
 
 class QrsimError(Exception):
     """Base of every error that qrsim raises on purpose; the command line prints it without a traceback."""
@@ -34,7 +37,9 @@ class ScenarioError(UsageError):
         self.problems = list(problems)
         count = len(self.problems)
         head = f"{source}: {count} problem{'s' if count != 1 else ''}"
-        super().__init__("\n".join([head, *(f"  {problem}" for problem in self.problems)]))
+        lines = [f"  {shortened(problem)}" for problem in self.problems[:MOST_PROBLEMS]]
+        more = [f"  ... and {count - MOST_PROBLEMS} more"] if count > MOST_PROBLEMS else []
+        super().__init__("\n".join([head, *lines, *more]))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # By its own arguments, which are not those of Exception; notes and the like are in the dict.
@@ -49,8 +54,15 @@ class BusyError(RunError, RuntimeError):
     """Two threads used at once what only one may use at a time."""
 
 
+def shortened(text: str, most: int = LONGEST_PROBLEM) -> str:
+    """Return a text without its middle where it is longer than ``most`` characters."""
+    return text if len(text) <= most else f"{text[: most // 2]} ... {text[len(text) - most // 2 :]}"
+
+
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """Return the known name closest to ``name``, or None where nothing is close."""
+    if len(name) > LONGEST_NAME:
+        return None
     matches = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
     return matches[0] if matches else None
 
@@ -61,7 +73,8 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     match = nearest(name, known)
     if match is not None:
         return f"; did you mean '{match}'?"
-    return f"; known: {', '.join(known)}" if known else ""
+    more = f" and {len(known) - MOST_KNOWN} more" if len(known) > MOST_KNOWN else ""
+    return f"; known: {', '.join(known[:MOST_KNOWN])}{more}" if known else ""
 
 
 def did_you_mean_file(path: Path) -> str:

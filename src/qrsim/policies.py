@@ -27,6 +27,7 @@ from typing import Any
 import jax
 
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean, nearest
+from qrsim.user_files import check_file
 
 
 @dataclass(frozen=True)
@@ -161,6 +162,10 @@ def _import_file(what: str, path: Path) -> Any:
         near = [str(other) for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
         hint = did_you_mean(str(path), near)
         raise UsageError(f"{what}: there is no file {path}{hint if 'mean' in hint else ''}")
+    try:
+        check_file(path)
+    except OSError as error:
+        raise UsageError(f"{what} {path}: cannot be read: {error.strerror}") from None
     name = str(path.resolve())
     # A file that holds both a policy and an estimator is one module.
     if name in sys.modules:

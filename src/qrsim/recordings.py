@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from qrsim import extras
 from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.user_files import read_bytes
 
 UPSTREAM = "https://raw.githubusercontent.com/UCL-CompLACS/qrsim/efd8539a11604edfe8fa7c95a9e1ea1753ad516e/"
 FOLDER_VARIABLE = "QRSIM_DATA_DIR"
@@ -99,7 +100,7 @@ def file_status(name: str, folder: Path | None = None) -> FileStatus:
         raise UsageError(f"no recording is called '{name}'{did_you_mean(name, RECORDINGS)}")
     path = (data_folder() if folder is None else folder) / name
     try:
-        found = hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
+        found = hashlib.sha256(read_bytes(path)).hexdigest() if path.exists() else None
     except OSError as error:
         raise RunError(f"cannot read {path}: {error.strerror}") from error
     return FileStatus(name, path, RECORDINGS[name].sha256, found)

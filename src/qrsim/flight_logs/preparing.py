@@ -13,7 +13,8 @@ from qrsim.flight_logs.signals import ANGLES, SIGNALS, FlightLog, Floats, Track
 DT = 0.02
 # No value is invented over a hole longer than this [s]; commands are held a little longer, battery much longer.
 LONGEST_GAP, LONGEST_HOLD, LONGEST_BATTERY_HOLD = 0.25, 1.0, 10.0
-SHORTEST_S = 4.0
+# No flight is longer [s]; a clock that jumps would otherwise ask for any amount of memory.
+SHORTEST_S, LONGEST_S = 4.0, 36_000.0
 
 
 def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str], dt: float = DT) -> FlightLog:
@@ -39,6 +40,8 @@ def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str]
             f"{path}: too short: its signals have {max(0.0, last - first):.2f} s in common, at least {SHORTEST_S:g} s"
             f" are needed; {spans}"
         )
+    if last - first > LONGEST_S:
+        raise UsageError(f"{path}: {_jump(clean, first, last)}")
     grid = first + dt * np.arange(int((last - first) / dt + 1e-6) + 1)
     signals = {name: _sampled(name, track, grid, notes) for name, track in clean.items()}
     rates = {name: 1.0 / float(np.median(np.diff(track.time))) for name, track in clean.items()}
@@ -47,6 +50,18 @@ def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str]
         f"{len(grid)} rows of {dt:g} s, {grid[-1] - grid[0]:.2f} s, from signals logged at {', '.join(different)} Hz"
     )
     return FlightLog(path.stem, path, kind, dt, grid - grid[0], signals, _together(notes, list(signals)), rates)
+
+
+def _jump(tracks: Mapping[str, Track], first: float, last: float) -> str:
+    """Say where the time of a log that is too long jumps."""
+    steps = {each: float(np.max(np.diff(other.time))) for each, other in tracks.items()}
+    name = max(steps, key=lambda each: steps[each])
+    at = int(np.argmax(np.diff(tracks[name].time)))
+    before, after = tracks[name].time[at : at + 2]
+    return (
+        f"its signals go from {first:.6g} s to {last:.6g} s, {last - first:.4g} s; allowed: up to {LONGEST_S:g} s; the "
+        f"largest step of the clock: {name} from {before:.6g} s to {after:.6g} s, {after - before:.4g} s"
+    )
 
 
 def _together(notes: list[str], names: list[str]) -> list[str]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from qrsim.errors import UsageError, did_you_mean_file
 from qrsim.flight_logs.signals import FlightLog
+from qrsim.user_files import open_file
 
 _ULOG_MAGIC = b"ULog"
 _DATAFLASH_HEADER = b"\xa3\x95"
@@ -19,7 +20,7 @@ def read_log(path: Path) -> FlightLog:
         UsageError: no such file, empty, no format that is known, or what the reader of the format finds wrong.
     """
     try:
-        with path.open("rb") as stream:
+        with open_file(path) as stream:
             beginning = stream.read(4096)
     except FileNotFoundError:
         raise UsageError(f"{path}: no such file{did_you_mean_file(path)}") from None

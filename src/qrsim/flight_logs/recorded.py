@@ -15,6 +15,7 @@ from qrsim.models.vehicles.quadrotor import (
     THROTTLE_RAW_PER_UNIT,
     YAW_RATE_RAD_S_PER_RAW,
 )
+from qrsim.user_files import open_text
 
 DT = 0.02
 BATTERY_V = 11.0
@@ -70,7 +71,9 @@ def read_recording(path: Path) -> FlightLog:
         UsageError: not numbers only, or another number of columns.
     """
     try:
-        rows = np.loadtxt(path, delimiter=",", ndmin=2)
+        # Not by its name, by which NumPy would unpack it.
+        with open_text(path) as stream:
+            rows = np.loadtxt(stream, delimiter=",", ndmin=2)
     except ValueError as error:
         raise UsageError(f"{path}: neither a header with names nor numbers only: {error}") from None
     if rows.shape[1] not in LAYOUTS:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import array
 import csv
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from qrsim.errors import UsageError, did_you_mean
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import SIGNALS, FlightLog, Floats, Track
 from qrsim.models.vehicles.quadrotor import PITCH_ROLL_RAD_PER_RAW, THROTTLE_RAW_PER_UNIT, YAW_RATE_RAD_S_PER_RAW
+from qrsim.user_files import open_text
 
 _DEG = math.pi / 180.0
 # Factor to SI of each unit that a column may be in, by the SI unit.
@@ -41,12 +44,14 @@ def read_table(path: Path) -> FlightLog:
     Raises:
         UsageError: no time, a column without a unit or with an unknown one, twice the same, a row of wrong length.
     """
-    with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
+    with open_text(path, errors="replace") as stream:
         reader = csv.reader(stream)
-        header = next(reader)
-        rows = [(reader.line_num, fields) for fields in reader if fields]
-    wanted, ignored = _columns(path, header)
-    values = _numbers(path, header, rows, wanted)
+        try:
+            header = next(reader, [])
+            wanted, ignored = _columns(path, header)
+            values = _numbers(path, header, reader, wanted)
+        except csv.Error as error:
+            raise UsageError(f"{path}: line {reader.line_num}: not CSV: {error}") from None
     time = values.pop("time")
     notes = [f"columns left out: {', '.join(ignored)}"] if ignored else []
     return prepare(path, "CSV", {name: Track(time, column) for name, column in values.items()}, notes)
@@ -83,20 +88,21 @@ def _columns(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, float]
     return wanted, ignored
 
 
-def _numbers(
-    path: Path, header: list[str], rows: list[tuple[int, list[str]]], wanted: dict[str, tuple[int, float]]
-) -> dict[str, Floats]:
+def _numbers(path: Path, header: list[str], reader: Any, wanted: dict[str, tuple[int, float]]) -> dict[str, Floats]:
     """Return the columns in SI; an empty field and 'nan' are NaN."""
-    table = {name: np.full(len(rows), np.nan) for name in wanted}
-    for i, (line, fields) in enumerate(rows):
+    table = {name: array.array("d") for name in wanted}
+    for fields in reader:
+        if not fields:
+            continue
+        line = reader.line_num
         if len(fields) != len(header):
             raise UsageError(f"{path}: line {line}: {len(fields)} fields, the header has {len(header)}")
         for name, (place, factor) in wanted.items():
             text = fields[place].strip()
             try:
-                table[name][i] = factor * float(text) if text else math.nan
+                table[name].append(factor * float(text) if text else math.nan)
             except ValueError:
                 raise UsageError(
                     f"{path}: line {line}: column '{header[place].strip()}': '{text[:40]}' is not a number"
                 ) from None
-    return table
+    return {name: np.array(column) for name, column in table.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from qrsim import extras
 from qrsim.errors import UsageError
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Floats, Track
+from qrsim.user_files import read_bytes
 
 _HEADER_BYTES = 16
 # Signal, topic, the field that holds it (the first that is there), factor to SI. Of rows for the same signal the first
@@ -43,13 +45,15 @@ def read_ulog(path: Path) -> FlightLog:
         RunError: pyulog is not installed.
     """
     pyulog = extras.load("identify", "reading a ULog", "pyulog")
-    content = path.read_bytes()
+    content = read_bytes(path)
     whole = _whole_messages(content)
     notes = []
     if whole < len(content):
         notes.append(f"the file ends inside a message: the last {len(content) - whole} bytes are lost (log cut off)")
     try:
-        log = pyulog.ULog(io.BytesIO(content[:whole]), list(TOPICS))
+        # The library prints its complaints, one for each message that it cannot place.
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            log = pyulog.ULog(io.BytesIO(content[:whole]), list(TOPICS))
     except Exception as error:  # pyulog raises whatever its parsing runs into
         raise UsageError(f"{path}: a ULog that cannot be read: {error or type(error).__name__}") from None
     if log.file_corruption:

@@ -236,7 +236,9 @@ def column_of(item: pa.Field) -> Column:
     metadata = item.metadata or {}
     is_text = pa.types.is_dictionary(item.type) or pa.types.is_string(item.type)
     dtype = "str" if is_text else numpy_dtype(item.type).name
-    return Column(item.name, metadata.get(b"unit", b"").decode(), metadata.get(b"doc", b"").decode(), dtype)
+    # A damaged file can have anything there.
+    unit, doc = (metadata.get(name, b"").decode("utf-8", "replace") for name in (b"unit", b"doc"))
+    return Column(item.name, unit, doc, dtype)
 
 
 def numpy_dtype(kind: pa.DataType) -> np.dtype[Any]:

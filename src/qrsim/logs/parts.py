@@ -11,8 +11,17 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.errors import RunError, UsageError, did_you_mean, shortened
 from qrsim.logs.layout import Column, column_of, part_name
+from qrsim.user_files import check_file
+
+# What pyarrow raises where bytes are not what they were; texts of the footer are decoded without care.
+DAMAGES = (OSError, pa.ArrowException, ValueError, KeyError, TypeError, OverflowError, MemoryError)
+
+
+def _first_line(error: BaseException) -> str:
+    words = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return shortened(str(words).partition("\n")[0], 300)
 
 
 @dataclass
@@ -93,9 +102,13 @@ class StreamParts:
 
     def _open(self, number: int) -> pq.ParquetFile:
         try:
-            return pq.ParquetFile(self.folder / part_name(number), page_checksum_verification=True)
-        except (OSError, pa.ArrowException) as error:
-            raise self._damage(number, str(error)) from error
+            file = check_file(self.folder / part_name(number))
+            found = pq.ParquetFile(file, page_checksum_verification=True)
+            # The schema is decoded only when it is asked for.
+            _ = found.schema_arrow
+            return found
+        except DAMAGES as error:
+            raise self._damage(number, _first_line(error)) from error
 
     def _read(self, number: int, schema: pa.Schema, names: Sequence[str]) -> pa.Table:
         with self._open(number) as file:
@@ -103,8 +116,8 @@ class StreamParts:
                 raise self._damage(number, "its columns are not those of the parts before it")
             try:
                 return file.read(columns=list(names)).select(list(names))
-            except (OSError, pa.ArrowException) as error:
-                raise self._damage(number, str(error)) from error
+            except DAMAGES as error:
+                raise self._damage(number, _first_line(error)) from error
 
     def _damage(self, number: int, reason: str) -> RunError:
         total = max(self.count, len(self.found))

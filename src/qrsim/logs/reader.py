@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -14,11 +15,15 @@ import numpy.typing as npt
 import pyarrow as pa
 from pydantic import TypeAdapter, ValidationError
 
-from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.errors import RunError, ScenarioError, UsageError, did_you_mean
 from qrsim.logs.layout import EVENTS, FORMAT, INDEX, RUN_FILE, SCENARIO_FILE, Column, Event, RunInfo
 from qrsim.logs.parts import StreamParts
+from qrsim.user_files import LARGEST_DATA, read_text
+from qrsim.yaml_text import parse_yaml
 
 _INFO = TypeAdapter(RunInfo)
+# A part is written every few seconds: a run of a year has as many.
+MOST_PARTS = 10_000_000
 
 
 def open_run(path: Path | str, *, skip_damaged: bool = False) -> Run:
@@ -38,7 +43,7 @@ def open_run(path: Path | str, *, skip_damaged: bool = False) -> Run:
     # Before the parts are listed: these are then at least as many as the counts in it.
     info = _read_info(folder / RUN_FILE)
     try:
-        scenario_yaml = (folder / SCENARIO_FILE).read_text(encoding="utf-8")
+        scenario_yaml = read_text(folder / SCENARIO_FILE, LARGEST_DATA)
     except OSError as error:
         raise RunError(f"cannot read {folder / SCENARIO_FILE}: {error.strerror or error}") from error
     return Run(folder, info, scenario_yaml, skip_damaged)
@@ -61,6 +66,15 @@ class Run:
             for stream, count in info.parts.items()
         }
         self._streams: dict[str, Stream] = {}
+
+    @cached_property
+    def scenario(self) -> Any:
+        """The resolved scenario, a dict. Raises RunError where the file is no YAML."""
+        source = self.folder / SCENARIO_FILE
+        try:
+            return parse_yaml(self.scenario_yaml, str(source))
+        except ScenarioError as error:
+            raise RunError(f"{source} is damaged: {error.problems[0]}") from error
 
     @property
     def streams(self) -> tuple[str, ...]:
@@ -236,8 +250,9 @@ def _part_numbers(folder: Path) -> list[int]:
     """Return the numbers of the parts in a stream's folder, ascending; temporary files have other names."""
     if not folder.is_dir():
         return []
-    matches = (re.fullmatch(r"part-(\d{5,})\.parquet", path.name) for path in folder.iterdir())
-    return sorted(int(match[1]) for match in matches if match)
+    matches = (re.fullmatch(r"part-(\d{5,9})\.parquet", path.name) for path in folder.iterdir())
+    # What has a larger number is no part that a run wrote.
+    return sorted(number for match in matches if match and (number := int(match[1])) < MOST_PARTS)
 
 
 def _not_a_run(folder: Path) -> str:
@@ -252,18 +267,38 @@ def _not_a_run(folder: Path) -> str:
     return f"{folder} is not a run folder: it has no {RUN_FILE}{hint}"
 
 
+def _problem(info: RunInfo) -> str:
+    """Return what no run can have, "" where all is well."""
+    if not info.vehicles:
+        return "vehicles: there are none"
+    if len(set(info.vehicles)) < len(info.vehicles):
+        return "vehicles: a name is there twice"
+    if not (math.isfinite(info.time_step) and info.time_step > 0.0):
+        return f"time_step: {info.time_step:g}; expected above 0"
+    for name, counts in (("every", info.every), ("parts", info.parts)):
+        for stream, count in counts.items():
+            if not re.fullmatch(r"[A-Za-z0-9_.-]+", stream) or stream in (".", ".."):
+                return f"{name}: {stream!r:.60} is no name of a stream"
+            if not 0 <= count <= MOST_PARTS:
+                return f"{name}.{stream}: {count}; expected 0 to {MOST_PARTS}"
+    return "" if 0 <= info.ticks < 2**63 else f"ticks: {info.ticks}; expected at least 0"
+
+
 def _read_info(path: Path) -> RunInfo:
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(read_text(path))
         version = data["format"]
         if version == FORMAT:
-            return _INFO.validate_python(data)
+            info = _INFO.validate_python(data)
+            if problem := _problem(info):
+                raise RunError(f"{path} is damaged: {problem}")
+            return info
     except OSError as error:
         raise RunError(f"cannot read {path}: {error.strerror or error}") from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(step) for step in first["loc"])
         raise RunError(f"{path} is damaged: {where}: {first['msg']}") from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunError(f"{path} is damaged: {error!r}") from error
     raise RunError(f"{path} has the run folder format {version}; this version of qrsim reads format {FORMAT}")

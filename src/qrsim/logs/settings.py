@@ -6,10 +6,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import yaml
-
-from qrsim.errors import RunError
-from qrsim.logs.layout import SCENARIO_FILE
 from qrsim.logs.reader import Run
 
 ABSENT = "(absent)"
@@ -37,11 +33,7 @@ def setting_differences(first: Run, second: Run) -> list[Setting]:
 
 
 def _scenario(run: Run) -> Any:
-    # Not qrsim's own reader, which is slow to import: a resolved scenario is plain YAML.
-    try:
-        return yaml.safe_load(run.scenario_yaml)
-    except yaml.YAMLError as error:
-        raise RunError(f"{run.folder / SCENARIO_FILE} is damaged: {error}") from error
+    return run.scenario
 
 
 def _differences(path: str, first: Any, second: Any) -> Iterator[Setting]:

@@ -125,7 +125,8 @@ def gnss_error(run: Run) -> tuple[Floats, Floats]:
 def tracking_error(position: Floats, waypoint: Floats) -> Floats:
     """Return the distance (T, n) [m] of positions (T, n, 3) from the leg that leads to each waypoint (T, n, 3)."""
     error = np.empty(position.shape[:2])
-    for vehicle in range(position.shape[1]):
+    # A run that was killed at once has no ticks.
+    for vehicle in range(position.shape[1]) if len(position) else ():
         target, place = waypoint[:, vehicle], position[:, vehicle]
         same = (target[1:] == target[:-1]) | np.isnan(target[1:]) & np.isnan(target[:-1])
         changes = 1 + np.flatnonzero(~np.all(same, axis=1))

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from qrsim.errors import UsageError, did_you_mean_file
 from qrsim.models.site import GPS_EPOCH, Float64, gps_minus_utc
+from qrsim.user_files import LARGEST_TABLE, read_bytes
 
 VERSIONS = ("a", "c", "d")
 # Letters of the satellite systems, the same in RINEX.
@@ -93,7 +94,7 @@ class _Lines:
     def __init__(self, path: str):
         self.path = path
         try:
-            data = Path(path).expanduser().read_bytes()
+            data = read_bytes(path, LARGEST_TABLE)
         except OSError as error:
             hint = did_you_mean_file(Path(path).expanduser())
             raise UsageError(f"{path}: cannot be read: {error.strerror}{hint}") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import array
 import csv
 import math
 from pathlib import Path
@@ -16,6 +17,7 @@ from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
 from qrsim.models.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT, wind_to_ned
+from qrsim.user_files import LARGEST_TABLE, open_text
 
 COLUMNS = ("time", "north", "east", "down")
 # A row every simulation step at the smallest step; in single precision rows much closer would coincide.
@@ -117,25 +119,26 @@ def read_wind(path: Path, max_gap: float) -> tuple[np.ndarray[Any, Any], np.ndar
         UsageError: no such file, not CSV, a missing column, a field that is no finite number, times that do not
             increase, a gap; names the line and the column.
     """
-    rows: list[list[float]] = []
+    rows, before = array.array("d"), None
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with open_text(path, LARGEST_TABLE) as file:
             reader = csv.reader(file, strict=True)
             header = [name.strip() for name in next(reader, [])]
             places = _places(path, header)
             for fields in reader:
                 row = _numbers(path, reader.line_num, header, places, fields)
-                _check_time(path, reader.line_num, rows[-1][0] if rows else None, row[0], max_gap)
-                rows.append(row)
+                _check_time(path, reader.line_num, before, row[0], max_gap)
+                rows.extend(row)
+                before = row[0]
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror or error}{did_you_mean_file(path)}") from error
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: byte 0x{error.object[error.start]:02x} is not UTF-8 text") from error
     except csv.Error as error:
         _fail(path, reader.line_num, f"not CSV: {error}")
-    if len(rows) < 2:
-        raise UsageError(f"{path}: {len(rows)} rows under the header; at least 2 are needed to interpolate")
-    table = np.array(rows)
+    table = np.array(rows).reshape(-1, len(COLUMNS))
+    if len(table) < 2:
+        raise UsageError(f"{path}: {len(table)} rows under the header; at least 2 are needed to interpolate")
     return table[:, 0], table[:, 1:]
 
 

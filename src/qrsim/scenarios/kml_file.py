@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.fence import polygon_problems
+from qrsim.user_files import LARGEST_TEXT, read_bytes
 
 GEOMETRIES = ("Point", "LineString", "LinearRing", "Polygon", "Model", "Track", "MultiTrack")
 
@@ -88,7 +89,7 @@ def _called(name: str) -> str:
 def _root(path: str) -> Element:
     """Return the document's first element."""
     try:
-        data = Path(path).expanduser().read_bytes()
+        data = read_bytes(path, LARGEST_TEXT)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
     if data.startswith(b"PK"):

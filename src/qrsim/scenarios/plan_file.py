@@ -6,6 +6,7 @@ and MAV_FRAME. Altitudes are taken from an item's parameters and frame, as a veh
 
 from __future__ import annotations
 
+import errno
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.fence import polygon_problems
+from qrsim.user_files import read_text
 
 WAYPOINT, LOITER_FOREVER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
 # Commands that are flown, and what their first four parameters ask for, which is not; "" where nothing is defined.
@@ -161,11 +163,11 @@ def read_plan(path: str | Path) -> Plan:
 
 def _content(source: str) -> Any:
     try:
-        text = Path(source).expanduser().read_text(encoding="utf-8-sig")
+        text = read_text(source)
     except OSError as error:
+        if error.errno == errno.EILSEQ:
+            raise UsageError(f"{source}: is not JSON: it is no UTF-8 text") from None
         raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise UsageError(f"{source}: is not JSON: it is no UTF-8 text") from None
     try:
         return json.loads(text, object_pairs_hook=_without_twins)
     except json.JSONDecodeError as error:

@@ -16,6 +16,8 @@ from qrsim.errors import did_you_mean
 _RANGES = ("greater_than_equal", "less_than_equal", "greater_than", "less_than")
 _LENGTHS = ("too_short", "too_long")
 _PARTS = ("model_type", "model_attributes_type", "dict_type")
+# What other languages, and YAML before 1.2, have for true and false.
+_OTHER_WORDS = dict.fromkeys(("yes", "y", "on", "1"), "true") | dict.fromkeys(("no", "n", "off", "0"), "false")
 _TIME = "write for example 2026-06-21T10:00:00Z"
 # What is said after the value of a fault that needs nothing else to explain it.
 _PLAIN = {
@@ -151,6 +153,8 @@ class _Fault:
             return f"is no name; allowed: {_characters(str(context['pattern']))}"
         if kind == "string_too_long":
             return f"is too long; allowed: at most {context['max_length']} characters"
+        if kind == "bool_type" and str(self.details["input"]).lower() in _OTHER_WORDS:
+            return f"{_PLAIN[kind]}; did you mean {_OTHER_WORDS[str(self.details['input']).lower()]}?"
         return _PLAIN.get(kind, f"is not right: {self.details['msg']}")
 
     def _known(self) -> list[str]:

@@ -1,70 +1,23 @@
-"""Reading scenario text: YAML with no surprises, built-in names, and ``--set`` overrides."""
+"""Reading scenarios: files, built-in names, what extends what, and ``--set`` overrides."""
 
 from __future__ import annotations
 
 import copy
 import os
 import re
+from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.errors import ScenarioError, UsageError, did_you_mean, shortened
 from qrsim.recordings import RECORDINGS, data_folder
 from qrsim.scenarios.problems import component_types
 from qrsim.scenarios.schema import ScenarioSpec
-
-
-class _Loader(yaml.SafeLoader):
-    """Safe YAML that refuses a key given twice and reads 1e-3 as the number it is."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: dict[Any, int] = {}
-        for key_node, _ in node.value:
-            if key_node.tag == "tag:yaml.org,2002:merge":
-                problem = "'<<' is not supported; write the values out"
-                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key_node.start_mark)
-            key = self.construct_object(key_node, deep=True)
-            line = key_node.start_mark.line + 1
-            if not isinstance(key, str):
-                raise yaml.MarkedYAMLError(problem=f"the key {key!r} is not a text", problem_mark=key_node.start_mark)
-            if key in seen:
-                problem = f"'{key}' is given twice, first in line {seen[key]}"
-                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key_node.start_mark)
-            seen[key] = line
-        return super().construct_mapping(node, deep)
-
-
-_Loader.yaml_implicit_resolvers = {key: list(value) for key, value in yaml.SafeLoader.yaml_implicit_resolvers.items()}
-_FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
-for _first in "-+.0123456789":
-    _Loader.yaml_implicit_resolvers.setdefault(_first, []).append(("tag:yaml.org,2002:float", _FLOAT))
-
-
-class _Dumper(yaml.SafeDumper):
-    """Quotes what ``_Loader`` would take for a number."""
-
-
-_Dumper.yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
-
-
-def dump_yaml(content: Any) -> str:
-    """Return YAML text that ``parse_yaml`` reads back as it was."""
-    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)
-
-
-def parse_yaml(text: str, source: str) -> Any:
-    """Parse YAML text; a fault names its line and column."""
-    try:
-        return yaml.load(text, Loader=_Loader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        raise ScenarioError(source, [f"{where}{error.problem or error.context}"]) from None
-    except yaml.YAMLError as error:
-        raise ScenarioError(source, [str(error)]) from None
+from qrsim.user_files import read_text
+from qrsim.yaml_text import DEEPEST, MOST_NODES
+from qrsim.yaml_text import dump_yaml as dump_yaml
+from qrsim.yaml_text import parse_yaml as parse_yaml
 
 
 def built_in_names() -> list[str]:
@@ -121,7 +74,8 @@ def _origin(source: str | dict[str, Any]) -> tuple[str, Path]:
         return "", Path.cwd()
     if source in built_in_names():
         return source, Path.cwd()
-    return os.path.realpath(source), Path(source).parent
+    # A null byte is no part of any file's name; reading it says so.
+    return os.path.realpath(source.replace("\0", "")), Path(source).parent
 
 
 def _is_file(name: str) -> bool:
@@ -137,18 +91,50 @@ def _read_file(name: str, folder: Path) -> dict[str, Any]:
     path = Path(name)
     if not _is_file(name):
         hint = did_you_mean(name, built_in_names())
-        raise UsageError(f"no scenario is called '{name}'{hint} (or give the path of a .yaml file)")
+        raise UsageError(f"no scenario is called '{shortened(name, 200)}'{hint} (or give the path of a .yaml file)")
     try:
-        text = path.read_text("utf-8")
+        text = read_text(path)
     except FileNotFoundError:
         near = [str(item) for item in path.parent.glob("*.y*ml")] if path.parent.is_dir() else []
         hint = did_you_mean(name, [*near, *built_in_names()])
         raise UsageError(f"scenario file {path}: no such file{hint if 'mean' in hint else ''}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"scenario file {path}: cannot be read: {error}") from None
+    except OSError as error:
+        raise UsageError(f"scenario file {path}: cannot be read: {error.strerror}") from None
     content = _as_mapping(parse_yaml(text, name), name)
     anchor_files(content, folder)
     return content
+
+
+def check_size(content: Any, source: str) -> None:
+    """Refuse content from Python that is beyond what a file may have, or is inside of itself.
+
+    Raises:
+        ScenarioError: it is.
+    """
+    count, level = 0, [content]
+    for _ in range(DEEPEST + 1):
+        count += len(level)
+        if count > MOST_NODES:
+            raise ScenarioError(source, [f"more than {MOST_NODES} values"])
+        parts = (part.values() if isinstance(part, dict) else part for part in level if isinstance(part, dict | list))
+        level = [entry for part in parts for entry in part]
+        if not level:
+            return
+    raise ScenarioError(source, [f"nested deeper than {DEEPEST} levels"])
+
+
+def checked_overrides(overrides: Iterable[str]) -> list[str]:
+    """Return overrides as a list. Raises UsageError where they are none, as a single text."""
+    if isinstance(overrides, str):
+        raise UsageError(f"overrides: expected a list such as ['path=value'], found the text {overrides!r:.200}")
+    try:
+        found = list(overrides)
+    except TypeError:
+        raise UsageError(f"overrides: expected a list such as ['path=value'], found {overrides!r:.200}") from None
+    for override in found:
+        if not isinstance(override, str):
+            raise UsageError(f"overrides: expected texts such as 'path=value', found {override!r:.200}")
+    return found
 
 
 def merged(parent: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
@@ -206,8 +192,8 @@ def apply_override(content: dict[str, Any], assignment: str) -> None:
     """
     path, equals, text = assignment.partition("=")
     parts = path.strip().split(".")
-    if not equals or not all(parts):
-        raise UsageError(f"--set {assignment}: expected path=value, for example world.wind.speed_20ft=7")
+    if not equals or not all(parts) or len(parts) > DEEPEST:
+        raise UsageError(f"--set {shortened(assignment)}: expected path=value, for example world.wind.speed_20ft=7")
     value = parse_yaml(text, f"--set {path}") if text.strip() else ""
     target: Any = content
     for depth in range(len(parts) - 1):

@@ -15,10 +15,18 @@ from qrsim.models.site import Site
 from qrsim.scenarios import build
 from qrsim.scenarios.places import in_ned
 from qrsim.scenarios.problems import describe
-from qrsim.scenarios.reading import anchor_files, apply_override, built_in_names, dump_yaml, read_scenario
+from qrsim.scenarios.reading import (
+    anchor_files,
+    apply_override,
+    built_in_names,
+    check_size,
+    checked_overrides,
+    read_scenario,
+)
 from qrsim.scenarios.schema import ScenarioSpec, json_schema
 from qrsim.scenarios.vehicle_file import insert_vehicle_files
 from qrsim.world import World
+from qrsim.yaml_text import dump_yaml
 
 __all__ = ["Scenario", "built_in_names", "json_schema", "load_scenario"]
 
@@ -91,10 +99,14 @@ def load_scenario(source: str | Path | dict[str, Any], overrides: Iterable[str] 
         UsageError: there is no such scenario.
         ScenarioError: its content is wrong; the message lists every fault.
     """
+    overrides = checked_overrides(overrides)
+    if isinstance(source, dict):
+        check_size(source, "scenario")
     name, content = read_scenario(source)
     content = copy.deepcopy(content)
     for assignment in overrides:
         apply_override(content, assignment)
+    check_size(content, name)
     # Files named in Python or by an override are relative to the working folder.
     anchor_files(content, Path.cwd())
     insert_vehicle_files(content, name)

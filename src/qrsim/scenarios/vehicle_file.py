@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean_file
+from qrsim.user_files import read_text
+from qrsim.yaml_text import parse_yaml
 
 
 def read_vehicle_file(path: Path) -> dict[str, Any]:
@@ -14,14 +16,12 @@ def read_vehicle_file(path: Path) -> dict[str, Any]:
     Raises:
         UsageError: there is no such file, or no ``vehicle`` in it.
     """
-    from qrsim.scenarios.reading import parse_yaml
-
     try:
-        content = parse_yaml(path.read_text("utf-8"), str(path))
+        content = parse_yaml(read_text(path), str(path))
     except FileNotFoundError:
         raise UsageError(f"vehicle file {path}: no such file{did_you_mean_file(path)}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"vehicle file {path}: cannot be read: {error}") from None
+    except OSError as error:
+        raise UsageError(f"vehicle file {path}: cannot be read: {error.strerror}") from None
     vehicle = content.get("vehicle") if isinstance(content, dict) else None
     if not isinstance(vehicle, dict) or "type" not in vehicle:
         raise UsageError(

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import AwareDatetime, BaseModel, ValidationError
 
-from qrsim.errors import RunError, ScenarioError
+from qrsim.errors import RunError
 from qrsim.logs import Run
 from qrsim.models.site import Site
-from qrsim.scenarios.reading import parse_yaml
 from qrsim.scenarios.schema import SiteSpec
 
 Floats = npt.NDArray[np.float64]
@@ -63,10 +61,7 @@ def place_of(run: Run) -> Place:
     """
     source = str(run.folder / "scenario.yaml")
     try:
-        content: Any = parse_yaml(run.scenario_yaml, source)
-        recorded = _Recorded.model_validate(content)
-    except ScenarioError as error:
-        raise RunError(str(error)) from error
+        recorded = _Recorded.model_validate(run.scenario)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(step) for step in first["loc"])

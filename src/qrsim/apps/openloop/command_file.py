@@ -18,6 +18,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.user_files import read_bytes
 
 Units = Literal["raw", "si"]
 COLUMNS = ("pitch", "roll", "throttle", "yaw", "battery")
@@ -73,7 +74,7 @@ def read_commands(path: Path, units: Units) -> CommandTable:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        content = path.read_bytes()
+        content = read_bytes(path)
     except FileNotFoundError as error:
         raise UsageError(f"{path}: no such file{_nearest_file(path)}") from error
     except OSError as error:

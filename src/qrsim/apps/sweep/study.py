@@ -18,10 +18,14 @@ from qrsim.apps.sweep.metrics import METRICS
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.policies import load_function
 from qrsim.scenarios.problems import describe
-from qrsim.scenarios.reading import anchor_files, apply_override, parse_yaml, read_scenario
+from qrsim.scenarios.reading import anchor_files, apply_override, read_scenario
 from qrsim.scenarios.schema import NAME, Finite
+from qrsim.user_files import read_text
+from qrsim.yaml_text import parse_yaml
 
 BASELINE = "baseline"
+# What a store and its tables can hold.
+MOST_VALUES, MOST_POINTS, MOST_EPISODES = 100_000, 2**20, 10**8
 Content = dict[str, Any]
 
 
@@ -34,10 +38,14 @@ class Part(BaseModel):
 class VarySpec(Part):
     """What a parameter goes through: given values, so many between two, or a range that the sampling covers."""
 
-    values: list[Any] | None = Field(None, description="the values, numbers or whatever may stand there", min_length=1)
+    values: list[Any] | None = Field(
+        None, description="the values, numbers or whatever may stand there", min_length=1, max_length=MOST_VALUES
+    )
     low: Finite | None = Field(None, description="smallest value")
     high: Finite | None = Field(None, description="largest value")
-    count: int | None = Field(None, description="values from low to high; without it the sampling chooses", ge=2)
+    count: int | None = Field(
+        None, description="values from low to high; without it the sampling chooses", ge=2, le=MOST_VALUES
+    )
     scale: Literal["linear", "log"] = Field("linear", description="how values lie between low and high")
     name: str | None = Field(None, description="what to call it; default: its path", pattern=NAME, max_length=100)
     unit: str | None = Field(None, description="its unit, for tables and pictures; default: that of the scenario")
@@ -64,7 +72,9 @@ class SamplingSpec(Part):
     type: Literal["list", "latin_hypercube", "sobol", "saltelli"] = Field(
         description="list: the values of all parameters one by one; saltelli: what Sobol indices are computed from"
     )
-    points: int | None = Field(None, description="number of points; of saltelli, of the base sample", ge=1)
+    points: int | None = Field(
+        None, description="number of points; of saltelli, of the base sample", ge=1, le=MOST_POINTS
+    )
     seed: int = Field(0, description="of the sample", ge=0)
 
     @model_validator(mode="after")
@@ -128,6 +138,11 @@ class StudySpec(Part):
             raise ValueError(
                 f"sampling: missing; {ranges[0]} has a range" if ranges else "sampling: no parameter has a range"
             )
+        episodes = self.seeds * (self.sampling.points or 1 if self.sampling else 1)
+        for item in self.vary.values() if kind != "list" else ():
+            episodes *= item.count or len(item.values or (0,))
+        if episodes > MOST_EPISODES:
+            raise ValueError(f"{episodes:.3g} episodes; allowed: at most {MOST_EPISODES:.3g}")
         names = [item.name or path for path, item in self.vary.items()]
         taken = {"seed", "point", "flown", *METRICS}
         for name in names:
@@ -242,13 +257,13 @@ def _read(source: str) -> tuple[str, Path]:
     if path.suffix not in (".yaml", ".yml"):
         raise UsageError(f"no study is called '{source}'{did_you_mean(source, known)} (or give a .yaml file)")
     try:
-        return path.read_text("utf-8"), path.parent.absolute()
+        return read_text(path), path.parent.absolute()
     except FileNotFoundError:
         near = [str(item) for item in path.parent.glob("*.y*ml")] if path.parent.is_dir() else []
         hint = did_you_mean(source, [*near, *known])
         raise UsageError(f"study {path}: no such file{hint if 'mean' in hint else ''}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"study {path}: cannot be read: {error}") from None
+    except OSError as error:
+        raise UsageError(f"study {path}: cannot be read: {error.strerror}") from None
 
 
 def _changed(content: Content, changes: Content, values: int) -> Content:

@@ -67,18 +67,16 @@ class Recording:
         return f"{info.scenario}, seed {info.seed}, {count} vehicle{'s' if count != 1 else ''}"
 
     def _surroundings(self) -> tuple[World | None, Cast]:
-        import yaml
-
         from qrsim.scenarios.scenario import load_scenario
 
         start = self._truth.at("position", self.time[0])
         try:
-            world = load_scenario(yaml.safe_load(self.run.scenario_yaml)).world(self.run.info.precision)
+            world = load_scenario(self.run.scenario).world(self.run.info.precision)
             cast = cast_of(world, start)
             if cast.names == self.run.vehicles:
                 return world, cast
             why = "its vehicles are others"
-        except (QrsimError, yaml.YAMLError, OSError) as error:
+        except (QrsimError, OSError) as error:
             why = str(error)
         warn_user(f"{self.run.folder}: the recorded scenario cannot be built, so its area is not shown: {why}")
         count = len(self.run.vehicles)

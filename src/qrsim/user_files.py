@@ -1,0 +1,99 @@
+"""Opening the files that a user names: only regular ones, of a size that is believed, and never a wait."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+# Of text that is read whole: scenarios, studies, plans, fences.
+LARGEST_TEXT = 16 * 2**20
+# Of ephemerides and winds, and of logs.
+LARGEST_TABLE, LARGEST_DATA = 64 * 2**20, 2**30
+_KINDS = (
+    (stat.S_ISFIFO, "it is a pipe"),
+    (stat.S_ISSOCK, "it is a socket"),
+    (stat.S_ISCHR, "it is a device"),
+    (stat.S_ISBLK, "it is a device"),
+)
+
+
+def open_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> BinaryIO:
+    """Open a regular file for reading bytes.
+
+    Args:
+        path: as the user gave it; ``~`` is the user's home.
+        most: largest size [bytes].
+
+    Raises:
+        OSError: there is no such file, it is a folder, a pipe, a socket or a device, or it is too large; its strerror
+            says which.
+    """
+    name = os.fspath(path)
+    if "\0" in name:
+        raise OSError(errno.EINVAL, "its name has a null byte in it", name)
+    # Without O_NONBLOCK, opening a pipe waits for somebody to write to it.
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+    try:
+        handle = os.open(os.path.expanduser(name), flags)
+    except UnicodeEncodeError:
+        raise OSError(errno.EINVAL, "its name is no text that a file can have", name) from None
+    try:
+        status = os.fstat(handle)
+        if stat.S_ISDIR(status.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), name)
+        if not stat.S_ISREG(status.st_mode):
+            kind = next((words for test, words in _KINDS if test(status.st_mode)), "it is no regular file")
+            raise OSError(errno.EINVAL, f"{kind}; expected a file", name)
+        if status.st_size > most:
+            raise OSError(errno.EFBIG, f"it has {_size(status.st_size)}; allowed: up to {_size(most)}", name)
+    except OSError:
+        os.close(handle)
+        raise
+    return os.fdopen(handle, "rb")
+
+
+def open_text(path: str | os.PathLike[str], most: int = LARGEST_DATA, errors: str = "strict") -> io.TextIOWrapper:
+    """Open a regular file of UTF-8 text, whose first character may be a byte order mark, for ``csv``; as open_file."""
+    return io.TextIOWrapper(open_file(path, most), encoding="utf-8-sig", errors=errors, newline="")
+
+
+def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> bytes:
+    """Return the content of a regular file; raises as ``open_file``."""
+    with open_file(path, most) as file:
+        content = file.read(most + 1)
+    # Files of /proc have no size before they are read.
+    if len(content) > most:
+        raise OSError(errno.EFBIG, f"it has more than {_size(most)}", os.fspath(path))
+    return content
+
+
+def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
+    """Return the content of a regular file of UTF-8 text, without a byte order mark.
+
+    Raises:
+        OSError: as ``open_file``, and where it is no UTF-8 text; the strerror says where.
+    """
+    content = read_bytes(path, most)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        found = f"byte 0x{content[error.start]:02x} in line {line} is no UTF-8 text"
+        raise OSError(errno.EILSEQ, found, os.fspath(path)) from None
+
+
+def check_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> Path:
+    """Return the path of a regular file, for libraries that open it themselves; raises as ``open_file``."""
+    open_file(path, most).close()
+    return Path(path).expanduser()
+
+
+def _size(count: int) -> str:
+    for factor, unit in ((2**30, "GB"), (2**20, "MB")):
+        if count >= factor:
+            return f"{count / factor:.4g} {unit}"
+    return f"{count} bytes"
