@@ -22,9 +22,13 @@ HEADINGS = {
     "median_us": "median [us]",
     "p95_us": "95 % [us]",
     "per_second": "per second",
+    "of_one_write": "of one write",
     "target": "target",
 }
 OUTSTANDING = 16
+# A client that writes length and message apart, with its system's defaults, against one that writes them together:
+# blocks of each in turn, so that both see the same machine.
+BLOCKS, LEAST_OF_ONE_WRITE = 20, 0.67
 TICKS = 1000
 # Of the histogram of real time.
 EDGES_US = (-20_000, -5000, -2000, -1000, -500, -200, 200, 500, 1000, 2000, 5000, 20_000)
@@ -90,6 +94,27 @@ def round_trips(port: int, task: str, count: int, outstanding: int) -> list[floa
     return [*taken, 1e6 * (now - sent[0])]
 
 
+def written_twice(port: int, task: str, count: int) -> dict[str, Any]:
+    """Return the row of a client that writes each request in two writes, with its rate against that of one write."""
+    connection, size, step = connected(port, task)
+    # As sockets are where nobody changes them.
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 0)
+    one: list[float] = []
+    two: list[float] = []
+    with connection:
+        for block in range(2 * BLOCKS):
+            parts, taken = ((step,), one) if block % 2 else ((step[:5], step[5:]), two)
+            for _ in range(max(1, count // BLOCKS)):
+                begun = time.perf_counter()
+                for part in parts:
+                    connection.sendall(part)
+                connection.recv(size, socket.MSG_WAITALL)
+                taken.append(1e6 * (time.perf_counter() - begun))
+    rate, best = (1e6 * len(taken) / sum(taken) for taken in (two, one))
+    found = row("STEP of one tick, written twice without TCP_NODELAY", two, rate, round(LEAST_OF_ONE_WRITE * best, 1))
+    return {**found, "of_one_write": round(rate / best, 3)}
+
+
 def row(what: str, taken: Sequence[float], per_second: float, target: float | None) -> dict[str, Any]:
     """Return a row of the table."""
     import numpy as np
@@ -101,6 +126,7 @@ def row(what: str, taken: Sequence[float], per_second: float, target: float | No
         "median_us": round(float(median), 1),
         "p95_us": round(float(p95), 1),
         "per_second": round(per_second, 1),
+        "of_one_write": None,
         "target": target,
     }
 
@@ -116,6 +142,7 @@ def one_vehicle(quick: bool) -> list[dict[str, Any]]:
             *taken, whole = round_trips(port, content["name"], count, outstanding)
             what = f"STEP of one tick, {outstanding} on the way"
             rows.append(row(what, taken, 1e6 * len(taken) / whole, target))
+        rows.append(written_twice(port, content["name"], count))
         with Client(port=port) as client:
             client.init(content["name"])
             taken = []

@@ -158,9 +158,12 @@ def malformed(wanted: int) -> dict[str, Any]:
 def rates(full: bool) -> dict[str, Any]:
     """Return what the benchmark of serving prints, by what was measured."""
     rows = printed("serve", *(() if full else ("--quick",)))
-    names = ("lock_step", "outstanding", "long_steps", "real_time", "watched")
-    numbers = ("median_us", "p95_us", "per_second", "late")
-    found = {name: {key: row[key] for key in numbers if key in row} for name, row in zip(names, rows, strict=False)}
+    names = ("lock_step", "outstanding", "written_twice", "long_steps", "real_time", "watched")
+    numbers = ("median_us", "p95_us", "per_second", "of_one_write", "late")
+    found = {
+        name: {key: row[key] for key in numbers if row.get(key) is not None}
+        for name, row in zip(names, rows, strict=False)
+    }
     if full:
         late = found["real_time"]["late"]
         near = sum(late[f"from_{low}_to_{high}_us"] for low, high in NEAR_US)

@@ -48,3 +48,20 @@ def test_what_is_no_length_message_is_refused_at_its_first_byte(first):
     deframer.feed(bytes([first]))
     with pytest.raises(UsageError, match=f"starts with 0x{first:02X}; expected 0x0D"):
         deframer.next()
+
+
+def test_ready_says_whether_next_has_something_to_say():
+    """Byte by byte, and for what is no message."""
+    deframer, content = Deframer(10), frame(b"abc")
+    assert not deframer.ready
+    for i, byte in enumerate(content):
+        deframer.feed(bytes([byte]))
+        assert deframer.ready == (i == len(content) - 1)
+    assert deframer.next() == b"abc"
+    assert not deframer.ready
+    for wrong in (b"x", frame(b"01234567890")[:5]):
+        deframer = Deframer(10)
+        deframer.feed(wrong)
+        assert deframer.ready
+        with pytest.raises(UsageError):
+            deframer.next()

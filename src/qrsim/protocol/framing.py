@@ -39,6 +39,15 @@ class Deframer:
         """How many bytes have arrived that were not handed out."""
         return len(self._buffer)
 
+    @property
+    def ready(self) -> bool:
+        """Whether ``next`` has something to say: a whole payload has arrived, or what makes no sense."""
+        buffer = self._buffer
+        if len(buffer) < HEAD_SIZE:
+            return bool(buffer) and buffer[0] != TAG
+        tag, size = _HEAD.unpack_from(buffer)
+        return tag != TAG or size > self.largest or len(buffer) >= HEAD_SIZE + size
+
     def feed(self, data: bytes) -> None:
         """Take bytes as they arrive."""
         self._buffer += data

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import socket
+import time
+
 import numpy as np
 import pytest
 from wires import DISCONNECT, HELLO, HERE, RESET, TASK, Wire, running, step
@@ -113,6 +116,43 @@ def test_each_reply_is_one_write_with_its_length(serving):
             wire.send(step())
             content = wire.socket.recv(10_000)
             assert len(content) == state_size(1) == 5 + content[1] + 256 * content[2]
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_QUICKACK"), reason="this system has no TCP_QUICKACK")
+def test_a_part_of_a_request_is_acknowledged_at_once_and_a_whole_one_by_its_reply(serving, wire):
+    """A client with its system's defaults holds the second write back until the first is acknowledged."""
+    wire.init()
+    wire.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 0)
+    [connection] = [found for found in serving.server._connections if found.session is not None]
+    asked = []
+    plain = connection._socket
+
+    class Spied:
+        def setsockopt(self, *words: int) -> None:
+            asked.append(words)
+            plain.setsockopt(*words)
+
+    connection._socket = Spied()
+    content = frame(payload(step()))
+    for _ in range(5):
+        wire.socket.sendall(content)
+        assert wire.receive().type == Message.STATE
+    assert asked == [], "the reply acknowledges"
+    for cuts in ((5,), (3, 5), (20,)):
+        before = len(asked)
+        for part in np.split(np.frombuffer(content, np.uint8), cuts):
+            wire.socket.sendall(part.tobytes())
+            wait_until_acknowledged(wire.socket)
+        assert wire.receive().type == Message.STATE
+        assert len(asked) == before + len(cuts)
+    assert set(asked) == {(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)}
+
+
+def wait_until_acknowledged(connection: socket.socket) -> None:
+    """Wait until all that was sent is acknowledged."""
+    deadline = time.monotonic() + 10.0
+    while connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 104)[24:28] != bytes(4):
+        assert time.monotonic() < deadline
 
 
 def test_sixteen_outstanding_requests_are_answered_in_order(connect):
