@@ -115,6 +115,24 @@ def written_twice(port: int, task: str, count: int) -> dict[str, Any]:
     return {**found, "of_one_write": round(rate / best, 3)}
 
 
+def readings(port: int, task: str, count: int) -> dict[str, Any]:
+    """Return the row of a client that asks what all sensors say."""
+    from qrsim.protocol.framing import frame
+    from qrsim.protocol.qrsim_pb2 import GetReadings, Message
+
+    connection, _, _ = connected(port, task)
+    question = frame(Message(type=Message.GET_READINGS, get_readings=GetReadings()).SerializeToString())
+    taken = []
+    with connection:
+        for _ in range(count):
+            begun = time.perf_counter()
+            connection.sendall(question)
+            head = connection.recv(5, socket.MSG_WAITALL)
+            connection.recv(int.from_bytes(head[1:], "little"), socket.MSG_WAITALL)
+            taken.append(1e6 * (time.perf_counter() - begun))
+    return row("GET_READINGS, 1 on the way", taken, 1e6 * len(taken) / sum(taken), None)
+
+
 def row(what: str, taken: Sequence[float], per_second: float, target: float | None) -> dict[str, Any]:
     """Return a row of the table."""
     import numpy as np
@@ -142,7 +160,7 @@ def one_vehicle(quick: bool) -> list[dict[str, Any]]:
             *taken, whole = round_trips(port, content["name"], count, outstanding)
             what = f"STEP of one tick, {outstanding} on the way"
             rows.append(row(what, taken, 1e6 * len(taken) / whole, target))
-        rows.append(written_twice(port, content["name"], count))
+        rows += [task(port, content["name"], count) for task in (written_twice, readings)]
         with Client(port=port) as client:
             client.init(content["name"])
             taken = []

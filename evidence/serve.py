@@ -158,7 +158,7 @@ def malformed(wanted: int) -> dict[str, Any]:
 def rates(full: bool) -> dict[str, Any]:
     """Return what the benchmark of serving prints, by what was measured."""
     rows = printed("serve", *(() if full else ("--quick",)))
-    names = ("lock_step", "outstanding", "written_twice", "long_steps", "real_time", "watched")
+    names = ("lock_step", "outstanding", "written_twice", "readings", "long_steps", "real_time", "watched")
     numbers = ("median_us", "p95_us", "per_second", "of_one_write", "late")
     found = {
         name: {key: row[key] for key in numbers if row.get(key) is not None}

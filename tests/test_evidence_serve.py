@@ -8,7 +8,7 @@ from evidence.__main__ import plain
 
 def test_small_form():
     found = plain(serve.run(full=False))
-    for name in ("lock_step", "outstanding", "written_twice", "long_steps"):
+    for name in ("lock_step", "outstanding", "written_twice", "readings", "long_steps"):
         assert found[name]["per_second"] > 0
     assert found["written_twice"]["of_one_write"] > 0
     malformed = found["malformed"]

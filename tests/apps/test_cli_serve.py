@@ -27,6 +27,9 @@ from qrsim.scenarios.scenario import load_scenario
         (["--realtime", "1e9"], "allowed: 0.001 to 1000"),
         (["--max-clients", "0"], "--max-clients 0"),
         (["--seed", "-1"], "--seed -1"),
+        (["--idle-timeout", "-1"], "--idle-timeout -1: expected a number of seconds, or 0 for never"),
+        (["--idle-timeout", "nan"], "--idle-timeout nan"),
+        (["--episodes", "sam"], "--episodes sam: expected new or same; did you mean 'same'?"),
         (["keep_spott"], "did you mean 'keep_spot'?"),
         (["--set", "duration=3"], "there is no SCENARIO to change"),
     ],
@@ -74,7 +77,7 @@ def test_the_operators_scenario_in_real_time_until_the_process_is_told_to_end():
             assert process.wait(30.0) == 0
         assert process.stderr.read() == ""
         said = process.stdout.read().splitlines()
-    assert said[0] == "session 1 begins: free_flight, 1 vehicle"
+    assert said[0] == "session 1 begins: free_flight, 1 vehicle, seed 0"
     assert said[1].startswith("session 1 ended: 1 steps, 0.1 s, ")
 
 

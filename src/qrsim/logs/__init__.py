@@ -6,8 +6,9 @@ and one folder per stream (``truth``, ``measurements``, ..., ``events``) of Parq
 renamed, so whatever ends the process, all parts that bear their name are complete.
 """
 
+from qrsim.logs.episodes import EpisodesWriter
 from qrsim.logs.layout import Column, Event, RunInfo
 from qrsim.logs.reader import Run, Stream, open_run
 from qrsim.logs.writer import RunWriter
 
-__all__ = ["Column", "Event", "Run", "RunInfo", "RunWriter", "Stream", "open_run"]
+__all__ = ["Column", "EpisodesWriter", "Event", "Run", "RunInfo", "RunWriter", "Stream", "open_run"]

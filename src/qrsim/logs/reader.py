@@ -16,6 +16,7 @@ import pyarrow as pa
 from pydantic import TypeAdapter, ValidationError
 
 from qrsim.errors import RunError, ScenarioError, UsageError, did_you_mean
+from qrsim.logs.episodes import EPISODES_FILE, episode_folders, holds_episodes, which_one
 from qrsim.logs.layout import EVENTS, FORMAT, INDEX, RUN_FILE, SCENARIO_FILE, Column, Event, RunInfo
 from qrsim.logs.parts import StreamParts
 from qrsim.user_files import LARGEST_DATA, read_text
@@ -30,14 +31,20 @@ def open_run(path: Path | str, *, skip_damaged: bool = False) -> Run:
     """Open a run folder for reading, as it is at this moment; open it again to see what came since.
 
     Args:
-        path: the run folder.
+        path: the run folder; or a folder of the episodes of a server's session, which is the run of its episode where
+            there is one, and otherwise has nothing but ``episodes``.
         skip_damaged: leave damaged and missing parts out, with a warning for each, instead of raising.
 
     Raises:
-        UsageError: there is no run folder at ``path``.
+        UsageError: there is no run folder at ``path``; and where one of several episodes is to be read as a run.
         RunError: ``run.json`` is damaged, or of a later version of qrsim.
     """
     folder = Path(path)
+    if holds_episodes(folder):
+        found = episode_folders(folder)
+        if len(found) == 1:
+            return open_run(found[0], skip_damaged=skip_damaged)
+        return _Episodes(folder, found, skip_damaged)
     if not (folder / RUN_FILE).is_file():
         raise UsageError(_not_a_run(folder))
     # Before the parts are listed: these are then at least as many as the counts in it.
@@ -75,6 +82,11 @@ class Run:
             return parse_yaml(self.scenario_yaml, str(source))
         except ScenarioError as error:
             raise RunError(f"{source} is damaged: {error.problems[0]}") from error
+
+    @property
+    def episodes(self) -> tuple[Run, ...]:
+        """The runs in the folder of a server's session, in the order in which they were flown; else this one alone."""
+        return (self,)
 
     @property
     def streams(self) -> tuple[str, ...]:
@@ -134,6 +146,23 @@ class Run:
         if stream not in self._parts:
             raise UsageError(f"{self.folder} has no stream '{stream}'{did_you_mean(str(stream), self._parts)}")
         return self._parts[stream]
+
+
+class _Episodes(Run):
+    """Several runs in one folder, which have to be told apart before anything is read."""
+
+    def __init__(self, folder: Path, found: list[Path], skip_damaged: bool):
+        self.folder, self._found, self._skip_damaged = folder, found, skip_damaged
+
+    @property
+    def episodes(self) -> tuple[Run, ...]:
+        return tuple(open_run(folder, skip_damaged=self._skip_damaged) for folder in self._found)
+
+    def __getattr__(self, name: str) -> Any:
+        # All else that a run has is that of one episode.
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise which_one(self.folder, self._found)
 
 
 class Batch(NamedTuple):
@@ -262,7 +291,7 @@ def _not_a_run(folder: Path) -> str:
     if (folder.parent / RUN_FILE).is_file():
         hint = f"; the run is {folder.parent}"
     elif folder.is_dir():
-        inside = sorted(path.parent.name for path in folder.glob(f"*/{RUN_FILE}"))
+        inside = sorted(path.parent.name for name in (RUN_FILE, EPISODES_FILE) for path in folder.glob(f"*/{name}"))
         hint = f"; runs inside it: {', '.join(inside[:8])}{', ...' if len(inside) > 8 else ''}" if inside else ""
     return f"{folder} is not a run folder: it has no {RUN_FILE}{hint}"
 

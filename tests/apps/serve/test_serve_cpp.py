@@ -71,11 +71,11 @@ def test_a_client_in_cpp_runs_the_whole_reference_protocol(build, served):
         here.step(command, ticks=ticks)
         expected.append(state_line(what, here))
     expected.append("wrong ACK error 1 dt: 0.03 s is not a positive multiple of the time step, 0.02 s")
-    here.reset()
+    here.reset(SEED + 1)
     here.set_state([[5.0, -6.0, -8.0, 0.0, 0.1, 0.2]])
     here.step(here.waypoint([5.0, -6.0, -8.0], 0.2))
     expected += ["reset ACK error 0 ", "setstate ACK error 0 ", state_line("wp", here), "disconnect ACK error 0 "]
-    here.reset()
+    here.reset(SEED + 2)
     expected += [state_line("init", here), "init TASKINFO 0.02 1", "disconnect ACK error 0 ", "quit ACK error 0 "]
     assert said == expected
     served.thread.join(30.0)

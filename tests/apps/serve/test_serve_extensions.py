@@ -18,6 +18,7 @@ from wires import HERE, TASK, Running, running
 import qrsim
 from qrsim.apps.serve import server as server_module
 from qrsim.apps.serve.pacing import LONGEST_DELAY_S, Pacer
+from qrsim.apps.serve.seeds import Seeds
 from qrsim.apps.serve.session import MOST_EVENTS, Session, Wishes
 from qrsim.apps.serve.tasks import MOST_VEHICLES, offboard, uploaded
 from qrsim.client import Client, ConnectionFailed, InvalidState, Refused
@@ -62,7 +63,7 @@ def test_a_seed_is_an_episode(clients):
     assert client.restart(3).state.time == 0.0
     np.testing.assert_array_equal(client.step_waypoint(1.0, [HOLD]).state, ends[3])
     client.reset()
-    np.testing.assert_array_equal(client.step_waypoint(1.0, [HOLD]).state, ends[3])
+    np.testing.assert_array_equal(client.step_waypoint(1.0, [HOLD]).state, ends[4], "the one after 3")
 
 
 def test_a_refused_open_leaves_the_connection_as_it_was(clients):
@@ -119,6 +120,7 @@ def test_readings_have_names_values_and_reasons(clients):
     client.hello()
     client.open(TASK, events=True)
     state = client.step_waypoint(0.2, [HOLD])
+    assert state.reasons == ("",)
     found = client.readings()["pelicans_0"]
     np.testing.assert_array_equal(found["gnss"]["position_ned"], state.measured[0, 0:3])
     assert found["barometer"]["height"] == state.measured[0, 16]
@@ -142,7 +144,7 @@ def test_events_must_be_asked_for(clients):
 def test_events_that_nobody_reads_are_counted(monkeypatch):
     monkeypatch.setattr("qrsim.apps.serve.session.MOST_EVENTS", 2)
     assert MOST_EVENTS > 1000
-    session = Session(1, Wishes(load_scenario(TASK), 0, events=True))
+    session = Session(1, Wishes(load_scenario(TASK), Seeds(0), events=True))
     session._events.extend({"time": float(i), "kind": "k", "vehicle": "pelicans_0"} for i in range(5))
     session.begin()
     found = session.events()
@@ -231,7 +233,10 @@ def test_a_recorded_session_is_a_run_folder_for_each_episode(tmp_path: Path):
         client.reset()
         client.step_velocity(0.1, [[0.0, 0.0, 0.0]])
         client.disconnect()
-    first, second = (open_run(folder) for folder in sorted(tmp_path.iterdir()))
+    [folder] = tmp_path.iterdir()
+    first, second = open_run(folder).episodes
+    assert [episode.folder.name for episode in (first, second)] == ["episode-0001", "episode-0002"]
+    assert (second.info.seed, second.info.state) == (7, "finished")
     assert (first.info.state, first.info.seed, first.info.scenario) == ("finished", 6, TASK)
     np.testing.assert_array_equal(first["truth"].tick, np.arange(77))
     assert len(second["truth"].tick) == 6

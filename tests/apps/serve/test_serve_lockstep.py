@@ -81,10 +81,10 @@ def test_lock_step_is_the_object_in_this_process_bit_for_bit(here):
             here.step(command_of(here, kind, row), ticks=ticks)
             assert wire.payload() == state_of(here), (kind, ticks)
         assert here.truth.velocity_ned.any(), "it has moved"
-        for message in (RESET, Message(type=Message.RESET, reset=pb.Reset(value=False))):
+        for seed, message in ((SEED + 1, RESET), (SEED + 2, Message(type=Message.RESET, reset=pb.Reset(value=False)))):
             wire.send(message)
             assert wire.payload() == acknowledged
-            here.reset()
+            here.reset(seed)
             wire.send(step(Step.WP, WAYPOINT))
             here.step(command_of(here, Step.WP, WAYPOINT))
             assert wire.payload() == state_of(here)
@@ -245,6 +245,25 @@ def test_a_served_scenario_takes_all_commands_and_keeps_its_gains(name):
     assert before.world == after.world
 
 
+def test_with_reasons_a_state_has_one_for_each_vehicle_byte_for_byte():
+    """Empty while it flies."""
+    simulation = simulate(quiet())
+    readout = Readout(simulation, reasons=True)
+    content = readout.frame()
+    found = Message.FromString(content[5:])
+    assert list(found.state.reason) == [""] * 5
+    assert content == frame(payload(found)), "byte for byte what protobuf writes"
+    assert Message.FromString(Readout(simulation).frame()[5:]).state.reason == []
+    cut = np.tile([0.0, 0.0, 0.59, 0.0, 12.0], (5, 1))
+    cut[3, 2] = 0.0
+    simulation.step(cut, ticks=200)
+    content = readout.frame()
+    found = Message.FromString(content[5:])
+    assert list(found.state.reason) == simulation.reasons
+    assert [reason != "" for reason in found.state.reason] == [False, False, False, True, False]
+    assert content == frame(payload(found))
+
+
 def test_every_built_in_scenario_has_every_sensor_of_the_measured_vector():
     types = {"gnss", "barometer", "attitude", "gyroscope", "accelerometer"}
     for name in Tasks().names:
@@ -260,6 +279,17 @@ def test_reference_names_are_our_scenarios_and_an_empty_name_is_the_operators_ow
         assert tasks.offboard(name).spec == offboard(load_scenario(ours)).spec
     assert tasks.offboard("").spec == tasks.offboard("mine").spec == offboard(own).spec
     assert tasks.names[0] == "mine"
+
+
+@pytest.mark.parametrize("asked", ["free_flight", "TaskComplacs"])
+def test_all_names_of_the_operators_scenario_mean_it_as_he_changed_it(asked):
+    """Also where a change is that of its name."""
+    for changes, own in ((["time_step=0.01"], "free_flight"), (["time_step=0.01", "name=mine"], "mine")):
+        tasks = Tasks(load_scenario("free_flight", changes), asked)
+        for name in ("", own, "free_flight", "TaskComplacs"):
+            assert tasks.offboard(name).spec.time_step == 0.01, name
+            assert tasks.scenario(name).name == own
+        assert tasks.offboard("TaskKeepSpot").spec.time_step == 0.02
 
 
 def test_the_speed_of_heading_zero(connect):

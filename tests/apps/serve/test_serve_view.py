@@ -57,7 +57,7 @@ def test_what_a_client_flies_is_drawn(tmp_path: Path):
             eventually(lambda: shown() == pytest.approx(0.2))
             assert view._page is not None
             assert "session 2" in view._page.heading
-    first = open_run(sorted(tmp_path.iterdir())[0])
+    first = open_run(sorted(tmp_path.iterdir())[0]).episodes[0]
     changed = [event for event in first.events if event.kind == "wind_changed"]
     assert [(event.tick, event.value) for event in changed] == [(75, 6.0), (75, 180.0)]
     assert first["wind"]["mean_ned.x"][-1, 0] > 4.0

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import RunError, UsageError, did_you_mean
 from qrsim.extras import require
 
 if TYPE_CHECKING:
@@ -48,7 +48,8 @@ class Serve:
     scenario: Annotated[
         tyro.conf.Positional[str | None], tyro.conf.arg(metavar="SCENARIO", help_behavior_hint="(default: none)")
     ] = None
-    """Name or YAML file of a scenario that clients can ask for by its name, or by an empty one."""
+    """Name or YAML file of a scenario that clients can ask for by its names, or by an empty one; names of the reference
+    simulator are names of the same scenario."""
     host: str = "127.0.0.1"
     """Address to listen on."""
     port: int = 10000
@@ -62,7 +63,11 @@ class Serve:
     ] = None
     """Simulated seconds per second of the wall clock."""
     seed: int = 0
-    """Seed of all randomness, at every start of a task."""
+    """Seed of the first episode; with --episodes new those that follow have the seeds that follow it."""
+    episodes: Annotated[str, tyro.conf.arg(metavar="new|same")] = "new"
+    """Whether each start of a task (INIT, RESET) is another episode or the first one again. The seeds are printed."""
+    idle_timeout: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 1800.0
+    """End the session of a client that has asked for nothing for so long; 0: never."""
     set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
         default_factory=list
     )
@@ -72,7 +77,7 @@ class Serve:
     max_clients: Annotated[int, tyro.conf.arg(metavar="N")] = 32
     """Most connections at a time."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: not recorded)")] = None
-    """Folder for run folders, one for each start of a task."""
+    """Folder for recordings: one folder for each session, in it a run folder for each start of its task."""
     view: bool = False
     """Show the simulation in three dimensions on a page for a browser; its address is printed. Not with --sessions."""
     view_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 8080
@@ -87,7 +92,7 @@ class Serve:
         from qrsim.apps.serve.server import Server
         from qrsim.apps.serve.tasks import Tasks
 
-        tasks = Tasks(scenario)
+        tasks = Tasks(scenario, self.scenario)
         if scenario is not None:
             _prepare(tasks, options)
 
@@ -110,16 +115,22 @@ class Serve:
 
     def _options(self) -> Options:
         from qrsim.apps.serve.pacing import checked_factor
+        from qrsim.apps.serve.seeds import EPISODES
         from qrsim.apps.serve.server import Options
 
         if not 0 <= self.port <= 65535:
             raise UsageError(f"--port {self.port}: expected 0 to 65535")
         if not 0 <= self.seed < 2**63:
             raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
+        if self.episodes not in EPISODES:
+            near = did_you_mean(self.episodes, EPISODES)
+            raise UsageError(f"--episodes {self.episodes}: expected {' or '.join(EPISODES)}{near}")
         if self.max_clients < 1:
             raise UsageError(f"--max-clients {self.max_clients}: expected a positive number")
         if self.realtime is not None and not (math.isfinite(self.realtime) and self.realtime > 0.0):
             raise UsageError(f"--realtime {self.realtime:g}: expected a positive number")
+        if not (math.isfinite(self.idle_timeout) and self.idle_timeout >= 0.0):
+            raise UsageError(f"--idle-timeout {self.idle_timeout:g}: expected a number of seconds, or 0 for never")
         self._check_host()
         if self.record is not None:
             try:
@@ -128,7 +139,7 @@ class Serve:
                 raise RunError(f"--record {self.record}: {error.strerror or error}") from None
         return Options(
             self.host, self.port, checked_factor(self.realtime or 0.0), self.allow_quit, self.max_clients, self.record,
-            self.sessions, self.seed, self._page(),
+            self.sessions, self.seed, self.episodes, self.idle_timeout, self._page(),
         )  # fmt: skip
 
     def _page(self) -> LiveView | None:
@@ -164,20 +175,22 @@ class Serve:
             if self.set:
                 raise UsageError("--set: there is no SCENARIO to change")
             return None
+        from qrsim.apps.serve.tasks import ours
         from qrsim.scenarios.scenario import load_scenario
 
-        return load_scenario(self.scenario, self.set)
+        return load_scenario(ours(self.scenario), self.set)
 
 
 def _prepare(tasks: object, options: Options) -> None:
     """Compile what the operator's scenario needs, so that its first client need not wait."""
     from qrsim.apps.serve.readout import largest_fleet, state_size
+    from qrsim.apps.serve.seeds import Seeds
     from qrsim.apps.serve.session import Session, Wishes
     from qrsim.apps.serve.tasks import Tasks
     from qrsim.protocol.framing import LARGEST_FOR_REFERENCE_CLIENT
 
     assert isinstance(tasks, Tasks)
-    session = Session(0, Wishes(tasks.offboard(""), options.seed, realtime=1.0))
+    session = Session(0, Wishes(tasks.offboard(""), Seeds(options.seed), realtime=1.0))
     session.begin()
     session.end()
     size, limit = session.simulation.size, LARGEST_FOR_REFERENCE_CLIENT

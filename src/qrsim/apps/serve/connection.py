@@ -38,6 +38,8 @@ class Connection(asyncio.Protocol):
     Attributes:
         server: whose client it is.
         session: what it controls, None until INIT or OPEN.
+        lost: why it controls that no more, "" where it was not taken away.
+        watchdog: takes the session away where nothing is asked for too long.
         reasons: whether it asked for states of invalid vehicles.
         gone: set when nothing can be sent any more, or the server ends.
         leaving: set when the client sends nothing more, or is gone.
@@ -46,6 +48,9 @@ class Connection(asyncio.Protocol):
     def __init__(self, server: Server):
         self.server = server
         self.session: Session | Playing | None = None
+        self.lost = ""
+        self.watchdog: asyncio.Task[None] | None = None
+        self._waits_since: float | None = None
         self.reasons = False
         self.gone, self.leaving = asyncio.Event(), asyncio.Event()
         self._deframer = Deframer(LARGEST_REQUEST)
@@ -166,7 +171,7 @@ class Connection(asyncio.Protocol):
             UsageError: there is none.
         """
         if self.session is None:
-            raise UsageError("there is no session on this connection: send INIT first")
+            raise UsageError(self.lost or "there is no session on this connection: send INIT first")
         return self.session
 
     def required_session(self) -> Session:
@@ -186,9 +191,16 @@ class Connection(asyncio.Protocol):
         Raises:
             UsageError: there is none, or it plays no task.
         """
+        if self.session is None and self.lost:
+            raise UsageError(self.lost)
         if not isinstance(self.session, Playing):
             raise UsageError("no task is played on this connection: send PLAY first")
         return self.session
+
+    def idle_s(self) -> float:
+        """Return for how long the client has asked for nothing, or has not taken what it asked for [s]."""
+        since = self._waits_since
+        return 0.0 if since is None else asyncio.get_running_loop().time() - since
 
     async def pause(self, seconds: float) -> None:
         """Wait, but not for a client that leaves."""
@@ -234,14 +246,18 @@ class Connection(asyncio.Protocol):
                     continue
             self.send_held()
             if not self._can_write.is_set():
+                self._waits_since = clock()
                 await self._can_write.wait()
+                self._waits_since = None
             elif payload is not None:
                 await asyncio.sleep(0)
             elif self.leaving.is_set():
                 return
             else:
                 self._more = asyncio.get_running_loop().create_future()
+                self._waits_since = clock()
                 await self._more
+                self._waits_since = None
             turn_ends = clock() + TURN_S
 
     async def _answer(self, payload: bytes) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from qrsim.apps.serve.commands import rows_of
 from qrsim.apps.serve.pacing import Pacer
-from qrsim.apps.serve.readout import Readout
+from qrsim.apps.serve.readout import States
 from qrsim.apps.serve.session import Wishes
 from qrsim.configuration import use_compilation_cache
 from qrsim.core.noise import Key
@@ -48,10 +48,11 @@ class Playing:
     def __init__(self, number: int, wishes: Wishes):
         self.number, self.scenario, self._wishes = number, wishes.scenario, wishes
         self.thread = ThreadPoolExecutor(1, thread_name_prefix=f"session-{number}")
-        self.seed, self.episode, self._step = wishes.seed, 0, 0
+        self.seed = self.episode = self._step = 0
+        self._seeds = wishes.seeds
         self._running = False
         self._layout: Packer | None = None
-        self._readout: Readout | None = None
+        self._states: States | None = None
 
     @property
     def vehicle_names(self) -> tuple[str, ...]:
@@ -87,15 +88,20 @@ class Playing:
         # Alone, as an environment computes it, so that it is the same episode to the bit.
         self._episodes = episodes(self.play, 1, PRECISION)
         self.pacer = Pacer(self._wishes.realtime, 0.0)
+        self.seed = self._seeds.next()
         self._start()
 
     def restart(self, seed: int | None) -> None:
-        """Start the episode of another seed, or the next one of the same.
+        """Start the first episode of another seed, or the next one of the same, unless every episode is the same.
 
         Raises:
             RunError: a fleet found no place.
         """
-        self.seed, self.episode = (self.seed, self.episode + 1) if seed is None else (seed, 0)
+        if seed is not None:
+            self._seeds = self._seeds.begin(seed)
+            self.seed, self.episode = self._seeds.next(), 0
+        elif self._seeds.episodes == "new":
+            self.episode += 1
         self._start()
         self.pacer.restarted()
 
@@ -170,10 +176,11 @@ class Playing:
         """Return what is really the case."""
         return _values(self._truth)
 
-    def state(self) -> bytes:
-        """Return the STATE of now with its length message, for those who watch."""
-        self._readout = self._readout or Readout(self)
-        return self._readout.frame()
+    @property
+    def states(self) -> States:
+        """The STATE messages, for those who watch."""
+        self._states = self._states or States(self)
+        return self._states
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:

@@ -7,11 +7,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from qrsim.core.pack import Buffers, Packer
+from qrsim.models.area import reason_text
 from qrsim.models.attitude import AttitudeReading
 from qrsim.models.barometer import BarometerReading
 from qrsim.models.gnss import GnssReading
 from qrsim.models.inertial import AccelerometerReading, GyroscopeReading
 from qrsim.protocol.framing import HEAD_SIZE, frame
+from qrsim.protocol.qrsim_pb2 import Message, State
 from qrsim.world import FleetState
 
 Array = np.ndarray[Any, Any]
@@ -21,7 +23,11 @@ UNUSED = (6, 7, 8, 12)
 # Bytes before the numbers of each vehicle: the tags and lengths of X or eX, and of the Arrayd in it.
 _X_HEAD = bytes([0x12, 106, 0x0A, 104])
 _EX_HEAD = bytes([0x1A, 0xA3, 0x01, 0x0A, 0xA0, 0x01])
+# Of a Message: its type STATE, and the tag of the State in it.
+_STATE_HEAD = b"\x08\x06\x3a"
 _T_HEAD = b"\x09"
+# Of a reason, and of one that is empty.
+_REASON_HEAD, _NO_REASON = b"\xa2\x06", b"\xa2\x06\x00"
 _X_STRIDE, _EX_STRIDE = len(_X_HEAD) + 8 * STATE_SIZE, len(_EX_HEAD) + 8 * MEASURED_SIZE
 BYTES_PER_VEHICLE = _X_STRIDE + _EX_STRIDE
 
@@ -70,17 +76,23 @@ class Readout:
 
     The measured vector is NaN where a fleet lacks the sensor and where a sensor has no reading. Where a fleet has
     several of a kind, the first one counts.
+
+    Args:
+        simulation: whose state.
+        reasons: say why each vehicle is invalid, which is an extension.
     """
 
-    def __init__(self, simulation: Source):
-        self._simulation = simulation
+    def __init__(self, simulation: Source, reasons: bool = False):
+        self._simulation, self._explains = simulation, reasons
         count = simulation.size
         body = len(_T_HEAD) + 8 + count * BYTES_PER_VEHICLE
-        head = b"\x08\x06\x3a" + varint(body)
+        self._body_size, tail = body, _NO_REASON * count if reasons else b""
+        body += len(tail)
+        head = _STATE_HEAD + varint(body)
         self._body_at = HEAD_SIZE + len(head)
         x_at = self._body_at + len(_T_HEAD) + 8
         content = frame(head + _T_HEAD + bytes(8) + _X_HEAD.ljust(_X_STRIDE, b"\0") * count
-                        + _EX_HEAD.ljust(_EX_STRIDE, b"\0") * count)  # fmt: skip
+                        + _EX_HEAD.ljust(_EX_STRIDE, b"\0") * count + tail)  # fmt: skip
         self._buffer = bytearray(content)
         self._time = np.ndarray((1,), "<f8", self._buffer, x_at - 8)
         self._x = np.ndarray((count, STATE_SIZE), "<f8", self._buffer, x_at + len(_X_HEAD), (_X_STRIDE, 8))
@@ -97,6 +109,7 @@ class Readout:
         places = layout.unpack((np.arange(floats), np.arange(integers, dtype=np.int32)))
         self._x_places = np.concatenate([_state_places(fleet) for fleet in places.fleets])
         self._codes = np.concatenate([fleet.violation.code for fleet in places.fleets])
+        self._values = np.concatenate([fleet.violation.value for fleet in places.fleets])
         rows, columns, sources, first = [], [], [], 0
         for fleet in places.fleets:
             size = len(fleet.violation.code)
@@ -116,15 +129,52 @@ class Readout:
         self._time[0] = self._simulation.time
         self._x[...] = floats.take(self._x_places)
         self._ex[self._ex_rows, self._ex_columns] = floats.take(self._ex_places)
+        if self._explains and not self.all_valid():
+            return self._explained()
         return bytes(self._buffer)
 
-    def body(self) -> bytes:
-        """Return the message State of now alone."""
-        return self.frame()[self._body_at :]
+    def _explained(self) -> bytes:
+        """Return the STATE with a reason for each vehicle that is invalid, the numbers being there already."""
+        floats, integers = self._simulation.packed[1]
+        codes, values = np.asarray(integers).take(self._codes), np.asarray(floats).take(self._values)
+        body = bytes(self._buffer[self._body_at : self._body_at + self._body_size])
+        for code, value in zip(codes.tolist(), values.tolist(), strict=True):
+            text = reason_text(code, value).encode()
+            body += _REASON_HEAD + varint(len(text)) + text
+        return frame(_STATE_HEAD + varint(len(body)) + body)
+
+    def message(self) -> State:
+        """Return the message State of now."""
+        return Message.FromString(self.frame()[HEAD_SIZE:]).state
 
     def all_valid(self) -> bool:
         """Return whether all vehicles fly."""
         return not np.count_nonzero(np.asarray(self._simulation.packed[1][1]).take(self._codes))
+
+
+class States:
+    """The STATE messages of one simulation, for those who want reasons and for those who do not."""
+
+    def __init__(self, simulation: Source):
+        self._simulation = simulation
+        self._plain = Readout(simulation)
+        self._explaining: Readout | None = None
+
+    def frame(self, reasons: bool = False) -> bytes:
+        """Return the STATE of now with its length message."""
+        return (self._with_reasons() if reasons else self._plain).frame()
+
+    def message(self) -> State:
+        """Return the message State of now, with reasons."""
+        return self._with_reasons().message()
+
+    def all_valid(self) -> bool:
+        """Return whether all vehicles fly."""
+        return self._plain.all_valid()
+
+    def _with_reasons(self) -> Readout:
+        self._explaining = self._explaining or Readout(self._simulation, reasons=True)
+        return self._explaining
 
 
 def _state_places(fleet: FleetState) -> Array:

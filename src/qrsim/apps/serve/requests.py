@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from qrsim.apps.serve.pacing import Pacer, checked_factor
 from qrsim.apps.serve.playing import Playing
+from qrsim.apps.serve.sensors import sensor_readings
 from qrsim.apps.serve.session import Session, Wishes
 from qrsim.apps.serve.tasks import offboard, uploaded
 from qrsim.errors import UsageError
@@ -33,10 +34,9 @@ async def init(connection: Connection, message: Message) -> bool:
     realtime = server.options.realtime or float(request.realTime)
     wishes = await server.aside(lambda: _wishes(connection, request.task, realtime=realtime))
     session = await server.open(connection, lambda number: Session(number, wishes, server.options.view))
-    state = session.readout.frame()
-    connection.send_frame(state)
+    connection.send_frame(session.states.frame(connection.reasons))
     connection.send(Message(type=Message.TASKINFO, taskInfo=_info(session)))
-    server.broadcast(session, state)
+    server.broadcast(session)
     return True
 
 
@@ -52,7 +52,7 @@ def _wishes(
         found = offboard(uploaded(scenario)) if flown else uploaded(scenario)
     else:
         found = server.tasks.offboard(task) if flown else server.tasks.scenario(task)
-    return Wishes(found, **{"seed": server.options.seed, "record": server.options.record, **others})
+    return Wishes(found, **{"seeds": server.seeds, "record": server.options.record, **others})
 
 
 def _info(session: Session) -> pb.TaskInfo:
@@ -60,12 +60,17 @@ def _info(session: Session) -> pb.TaskInfo:
 
 
 async def reset(connection: Connection, message: Message) -> bool:
-    """Start the task again."""
+    """Start the task again, its next episode."""
     session = connection.required_session()
     await connection.server.run(session, session.restart)
+    _say_episode(connection, session)
     connection.acknowledge()
-    connection.server.broadcast(session, session.readout.frame())
+    connection.server.broadcast(session)
     return True
+
+
+def _say_episode(connection: Connection, session: Session) -> None:
+    connection.server.say(f"session {session.number}, episode {session.episode}: seed {session.simulation.seed}")
 
 
 async def disconnect(connection: Connection, message: Message) -> bool:
@@ -86,7 +91,7 @@ async def set_state(connection: Connection, message: Message) -> bool:
     session = connection.required_session()
     await connection.server.run(session, lambda: session.set_state(message.setsState.X))
     connection.acknowledge()
-    connection.server.broadcast(session, session.readout.frame())
+    connection.server.broadcast(session)
     return True
 
 
@@ -121,17 +126,15 @@ async def step(connection: Connection, command: Any, ticks: int) -> None:
         session.advance(command, ticks)
     else:
         await connection.server.advance(connection, session, command, ticks)
-    state = session.readout.frame()
+    state = session.states.frame(connection.reasons)
     wait = session.pacer.wait_s(session.time)
     if wait > 0.0:
         await connection.pause(wait)
-    if session.readout.all_valid():
+    if connection.reasons or session.states.all_valid():
         connection.hold_frame(state)
-    elif connection.reasons:
-        connection.send(Message(type=Message.STATE, state=session.state_with_reasons()))
     else:
         connection.acknowledge(INVALID)
-    connection.server.broadcast(session, state)
+    connection.server.broadcast(session, {connection.reasons: state})
 
 
 # ---- extensions ----
@@ -171,7 +174,7 @@ def _chosen(connection: Connection, request: pb.Open | pb.Play) -> dict[str, Any
     return {
         "task": request.task,
         "scenario": request.scenario if request.HasField("scenario") else None,
-        "seed": connection.server.options.seed if seed is None else seed,
+        "seeds": connection.server.seeds if seed is None else connection.server.seeds.begin(seed),
     }
 
 
@@ -185,9 +188,10 @@ def _seed(request: pb.Open | pb.Play | pb.Restart) -> int | None:
 
 
 async def restart(connection: Connection, message: Message) -> bool:
-    """Start the task again, with another seed if one is given."""
+    """Start the task again, its next episode or that of a seed."""
     session, seed = connection.required_session(), _seed(message.restart)
     await connection.server.run(session, lambda: session.restart(seed))
+    _say_episode(connection, session)
     _send_session(connection, session)
     return True
 
@@ -200,36 +204,22 @@ def _send_session(connection: Connection, session: Session) -> None:
         seed=simulation.seed,
         vehicle=simulation.vehicle_names,
         info=_info(session),
-        state=session.state_with_reasons(),
+        state=session.states.message(),
     )
     connection.send(Message(type=Message.SESSION, session=found))
-    connection.server.broadcast(session, session.readout.frame())
+    connection.server.broadcast(session)
 
 
 async def get_readings(connection: Connection, message: Message) -> bool:
     """Say what every sensor says, and why it does not."""
     session = connection.required_session()
-    found = await connection.server.run(session, lambda: _readings(session))
+    told = session.sensors.frame()
+    if told is not None:
+        connection.send_frame(told)
+        return True
+    found = await connection.server.run(session, lambda: sensor_readings(session.simulation))
     connection.send(Message(type=Message.READINGS, readings=found))
     return True
-
-
-def _readings(session: Session) -> pb.Readings:
-    simulation = session.simulation
-    reading, found = simulation.reading, pb.Readings(t=session.time)
-    for name, valid, reason in zip(simulation.vehicle_names, simulation.valid, simulation.reasons, strict=True):
-        found.vehicle.add(name=name, valid=bool(valid), reason=reason)
-    first = 0
-    for fleet in simulation.world.fleets:
-        for sensor_name in fleet.sensor_names:
-            sensor = getattr(reading[fleet.name], sensor_name)
-            arrays = {field: getattr(sensor, field).reshape(fleet.size, -1).tolist() for field in sensor.fields}
-            for i, reason in enumerate(sensor.reasons):
-                added = found.vehicle[first + i].sensor.add(name=sensor_name, reason=reason)
-                for field, rows in arrays.items():
-                    added.field.add(name=field, value=rows[i])
-        first += fleet.size
-    return found
 
 
 async def watch(connection: Connection, message: Message) -> bool:
@@ -273,6 +263,7 @@ async def play(connection: Connection, message: Message) -> bool:
     else:
         session, seed = connection.session, _seed(request)
         await server.run(session, lambda: session.restart(seed))
+        server.say(f"session {session.number}: episode {session.episode} of seed {session.seed}")
     found = pb.Episode(
         id=session.number,
         scenario=session.scenario.name,
@@ -310,7 +301,7 @@ def _wishes_to_play(connection: Connection, chosen: dict[str, Any]) -> Wishes:
 def _show(connection: Connection, session: Playing) -> None:
     """Send the state of an episode to those who watch it."""
     if connection.server.watched(session):
-        connection.server.broadcast(session, session.state())
+        connection.server.broadcast(session)
 
 
 async def act(connection: Connection, message: Message) -> bool:

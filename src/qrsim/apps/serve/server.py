@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from qrsim.apps.serve.connection import MOST_WAITING, Connection
 from qrsim.apps.serve.playing import Playing
 from qrsim.apps.serve.requests import HANDLERS, NEEDED
+from qrsim.apps.serve.seeds import Seeds
 from qrsim.apps.serve.session import Session
 from qrsim.apps.serve.tasks import Tasks
 from qrsim.errors import RunError, UsageError
@@ -46,6 +47,8 @@ class Options:
     record: Path | None = None
     sessions: bool = False
     seed: int = 0
+    episodes: str = "new"
+    idle_timeout: float = 0.0
     view: LiveView | None = None
 
 
@@ -76,15 +79,19 @@ class Server:
 
     Attributes:
         sessions: id -> session.
+        seeds: of the episodes of all clients that ask for no seed of their own.
     """
 
     def __init__(self, options: Options, tasks: Tasks, say: Callable[[str], None] = lambda line: None):
         self.options, self.tasks, self.say = options, tasks, say
         self.sessions: dict[int, Session | Playing] = {}
+        self.seeds = Seeds(options.seed, options.episodes)
         self._connections: set[Connection] = set()
         self._watching: dict[Connection, Watching] = {}
         self._opened = 0
         self._opening = 0
+        # Of those whose owner has lost them already.
+        self._ending = 0
         self._stopping = asyncio.Event()
         self._others = ThreadPoolExecutor(1, thread_name_prefix="load")
 
@@ -203,24 +210,48 @@ class Server:
             raise
         finally:
             self._opening -= 1
-        connection.session = session
+        connection.session, connection.lost = session, ""
         self.sessions[session.number] = session
+        if self.options.idle_timeout:
+            connection.watchdog = asyncio.get_running_loop().create_task(self._end_idle(connection, session))
         count = f"{session.size} vehicle{'s' if session.size != 1 else ''}"
-        self.say(f"session {session.number} begins: {session.scenario.name}, {count}")
+        self.say(f"session {session.number} begins: {session.scenario.name}, {count}, seed {session.seed}")
         return session
 
+    async def _end_idle(self, connection: Connection, session: Session | Playing) -> None:
+        """End a session once its owner has asked for nothing for too long."""
+        longest = self.options.idle_timeout
+        while (idle := connection.idle_s()) < longest:
+            await asyncio.sleep(longest - idle)
+        connection.session, connection.watchdog = None, None
+        why = f"its owner asked for nothing for {longest:g} s (--idle-timeout)"
+        connection.lost = f"session {session.number} has ended, because {why}; INIT or OPEN begin another"
+        await self._end_session(session, f", because {why}")
+
     def _owner_leaves(self) -> bool:
-        return any(other.session is not None and other.leaving.is_set() for other in self._connections)
+        return self._ending > 0 or any(
+            other.session is not None and other.leaving.is_set() for other in self._connections
+        )
 
     async def close_session(self, connection: Connection) -> None:
         """End the session of a connection, if it has one."""
         session = connection.session
         if session is None:
             return
-        await self.run(session, session.end)
+        if connection.watchdog is not None:
+            connection.watchdog.cancel()
+            connection.watchdog = None
         connection.session = None
-        self.sessions.pop(session.number, None)
-        self.say(f"session {session.number} ended: {session.summary()}")
+        await self._end_session(session)
+
+    async def _end_session(self, session: Session | Playing, why: str = "") -> None:
+        self._ending += 1
+        try:
+            await self.run(session, session.end)
+        finally:
+            self._ending -= 1
+            self.sessions.pop(session.number, None)
+        self.say(f"session {session.number} ended{why}: {session.summary()}")
 
     async def aside(self, work: Callable[[], T]) -> T:
         """Do something slow that belongs to no session."""
@@ -270,8 +301,14 @@ class Server:
         """Return whether somebody watches a session."""
         return any(watching.session in (None, session.number) for watching in self._watching.values())
 
-    def broadcast(self, session: Session | Playing, state: bytes) -> None:
-        """Send a state to those who watch a session; whoever is too slow misses it."""
+    def broadcast(self, session: Session | Playing, states: dict[bool, bytes] | None = None) -> None:
+        """Send the state of a session to those who watch it; whoever is too slow misses it.
+
+        Args:
+            session: whose state.
+            states: its frames with and without reasons, as far as they are there already.
+        """
+        states = states or {}
         for connection, watching in self._watching.items():
             if watching.session not in (None, session.number):
                 continue
@@ -282,4 +319,6 @@ class Server:
                 watching.missed += 1
                 continue
             watching.last = session.time
-            connection.send_frame(state)
+            if connection.reasons not in states:
+                states[connection.reasons] = session.states.frame(connection.reasons)
+            connection.send_frame(states[connection.reasons])

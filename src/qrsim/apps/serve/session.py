@@ -16,12 +16,14 @@ import numpy as np
 
 from qrsim.apps.serve.commands import Commands, rows_of
 from qrsim.apps.serve.pacing import Pacer
-from qrsim.apps.serve.readout import Readout
+from qrsim.apps.serve.readout import States
+from qrsim.apps.serve.seeds import Seeds
+from qrsim.apps.serve.sensors import SensorReadout
 from qrsim.control import VelocitySetpoint, WaypointSetpoint
 from qrsim.errors import RunError, UsageError, warn_user
-from qrsim.logs import RunInfo, RunWriter
+from qrsim.logs import EpisodesWriter, RunInfo, RunWriter
 from qrsim.logs.streams import STREAMS, EventFinder, columns, values
-from qrsim.protocol.qrsim_pb2 import Arrayd, Events, State
+from qrsim.protocol.qrsim_pb2 import Arrayd, Events
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation import History, Simulation
 
@@ -44,14 +46,14 @@ class Wishes:
 
     Attributes:
         scenario: what to fly, offboard.
-        seed: of all randomness.
+        seeds: of its episodes.
         realtime: simulated seconds per second of the wall clock; 0: lock-step.
         events: collect events.
-        record: folder for run folders, one for each episode; None: not recorded.
+        record: folder for the recordings of sessions; None: not recorded.
     """
 
     scenario: Scenario
-    seed: int
+    seeds: Seeds
     realtime: float = 0.0
     events: bool = False
     record: Path | None = None
@@ -64,13 +66,16 @@ class Session:
         number: its id.
         scenario: what is flown.
         thread: a thread of its own, for what takes long.
-        simulation, readout, pacer: of the present episode.
+        simulation, states, pacer: of the present episode.
+        sensors: tells what the sensors say.
         commands: makes commands of STEPs.
+        episode: how many episodes it has begun.
     """
 
     simulation: Simulation
     commands: Commands
-    readout: Readout
+    states: States
+    sensors: SensorReadout
     pacer: Pacer
 
     def __init__(self, number: int, wishes: Wishes, view: LiveView | None = None):
@@ -78,19 +83,25 @@ class Session:
         self._view = view
         self.scenario = wishes.scenario
         self.thread = ThreadPoolExecutor(1, thread_name_prefix=f"session-{number}")
-        self._wishes = wishes
+        self._wishes, self._seeds = wishes, wishes.seeds
         self._seconds: dict[Any, tuple[float, int]] = {}
         self._events: deque[dict[str, Any]] = deque()
         self._lost_events = 0
         self._writer: RunWriter | None = None
         self._finder: EventFinder | None = None
         self._columns: dict[str, Any] = {}
-        self._episode = 0
+        self._recording: EpisodesWriter | None = None
+        self.episode = 0
 
     @property
     def size(self) -> int:
         """Number of vehicles."""
         return self.simulation.size
+
+    @property
+    def seed(self) -> int:
+        """Seed of the present episode."""
+        return self.simulation.seed
 
     @property
     def time(self) -> float:
@@ -110,7 +121,7 @@ class Session:
         """
         scenario, wishes = self.scenario, self._wishes
         self.simulation = Simulation(
-            scenario.world(), seed=wishes.seed, name=scenario.name, site=scenario.site, number=0
+            scenario.world(), seed=self._seeds.next(), name=scenario.name, site=scenario.site, number=0
         )
         self.simulation.reset()
         self.commands = Commands(self.simulation.vehicle_names, self.simulation.dtype)
@@ -136,21 +147,24 @@ class Session:
         self.simulation.reset()
 
     def restart(self, seed: int | None = None) -> None:
-        """Go back to the start, with another seed if one is given.
+        """Start the next episode; where a seed is given, that of it, and those that follow it from then on.
 
         Raises:
             UsageError: it is no seed.
+            RunError: a fleet found no place.
         """
-        self.simulation.reset(seed)
+        if seed is not None:
+            self._seeds = self._seeds.begin(seed)
+        self.simulation.reset(self._seeds.next())
         self._start_episode()
         self.pacer.restarted()
         if self._view is not None:
             self._view.show(self.simulation)
 
     def _start_episode(self) -> None:
-        self.readout = Readout(self.simulation)
+        self.states, self.sensors = States(self.simulation), SensorReadout(self.simulation)
         self.close_recording()
-        self._episode += 1
+        self.episode += 1
         if not self._tick_by_tick:
             return
         beginning = self.simulation.history
@@ -171,9 +185,12 @@ class Session:
             scenario=self.scenario.name, seed=simulation.seed, precision=simulation.precision,
             time_step=self.time_step, vehicles=simulation.vehicle_names,
         )  # fmt: skip
-        stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")
-        name = f"{stamp}-{self.scenario.name}-session{self.number}-{self._episode}"
-        return RunWriter.create(folder / name, info=info, scenario_yaml=self.scenario.to_yaml(), columns=self._columns)
+        if self._recording is None:
+            stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")
+            name = f"{stamp}-{self.scenario.name}-session{self.number}".replace("/", "-")
+            self._recording = EpisodesWriter.create(folder / name, self.scenario.name)
+        episode = self._recording.begin(simulation.seed)
+        return RunWriter.create(episode, info=info, scenario_yaml=self.scenario.to_yaml(), columns=self._columns)
 
     # ---- steps ----
 
@@ -241,12 +258,6 @@ class Session:
         if self._view is not None:
             self._view.show(self.simulation)
 
-    def state_with_reasons(self) -> State:
-        """Return the state with why each vehicle is invalid."""
-        state = State.FromString(self.readout.body())
-        state.reason.extend(self.simulation.reasons)
-        return state
-
     # ---- what is kept ----
 
     def _keep(self, history: History) -> None:
@@ -306,7 +317,8 @@ class Session:
         """Return what came of it, for the operator."""
         report = self.pacer.report()
         late = f", {report.overruns} late, at worst by {1e3 * report.worst_delay:.1f} ms" if report.factor else ""
-        return f"{report.steps} steps, {report.simulated:g} s{late}"
+        episodes = f" in {self.episode} episodes" if self.episode > 1 else ""
+        return f"{report.steps} steps, {report.simulated:g} s{episodes}{late}"
 
     def end(self) -> None:
         """End the recording; nothing is to be called after it."""

@@ -58,10 +58,14 @@ class Tasks:
 
     Args:
         own: the operator's scenario, which an empty name means too; None: there is none.
+        asked: what the operator calls it, where that is not its own name.
     """
 
-    def __init__(self, own: Scenario | None = None):
+    def __init__(self, own: Scenario | None = None, asked: str | None = None):
         self.own = own
+        self._own_names = {"", own.name} if own else set()
+        if own and asked and ours(asked) in built_in_names():
+            self._own_names.add(ours(asked))
         self._loaded: dict[str, Scenario] = {}
 
     @property
@@ -76,9 +80,10 @@ class Tasks:
         Raises:
             UsageError: no task is called so.
         """
-        if name not in self._loaded:
-            self._loaded[name] = offboard(self.scenario(name))
-        return self._loaded[name]
+        known = self._known(name)
+        if known not in self._loaded:
+            self._loaded[known] = offboard(self.scenario(name))
+        return self._loaded[known]
 
     def scenario(self, name: str) -> Scenario:
         """Return the scenario of a task as it is written.
@@ -86,12 +91,21 @@ class Tasks:
         Raises:
             UsageError: no task is called so.
         """
-        if self.own and name in ("", self.own.name):
+        known = self._known(name)
+        if self.own and not known:
             return self.own
-        known = REFERENCE_TASKS.get(name, name)
         if known in built_in_names():
             return load_scenario(known)
         raise UsageError(f"no task is called '{_short(name)}'{did_you_mean(name[:100], self.names)}")
+
+    def _known(self, name: str) -> str:
+        """Return our name of a task, "" for the operator's, which is the same task by each of its names."""
+        return "" if self.own and {name, ours(name)} & self._own_names else ours(name)
+
+
+def ours(name: str) -> str:
+    """Return our name of a task of the reference implementation, any other name as it is."""
+    return REFERENCE_TASKS.get(name, name)
 
 
 def uploaded(text: str) -> Scenario:

@@ -1,0 +1,30 @@
+"""Which episode comes next."""
+
+from __future__ import annotations
+
+MOST_SEEDS = 2**63
+EPISODES = ("new", "same")
+
+
+class Seeds:
+    """The seeds of one episode after the other: a first one and those that follow it, or always the same.
+
+    Args:
+        first: 0 <= first < 2**63.
+        episodes: "new" or "same".
+    """
+
+    def __init__(self, first: int, episodes: str = "new"):
+        self.episodes = episodes
+        self._next = first
+
+    def next(self) -> int:
+        """Return the seed of the next episode."""
+        found = self._next
+        if self.episodes == "new":
+            self._next = (found + 1) % MOST_SEEDS
+        return found
+
+    def begin(self, first: int) -> Seeds:
+        """Return the seeds of a client that asked for a first one."""
+        return Seeds(first, self.episodes)
