@@ -107,6 +107,7 @@ def test_the_others_go_on_to_the_bit_and_the_draws_are_those_of_the_tick(outdoor
     outdoors.load(start)
 
 
+@pytest.mark.long
 def test_machine_code_and_xla_place_alike(outdoors):
     layout, state = outdoors.packed
     given = checked_rows(elsewhere(outdoors), outdoors.vehicle_names, outdoors.dtype)

@@ -12,11 +12,12 @@ from wires import HELLO, HERE, RESET, TASK, Wire, running, step
 
 import qrsim
 from qrsim.apps.serve.seeds import Seeds
-from qrsim.apps.serve.sensors import SensorReadout, sensor_readings
+from qrsim.apps.serve.sensors import SensorReadout, _sensor, sensor_readings
 from qrsim.cli import main
 from qrsim.client import Client, Refused
 from qrsim.errors import UsageError
 from qrsim.logs import open_run
+from qrsim.models.camera import CameraReading
 from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.framing import frame
 from qrsim.protocol.qrsim_pb2 import Message
@@ -163,8 +164,7 @@ def test_an_episode_of_a_recording_is_run_again(recorded, tmp_path, capsys):
 
 
 def test_readings_are_what_protobuf_writes_byte_for_byte():
-    for content in (quiet(), "outdoor_patrol"):
-        simulation = simulate(content) if isinstance(content, dict) else qrsim.load(content, seed=4)
+    for simulation in (simulate(quiet()), qrsim.load(TASK, seed=4)):
         simulation.reset()
         readout = SensorReadout(simulation)
         for _ in range(2):
@@ -182,9 +182,7 @@ def test_readings_that_are_missing_are_left_to_protobuf():
     simulation.step(cut, ticks=200)
     assert readout.frame() is None
     assert [vehicle.valid for vehicle in sensor_readings(simulation).vehicle].count(False) == 1
-    with_camera = qrsim.load("search_and_rescue/2A")
-    with_camera.reset()
-    assert SensorReadout(with_camera).frame() is None, "a picture is large, and seldom new"
+    assert _sensor("camera", CameraReading(None, None, None), simulation.site) is None, "its pictures are seldom new"
 
 
 # ---- owners who fall idle ----
