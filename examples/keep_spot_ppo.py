@@ -32,8 +32,8 @@ ITERATIONS, EPISODES, EPOCHS, MINIBATCHES = 80, 128, 6, 8
 DISCOUNT, TRACE, CLIP, RATE, VALUE_WEIGHT, MOST_GRADIENT = 0.97, 0.95, 0.2, 2e-3, 0.5, 0.5
 # Seeds from here on are of episodes that nothing is learned from.
 NEW = 10**6
-# Learned from are rewards of no less than this, three metres off, in units of it: else lost episodes drown all others.
-WORST = 9.0
+# Rewards are learned from in units of this, of which a crash costs some eight.
+UNIT = 100.0
 # Pitch, roll, throttle, yaw rate and battery of a hover, and how far one unit of the policy goes from there; [-1, 1].
 HOVER = np.array([0.0, 0.0, 0.18, 0.0, 1.0], np.float32)
 REACH = np.array([0.3, 0.3, 0.2, 0.05], np.float32)
@@ -140,9 +140,8 @@ def fly(env: Functional, weights: Any, seeds: Array, key: Array, noise: float = 
 
 
 def advantages(steps: Steps) -> Array:
-    """Return generalised advantages (T, B); who stops is counted as if the worst went on for ever."""
-    reward = jnp.maximum(steps.reward / WORST, -1.0)
-    reward = jnp.where(steps.terminated, -1.0 / (1.0 - DISCOUNT), reward)
+    """Return generalised advantages (T, B)."""
+    reward = steps.reward / UNIT
 
     def back(later: tuple[Array, Array], row: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], Array]:
         advantage, value_after = later

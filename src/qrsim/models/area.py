@@ -101,6 +101,17 @@ class BoxArea:
         walls = jnp.minimum(jnp.minimum(x - self.x_min, self.x_max - x), jnp.minimum(y - self.y_min, self.y_max - y))
         return jnp.minimum(walls, jnp.minimum(z - self.z_min, self.z_max - z))
 
+    def farthest_squared(self, position_ned: Vec3) -> Array:
+        """Return the squared distance [m^2] of positions (n,) from the corner that is farthest."""
+        limits = ((self.x_min, self.x_max), (self.y_min, self.y_max), (self.z_min, self.z_max))
+        far = Vec3(
+            *(
+                jnp.maximum(jnp.abs(value - low), jnp.abs(value - high))
+                for value, (low, high) in zip(jax.tree.leaves(position_ned), limits, strict=True)
+            )
+        )
+        return far.dot(far)
+
     def height_agl(self, position_ned: Vec3) -> Array:
         """Return the height above ground [m] of positions (n,)."""
         return -position_ned.z

@@ -63,6 +63,13 @@ class PolygonArea:
         z = position_ned.z
         return jnp.minimum(self.distance_to_fence(position_ned), jnp.minimum(z - self.z_min, self.z_max - z))
 
+    def farthest_squared(self, position_ned: Vec3) -> Array:
+        """Return the squared distance [m^2] of positions (n,) from the corner that is farthest."""
+        north, east = position_ned.x[None] - self.north[:, None], position_ned.y[None] - self.east[:, None]
+        z = position_ned.z
+        down = jnp.maximum(jnp.abs(z - self.z_min), jnp.abs(z - self.z_max))
+        return jnp.max(north * north + east * east, axis=0) + down * down
+
     def height_agl(self, position_ned: Vec3) -> Array:
         """Return the height above ground [m] of positions (n,)."""
         return -position_ned.z

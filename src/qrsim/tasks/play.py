@@ -158,9 +158,16 @@ class Play:
         state, number = episode.state, episode.step + 1
         memory, reward = self.task.judge(episode.memory, self.world, state, number, self.steps)
         fly = all_fly(state)
-        reward = jnp.where(fly, reward, self.task.penalty)
+        reward = jnp.where(fly, reward, self._crashed(episode))
         after = Episode(state, memory, number)
         return after, Step(self.task.observe(memory, self.world, state), reward, ~fly, fly & (number >= self.steps))
+
+    def _crashed(self, episode: Episode) -> Array:
+        """Return the reward () of a step in which a vehicle has stopped."""
+        if not hasattr(self.task, "crashed"):
+            return jnp.asarray(self.task.penalty)
+        reward: Array = self.task.crashed(episode.memory, self.world, episode.state, self.steps)
+        return reward
 
     def scaled(self, action: Any) -> Any:
         """Return actions (n, A) in their units, of numbers that are clipped to [-1, 1]; NumPy or JAX."""

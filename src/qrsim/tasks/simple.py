@@ -1,22 +1,40 @@
-"""The simple tasks: hold a place, reach one, hold a velocity; by SI commands at every tick (spec: simple tasks)."""
+"""The simple tasks: hold a place, reach one, hold a velocity; by SI commands, which cost.
+
+The rewards of an episode add up to what the reference implementation returns at its end: minus the integral of the
+costs, and for a place minus the squared distance from it at the end. That distance is paid as it changes, a potential
+of the state (Ng, Harada and Russell 1999), so who learns hears of it at once, and the sum is that of the end for every
+``period``. Who crashes gets what is missing to a total that no crash can have made better: see ``Crash``.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Draw
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3, rotation
+from qrsim.errors import UsageError
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
-from qrsim.tasks.agents import BELIEVED, Axis, action_period, believed, estimate_of, fleet_of, only, penalty, square
-from qrsim.world_tree import Action, State, World
+from qrsim.tasks.agents import (
+    BELIEVED,
+    Axis,
+    action_period,
+    believed,
+    estimate_of,
+    fleet_of,
+    number_of,
+    only,
+    square,
+)
+from qrsim.world_tree import Action, FleetState, State, World
 
 _UNITS = {"pitch": "rad", "roll": "rad", "throttle": "1", "yaw_rate": "rad/s", "battery": "V"}
 AXES = tuple(Axis(name, _UNITS[name], *COMMAND_LIMITS[name]) for name in COMMAND_FIELDS)
+Crash = Literal["worst", "published"]
 
 
 @record
@@ -43,13 +61,21 @@ class Effort:
         throttle, yaw = self.throttle * (command.throttle - self.hover_throttle), self.yaw_rate * command.yaw_rate
         return tilt + throttle * throttle + yaw * yaw
 
+    def highest_rate(self) -> Array:
+        """Return () the cost per second of the command that costs most."""
+        low, high = (Command(*(jnp.full(1, COMMAND_LIMITS[name][end]) for name in COMMAND_FIELDS)) for end in (0, 1))
+        low = replace(low, pitch=high.pitch, roll=high.roll, yaw_rate=high.yaw_rate)
+        return jnp.maximum(self.rate(low), self.rate(high))[0]
+
 
 @record
 class SimpleMemory:
     """Of vehicles (n,)."""
 
     start_ned: Vec3 = quantity(unit="m", doc="where each started")
-    effort: Array = quantity(doc="integral of what the commands of this step cost")
+    cost: Array = quantity(doc="integral of what this step costs each")
+    owed: Array = quantity(unit="m^2", doc="squared distance of each from its goal that has been paid")
+    total: Array = quantity(doc="() rewards so far, the sum over all")
 
 
 @record
@@ -57,7 +83,11 @@ class Commanded:
     """What the simple tasks share: they are flown by SI commands, which cost."""
 
     effort: Effort = quantity(default=Effort(), doc="what commands cost")
-    penalty: Array = penalty()
+    penalty: Array = parameter(default=-1000.0, unit="1", doc="return of an episode that ends in a crash", maximum=0.0)
+    crash: Crash = setting(
+        default="worst",
+        doc="return after a crash: published, the penalty; worst, no more than anybody can have who does not crash",
+    )
     fleet: str = setting(default="pelicans", doc="name of the fleet whose vehicles are the agents")
     period: float = action_period(0.02)
 
@@ -68,16 +98,50 @@ class Commanded:
     def init(self, world: World, state: State, draw: Draw) -> SimpleMemory:
         """Return what is remembered at the start."""
         _, fleet = fleet_of(world, state, self.fleet)
-        return SimpleMemory(fleet.vehicle.position_ned, jnp.zeros_like(fleet.vehicle.thrust))
+        zero = jnp.zeros_like(fleet.vehicle.thrust)
+        return SimpleMemory(fleet.vehicle.position_ned, zero, zero, jnp.zeros((), zero.dtype))
 
     def commands(self, memory: SimpleMemory, world: World, action: Array) -> tuple[Action, ...]:
         """Return commands of numbers (n, 5)."""
         return only(world, self.fleet, Command(*(action[:, i] for i in range(len(COMMAND_FIELDS)))))
 
     def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:
-        """Add what the command costs during a tick."""
+        """Add what a tick costs."""
         _, fleet = fleet_of(world, state, self.fleet)
-        return SimpleMemory(memory.start_ned, memory.effort + self.effort.rate(fleet.command) * world.time_step)
+        return replace(memory, cost=memory.cost + self.cost_rate(fleet) * world.time_step)
+
+    def cost_rate(self, fleet: FleetState) -> Array:
+        """Return what each vehicle (n,) pays per second."""
+        return self.effort.rate(fleet.command)
+
+    def left(self, memory: SimpleMemory, world: World, state: State) -> Array:
+        """Return what each vehicle (n,) would have to pay on top if the episode ended here."""
+        return jnp.zeros_like(memory.owed)
+
+    def judge(
+        self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
+    ) -> tuple[SimpleMemory, Array]:
+        """Return minus what a step costs all vehicles together, for each of them."""
+        left = self.left(memory, world, state)
+        reward = -jnp.sum(memory.cost + (left - memory.owed))
+        after = replace(memory, cost=jnp.zeros_like(left), owed=left, total=memory.total + reward)
+        return after, jnp.broadcast_to(reward, left.shape)
+
+    def crashed(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
+        """Return the reward () of the step in which a vehicle stops: what is missing to the return after a crash.
+
+        Raises:
+            UsageError: the area cannot say how far away one can be in it.
+        """
+        total = jnp.asarray(self.penalty)
+        if self.crash == "worst":
+            cost = self.highest_cost(memory, world.with_drawn(state.drawn), steps * self.period)
+            total = jnp.minimum(total, -jnp.sum(cost))
+        return total - memory.total
+
+    def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
+        """Return an upper bound of what each vehicle (n,) can pay in an episode [s] without a crash."""
+        return jnp.broadcast_to(self.effort.highest_rate() * duration, memory.owed.shape)
 
 
 @record
@@ -86,13 +150,21 @@ class KeepSpot(Commanded):
 
     sees: ClassVar[tuple[Axis, ...]] = (*BELIEVED, *(Axis(f"to_{name}", "m") for name in ("north", "east", "down")))
 
-    def judge(
-        self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
-    ) -> tuple[SimpleMemory, Array]:
-        """Return minus the cost: of the commands, and of the squared distance from where each is to be."""
+    def left(self, memory: SimpleMemory, world: World, state: State) -> Array:
+        """Return the squared distance of each vehicle (n,) from where it is to be [m^2]."""
         _, fleet = fleet_of(world, state, self.fleet)
-        cost = memory.effort + square(fleet.vehicle.position_ned - self.goal(memory, world))
-        return _paid(memory), _shared(-cost)
+        return square(fleet.vehicle.position_ned - self.goal(memory, world))
+
+    def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
+        """Return the highest effort, and the squared distance of the goal (n,) from the farthest corner of the area."""
+        farthest = getattr(world.area, "farthest_squared", None)
+        if farthest is None:
+            raise UsageError(
+                f"world.area: {type(world.area).__name__} has no farthest_squared, from which a task with "
+                "crash: worst takes what a crash costs; give it one, or say crash: published"
+            )
+        effort: Array = Commanded.highest_cost(self, memory, world, duration)
+        return effort + farthest(self.goal(memory, world))
 
     def goal(self, memory: SimpleMemory, world: World) -> Vec3:
         """Return where each vehicle (n,) is to be [m]."""
@@ -128,18 +200,16 @@ class KeepVelocity(Commanded):
         *(Axis(f"wanting_{name}", "m/s") for name in ("north", "east", "down")),
     )
 
-    def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:
-        """Add what the command and the error of the velocity cost during a tick."""
-        _, fleet = fleet_of(world, state, self.fleet)
+    def cost_rate(self, fleet: FleetState) -> Array:
+        """Return the effort, and the squared error of the velocity (n,)."""
         error = rotation(fleet.vehicle.attitude).to_ned(fleet.vehicle.velocity_body) - self._wanted()
-        rate = self.effort.rate(fleet.command) + square(error)
-        return SimpleMemory(memory.start_ned, memory.effort + rate * world.time_step)
+        return self.effort.rate(fleet.command) + square(error)
 
-    def judge(
-        self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
-    ) -> tuple[SimpleMemory, Array]:
-        """Return minus the cost."""
-        return _paid(memory), _shared(-memory.effort)
+    def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
+        """Return the highest effort, and the largest error (n,) of a velocity within the limits of the state."""
+        fleet = world.fleets[number_of(world, self.fleet)]
+        error = math.sqrt(3.0) * fleet.limits.velocity + jnp.sqrt(square(self._wanted()))
+        return Commanded.highest_cost(self, memory, world, duration) + error * error * duration
 
     def observe(self, memory: SimpleMemory, world: World, state: State) -> Array:
         """Return what each vehicle believes of itself, and what it lacks of the wanted velocity."""
@@ -149,12 +219,3 @@ class KeepVelocity(Commanded):
 
     def _wanted(self) -> Vec3:
         return Vec3(self.velocity_north, self.velocity_east, self.velocity_down)
-
-
-def _paid(memory: SimpleMemory) -> SimpleMemory:
-    return SimpleMemory(memory.start_ned, jnp.zeros_like(memory.effort))
-
-
-def _shared(reward: Array) -> Array:
-    """Return the sum for each of the vehicles (n,)."""
-    return jnp.broadcast_to(jnp.sum(reward), reward.shape)
