@@ -1,4 +1,8 @@
-"""Run studies and write docs/evidence/NAME.json: ``python -m evidence [NAME ...]``."""
+"""Run studies and write docs/evidence/NAME.json: ``python -m evidence [--dirty] [NAME[:PART] ...]``.
+
+Some studies have parts, such as the scenarios of ``tasks``. ``NAME:PART`` runs one and puts it in place of what the
+file says of it; of each part that was run alone the file says when, where and on which commit, under ``parts``.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +29,7 @@ from qrsim.errors import QrsimError, UsageError, did_you_mean
 
 ROOT = Path(__file__).resolve().parent.parent
 OUTPUT = ROOT / "docs" / "evidence"
+DIRTY = "+dirty"
 
 
 def studies() -> dict[str, ModuleType]:
@@ -49,7 +54,7 @@ def commit(root: Path) -> str:
         changed = git("status", "--porcelain", "--", ".", ":(exclude)docs/evidence")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-    return revision + ("+dirty" if changed else "")
+    return revision + (DIRTY if changed else "")
 
 
 def _cpu_model() -> str:
@@ -89,23 +94,52 @@ def plain(results: Any, path: str = "") -> Any:
     return results if isinstance(results, int) else float(results)
 
 
-def write(name: str, module: ModuleType, revision: str, output: Path) -> Path:
-    """Run the full form of one study and write its file."""
+def write(name: str, module: ModuleType, revision: str, output: Path, part: str | None = None) -> Path:
+    """Run the full form of one study, or one part of it, and write its file.
+
+    Raises:
+        UsageError: a part is to go into a file that is not there.
+    """
+    path = output / f"{name}.json"
+    if part is not None and not path.is_file():
+        raise UsageError(f"{name}:{part}: there is no {path.name} yet to put it into; run all of '{name}' first")
     began = time.perf_counter()
-    results = plain(module.run(full=True))
-    report = {
-        "study": name,
+    results = plain(module.run(full=True) if part is None else module.run(full=True, parts=(part,)))
+    run = {
         "commit": revision,
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "seed": getattr(module, "SEED", None),
         "machine": machine(),
         "duration_s": round(time.perf_counter() - began, 1),
-        "results": results,
     }
+    if part is None:
+        report = {"study": name, **run, "results": results}
+    else:
+        report = json.loads(path.read_text(encoding="utf-8"))
+        report["results"] |= results
+        report["parts"] = report.get("parts", {}) | {part: run}
     output.mkdir(parents=True, exist_ok=True)
-    path = output / f"{name}.json"
     path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return path
+
+
+def _chosen(names: Sequence[str], known: dict[str, ModuleType]) -> list[tuple[str, str | None]]:
+    """Return the studies, each with its part or None.
+
+    Raises:
+        UsageError: there is no such study, or no such part of it.
+    """
+    chosen = []
+    for text in names:
+        name, colon, part = text.partition(":")
+        if name not in known:
+            raise UsageError(f"no study named '{name}'{did_you_mean(name, known)}")
+        parts = getattr(known[name], "PARTS", ())
+        if colon and part not in parts:
+            has = f"it has {', '.join(parts)}" if parts else "it has none"
+            raise UsageError(f"{name}: no part named '{part}'{did_you_mean(part, parts)}; {has}")
+        chosen.append((name, part if colon else None))
+    return chosen
 
 
 def main(arguments: Sequence[str] | None = None, output: Path = OUTPUT) -> int:
@@ -117,20 +151,30 @@ def main(arguments: Sequence[str] | None = None, output: Path = OUTPUT) -> int:
         epilog="\n".join(f"{name}: {module.DOC.strip()}" for name, module in known.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("names", nargs="*", metavar="NAME", help="study to run (default: all)")
-    names = parser.parse_args(arguments).names
+    parser.add_argument("names", nargs="*", metavar="NAME[:PART]", help="study to run, or a part (default: all)")
+    parser.add_argument("--dirty", action="store_true", help="run although files differ from the commit, and say so")
+    asked = parser.parse_args(arguments)
     try:
-        for name in names:
-            if name not in known:
-                raise UsageError(f"no study named '{name}'{did_you_mean(name, known)}")
+        chosen = _chosen(asked.names or list(known), known)
         revision = commit(ROOT)
-        for name in dict.fromkeys(names or known):
-            path = write(name, known[name], revision, output)
-            print(f"{name}: wrote {path.relative_to(ROOT) if path.is_relative_to(ROOT) else path}")
-    except QrsimError as error:
+        if revision.endswith(DIRTY) and not asked.dirty:
+            raise UsageError(
+                f"files differ from commit {revision.removesuffix(DIRTY)}, so nobody could repeat what is measured: "
+                f"commit first, or give --dirty to write '{revision}'"
+            )
+    except UsageError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-    return 0
+    code = 0
+    for name, part in dict.fromkeys(chosen):
+        try:
+            path = write(name, known[name], revision, output, part)
+            print(f"{name}: wrote {path.relative_to(ROOT) if path.is_relative_to(ROOT) else path}", flush=True)
+        except QrsimError as error:
+            # The others may take hours, and know nothing of this one.
+            print(f"error: {error}", file=sys.stderr)
+            code = code or error.exit_code
+    return code
 
 
 if __name__ == "__main__":

@@ -48,9 +48,9 @@ def pilots(name: str) -> dict[str, Any]:
     return {"cut": CUT, "hover": HOVER, "controller": lambda _, seen: controlled(name, seen)}
 
 
-def fly(flown: Batch, command: Any) -> tuple[Values, Values]:
-    """Return the returns (B,) of the seeds from 0 on, and who flew to the end."""
-    flown.reset(np.arange(flown.size))
+def fly(flown: Batch, command: Any, seed: int = 0) -> tuple[Values, Values]:
+    """Return the returns (B,) of the seeds from one on, and who flew to the end."""
+    flown.reset(seed + np.arange(flown.size))
     shape = (flown.size, len(flown.functional.agents), len(flown.functional.play.task.axes))
     total, alive = np.zeros(flown.size), np.ones(flown.size, bool)
     for step in range(flown.functional.play.steps):

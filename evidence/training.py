@@ -1,7 +1,12 @@
-"""What examples/keep_spot_ppo.py learns, against the hover command that it begins with and the waypoint controller.
+"""What can be learned in keep_spot: by examples/keep_spot_ppo.py, and by the PPO of Stable-Baselines3 as it comes.
 
-Learners of several seeds fly the same episodes to learn from. All are then tried, by the mean of their policy, in the
-same episodes that are new to them, as the hover command and the controller are; means have Student t intervals.
+Of the example learners of several seeds fly the same episodes to learn from. All are then tried, by the mean of their
+policy, in the same episodes that are new to them, as the hover command that they begin with and the waypoint controller
+are. Stable-Baselines3 learns with every setting at its default on the registered ``qrsim/keep_spot-v0``, until it flies
+``TRIES`` episodes without a crash; it is then scored in others. Means have Student t intervals.
+
+The part ``sb3`` needs Stable-Baselines3 and its PyTorch, which qrsim does not install:
+``pip install torch==2.13.0 stable-baselines3`` (the build of PyTorch for the CPU is enough).
 """
 
 from __future__ import annotations
@@ -16,15 +21,23 @@ import jax
 import numpy as np
 from examples import keep_spot_ppo as ppo
 
+from evidence.returns import HOVER, fly
 from evidence.tasks import CONFIDENCE, summary
-from qrsim.apps.envs import Functional
+from qrsim.apps.envs import Functional, gymnasium_id
+from qrsim.apps.envs.batch import Batch
 from qrsim.core.tree import record, replace
+from qrsim.errors import UsageError
 from qrsim.logs.picture import new_figure, save_picture
 from qrsim.tasks import KeepSpot
 
-DOC = "return of policies learned by PPO on keep_spot in wind, against hovering and the waypoint controller"
+DOC = "return of policies learned by PPO on keep_spot, against hovering and the waypoint controller"
+PARTS = ("example", "sb3")
+INSTALL = "pip install torch==2.13.0 stable-baselines3"
 # Learners, iterations, episodes of each iteration, episodes to try them in.
 FULL, SMALL = (3, ppo.ITERATIONS, ppo.EPISODES, 1000), (1, 2, 16, 16)
+# Stable-Baselines3: the most steps, those between two tries, episodes to try it in, episodes to score it in.
+SB3_FULL, SB3_SMALL = (3_000_000, 250_000, 100, 1000), (2048, 2048, 4, 4)
+SB3_SEED = 0
 IMAGE = Path(__file__).resolve().parent.parent / "docs" / "images" / "training.png"
 
 
@@ -43,7 +56,62 @@ def watched(env: Functional) -> Functional:
     return dataclasses.replace(env, play=replace(env.play, task=task))
 
 
-def run(full: bool) -> dict[str, Any]:
+def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
+    """Return what each part finds; the small form is of the example only."""
+    found = {}
+    if "sb3" in parts and full:
+        require_sb3()
+    if "example" in parts:
+        found |= example(full)
+    if "sb3" in parts and full:
+        found["sb3"] = sb3(*SB3_FULL)
+    return found
+
+
+def require_sb3() -> Any:
+    """Return the PPO of Stable-Baselines3.
+
+    Raises:
+        UsageError: it is not installed.
+    """
+    try:
+        from stable_baselines3 import PPO
+    except ModuleNotFoundError as error:
+        raise UsageError(f"training: {error.name} is not installed, which the part 'sb3' needs: {INSTALL}") from None
+    return PPO
+
+
+def sb3(most: int, between: int, tries: int, trials: int) -> dict[str, Any]:
+    """Return how Stable-Baselines3 learns with its defaults, and what its policy scores in new episodes."""
+    import gymnasium
+
+    model = require_sb3()("MlpPolicy", gymnasium.make(gymnasium_id("keep_spot")), seed=SB3_SEED, device="cpu")
+
+    def act(_: int, seen: Any) -> Any:
+        return model.predict(seen[:, 0], deterministic=True)[0][:, None]
+
+    tried, curve, begun = Batch("keep_spot", tries), {}, time.perf_counter()
+    while model.num_timesteps < most:
+        model.learn(between, reset_num_timesteps=False)
+        total, alive = fly(tried, act, 2 * ppo.NEW)
+        curve[f"step_{model.num_timesteps}"] = {"mean": round(total.mean(), 1), "flown_to_the_end": alive.mean()}
+        print(
+            f"training: sb3: {model.num_timesteps} steps: mean {total.mean():.1f}, {alive.mean():.0%} whole", flush=True
+        )
+        if alive.all():
+            break
+    took, scored_in = round(time.perf_counter() - begun, 1), Batch("keep_spot", trials)
+    return {
+        "steps": model.num_timesteps,
+        "seconds": took,
+        "trials": trials,
+        "curve": curve,
+        "hover": summary(*fly(scored_in, HOVER, ppo.NEW)),
+        **summary(*fly(scored_in, act, ppo.NEW)),
+    }
+
+
+def example(full: bool) -> dict[str, Any]:
     """Return the learning curves, and what everybody scores in new episodes; in full also what the controller does."""
     learners, iterations, episodes, trials = FULL if full else SMALL
     env = Functional.of("keep_spot", ppo.OVERRIDES)

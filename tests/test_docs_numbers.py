@@ -197,6 +197,11 @@ def study(results: Any) -> ModuleType:
 
 
 class TestRunner:
+    @pytest.fixture(autouse=True)
+    def _clean(self, request, monkeypatch) -> None:
+        if request.node.originalname != "test_commit":
+            monkeypatch.setattr(runner, "commit", lambda root: "abc1234")
+
     def test_studies_are_found(self):
         known = runner.studies()
         assert {"noise", "recordings"} <= set(known)
@@ -218,6 +223,41 @@ class TestRunner:
         assert runner.main([], tmp_path) == 0
         assert sorted(p.name for p in tmp_path.iterdir()) == ["one.json", "two.json"]
         assert "two: wrote" in capsys.readouterr().out
+
+    def test_a_tree_that_differs_from_its_commit_is_refused(self, tmp_path: Path, monkeypatch, capsys):
+        monkeypatch.setattr(runner, "studies", lambda: {"one": study({"a": 1})})
+        monkeypatch.setattr(runner, "commit", lambda root: "abc1234+dirty")
+        assert runner.main(["one"], tmp_path) == 2
+        assert "error: files differ from commit abc1234," in capsys.readouterr().err
+        assert list(tmp_path.iterdir()) == []
+        assert runner.main(["one", "--dirty"], tmp_path) == 0
+        assert json.loads((tmp_path / "one.json").read_text(encoding="utf-8"))["commit"] == "abc1234+dirty"
+
+    def test_a_part_takes_the_place_of_what_the_file_says_of_it(self, tmp_path: Path, monkeypatch, capsys):
+        module = study(None)
+        module.PARTS = ("left", "right")  # type: ignore[attr-defined]
+        module.run = lambda full, parts=module.PARTS: {part: {"a": version} for part in parts}  # type: ignore[attr-defined]
+        monkeypatch.setattr(runner, "studies", lambda: {"two": module, "one": study({"a": 1})})
+        version = 1
+        assert runner.main(["two:left"], tmp_path) == 2
+        assert "there is no two.json yet to put it into; run all of 'two' first" in capsys.readouterr().err
+        assert runner.main(["two"], tmp_path) == 0
+        version = 2
+        monkeypatch.setattr(runner, "commit", lambda root: "def5678")
+        assert runner.main(["two:left"], tmp_path) == 0
+        report = json.loads((tmp_path / "two.json").read_text(encoding="utf-8"))
+        assert report["results"] == {"left": {"a": 2}, "right": {"a": 1}}
+        assert (report["commit"], report["parts"]["left"]["commit"]) == ("abc1234", "def5678")
+        capsys.readouterr()
+        for name, said in (("two:rigth", "did you mean 'right'?; it has left, right"), ("one:a", "it has none")):
+            assert runner.main([name], tmp_path) == 2
+            assert said in capsys.readouterr().err
+
+    def test_a_failed_study_stops_no_other(self, tmp_path: Path, monkeypatch, capsys):
+        monkeypatch.setattr(runner, "studies", lambda: {"bad": study(RunError("no disk")), "good": study({"a": 1})})
+        assert runner.main([], tmp_path) == 1
+        assert capsys.readouterr().err == "error: no disk\n"
+        assert [path.name for path in tmp_path.iterdir()] == ["good.json"]
 
     def test_an_unknown_name_runs_nothing(self, tmp_path: Path, capsys):
         assert runner.main(["noise", "recordigns"], tmp_path) == 2

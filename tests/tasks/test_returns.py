@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evidence.returns import CUT, LENGTH, changing, fly, pilots
+from evidence.returns import LENGTH, changing, fly, pilots
 
 from qrsim.apps.envs.batch import Batch
 from qrsim.core.noise import Draw, Key
@@ -164,12 +164,12 @@ def test_an_area_that_knows_no_farthest_corner_is_refused() -> None:
     scenario = load_scenario("keep_spot")
     world = replace(scenario.world(), area=Anywhere())
     memory: Any = type("Memory", (), {"owed": jnp.zeros(1), "start_ned": None, "total": jnp.zeros(())})
-    with pytest.raises(UsageError, match="area: Anywhere has no farthest_squared.*or say crash: published"):
+    with pytest.raises(UsageError, match=r"area: Anywhere has no farthest_squared.*or say crash: published"):
         KeepSpot.highest_cost(scenario.task(), memory, world, 60.0)
 
 
 def test_a_choice_that_does_not_exist_is_refused_with_those_that_do() -> None:
-    with pytest.raises(ScenarioError, match="task.crash: .*worst.*published"):
+    with pytest.raises(ScenarioError, match=r"task\.crash: .*worst.*published"):
         load_scenario("keep_spot", ["task.crash=worse"])
 
 
