@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -13,13 +14,11 @@ import pytest
 from evidence.returns import LENGTH, changing, fly, pilots
 
 from qrsim.apps.envs.batch import Batch
-from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import replace
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.vehicles.quadrotor import Command
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.tasks import KeepSpot, Play
-from qrsim.world import keys_of, reset
+from qrsim.tasks import KeepSpot
 
 Array = np.ndarray[Any, Any]
 # What a command of full pitch and roll (0.9 rad), no throttle and full yaw rate (4.5 rad/s) costs per second:
@@ -113,13 +112,18 @@ def test_cutting_the_throttle_never_pays_in_the_other_tasks(name: str) -> None:
 def ended(name: str, *overrides: str) -> Any:
     """Return the rewards of two steps of which the second ends in a crash, for vehicles that have paid something."""
     scenario = load_scenario(name, overrides)
-    game = Play(scenario.task(), scenario.world(), scenario.steps)
-    task, world = game.task, game.world
-    state = reset(world, keys_of(world, Key.root(jnp.array([3, 0], jnp.uint32))))
-    draw = Draw(game.keys(Key.root(jnp.array([3, 0], jnp.uint32))).task.stream(0, jnp.arange(0)), jnp.int32(0), 0.0)
-    memory = task.init(world, state, draw)
-    memory, first = task.judge(replace(memory, cost=memory.cost + 7.0), world, state, jnp.int32(1), game.steps)
-    return float(first[0]), float(task.crashed(memory, world, state, game.steps))
+    task, world = scenario.task(), scenario.world()
+    # Of a state these look only at where the vehicles are: at their start.
+    fleets = [
+        SimpleNamespace(
+            vehicle=SimpleNamespace(position_ned=fleet.start.position_ned, thrust=fleet.start.position_ned.x)
+        )
+        for fleet in world.fleets
+    ]
+    state: Any = SimpleNamespace(fleets=fleets, drawn=())
+    memory = task.init(world, state, None)
+    memory, first = task.judge(replace(memory, cost=memory.cost + 7.0), world, state, jnp.int32(1), scenario.steps)
+    return float(first[0]), float(task.crashed(memory, world, state, scenario.steps))
 
 
 @pytest.mark.parametrize(
