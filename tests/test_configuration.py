@@ -79,6 +79,14 @@ class TestCompilationCache:
         assert config.jax_compilation_cache_dir.endswith("compiled")
         assert "qrsim" in config.jax_compilation_cache_dir
 
+    def test_not_where_others_can_write(self, config, monkeypatch, tmp_path):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+        (tmp_path / "qrsim" / "compiled").mkdir(parents=True)
+        (tmp_path / "qrsim" / "compiled").chmod(0o777)
+        with pytest.warns(UserWarning, match="others can write into it"):
+            configuration.use_compilation_cache()
+        assert vars(config) == {"jax_compilation_cache_dir": None}
+
     def test_where_jax_was_told(self, config):
         config.jax_compilation_cache_dir = "/elsewhere"
         configuration.use_compilation_cache()

@@ -10,6 +10,7 @@ from typing import Any
 import jax
 
 from qrsim.errors import UsageError
+from qrsim.folders import private, tidy
 
 # The older code generator of XLA:CPU compiles a tick in half the time of the newer one. It runs a few vehicles as fast,
 # hundreds more slowly.
@@ -100,12 +101,19 @@ def quick_jit(function: Callable[..., Any], **options: Any) -> Any:
 
 
 def use_compilation_cache() -> None:
-    """Keep compiled programs in the user's cache, unless JAX was told otherwise or QRSIM_COMPILATION_CACHE is off."""
+    """Keep what XLA compiles in the user's cache, unless JAX was told otherwise or QRSIM_COMPILATION_CACHE is off.
+
+    A folder that others can write into is not used, with a warning.
+    """
     config: Any = jax.config
     if config.jax_compilation_cache_dir or os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
         return
     from platformdirs import user_cache_path
 
-    config.update("jax_compilation_cache_dir", str(user_cache_path("qrsim") / "compiled"))
+    place = user_cache_path("qrsim") / "compiled"
+    if not private(place):
+        return
+    tidy(place)
+    config.update("jax_compilation_cache_dir", str(place))
     config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -16,7 +16,7 @@ import qrsim
 from qrsim import configuration, ticking
 from qrsim.errors import UsageError
 from qrsim.models.area import nearest_squared
-from qrsim.native import Mode, cache
+from qrsim.native import Mode
 from qrsim.rollouts import rollout
 from qrsim.simulation import Simulation
 from qrsim.ticking import NativeTicks, XlaTicks
@@ -168,39 +168,3 @@ class TestChoice:
         np.testing.assert_allclose(
             by_xla["position_ned"], rollout(world, plain, ticks=40, worlds=2, seed=SEED)["position_ned"], atol=1e-4
         )
-
-
-class TestCache:
-    @pytest.fixture
-    def place(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(cache, "folder", lambda: tmp_path / "native")
-        return tmp_path / "native"
-
-    def test_made_once(self, place):
-        made: list[int] = []
-
-        def make() -> str:
-            made.append(1)
-            return "code"
-
-        assert [cache.kept(("a", 1), make), cache.kept(("a", 1), make), cache.kept(("a", 2), make)] == ["code"] * 3
-        assert len(made) == 2
-
-    @pytest.mark.parametrize("damage", [b"", b"\0" * 40, None])
-    def test_what_is_damaged_is_made_anew(self, place, damage):
-        cache.kept("a", lambda: "code")
-        (path,) = place.iterdir()
-        whole = path.read_bytes()
-        path.write_bytes(whole[:-1] + b"!" if damage is None else damage)
-        assert cache.kept("a", lambda: "new") == "new"
-        assert cache.kept("a", lambda: "newer") == "new"
-
-    def test_a_place_that_cannot_be_written_costs_only_time(self, place):
-        place.write_text("a file where the folder should be")
-        assert cache.kept("a", lambda: "code") == "code"
-
-    def test_off(self, monkeypatch):
-        monkeypatch.setenv("QRSIM_COMPILATION_CACHE", "off")
-        assert cache.folder() is None
-        assert cache.kept("a", lambda: "one") == "one"
-        assert cache.kept("a", lambda: "two") == "two"

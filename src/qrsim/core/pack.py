@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.structure import kinds
+
 Buffers = tuple[Any, Any]
 
 
@@ -43,8 +45,9 @@ class Packer:
 
     @cached_property
     def _identity(self) -> tuple[Any, ...]:
-        # By its text, because to JAX two structures are equal whose records differ in nothing but their type.
-        return (repr(self.structure), tuple(self.shapes), tuple(self.dtypes))
+        # By its text and types, because to JAX two structures are equal whose records differ in nothing but their type,
+        # and two types may have one name.
+        return (repr(self.structure), tuple(kinds(self.structure)), tuple(self.shapes), tuple(self.dtypes))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # JAX cannot pickle a structure in which there are records.
