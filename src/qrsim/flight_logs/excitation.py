@@ -7,9 +7,10 @@ smoothed, it counts for no less than a floor, which is what their estimates drif
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,10 @@ SLOWEST_ATTITUDE_HZ, SLOWEST_VELOCITY_HZ = 5.0, 2.0
 # Change of velocity over this time [s] is what a throttle is compared with. Full throttle lifts whatever flies by more
 # than 1 g, so that a unit of throttle is worth more than that; a vehicle in flight shows at least this share of it.
 LIFT_S, LEAST_LIFT = 0.5, 0.2 * 9.81
+# Share of the rows in which nothing moves from which on a log counts as one on the ground.
+ON_THE_GROUND = 0.95
+# A sensor that gives the same number for longer [s] hangs.
+FROZEN_S = 1.0
 # Rows are looked at by so much time when it is told what stands still.
 STILL_S = 1.0
 
@@ -93,6 +98,11 @@ ASPECTS: dict[str, Aspect] = {
 }
 
 
+COMMANDED = tuple(dict.fromkeys(each.command for each in ASPECTS.values() if each.command))
+# Yaw and velocity drift on the ground too.
+TURNING = ("roll", "pitch", "roll_rate", "pitch_rate", "yaw_rate", "thrust")
+
+
 @dataclass(frozen=True)
 class Excitation:
     """What part of a log shows.
@@ -101,7 +111,8 @@ class Excitation:
         movements: of each signal by name.
         follows: largest correlation of an aspect's measurement with its command at a delay up to LONGEST_DELAY_S.
         lacking: by aspect, why the log does not show it; aspects that it shows are not there.
-        silent: channels that were not measured or do not follow a command that moves, so that no fit can use them.
+        silent: channels that were not measured, do not follow a command that moves or move without being asked, so that
+            no fit can use them.
         still: share of the rows in which nothing moves.
     """
 
@@ -188,14 +199,15 @@ def _why_not(
     for each in (aspect.command, *aspect.channels):
         if each and movements[each].rate_hz < slowest:
             return f"{each} was logged at {movements[each].rate_hz:.3g} Hz; at least {slowest:g} Hz are needed", False
-    if aspect.command and not movements[aspect.command].moves:
-        return f"{told(aspect.command, movements[aspect.command])}: not asked to move", False
     still = [each for each in aspect.channels if not movements[each].moves]
+    if aspect.command and not movements[aspect.command].moves:
+        why = f"{told(aspect.command, movements[aspect.command])}: not asked to move"
+        return (f"{why}, though it does", True) if not still and name != "heave" else (why, False)
     if name == "drag":
-        tilts = [each for each in ("roll", "pitch") if each in movements and movements[each].moves]
+        tilts = [each for each in ("roll", "pitch") if follows.get(each, 0.0) >= FOLLOWS and movements[each].moves]
         if len(still) == len(aspect.channels):
             return "; ".join(told(each, movements[each]) for each in still) + ": does not move", False
-        return ("" if tilts else "neither roll nor pitch moves, so that no velocity is due to them"), False
+        return ("" if tilts else "neither roll nor pitch moves as commanded, so that no velocity is due to them"), False
     if still:
         return (
             "; ".join(told(each, movements[each]) for each in still)
@@ -230,6 +242,60 @@ def told(name: str, movement: Movement) -> str:
         return f"{name} is constant"
     unit = "" if SIGNALS[name].unit == "1" else f" {SIGNALS[name].unit}"
     return f"{name} moves by {movement.std:.3g}{unit} ({movement.ratio:.2g} times its noise of {movement.noise:.2g})"
+
+
+def described(log: FlightLog, excitation: Excitation) -> list[str]:
+    """Return why a log is refused that shows nothing, and how much each of its signals moves, line by line."""
+    lines = [f"  {told(name, movement)}" for name, movement in excitation.movements.items()]
+    return [f"{log.source}: refused, and nothing is written: {nature(excitation)}", *lines]
+
+
+def nature(excitation: Excitation) -> str:
+    """Return in words what kind of log shows nothing."""
+    moving = [name for name in TURNING if name in excitation.movements and excitation.movements[name].moves]
+    asked = [name for name in COMMANDED if name in excitation.movements and excitation.movements[name].moves]
+    if excitation.still >= ON_THE_GROUND or not moving:
+        return "on the ground, or not flown: nothing that a vehicle turns or lifts itself by moves more than its noise"
+    if not asked:
+        return f"not commanded: {', '.join(moving)} move, but no command does (carried by hand, or not armed)"
+    return "not in flight, or not by these commands: what moves does not follow what was asked for"
+
+
+def without_ground(log: FlightLog) -> FlightLog:
+    """Return a log without the rows in which it stands on the ground, unless that is all of it.
+
+    No law of flight describes them. How many they are is in the notes.
+    """
+    still = standing_still(log)
+    if not still.any() or still.all():
+        return log
+    note = f"{still.sum() * log.dt:.1f} s on the ground are left out"
+    signals = {name: np.where(still, np.nan, values) for name, values in log.signals.items()}
+    return replace(log, signals=signals, notes=[*log.notes, note])
+
+
+def without_frozen(log: FlightLog) -> FlightLog:
+    """Return a log without the rows in which a signal that moves elsewhere stays the same to the last digit.
+
+    No sensor of motion does so for FROZEN_S: its driver or the logger hung. What was left out is in the notes. A thrust
+    may be 0 for long.
+    """
+    signals, notes = dict(log.signals), list(log.notes)
+    least = round(FROZEN_S / log.dt)
+    for name, values in log.signals.items():
+        good = values[np.isfinite(values)]
+        if SIGNALS[name].command or name == "thrust" or not (good != good[:1]).any():
+            continue
+        changes = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0.0, [True]]))
+        runs = [(begin, end) for begin, end in itertools.pairwise(changes.tolist()) if end - begin > least]
+        if runs:
+            signals[name] = values.copy()
+            for begin, end in runs:
+                signals[name][begin:end] = np.nan
+            seconds = sum(end - begin for begin, end in runs) * log.dt
+            first = log.time[runs[0][0]]
+            notes.append(f"{name}: the same to the last digit for {seconds:.2f} s, first at {first:.2f} s; left out")
+    return replace(log, signals=signals, notes=notes) if len(notes) > len(log.notes) else log
 
 
 def standing_still(log: FlightLog) -> Rows:

@@ -56,6 +56,7 @@ def choose(log: FlightLog, populations: Mapping[str, Population], windows: int, 
         train: share of the rows that may be used.
     """
     choice = Choice({name: each.chosen(windows) for name, each in populations.items()}, {})
+    populations = {name: each for name, each in populations.items() if not each.given}
     middle = FIRST_PART * train
     try:
         lengths = [min(length, 0.5 * middle * len(log.time) * log.dt) for length in FIT_S]

@@ -106,7 +106,14 @@ def _summary(found: Discovery) -> dict[str, Any]:
         }
         for name, law in found.laws.items()
     }
-    return {"laws": laws, "delay_s": found.delay, "trims": found.trims, "held_out_mean_squared_error": found.held_out}
+    held = dict(found.held)
+    return {
+        "laws": laws,
+        "as_published": held,
+        "delay_s": found.delay,
+        "trims": found.trims,
+        "held_out_mean_squared_error": found.held_out,
+    }
 
 
 def _print(found: Discovery, out: Path) -> None:
@@ -115,6 +122,8 @@ def _print(found: Discovery, out: Path) -> None:
     for law in found.laws.values():
         print(f"\n{law.text}\n  {law.chosen.size} nodes; error by nodes:", end=" ")
         print(", ".join(f"{nodes}: {error:.3g}" for nodes, error in law.front))
+    for name, why in found.held.items():
+        print(f"\n{name}: flies as published: {why}")
     print(f"\ncommands of this log act {found.delay:.4g} s late")
     for name, trim in found.trims.items():
         print(f"\n{name.replace('_', ' ')} command of this log: {trim:+.4g} {TRIM_UNITS[name]} added")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -23,7 +23,7 @@ WINDOWS, STEPS = 400, 15
 REACH, TOLERANCE = 3.0, 0.05
 
 
-def rough_delay(log: FlightLog, train: float) -> float:
+def rough_delay(log: FlightLog, train: float, given: Collection[str] = ()) -> float:
     """Return the delay [s], in whole steps of the log, whose commands explain best how rates and thrust change.
 
     No law need be known: what counts is what polynomials of second degree in the inputs of each law leave, of the
@@ -32,20 +32,21 @@ def rough_delay(log: FlightLog, train: float) -> float:
     Args:
         log: what was read.
         train: share of the rows that may be used.
+        given: laws that the log does not show.
     """
     delays = log.dt * np.arange(round(LONGEST_S / log.dt) + 1)
-    unexplained = [_unexplained(log.delayed(float(delay)), train) for delay in delays]
+    unexplained = [_unexplained(log.delayed(float(delay)), train, given) for delay in delays]
     return float(delays[int(np.argmin(unexplained))])
 
 
-def _unexplained(log: FlightLog, train: float) -> float:
+def _unexplained(log: FlightLog, train: float, given: Collection[str]) -> float:
     """Return the logarithm of the share of the variance that polynomials leave, summed over samples."""
     try:
         flight = windows_of(log, 0.0, train, STEPS, WINDOWS)
     except UsageError:
         return math.inf
     total = 0.0
-    for law in flight.laws:
+    for law in (name for name in flight.laws if name not in given):
         if law == "thrust":
             total += flight.recorded[0].size * math.log(_left_of_thrust(flight))
         elif law != "drag":
@@ -71,7 +72,14 @@ def _features(leaves: list[Floats]) -> Floats:
     return np.stack([a * b for a, b in itertools.combinations_with_replacement(one, 2)], axis=1)
 
 
-def refined_delay(log: FlightLog, laws: Mapping[str, Proposal], mass: float, train: float, first: float) -> float:
+def refined_delay(
+    log: FlightLog,
+    laws: Mapping[str, Proposal],
+    mass: float,
+    train: float,
+    first: float,
+    given: Collection[str] = (),
+) -> float:
     """Return the delay [s] with which laws, their constants fitted to it, fly windows of some seconds best.
 
     Args:
@@ -80,6 +88,7 @@ def refined_delay(log: FlightLog, laws: Mapping[str, Proposal], mass: float, tra
         mass: [kg].
         train: share of the rows that may be used.
         first: [s], where it is looked for.
+        given: laws that stay as they are.
     """
     length = min(FIT_S[0], 0.5 * train * len(log.time) * log.dt)
     try:
@@ -90,7 +99,7 @@ def refined_delay(log: FlightLog, laws: Mapping[str, Proposal], mass: float, tra
 
     def misfit(delay: float) -> float:
         late, choice = long_windows(log.delayed(delay), 0.0, train, length), Choice(dict(laws), {})
-        for law in laws:
+        for law in (name for name in laws if name not in given):
             choice.laws[law], own = refined(choice, law, choice.laws[law], late, noise, mass)
             choice.trims |= own
         return float(np.mean(np.square(left_by(choice, late, mass) / noise)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,10 +11,22 @@ import numpy as np
 
 from qrsim.apps.discover.choosing import choose
 from qrsim.apps.discover.delay import refined_delay, rough_delay
-from qrsim.apps.discover.evolution import Evolution, Proposal
-from qrsim.apps.discover.flight import LEAVES, LEFT_SIDES, Flight, Floats, Rule, fly, windows_of
-from qrsim.apps.discover.proposals import count_constants, monomials, rule_of, shown, symbolic
+from qrsim.apps.discover.evolution import SHOWS, Evolution, Proposal
+from qrsim.apps.discover.flight import (
+    LEAVES,
+    LEFT_SIDES,
+    SHOWN_BY,
+    Flight,
+    Floats,
+    Rule,
+    channels_of,
+    fly,
+    windows_of,
+)
+from qrsim.apps.discover.proposals import count_constants, monomials, polynomial_tree, rule_of, shown, symbolic
+from qrsim.errors import RunError, UsageError
 from qrsim.flight_logs import FlightLog
+from qrsim.flight_logs.excitation import described, measure, without_frozen, without_ground
 from qrsim.models.vehicles.quadrotor import (
     PITCH_ROLL_RAD_PER_RAW,
     THROTTLE_RAW_PER_UNIT,
@@ -64,6 +77,8 @@ class Discovery:
         flights: of the rest, (C, H) recorded and by the two sets of laws, those discovered with their trims.
         trims: added to the commands in this log, by name.
         names: of the channels.
+        held: laws that stay as published, with the reason: the log does not show them, or what was found
+            explains nothing of the rest.
     """
 
     laws: dict[str, Law]
@@ -73,12 +88,14 @@ class Discovery:
     trims: dict[str, float]
     names: tuple[str, ...]
     dt: float
+    held: dict[str, str]
 
     def vehicle(self, mass: float) -> dict[str, Any]:
         """Return the vehicle as scenarios write it."""
-        laws = {f"{name}_law": str(law.expression) for name, law in self.laws.items() if name != "drag"}
-        content: dict[str, Any] = {"type": "expression", "mass": mass, **laws}
-        drag = self.laws["drag"].terms if "drag" in self.laws else None
+        laws = {name: law for name, law in self.laws.items() if name not in self.held}
+        texts = {f"{name}_law": str(law.expression) for name, law in laws.items() if name != "drag"}
+        content: dict[str, Any] = {"type": "expression", "mass": mass, **texts}
+        drag = laws["drag"].terms if "drag" in laws else None
         # A drag that is proportional to the velocity is a constant of the vehicle; others have no place in it yet.
         if drag is not None and set(drag) == {(1,)} and drag[(1,)] < 0.0:
             content["kuv"] = drag[(1,)]
@@ -98,23 +115,29 @@ def discover(
     """Evolve laws on the first share ``train`` of a log and score them on the rest; ``delay`` None is estimated.
 
     Raises:
-        UsageError: signals are missing, or the log is too short.
+        UsageError: signals are missing, the log is too short, or shows no law.
+        RunError: no law explains the rest.
     """
-    late = rough_delay(log, train) if delay is None else delay
-    evolution = Evolution(windows_of(log.delayed(late), 0.0, train, STEPS, WINDOWS), mass, population, seed)
+    log = without_frozen(without_ground(log))
+    held = not_shown(log, train)
+    known = {name: known_law(name) for name in held}
+    for name, why in held.items():
+        progress(f"{name}: as published: {why}")
+    late = rough_delay(log, train, known) if delay is None else delay
+    evolution = Evolution(windows_of(log.delayed(late), 0.0, train, STEPS, WINDOWS), mass, population, seed, known)
     evolution.run(generations, progress)
     if delay is None:
         likely = {name: each.chosen(evolution.windows) for name, each in evolution.populations.items()}
-        late = refined_delay(log, likely, mass, train, late)
+        late = refined_delay(log, likely, mass, train, late, known)
     log = log.delayed(late)
     choice = choose(log, evolution.populations, evolution.windows, mass, train)
     laws = {}
-    for name, each in evolution.populations.items():
+    for name, each in ((name, each) for name, each in evolution.populations.items() if not each.given):
         best = choice.laws[name]
         front = [(p.size, p.error) for p in each.pareto()]
         laws[name] = Law(name, best, front, symbolic(best.tree, best.constants))
     rest = _rest(log, train)
-    found = {name: (rule_of(law.chosen.tree, name), law.chosen.constants[:, None]) for name, law in laws.items()}
+    found = {name: (rule_of(law.tree, name), law.constants[:, None]) for name, law in choice.laws.items()}
     flights = {
         "recorded": rest.recorded[:, :, 0],
         "published": _flown(rest, published(), mass, {}),
@@ -126,7 +149,63 @@ def discover(
         )
         for name in ("published", "discovered")
     }
-    return Discovery(laws, late, scores, flights, choice.trims, rest.names, log.dt)
+    variance = dict(zip(rest.names, np.var(flights["recorded"], axis=1).tolist(), strict=True))
+    held |= _rejected(log, laws, scores, variance)
+    return Discovery(laws, late, scores, flights, choice.trims, rest.names, log.dt, held)
+
+
+def not_shown(log: FlightLog, train: float) -> dict[str, str]:
+    """Return the laws of which the first share ``train`` of a log says nothing, with the reason.
+
+    Raises:
+        UsageError: it says nothing of any; how much each signal moves.
+    """
+    rows = np.arange(len(log.time)) < round(train * len(log.time))
+    excitation = measure(log, rows)
+    names = channels_of(log)
+    held = {}
+    for law in (law for law in LEAVES if SHOWN_BY[law] in names):
+        aspects = ("roll", "pitch") if law == "tilt" else (law,)
+        # One law for roll and pitch: what one of them does not do as it is asked spoils it.
+        deaf = [each for each in aspects if each in excitation.silent]
+        if deaf or not any(each in excitation.shown for each in aspects):
+            lacking = [excitation.lacking[each] for each in aspects if each in excitation.lacking]
+            held[law] = "; ".join(dict.fromkeys(lacking))
+    if len(held) == sum(SHOWN_BY[law] in names for law in LEAVES):
+        lines = [*described(log, excitation), *(f"  {name}: {why}" for name, why in held.items())]
+        raise UsageError("\n".join(lines))
+    return held
+
+
+def known_law(name: str) -> Proposal:
+    """Return a published law as a tree with its constants."""
+    return Proposal(polynomial_tree(list(PUBLISHED_TERMS[name]), name), published()[name][1][:, 0], error=1.0)
+
+
+def _rejected(
+    log: FlightLog, laws: Mapping[str, Law], scores: Mapping[str, Mapping[str, float]], variance: Mapping[str, float]
+) -> dict[str, str]:
+    """Return the laws that explain nothing of the rest of the log: not more than the mean of each channel does.
+
+    What counts is the geometric mean of the errors over the variances. A law that is better than the published one is
+    kept all the same.
+
+    Raises:
+        RunError: all explain nothing.
+    """
+    before, after = scores["published"], scores["discovered"]
+    found = {}
+    for name in laws:
+        channels = [channel for channel in SHOWS[name] if channel in before]
+        to_mean = math.prod(after[each] / max(variance[each], 1e-30) for each in channels)
+        to_published = math.prod(after[each] / max(before[each], 1e-30) for each in channels)
+        if not (to_mean < 1.0 or to_published < 1.0):
+            told = ", ".join(f"{each} {after[each]:.3g} ({variance[each]:.3g})" for each in channels)
+            found[name] = f"held-out mean squared errors are no smaller than the variances: {told}"
+    if len(found) == len(laws):
+        lines = [f"{log.source}: no law explains the held-out part, and nothing is written"]
+        raise RunError("\n".join([*lines, *(f"  {name}: {why}" for name, why in found.items())]))
+    return found
 
 
 def _rest(log: FlightLog, train: float) -> Flight:
@@ -165,19 +244,19 @@ def published() -> dict[str, tuple[Rule, Floats]]:
     return {name: (rules[name], np.array(values[name], np.float64)[:, None]) for name in LEAVES}
 
 
-# The powers of the leaves in each published law.
-PUBLISHED_TERMS = {
-    "thrust": {(0,), (1,), (2,)},
-    "tilt": {(1, 0, 0), (0, 1, 0), (0, 0, 1)},
-    "yaw": {(1, 0), (0, 1)},
-    "drag": {(1,)},
+# The powers of the leaves in each published law, in the order of the constants of ``published``.
+PUBLISHED_TERMS: dict[str, tuple[tuple[int, ...], ...]] = {
+    "thrust": ((0,), (1,), (2,)),
+    "tilt": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "yaw": ((1, 0), (0, 1)),
+    "drag": ((1,),),
 }
 
 
 def is_published(law: Law) -> bool:
     """Return whether a law has the published structure, or is algebraically equal to one that has."""
     terms = law.terms
-    return terms is not None and set(terms) == PUBLISHED_TERMS[law.name]
+    return terms is not None and set(terms) == set(PUBLISHED_TERMS[law.name])
 
 
 def constants_of(law: Law) -> int:

@@ -67,6 +67,7 @@ class Population:
         front: the best proposal of each size met so far, none worse than a smaller one.
         partner: which the other laws' proposals fly with.
         known: every expression met, by its text.
+        given: it does not evolve: its one proposal is what is known, because the log does not show the law.
     """
 
     law: str
@@ -74,6 +75,7 @@ class Population:
     front: dict[int, Proposal] = field(default_factory=dict)
     partner: Proposal | None = None
     known: dict[str, Proposal] = field(default_factory=dict)
+    given: bool = False
 
     def pareto(self) -> list[Proposal]:
         """Return the front, smallest first."""
@@ -90,15 +92,20 @@ class Population:
 
 
 class Evolution:
-    """The populations of all laws that a flight shows."""
+    """The populations of all laws that act in a flight; those that are given do not evolve."""
 
-    def __init__(self, flight: Flight, mass: float, size: int, seed: int):
+    def __init__(self, flight: Flight, mass: float, size: int, seed: int, given: Mapping[str, Proposal] | None = None):
         self.flight, self.mass, self.size = flight, mass, size
-        self.populations = {law: Population(law) for law in flight.laws}
+        self.populations = {
+            law: Population(law, front={given[law].size: given[law]}, partner=given[law], given=True)
+            if given and law in given
+            else Population(law)
+            for law in flight.laws
+        }
         self.windows = flight.start.shape[1]
         # First what the channels move; later what the best partners leave.
         self.noise = np.std(flight.recorded - flight.recorded[:, :1], axis=(1, 2)) + 1e-9
-        self.rough = {law: slopes(flight, law) for law in flight.laws}
+        self.rough = {each.law: slopes(flight, each.law) for each in self._all()}
         self.random = random.Random(seed)
 
     def run(self, generations: int, progress: Callable[[str], None] = lambda text: None) -> None:
@@ -118,7 +125,7 @@ class Evolution:
             random.setstate(before)
 
     def _all(self) -> list[Population]:
-        return list(self.populations.values())
+        return [each for each in self.populations.values() if not each.given]
 
     def _begin(self) -> None:
         for population in self._all():

@@ -15,7 +15,6 @@ from qrsim.apps.identify.problem import Piece, cut
 from qrsim.apps.identify.result import Result
 from qrsim.apps.identify.scores import score, whiteness
 from qrsim.apps.identify.verdicts import (
-    ON_THE_GROUND,
     not_shown,
     objections,
     refuse_unexcited,
@@ -26,7 +25,7 @@ from qrsim.apps.identify.verdicts import (
 from qrsim.core.tree import replace
 from qrsim.errors import RunError, UsageError
 from qrsim.flight_logs import FlightLog
-from qrsim.flight_logs.excitation import measure, standing_still
+from qrsim.flight_logs.excitation import ON_THE_GROUND, measure, standing_still, without_frozen, without_ground
 
 HORIZON_S, TRAIN = 5.0, 0.6
 # With fewer windows nothing tells how an estimate differs from one part of a log to the next.
@@ -54,9 +53,9 @@ def identify(
         RunError: no fit predicts the held-out parts better than the start does.
     """
     begun = time.perf_counter()
-    logs = [_in_the_air(log, question, train, progress) for log in logs]
+    logs = [_flown(log, question, train, progress) for log in logs]
     for log in logs:
-        cut(log, math.inf, train, 1.0)
+        cut(log, math.inf, train, 1.0)  # refuses at once a log with nothing to score
     pieces = _pieces(logs, horizon, train, progress)
     question = replace(question, constants=_constants(question, pieces))
     excitations = [measure(piece.log, piece.rows) for piece in pieces]
@@ -105,26 +104,21 @@ def _constants(question: Question, pieces: Sequence[Piece]) -> tuple[str, ...]:
     return question.constants
 
 
-def _in_the_air(log: FlightLog, question: Question, train: float, progress: Callable[[str], None]) -> FlightLog:
-    """Return a log without the rows in which it stands on the ground, which no law of flight describes.
+def _flown(log: FlightLog, question: Question, train: float, progress: Callable[[str], None]) -> FlightLog:
+    """Return a log without the rows in which it stands on the ground or a sensor hangs.
 
     Raises:
         UsageError: it stands in nearly all of those that would be fitted.
     """
-    still = standing_still(log)
-    fitted = np.arange(len(still)) < round(train * len(still))
-    if not still.any():
-        return log
-    if still[fitted].mean() >= ON_THE_GROUND:
+    fitted = np.arange(len(log.time)) < round(train * len(log.time))
+    if standing_still(log)[fitted].mean() >= ON_THE_GROUND:
         excitation = measure(log, fitted)
-        names = constants_in(channels_of(log), question.separate)
+        names = question.constants or constants_in(channels_of(log), question.separate)
         refuse_unexcited([log], [excitation], not_shown(names, question.separate, [excitation]))
-    note = (
-        f"{still.sum() * log.dt:.1f} s on the ground are left out, {still[fitted].sum() * log.dt:.1f} s of them fitted"
-    )
-    progress(f"{log.source}: {note}")
-    signals = {name: np.where(still, np.nan, values) for name, values in log.signals.items()}
-    return replace(log, signals=signals, notes=[*log.notes, note])
+    flown = without_frozen(without_ground(log))
+    for note in flown.notes[len(log.notes) :]:
+        progress(f"{flown.source}: {note}")
+    return flown
 
 
 def _pieces(logs: Sequence[FlightLog], horizon: float, train: float, progress: Callable[[str], None]) -> list[Piece]:

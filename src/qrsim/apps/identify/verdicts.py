@@ -18,15 +18,13 @@ from qrsim.apps.identify.fit import Answer, Question, width_of
 from qrsim.apps.identify.plausible import implausible
 from qrsim.errors import RunError, UsageError
 from qrsim.flight_logs import FlightLog
-from qrsim.flight_logs.excitation import ASPECTS, Excitation, told
+from qrsim.flight_logs.excitation import ASPECTS, Excitation, described
 
 Status = Literal["identified", "fitted", "held"]
 # A constant that its prior holds is within so many standard deviations of it.
 WITHIN_PRIOR = 1.0
 # An aspect may be kept whose held-out channels are predicted better in the mean and none worse by more than this.
 HARDLY_WORSE = 0.01
-# Share of the rows in which nothing moves from which on a log counts as one on the ground.
-ON_THE_GROUND = 0.95
 
 
 @dataclass(frozen=True)
@@ -157,8 +155,7 @@ def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation
     """
     lines = []
     for log, each in zip(logs, excitations, strict=True):
-        lines.append(f"{log.source}: refused, and nothing is written: {nature(each)}")
-        lines += [f"  {told(name, movement)}" for name, movement in each.movements.items()]
+        lines += described(log, each)
     reasons: dict[str, list[str]] = {}
     for name, why in held.items():
         reasons.setdefault(why, []).append(name)
@@ -178,19 +175,3 @@ def refuse_useless(logs: Sequence[FlightLog], held: Mapping[str, str]) -> None:
     named = ", ".join(str(log.source) for log in logs)
     lines = [f"{named}: no constant was identified, and nothing is written"]
     raise RunError("\n".join(lines + [f"  {', '.join(names)}: {why}" for why, names in reasons.items()]))
-
-
-def nature(excitation: Excitation) -> str:
-    """Return in words what kind of log shows nothing."""
-    moving = [name for name in TURNING if name in excitation.movements and excitation.movements[name].moves]
-    asked = [name for name in COMMANDED if name in excitation.movements and excitation.movements[name].moves]
-    if excitation.still >= ON_THE_GROUND or not moving:
-        return "on the ground, or not flown: nothing that a vehicle turns or lifts itself by moves more than its noise"
-    if not asked:
-        return f"not commanded: {', '.join(moving)} move, but no command does (carried by hand, or not armed)"
-    return "not in flight, or not by these commands: what moves does not follow what was asked for"
-
-
-# Yaw and velocity drift on the ground too.
-TURNING = ("roll", "pitch", "roll_rate", "pitch_rate", "yaw_rate", "thrust")
-COMMANDED = tuple(dict.fromkeys(each.command for each in ASPECTS.values() if each.command))
