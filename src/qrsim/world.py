@@ -192,7 +192,7 @@ def _fly(
         setpoint = _shown(fleet, asked)
     weight = fleet.vehicle.mass * fleet.vehicle.gravity
     voltage = fleet.battery.voltage(state.battery, truth.thrust, weight, wanted.battery)
-    command, clipped = clip_command(replace(wanted, battery=voltage))
+    command, clipped = clip_command(replace(wanted, battery=voltage), getattr(fleet.battery, "commanded", True))
     battery = fleet.battery.step(state.battery, truth.thrust, weight, dt)
     vehicle, force = fleet.vehicle.step(
         truth, command, lambda trig: trig.rotation().to_body(air), fleet.vehicle.draw_noise(noise[PROCESS], dt), dt

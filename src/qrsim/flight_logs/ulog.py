@@ -62,10 +62,14 @@ def read_ulog(path: Path) -> FlightLog:
         lost = sum(dropout.duration for dropout in log.dropouts)
         notes.append(f"the logger lost data {len(log.dropouts)} times, {lost / 1000.0:.2f} s in all")
     # Of several instances of a topic, the first.
-    topics = {data.name: data.data for data in reversed(log.data_list) if len(data.data["timestamp"])}
+    topics = {data.name: data.data for data in reversed(log.data_list) if len(data.data.get("timestamp", ()))}
     if not topics:
         raise UsageError(f"{path}: no data of the topics {', '.join(TOPICS)}")
-    return prepare(path, "PX4 ULog", _tracks(topics, notes), notes)
+    try:
+        tracks = _tracks(topics, notes)
+    except (KeyError, TypeError, ValueError) as error:  # a damaged definition, with other fields or types
+        raise UsageError(f"{path}: a ULog that cannot be read: its topics have no {error}") from None
+    return prepare(path, "PX4 ULog", tracks, notes)
 
 
 def _whole_messages(content: bytes) -> int:

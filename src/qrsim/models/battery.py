@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import exp, log
 from qrsim.core.tree import parameter, quantity, record
+
+# Range of voltages [V] that the published thrust model was identified for; where the sag of other packs ends, of empty.
+LOWEST, HIGHEST, SAGGED = 9.0, 12.0, 0.9375
 
 
 @record
@@ -17,6 +22,8 @@ class NoCharge:
 @record
 class GivenVoltage:
     """The voltage is what the command says (a controller's own parameter, or the user's)."""
+
+    commanded: ClassVar[bool] = True
 
     def init(self, thrust: Array) -> NoCharge:
         """Return the empty state."""
@@ -51,13 +58,15 @@ class LithiumPolymer:
     capacity: Array = parameter(default=6.25, unit="Ah", doc="charge of the full pack", above=0.0)
     endurance: Array = parameter(default=960.0, unit="s", doc="time from full to empty at hover thrust", above=0.0)
     voltage_full: Array = parameter(
-        default=12.0, unit="V", doc="open-circuit voltage when full", minimum=9.0, maximum=12.0
+        default=12.0, unit="V", doc="open-circuit voltage when full", above=0.0, maximum=100.0
     )
     voltage_empty: Array = parameter(
-        default=9.6, unit="V", doc="open-circuit voltage when empty", minimum=9.0, maximum=12.0
+        default=9.6, unit="V", doc="open-circuit voltage when empty", above=0.0, maximum=100.0
     )
     resistance: Array = parameter(default=0.02, unit="ohm", doc="internal resistance", minimum=0.0)
     initial_charge: Array = parameter(default=1.0, unit="1", doc="state of charge at the start", above=0.0, maximum=1.0)
+
+    commanded: ClassVar[bool] = False
 
     def init(self, thrust: Array) -> Charge:
         """Return the state at the start for vehicles with thrust (n,)."""
@@ -69,10 +78,21 @@ class LithiumPolymer:
         return Charge(jnp.maximum(state.charge - drain, 0.0))
 
     def voltage(self, state: Charge, thrust: Array, weight: Array, commanded: Array) -> Array:
-        """Return the voltage under load (n,) [V], within the range the thrust model is identified for."""
+        """Return the voltage under load (n,) [V].
+
+        Of packs of three cells within the range that the thrust model is identified for; of others the sag ends in
+        proportion, at 0.9375 of the voltage of the empty pack.
+        """
         open_circuit = self.voltage_empty + (self.voltage_full - self.voltage_empty) * state.charge
         hover_current = self.capacity * 3600.0 / self.endurance
-        return jnp.clip(open_circuit - self.resistance * hover_current * _load(thrust, weight), 9.0, 12.0)
+        lowest = jnp.where(_within(self.voltage_empty), LOWEST, SAGGED * self.voltage_empty)
+        highest = jnp.where(_within(self.voltage_full), HIGHEST, self.voltage_full)
+        return jnp.clip(open_circuit - self.resistance * hover_current * _load(thrust, weight), lowest, highest)
+
+
+def _within(voltage: Array) -> Array:
+    """Return whether a voltage is one of the packs that the thrust model was identified with."""
+    return (jnp.asarray(voltage) >= LOWEST) & (jnp.asarray(voltage) <= HIGHEST)
 
 
 def _load(thrust: Array, weight: Array) -> Array:

@@ -10,10 +10,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from qrsim.errors import ScenarioError
+from qrsim.errors import ScenarioError, warn_user
 from qrsim.models.site import Site
 from qrsim.scenarios import build
 from qrsim.scenarios.places import in_ned
+from qrsim.scenarios.plausibility import plausibility_warnings
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.reading import (
     anchor_files,
@@ -88,12 +89,15 @@ def _of_content(content: dict[str, Any]) -> Scenario:
     return Scenario(ScenarioSpec.model_validate(content))
 
 
-def load_scenario(source: str | Path | dict[str, Any], overrides: Iterable[str] = ()) -> Scenario:
-    """Read and check a scenario.
+def load_scenario(
+    source: str | Path | dict[str, Any], overrides: Iterable[str] = (), *, quiet: bool = False
+) -> Scenario:
+    """Read and check a scenario; warn of what is allowed and cannot fly.
 
     Args:
         source: a built-in name, the path of a YAML file, or the content as a dict.
         overrides: assignments such as "world.wind.speed_20ft=7", applied before the check.
+        quiet: whether to leave out the warnings, where somebody has had them or many variants are tried.
 
     Raises:
         UsageError: there is no such scenario.
@@ -118,6 +122,8 @@ def load_scenario(source: str | Path | dict[str, Any], overrides: Iterable[str] 
     found = found or [_as_written(problem, written) for problem in build.problems(spec)]
     if found:
         raise ScenarioError(name, found)
+    for words in () if quiet else plausibility_warnings(spec):
+        warn_user(f"{spec.name}: {words}")
     return Scenario(spec)
 
 

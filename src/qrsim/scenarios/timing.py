@@ -10,11 +10,14 @@ import numpy as np
 from qrsim.models.orbits import split_time
 from qrsim.scenarios.schema import ScenarioSpec
 
+# Steps are counted in int32.
+MOST_STEPS = 2**31 - 2
+
 
 def is_multiple(seconds: float, step: float) -> bool:
-    """Return whether a time is a whole number of steps, at least one."""
+    """Return whether a time is a whole number of steps, at least one and at most as many as are counted."""
     ratio = seconds / step
-    return math.isfinite(ratio) and round(ratio) >= 1 and math.isclose(ratio, round(ratio), rel_tol=1e-9)
+    return math.isfinite(ratio) and 1 <= round(ratio) <= MOST_STEPS and math.isclose(ratio, round(ratio), rel_tol=1e-9)
 
 
 def timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
@@ -24,7 +27,9 @@ def timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
         split_time(np.int32(0), dt, np.float32)  # type: ignore[arg-type]
     except ValueError as error:
         yield str(error)
-    if not is_multiple(scenario.duration, dt):
+    if scenario.duration / dt > MOST_STEPS:
+        yield f"duration: {scenario.duration:g} s; allowed: up to {MOST_STEPS * dt:g} s, {MOST_STEPS} time steps"
+    elif not is_multiple(scenario.duration, dt):
         yield f"duration: {scenario.duration:g} s is not a multiple of the time step {dt:g} s"
     sky = scenario.world.sky.period
     if not is_multiple(sky, dt):
@@ -32,7 +37,9 @@ def timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
     for name, fleet in scenario.fleets.items():
         for sensor_name, sensor in fleet.sensors.items():
             path = f"fleets.{name}.sensors.{sensor_name}.period"
-            if not is_multiple(sensor.period, dt):
+            if sensor.period / dt > MOST_STEPS:
+                yield f"{path}: {sensor.period:g} s; allowed: up to {MOST_STEPS * dt:g} s, {MOST_STEPS} time steps"
+            elif not is_multiple(sensor.period, dt):
                 yield f"{path}: {sensor.period:g} s is not a multiple of the time step {dt:g} s"
             elif "gnss" in sensor.type and not is_multiple(sensor.period, sky):
                 yield f"{path}: {sensor.period:g} s is not a multiple of world.sky.period, {sky:g} s"

@@ -149,6 +149,8 @@ def read_samples(
     for table in run.batches(stream, ["time", "tick", "vehicle", *columns]):
         kept = table.filter(pa.array(wanted(table["tick"].to_numpy())))
         vehicles = pc.index_in(kept["vehicle"].cast(pa.string()), value_set=names)
+        if vehicles.null_count:
+            raise RunError(f"{run.folder / stream}: it is damaged: it has rows of vehicles that the run has not")
         values = [kept[name].to_numpy().astype(np.float64) for name in columns]
         yield Samples(
             vehicles.to_numpy().astype(np.int64),

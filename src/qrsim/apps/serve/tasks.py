@@ -50,7 +50,7 @@ def offboard(scenario: Scenario) -> Scenario:
     for fleet in content["fleets"].values():
         gains = {name: value for name, value in fleet["controller"].items() if name in _GAINS}
         fleet["controller"] = {"type": "offboard", **gains}
-    return load_scenario(content)
+    return load_scenario(content, quiet=True)
 
 
 class Tasks:

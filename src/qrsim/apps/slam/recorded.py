@@ -39,7 +39,7 @@ def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_no
     """
     index = _index(run, vehicle)
     ticks = ticks_between(state_period, run.info.time_step)
-    world = load_scenario(run.scenario).world("float64")
+    world = load_scenario(run.scenario, quiet=True).world("float64")
     fleet, number = _fleet(world.fleets, index)
     count = _whole(run, "truth")
     commands = _columns(run, "commands", COMMAND_FIELDS, index, count)

@@ -108,7 +108,7 @@ def scenario_at(content: Content, values: Mapping[str, Any]) -> Scenario:
     changed = copy.deepcopy(content)
     for path, value in values.items():
         apply(changed, path, value)
-    return load_scenario(changed)
+    return load_scenario(changed, quiet=True)
 
 
 def faults(content: Content, values: Mapping[str, Any]) -> list[str]:
@@ -148,7 +148,7 @@ def make_group(content: Content, choices: Mapping[str, Any], numbers: Iterable[A
     content = copy.deepcopy(base)
     for path, value in lowest.items():
         apply(content, path, value)
-    scenario = load_scenario(content)
+    scenario = load_scenario(content, quiet=True)
     world = scenario.world(precision)
     paths = tuple(axis.path for axis in axes)
     group = Group(content, world, scenario.ticks, scenario.spec.time_step, None, paths)

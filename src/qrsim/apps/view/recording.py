@@ -71,7 +71,7 @@ class Recording:
 
         start = self._truth.at("position", self.time[0])
         try:
-            world = load_scenario(self.run.scenario).world(self.run.info.precision)
+            world = load_scenario(self.run.scenario, quiet=True).world(self.run.info.precision)
             cast = cast_of(world, start)
             if cast.names == self.run.vehicles:
                 return world, cast

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -98,6 +99,14 @@ def evaluated(law: str, leaves: Mapping[str, Array]) -> Array:
     """Return the value of a law (n,) at its leaves (n,)."""
     like = next(iter(leaves.values()))
     return jnp.broadcast_to(jnp.asarray(_value(checked("law", law, tuple(leaves)), leaves), like.dtype), like.shape)
+
+
+def value_at(law: str, leaves: dict[str, Any]) -> float:
+    """Return the value of a law at numbers; NaN where it has none, as when it divides by zero."""
+    try:
+        return float(_value(checked("law", law, tuple(leaves)), leaves))
+    except (OverflowError, ZeroDivisionError):
+        return math.nan
 
 
 def _value(node: ast.expr, leaves: Mapping[str, Array]) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
@@ -47,10 +48,14 @@ COMMAND_LIMITS = {
 }
 
 
-def clip_command(command: Command) -> tuple[Command, Array]:
-    """Bring a command into COMMAND_LIMITS; also say, with a bool of shape (n,), whether that changed it."""
-    clipped = Command(*(jnp.clip(getattr(command, name), *COMMAND_LIMITS[name]) for name in COMMAND_FIELDS))
-    changed = [getattr(clipped, name) != getattr(command, name) for name in COMMAND_FIELDS]
+def clip_command(command: Command, battery: bool = True) -> tuple[Command, Array]:
+    """Bring a command into COMMAND_LIMITS; also say, with a bool of shape (n,), whether that changed it.
+
+    Without ``battery`` the voltage stays as it is: that of a pack is what it is, whatever may be commanded.
+    """
+    fields = [name for name in COMMAND_FIELDS if battery or name != "battery"]
+    clipped = replace(command, **{name: jnp.clip(getattr(command, name), *COMMAND_LIMITS[name]) for name in fields})
+    changed = [getattr(clipped, name) != getattr(command, name) for name in fields]
     return clipped, jnp.any(jnp.stack(changed), axis=0)
 
 

@@ -1,0 +1,147 @@
+"""What is allowed and cannot fly is warned of, with numbers worked out by hand; what flies is not."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import qrsim
+from qrsim.cli import main
+from qrsim.scenarios.scenario import built_in_names, load_scenario
+
+VEHICLE = "fleets.pelicans.vehicle"
+
+
+def warned(*overrides: str) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load_scenario("outdoor_patrol", overrides)
+    return [str(each.message) for each in caught]
+
+
+@pytest.mark.parametrize("name", built_in_names())
+def test_what_comes_with_qrsim_flies(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_scenario(name)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["world.wind.speed_20ft=7", "world.turbulence=still"],
+        ["world.wind.speed_20ft=8.5"],
+        [f"{VEHICLE}.mass=2.4"],
+        [f"{VEHICLE}={{type: quadrotor}}"],
+        [f"{VEHICLE}={{type: expression, tilt_law: 179.8*(0.75*command - angle) - 24.4*rate}}"],
+        ["fleets.pelicans.battery={type: lithium_polymer}"],
+        ["time_step=0.001"],
+    ],
+)
+def test_what_is_usual_gives_no_warning(overrides: list[str]) -> None:
+    assert warned(*overrides) == []
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        # 4 kg x 9.81 m/s^2; -18.0007 N + 4.23754 N/V x 12 V.
+        ("mass=4", "mass: 4 kg weigh 39.2 N and the largest thrust, at 12 V, is 32.8 N, 0.84 of the weight: it cannot"),
+        ("mass=3", "3 kg weigh 29.4 N and the largest thrust, at 12 V, is 32.8 N, 1.12 of the weight: little is left"),
+        ("mass=[1.6, 1.6, 4, 1.6, 1.6]", "vehicle.mass.2: 4 kg weigh 39.2 N"),
+        ("mass=0.05", "0.05 kg weigh 0.491 N, and without throttle the thrust is 0.664 N (cth0): it cannot come down"),
+        ("gravity=1.62", "gravity: 1.62 m/s^2; on Earth"),
+        # Roots of s^2 + 24.3536 s - 10, s^2 - 5 s + 179.797 (real part 5 / 2).
+        ("kpq1=-10", "the tilt loop is unstable: stiffness -10 1/s^2 and damping 24.3536 1/s have a root at 0.404 1/s"),
+        ("kpq2=5", "stiffness 179.797 1/s^2 and damping -5 1/s have a root at 2.5 1/s"),
+        # 0.5 / (2 sqrt(179.797)).
+        ("kpq2=-0.5", "hardly damped: stiffness 179.797 1/s^2 and damping 0.5 1/s have a damping ratio of 0.0186"),
+        # A root beyond -2 / 0.02 s.
+        ("kpq2=-200", "is too fast for a time step of 0.02 s"),
+        ("kr1=3", "kr1: the yaw rate is unstable: 3 1/s"),
+        ("kuv=-101", "kuv: -101 1/s is too fast for a time step of 0.02 s"),
+    ],
+)  # fmt: skip
+def test_what_cannot_fly_is_told_with_its_numbers(override: str, words: str) -> None:
+    found = warned(f"{VEHICLE}.{override}")
+    assert found[0].startswith("outdoor_patrol: fleets.pelicans.vehicle.")
+    assert words in found[0]
+
+
+def test_loops_of_their_own_are_judged_too() -> None:
+    assert "kq1: the pitch loop is unstable" in warned(f"{VEHICLE}={{type: quadrotor, kq1: -5}}")[0]
+    assert (
+        "tilt_law: the tilt loop is unstable"
+        in warned(f"{VEHICLE}={{type: expression, tilt_law: 9*(angle - command)}}")[0]
+    )
+
+
+def test_the_law_of_the_warning_is_that_of_the_flight() -> None:
+    """The lean that a command of 0.9 rad gives, flown open loop, and the airspeed at which drag balances it."""
+    from qrsim.models.vehicles.quadrotor import Quadrotor
+    from qrsim.openloop import hover_state, simulate_open_loop
+
+    vehicle = Quadrotor(process_noise=0.0, kw=-1e3, rate_max=99.0)
+    lean = 0.9 * 3.2506e-4 / math.radians(0.025)
+    start = hover_state(vehicle)
+    commands = np.tile([-0.9, 0.0, 0.78, 0.0, 12.0], (1500, 1))
+    flown = simulate_open_loop(vehicle, commands, start, dt=0.001)[-1]
+    assert flown[4] == pytest.approx(-lean, abs=0.02)
+    (found,) = warned("world.wind.speed_20ft=50", "world.turbulence=still")
+    assert f"holds an airspeed of {9.81 * math.tan(lean) / 0.497391:.3g} m/s" in found
+
+
+def test_wind_is_that_of_the_highest_place() -> None:
+    # 12 ln(60 / 0.3048 / 0.15) / ln(20 / 0.15) and twice 1.2 / (0.177 + 0.000823 x 196.85)^0.4.
+    (found,) = warned("world.wind.speed_20ft=12")
+    assert "world.wind: 17.6 m/s and gusts of 3.7 m/s at 60 m, where fleets.pelicans.vehicles.4 is to fly" in found
+    assert "0.9 rad, it holds an airspeed of 15.6 m/s" in found
+    # The published tilt limit.
+    (found,) = warned("fleets.pelicans.controller.tilt_limit=0.34")
+    assert "0.34 rad, it holds an airspeed of 5.11 m/s" in found
+
+
+def test_recorded_wind(tmp_path: Path) -> None:
+    path = tmp_path / "wind.csv"
+    path.write_text("time,north,east,down\n" + "".join(f"{i},{30 if i == 50 else 0},0,0\n" for i in range(130)))
+    found = warned(f"world.wind={{type: series, file: {path}}}", "world.turbulence=still")
+    assert len(found) == 1
+    assert "world.wind: 30 m/s at " in found[0]
+
+
+def test_a_pack_of_six_cells_flies_and_is_told() -> None:
+    battery = "fleets.pelicans.battery={type: lithium_polymer, voltage_full: 25.2, voltage_empty: 19.8}"
+    found = warned(battery)
+    # -18.0007 + 4.23754 x 25.2.
+    assert "battery.voltage_full: 25.2 V; the largest thrust (cvb0, cvb1) was identified from 9 to 12 V" in found[0]
+    assert "88.8 N" in found[0]
+    # The line of a vehicle of one's own.
+    assert warned(battery, f"{VEHICLE}.cvb0=-18.0", f"{VEHICLE}.cvb1=2.0") == []
+
+
+def test_a_pack_of_six_cells_gives_its_voltage() -> None:
+    """In flight it is neither brought into the range of commands nor counted as clipped."""
+    content: dict[str, Any] = {
+        "name": "six", "fleets": {"a": {
+            "vehicle": {"type": "pelican", "cvb0": -18.0, "cvb1": 2.0},
+            "battery": {"type": "lithium_polymer", "voltage_full": 25.2, "voltage_empty": 19.8},
+            "controller": {"type": "waypoint", "feed": "truth"}, "vehicles": [{"position_ned": [0.0, 0.0, -20.0]}]}},
+    }  # fmt: skip
+    sim = qrsim.load(content)
+    sim.reset()
+    sim.step(ticks=5)
+    # Full, less 0.02 ohm x 6.25 Ah x 3600 s / 960 s at hover.
+    assert float(sim.state.fleets[0].command.battery[0]) == pytest.approx(25.2 - 0.02 * 23.4375, abs=0.02)
+    assert not sim.state.fleets[0].command_clipped.any()
+
+
+def test_the_command_line_says_each_once(capsys: Any) -> None:
+    assert main(["show", "outdoor_patrol", "--set", f"{VEHICLE}.mass=4"]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "cannot stay in the air" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith("warning: outdoor_patrol: fleets.pelicans.vehicle.mass: 4 kg weigh 39.2 N")
