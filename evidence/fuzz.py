@@ -1,0 +1,235 @@
+"""Mutations of everything that a user can hand in: each is taken, or refused in words, soon and in little memory.
+
+Case k is made from the seed and k alone. The full form does them in two processes, each watched by its own alarm and
+by this one, which notes a case that ends a process and goes on after it; what has been done is kept in a file and not
+done again.
+"""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import itertools
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evidence._handing_in import KINDS, Workshop, silence
+from evidence._mutating import SPENT_S
+from qrsim.errors import QrsimError
+
+DOC = "10 000 mutations of scenarios, plans, fences, studies, states, run folders, logs and ephemerides"
+SEED = 20261121
+ROOT = Path(__file__).resolve().parents[1]
+FULL, SMALL = 10_000, 300
+PROCESSES = 2
+LIMIT_S, LIMIT_BYTES = 2.0, 10**9
+# Where the alarm cannot interrupt, because a library does not return.
+PATIENCE_S = 30.0
+OUTCOMES = ("taken", "refused", "traceback", "hang", "memory", "crash")
+
+
+class _TooLong(BaseException):
+    """The alarm; no handler of errors catches it."""
+
+
+@contextlib.contextmanager
+def _alarm(seconds: float) -> Iterator[None]:
+    def ring(*_: Any) -> None:
+        raise _TooLong
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def resident_bytes(peak: bool) -> int:
+    """Return the resident set of this process now, or its largest since it was last reset (Linux)."""
+    name = "VmHWM:" if peak else "VmRSS:"
+    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+        if line.startswith(name):
+            return 1024 * int(line.split()[1])
+    raise RuntimeError(f"/proc/self/status has no {name}")
+
+
+def _reset_peak() -> None:
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
+def kind_of(number: int) -> str:
+    """Return the kind of a case: spread evenly, so that any hundred in a row have all."""
+    names = [name for name, (share, _) in KINDS.items() for _ in range(share)]
+    return names[number * 37 % len(names)]
+
+
+def case(shop: Workshop, number: int) -> dict[str, Any]:
+    """Make one mutation, hand it in, and return what came of it."""
+    kind = kind_of(number)
+    rng = np.random.default_rng([SEED, number])
+    found: dict[str, Any] = {"case": number, "kind": kind, "outcome": "taken"}
+    _reset_peak()
+    began, before = time.process_time(), SPENT_S[0]
+    try:
+        with silence(), _alarm(PATIENCE_S):
+            KINDS[kind][1](shop, rng)
+    except QrsimError as error:
+        found["outcome"] = "refused"
+        found["words"] = str(error)[:300]
+    except _TooLong:
+        found["outcome"] = "hang"
+    except Exception:
+        found["outcome"] = "traceback"
+        found["words"] = traceback.format_exc()[-1500:]
+    # Of the processor, so that a busy machine is no hang.
+    found["s"] = round(time.process_time() - began - (SPENT_S[0] - before), 3)
+    if found["outcome"] in ("taken", "refused"):
+        found["bytes"] = resident_bytes(peak=True)
+        # Compiling takes its time.
+        if found["s"] > (PATIENCE_S if kind == "flight" else LIMIT_S):
+            found["outcome"] = "hang"
+        elif found["bytes"] > LIMIT_BYTES:
+            found["outcome"] = "memory"
+    return found
+
+
+def prepared(folder: Path) -> Workshop:
+    """Return a workshop that has made what all cases share: runs, states, imports."""
+    shop = Workshop(folder)
+    with silence():
+        _ = shop.scenarios, shop.studies, shop.run_folder, shop.saved, shop.logs, shop.pipe
+        for kind in KINDS:
+            with contextlib.suppress(QrsimError):
+                KINDS[kind][1](shop, np.random.default_rng([SEED, 2**40]))
+    return shop
+
+
+def work(first: int, last: int, results: Path) -> None:
+    """Do the cases from ``first`` to before ``last`` and append a line for each; a line says first what is begun."""
+    with tempfile.TemporaryDirectory() as folder, results.open("a", encoding="utf-8") as lines:
+        shop = prepared(Path(folder))
+        for number in range(first, last):
+            print(json.dumps({"begun": number}), file=lines, flush=True)
+            found = case(shop, number)
+            print(json.dumps(found), file=lines, flush=True)
+            if found["outcome"] in ("memory", "hang"):
+                return  # what it left behind must not count for the next
+
+
+def _done(results: Path) -> dict[int, dict[str, Any]]:
+    """Return the cases that have been done; one that was begun and never done ended its process."""
+    found: dict[int, dict[str, Any]] = {}
+    if results.exists():
+        for line in results.read_text(encoding="utf-8").splitlines():
+            with contextlib.suppress(ValueError):
+                entry = json.loads(line)
+                number = entry.get("case", entry.get("begun"))
+                if "case" in entry:
+                    found[number] = entry
+                else:
+                    found.setdefault(number, {"case": number, "kind": kind_of(number), "outcome": "crash", "s": 0.0})
+    return found
+
+
+def _missing(first: int, last: int, results: Path) -> list[int]:
+    done = _done(results)
+    return [number for number in range(first, last) if number not in done]
+
+
+class _Stretch:
+    """A stretch of cases, done by one process after the other."""
+
+    def __init__(self, first: int, last: int, results: Path):
+        self.first, self.last, self.results = first, last, results
+        self._process: subprocess.Popen[bytes] | None = None
+        self._seen, self._since = -1, 0.0
+
+    def go_on(self) -> int:
+        """Start a process where none is at work, end one that no longer answers; return how many cases are missing."""
+        missing = _missing(self.first, self.last, self.results)
+        if self._process is not None and self._process.poll() is None:
+            size = self.results.stat().st_size if self.results.exists() else 0
+            if size != self._seen:
+                self._seen, self._since = size, time.monotonic()
+            elif time.monotonic() - self._since > 5.0 * PATIENCE_S:
+                self._process.kill()
+        elif missing:
+            words = [sys.executable, "-m", "evidence.fuzz", str(missing[0]), str(self.last), str(self.results)]
+            self._process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            self._seen = -1
+        return len(missing)
+
+    def stop(self) -> None:
+        """End the process, if there is one."""
+        if self._process is not None and self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+
+
+def _all(cases: int) -> list[dict[str, Any]]:
+    """Do all cases, resuming what an earlier call at this commit has begun."""
+    from evidence.__main__ import commit
+
+    revision = commit(ROOT)
+    folder = Path(tempfile.gettempdir()) / "qrsim-fuzz" / revision
+    if revision.endswith(("+dirty", "unknown")):  # what was done may have been done by another program
+        shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    edges = [cases * i // PROCESSES for i in range(PROCESSES + 1)]
+    stretches = [_Stretch(a, b, folder / f"{a}-{b}.jsonl") for a, b in itertools.pairwise(edges)]
+    try:
+        while missing := sum(stretch.go_on() for stretch in stretches):
+            print(f"\rfuzz: {cases - missing} of {cases}", end="", file=sys.stderr, flush=True)
+            time.sleep(2.0)
+    finally:
+        for stretch in stretches:
+            stretch.stop()
+    print(file=sys.stderr)
+    return [entry for stretch in stretches for entry in _done(stretch.results).values()]
+
+
+def summed_up(entries: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the counts of outcomes, by kind and in all, and the extremes."""
+    kinds = {name: dict.fromkeys(OUTCOMES, 0) for name in KINDS}
+    for entry in entries:
+        kinds[entry["kind"]][entry["outcome"]] += 1
+    total = collections.Counter(entry["outcome"] for entry in entries)
+    return {
+        "cases": len(entries),
+        **{outcome: total[outcome] for outcome in OUTCOMES},
+        "limit_s": LIMIT_S,
+        "limit_bytes": LIMIT_BYTES,
+        "slowest_s": max(entry["s"] for entry in entries if entry["kind"] != "flight"),
+        "largest_bytes": max(entry.get("bytes", 0) for entry in entries),
+        "kinds": kinds,
+    }
+
+
+def some(count: int, first: int = 0) -> list[dict[str, Any]]:
+    """Do so many cases in this process."""
+    with tempfile.TemporaryDirectory() as folder:
+        shop = prepared(Path(folder))
+        return [case(shop, number) for number in range(first, first + count)]
+
+
+def run(full: bool) -> dict[str, Any]:
+    """Return how many mutations were taken and refused, and that no other came to anything else."""
+    return summed_up(_all(FULL) if full else some(SMALL))
+
+
+if __name__ == "__main__":
+    work(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3]))
