@@ -1,5 +1,8 @@
 """A client of ``qrsim serve``; it needs NumPy and protobuf only, none of what computes.
 
+clients/python has this module as a package of its own, for Python 3.8 and later: nothing here may need a later one, and
+``python clients/python/generate.py`` writes it anew.
+
 The calls of the reference client have its semantics: ``init``, ``reset``, ``set_state``, ``step_waypoint``,
 ``step_control``, ``step_velocity``, ``disconnect``, ``quit``. The others are extensions of the protocol.
 """
@@ -11,7 +14,7 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,7 +24,8 @@ from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.framing import Deframer, frame
 from qrsim.protocol.qrsim_pb2 import Message, Step
 
-Array = np.ndarray[Any, Any]
+if TYPE_CHECKING:
+    Array = np.ndarray[Any, Any]
 # A state of 200 000 vehicles.
 LARGEST_REPLY = 1 << 26
 INVALID = "invalid uav state"
@@ -48,7 +52,7 @@ class State:
         state: (n, 13) true position NED [m], Euler angles [rad], body velocity [m/s], body rates [rad/s], thrust [N].
         measured: (n, 20) GNSS position; Euler angles; 0, 0, 0; body rates; 0; specific force; barometric height; GNSS
             velocity north, east; height rate; heights positive up; NaN where there is no reading.
-        reasons: why each vehicle is invalid, "" where it flies; empty where all do or ``hello`` was not called.
+        reasons: why each vehicle is invalid, "" where it flies; empty where ``hello`` was not called.
     """
 
     time: float
@@ -64,7 +68,7 @@ class Session:
     Attributes:
         number: its id, for those who want to watch it.
         scenario: name.
-        seed: of all randomness.
+        seed: of all randomness of this episode, which flies it again.
         vehicles: names of the n vehicles.
         time_step: simulation step [s].
         state: at the start.
@@ -181,7 +185,7 @@ class Client:
         return state
 
     def reset(self) -> None:
-        """Start the task again."""
+        """Start the next episode of the task; ``restart`` does it too, and returns its seed and its state."""
         self._ask(Message(type=Message.RESET, reset=pb.Reset(value=True)), Message.ACK)
 
     def set_state(self, state: Any) -> None:
@@ -246,7 +250,7 @@ class Client:
         Args:
             task: name; or
             scenario: a scenario as YAML text, which names no files.
-            seed: of all randomness; default: the server's.
+            seed: of the first episode, which the next seeds follow; default: the next one of the server.
             realtime: simulated seconds per second of the wall clock, 0 for lock-step; default: the server's.
             events: collect events.
         """
@@ -254,7 +258,7 @@ class Client:
         return self._session(Message(type=Message.OPEN, open=request))
 
     def restart(self, seed: int | None = None) -> Session:
-        """Start the task again, with another seed if one is given."""
+        """Start the next episode of the task, or that of a seed."""
         return self._session(Message(type=Message.RESTART, restart=pb.Restart(seed=_seed(seed))))
 
     def _session(self, request: Message) -> Session:
@@ -305,7 +309,8 @@ class Client:
         Args:
             task: name; or
             scenario: a scenario as YAML text, which names no files; neither: the task that is played already.
-            seed: of all randomness; default: the server's, or the next episode of the series that a seed has begun.
+            seed: of all randomness; default: the next one of the server, or where the task is played already the next
+                episode of the series that its seed has begun.
         """
         request = pb.Play(task=task, scenario=scenario, seed=_seed(seed))
         found = self._ask(Message(type=Message.PLAY, play=request), Message.EPISODE).episode
@@ -356,7 +361,7 @@ class Client:
             self._socket.close()
             self._socket = None
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> Client:
         return self
 
     def __exit__(
@@ -396,7 +401,7 @@ class Client:
                     raise self._failed("the server has closed the connection")
                 self._deframer.feed(data)
             return Message.FromString(payload)
-        except TimeoutError:
+        except (TimeoutError, socket.timeout):  # noqa: UP041 (two things before Python 3.10)
             raise self._failed(f"no answer within {timeout:g} s") from None
         except OSError as error:
             raise self._failed(f"the connection is lost: {error.strerror or error}") from None

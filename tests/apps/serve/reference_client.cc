@@ -14,7 +14,7 @@
 #include <string>
 #include <vector>
 
-#include "qrsim/protocol/qrsim.pb.h"
+#include "qrsim.pb.h"
 
 using qrsimsrvcli::Message;
 using qrsimsrvcli::Step;

@@ -1,4 +1,4 @@
-"""Clients in C++, built with the system's protoc: the one of the tests, and the one that docs/serve.md shows."""
+"""Clients in C++, built with the system's protoc: one as those of the reference, and clients/cpp with its examples."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from wires import TASK, Running, running
 import qrsim
 
 ROOT = Path(__file__).resolve().parents[3]
+HEADER = ROOT / "clients" / "cpp"
 INSTALL_LINE = "apt-get install protobuf-compiler libprotobuf-dev g++ pkg-config"
 SEED = 21
 
@@ -28,18 +29,17 @@ def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Path
     if missing:
         pytest.skip(f"no C++ client can be built, for want of {', '.join(missing)}: {INSTALL_LINE}")
     folder = tmp_path_factory.mktemp("cpp")
-    proto = "qrsim/protocol/qrsim.proto"
-    subprocess.run(["protoc", f"--proto_path={ROOT / 'src'}", f"--cpp_out={folder}", proto], check=True)
+    subprocess.run(["protoc", f"--proto_path={HEADER}", f"--cpp_out={folder}", "qrsim.proto"], check=True)
     found = subprocess.run(["pkg-config", "--cflags", "--libs", "protobuf"], capture_output=True, text=True, check=True)
     flags = found.stdout.split()
-    generated = folder / "qrsim/protocol/qrsim.pb.o"
+    generated = folder / "qrsim.pb.o"
     command = ["g++", "-std=c++17", f"-I{folder}", "-c", str(generated.with_suffix(".cc")), "-o", str(generated)]
     subprocess.run(command, check=True)
 
     def built(name: str, text: str) -> Path:
         source, program = folder / f"{name}.cc", folder / name
         source.write_text(text, "utf-8")
-        options = ["-std=c++17", "-Wall", "-Werror", f"-I{folder}"]
+        options = ["-std=c++17", "-Wall", "-Wextra", "-Werror", f"-I{folder}", f"-I{HEADER}"]
         subprocess.run(["g++", *options, str(source), str(generated), *flags, "-o", str(program)], check=True)
         return program
 
@@ -87,11 +87,68 @@ def state_line(what: str, simulation: qrsim.Simulation) -> str:
     return f"{what} STATE t {simulation.time:.17g} vehicles 1/1 of 13/20 {numbers}"
 
 
-def test_the_program_of_the_documentation_flies(build, served):
-    page = (ROOT / "docs" / "serve.md").read_text("utf-8")
-    [text] = re.findall(r"^```cpp\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+def test_the_header_has_every_call(build, served):
+    program = build("client_tour", (Path(__file__).parent / "client_tour.cpp").read_text("utf-8"))
+    done = subprocess.run([program, str(served.port)], capture_output=True, text=True, check=False, timeout=120)
+    assert (done.stderr, done.returncode) == ("", 0)
+    here, where = qrsim.load(TASK, seed=SEED), f"127.0.0.1:{served.port}"
+    here.reset()
+    expected = [tour_line("init", here), "info 1 0.02"]
+    for what, command, ticks in (
+        ("waypoint", here.waypoint([6.0, -8.0, -9.0]), 50),
+        ("velocity", qrsim.VelocitySetpoint.of([[0.5, 0.0, 0.0]], 0.0), 5),
+        ("control", [[0.0, 0.0, 0.59, 0.0, 12.0]], 1),
+    ):
+        here.step(command, ticks=ticks)
+        expected.append(tour_line(what, here))
+    here.reset(SEED + 1)
+    here.set_state([[5.0, -6.0, -8.0, 0.0, 0.1, 0.2]])
+    here.step(here.waypoint([5.0, -6.0, -8.0], 0.2))
+    expected.append(tour_line("set_state", here))
+    expected.append(f"refused: {where}: dt: 0.03 s is not a positive multiple of the time step, 0.02 s")
+    expected += [f"invalid: {where}: invalid uav state", "hello 1", "open free_flight 5 pelicans_0 1", "restart 6 9"]
+    expected += ["readings 5 4", f"watched {0.02:.17g}"]
+    said = done.stdout.splitlines()
+    assert said[: len(expected)] == expected
+    reason, closed, no_task, nobody, quit_ = said[len(expected) :]
+    assert reason.startswith("reason out_of_area: position_ned.z = ")
+    assert reason.endswith("measured is NaN: 1")
+    assert closed == f"closed: {where}: this client is closed"
+    assert "no task is called 'TaskKeepSpott'; did you mean 'TaskKeepSpot'?" in no_task
+    assert nobody == "nobody: cannot connect to 127.0.0.1:1: Connection refused"
+    assert quit_ == "quit ''"
+    served.thread.join(30.0)
+    assert not served.thread.is_alive()
+
+
+def tour_line(what: str, simulation: qrsim.Simulation) -> str:
+    numbers = " ".join(f"{value:.17g}" for value in np.asarray(simulation.truth.state[0], np.float64))
+    return f"{what} t {simulation.time:.17g} vehicles 1/1 reasons 0 {numbers}"
+
+
+def test_the_examples_fly(build, served):
+    """The one beside the header, and those of its README and of docs/serve.md, which are written for port 10000."""
     done = subprocess.run(
-        [build("fly", text), str(served.port)], capture_output=True, text=True, check=False, timeout=120
-    )
+        [build("fly", (HEADER / "fly.cpp").read_text("utf-8")), str(served.port)],
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
     assert (done.stderr, done.returncode) == ("", 0)
     assert done.stdout.splitlines()[-1].startswith("t = 10 s: ")
+    for page in (HEADER / "README.md", ROOT / "docs" / "serve.md"):
+        [text] = re.findall(r"^```cpp\n(.*?)^```$", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+        assert "10000" in text
+        program = build(page.stem, text.replace("10000", str(served.port)))
+        done = subprocess.run([program], capture_output=True, text=True, check=False, timeout=120)
+        assert (done.stderr, done.returncode) == ("", 0), page
+
+
+@pytest.mark.long
+def test_cmake_builds_the_example(build, served, tmp_path):
+    if shutil.which("cmake") is None:
+        pytest.skip("no cmake: apt-get install cmake")
+    for words in (["-B", str(tmp_path), str(HEADER)], ["--build", str(tmp_path)]):
+        subprocess.run(["cmake", *words], check=True, capture_output=True)
+    done = subprocess.run(
+        [tmp_path / "fly", str(served.port)], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert (done.stderr, done.returncode) == ("", 0)

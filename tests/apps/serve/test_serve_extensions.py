@@ -96,7 +96,7 @@ def test_a_client_flies_a_scenario_of_its_own(clients):
         ("extends: search_and_rescue/2A\nfleets: {a: {sensors: {camera: {most_rows: 1000000000}}}}", "most_rows: 1000"),
         ("a: &a [1, 1]\nb: [*a, *a]", "line 2: '*' is not allowed"),
         ("[" * 100_000, "nested too deeply"),
-        ("- " * 50_000, "nested too deeply"),
+        ("- " * 50_000, "nested deeper than 64 levels"),
         ("#" * 300_000, "300000 bytes; allowed: up to 262144"),
         ("fleets: {a: {vehicles: [" + "{}," * (MOST_VEHICLES + 1) + "]}}", f"{MOST_VEHICLES + 1} vehicles; allowed"),
         ("fleets: {" + ",".join(f"f{i}: {{}}" for i in range(9)) + "}", "fleets: 9; allowed: up to 8"),

@@ -1,0 +1,384 @@
+// A client of `qrsim serve`, in one header: C++17, POSIX sockets, and the classes that protoc makes of qrsim.proto.
+//
+//   qrsim::Client client("127.0.0.1", 10000);
+//   qrsim::State state = client.init("free_flight");
+//   state = client.step_waypoint(1.0, {{8.0, -6.0, -10.0, 0.0}});   // x, y, z NED [m], yaw [rad]; one for each vehicle
+//
+// Every call sends one request and waits for its reply. What goes wrong is thrown, see the classes of errors. A client is
+// for one thread at a time. README.md beside this file says how it is built.
+#pragma once
+
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <sys/socket.h>
+#include <sys/time.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <map>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "qrsim.pb.h"
+
+namespace qrsim {
+
+namespace pb = ::qrsimsrvcli;
+
+// The base of every error of this client.
+struct Error : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+// The server cannot be reached, has gone, did not answer in time, or answered nonsense; the client is closed.
+struct ConnectionFailed : Error {
+  using Error::Error;
+};
+// The server said no; the message says why. Nothing has changed.
+struct Refused : Error {
+  using Error::Error;
+};
+// After the step a vehicle is invalid; reset or set_state make it fly again.
+struct InvalidState : Refused {
+  using Refused::Refused;
+};
+
+// A row of numbers for each vehicle.
+using Rows = std::vector<std::vector<double>>;
+
+// What the server says of n vehicles.
+struct State {
+  double time = 0.0;  // simulated [s]
+  // True position NED [m], Euler angles [rad], body velocity [m/s], body rates [rad/s], thrust [N].
+  std::vector<std::array<double, 13>> state;
+  // GNSS position; Euler angles; 0, 0, 0; body rates; 0; specific force; barometric height; GNSS velocity north, east;
+  // height rate. Heights are positive up; NaN where there is no reading.
+  std::vector<std::array<double, 20>> measured;
+  // Why each vehicle is invalid, "" where it flies; empty where hello was not called.
+  std::vector<std::string> reasons;
+};
+
+// A session opened by open, or an episode begun by restart.
+struct Session {
+  std::uint32_t number = 0;  // for those who want to watch it
+  std::string scenario;
+  std::uint64_t seed = 0;  // of this episode, which flies it again
+  std::vector<std::string> vehicles;
+  double time_step = 0.0;  // [s]
+  State state;
+};
+
+// What open may be asked for; a scenario is YAML text, in place of a task.
+struct Wishes {
+  std::optional<std::string> task, scenario;
+  std::optional<std::uint64_t> seed;
+  std::optional<double> realtime;  // simulated seconds per second of the wall clock; 0: lock-step
+  bool events = false;
+};
+
+// vehicle -> sensor -> field -> numbers. A field of a sensor without a reading is NaN.
+using Readings = std::map<std::string, std::map<std::string, std::map<std::string, std::vector<double>>>>;
+
+class Client {
+ public:
+  // Connects. timeout_s is how long to wait for a reply [s]; the first step of each kind may have to be compiled.
+  explicit Client(const std::string& host = "127.0.0.1", int port = 10000, double timeout_s = 60.0)
+      : where_(host + ":" + std::to_string(port)) {
+    addrinfo wanted{};
+    wanted.ai_family = AF_UNSPEC;
+    wanted.ai_socktype = SOCK_STREAM;
+    addrinfo* found = nullptr;
+    const int failure = getaddrinfo(host.c_str(), std::to_string(port).c_str(), &wanted, &found);
+    if (failure != 0) throw ConnectionFailed("cannot connect to " + where_ + ": " + gai_strerror(failure));
+    const std::unique_ptr<addrinfo, void (*)(addrinfo*)> addresses(found, freeaddrinfo);
+    int reason = ECONNREFUSED;
+    for (const addrinfo* one = found; one != nullptr && socket_ < 0; one = one->ai_next) {
+      socket_ = ::socket(one->ai_family, one->ai_socktype, one->ai_protocol);
+      if (socket_ >= 0 && connect(socket_, one->ai_addr, one->ai_addrlen) == 0) break;
+      reason = errno;
+      close();
+    }
+    if (socket_ < 0) throw ConnectionFailed("cannot connect to " + where_ + ": " + std::strerror(reason));
+    const int yes = 1;
+    setsockopt(socket_, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
+    set_timeout(timeout_s);
+  }
+  ~Client() { close(); }
+  Client(const Client&) = delete;
+  Client& operator=(const Client&) = delete;
+  Client(Client&& other) noexcept { *this = std::move(other); }
+  Client& operator=(Client&& other) noexcept {
+    if (this != &other) {
+      close();
+      where_ = std::move(other.where_);
+      socket_ = std::exchange(other.socket_, -1);
+      time_step_ = other.time_step_;
+      size_ = other.size_;
+    }
+    return *this;
+  }
+
+  // Number of vehicles of the session, and its simulation step [s]; a step's dt is a multiple of it.
+  int size() const { return size_; }
+  double time_step() const { return time_step_; }
+
+  // ---- the calls of the reference client ----
+
+  // Starts a task by its name and returns the state at the start; see also open.
+  State init(const std::string& task, bool realtime = false) {
+    pb::Message request;
+    request.set_type(pb::Message::INIT);
+    request.mutable_init()->set_task(task);
+    request.mutable_init()->set_realtime(realtime);
+    State found = state_of(ask(request, pb::Message::STATE).state());
+    note(expected(receive(), pb::Message::TASKINFO).taskinfo());
+    return found;
+  }
+
+  // Starts the next episode of the task; restart does it too, and returns its seed and its state.
+  void reset() {
+    pb::Message request;
+    request.set_type(pb::Message::RESET);
+    request.mutable_reset()->set_value(true);
+    ask(request, pb::Message::ACK);
+  }
+
+  // Puts the vehicles into states of 3 (position NED), 6 (and Euler angles), 12 (and body velocity and rates) or 13
+  // numbers (and thrust).
+  void set_state(const Rows& states) {
+    pb::Message request;
+    request.set_type(pb::Message::SETSTATE);
+    auto* content = request.mutable_setsstate();
+    for (const auto& row : states) fill(content->add_x(), row);
+    ask(request, pb::Message::ACK);
+  }
+
+  // Flies to waypoints (x, y, z NED [m], yaw [rad]) for a simulated time dt [s].
+  State step_waypoint(double dt, const Rows& waypoints) { return step(dt, pb::Step::WP, waypoints); }
+
+  // Flies commands (pitch, roll [rad], throttle, yaw rate [rad/s], battery [V]) for a simulated time dt [s].
+  State step_control(double dt, const Rows& commands) { return step(dt, pb::Step::CTRL, commands); }
+
+  // Flies at velocities NED [m/s], heading north, for a simulated time dt [s].
+  State step_velocity(double dt, const Rows& velocities) { return step(dt, pb::Step::VEL, velocities); }
+
+  // Ends the session and the connection.
+  void disconnect() { leave(false); }
+
+  // Ends the session and asks the server to end; returns what it says where it goes on, else "".
+  std::string quit() { return leave(true); }
+
+  // ---- extensions ----
+
+  // Asks what the server is; from then on a step after which a vehicle is invalid returns a state with reasons.
+  pb::Server hello() {
+    pb::Message request;
+    request.set_type(pb::Message::HELLO);
+    request.mutable_hello();
+    return ask(request, pb::Message::SERVER).server();
+  }
+
+  // Starts a session with a seed, a pace, events, or a scenario of your own.
+  Session open(const Wishes& wishes) {
+    pb::Message request;
+    request.set_type(pb::Message::OPEN);
+    auto* content = request.mutable_open();
+    if (wishes.task) content->set_task(*wishes.task);
+    if (wishes.scenario) content->set_scenario(*wishes.scenario);
+    if (wishes.seed) content->set_seed(*wishes.seed);
+    if (wishes.realtime) content->set_realtime(*wishes.realtime);
+    content->set_events(wishes.events);
+    return session_of(ask(request, pb::Message::SESSION).session());
+  }
+
+  // Starts the next episode of the task, or that of a seed.
+  Session restart(std::optional<std::uint64_t> seed = std::nullopt) {
+    pb::Message request;
+    request.set_type(pb::Message::RESTART);
+    auto* content = request.mutable_restart();
+    if (seed) content->set_seed(*seed);
+    return session_of(ask(request, pb::Message::SESSION).session());
+  }
+
+  // Returns what every sensor says.
+  Readings readings() {
+    pb::Message request;
+    request.set_type(pb::Message::GET_READINGS);
+    request.mutable_get_readings();
+    const pb::Message reply = ask(request, pb::Message::READINGS);
+    Readings found;
+    for (const auto& vehicle : reply.readings().vehicle())
+      for (const auto& sensor : vehicle.sensor())
+        for (const auto& field : sensor.field())
+          found[vehicle.name()][sensor.name()][field.name()].assign(field.value().begin(), field.value().end());
+    return found;
+  }
+
+  // Watches the session that another client controls; next_state returns its states as they come.
+  void watch(std::optional<std::uint32_t> session = std::nullopt, double period = 0.0) {
+    pb::Message request;
+    request.set_type(pb::Message::WATCH);
+    auto* content = request.mutable_watch();
+    if (session) content->set_session(*session);
+    content->set_period(period);
+    ask(request, pb::Message::ACK);
+  }
+  State next_state() { return state_of(expected(receive(), pb::Message::STATE).state()); }
+
+  // Sends any request and returns its reply, for what has no call here (GET_EVENTS, PACE, PLAY, ACT).
+  pb::Message ask(const pb::Message& request, pb::Message::Type type) {
+    send(request);
+    return expected(receive(), type);
+  }
+
+  // Closes the connection; the server ends the session.
+  void close() noexcept {
+    if (socket_ >= 0) ::close(socket_);
+    socket_ = -1;
+  }
+
+ private:
+  static constexpr std::uint32_t kLargestReply = 1u << 26;
+
+  void set_timeout(double seconds) {
+    timeval limit{};
+    limit.tv_sec = static_cast<time_t>(std::floor(seconds));
+    limit.tv_usec = static_cast<suseconds_t>(1e6 * (seconds - std::floor(seconds)));
+    setsockopt(socket_, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
+    setsockopt(socket_, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit);
+  }
+
+  [[noreturn]] void fail(const std::string& why) {
+    close();
+    throw ConnectionFailed(where_ + ": " + why);
+  }
+
+  [[noreturn]] void fail_by_system() {
+    const int reason = errno;
+    fail(reason == EAGAIN || reason == EWOULDBLOCK ? "no answer in time"
+                                                   : std::string("the connection is lost: ") + std::strerror(reason));
+  }
+
+  // Length and message go in one write, so that neither waits for an acknowledgement.
+  void send(const pb::Message& message) {
+    if (socket_ < 0) throw ConnectionFailed(where_ + ": this client is closed");
+    const std::string payload = message.SerializeAsString();
+    const auto length = static_cast<std::uint32_t>(payload.size());
+    std::string content(1, '\x0d');
+    for (int shift = 0; shift < 32; shift += 8) content.push_back(static_cast<char>((length >> shift) & 0xFFu));
+    content += payload;
+#ifdef MSG_NOSIGNAL
+    const int flags = MSG_NOSIGNAL;
+#else
+    const int flags = 0;
+#endif
+    for (std::size_t done = 0; done < content.size();) {
+      const ssize_t count = ::send(socket_, content.data() + done, content.size() - done, flags);
+      if (count < 0 && errno == EINTR) continue;
+      if (count < 0) {
+        // What the server said before it closed the connection says more than this.
+        if (errno == EPIPE || errno == ECONNRESET) return;
+        fail_by_system();
+      }
+      done += static_cast<std::size_t>(count);
+    }
+  }
+
+  std::string exactly(std::size_t size) {
+    std::string found(size, '\0');
+    for (std::size_t done = 0; done < size;) {
+      const ssize_t count = ::recv(socket_, &found[done], size - done, 0);
+      if (count < 0 && errno == EINTR) continue;
+      if (count < 0) fail_by_system();
+      if (count == 0) fail("the server has closed the connection");
+      done += static_cast<std::size_t>(count);
+    }
+    return found;
+  }
+
+  pb::Message receive() {
+    if (socket_ < 0) throw ConnectionFailed(where_ + ": this client is closed");
+    const std::string head = exactly(5);
+    std::uint32_t length = 0;
+    for (int i = 4; i > 0; --i) length = length << 8 | static_cast<unsigned char>(head[static_cast<std::size_t>(i)]);
+    if (head[0] != '\x0d' || length > kLargestReply) fail("this is no qrsim server");
+    pb::Message message;
+    if (!message.ParseFromString(exactly(length))) fail("this is no qrsim server");
+    return message;
+  }
+
+  pb::Message expected(pb::Message reply, pb::Message::Type type) {
+    if (reply.type() == type && !(type == pb::Message::ACK && reply.ack().error())) return reply;
+    if (reply.type() != pb::Message::ACK) fail("an unexpected reply, of type " + std::to_string(reply.type()));
+    const std::string& why = reply.ack().msg();
+    if (why == "invalid uav state") throw InvalidState(where_ + ": " + why);
+    throw Refused(where_ + ": " + why);
+  }
+
+  State step(double dt, pb::Step::Type type, const Rows& rows) {
+    pb::Message request;
+    request.set_type(pb::Message::STEP);
+    auto* content = request.mutable_step();
+    content->set_dt(dt);
+    content->set_type(type);
+    for (const auto& row : rows) fill(content->add_cmd(), row);
+    return state_of(ask(request, pb::Message::STATE).state());
+  }
+
+  std::string leave(bool quit_server) {
+    pb::Message request;
+    request.set_type(pb::Message::DISCONNECT);
+    request.mutable_disconnect()->set_quit(quit_server);
+    std::string said = ask(request, pb::Message::ACK).ack().msg();
+    close();
+    return said;
+  }
+
+  void note(const pb::TaskInfo& info) {
+    time_step_ = info.timestep();
+    size_ = info.numuavs();
+  }
+
+  Session session_of(const pb::Session& found) {
+    note(found.info());
+    return {found.id(), found.scenario(), found.seed(), {found.vehicle().begin(), found.vehicle().end()},
+            found.info().timestep(), state_of(found.state())};
+  }
+
+  State state_of(const pb::State& found) {
+    State state;
+    state.time = found.t();
+    for (const auto& row : found.x()) state.state.push_back(numbers<13>(row));
+    for (const auto& row : found.ex()) state.measured.push_back(numbers<20>(row));
+    state.reasons.assign(found.reason().begin(), found.reason().end());
+    return state;
+  }
+
+  template <std::size_t N>
+  std::array<double, N> numbers(const pb::Arrayd& row) {
+    if (static_cast<std::size_t>(row.value_size()) != N) fail("a vector of an unexpected length");
+    std::array<double, N> found{};
+    for (std::size_t i = 0; i < N; ++i) found[i] = row.value(static_cast<int>(i));
+    return found;
+  }
+
+  static void fill(pb::Arrayd* vector, const std::vector<double>& row) {
+    for (const double value : row) vector->add_value(value);
+  }
+
+  std::string where_;
+  int socket_ = -1;
+  double time_step_ = 0.0;
+  int size_ = 0;
+};
+
+}  // namespace qrsim

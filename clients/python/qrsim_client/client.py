@@ -1,0 +1,466 @@
+# Written by generate.py from src/qrsim/client.py: change that.
+"""A client of ``qrsim serve``; it needs NumPy and protobuf only, none of what computes.
+
+clients/python has this module as a package of its own, for Python 3.8 and later: nothing here may need a later one, and
+``python clients/python/generate.py`` writes it anew.
+
+The calls of the reference client have its semantics: ``init``, ``reset``, ``set_state``, ``step_waypoint``,
+``step_control``, ``step_velocity``, ``disconnect``, ``quit``. The others are extensions of the protocol.
+"""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from google.protobuf.message import DecodeError
+
+from qrsim_client import qrsim_pb2 as pb
+from qrsim_client.errors import RunError, UsageError
+from qrsim_client.framing import Deframer, frame
+from qrsim_client.qrsim_pb2 import Message, Step
+
+if TYPE_CHECKING:
+    Array = np.ndarray[Any, Any]
+# A state of 200 000 vehicles.
+LARGEST_REPLY = 1 << 26
+INVALID = "invalid uav state"
+
+
+class ConnectionFailed(RunError):  # noqa: N818 (it is what has happened)
+    """The server cannot be reached, has gone, did not answer in time, or answered nonsense; the client is closed."""
+
+
+class Refused(RunError):  # noqa: N818
+    """The server said no; the message says why."""
+
+
+class InvalidState(Refused):
+    """After the step a vehicle is invalid; ``reset`` or ``set_state`` make it fly again."""
+
+
+@dataclass(frozen=True)
+class State:
+    """What the server says of n vehicles.
+
+    Attributes:
+        time: simulated time [s].
+        state: (n, 13) true position NED [m], Euler angles [rad], body velocity [m/s], body rates [rad/s], thrust [N].
+        measured: (n, 20) GNSS position; Euler angles; 0, 0, 0; body rates; 0; specific force; barometric height; GNSS
+            velocity north, east; height rate; heights positive up; NaN where there is no reading.
+        reasons: why each vehicle is invalid, "" where it flies; empty where ``hello`` was not called.
+    """
+
+    time: float
+    state: Array
+    measured: Array
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Session:
+    """A session opened by ``open`` or begun again by ``restart``.
+
+    Attributes:
+        number: its id, for those who want to watch it.
+        scenario: name.
+        seed: of all randomness of this episode, which flies it again.
+        vehicles: names of the n vehicles.
+        time_step: simulation step [s].
+        state: at the start.
+    """
+
+    number: int
+    scenario: str
+    seed: int
+    vehicles: tuple[str, ...]
+    time_step: float
+    state: State
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One number of an action; -1 and 1 of the action mean ``low`` and ``high`` in ``unit``."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode of a task at its start, begun by ``play``, with n agents.
+
+    Attributes:
+        session: its number, for those who want to watch it.
+        scenario: name.
+        seed: of all randomness.
+        number: which episode of the seed's series it is, from 0.
+        agents: names of the n vehicles that are commanded.
+        axes: what the A numbers of an action are.
+        period: simulated time of a step [s].
+        steps: after which the episode is truncated.
+        answer_shape: of what each agent hands in with its last action; () where nothing is handed in.
+        observation: what the agents see, (n, O), or by name, (n, ...).
+        info: what is really the case, by name, (n, ...).
+    """
+
+    session: int
+    scenario: str
+    seed: int
+    number: int
+    agents: tuple[str, ...]
+    axes: tuple[Axis, ...]
+    period: float
+    steps: int
+    answer_shape: tuple[int, ...]
+    observation: Array | dict[str, Array]
+    info: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a step brings n agents.
+
+    Attributes:
+        step: steps done.
+        time: simulated time [s].
+        observation: what the agents see, (n, O), or by name, (n, ...).
+        reward: (n,).
+        terminated: a vehicle has stopped, and the episode has ended.
+        truncated: the last step is done, and the episode has ended.
+        info: what is really the case, by name, (n, ...).
+    """
+
+    step: int
+    time: float
+    observation: Array | dict[str, Array]
+    reward: Array
+    terminated: bool
+    truncated: bool
+    info: dict[str, Array]
+
+
+class Client:
+    """A connection to a server; use it as a context manager.
+
+    Args:
+        host, port: of the server.
+        timeout: how long to wait for an answer [s]; the first step of each kind may have to be compiled.
+
+    Attributes:
+        time_step: simulation step of the session [s]; a step's dt is a multiple of it.
+        size: number of vehicles of the session, n.
+
+    Raises:
+        ConnectionFailed: from every method, where the server cannot be reached or does not answer in time.
+        Refused: from every method, where the server says no.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 10000, *, timeout: float = 60.0):
+        self._where = f"{host}:{port}"
+        self._timeout = timeout
+        self._deframer = Deframer(LARGEST_REPLY)
+        self.time_step = 0.0
+        self.size = 0
+        try:
+            self._socket: socket.socket | None = socket.create_connection((host, port), timeout)
+        except (OSError, OverflowError) as error:
+            reason = "nobody listens there" if isinstance(error, ConnectionRefusedError) else str(error)
+            raise ConnectionFailed(f"cannot connect to {self._where}: {reason}") from None
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    # ---- the reference client's calls ----
+
+    def init(self, task: str, *, realtime: bool = False) -> State:
+        """Start a task by its name and return the state at the start; see also ``open``."""
+        request = Message(type=Message.INIT, init=pb.Init(task=task, realTime=realtime))
+        state = _state(self._ask(request, Message.STATE).state)
+        self._note(self._expect(self._receive(self._timeout), Message.TASKINFO).taskInfo)
+        return state
+
+    def reset(self) -> None:
+        """Start the next episode of the task; ``restart`` does it too, and returns its seed and its state."""
+        self._ask(Message(type=Message.RESET, reset=pb.Reset(value=True)), Message.ACK)
+
+    def set_state(self, state: Any) -> None:
+        """Put the vehicles into states (n, 13), (n, 12), (n, 6) or (n, 3); see ``Simulation.set_state``."""
+        rows = pb.SetState(X=_vectors("state", state, (3, 6, 12, 13)))
+        self._ask(Message(type=Message.SETSTATE, setsState=rows), Message.ACK)
+
+    def step_waypoint(self, dt: float, waypoints: Any) -> State:
+        """Fly to waypoints (n, 4), x, y, z NED [m] and yaw [rad], for a simulated time [s]."""
+        return self._step(dt, Step.WP, waypoints, 4)
+
+    def step_control(self, dt: float, commands: Any) -> State:
+        """Fly commands (n, 5), pitch, roll [rad], throttle, yaw rate [rad/s], battery [V], for a simulated time [s]."""
+        return self._step(dt, Step.CTRL, commands, 5)
+
+    def step_velocity(self, dt: float, velocities: Any) -> State:
+        """Fly at velocities NED (n, 3) [m/s], heading north, for a simulated time [s]."""
+        return self._step(dt, Step.VEL, velocities, 3)
+
+    def disconnect(self) -> None:
+        """End the session and the connection."""
+        self._leave(quit_server=False)
+
+    def quit(self) -> str:
+        """End the session and ask the server to end; return what it says where it goes on, else ""."""
+        return self._leave(quit_server=True)
+
+    def _leave(self, quit_server: bool) -> str:
+        request = Message(type=Message.DISCONNECT, disconnect=pb.Disconnect(quit=quit_server))
+        said = self._ask(request, Message.ACK).ack.msg
+        self.close()
+        return said
+
+    def _step(self, dt: float, kind: Step.Type, rows: Any, width: int) -> State:
+        step = Step(dt=dt, type=kind, cmd=_vectors("command", rows, (width,)))
+        return _state(self._ask(Message(type=Message.STEP, step=step), Message.STATE).state)
+
+    # ---- extensions ----
+
+    def hello(self) -> dict[str, Any]:
+        """Return version, capabilities, tasks and running sessions; afterwards invalid vehicles have reasons."""
+        found = self._ask(Message(type=Message.HELLO, hello=pb.Hello()), Message.SERVER).server
+        return {
+            "version": found.version,
+            "capabilities": list(found.capability),
+            "tasks": list(found.task),
+            "sessions": list(found.session),
+            "largest_request": found.largest_request,
+        }
+
+    def open(
+        self,
+        task: str | None = None,
+        *,
+        scenario: str | None = None,
+        seed: int | None = None,
+        realtime: float | None = None,
+        events: bool = False,
+    ) -> Session:
+        """Start a session.
+
+        Args:
+            task: name; or
+            scenario: a scenario as YAML text, which names no files.
+            seed: of the first episode, which the next seeds follow; default: the next one of the server.
+            realtime: simulated seconds per second of the wall clock, 0 for lock-step; default: the server's.
+            events: collect events.
+        """
+        request = pb.Open(task=task, scenario=scenario, seed=_seed(seed), realtime=realtime, events=events)
+        return self._session(Message(type=Message.OPEN, open=request))
+
+    def restart(self, seed: int | None = None) -> Session:
+        """Start the next episode of the task, or that of a seed."""
+        return self._session(Message(type=Message.RESTART, restart=pb.Restart(seed=_seed(seed))))
+
+    def _session(self, request: Message) -> Session:
+        found = self._ask(request, Message.SESSION).session
+        self._note(found.info)
+        return Session(
+            found.id, found.scenario, found.seed, tuple(found.vehicle), found.info.timestep, _state(found.state)
+        )
+
+    def readings(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Return vehicle -> sensor -> field -> value, a number or an array; "reason" says why a reading is missing."""
+        found = self._ask(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()), Message.READINGS).readings
+        return {
+            vehicle.name: {
+                sensor.name: {
+                    **{f.name: f.value[0] if len(f.value) == 1 else np.array(f.value) for f in sensor.field},
+                    "reason": sensor.reason,
+                }
+                for sensor in vehicle.sensor
+            }
+            for vehicle in found.vehicle
+        }
+
+    def events(self) -> list[dict[str, Any]]:
+        """Return what has happened since the last call, in a session opened with events."""
+        found = self._ask(Message(type=Message.GET_EVENTS, get_events=pb.GetEvents()), Message.EVENTS).events
+        return [
+            {
+                "time": event.t,
+                "kind": event.kind,
+                "vehicle": event.vehicle or None,
+                "field": event.field or None,
+                "value": event.value if event.HasField("value") else None,
+                "message": event.message,
+            }
+            for event in found.event
+        ]
+
+    def pace(self, factor: float | None = None) -> dict[str, float]:
+        """Return how the session has kept its pace so far, and set another one (0: lock-step) if it is given."""
+        request = Message(type=Message.PACE, pace=pb.Pace(factor=factor))
+        found = self._ask(request, Message.PACING).pacing
+        return {field.name: value for field, value in found.ListFields()}
+
+    def play(self, task: str | None = None, *, scenario: str | None = None, seed: int | None = None) -> Episode:
+        """Start an episode of the task of a scenario, or the next episode of the one that is played.
+
+        Args:
+            task: name; or
+            scenario: a scenario as YAML text, which names no files; neither: the task that is played already.
+            seed: of all randomness; default: the next one of the server, or where the task is played already the next
+                episode of the series that its seed has begun.
+        """
+        request = pb.Play(task=task, scenario=scenario, seed=_seed(seed))
+        found = self._ask(Message(type=Message.PLAY, play=request), Message.EPISODE).episode
+        return Episode(
+            session=found.id, scenario=found.scenario, seed=found.seed, number=found.number, agents=tuple(found.agent),
+            axes=tuple(Axis(axis.name, axis.unit, axis.low, axis.high) for axis in found.axis), period=found.period,
+            steps=found.steps, answer_shape=tuple(found.answer_shape), observation=_seen(found.observation),
+            info=_arrays(found.info),
+        )  # fmt: skip
+
+    def act(self, action: Any, answer: Any = None) -> Outcome:
+        """Advance the episode by a step.
+
+        Args:
+            action: (n, A) numbers in [-1, 1].
+            answer: what the n agents hand in, (n, ...); with the last action of tasks that ask for it.
+        """
+        request = pb.Act(action=_vectors("action", action), answer=_answers(answer))
+        found = self._ask(Message(type=Message.ACT, act=request), Message.OUTCOME).outcome
+        return Outcome(
+            step=found.step, time=found.t, observation=_seen(found.observation), reward=np.array(found.reward),
+            terminated=found.terminated, truncated=found.truncated, info=_arrays(found.info),
+        )  # fmt: skip
+
+    def watch(
+        self, session: int | None = None, *, period: float = 0.0, timeout: float | None = None
+    ) -> Iterator[State]:
+        """Return the states, as they come, of a session that another client controls.
+
+        Args:
+            session: its number; may be left out where the server has one session at a time.
+            period: least simulated time between two states [s].
+            timeout: how long to wait for a state [s]; default: for ever.
+        """
+        request = pb.Watch(session=session, period=period)
+        self._ask(Message(type=Message.WATCH, watch=request), Message.ACK)
+        return self._states(timeout)
+
+    def _states(self, timeout: float | None) -> Iterator[State]:
+        while True:
+            yield _state(self._expect(self._receive(timeout), Message.STATE).state)
+
+    # ---- the connection ----
+
+    def close(self) -> None:
+        """Close the connection; the server ends the session."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _note(self, info: pb.TaskInfo) -> None:
+        self.time_step, self.size = info.timestep, info.numUAVs
+
+    def _ask(self, request: Message, expected: Message.Type) -> Message:
+        try:
+            self._open_socket().sendall(frame(request.SerializeToString()))
+        except OSError as error:
+            # What the server said before it closed the connection says more than this.
+            try:
+                return self._expect(self._receive(0.5), expected)
+            except ConnectionFailed:
+                raise self._failed(f"the connection is lost: {error.strerror or error}") from None
+        return self._expect(self._receive(self._timeout), expected)
+
+    def _expect(self, reply: Message, expected: Message.Type) -> Message:
+        if reply.type == expected and not (expected == Message.ACK and reply.ack.error):
+            return reply
+        if reply.type == Message.ACK:
+            raise (InvalidState if reply.ack.msg == INVALID else Refused)(f"{self._where}: {reply.ack.msg}")
+        raise self._failed(f"expected {Message.Type.Name(expected)}, found {Message.Type.Name(reply.type)}")
+
+    def _receive(self, timeout: float | None) -> Message:
+        connection = self._open_socket()
+        deadline = None if timeout is None else time.monotonic() + timeout
+        try:
+            while (payload := self._deframer.next()) is None:
+                connection.settimeout(None if deadline is None else max(deadline - time.monotonic(), 1e-6))
+                data = connection.recv(1 << 18)
+                if not data:
+                    raise self._failed("the server has closed the connection")
+                self._deframer.feed(data)
+            return Message.FromString(payload)
+        except (TimeoutError, socket.timeout):  # noqa: UP041 (two things before Python 3.10)
+            raise self._failed(f"no answer within {timeout:g} s") from None
+        except OSError as error:
+            raise self._failed(f"the connection is lost: {error.strerror or error}") from None
+        except (UsageError, DecodeError) as error:
+            raise self._failed(f"this is no qrsim server: {error}") from None
+
+    def _open_socket(self) -> socket.socket:
+        if self._socket is None:
+            raise ConnectionFailed(f"{self._where}: this client is closed")
+        return self._socket
+
+    def _failed(self, why: str) -> ConnectionFailed:
+        self.close()
+        return ConnectionFailed(f"{self._where}: {why}")
+
+
+def _seed(seed: int | None) -> int | None:
+    if seed is not None and not 0 <= seed < 2**63:
+        raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
+    return seed
+
+
+def _vectors(what: str, rows: Any, widths: tuple[int, ...] = ()) -> list[pb.Arrayd]:
+    """Return one vector for each vehicle, of one of the widths; none: the server knows which."""
+    try:
+        array = np.atleast_2d(np.asarray(rows, np.float64))
+    except (TypeError, ValueError):
+        array = np.zeros((0, 0, 0))
+    if array.ndim != 2 or (widths and array.shape[1] not in widths):
+        allowed = " or ".join(map(str, widths)) or "numbers of an action"
+        raise UsageError(f"{what}: expected numbers of shape (vehicles, {allowed}), found {np.shape(array)}")
+    return [pb.Arrayd(value=row) for row in array.tolist()]
+
+
+def _answers(answer: Any) -> list[pb.Act.Answer]:
+    """Return what each agent hands in."""
+    try:
+        array = np.zeros((0, 1)) if answer is None else np.asarray(answer, np.float32)
+    except (TypeError, ValueError):
+        array = np.zeros(())
+    if array.ndim < 2:
+        raise UsageError(f"answer: expected numbers of shape (agents, ...), found shape {np.shape(array)}")
+    return [pb.Act.Answer(value=row.ravel().tolist()) for row in array]
+
+
+def _state(found: pb.State) -> State:
+    return State(
+        found.t,
+        np.array([row.value for row in found.X]).reshape(len(found.X), -1),
+        np.array([row.value for row in found.eX]).reshape(len(found.eX), -1),
+        tuple(found.reason),
+    )
+
+
+def _arrays(found: Iterable[pb.Values]) -> dict[str, Array]:
+    return {part.name: np.array(part.value, np.float32).reshape(part.shape) for part in found}
+
+
+def _seen(found: Iterable[pb.Values]) -> Array | dict[str, Array]:
+    arrays = _arrays(found)
+    return arrays[""] if list(arrays) == [""] else arrays
