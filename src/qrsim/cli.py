@@ -5,7 +5,8 @@ A subcommand is a dataclass whose fields are its options and whose ``run`` does 
 To add one, import it here and add it to COMMANDS. Modules of commands import what is slow inside ``run``, so that
 the help stays quick.
 
-Exit codes: 0 fine, 1 the run failed, 2 wrong usage, 130 interrupted, 141 the reader of the output went away.
+Exit codes: 0 fine, 1 the run failed, 2 wrong usage, 130 interrupted (Ctrl-C), 141 the reader of the output went away,
+143 terminated (SIGTERM).
 """
 
 from __future__ import annotations
@@ -18,8 +19,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, make_dataclass
 from typing import Annotated, Any, Protocol, Union
 
+import qrsim.starting  # noqa: F401 (before the others)
+
+# isort: split
 import tyro
 
+from qrsim import interruptions
 from qrsim.apps.check.command import Check
 from qrsim.apps.compare.command import Compare
 from qrsim.apps.data.command import Fetch, Where
@@ -122,18 +127,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (it stays open until the process ends)
     _plain_warnings()
     try:
-        code = _dispatch(arguments)
-        sys.stdout.flush()
+        with interruptions.heard():
+            code = _dispatch(arguments)
+            sys.stdout.flush()
     except QrsimError as error:
         _print_error(str(error))
         return error.exit_code
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as error:
+        return _interrupted(error)
     except BrokenPipeError:
         _discard_output()
         return 141
     except Exception as error:
+        if asked := interruptions.asked():  # a library has made another exception of it
+            return _interrupted(asked)
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
             _discard_output()
             _print_error(f"cannot write the output: {error.strerror}")
@@ -144,6 +151,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         _print_error("this is a bug in qrsim: please report it with the lines above and the output of 'qrsim version'")
         return 1
     return code
+
+
+def _interrupted(error: BaseException) -> int:
+    print(interruptions.word(error), file=sys.stderr)
+    return interruptions.exit_code(error)
 
 
 def _plain_warnings() -> None:

@@ -579,17 +579,18 @@ def wait_for_ticks(process: subprocess.Popen[str], folder: Path, seconds: float 
 
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory, flown):
-    """Two runs in real time: name -> (folder, process, its output, ticks of each stream on the disk before)."""
+    """Three runs in real time: name -> (folder, process, its output, ticks of each stream on the disk before)."""
     root = tmp_path_factory.mktemp("stopped")
     started = {}
-    for name in ("interrupted", "killed"):
+    for name in ("interrupted", "terminated", "killed"):
         words = ["run", "--realtime", "--duration", "1000", "--out", str(root / name)]
         started[name] = subprocess.Popen(
             [sys.executable, "-c", INTERRUPTIBLE, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
     found = {}
     try:
-        for name, number in (("interrupted", signal.SIGINT), ("killed", signal.SIGKILL)):
+        ends = (("interrupted", signal.SIGINT), ("terminated", signal.SIGTERM), ("killed", signal.SIGKILL))
+        for name, number in ends:
             process, folder = started[name], root / name
             wait_for_ticks(process, folder)
             lengths = rows_of(folder)
@@ -603,12 +604,16 @@ def stopped(tmp_path_factory, flown):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")
-def test_ctrl_c_keeps_the_log_to_the_moment(stopped):
-    folder, process, (out, err), before = stopped["interrupted"]
-    assert (process.returncode, out) == (130, "")
-    assert err == f"interrupted; the log so far is in {folder}\ninterrupted\n"
+@pytest.mark.parametrize(
+    ("name", "code", "message"),
+    [("interrupted", 130, "stopped by the user"), ("terminated", 143, "stopped by SIGTERM")],
+)
+def test_ctrl_c_and_sigterm_keep_the_log_to_the_moment(stopped, name, code, message):
+    folder, process, (out, err), before = stopped[name]
+    assert (process.returncode, out) == (code, "")
+    assert err == f"{name}; the log so far is in {folder}\n{name}\n"
     run = open_run(folder)
-    assert (run.info.state, run.info.message) == ("interrupted", "stopped by the user")
+    assert (run.info.state, run.info.message) == ("interrupted", message)
     # Also what no flush had written yet, of every stream.
     assert run.info.ticks + 1 > max(before.values())
     for stream in STREAMS:

@@ -21,6 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
+from qrsim.interruptions import word
 from qrsim.logs.layout import (
     EVENTS,
     INDEX,
@@ -350,7 +351,7 @@ class RunWriter:
         if error is None:
             self.close("finished")
         elif isinstance(error, KeyboardInterrupt):
-            self.close("interrupted", "stopped by the user")
+            self.close("interrupted", "stopped by the user" if word(error) == "interrupted" else "stopped by SIGTERM")
         else:
             reason = str(error) if isinstance(error, QrsimError) else f"{type(error).__name__}: {error}"
             try:

@@ -15,6 +15,7 @@ import tyro
 
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
+from qrsim.interruptions import word
 
 if TYPE_CHECKING:
     from qrsim.apps.run.recorder import Pace
@@ -155,9 +156,9 @@ class Run:
                     progress=progress,
                     view=page,
                 )
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as error:
             if folder.exists():
-                print(f"interrupted; the log so far is in {folder}", file=sys.stderr)
+                print(f"{word(error)}; the log so far is in {folder}", file=sys.stderr)
             raise
 
     @contextmanager

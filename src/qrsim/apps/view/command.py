@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from qrsim.errors import RunError, UsageError
+from qrsim.interruptions import calling
 
 if TYPE_CHECKING:
     from qrsim.apps.view.recording import Recording
@@ -118,22 +116,9 @@ class View:
                 stop.set()
                 clock.close()
 
-            with _on_interrupt(end):
+            # An exception would be lost where it meets a callback of a library.
+            with calling(end):
                 print(f"{recording.heading}, {recording.end:g} s: {address(server)}  (Ctrl-C ends it)", flush=True)
                 replay.run(stop)
-            raise KeyboardInterrupt
         finally:
             server.stop()
-
-
-@contextmanager
-def _on_interrupt(do: Callable[[], None]) -> Iterator[None]:
-    """Let Ctrl-C do something in place of raising: an exception is lost where it meets a callback of a library."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, lambda number, frame: do())
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

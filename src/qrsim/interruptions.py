@@ -1,0 +1,158 @@
+"""Ctrl-C and SIGTERM: both end a command in order, and neither is ever lost.
+
+A signal becomes an exception in the middle of whatever the program does. Where that is a callback of the garbage
+collector (JAX has one), a destructor or a callback of a library in C, the exception is dropped and the program goes on.
+So an exception that dies before the command line has taken it sends its signal again. In the middle of what hands
+memory to LLVM and back none is raised at all: the signal is sent again a little later.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Any
+
+# What it is called, and the exit code; the latter as shells have it.
+WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+AGAIN_AFTER_S = 0.02
+# Modules in the middle of which nothing is raised.
+FRAGILE = ("llvmlite.", "qrsim.native.compiler", "ctypes")
+# The last signal that came, and whether somebody still waits for it to be taken.
+_state: dict[str, Any] = {"number": None, "listening": False}
+
+
+class Interruption(KeyboardInterrupt):
+    """The user, or the system, wants the program to end.
+
+    Attributes:
+        number: of the signal.
+    """
+
+    def __init__(self, number: int = signal.SIGINT):
+        super().__init__()
+        self.number = signal.Signals(number)
+
+    def __del__(self) -> None:
+        # Nobody holds it any more: if nobody took it either, somebody dropped it.
+        if _state["listening"]:
+            _send_again(self.number)
+
+
+def word(error: BaseException) -> str:
+    """Return what has happened: "interrupted" by Ctrl-C, "terminated" by SIGTERM."""
+    return WORDS[getattr(error, "number", signal.SIGINT)]
+
+
+def exit_code(error: BaseException) -> int:
+    """Return the exit code of a program that ended because of it: 130 or 143."""
+    return 128 + int(getattr(error, "number", signal.SIGINT))
+
+
+def asked() -> Interruption | None:
+    """Return an Interruption by the last signal since ``heard`` began, None where none came."""
+    return None if _state["number"] is None else Interruption(_state["number"])
+
+
+@contextlib.contextmanager
+def heard() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM raise an Interruption in this context, in the main thread; what is ignored stays so."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = _installed(_raise)
+    hook = sys.unraisablehook
+
+    def quiet(dropped: Any) -> None:
+        # Its destructor sends the signal again, and there is nothing to report.
+        if not (dropped.exc_type is not None and issubclass(dropped.exc_type, Interruption)):
+            hook(dropped)
+
+    _state.update(number=None, listening=True)
+    sys.unraisablehook = quiet
+    try:
+        yield
+    finally:
+        _state["listening"] = False
+        sys.unraisablehook = hook
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def calling(do: Callable[[], None]) -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM call something in place of raising; an Interruption is raised at the end if one came."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        do()
+
+    before = _installed(handle)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if came:
+        raise Interruption(came[0])
+
+
+def leave_at_once() -> None:
+    """Until ``heard`` begins, let both end the program without a word of where it was: it has done nothing yet."""
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        with contextlib.suppress(OSError):
+            os.write(2, f"{WORDS[signal.Signals(number)]}\n".encode())
+        os._exit(128 + number)
+
+    _installed(leave)
+
+
+def _installed(handler: Any) -> dict[int, Any]:
+    """Set a handler of all signals that are not ignored, and return those before."""
+    before: dict[int, Any] = {int(number): signal.getsignal(number) for number in WORDS}
+    heeded = {number: now for number, now in before.items() if now not in (signal.SIG_IGN, None)}
+    for number in heeded:
+        signal.signal(number, handler)
+    return heeded
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    _state["number"] = number
+    if _fragile(frame):
+        _send_again(number)
+    else:
+        raise Interruption(number)
+
+
+def _fragile(frame: FrameType | None) -> bool:
+    """Return whether the program is where an exception would leave memory with two owners, or none."""
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").startswith(FRAGILE):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _send_again(number: int) -> None:
+    again = threading.Timer(AGAIN_AFTER_S, _send, (number,))
+    again.daemon = True
+    again.start()
+
+
+def _send(number: int) -> None:
+    if not _state["listening"]:
+        return
+    if hasattr(signal, "pthread_kill"):
+        # To the thread that handles it, which may be waiting for something.
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+    else:
+        signal.raise_signal(number)
