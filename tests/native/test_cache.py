@@ -67,6 +67,10 @@ class TestKept:
         assert stat.S_IMODE(place.stat().st_mode) == 0o700
         assert {stat.S_IMODE(path.stat().st_mode) for path in place.iterdir()} == {0o600}
 
+    def test_a_number(self, place: Path) -> None:
+        found = [cache.kept(("a",), lambda: 2**40), cache.kept(("a",), lambda: 3), cache.kept(("b",), lambda: 3)]
+        assert found == [2**40, 2**40, 3]
+
     @pytest.mark.parametrize("damage", [b"", b"\0" * 40, b"\0" * 4000, None, "cut", "pickle"])
     def test_what_is_damaged_is_made_anew(self, place: Path, damage: Any) -> None:
         cache.kept(("a",), binary)
@@ -98,6 +102,7 @@ class TestKept:
                 }
             },
             {"state": 5},
+            {"number": "5"},
             {"state": []},
         ],
     )

@@ -76,7 +76,7 @@ def kept(what: tuple[Any, ...], make: Callable[[], Any]) -> Any:
 
     Args:
         what: all that it depends on beside this package and the machine; its repr is the key.
-        make: called where the cache has nothing; returns a Binary or a Start.
+        make: called where the cache has nothing; returns a Binary, a Start or a whole number.
     """
     place = folder()
     if place is None or any(isinstance(part, str) and part.startswith(_FOREIGN) for part in what):
@@ -98,7 +98,7 @@ def _tidied(place: Path, process: int) -> None:
     tidy(place)
 
 
-def _read(path: Path, key: str) -> Binary | Start | None:
+def _read(path: Path, key: str) -> Binary | Start | int | None:
     try:
         data = _bytes(path)
         if data is None:
@@ -129,10 +129,12 @@ def _bytes(path: Path) -> bytes | None:
     return data
 
 
-def _parsed(header: dict[str, Any], code: bytes, key: str) -> Binary | Start | None:
+def _parsed(header: dict[str, Any], code: bytes, key: str) -> Binary | Start | int | None:
     expected = {"key": key, "origin": _origin(), "code_bytes": len(code)}
     if any(header[name] != value for name, value in expected.items()):
         return None
+    if header["number"] is not None:
+        return header["number"] if type(header["number"]) is int and not code else None
     scratch = header["scratch_bytes"]
     if type(scratch) is not int or not 0 <= scratch < _LARGEST_SCRATCH or not code:
         return None
@@ -144,12 +146,14 @@ def _parsed(header: dict[str, Any], code: bytes, key: str) -> Binary | Start | N
     return start if identity(start.layout) == state["identity"] else None
 
 
-def _write(path: Path, key: str, made: Binary | Start) -> None:
+def _write(path: Path, key: str, made: Binary | Start | int) -> None:
     try:
         state = _state(made) if isinstance(made, Start) else None
     except TypeError:
         return
-    binary = made.binary if isinstance(made, Start) else made
+    number = made if isinstance(made, int) else None
+    # A number has no code.
+    binary = Binary(b"", 0) if isinstance(made, int) else made.binary if isinstance(made, Start) else made
     header = json.dumps(
         {
             "key": key,
@@ -157,6 +161,7 @@ def _write(path: Path, key: str, made: Binary | Start) -> None:
             "scratch_bytes": binary.scratch_bytes,
             "code_bytes": len(binary.code),
             "state": state,
+            "number": number,
         }
     ).encode()
     content = len(header).to_bytes(_LENGTH_BYTES, "little") + header + binary.code

@@ -37,7 +37,7 @@ class Serve:
     Anybody who can connect can control the simulation. Nothing is encrypted and nobody is asked who they are, so only
     programs on this machine can connect unless --allow-remote is given.
 
-    Ctrl-C ends the server.
+    Ctrl-C or SIGTERM ends the server.
 
     Example:
       qrsim serve

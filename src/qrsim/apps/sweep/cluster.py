@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from qrsim.apps.sweep.provenance import differences, network_versions
 from qrsim.errors import RunError
+from qrsim.interruptions import calling
 
 WAIT_S = 10.0
 
@@ -31,13 +32,16 @@ def workers_of(scheduler: str | None, workers: int) -> Iterator[Any]:
     quiet = {"distributed.logging.distributed": "critical", "distributed.comm.timeouts.connect": f"{WAIT_S}s"}
     with dask.config.set(quiet):
         if scheduler is None:
-            with (
-                distributed.LocalCluster(  # type: ignore[no-untyped-call]
-                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
-                    silence_logs=logging.CRITICAL,
-                ) as cluster,
-                distributed.Client(cluster) as client,  # type: ignore[no-untyped-call]
-            ):  # fmt: skip
+            with ExitStack() as open_ones:
+                # A cluster that is interrupted while it starts leaves processes behind.
+                with calling(lambda: None):
+                    cluster = open_ones.enter_context(
+                        distributed.LocalCluster(  # type: ignore[no-untyped-call]
+                            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+                            silence_logs=logging.CRITICAL,
+                        )
+                    )  # fmt: skip
+                    client = open_ones.enter_context(distributed.Client(cluster))  # type: ignore[no-untyped-call]
                 yield client
             return
         try:
