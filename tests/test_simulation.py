@@ -379,8 +379,15 @@ def test_the_last_tick_cannot_be_passed(shared: Simulation) -> None:
 
 
 def test_a_record_longer_than_its_capacity_is_refused(shared: Simulation) -> None:
-    assert said(shared.record, 51) == "ticks: 51 is more than the capacity, 50"
-    assert said(shared.record, 11, capacity=10) == "ticks: 11 is more than the capacity, 10"
+    expected = "ticks: 11 is more than the capacity, 10; give capacity=11, or none"
+    assert said(shared.record, 11, capacity=10) == expected
+
+
+def test_a_record_of_any_length_needs_no_capacity(shared: Simulation) -> None:
+    shared.reset(seed=1)
+    history = shared.record(120)
+    assert history.time[-1] == pytest.approx(2.4)
+    assert history.state.fleets[0].vehicle.position_ned.x.shape[0] == 120
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     )
     from qrsim.logs import Run, open_run
     from qrsim.models.vehicles.quadrotor import Command
-    from qrsim.rollouts import Rollout, rollout
+    from qrsim.rollouts import Rollout
+    from qrsim.scenarios.flying import rollout
     from qrsim.scenarios.making import make_scenario, make_world
     from qrsim.scenarios.scenario import Scenario, load_scenario
     from qrsim.simulation import Simulation
@@ -58,7 +59,7 @@ _LAZY = {
     "make_scenario": "qrsim.scenarios.making",
     "make_world": "qrsim.scenarios.making",
     "open_run": "qrsim.logs",
-    "rollout": "qrsim.rollouts",
+    "rollout": "qrsim.scenarios.flying",
     "slam": "qrsim.apps.slam.estimate",
 }
 
@@ -121,4 +122,13 @@ def __getattr__(name: str) -> Any:
         import importlib
 
         return getattr(importlib.import_module(_LAZY[name]), name)
-    raise AttributeError(f"module 'qrsim' has no attribute '{name}'")
+    from qrsim.errors import did_you_mean, nearest
+
+    # Python itself asks for names such as __path__; of these nobody has mistyped one.
+    hint = did_you_mean(name, __all__) if nearest(name, __all__) and not name.startswith("_") else ""
+    raise AttributeError(f"module 'qrsim' has no attribute '{name}'{hint}")
+
+
+def __dir__() -> list[str]:
+    """Return what is for users, for completion."""
+    return [*__all__, *(name for name in globals() if name.startswith("__") and name not in __all__)]

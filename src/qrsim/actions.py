@@ -122,6 +122,14 @@ class ActionChecker:
                     f"{taken}; a controller of type 'offboard' takes them all"
                 )
         checked = self._cast(setpoint, "command", len(names))
+        if not self.traced and hasattr(checked, "z"):
+            below = checked.z > 0.0
+            if below.any():
+                row = int(np.argmax(below))
+                raise UsageError(
+                    f"command: z of vehicle {row} ('{names[row]}') is {checked.z[row]:g}, below the ground; z is down: "
+                    f"{-checked.z[row]:g} is {checked.z[row]:g} m up"
+                )
         if self.traced or np.isfinite(np.concatenate(jax.tree.leaves(checked))).all():
             return checked
         for field, values, _ in walk(checked):

@@ -27,6 +27,8 @@ from qrsim.ticking import ticks as ticks_of
 from qrsim.world import FleetState, State, World, WorldKeys, keys_of, refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]
+# Ticks that a program of ``record`` is for where the user does not say.
+CAPACITY = 50
 
 
 class History:
@@ -187,19 +189,27 @@ class Simulation:
             self._host = None
 
     @alone
-    def record(self, ticks: int, command: Any = None, capacity: int = 50, estimate: Estimate | None = None) -> History:
+    def record(
+        self, ticks: int, command: Any = None, capacity: int | None = None, estimate: Estimate | None = None
+    ) -> History:
         """Advance as ``step`` does and return the state of every tick on the way.
 
         Args:
             ticks: how many, at most ``capacity``.
             command, estimate: as in ``step``.
-            capacity: length the program is compiled for.
+            capacity: for how many ticks the program is compiled and its memory held; calls of different ``ticks`` and
+                the same capacity share a program. None: 50, or ``ticks`` where these are more.
+
+        Raises:
+            UsageError: more ticks than the capacity, and what ``step`` refuses.
         """
         actions = self._checker.actions(command, lambda: self.valid)
         estimates = self._checker.estimates(estimate)
         count = self._checked_ticks(ticks)
+        if capacity is None:
+            capacity = max(CAPACITY, count)
         if count > capacity:
-            raise UsageError(f"ticks: {count} is more than the capacity, {capacity}")
+            raise UsageError(f"ticks: {count} is more than the capacity, {capacity}; give capacity={count}, or none")
         layout, state = self._running()
         with self._changing, self.precision_context():
             self._state, rows = self._ticks.record(layout, state, self.tick, count, (actions, estimates), capacity)

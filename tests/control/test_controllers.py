@@ -169,15 +169,15 @@ class TestVelocity:
         assert controller.hover_throttle == 0.5
 
 
-def velocity_height(north: float, east: float, height: float, yaw: float = 0.0) -> VelocityHeightSetpoint:
-    return VelocityHeightSetpoint.of(np.array([[north, east]], np.float64), height, yaw)
+def velocity_height(north: float, east: float, z: float, yaw: float = 0.0) -> VelocityHeightSetpoint:
+    return VelocityHeightSetpoint.of(np.array([[north, east]], np.float64), z, yaw)
 
 
 class TestVelocityHeight:
     def test_commands_by_hand(self):
         """Horizontally as with velocities, vertically the height loop, which is 2 m too low, then 1.9 m."""
         rows = [{"moves": [0.2, 0, 0]}, {"moves": [0.3, 0, 0], "at": [0, 0, -10.1]}]
-        found, _ = commands(VelocityHeightController(), rows, [velocity_height(1.0, -0.4, 12.0)] * 2)
+        found, _ = commands(VelocityHeightController(), rows, [velocity_height(1.0, -0.4, -12.0)] * 2)
         close(found["pitch"], -0.2, -(0.175 + 0.0024 - 0.25))
         close(found["roll"], -0.1, -0.1 - 0.0012)
         close(found["throttle"], 0.59 + 0.06 + 0.0008 * 0.04, 0.59 + 0.057 + 0.0008 * 0.078 - 0.04 * 5.0)
@@ -185,14 +185,14 @@ class TestVelocityHeight:
     def test_a_climb_is_no_horizontal_error(self):
         """Also where the body is tilted, so that part of the climb is along its axes."""
         row = {"moves": [0, 0, -1.0], "turned": [0.2, 0.3, 0]}
-        found, _ = commands(VelocityHeightController(), [row], [velocity_height(0.0, 0.0, 10.0)])
+        found, _ = commands(VelocityHeightController(), [row], [velocity_height(0.0, 0.0, -10.0)])
         close([found["pitch"][0], found["roll"][0], found["throttle"][0]], 0.0, 0.0, 0.59)
 
     def test_another_height_is_no_new_velocity(self):
         """The derivative of the height loop is dropped, that of the velocity is not."""
         rows = [{"moves": [0.2, 0, 0]}, {"moves": [0.3, 0, 0]}]
         found, _ = commands(
-            VelocityHeightController(), rows, [velocity_height(1.0, 0.0, 10.0), velocity_height(1.0, 0.0, 11.0)]
+            VelocityHeightController(), rows, [velocity_height(1.0, 0.0, -10.0), velocity_height(1.0, 0.0, -11.0)]
         )
         close(found["pitch"], -0.2, -(0.175 + 0.0024 - 0.25))
         close(found["throttle"], 0.59, 0.59 + 0.03 + 0.0008 * 0.02)
@@ -201,7 +201,7 @@ class TestVelocityHeight:
 class TestAttitudes:
     def test_attitude_height_by_hand(self):
         wanted = [
-            AttitudeHeightSetpoint.of(np.array([roll]), pitch, 12.0, yaw)
+            AttitudeHeightSetpoint.of(np.array([roll]), pitch, -12.0, yaw)
             for roll, pitch, yaw in ((0.1, -0.2, 0.5), (-0.9, 0.9, math.pi))
         ]
         found, _ = commands(AttitudeHeightController(), [{}, {"turned": [0, 0, -math.pi + 0.1]}], wanted)
@@ -225,16 +225,16 @@ class TestAttitudes:
 
 
 def attitude_height(i: int) -> AttitudeHeightSetpoint:
-    return AttitudeHeightSetpoint.of(np.array([0.1]), 0.2, 9.0, 0.3)
+    return AttitudeHeightSetpoint.of(np.array([0.1]), 0.2, -9.0, 0.3)
 
 
 SINGLES: dict[str, tuple[Any, Any]] = {
     "waypoint": (WaypointController(), lambda i: WaypointSetpoint.of(np.array([[2.0, -1.0, -12.0]]), 0.3)),
     "velocity": (VelocityController(), lambda i: VelocitySetpoint.of(np.array([[1.0, 0.4, -0.3 - (i > 3)]]), 0.3)),
-    "velocity_height": (VelocityHeightController(), lambda i: velocity_height(1.0 + (i > 3), -0.4, 12.0, 0.3)),
+    "velocity_height": (VelocityHeightController(), lambda i: velocity_height(1.0 + (i > 3), -0.4, -12.0, 0.3)),
     "attitude_height": (
         AttitudeHeightController(),
-        lambda i: AttitudeHeightSetpoint.of(np.array([0.1]), 0.2, 9.0, 0.3),
+        lambda i: AttitudeHeightSetpoint.of(np.array([0.1]), 0.2, -9.0, 0.3),
     ),
     "attitude": (AttitudeController(), lambda i: AttitudeSetpoint.of(np.array([0.1]), 0.2, 0.3, 0.7)),
 }
@@ -339,18 +339,18 @@ class TestClosedLoop:
 
     def test_velocity_height(self):
         wanted = np.array([[2.0, 0.0], [0.0, 0.0], [-1.0, 1.0]])
-        heights = np.array([50.0, 53.0, 47.0])
-        found = fly(VelocityHeightController(), VelocityHeightSetpoint.of(wanted, heights, 0.0), 30.0)
+        wanted_z = np.array([-50.0, -53.0, -47.0])
+        found = fly(VelocityHeightController(), VelocityHeightSetpoint.of(wanted, wanted_z, 0.0), 30.0)
         assert np.max(np.abs(found["velocity"][-1, :, :2] - wanted)) < 0.01
         # What is left of the height's error dies out with its integral, in 34 s (see test_control.py).
-        error = np.abs(-found["position"][:, :, 2] - heights)
+        error = np.abs(found["position"][:, :, 2] - wanted_z)
         assert np.max(error[500:]) < 0.3
         assert np.max(error[-1]) < 0.2
 
     def test_attitude_height(self):
         """The platform tilts by 0.745 of the command, and drag then balances gravity's part along the body."""
         roll, pitch = np.array([0.1, 0.0, 0.34, 0.9]), np.array([0.0, -0.2, 0.0, 0.0])
-        found = fly(AttitudeHeightController(), AttitudeHeightSetpoint.of(roll, pitch, 50.0, 0.0), 20.0)
+        found = fly(AttitudeHeightController(), AttitudeHeightSetpoint.of(roll, pitch, -50.0, 0.0), 20.0)
         tilts = found["attitude"][-1]
         np.testing.assert_allclose(tilts[:, 0], SETTLES * np.clip(roll, -0.34, 0.34), atol=2e-3)
         np.testing.assert_allclose(tilts[:, 1], SETTLES * pitch, atol=2e-3)

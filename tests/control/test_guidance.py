@@ -57,8 +57,8 @@ class TestDefaults:
         ("guidance", "expected"),
         [
             (VelocityGuidance(), {"velocity_ned.x": 0, "velocity_ned.y": 0, "velocity_ned.z": 0}),
-            (VelocityHeightGuidance(), {"velocity_north": 0, "velocity_east": 0, "height": [10, 20]}),
-            (AttitudeHeightGuidance(), {"roll": 0, "pitch": 0, "height": [10, 20]}),
+            (VelocityHeightGuidance(), {"velocity_north": 0, "velocity_east": 0, "z": [-10, -20]}),
+            (AttitudeHeightGuidance(), {"roll": 0, "pitch": 0, "z": [-10, -20]}),
             (AttitudeGuidance(), {"roll": 0, "pitch": 0, "throttle": 0.59}),
         ],
     )
@@ -91,7 +91,7 @@ class TestOwnNumbers:
         ).world()
         (fleet,) = world.fleets
         setpoint = fleet.guidance.setpoint(fleet.guidance.init(fleet.route), fleet.route)
-        np.testing.assert_allclose(setpoint.height, [10.0, 15.0])
+        np.testing.assert_allclose(setpoint.z, [-10.0, -15.0])
         np.testing.assert_allclose(setpoint.yaw, [0.0, 1.0])
 
 
@@ -109,15 +109,15 @@ class TestTogether:
         kinds = [
             WaypointSetpoint.of(np.ones((2, 3)), 0.5),
             VelocitySetpoint.of(np.ones((2, 3)), 0.5),
-            VelocityHeightSetpoint.of(np.ones((2, 2)), 10.0, 0.5),
-            AttitudeHeightSetpoint.of(np.ones(2), 0.2, 10.0, 0.5),
+            VelocityHeightSetpoint.of(np.ones((2, 2)), -10.0, 0.5),
+            AttitudeHeightSetpoint.of(np.ones(2), 0.2, -10.0, 0.5),
             AttitudeSetpoint.of(np.ones(2), 0.2, 0.5, 0.7),
         ]
         given = [
             {"position_ned.x", "position_ned.y", "position_ned.z"},
             {"velocity_ned.x", "velocity_ned.y", "velocity_ned.z"},
-            {"velocity_ned.x", "velocity_ned.y", "height"},
-            {"roll", "pitch", "height"},
+            {"velocity_ned.x", "velocity_ned.y", "z"},
+            {"roll", "pitch", "z"},
             {"roll", "pitch", "throttle"},
         ]
         assert [type(kind) for kind in kinds] == list(SETPOINTS.values())
@@ -132,13 +132,13 @@ class TestMaking:
     def test_from_arrays(self):
         estimate = Estimate.of(np.arange(6.0).reshape(2, 3), np.zeros((2, 3)), np.ones((2, 3)))
         np.testing.assert_array_equal(estimate.position_ned.y, [1.0, 4.0])
-        np.testing.assert_array_equal(VelocityHeightSetpoint.of([[1, 2]], 3).velocity_east, [2.0])
+        np.testing.assert_array_equal(VelocityHeightSetpoint.of([[1, 2]], -3).velocity_east, [2.0])
 
     @pytest.mark.parametrize(
         ("make", "shape"),
         [
             (lambda: WaypointSetpoint.of(np.zeros((2, 2))), r"\(..., 3\), found shape \(2, 2\)"),
-            (lambda: VelocityHeightSetpoint.of(np.zeros((2, 3)), 1.0), r"\(..., 2\), found shape \(2, 3\)"),
+            (lambda: VelocityHeightSetpoint.of(np.zeros((2, 3)), -1.0), r"\(..., 2\), found shape \(2, 3\)"),
             (lambda: Estimate.of(0.0, np.zeros((1, 3)), np.zeros((1, 3))), r"\(..., 3\), found shape \(\)"),
         ],
     )

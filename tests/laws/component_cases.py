@@ -375,13 +375,12 @@ def _battery(battery: Any, given: Any, draws: Draws) -> Any:
 def _setpoints(scene: Any, waypoint: Vec3) -> dict[type, Any]:
     """Return a set-point of every kind; the first vehicle has exactly what it is asked for."""
     velocity, attitude = scene["velocity_ned"], scene["attitude"]
-    height = -waypoint.z
-    throttle = jnp.full_like(height, 0.6)
+    throttle = jnp.full_like(waypoint.z, 0.6)
     return {
         WaypointSetpoint: WaypointSetpoint(waypoint, attitude.yaw),
         VelocitySetpoint: VelocitySetpoint(velocity.map(lambda axis: 0.8 * axis), attitude.yaw),
-        VelocityHeightSetpoint: VelocityHeightSetpoint(0.8 * velocity.x, 0.8 * velocity.y, height, attitude.yaw),
-        AttitudeHeightSetpoint: AttitudeHeightSetpoint(attitude.roll, attitude.pitch, height, attitude.yaw),
+        VelocityHeightSetpoint: VelocityHeightSetpoint(0.8 * velocity.x, 0.8 * velocity.y, waypoint.z, attitude.yaw),
+        AttitudeHeightSetpoint: AttitudeHeightSetpoint(attitude.roll, attitude.pitch, waypoint.z, attitude.yaw),
         AttitudeSetpoint: AttitudeSetpoint(attitude.roll, attitude.pitch, attitude.yaw, throttle),
     }
 

@@ -191,7 +191,7 @@ class VelocityHeightController:
         horizontal, (forward, right) = self.velocity.step(
             state.horizontal, (error.x, error.y), asked, self.tilt_limit, dt
         )
-        height, throttle = self.height.step(state.height, estimate.position_ned.z, -setpoint.height, dt)
+        height, throttle = self.height.step(state.height, estimate.position_ned.z, setpoint.z, dt)
         turn = yaw_rate(estimate.attitude.yaw, setpoint.yaw, self.yaw_gain, self.yaw_rate_limit)
         command = Command(-forward, right, throttle, turn, jnp.broadcast_to(self.battery, right.shape))
         return VelocityHeightState(horizontal, height), command
@@ -223,7 +223,7 @@ class AttitudeHeightController:
         self, state: HeightState, estimate: Estimate, setpoint: AttitudeHeightSetpoint, dt: float
     ) -> tuple[HeightState, Command]:
         """Return the new state and the command (n,)."""
-        state, throttle = self.height.step(state, estimate.position_ned.z, -setpoint.height, dt)
+        state, throttle = self.height.step(state, estimate.position_ned.z, setpoint.z, dt)
         turn = yaw_rate(estimate.attitude.yaw, setpoint.yaw, self.yaw_gain, self.yaw_rate_limit)
         pitch = jnp.clip(setpoint.pitch, -self.tilt_limit, self.tilt_limit)
         roll = jnp.clip(setpoint.roll, -self.tilt_limit, self.tilt_limit)

@@ -51,9 +51,9 @@ class FleeGuidance:
         away_east = jnp.sum(jnp.where(counts, east, 0.0) * weight, axis=1)
         length = jnp.sqrt(away_north * away_north + away_east * away_east)
         scale = jnp.where(length > 0.0, self.speed / jnp.where(length > 0.0, length, 1.0), 0.0)
-        return state, VelocityHeightSetpoint(scale * away_north, scale * away_east, still.height, still.yaw)
+        return state, VelocityHeightSetpoint(scale * away_north, scale * away_east, still.z, still.yaw)
 
     def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
         """Return the set-point of those (n,) who see nobody: to stay."""
         zero = jnp.zeros_like(route.yaw[0])
-        return VelocityHeightSetpoint(zero, zero, -route.position_ned.z[0], route.yaw[0])
+        return VelocityHeightSetpoint(zero, zero, route.position_ned.z[0], route.yaw[0])

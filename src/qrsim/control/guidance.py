@@ -129,7 +129,7 @@ class VelocityHeightGuidance:
     def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
         """Return the set-point of each vehicle (n,)."""
         north, east = _each(self.velocity_north, route), _each(self.velocity_east, route)
-        return VelocityHeightSetpoint(north, east, -route.position_ned.z[0], route.yaw[0])
+        return VelocityHeightSetpoint(north, east, route.position_ned.z[0], route.yaw[0])
 
 
 @record
@@ -152,7 +152,7 @@ class AttitudeHeightGuidance:
     def setpoint(self, state: RouteState, route: Route) -> AttitudeHeightSetpoint:
         """Return the set-point of each vehicle (n,)."""
         roll, pitch = _each(self.roll_rad, route), _each(self.pitch_rad, route)
-        return AttitudeHeightSetpoint(roll, pitch, -route.position_ned.z[0], route.yaw[0])
+        return AttitudeHeightSetpoint(roll, pitch, route.position_ned.z[0], route.yaw[0])
 
 
 @record

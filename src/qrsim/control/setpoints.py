@@ -89,33 +89,33 @@ class VelocityHeightSetpoint:
 
     velocity_north: Array = quantity(unit="m/s", doc="velocity over ground, north")
     velocity_east: Array = quantity(unit="m/s", doc="velocity over ground, east")
-    height: Array = quantity(unit="m", doc="height above the origin of the local frame, positive up")
+    z: Array = quantity(unit="m", doc="position down: -10 is 10 m above the origin of the local frame")
     yaw: Array = quantity(unit="rad", doc="heading")
 
     @staticmethod
-    def of(velocity_north_east: Any, height: Any, yaw_rad: Any = 0.0) -> VelocityHeightSetpoint:
-        """Return the set-point of velocities (n, 2) [m/s], and heights [m] and headings [rad], (n,) or one."""
+    def of(velocity_north_east: Any, z: Any, yaw_rad: Any = 0.0) -> VelocityHeightSetpoint:
+        """Return the set-point of velocities (n, 2) [m/s], and positions down [m] and headings [rad], (n,) or one."""
         north, east = axes(velocity_north_east, 2)
-        return VelocityHeightSetpoint(north, east, like(north, height), like(north, yaw_rad))
+        return VelocityHeightSetpoint(north, east, like(north, z), like(north, yaw_rad))
 
 
 @record
 class AttitudeHeightSetpoint:
     """Tilt as commanded to the platform's own stabilisation, height and heading, (n,).
 
-    The identified platform settles at 0.745 of a tilt command (models.md section 2).
+    The identified platform settles at 0.745 of a tilt command (docs/control.md).
     """
 
     roll: Array = quantity(unit="rad", doc="commanded roll")
     pitch: Array = quantity(unit="rad", doc="commanded pitch")
-    height: Array = quantity(unit="m", doc="height above the origin of the local frame, positive up")
+    z: Array = quantity(unit="m", doc="position down: -10 is 10 m above the origin of the local frame")
     yaw: Array = quantity(unit="rad", doc="heading")
 
     @staticmethod
-    def of(roll_rad: Any, pitch_rad: Any, height: Any, yaw_rad: Any = 0.0) -> AttitudeHeightSetpoint:
-        """Return the set-point of roll (n,) [rad], and pitch [rad], height [m] and heading [rad], (n,) or one."""
+    def of(roll_rad: Any, pitch_rad: Any, z: Any, yaw_rad: Any = 0.0) -> AttitudeHeightSetpoint:
+        """Return the set-point of roll (n,) [rad], and pitch, heading [rad] and position down [m], (n,) or one."""
         roll = number(roll_rad)
-        return AttitudeHeightSetpoint(roll, like(roll, pitch_rad), like(roll, height), like(roll, yaw_rad))
+        return AttitudeHeightSetpoint(roll, like(roll, pitch_rad), like(roll, z), like(roll, yaw_rad))
 
 
 @record
@@ -140,7 +140,7 @@ class OffboardSetpoint:
 
     position_ned: Vec3 = quantity(unit="m", doc="waypoint")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
-    height: Array = quantity(unit="m", doc="height above the origin of the local frame, positive up")
+    z: Array = quantity(unit="m", doc="position down: -10 is 10 m above the origin of the local frame")
     roll: Array = quantity(unit="rad", doc="commanded roll")
     pitch: Array = quantity(unit="rad", doc="commanded pitch")
     yaw: Array = quantity(unit="rad", doc="heading")
@@ -154,7 +154,7 @@ class OffboardSetpoint:
         velocity = getattr(setpoint, "velocity_ned", nowhere)
         if isinstance(setpoint, VelocityHeightSetpoint):
             velocity = Vec3(setpoint.velocity_north, setpoint.velocity_east, none)
-        others = [getattr(setpoint, name, none) for name in ("height", "roll", "pitch", "yaw", "throttle")]
+        others = [getattr(setpoint, name, none) for name in ("z", "roll", "pitch", "yaw", "throttle")]
         return OffboardSetpoint(getattr(setpoint, "position_ned", nowhere), velocity, *others)
 
 

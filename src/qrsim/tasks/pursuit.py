@@ -19,7 +19,7 @@ from qrsim.world_tree import Action, State, World
 class PursuitMemory:
     """Of an episode."""
 
-    height: Array = quantity(unit="m", doc="(n,) height that each cat keeps")
+    z: Array = quantity(unit="m", doc="(n,) position down that each cat keeps")
 
 
 @record
@@ -43,12 +43,12 @@ class Pursuit:
     def init(self, world: World, state: State, draw: Draw) -> PursuitMemory:
         """Return what is remembered at the start."""
         _, fleet = fleet_of(world, state, self.fleet)
-        return PursuitMemory(-fleet.vehicle.position_ned.z)
+        return PursuitMemory(fleet.vehicle.position_ned.z)
 
     def commands(self, memory: PursuitMemory, world: World, action: Array) -> tuple[Action, ...]:
         """Return velocities of numbers (n, 2), at the height of the start and heading north."""
         zero = jnp.zeros_like(action[:, 0])
-        return only(world, self.fleet, VelocityHeightSetpoint(action[:, 0], action[:, 1], memory.height, zero))
+        return only(world, self.fleet, VelocityHeightSetpoint(action[:, 0], action[:, 1], memory.z, zero))
 
     def judge(
         self, memory: PursuitMemory, world: World, state: State, step: Array, steps: int
