@@ -192,7 +192,8 @@ def test_the_cost_of_keeping_a_spot_is_as_defined() -> None:
     )
     effort = (2.0 / np.pi) ** 2 * (0.45**2 + 0.225**2) + (0.5 * (0.7 - 0.59)) ** 2 + 2.25**2
     place = np.asarray(after.state.fleets[0].vehicle.position_ned.stack())[0, 0]
-    expected = -effort * 0.02 - np.sum((place - [0.0, 0.0, -10.0]) ** 2)
+    # On the way to the nearest limit, 10 m away, half of what a crash costs is paid too: 0.5 1859.615 (d/10)^2.
+    expected = -effort * 0.02 - (1.0 + 9.298) * np.sum((place - [0.0, 0.0, -10.0]) ** 2)
     np.testing.assert_allclose(np.asarray(step.reward)[0, 0], expected, rtol=1e-5)
 
 

@@ -15,6 +15,7 @@ from evidence.returns import LENGTH, changing, fly, pilots
 
 from qrsim.apps.envs.batch import Batch
 from qrsim.core.tree import replace
+from qrsim.core.vectors import Vec3
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.vehicles.quadrotor import Command
 from qrsim.scenarios.scenario import load_scenario
@@ -131,12 +132,12 @@ def ended(name: str, *overrides: str) -> Any:
     [
         # Whatever was paid before, the return after a crash is the penalty.
         ("keep_spot", ("task.crash=published",), -7.0, -1000.0),
-        ("goto_waypoint", ("task.crash=published",), -5007.0, -1000.0),
+        ("goto_waypoint", ("task.crash=published",), -5507.0, -1000.0),
         ("keep_velocity", ("task.crash=published", "task.penalty=-50"), -7.0, -50.0),
         # Or what costs most, in 60 s: every second the command that costs most, and the farthest corner at the end.
         ("keep_spot", (), -7.0, -(60.0 * HIGHEST_RATE + 600.0)),
         ("keep_spot", ("task.penalty=-9000",), -7.0, -9000.0),
-        ("goto_waypoint", (), -5007.0, -(60.0 * HIGHEST_RATE + 30400.0)),
+        ("goto_waypoint", (), -20836.80758, -(60.0 * HIGHEST_RATE + 30400.0)),
         # From x = -80, -60, ..., 100 the farther end, of +-120, is 200, 180, ..., 120, ..., 220 m away.
         ("keep_spot_10", (), -70.0, -(10 * 60.0 * HIGHEST_RATE + 10 * (10**2 + 30**2) + 298_000.0)),
         # Three components of 15 m/s, the limit of the state: (sqrt(3) 15 + 5)^2 for a wanted velocity of (3, 0, -4).
@@ -156,9 +157,27 @@ def ended(name: str, *overrides: str) -> Any:
     ],
 )
 def test_the_return_after_a_crash(name: str, overrides: tuple[str, ...], paid: float, after: float) -> None:
+    """In ``paid``: 7 for commands, the squared distance, and half of what a crash costs, if the goal is so far away."""
     first, last = ended(name, *overrides)
     assert first == pytest.approx(paid, rel=1e-6)
     assert first + last == pytest.approx(after, rel=1e-6)
+
+
+def test_half_of_what_a_crash_costs_is_paid_on_the_way_to_the_nearest_limit_and_given_back() -> None:
+    """4 m east of the start of keep_spot, 10 m from the nearest limits: 16, and 0.5 1859.615 (4/10)^2; then 12 m."""
+    scenario = load_scenario("keep_spot")
+    task, world = scenario.task(), scenario.world()
+
+    def at(east: float) -> Any:
+        place = Vec3(jnp.zeros(1), jnp.full(1, east, jnp.float32), jnp.full(1, -10.0, jnp.float32))
+        vehicle = SimpleNamespace(position_ned=place, thrust=place.x)
+        return SimpleNamespace(fleets=[SimpleNamespace(vehicle=vehicle)], drawn=())
+
+    memory, rewards = task.init(world, at(0.0), None), []
+    for step, east in ((1, 4.0), (2, 12.0), (3, 1.0), (3000, 2.0)):
+        memory, reward = task.judge(memory, world, at(east), jnp.int32(step), scenario.steps)
+        rewards.append(float(reward[0]))
+    np.testing.assert_allclose(np.cumsum(rewards), [-16 - 148.769, -144 - 929.808, -1 - 9.29808, -4.0], rtol=1e-5)
 
 
 def test_an_area_that_knows_no_farthest_corner_is_refused() -> None:

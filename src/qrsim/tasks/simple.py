@@ -3,7 +3,8 @@
 The rewards of an episode add up to what the reference implementation returns at its end: minus the integral of the
 costs, and for a place minus the squared distance from it at the end. That distance is paid as it changes, a potential
 of the state (Ng, Harada and Russell 1999), so who learns hears of it at once, and the sum is that of the end for every
-``period``. Who crashes gets what is missing to a total that no crash can have made better: see ``Crash``.
+``period``. So is half of what a crash costs: paid on the way to the nearest limit of the area, given back on the way
+home and at the end. Who crashes gets what is missing to a total that no crash can have made better: see ``crash``.
 """
 
 from __future__ import annotations
@@ -35,6 +36,11 @@ from qrsim.world_tree import Action, FleetState, State, World
 _UNITS = {"pitch": "rad", "roll": "rad", "throttle": "1", "yaw_rate": "rad/s", "battery": "V"}
 AXES = tuple(Axis(name, _UNITS[name], *COMMAND_LIMITS[name]) for name in COMMAND_FIELDS)
 Crash = Literal["worst", "published"]
+# Part of what a crash costs that is paid on the way there. Where nothing is, whoever learns with rewards as they are
+# has to find out from single steps that are a thousand times worse than all others.
+STAKE = 0.5
+# Of a goal at a limit of its area, or beyond it [m].
+SHORTEST_REACH = 1.0
 
 
 @record
@@ -74,7 +80,8 @@ class SimpleMemory:
 
     start_ned: Vec3 = quantity(unit="m", doc="where each started")
     cost: Array = quantity(doc="integral of what this step costs each")
-    owed: Array = quantity(unit="m^2", doc="squared distance of each from its goal that has been paid")
+    reach: Array = quantity(unit="m^2", doc="squared distance of each from its goal at which its whole stake is paid")
+    owed: Array = quantity(doc="squared distance and stake of each that have been paid")
     total: Array = quantity(doc="() rewards so far, the sum over all")
 
 
@@ -98,8 +105,12 @@ class Commanded:
     def init(self, world: World, state: State, draw: Draw) -> SimpleMemory:
         """Return what is remembered at the start."""
         _, fleet = fleet_of(world, state, self.fleet)
-        zero = jnp.zeros_like(fleet.vehicle.thrust)
-        return SimpleMemory(fleet.vehicle.position_ned, zero, zero, jnp.zeros((), zero.dtype))
+        zero, start = jnp.zeros_like(fleet.vehicle.thrust), fleet.vehicle.position_ned
+        return SimpleMemory(start, zero, self.reach(world, start), zero, jnp.zeros((), zero.dtype))
+
+    def reach(self, world: World, start_ned: Vec3) -> Array:
+        """Return the squared distance (n,) from the goal at which a vehicle has its whole stake to pay [m^2]."""
+        return jnp.full_like(start_ned.x, math.inf)
 
     def commands(self, memory: SimpleMemory, world: World, action: Array) -> tuple[Action, ...]:
         """Return commands of numbers (n, 5)."""
@@ -114,7 +125,7 @@ class Commanded:
         """Return what each vehicle (n,) pays per second."""
         return self.effort.rate(fleet.command)
 
-    def left(self, memory: SimpleMemory, world: World, state: State) -> Array:
+    def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
         """Return what each vehicle (n,) would have to pay on top if the episode ended here."""
         return jnp.zeros_like(memory.owed)
 
@@ -122,22 +133,28 @@ class Commanded:
         self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[SimpleMemory, Array]:
         """Return minus what a step costs all vehicles together, for each of them."""
-        left = self.left(memory, world, state)
-        reward = -jnp.sum(memory.cost + (left - memory.owed))
-        after = replace(memory, cost=jnp.zeros_like(left), owed=left, total=memory.total + reward)
-        return after, jnp.broadcast_to(reward, left.shape)
+        distance = self.distance_squared(memory, world, state)
+        stake = -STAKE * self.crash_return(memory, world, state, steps) / distance.shape[0]
+        owed = distance + jnp.where(step < steps, stake * jnp.minimum(distance / memory.reach, 1.0), 0.0)
+        reward = -jnp.sum(memory.cost + (owed - memory.owed))
+        after = replace(memory, cost=jnp.zeros_like(owed), owed=owed, total=memory.total + reward)
+        return after, jnp.broadcast_to(reward, owed.shape)
 
     def crashed(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
-        """Return the reward () of the step in which a vehicle stops: what is missing to the return after a crash.
+        """Return the reward () of the step in which a vehicle stops: what is missing to the return after a crash."""
+        return self.crash_return(memory, world, state, steps) - memory.total
+
+    def crash_return(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
+        """Return the return () of an episode that ends in a crash.
 
         Raises:
             UsageError: the area cannot say how far away one can be in it.
         """
-        total = jnp.asarray(self.penalty)
-        if self.crash == "worst":
-            cost = self.highest_cost(memory, world.with_drawn(state.drawn), steps * self.period)
-            total = jnp.minimum(total, -jnp.sum(cost))
-        return total - memory.total
+        penalty = jnp.asarray(self.penalty)
+        if self.crash == "published":
+            return penalty
+        cost = self.highest_cost(memory, world.with_drawn(state.drawn), steps * self.period)
+        return jnp.minimum(penalty, -jnp.sum(cost))
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
         """Return an upper bound of what each vehicle (n,) can pay in an episode [s] without a crash."""
@@ -150,10 +167,15 @@ class KeepSpot(Commanded):
 
     sees: ClassVar[tuple[Axis, ...]] = (*BELIEVED, *(Axis(f"to_{name}", "m") for name in ("north", "east", "down")))
 
-    def left(self, memory: SimpleMemory, world: World, state: State) -> Array:
+    def reach(self, world: World, start_ned: Vec3) -> Array:
+        """Return that of the nearest limit of the area from the goal, or that of the start where it is farther away."""
+        goal = self.goal(start_ned, world)
+        return jnp.maximum(jnp.maximum(world.area.margin(goal), SHORTEST_REACH) ** 2, square(start_ned - goal))
+
+    def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
         """Return the squared distance of each vehicle (n,) from where it is to be [m^2]."""
         _, fleet = fleet_of(world, state, self.fleet)
-        return square(fleet.vehicle.position_ned - self.goal(memory, world))
+        return square(fleet.vehicle.position_ned - self.goal(memory.start_ned, world))
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
         """Return the highest effort, and the squared distance of the goal (n,) from the farthest corner of the area."""
@@ -164,16 +186,16 @@ class KeepSpot(Commanded):
                 "crash: worst takes what a crash costs; give it one, or say crash: published"
             )
         effort: Array = Commanded.highest_cost(self, memory, world, duration)
-        return effort + farthest(self.goal(memory, world))
+        return effort + farthest(self.goal(memory.start_ned, world))
 
-    def goal(self, memory: SimpleMemory, world: World) -> Vec3:
+    def goal(self, start_ned: Vec3, world: World) -> Vec3:
         """Return where each vehicle (n,) is to be [m]."""
-        return memory.start_ned
+        return start_ned
 
     def observe(self, memory: SimpleMemory, world: World, state: State) -> Array:
         """Return what each vehicle believes of itself, and where the goal is from there."""
         _, fleet = fleet_of(world, state, self.fleet)
-        offset = self.goal(memory, world) - estimate_of(fleet).position_ned
+        offset = self.goal(memory.start_ned, world) - estimate_of(fleet).position_ned
         return jnp.concatenate([believed(fleet), offset.stack()], axis=-1)
 
 
@@ -181,7 +203,7 @@ class KeepSpot(Commanded):
 class ReachWaypoint(KeepSpot):
     """Fly to the last waypoint of the route and stay there, with little effort."""
 
-    def goal(self, memory: SimpleMemory, world: World) -> Vec3:
+    def goal(self, start_ned: Vec3, world: World) -> Vec3:
         """Return where each vehicle (n,) is to be [m]."""
         route = next(fleet.route for fleet in world.fleets if fleet.name == self.fleet)
         return route.position_ned.map(lambda axis: axis[-1])
