@@ -35,7 +35,7 @@ FULL, SMALL = 10_000, 300
 PROCESSES = 2
 LIMIT_S, LIMIT_BYTES = 2.0, 10**9
 # Where the alarm cannot interrupt, because a library does not return.
-PATIENCE_S = 30.0
+PATIENCE_S, PREPARING_S = 30.0, 1800.0
 OUTCOMES = ("taken", "refused", "traceback", "hang", "memory", "crash")
 
 
@@ -156,7 +156,7 @@ class _Stretch:
     def __init__(self, first: int, last: int, results: Path):
         self.first, self.last, self.results = first, last, results
         self._process: subprocess.Popen[bytes] | None = None
-        self._seen, self._since = -1, 0.0
+        self._seen, self._since, self._patience = 0, 0.0, 0.0
 
     def go_on(self) -> int:
         """Start a process where none is at work, end one that no longer answers; return how many cases are missing."""
@@ -164,13 +164,15 @@ class _Stretch:
         if self._process is not None and self._process.poll() is None:
             size = self.results.stat().st_size if self.results.exists() else 0
             if size != self._seen:
-                self._seen, self._since = size, time.monotonic()
-            elif time.monotonic() - self._since > 5.0 * PATIENCE_S:
+                self._seen, self._since, self._patience = size, time.monotonic(), 5.0 * PATIENCE_S
+            elif time.monotonic() - self._since > self._patience:
                 self._process.kill()
         elif missing:
             words = [sys.executable, "-m", "evidence.fuzz", str(missing[0]), str(self.last), str(self.results)]
             self._process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            self._seen = -1
+            # Of a process that prepares itself, more is borne.
+            self._seen = self.results.stat().st_size if self.results.exists() else 0
+            self._since, self._patience = time.monotonic(), PREPARING_S
         return len(missing)
 
     def stop(self) -> None:

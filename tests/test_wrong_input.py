@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import json
+import math
 import shutil
 import sys
 from pathlib import Path
@@ -18,7 +21,7 @@ from qrsim.cli import main
 from qrsim.errors import QrsimError, RunError, ScenarioError, UsageError
 from qrsim.flight_logs import read_log
 from qrsim.logs import RunInfo, RunWriter, open_run
-from qrsim.scenarios.scenario import load_scenario
+from qrsim.scenarios.scenario import built_in_names, load_scenario
 
 
 @pytest.fixture
@@ -155,3 +158,30 @@ def test_a_folder_that_is_written_while_it_is_read(run_folder: Path) -> None:
     shutil.rmtree(run_folder / "truth")
     with pytest.raises(QrsimError, match="it is missing"):
         open_run(run_folder)["truth"].arrays()
+
+
+def paths_of(content: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Every place of a content, the inner ones too."""
+    parts = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    inner = [found for key, part in parts for found in paths_of(part, (*path, key))]
+    return [*([path] if path else []), *inner]
+
+
+@pytest.mark.parametrize("name", built_in_names())
+@pytest.mark.parametrize("value", [[1], {"type": [1]}, None, "x", 10**30, math.nan], ids=repr)
+def test_any_value_at_any_place(name: str, value: Any) -> None:
+    """What is not taken is refused in words, where a name of a type is expected too."""
+    from qrsim.scenarios.reading import read_scenario
+
+    _, content = read_scenario(name)
+    for path in paths_of(content):
+        # Of the many vehicles and waypoints, the first are as good as all.
+        if any(isinstance(key, int) and key > 0 for key in path):
+            continue
+        changed = copy.deepcopy(content)
+        target: Any = changed
+        for key in path[:-1]:
+            target = target[key]
+        target[path[-1]] = value
+        with contextlib.suppress(UsageError):
+            load_scenario(changed, quiet=True)

@@ -76,9 +76,10 @@ class RingPlaces:
 
     def most_vehicles(self) -> int:
         """Return how many fit on the outer circle, which is more than find a place by chance."""
-        if self.apart <= 0.0:
+        # Of distances next to nothing any number fits, and an angle too small to divide by.
+        if self.apart <= 1e-9 * self.farthest:
             return 10**9
-        half = float(self.apart) / (2.0 * float(self.farthest))
+        half = float(self.apart) / (2.0 * max(float(self.farthest), 1e-300))
         return 1 if half > 1.0 else int(math.pi / math.asin(half) + 1e-9)
 
 

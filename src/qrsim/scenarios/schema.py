@@ -358,7 +358,8 @@ class FleetSpec(Strict):
             return data
         controller = data.get("controller")
         name = controller.get("type") if isinstance(controller, dict) else None
-        return {**data, "guidance": {"type": name if name in known.GUIDANCE else "route"}}
+        fits = isinstance(name, str) and name in known.GUIDANCE
+        return {**data, "guidance": {"type": name if fits else "route"}}
 
 
 class SiteSpec(Strict):

@@ -15,7 +15,7 @@ import numpy as np
 from qrsim.apps.sweep.metrics import METRICS
 from qrsim.apps.sweep.store import FLOWN, KIND
 from qrsim.apps.sweep.study import Content, StudySpec
-from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.errors import RunError, UsageError, did_you_mean, shortened
 from qrsim.scenarios.reading import parse_yaml
 
 Array = np.ndarray[Any, Any]
@@ -88,9 +88,12 @@ class Results:
         if not self.flown.any():
             raise RunError(f"{path}: no episode has been flown yet")
         attributes = self.dataset.attrs
-        self.scenario: Content = parse_yaml(attributes["scenario"], str(path))
-        self.spec = StudySpec.model_validate({**json.loads(attributes["study"]), "scenario": attributes["source"]})
-        self.source: str | None = attributes["source"] or None
+        try:
+            self.scenario: Content = parse_yaml(attributes["scenario"], str(path))
+            self.spec = StudySpec.model_validate({**json.loads(attributes["study"]), "scenario": attributes["source"]})
+            self.source: str | None = attributes["source"] or None
+        except (KeyError, TypeError, ValueError) as error:  # a ScenarioError and pydantic's are ValueErrors
+            raise RunError(f"{path}: the store is damaged: {shortened(str(error), 300)}") from None
 
     @property
     def episodes(self) -> int:
