@@ -21,7 +21,7 @@ from qrsim.cli import main
 from qrsim.errors import QrsimError, RunError, ScenarioError, UsageError
 from qrsim.flight_logs import read_log
 from qrsim.logs import RunInfo, RunWriter, open_run
-from qrsim.scenarios.scenario import built_in_names, load_scenario
+from qrsim.scenarios.scenario import load_scenario
 
 
 @pytest.fixture
@@ -167,8 +167,8 @@ def paths_of(content: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [*([path] if path else []), *inner]
 
 
-@pytest.mark.parametrize("name", built_in_names())
-@pytest.mark.parametrize("value", [[1], {"type": [1]}, None, "x", 10**30, math.nan], ids=repr)
+@pytest.mark.parametrize("name", ["hover", "outdoor_patrol", "cats_and_mouse/1C", "search_and_rescue/2D"])
+@pytest.mark.parametrize("value", [[1], {"type": [1]}, None, "x", 10**30, math.nan, 1e-320], ids=repr)
 def test_any_value_at_any_place(name: str, value: Any) -> None:
     """What is not taken is refused in words, where a name of a type is expected too."""
     from qrsim.scenarios.reading import read_scenario

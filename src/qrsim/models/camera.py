@@ -126,10 +126,14 @@ class Camera:
     principal_x: Array = parameter(default=640.0, unit="1", doc="principal point in pixels from the left")
     principal_y: Array = parameter(default=480.0, unit="1", doc="principal point in pixels from the top")
     classifier: PersonClassifier = quantity(default=PersonClassifier(), doc="what scores are like")
-    width: int = setting(default=1280, unit="1", doc="width of a picture in pixels", minimum=1)
-    height: int = setting(default=960, unit="1", doc="height of a picture in pixels", minimum=1)
-    most_columns: int = setting(default=90, unit="1", doc="room for columns of windows; 90 are for 80 m", minimum=1)
-    most_rows: int = setting(default=68, unit="1", doc="room for rows of windows; 68 are for 80 m", minimum=1)
+    width: int = setting(default=1280, unit="1", doc="width of a picture in pixels", minimum=1, maximum=20_000)
+    height: int = setting(default=960, unit="1", doc="height of a picture in pixels", minimum=1, maximum=20_000)
+    most_columns: int = setting(
+        default=90, unit="1", doc="room for columns of windows; 90 are for 80 m", minimum=1, maximum=1000
+    )
+    most_rows: int = setting(
+        default=68, unit="1", doc="room for rows of windows; 68 are for 80 m", minimum=1, maximum=1000
+    )
     period: float = setting(
         default=1.0, unit="s", doc="interval between pictures, a multiple of the time step", above=0.0
     )

@@ -234,7 +234,9 @@ class PuffPlume:
     spread_exponent: Array = _spread_exponent()
     fewest: int = _count("fewest")
     most: int = _count("most")
-    puffs: int = setting(default=256, unit="1", doc="most puffs of a source in the air at once", minimum=1)
+    puffs: int = setting(
+        default=256, unit="1", doc="most puffs of a source in the air at once", minimum=1, maximum=100_000
+    )
     period: float = setting(
         default=0.5, unit="s", doc="interval between looks for a release, a multiple of the time step", above=0.0
     )
