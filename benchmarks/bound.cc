@@ -220,7 +220,7 @@ struct Vec3 {
   F x, y, z;
 };
 
-// ---- turbulence: docs/models.md section 3; state and symbols as in models/dryden.py
+// ---- turbulence: MIL-F-8785C, 3.7.2; state and symbols as in models/dryden.py
 
 struct Row {  // one step of (z1, z2, z3)
   F loss, cross, l11, l21, l22, lag_loss, f1, f2, l31, l32, l33;
@@ -338,7 +338,7 @@ INLINE Vec3 air_velocity(Block& s, const World& world, Vec3 velocity_ned, const 
   return {wind.x + gust.x, wind.y + gust.y, wind.z + gust.z};
 }
 
-// ---- vehicle: docs/models.md section 2
+// ---- vehicle: Symington et al. 2014, eqs. 1-6
 
 struct Body {
   F v[13];  // north, east, down, roll, pitch, yaw, u, v, w, p, q, r, thrust
@@ -399,7 +399,7 @@ INLINE void slope(const Body& body, const Rotation& d, const Command& command, V
   rate.v[11] = TURN * command.turn - 5.08944f * r + noise[5];
 }
 
-// ---- route and waypoint controller: docs/models.md section 7
+// ---- route and waypoint controller: docs/control.md
 
 __attribute__((noinline, cold)) void next_waypoint(Block& s, I arrived) {
   const F* ways = &s.w0;
@@ -436,7 +436,7 @@ INLINE Command control(Block& s) {
           clip(6.0f * turn, -4.4f, 4.4f)};
 }
 
-// ---- limits: docs/models.md section 8
+// ---- limits: docs/scenarios.md
 
 constexpr float LARGEST[9] = {float(M_PI), float(89.0 * M_PI / 180.0), float(10.0 * M_PI), 15.0f, 15.0f, 15.0f,
                               6.0f, 6.0f, 6.0f};

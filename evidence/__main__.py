@@ -51,7 +51,7 @@ def commit(root: Path) -> str:
 
     try:
         revision = git("rev-parse", "--short", "HEAD")
-        changed = git("status", "--porcelain", "--", ".", ":(exclude)docs/evidence")
+        changed = git("status", "--porcelain", "--", ".", ":(exclude)docs/evidence", ":(exclude)docs/images")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return revision + (DIRTY if changed else "")

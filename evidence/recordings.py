@@ -1,4 +1,4 @@
-"""How well the published constants reproduce the recorded flights, open loop (models.md, section 9).
+"""How well the published constants reproduce the recorded flights, open loop (docs/models.md).
 
 The computation is ``qrsim validate``'s.
 """

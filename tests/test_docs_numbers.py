@@ -319,5 +319,8 @@ class TestRunner:
         (tmp_path / "docs" / "evidence").mkdir(parents=True)
         (tmp_path / "docs" / "evidence" / "noise.json").write_text("{}", encoding="utf-8")
         assert runner.commit(tmp_path) == revision
+        (tmp_path / "docs" / "images").mkdir()
+        (tmp_path / "docs" / "images" / "a.png").write_bytes(b"")
+        assert runner.commit(tmp_path) == revision, "studies draw, too"
         (tmp_path / "model.py").write_text("", encoding="utf-8")
         assert runner.commit(tmp_path) == f"{revision}+dirty"

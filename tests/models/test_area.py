@@ -54,7 +54,7 @@ def first_violations(states: list[dict[str, float]], **limits: float) -> list[tu
     return [(REASONS[codes[i]], float(values[i])) for i in range(len(states))]
 
 
-# Each limit of models.md section 8 with its default.
+# Each limit with its default.
 LIMITS = {
     "position_ned.x": (-1000.0, 1000.0),
     "position_ned.y": (-1000.0, 1000.0),

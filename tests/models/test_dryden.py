@@ -36,7 +36,7 @@ FAST_COMPILE = {"xla_cpu_use_fusion_emitters": False}
 HEIGHTS = (3.0, 15.0, 80.0, 450.0, 1500.0)
 AIRSPEEDS = (2.0, 10.0, 30.0)
 STEPS = (0.005, 0.02, 0.1)
-# pi times the squared gain of H_p over twice its lag, models.md, with b = L_w = sigma_w = 1.
+# pi times the squared gain of H_p over twice its lag, MIL-F-8785C, with b = L_w = sigma_w = 1.
 SIGMA_P = math.sqrt(math.pi * 0.8 * (math.pi / 4.0) ** (1.0 / 3.0) / (2.0 * 4.0 / math.pi))
 
 
@@ -81,7 +81,7 @@ class Scales(NamedTuple):
 
 
 def scales(height: float, speed_20ft: float = 8.0, span: float = 2.0) -> Scales:
-    """Lengths and intensities as models.md states them; severity 3."""
+    """Lengths and intensities of MIL-F-8785C; severity 3."""
     feet = max(height / FOOT, 10.0)
     low = min(feet, 1000.0)
     share = min(max(feet / 1000.0 - 1.0, 0.0), 1.0)
@@ -328,7 +328,7 @@ def test_angular_filters_are_those_of_the_standard() -> None:
 
 
 def test_roll_gust_has_the_standard_deviation_of_its_filter() -> None:
-    """White noise of intensity pi through H_p of models.md, integrated numerically; about 0.954 in front."""
+    """White noise of intensity pi through H_p of MIL-F-8785C, integrated numerically; about 0.954 in front."""
     sigma_w, span, length, airspeed = 1.3, 0.6, 20.0, 7.0
     gain = sigma_w * math.sqrt(0.8 / airspeed) * (math.pi / (4.0 * span)) ** (1.0 / 6.0) / length ** (1.0 / 3.0)
     lag = 4.0 * span / (math.pi * airspeed)
@@ -362,7 +362,7 @@ def test_severity_table(severity: int) -> None:
 
 
 def test_severity_table_against_the_standard() -> None:
-    """Spot values read from figure 7 as tabulated in models.md: one per index, at different heights."""
+    """Spot values read from figure 7 of MIL-F-8785C: one per index, at different heights."""
     heights = {1: (1750, 2.2), 2: (7500, 1.6), 3: (3750, 7.4), 4: (55000, 2.7), 5: (80000, 2.1), 6: (15000, 22.1)}
     for severity, (feet, expected) in (heights | {7: (25000, 31.0)}).items():
         sigma = severity_sigma(jnp.array([feet * FOOT], jnp.float32), severity)

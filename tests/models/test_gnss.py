@@ -169,7 +169,7 @@ class TestSolution:
             offsets.append(np.linalg.norm(expected))
             worst = max(worst, float(np.linalg.norm(found[i, j] - expected)))
         assert 15.0 < max(offsets) < 20.0
-        # models.md allows 1 mm; single precision leaves some 1e-5 m.
+        # 1 mm is allowed; single precision leaves some 1e-5 m.
         assert worst < 1e-4
 
     def test_what_is_neglected_is_the_square_of_the_offset_over_twice_the_range(self):

@@ -24,7 +24,7 @@ from qrsim.models.site import Site
 
 Array = np.ndarray[Any, Any]
 F32 = np.float32
-# Of the continuous form in models.md section 5.
+# Of the continuous form of gauss_markov_2.
 TAU, TAU_DRIVE, DRIVE = 40.1, 4.0, 0.006877
 T = 0.2
 # The code generator that compiles these programs in half the time.
@@ -124,7 +124,7 @@ def correlation_time(lags: Array, autocovariance: Array) -> float:
 
 
 def test_facts_of_the_recursion() -> None:
-    """The numbers of models.md section 5: x 0.589 m, y 0.00972, 1/e after about 45 s."""
+    """The published numbers: x 0.589 m, y 0.00972, 1/e after about 45 s."""
     assert math.sqrt(RECURSION_COVARIANCE[0, 0]) == pytest.approx(0.589, abs=5e-4)
     assert math.sqrt(RECURSION_COVARIANCE[1, 1]) == pytest.approx(0.00972, abs=1e-5)
     lags = T * np.arange(1000)

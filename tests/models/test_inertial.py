@@ -20,7 +20,7 @@ from qrsim.models.inertial import Accelerometer, Gyroscope, IdealAccelerometer, 
 
 Array = np.ndarray[Any, Any]
 VEHICLES, READINGS = 4096, 9
-# Sensor, what it reads, its quantity's name in the reading, and the spread that models.md section 6 states.
+# Sensor, what it reads, its quantity's name in the reading, and its documented spread.
 NOISY = [(Gyroscope(), "rates_body", 0.0002), (Accelerometer(), "specific_force", 0.0025)]
 # Powers of two, small enough that single precision keeps the noise to 1e-4 of it.
 TRUTH = (0.125, -0.0625, 0.25)

@@ -80,7 +80,7 @@ def test_golden_trajectory(golden: Path, name: str, precision: str, tolerance: f
 
 
 class TestRecordings:
-    """Every number of models.md section 9, and the comparison of section 2, to the digits stated there."""
+    """Every number of docs/models.md on recordings, and the comparison of specific forces, to the digits there."""
 
     STATED = (
         ("rotation.phi", "6.563e-4"),

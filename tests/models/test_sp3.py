@@ -455,7 +455,7 @@ def worst_fix(ephemeris: Sp3Ephemeris, start: float, seconds: Array) -> tuple[fl
 
 def test_fix_against_nonlinear_least_squares(recorded: Sp3Ephemeris) -> None:
     worst, used = worst_fix(recorded, FIRST + 0.5, np.arange(60, 17000, 1003))
-    # models.md allows 1 mm; single precision leaves some 1e-5 m.
+    # 1 mm is allowed; single precision leaves some 1e-5 m.
     assert worst < 1e-4
     assert used.min() >= 7
 
@@ -468,7 +468,7 @@ def test_satellites_in_a_gap_are_left_out_of_the_fix(write: Any) -> None:
 
 
 def test_visible_satellites(recorded: Sp3Ephemeris) -> None:
-    """7 to 10 above 10 degrees over the file (models.md section 5)."""
+    """7 to 10 above 10 degrees over the file."""
     times = FIRST + np.arange(0.0, 17101.0, 60.0)
     elevation = elevation_azimuth(recorded.received_ned(Site(), times))[0]
     counts = (elevation > MASK).sum(axis=-1)

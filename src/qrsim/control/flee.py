@@ -1,4 +1,4 @@
-"""Guidance of a fleet that runs away from the others (spec: scenarios, section 1)."""
+"""Guidance of a fleet that runs away from the others (docs/tasks.md: cats and mouse)."""
 
 from __future__ import annotations
 

@@ -246,7 +246,7 @@ def ou_decay(dt: float | Array, time_constant: Array) -> tuple[Array, Array]:
 
 
 def ou_step(value: Array, normal: Array, dt: float | Array, std: Array, time_constant: Array) -> Array:
-    """Advance an Ornstein-Uhlenbeck process exactly by dt (Symington 2014, eq. 10; models.md section 4).
+    """Advance an Ornstein-Uhlenbeck process exactly by dt (Symington 2014, eq. 10).
 
     Args:
         value: the process now, any shape.

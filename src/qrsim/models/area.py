@@ -1,4 +1,4 @@
-"""Where vehicles may be, and when a vehicle stops being valid (models.md section 8)."""
+"""Where vehicles may be, and when a vehicle stops being valid (docs/scenarios.md)."""
 
 from __future__ import annotations
 

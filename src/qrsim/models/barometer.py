@@ -1,4 +1,4 @@
-"""Barometric altitude (models.md section 6)."""
+"""Barometric altitude (Symington et al. 2014, eqs. 9-10; docs/models.md)."""
 
 from __future__ import annotations
 

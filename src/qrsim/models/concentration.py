@@ -1,4 +1,4 @@
-"""Concentration sensor (spec: scenarios, section 3)."""
+"""Concentration sensor (docs/models.md: what tasks are about)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Turbulence with the full Dryden spectra of MIL-F-8785C: linear and angular gusts, at any height.
 
-The filters of models.md section 3 are kept in coordinates in which the stationary covariance is the identity
+The filters of MIL-F-8785C, 3.7.2, are kept in coordinates in which the stationary covariance is the identity
 (the all-pass cascade of Takenaka and Malmquist). In units of tau = L/V, for unit white noise n:
 
     z1' = -z1 + sqrt(2) n
@@ -43,7 +43,7 @@ SEVERITY_TABLE_FT_S = {
 
 _COS_15, _SIN_15 = math.cos(math.pi / 12.0), math.sin(math.pi / 12.0)
 _SQRT_3 = math.sqrt(3.0)
-# sigma_p = this sigma_w / (b^2 L_w)^(1/3): white noise of intensity pi through H_p of models.md.
+# sigma_p = this sigma_w / (b^2 L_w)^(1/3): white noise of intensity pi through H_p of MIL-F-8785C.
 ROLL_FACTOR = math.pi * math.sqrt(0.1) * (math.pi / 4.0) ** (1.0 / 6.0)
 # The lag of the span is the time to fly 4 b/pi (p and q) or 3 b/pi (r).
 _PITCH_SPANS, _YAW_SPANS = 4.0 / math.pi, 3.0 / math.pi
@@ -333,7 +333,7 @@ class Dryden:
         """Return the angular gust [rad/s], the rotation of the air around each of (n,) vehicles, in NED.
 
         It is to the vehicle's rates what the wind is to its velocity: aerodynamic rates are the vehicle's minus these.
-        About the wind axes, right-handed, it is p = the roll gust, q = H_q/H_w w and r = -H_r/H_v v of models.md
+        About the wind axes, right-handed, it is p = the roll gust, q = H_q/H_w w and r = -H_r/H_v v of MIL-F-8785C
         (q of the sign of dw/dt, r of the opposite sign of dv/dt): the rotation of gusts that the mean wind carries
         past a vehicle that hovers or flies against the wind. One that outruns the wind meets -q and -r.
         """

@@ -1,4 +1,4 @@
-"""GNSS range errors of second order, and presets for ordinary receivers (models.md section 5)."""
+"""GNSS range errors of second order, and presets for ordinary receivers (docs/models.md)."""
 
 from __future__ import annotations
 

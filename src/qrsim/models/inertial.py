@@ -1,4 +1,4 @@
-"""Gyroscope and accelerometer (models.md section 6)."""
+"""Gyroscope and accelerometer (docs/models.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Solid things in an area: boxes and upright cylinders (models.md section 8)."""
+"""Solid things in an area: boxes and upright cylinders (docs/scenarios.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Persons on the ground, and when one is found (spec: scenarios, section 2)."""
+"""Persons on the ground, and when one is found (docs/models.md: what tasks are about)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the ground is like where persons are looked for (spec: scenarios, section 2)."""
+"""What the ground is like where persons are looked for (docs/models.md: what tasks are about)."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ REFERENCE_FT = 20.0
 
 
 def wind_to_ned(along: Array, across: Array, down: Array, wind_from_rad: Array) -> Vec3:
-    """Rotate a vector in wind axes to NED (models.md section 3)."""
+    """Rotate a vector in wind axes to NED (MIL-F-8785C, 3.7.1)."""
     sine, cosine = sincos(jnp.asarray(wind_from_rad))
     return Vec3(sine * across - cosine * along, -sine * along - cosine * across, down)
 

@@ -1,4 +1,4 @@
-"""Plume mapping (spec: scenarios, section 3)."""
+"""Plume mapping (docs/tasks.md), as in the reference implementation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cats and mouse (spec: scenarios, section 1)."""
+"""Cats and mouse (docs/tasks.md), as in the reference implementation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Search and rescue (spec: scenarios, section 2)."""
+"""Search and rescue (docs/tasks.md), as in the reference implementation."""
 
 from __future__ import annotations
 

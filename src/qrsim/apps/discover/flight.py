@@ -2,7 +2,7 @@
 
 The laws that evolve are the thrust that a throttle asks for, the angular acceleration in roll and pitch (one law for
 both), that in yaw, and the drag along body x and y. What binds them together (Euler's angles, gravity, the limit of the
-change of thrust) is that of the vehicle model (docs/models.md, section 2) and is given.
+change of thrust) is that of the vehicle model (Symington et al. 2014, eqs. 1-6) and is given.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from qrsim.world import FleetState
 
 Array = np.ndarray[Any, Any]
 STATE_SIZE, MEASURED_SIZE = 13, 20
-# Columns of the measured vector that no sensor fills (models.md, section 1).
+# Columns of the measured vector that no sensor fills (docs/serve.md).
 UNUSED = (6, 7, 8, 12)
 # Bytes before the numbers of each vehicle: the tags and lengths of X or eX, and of the Arrayd in it.
 _X_HEAD = bytes([0x12, 106, 0x0A, 104])

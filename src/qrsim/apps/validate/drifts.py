@@ -128,7 +128,7 @@ def _checks(name: str, of: Process) -> list[Check]:
     checks = [
         Check(
             f"{of.title}: standard deviation", std, of.std, z * float(error) / (2.0 * of.std), of.unit,
-            reason.format("models.md section 6"),
+            reason.format("docs/models.md"),
         ),
         _time_constant(of, z, reason),
     ]  # fmt: skip
@@ -166,7 +166,7 @@ def _time_constant(of: Process, z: float, reason: str) -> Check:
     relative = math.hypot(float(error) / float(mean), float(error_of_variance))
     return Check(
         f"{of.title}: time constant", found, of.time_constant, z * relative * of.time_constant, "s",
-        reason.format("models.md section 6; from variance and mean square change per period"),
+        reason.format("docs/models.md; from variance and mean square change per period"),
     )  # fmt: skip
 
 

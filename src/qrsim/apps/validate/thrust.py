@@ -17,7 +17,7 @@ from qrsim.models.vehicles.quadrotor import THROTTLE_RAW_PER_UNIT, Quadrotor
 
 RECORDING = "thrust_rig.csv"
 START_N = 15.4
-# models.md, section 9.
+# docs/models.md: held against recordings.
 REFERENCE_MEAN_SQUARE, REFERENCE_VARIANCE = "0.9817", "73.9"
 
 

@@ -23,7 +23,7 @@ from qrsim.apps.validate.outdoor import (
 from qrsim.apps.validate.recorded import DT, Match, Table
 from qrsim.apps.validate.report import Check, Finding, Outcome, Part, Picture, reference_check, share_verdict
 
-# models.md, sections 9 and 2.
+# docs/models.md: held against recordings.
 REFERENCE_VELOCITY = {"north": "3.736", "east": "2.389", "down": "1.547"}
 REFERENCE_FORCE = {
     "ours": {"x": "0.63", "y": "0.36", "z": "3.05"},

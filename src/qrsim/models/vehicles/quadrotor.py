@@ -212,7 +212,7 @@ class Quadrotor:
 
 
 def raw_to_command(pitch: Array, roll: Array, throttle: Array, yaw: Array, battery: Array) -> Command:
-    """Convert recorded raw units (models.md section 1) to SI."""
+    """Convert recorded raw units (docs/identify.md) to SI."""
     return Command(
         pitch * PITCH_ROLL_RAD_PER_RAW,
         roll * PITCH_ROLL_RAD_PER_RAW,
