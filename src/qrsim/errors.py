@@ -50,6 +50,10 @@ class RunError(QrsimError):
     """A run that was well described could not be carried out (disk full, folder not writable, data missing)."""
 
 
+class CompilerWarning(UserWarning):
+    """A program that the package's own compiler does not take, so that XLA computes it: the same, but more slowly."""
+
+
 class BusyError(RunError, RuntimeError):
     """Two threads used at once what only one may use at a time."""
 

@@ -47,6 +47,7 @@ class Setup:
         types: the same as text: to JAX two structures are equal whose records differ in nothing but their type.
         varied: for each leaf of a World, whether every world has its own.
         mesh: the devices, None for a single one.
+        kinds: the types of all records, because a class that is defined anew has the same name.
     """
 
     policy: UserFunction | None
@@ -58,6 +59,7 @@ class Setup:
     types: str
     varied: tuple[bool, ...]
     mesh: Mesh | None
+    kinds: tuple[type, ...]
 
     @property
     def compiled(self) -> Setup:
@@ -73,7 +75,9 @@ class Setup:
     @property
     def plain(self) -> bool:
         """Whether it is made of this package alone, so that another process can tell it by its structure."""
-        return self.policy is None and self.estimator is None and self.metrics is FLIGHT_METRICS
+        own = {kind.__module__.split(".")[0] for kind in self.kinds} <= {"builtins", "qrsim"}
+        asks_nobody = self.policy is None and self.estimator is None
+        return asks_nobody and self.metrics is FLIGHT_METRICS and own
 
     def world(self, fixed: list[Any], own: list[Any]) -> World:
         """Return the world of leaves that all worlds share and leaves that are this world's own."""

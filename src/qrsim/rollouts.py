@@ -16,6 +16,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from qrsim.configuration import use_compilation_cache
+from qrsim.core.structure import kinds
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.metrics import FLIGHT_METRICS
 from qrsim.models.area import reason_text
@@ -144,7 +145,7 @@ def setup_of(
     structure, fixed, varied, which_varied = _stack(list(several))
     setup = Setup(
         user_function("policy", policy), user_function("estimator", estimator), metrics or FLIGHT_METRICS,
-        policy_ticks, site or Site(), structure, repr(structure), which_varied, mesh,
+        policy_ticks, site or Site(), structure, repr(structure), which_varied, mesh, tuple(kinds(structure)),
     )  # fmt: skip
     return setup, fixed, varied
 
@@ -203,9 +204,9 @@ def _other_arrays(one: World, other: World) -> str:
     """Return which array of two worlds of one structure is of another shape or type, "" where none is."""
     (named, _), others = jax.tree_util.tree_flatten_with_path(one), jax.tree.leaves(other)
     for (path, mine), theirs in zip(named, others, strict=True):
-        kinds = [f"{np.asarray(leaf).dtype} {np.shape(leaf)}" for leaf in (mine, theirs)]
-        if kinds[0] != kinds[1]:
-            return f"{jax.tree_util.keystr(path).lstrip('.')} is {kinds[1]}, not {kinds[0]}"
+        sorts = [f"{np.asarray(leaf).dtype} {np.shape(leaf)}" for leaf in (mine, theirs)]
+        if sorts[0] != sorts[1]:
+            return f"{jax.tree_util.keystr(path).lstrip('.')} is {sorts[1]}, not {sorts[0]}"
     return ""
 
 

@@ -46,7 +46,7 @@ class HeightLoop:
         """Return the new state and the throttle [0, 1] for z and z_wanted (n,) [m], down positive."""
         error = z - z_wanted
         # A new set-point would show as a spike of the derivative.
-        rate = jnp.where(z_wanted == state.z_wanted, (error - state.error) / dt, 0.0)
+        rate = jnp.where(z_wanted == state.z_wanted, (error - state.error) * (1.0 / dt), 0.0)
         integral = state.integral + error * dt
         unclipped = self.hover_throttle + self.kp * error + self.ki * integral + self.kd * rate
         throttle = jnp.clip(unclipped, *COMMAND_LIMITS["throttle"])

@@ -15,9 +15,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from qrsim.core.primitives import primitive_of
+
 # pi/2 in three parts whose products with small integers are exact in single precision (Cody and Waite).
 _PIO2_HIGH, _PIO2_MID, _PIO2_LOW = 1.5703125, 4.837512969970703125e-4, 7.54978995489188e-8
 _LN2_HIGH, _LN2_LOW = 0.693359375, -2.12194440e-4
+_SHIFT = 1.5 * 2.0**23
 
 
 Rounding = Callable[[Array], Array]
@@ -35,7 +38,12 @@ def rounded(product: Array) -> Array:
     result depends on the program around it. An operation between the two, which the compiler cannot know to be
     idle, prevents that.
     """
-    return jnp.minimum(product, 1e30)
+    found: Array = rounded_p.bind(product)
+    return found
+
+
+# The minimum is what XLA gets; our own code generator rounds what is marked by this primitive, and computes no minimum.
+rounded_p = primitive_of("rounded", lambda product: jnp.minimum(product, 1e30), elementwise=True)
 
 
 def _polynomial(x: Array, coefficients: tuple[float, ...], rounding: Rounding = freely) -> Array:
@@ -55,9 +63,12 @@ def sincos_ratio(x: Array, rounding: Rounding = freely) -> tuple[Array, Array, A
     """
     if x.dtype != jnp.float32:
         return jnp.sin(x), jnp.cos(x), jnp.ones_like(x)
-    turns = jnp.round(x * (2.0 / math.pi))
+    # Added to a number below 2**22, this leaves the nearest whole one in the last bits; quicker than to convert it.
+    shifted = lax.stop_gradient(rounding(x * (2.0 / math.pi)) + _SHIFT)
+    # Marked, or XLA takes a number plus another minus the same for itself.
+    turns = rounded(shifted) - _SHIFT
     half = 0.5 * (((x - turns * _PIO2_HIGH) - turns * _PIO2_MID) - turns * _PIO2_LOW)
-    quadrant = turns.astype(jnp.int32)
+    quadrant = lax.bitcast_convert_type(shifted, jnp.int32)
     z = half * half
     # Chebyshev fit of tan(y)/y on |y| <= pi/8, relative error 2e-9.
     t = rounding(
@@ -119,12 +130,13 @@ def _log_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Arra
 
 def _exp_f32(x: Array) -> Array:
     x = jnp.clip(x, -87.0, 88.0)
-    k = jnp.round(x * (1.0 / math.log(2.0)))
+    shifted = lax.stop_gradient(x * (1.0 / math.log(2.0)) + _SHIFT)
+    k = rounded(shifted) - _SHIFT
     r = (x - k * _LN2_HIGH) - k * _LN2_LOW
     tail = _polynomial(
         r, (1.9875691500e-4, 1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1)
     )
-    scale = lax.bitcast_convert_type((k.astype(jnp.int32) + 127) << 23, jnp.float32)
+    scale = lax.bitcast_convert_type((lax.bitcast_convert_type(shifted, jnp.int32) + 127) << 23, jnp.float32)
     return (1.0 + (r + r * r * tail)) * scale
 
 
@@ -140,4 +152,4 @@ def power(x: Array, exponent: float) -> Array:
 
 def wrap_angle(x: Array) -> Array:
     """Return the angle x [rad], any shape, brought into [-pi, pi]."""
-    return x - 2.0 * math.pi * jnp.round(x / (2.0 * math.pi))
+    return x - 2.0 * math.pi * jnp.round(x * (0.5 / math.pi))

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.core.nearest import nearest_squared
 from qrsim.core.tree import parameter, quantity, record
 from qrsim.core.vectors import Euler, Vec3
 
@@ -152,23 +153,3 @@ def collisions(position_ned: Vec3, collision_distance: Array) -> Violation:
     x, y, z = position_ned.x, position_ned.y, position_ned.z
     nearest = jnp.sqrt(nearest_squared(x, y, z, jnp.asarray(collision_distance, x.dtype)))
     return Violation.first([(reason_code("collision", "distance"), nearest, nearest < collision_distance)], x)
-
-
-# A function with a name in the traced program: our own code generator then looks into cells of space and not at all
-# pairs, where there are many vehicles.
-@jax.jit
-def nearest_squared(x: Array, y: Array, z: Array, reach: Array) -> Array:
-    """Return the squared distance (n,) [m^2] of each point from the nearest other one, right wherever it is in reach.
-
-    Args:
-        x, y, z: coordinates (n,) [m]; a point with a NaN is far from all others.
-        reach: () [m] up to which distances are wanted; beyond it what is returned may be larger than the truth.
-    """
-    dx, dy, dz = x[:, None] - x[None, :], y[:, None] - y[None, :], z[:, None] - z[None, :]
-    squared = dx * dx + dy * dy + dz * dz
-    index = jnp.arange(x.shape[0])
-    itself = index[:, None] == index[None, :]
-    # Written so that a NaN position, which compares false, counts as far away.
-    apart = jnp.where((squared >= 0.0) & ~itself, squared, math.inf)
-    # Each distance is there twice; along the first axis the smallest is found with vehicles side by side.
-    return jnp.min(apart, axis=0)

@@ -66,7 +66,7 @@ class Barometer:
         drift_normal, white_normal = draw.normals(2)
         drift = ou_step(state.drift, drift_normal, self.period, self.drift_std, self.drift_time_constant)
         height = drift - position_ned.z + self.white_std * white_normal
-        return BarometerState(drift, height), BarometerReading(height, (height - state.height) / self.period)
+        return BarometerState(drift, height), BarometerReading(height, (height - state.height) * (1.0 / self.period))
 
 
 @record

@@ -312,7 +312,7 @@ class Dryden:
         way = dt * carrying_speed(self.airspeed, velocity_ned, mean_wind_ned)
         # u and v have the same length, p and q the same lag.
         x_across, x_down = way / lengths.y, way / lengths.z
-        x_yaw, x_pitch = way / self._yaw_length(), way / self._pitch_length()
+        x_yaw, x_pitch = way * (1.0 / self._yaw_length()), way * (1.0 / self._pitch_length())
         across, down = exponential_decay(x_across), exponential_decay(x_down)
         yaw_lag, pitch_lag = exponential_decay(x_yaw), exponential_decay(x_pitch)
         return DrydenState(
@@ -338,12 +338,12 @@ class Dryden:
         past a vehicle that hovers or flies against the wind. One that outruns the wind meets -q and -r.
         """
         lengths, sigma = self._scales(height_agl)
-        pitch, yaw = self._pitch_length(), self._yaw_length()
+        per_pitch, per_yaw = 1.0 / self._pitch_length(), 1.0 / self._yaw_length()
         roll_sigma = ROLL_FACTOR * sigma.z / power(jnp.asarray(self.span * self.span * lengths.z), 1.0 / 3.0)
         return wind_to_ned(
             roll_sigma * state.roll,
-            sigma.z / pitch * state.down.gust_change(lengths.z / pitch),
-            -sigma.y / yaw * state.across.gust_change(lengths.y / yaw),
+            sigma.z * per_pitch * state.down.gust_change(lengths.z * per_pitch),
+            -sigma.y * per_yaw * state.across.gust_change(lengths.y * per_yaw),
             self.wind_from_rad,
         )
 

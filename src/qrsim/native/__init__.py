@@ -6,10 +6,10 @@ loops over vectors, written as LLVM's text and compiled by it. What a program do
 """
 
 from qrsim.native.cache import identity, kept
-from qrsim.native.graph import UnsupportedError
 from qrsim.native.lanes import Lanes, Together, layout_of
 from qrsim.native.once import forget, once
 from qrsim.native.program import Binary, Input, Mode, Program, aligned, build
+from qrsim.native.refusal import UnsupportedError
 from qrsim.native.start import Start, build_start, trace_of
 
 __all__ = [

@@ -36,6 +36,12 @@ def machine_name() -> str:
     return f"{llvm.get_host_cpu_name()} {_features().flatten()} llvm {version}"
 
 
+def machine_triple() -> str:
+    """Return LLVM's name of the kind of machine: processor, vendor, system."""
+    found: str = _target().triple
+    return found
+
+
 def machine_code(text: str) -> bytes:
     """Return the object file of a module."""
     with _LOCK:

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.native.graph import Access, Node, Shape, UnsupportedError
+from qrsim.native.graph import Access, Node, Shape
 from qrsim.native.neighbours import Neighbours
 from qrsim.native.operations import Operations
+from qrsim.native.refusal import UnsupportedError
 from qrsim.native.scattering import write_scatter
 from qrsim.native.schedule import Step
 from qrsim.native.text import literal, scalar_type, splat, stored_bytes, stored_type, vector
@@ -40,7 +41,7 @@ class Emitter(Writer):
         super().__init__(places, lanes, side_by_side)
         self.spare, self.spare_bytes = spare, spare_bytes
         self.operations = Operations(self.emit, self.declarations)
-        # Which worlds have not left the innermost loop; None where all go together.
+        # Which worlds take the branches and have not left the loops that are being written; None where all do.
         self.turning: str | None = None
 
     # Steps
@@ -52,8 +53,8 @@ class Emitter(Writer):
                 self._branching(step, stored)
             elif step.kind == "while":
                 self._repeating(step, stored)
-            elif step.kind == "cumsum":
-                self._running_sum(step.nodes[0])
+            elif step.kind == "running":
+                self._running(step.nodes[0])
             elif step.kind == "concatenate":
                 self._concatenation(step.nodes[0])
             elif step.kind == "nearest":
@@ -93,6 +94,8 @@ class Emitter(Writer):
 
     def _nest(self, step: Step, stored: set[int]) -> None:
         """Write a loop over the kept axes, in it one over the reduced axes."""
+        if any(step.domain[axis] == 0 for axis in step.kept):
+            return
         last = len(step.domain) - 1
         ordered = any(node.op == "reduce" and node.attributes[0] in ("add", "mul") for node in step.nodes)
         lane_axis: int | None = last
@@ -168,24 +171,10 @@ class Emitter(Writer):
         lanes, pointer = self._reduced_width(node), self.name("sum")
         of = vector(stored_type(node.dtype), lanes)
         self.entry.append(f"  {pointer} = alloca {of}, align 64")
-        self.store(node.dtype, pointer, splat(self._neutral(node), scalar_type(node.dtype), lanes), lanes)
+        self.store(
+            node.dtype, pointer, splat(neutral(node.attributes[0], node.dtype), scalar_type(node.dtype), lanes), lanes
+        )
         return pointer
-
-    @staticmethod
-    def _neutral(node: Node) -> str:
-        how, dtype = node.attributes[0], node.dtype
-        if how in ("add", "or"):
-            return literal(0, dtype)
-        if how == "mul":
-            return literal(1, dtype)
-        if how == "and":
-            return literal(True, dtype) if dtype.kind == "b" else "-1"
-        if dtype.kind == "f":
-            return literal(math.inf if how == "min" else -math.inf, dtype)
-        if dtype.kind == "b":
-            return literal(how == "min", dtype)
-        limits = np.iinfo(dtype)
-        return str(limits.max if how == "min" else limits.min)
 
     def _accumulate(self, node: Node, pointer: str) -> None:
         lanes = self._reduced_width(node)
@@ -195,8 +184,8 @@ class Emitter(Writer):
         if axis is not None and axis in node.attributes[1] and self.scope.domain[axis] % lanes:
             inside = self.inside(self.scope.variables[axis], self.scope.domain[axis])
             of = vector(scalar_type(node.dtype), lanes)
-            neutral = splat(self._neutral(node), scalar_type(node.dtype), lanes)
-            value = self.emit(f"select {vector('i1', lanes)} {inside}, {of} {value}, {of} {neutral}")
+            none = splat(neutral(node.attributes[0], node.dtype), scalar_type(node.dtype), lanes)
+            value = self.emit(f"select {vector('i1', lanes)} {inside}, {of} {value}, {of} {none}")
         before = self.load(node.dtype, pointer, lanes)
         self.store(
             node.dtype, pointer, self.operations.combine(node.attributes[0], node.dtype, lanes, before, value), lanes
@@ -232,9 +221,10 @@ class Emitter(Writer):
             moved = Place(
                 place.pointer, place.offset + begin * place.strides[axis],
                 place.strides if whole else tuple(s for a, s in enumerate(place.strides) if a != axis),
-                place.own, place.tight,
+                place.own, tight=len(node.shape) > 1,
             )  # fmt: skip
-            # Parts are written in order, so that what is written behind one is overwritten by the next.
+            # Parts are written in order, so that what is written behind one is overwritten by the next; but what is
+            # written behind the last one of a row may be the beginning of another.
             self.copy(access, shape, moved)
 
     def copy(self, access: Access, shape: Shape, to: Place, keep: str | None = None) -> None:
@@ -286,20 +276,20 @@ class Emitter(Writer):
         self.places[copy.number] = place
         return Access(copy, tuple((axis, 0) for axis in range(len(shape))))
 
-    def _running_sum(self, node: Node) -> None:
-        """Write the sums of what comes before each element along an axis, itself included."""
-        axis, backwards = node.attributes
+    def _running(self, node: Node) -> None:
+        """Write what becomes of the elements before each one along an axis, itself included."""
+        axis, backwards, how = node.attributes
         self.open_scope(node.shape)
         lanes, (last, dtype) = self._lanes_of(node), (node.shape[axis] - 1, node.dtype)
         pointer, of = self.name("sum"), vector(stored_type(dtype), lanes)
         self.entry.append(f"  {pointer} = alloca {of}, align 64")
         with self.over([i for i in range(len(node.shape)) if i != axis], node.shape, None):
-            self.store(dtype, pointer, splat(literal(0, dtype), scalar_type(dtype), lanes), lanes)
+            self.store(dtype, pointer, splat(neutral(how, dtype), scalar_type(dtype), lanes), lanes)
             with self.loop(last + 1) as counter:
                 along = self.emit(f"sub i64 {last}, {counter}") if backwards else counter
                 self.scope.variables[axis] = along
                 value = self.widened(self.value(node.args[0]), dtype, lanes)
-                total = self.operations.combine("add", dtype, lanes, self.load(dtype, pointer, lanes), value)
+                total = self.operations.combine(how, dtype, lanes, self.load(dtype, pointer, lanes), value)
                 self.store(dtype, pointer, total, lanes)
                 self.write(self.places[node.number], dtype, total, lanes, self.scope.variables)
 
@@ -320,8 +310,11 @@ class Emitter(Writer):
         self.scope = Scope((), [], None, {}, {})
         goes_on, lanes = self.value(condition.results[0])
         keep, outer = None, self.turning
-        self.turning = goes_on if lanes > 1 else None
         if lanes > 1:
+            if outer is not None:
+                # A world that is not here at all must not keep the others turning.
+                goes_on = self.emit(f"and {vector('i1', lanes)} {goes_on}, {outer}")
+            self.turning = goes_on
             mask, every = vector("i1", lanes), splat("true", "i1", lanes)
             keep = self.emit(f"xor {mask} {goes_on}, {every}")
             goes_on = self._any(goes_on)
@@ -344,10 +337,10 @@ class Emitter(Writer):
         self.scope = Scope((), [], None, {}, {})
         which, lanes = self.value(cond.args[0])
         dtype = cond.args[0].node.dtype
-        of = vector(scalar_type(dtype), lanes)
-        taken = (
-            which if dtype.kind == "b" else self.emit(f"icmp ne {of} {which}, {splat('0', scalar_type(dtype), lanes)}")
-        )
+        of, zero = vector(scalar_type(dtype), lanes), splat("0", scalar_type(dtype), lanes)
+        # What is below the number of the first branch takes the first.
+        above = f"icmp {'s' if dtype.kind == 'i' else 'u'}gt {of} {which}, {zero}"
+        taken = which if dtype.kind == "b" else self.emit(above)
         self.count += 1
         label = f"branch{self.count}"
         if lanes > 1:
@@ -362,11 +355,17 @@ class Emitter(Writer):
         """Write a branching that each world takes for itself: both branches, where any world takes it."""
         mask = vector("i1", self.lanes)
         others = self.emit(f"xor {mask} {taken}, {splat('true', 'i1', self.lanes)}")
+        outer, masks = self.turning, [taken, others]
+        if outer is not None:
+            masks = [self.emit(f"and {mask} {own}, {outer}") for own in masks]
         self.do(f"br i1 {self._any(taken)}, label %{label}.true, label %{label}.rest")
+        self.turning = masks[0]
         self._branch(step, 1, f"{label}.true", f"{label}.rest", stored)
         self.start_block(f"{label}.rest")
         self.do(f"br i1 {self._any(others)}, label %{label}.false, label %{label}.after")
+        self.turning = masks[1]
         self._branch(step, 0, f"{label}.false", f"{label}.after", stored, keep=taken)
+        self.turning = outer
         self.start_block(f"{label}.after")
 
     def _branch(
@@ -384,6 +383,22 @@ class Emitter(Writer):
         self.move_all(moves, keep)
         self.do(f"br label %{after}")
         self.scalars = outside
+
+
+def neutral(how: str, dtype: Any) -> str:
+    """Return what a reduction begins with."""
+    if how in ("add", "or"):
+        return literal(0, dtype)
+    if how == "mul":
+        return literal(1, dtype)
+    if how == "and":
+        return literal(True, dtype) if dtype.kind == "b" else "-1"
+    if dtype.kind == "f":
+        return literal(math.inf if how == "min" else -math.inf, dtype)
+    if dtype.kind == "b":
+        return literal(how == "min", dtype)
+    limits = np.iinfo(dtype)
+    return str(limits.max if how == "min" else limits.min)
 
 
 def _shared_axis(domain: Shape, lane_axis: int | None) -> int | None:

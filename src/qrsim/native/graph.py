@@ -12,13 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.native.text import scalar_type
+
 Shape = tuple[int, ...]
 # For each axis of a node: the axis of the loop it follows, or None where it stands still, and an offset.
 Index = tuple[tuple[int | None, int], ...]
-
-
-class UnsupportedError(Exception):
-    """A program that this code generator cannot compile; XLA can."""
 
 
 @dataclass(eq=False)
@@ -27,7 +25,7 @@ class Node:
 
     Attributes:
         op: what makes it; ``input``, ``constant``, ``iota``, ``reduce``, ``concatenate``, ``pick``, ``scatter``,
-            ``cumsum``, ``cond``, ``while``, ``carry`` (what a while hands from turn to turn), ``output`` (of a cond or
+            ``running``, ``cond``, ``while``, ``carry`` (what a while hands from turn to turn), ``output`` (of a cond or
             while), or an elementwise operation by JAX's name of it.
         args: what it reads.
         shape: without axes of one element.
@@ -157,8 +155,8 @@ class Graph:
     def constant(self, value: Any) -> View:
         """Return an array that is known now."""
         array = np.asarray(value)
-        if array.dtype.kind not in "fiub":
-            raise UnsupportedError(f"a constant of {array.dtype}")
+        # An array of numbers that the code generator does not have is refused here.
+        scalar_type(array.dtype)
         shape = squeezed(array.shape)
         attributes = (array.reshape(shape).tobytes(),)
         return View.whole(self.node("constant", (), shape, array.dtype, attributes), array.shape)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from qrsim.native.emit import Emitter
 
 # Half a cube is wider than the reach by more than rounding.
-_WIDTH_IN_REACHES = 2.002
+_WIDTH_IN_REACHES = 2.02
 _SMALLEST_WIDTH = 0.1
 # Of 64 bits for each point, 3 foreign ones are looked at: one in twenty is taken for near without being so.
 _BITS_FOR_A_POINT = 64
@@ -197,10 +197,9 @@ class Neighbours:
         scale = self.writer.widened((self.scale, 1), self.dtype, lanes)
         place = self.emit(f"fmul {of} {coordinate}, {scale}")
         whole = self.emit(f"call {of} @{floor}({of} {place})")
-        number = vector("i32", lanes)
-        converted = self.emit(f"fptosi {of} {whole} to {number}")
-        # Frozen: a point that is nowhere lies in some cube.
-        return self.emit(f"freeze {number} {converted}"), self.emit(f"fsub {of} {place}, {whole}")
+        # A point that is nowhere, or too far away, lies in some cube, and always in the same.
+        cube = self.writer.operations.whole_part(self.dtype, np.dtype(np.int32), of, whole, lanes)
+        return cube, self.emit(f"fsub {of} {place}, {whole}")
 
     def _leant(self, cube: str, within: str, lanes: int = 1) -> str:
         """Return the number of the next cube along an axis, on the side that a point leans to."""

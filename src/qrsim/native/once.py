@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Callable
 from typing import Any
 
+from qrsim.errors import CompilerWarning
 from qrsim.native.cache import kept
-from qrsim.native.graph import UnsupportedError
+from qrsim.native.refusal import UnsupportedError, refusing
 
 log = logging.getLogger(__name__)
 # By all that they depend on; in the place of what cannot be made, the reason.
 _MADE: dict[Any, Any] = {}
+# The reasons that a user has heard.
+_TOLD: set[str] = set()
 
 
 def once(
@@ -30,9 +34,11 @@ def once(
     """
     if key not in _MADE:
         try:
-            _MADE[key] = load(make() if what is None else kept(what, make))
+            found = make() if what is None else kept(what, make)
+            with refusing():
+                _MADE[key] = load(found)
         except UnsupportedError as why:
-            log.debug("'%s' is compiled by XLA, because of %s", key[0], why)
+            _tell(key[0], why)
             _MADE[key] = why
     found = _MADE[key]
     if isinstance(found, UnsupportedError):
@@ -40,6 +46,16 @@ def once(
     return found
 
 
+def _tell(program: str, why: UnsupportedError) -> None:
+    """Warn of a reason once in a process."""
+    log.debug("'%s' is compiled by XLA, because of %s", program, why, exc_info=why)
+    if str(why) not in _TOLD:
+        _TOLD.add(str(why))
+        text = f"computed by XLA, which takes longer, because qrsim's own compiler does not take {why}"
+        warnings.warn(f"{program}: {text} (QRSIM_COMPILER=xla asks for XLA)", CompilerWarning, stacklevel=2)
+
+
 def forget() -> None:
     """Let every program be made anew, for whoever changed what they are made of."""
     _MADE.clear()
+    _TOLD.clear()

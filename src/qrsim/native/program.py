@@ -11,15 +11,18 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from qrsim.core.pack import Buffers, Packer, struct
-from qrsim.native.compiler import Loaded, machine_code
+from qrsim.native.compiler import Loaded, machine_code, machine_triple
 from qrsim.native.emit import Emitter
 from qrsim.native.graph import Access, Graph, Node, Shape, View, squeezed
+from qrsim.native.refusal import UnsupportedError, refusing
 from qrsim.native.schedule import ALONE, NESTED, Arena, Scheduler, all_nodes, in_place, materialised, readers
-from qrsim.native.simplify import contract, live_nodes
+from qrsim.native.simplify import live_nodes
 from qrsim.native.text import stored_bytes
 from qrsim.native.tracing import Tracer, trace
-from qrsim.native.writing import Place
+from qrsim.native.writing import Place, Writer
 
+# What lies in a buffer of integers.
+_WHOLE = ("int32", "uint32", "bool")
 # A loop may read this many elements behind the last one.
 SPARE = 64
 
@@ -75,9 +78,14 @@ def build(function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], m
     Raises:
         UnsupportedError: the function does what this code generator cannot do.
     """
-    writer = _Writer(function, tuple(inputs), mode.lanes, mode.side_by_side)
-    text = writer.text()
-    return Binary(machine_code(text), writer.arena.size + SPARE * 8)
+    closed = function
+    if not isinstance(closed, ClosedJaxpr):
+        # What goes wrong in the function itself is its author's to know.
+        closed = trace(closed, *(each.layout.template() for each in inputs), struct((), np.dtype(np.int32)))
+    with refusing():
+        writer = _Writer(closed, tuple(inputs), mode.lanes, mode.side_by_side)
+        text = writer.text()
+        return Binary(machine_code(text), writer.arena.size + SPARE * 8)
 
 
 class Program:
@@ -124,18 +132,17 @@ def aligned(size: int, dtype: np.dtype[Any]) -> Any:
 class _Writer:
     """Traces, schedules and writes."""
 
-    def __init__(self, function: Any, inputs: tuple[Input, ...], lanes: int, side_by_side: bool):
+    def __init__(self, closed: ClosedJaxpr, inputs: tuple[Input, ...], lanes: int, side_by_side: bool):
         self.inputs, self.lanes, self.side_by_side = inputs, lanes, side_by_side
         self.graph = Graph()
         self.arena = Arena()
         self.places: dict[int, Place] = {}
         self.leaves: list[list[Node]] = []
-        self._trace(function)
+        self._trace(closed)
         self._schedule()
 
-    def _trace(self, function: Callable[..., Any] | ClosedJaxpr) -> None:
+    def _trace(self, closed: ClosedJaxpr) -> None:
         views: list[View] = []
-        shapes: list[Any] = []
         for which, given in enumerate(self.inputs):
             layout, nodes = given.layout, []
             parts = zip(layout.shapes, layout.dtypes, layout.slices, layout.is_float, strict=True)
@@ -144,18 +151,16 @@ class _Writer:
                 nodes.append(node)
                 views.append(View.whole(node, shape))
             self.leaves.append(nodes)
-            shapes.append(layout.template())
         self.tick = self.graph.node("input", (), (), np.dtype(np.int32), ("tick",), invariant=False, uniform=True)
         views.append(View.whole(self.tick, ()))
-        closed = function
-        if not isinstance(closed, ClosedJaxpr):
-            closed = trace(closed, *shapes, struct((), np.dtype(np.int32)))
         alone = not self.side_by_side and self.lanes > 1
         found = Tracer(self.graph, alone).run(closed.jaxpr, closed.consts, views[: len(closed.jaxpr.invars)])
-        contract(self.graph)
         self.results = [view.access() for view in found]
 
     def _input(self, which: int, given: Input, shape: Shape, dtype: Any, part: slice, is_float: bool) -> Node:
+        # As they lie in the buffers; others would be taken for what they are not.
+        if np.dtype(dtype) != given.layout.dtype if is_float else np.dtype(dtype).name not in _WHOLE:
+            raise UnsupportedError(f"numbers of type {np.dtype(dtype)} from tick to tick")
         own = given.own and self.side_by_side
         is_state = which == len(self.inputs) - 1
         node = self.graph.node(
@@ -268,6 +273,9 @@ class _Writer:
         writer = Emitter(self.places, self.lanes, self.side_by_side, self._spare, self._spare_bytes)
         arguments = [f"ptr noalias %{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
         arguments += ["ptr noalias %scratch", "i32 %first", "i32 %count"]
+        before_all, after_all = flushing(writer)
+        for line in before_all:
+            writer.do(line)
         writer.steps(self.prologue, self.stored)
         before = writer.block
         writer.do("br label %tick")
@@ -283,6 +291,8 @@ class _Writer:
         writer.lines[place] = f"  %done = phi i32 [0, %{before}], [%done.next, %{writer.block}]"
         writer.do("br i1 %more, label %tick, label %end")
         writer.start_block("end")
+        for line in after_all:
+            writer.do(line)
         writer.do("ret void")
         return "\n".join(
             [
@@ -293,9 +303,35 @@ class _Writer:
                 *writer.entry,
                 *writer.lines,
                 "}",
-                'attributes #0 = { nounwind "stackrealign" "prefer-vector-width"="512" }',
+                'attributes #0 = { nounwind "stackrealign" "prefer-vector-width"="512" '
+                '"denormal-fp-math"="preserve-sign,preserve-sign" }',
             ]
         )
+
+
+def flushing(writer: Writer) -> tuple[list[str], list[str]]:
+    """Return what to do before and after all else, so that numbers too small to be normal are zero, as with XLA."""
+    processor = machine_triple().split("-")[0]
+    if processor in ("x86_64", "i686", "amd64"):
+        writer.declarations |= {f"declare void @llvm.x86.sse.{name}(ptr)" for name in ("stmxcsr", "ldmxcsr")}
+        writer.entry += ["  %rounding.before = alloca i32, align 4", "  %rounding.here = alloca i32, align 4"]
+        begin = [
+            "call void @llvm.x86.sse.stmxcsr(ptr %rounding.before)",
+            "%rounding = load i32, ptr %rounding.before, align 4",
+            "%rounding.flush = or i32 %rounding, 32832",
+            "store i32 %rounding.flush, ptr %rounding.here, align 4",
+            "call void @llvm.x86.sse.ldmxcsr(ptr %rounding.here)",
+        ]
+        return begin, ["call void @llvm.x86.sse.ldmxcsr(ptr %rounding.before)"]
+    if processor in ("aarch64", "arm64"):
+        writer.declarations |= {"declare i64 @llvm.aarch64.get.fpcr()", "declare void @llvm.aarch64.set.fpcr(i64)"}
+        begin = [
+            "%rounding = call i64 @llvm.aarch64.get.fpcr()",
+            "%rounding.flush = or i64 %rounding, 16777216",
+            "call void @llvm.aarch64.set.fpcr(i64 %rounding.flush)",
+        ]
+        return begin, ["call void @llvm.aarch64.set.fpcr(i64 %rounding)"]
+    return [], []
 
 
 def _in_register(node: Node) -> bool:

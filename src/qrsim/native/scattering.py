@@ -25,6 +25,8 @@ def write_scatter(writer: Emitter, node: Node) -> None:
     if not _lies_there(writer, node):
         writer.copy(node.args[0], node.shape, place)
     shape = node.domain
+    if 0 in shape:
+        return
     writer.open_scope(shape)
     with writer.over(range(len(shape)), shape, None):
         lanes = writer.lanes if writer.side_by_side and place.own else 1

@@ -6,11 +6,12 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import Any
 
-from qrsim.native.graph import Access, Node, Region, Shape, UnsupportedError
+from qrsim.native.graph import Access, Node, Region, Shape
+from qrsim.native.refusal import UnsupportedError
 
 OUTSIDE = ("input", "constant", "carry")
 # Each of these is a step of its own.
-ALONE = ("concatenate", "nearest", "scatter", "cumsum")
+ALONE = ("concatenate", "nearest", "scatter", "running")
 # Of these, the steps of regions are parts.
 NESTED = ("cond", "while")
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from qrsim.core.pack import Packer, struct
 from qrsim.native.program import Binary, Input, Mode, build
+from qrsim.native.refusal import refusing
 
 
 @dataclass(frozen=True)
@@ -49,5 +50,7 @@ def build_start(traced: tuple[Any, Any], inputs: Sequence[Input], mode: Mode) ->
         UnsupportedError: the function does what this code generator cannot do.
     """
     closed, shape = traced
-    template = jax.tree.map(lambda leaf: struct(leaf.shape, np.dtype(leaf.dtype)), shape)
-    return Start(build(closed, [*inputs, Input(Packer(template), own=True)], mode), template)
+    with refusing():
+        template = jax.tree.map(lambda leaf: struct(leaf.shape, np.dtype(leaf.dtype)), shape)
+        layout = Packer(template)
+    return Start(build(closed, [*inputs, Input(layout, own=True)], mode), template)

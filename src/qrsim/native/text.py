@@ -7,18 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.native.graph import UnsupportedError
+from qrsim.native.refusal import UnsupportedError
 
 DType = np.dtype[Any]
 _SCALAR = {"float32": "float", "float64": "double", "int32": "i32", "uint32": "i32", "int64": "i64", "uint64": "i64"}
 
 
 def scalar_type(dtype: DType) -> str:
-    """Return LLVM's name of one element in a register."""
+    """Return LLVM's name of one element in a register.
+
+    Raises:
+        UnsupportedError: there are no such numbers here.
+    """
     if dtype.kind == "b":
         return "i1"
     if dtype.name not in _SCALAR:
-        raise UnsupportedError(f"numbers of {dtype}")
+        raise UnsupportedError(f"numbers of type {dtype}")
     return _SCALAR[dtype.name]
 
 

@@ -1,43 +1,32 @@
-"""From a JAX program to a graph: one rule for each kind of operation."""
+"""From a JAX program to a graph: one method for each kind of operation, chosen by the table in ``rules``."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 from jax.extend import core as jex
+from jax.extend import source_info_util
 
-from qrsim.native.graph import Access, Graph, Region, Shape, UnsupportedError, View, squeezed
+from qrsim.core.nearest import by_all_pairs
+from qrsim.native.graph import Access, Graph, Region, Shape, View, squeezed
+from qrsim.native.indexing import Indexing
+from qrsim.native.nodes import Like
+from qrsim.native.refusal import UnsupportedError
+from qrsim.native.rules import rule_of
+from qrsim.native.text import scalar_type
 
-# Operations of one element from one element of each argument, by JAX's names.
-ELEMENTWISE = frozenset({
-    "add", "sub", "mul", "div", "rem", "neg", "sign", "abs", "max", "min", "and", "or", "xor", "not", "eq", "ne", "lt",
-    "le", "gt", "ge", "select_n", "shift_left", "shift_right_logical", "shift_right_arithmetic", "sqrt", "rsqrt",
-    "floor", "ceil", "round", "is_finite", "square", "integer_pow", "clamp", "exp", "exp2", "expm1", "log", "log1p",
-    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "pow", "convert_element_type",
-    "bitcast_convert_type",
-})  # fmt: skip
-# What is only there for differentiation, staging or for other compilers.
-TRANSPARENT = frozenset({"copy", "copy_p", "stop_gradient", "optimization_barrier"})
-CALLS = {
-    "jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "remat": "jaxpr",
-    "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr",
-}  # fmt: skip
-REDUCTIONS = {
-    "reduce_sum": "add", "reduce_prod": "mul", "reduce_min": "min", "reduce_max": "max", "reduce_and": "and",
-    "reduce_or": "or",
-}  # fmt: skip
-SCATTERS = {"scatter": "set", "scatter-add": "add", "scatter-min": "min", "scatter-max": "max"}
 _ATTRIBUTES = {"integer_pow": "y", "round": "rounding_method"}
-
-
+# Of all others, all arguments are of one type.
+_MIXED = ("select_n", "convert_element_type", "bitcast_convert_type")
 # From this many points on it is quicker to look into cells of space than at all pairs.
 MANY_POINTS = 128
 
 
-class Tracer:
+class Tracer(Indexing):
     """Turns jaxprs into nodes of a graph.
 
     Args:
@@ -46,7 +35,8 @@ class Tracer:
     """
 
     def __init__(self, graph: Graph, alone: bool):
-        self.graph, self.alone = graph, alone
+        super().__init__(graph)
+        self.alone = alone
 
     def run(self, jaxpr: Any, constants: Sequence[Any], arguments: Sequence[View]) -> list[View]:
         """Return the results of a jaxpr for arguments."""
@@ -60,250 +50,184 @@ class Tracer:
                 return self.graph.constant(np.asarray(atom.val, of.dtype))
             return environment[atom]
 
+        products = _Products(jaxpr)
         for equation in jaxpr.eqns:
-            results = self._equation(equation, [read(atom) for atom in equation.invars])
+            inputs = [read(atom) for atom in equation.invars]
+            try:
+                results = self._equation(equation, inputs, products)
+            except UnsupportedError as error:
+                raise error.at(source_info_util.summarize(equation.source_info)) from None
             environment.update(zip(equation.outvars, results, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
-    def _equation(self, equation: Any, inputs: list[View]) -> list[View]:
-        name, parameters = equation.primitive.name, equation.params
+    def _equation(self, equation: Any, inputs: list[View], products: _Products) -> list[View]:
+        rule = rule_of(equation)
+        for variable in (*equation.invars, *equation.outvars):
+            # Known here, where the line of the program is known too.
+            scalar_type(np.dtype(variable.aval.dtype))
         out = equation.outvars[0].aval if equation.outvars else None
-        if name in ELEMENTWISE:
-            return [self._elementwise(name, inputs, out, parameters)]
-        if name in TRANSPARENT:
-            return inputs
-        if name in CALLS and parameters.get("name") == "nearest_squared" and self._many(inputs[0]):
-            return [self._nearest(inputs, out)]
-        if name in CALLS:
-            closed = parameters[CALLS[name]]
-            inner = closed.jaxpr if hasattr(closed, "jaxpr") else closed
-            return self.run(inner, getattr(closed, "consts", ()), inputs)
-        if name in REDUCTIONS:
-            return [self._reduction(name, inputs[0], out, parameters["axes"])]
-        if name in SCATTERS:
-            return [self._scatter(SCATTERS[name], inputs, out, parameters)]
-        rule = getattr(self, f"_{name}", None)
-        if rule is None:
-            raise UnsupportedError(f"'{name}'")
-        found = rule(inputs, out, parameters)
+        arithmetic = rule.method == "elementwise" and rule.op in ("add", "sub", "mul")
+        if arithmetic and out is not None and out.dtype.kind == "f":
+            return [self._contracted(rule.op, equation, inputs, out, products)]
+        found = getattr(self, rule.method)(rule.op, inputs, out, equation.params)
         return found if isinstance(found, list) else [found]
 
-    def _elementwise(self, name: str, inputs: list[View], out: Any, parameters: Any) -> View:
+    def _contracted(self, op: str, equation: Any, inputs: list[View], out: Any, products: _Products) -> View:
+        """Return a sum, a difference or a product; in one rounding with a product that only goes into this sum.
+
+        A compiler may do so where it sees both together, so that the last bit depends on the program around. Here it
+        depends on the function alone that both are in. A product that is looked at elsewhere too is rounded, so that it
+        is one number wherever it is compared, and where both are products both are rounded, so that a * b - c * d is
+        zero where they are equal.
+        """
+        shape = tuple(out.shape)
+        plain = self.apply(op, shape, out.dtype, *inputs)
+        if op == "mul":
+            products.made[equation.outvars[0]] = inputs
+            return plain
+        first, second = (products.of(atom) for atom in equation.invars)
+        if (first is None) == (second is None):
+            return plain
+        which = 0 if second is None else 1
+        if not products.only_here(equation.invars[which]) or inputs[which].shape != shape:
+            return plain
+        factors, rest = first or second, inputs[1 - which]
+        assert factors is not None
+        name = "fma" if op == "add" else ("fms", "fnma")[which]
+        return self.apply(name, shape, out.dtype, *factors, rest)
+
+    def elementwise(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return an operation of one element from one element of each argument."""
         shape: Shape = tuple(out.shape)
-        if out.dtype == jax.dtypes.float0:
-            raise UnsupportedError("float0")
-        attributes: tuple[Any, ...] = (parameters[_ATTRIBUTES[name]],) if _ATTRIBUTES.get(name) else ()
-        if name == "convert_element_type" and inputs[0].node.dtype == out.dtype:
+        before = inputs[0].node.dtype
+        if op == "convert_element_type" and before == out.dtype:
             return inputs[0]
-        if name == "div" and inputs[1].node.invariant and np.dtype(out.dtype).kind == "f":
-            name, inputs = "mul", [inputs[0], self._inverse(inputs[1])]
-        accesses = tuple(view.access(shape) for view in inputs)
-        return View.whole(self.graph.node(name, accesses, squeezed(shape), out.dtype, attributes), shape)
+        if op == "bitcast_convert_type" and (
+            "b" in (before.kind, out.dtype.kind) or before.itemsize != out.dtype.itemsize
+        ):
+            raise UnsupportedError(f"the bits of {before} as {out.dtype}")
+        if op not in _MIXED and len({view.node.dtype for view in inputs}) > 1:
+            raise UnsupportedError(f"'{op}' of {' and '.join(str(view.node.dtype) for view in inputs)}")
+        if op == "select_n" and (len(inputs) != 3 or before.kind != "b"):
+            raise UnsupportedError("a selection among several")
+        attributes = (int(parameters[_ATTRIBUTES[op]]),) if op in _ATTRIBUTES else ()
+        return self.apply(op, shape, out.dtype, *inputs, attributes=attributes)
 
-    def _inverse(self, divisor: View) -> View:
-        """Return one over what is the same at every tick, because to divide takes ten times as long as to multiply."""
-        node = divisor.node
-        own = Access(node, tuple((axis, 0) for axis in range(len(node.shape))))
-        one = self.graph.constant(np.ones((), node.dtype)).access(())
-        inverse = self.graph.node("div", (one, own), node.shape, node.dtype)
-        return View(inverse, divisor.index, divisor.shape)
+    def transparent(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return what is handed over."""
+        return inputs
 
-    def _reduction(self, name: str, operand: View, out: Any, axes: Sequence[int]) -> View:
+    def call(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return what an inner function returns."""
+        closed = parameters[op]
+        inner = closed.jaxpr if hasattr(closed, "jaxpr") else closed
+        return self.run(inner, getattr(closed, "consts", ()), inputs)
+
+    def reduction(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return what becomes of some axes together."""
+        return self._reduced(op, inputs[0], out, parameters["axes"])
+
+    def _reduced(self, op: str, operand: View, out: Any, axes: Sequence[int]) -> View:
         kept = [axis for axis in range(len(operand.shape)) if axis not in axes]
         reduced = [axis for axis in axes if operand.shape[axis] != 1]
         moved = operand.moved({axis: i for i, axis in enumerate(kept)}, tuple(out.shape))
         if not reduced:
             return moved
         loop = [axis for axis, extent in enumerate(operand.shape) if extent != 1]
-        attributes = (REDUCTIONS[name], tuple(loop.index(axis) for axis in reduced))
+        attributes = (op, tuple(loop.index(axis) for axis in reduced))
         node = self.graph.node(
             "reduce", (operand.access(),), squeezed(out.shape), out.dtype, attributes, domain=squeezed(operand.shape)
         )
         return View.whole(node, tuple(out.shape))
 
-    def _many(self, points: View) -> bool:
-        return self.alone and len(points.shape) == 1 and points.shape[0] >= MANY_POINTS
-
-    def _nearest(self, inputs: list[View], out: Any) -> View:
+    def running(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return what becomes of the elements up to each one along an axis."""
         shape = tuple(out.shape)
+        if shape[parameters["axis"]] == 1 or 0 in shape:
+            return inputs[0]
+        attributes = (len(squeezed(shape[: parameters["axis"]])), parameters["reverse"], op)
+        node = self.graph.node("running", (inputs[0].access(),), squeezed(shape), out.dtype, attributes)
+        return View.whole(node, shape)
+
+    def nearest(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return the squared distance of each point's nearest neighbour."""
+        shape = tuple(out.shape)
+        if not (self.alone and len(shape) == 1 and shape[0] >= MANY_POINTS and not inputs[3].shape):
+            pairs = trace(by_all_pairs, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))  # type: ignore[no-untyped-call]
+            return self.run(pairs.jaxpr, pairs.consts, inputs)[0]
         accesses = (*(view.access(shape) for view in inputs[:3]), inputs[3].access(()))
         return View.whole(self.graph.node("nearest", accesses, squeezed(shape), out.dtype), shape)
 
-    def _apply(self, name: str, shape: Shape, dtype: Any, *inputs: View) -> View:
-        """Return an elementwise operation on arrays of one shape."""
-        accesses = tuple(view.access(shape) for view in inputs)
-        return View.whole(self.graph.node(name, accesses, squeezed(shape), dtype), shape)
-
-    def _argmin(self, inputs: list[View], out: Any, parameters: Any) -> View:
-        return self._place_of("reduce_min", inputs[0], out, parameters["axes"])
-
-    def _argmax(self, inputs: list[View], out: Any, parameters: Any) -> View:
-        return self._place_of("reduce_max", inputs[0], out, parameters["axes"])
-
-    def _place_of(self, extreme: str, operand: View, out: Any, axes: Sequence[int]) -> View:
+    def place_of(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
         """Return the first place of the least or largest element, or of the first NaN."""
+        operand, axes = inputs[0], parameters["axes"]
         (axis,), shape = axes, operand.shape
         if shape[axis] == 1:
-            return self._spread(self.graph.constant(np.zeros((), out.dtype)), tuple(out.shape))
+            return self.spread(self.graph.constant(np.zeros((), out.dtype)), tuple(out.shape))
         kept = [i for i in range(len(shape)) if i != axis]
-        best = self._reduction(extreme, operand, _Like(out.shape, operand.node.dtype), axes)
+        best = self._reduced(op, operand, Like(out.shape, operand.node.dtype), axes)
         best = best.moved(dict(enumerate(kept)), shape)
-        equal = self._apply("eq", shape, np.bool_, operand, best)
-        missing = self._apply("ne", shape, np.bool_, operand, operand)
-        found = self._apply("or", shape, np.bool_, equal, missing)
-        places = self._iota([], _Like(shape, out.dtype), {"dimension": axis})
-        beyond = self._spread(self.graph.constant(np.full((), shape[axis], out.dtype)), shape)
-        chosen = self._apply("select_n", shape, out.dtype, found, beyond, places)
-        return self._reduction("reduce_min", chosen, out, axes)
+        found = self.apply("eq", shape, np.bool_, operand, best)
+        if operand.node.dtype.kind == "f":
+            missing = self.apply("ne", shape, np.bool_, operand, operand)
+            found = self.apply("or", shape, np.bool_, found, missing)
+        places = self.iota("", [], Like(shape, out.dtype), {"dimension": axis})
+        beyond = self.spread(self.graph.constant(np.full((), shape[axis], out.dtype)), shape)
+        chosen = self.apply("select_n", shape, out.dtype, found, beyond, places)
+        return self._reduced("min", chosen, out, axes)
 
-    def _dynamic_slice(self, inputs: list[View], out: Any, parameters: Any) -> View:
-        operand, shape = inputs[0], tuple(out.shape)
-        starts = {axis: inputs[1 + axis] for axis, extent in enumerate(operand.shape) if extent != shape[axis]}
-        limits = {axis: operand.shape[axis] - shape[axis] for axis in starts}
-        return self._pick(operand, starts, limits, {axis: axis for axis in range(len(shape))}, out)
-
-    def _pick(
-        self,
-        operand: View,
-        starts: dict[int, View],
-        limits: dict[int, int],
-        follows: dict[int, int],
-        out: Any,
-        fill: Any = None,
-    ) -> View:
-        """Return elements of an array that lie where the program computes.
-
-        Args:
-            operand: the array.
-            starts: axis of the array -> where it begins, () or of the result's shape.
-            limits: axis -> the largest start; others are brought into range.
-            follows: axis of the array -> axis of the result that it follows from there.
-            out: shape and type of the result.
-            fill: the result where a start is out of range, in place of the nearest in range.
-        """
-        shape = tuple(out.shape)
-        order = {axis: i for i, axis in enumerate(starts)}
-        # For each axis of the array in memory: which start moves it, and the largest that it may be.
-        moved = tuple((order[a], limits[a]) if a in order else None for a, _ in operand.index)
-        still = operand.moved({axis: follows.get(axis) for axis in range(len(operand.shape))}, shape)
-        accesses = (still.access(), *(start.access(shape) for start in starts.values()))
-        attributes = (moved, None if fill is None else np.asarray(fill, out.dtype).tobytes())
-        return View.whole(self.graph.node("pick", accesses, squeezed(shape), out.dtype, attributes), shape)
-
-    def _gather(self, inputs: list[View], out: Any, parameters: Any) -> View:
-        """Single elements, each from where an array of whole numbers says."""
-        operand, places = inputs
-        numbers, shape, axes = parameters["dimension_numbers"], tuple(out.shape), range(len(inputs[0].shape))
-        if numbers.offset_dims or {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims} != set(axes):
-            raise UnsupportedError("a gather of parts")
-        follows = dict(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
-        starts = self._along(places, numbers.start_index_map, shape)
-        limits = {axis: operand.shape[axis] - 1 for axis in starts}
-        fill = _filling(parameters["fill_value"], out.dtype) if "FILL" in parameters["mode"].name else None
-        return self._pick(operand, starts, limits, {int(a): int(b) for a, b in follows.items()}, out, fill)
-
-    def _scatter(self, how: str, inputs: list[View], out: Any, parameters: Any) -> View:
-        """Single elements, each to where an array of whole numbers says."""
-        operand, places, updates = inputs
-        numbers, shape = parameters["dimension_numbers"], updates.shape
-        inserted = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
-        if numbers.update_window_dims or inserted != set(range(len(operand.shape))):
-            raise UnsupportedError("a scatter of parts")
-        if "FILL" not in parameters["mode"].name and "PROMISE" not in parameters["mode"].name:
-            raise UnsupportedError("a scatter that brings into range")
-        starts = self._along(places, numbers.scatter_dims_to_operand_dims, shape)
-        order = {axis: i for i, axis in enumerate(starts)}
-        kept = [axis for axis, extent in enumerate(operand.shape) if extent != 1]
-        moved = tuple((order[a], operand.shape[a] - 1) if a in order else None for a in kept)
-        single = tuple((order[a], 0) for a in order if a not in kept)
-        follows = dict(zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True))
-        index = View(updates.node, tuple((follows.get(a), 0) for a in kept), shape).access().index
-        accesses = (operand.access(), updates.access(), *(start.access() for start in starts.values()))
-        node = self.graph.node(
-            "scatter", accesses, squeezed(out.shape), out.dtype, (how, moved, single, index), domain=squeezed(shape)
-        )
-        return View.whole(node, tuple(out.shape))
-
-    @staticmethod
-    def _along(places: View, axes: Sequence[int], shape: Shape) -> dict[int, View]:
-        """Return how far along each of some axes, from an array that has them in its last one."""
-        found = {}
-        for which, axis in enumerate(axes):
-            one = places.shifted([0] * len(shape) + [which], (*shape, 1))
-            found[int(axis)] = one.moved({i: i for i in range(len(shape))}, shape)
-        return found
-
-    def _reshape(self, inputs: list[View], out: Any, parameters: Any) -> View:
-        (operand, *_), shape = inputs, tuple(out.shape)
-        if squeezed(operand.shape) == squeezed(shape):
-            return self._without_unit_axes(operand, shape)
-        number = self._linear(shape)
-        starts, stride = {}, 1
-        for axis in reversed(range(len(operand.shape))):
-            extent = operand.shape[axis]
-            if extent != 1:
-                over = self._apply("div", shape, np.int32, number, self._number(stride, shape))
-                starts[axis] = self._apply("rem", shape, np.int32, over, self._number(extent, shape))
-            stride *= extent
-        return self._pick(operand, starts, {axis: operand.shape[axis] - 1 for axis in starts}, {}, out)
-
-    def _linear(self, shape: Shape) -> View:
-        """Return the place (int32) of each element of an array in the order of its rows."""
-        found, stride = self._number(0, shape), 1
-        for axis in reversed(range(len(shape))):
-            if shape[axis] != 1:
-                along = self._iota([], _Like(shape, np.int32), {"dimension": axis})
-                far = self._apply("mul", shape, np.int32, along, self._number(stride, shape))
-                found = self._apply("add", shape, np.int32, found, far)
-            stride *= shape[axis]
-        return found
-
-    def _number(self, value: int, shape: Shape) -> View:
-        return self._spread(self.graph.constant(np.int32(value)), shape)
-
-    def _broadcast_in_dim(self, inputs: list[View], out: Any, parameters: Any) -> View:
+    def broadcast_in_dim(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return an array along more axes."""
+        if len(inputs) != 1:
+            raise UnsupportedError("a shape that the program computes")
         operand, to = inputs[0], parameters["broadcast_dimensions"]
         grows = {axis: to[axis] for axis, extent in enumerate(operand.shape) if extent != 1}
         return operand.moved({axis: grows.get(axis) for axis in range(len(operand.shape))}, tuple(out.shape))
 
-    def _squeeze(self, inputs: list[View], out: Any, parameters: Any) -> View:
-        return self._without_unit_axes(inputs[0], tuple(out.shape))
+    def squeeze(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return an array without some axes of one element."""
+        return self.without_unit_axes(inputs[0], tuple(out.shape))
 
-    @staticmethod
-    def _without_unit_axes(view: View, shape: Shape) -> View:
-        before = [axis for axis, extent in enumerate(view.shape) if extent != 1]
-        after = [axis for axis, extent in enumerate(shape) if extent != 1]
-        return view.moved(dict(zip(before, after, strict=True)), shape)
-
-    def _transpose(self, inputs: list[View], out: Any, parameters: Any) -> View:
+    def transpose(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return an array with its axes in another order."""
         moves: dict[int, int | None] = {axis: i for i, axis in enumerate(parameters["permutation"])}
         return inputs[0].moved(moves, tuple(out.shape))
 
-    def _slice(self, inputs: list[View], out: Any, parameters: Any) -> View:
+    def slice(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return a part."""
         if any(stride != 1 for stride in parameters["strides"] or ()):
             raise UnsupportedError("a slice in strides")
         return inputs[0].shifted(parameters["start_indices"], tuple(out.shape))
 
-    def _split(self, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def split(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return parts side by side along an axis."""
         axis, begin, parts = parameters["axis"], 0, []
-        for size in parameters["sizes"]:
+        for size in map(int, parameters["sizes"]):
             shape = tuple(size if i == axis else extent for i, extent in enumerate(inputs[0].shape))
             parts.append(inputs[0].shifted([begin if i == axis else 0 for i in range(len(shape))], shape))
             begin += size
         return parts
 
-    def _iota(self, inputs: list[View], out: Any, parameters: Any) -> View:
-        shape = tuple(out.shape)
-        if shape[parameters["dimension"]] == 1:
-            return self._spread(self.graph.constant(np.zeros((), out.dtype)), shape)
-        axis = len(squeezed(shape[: parameters["dimension"]]))
-        return View.whole(self.graph.node("iota", (), squeezed(shape), out.dtype, (axis,)), shape)
+    def unstack(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return the parts of one element along an axis, without it."""
+        (view,), axis = inputs, parameters["axis"] % len(inputs[0].shape)
+        parts = []
+        for begin in range(view.shape[axis]):
+            shape = tuple(1 if i == axis else extent for i, extent in enumerate(view.shape))
+            part = view.shifted([begin if i == axis else 0 for i in range(len(shape))], shape)
+            parts.append(self.without_unit_axes(part, (*shape[:axis], *shape[axis + 1 :])))
+        return parts
 
-    @staticmethod
-    def _spread(scalar: View, shape: Shape) -> View:
-        return View(scalar.node, (), shape)
+    def tile(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return an array several times, side by side along each axis."""
+        view = inputs[0]
+        for axis, count in enumerate(parameters["reps"]):
+            shape = tuple(extent * (count if i == axis else 1) for i, extent in enumerate(view.shape))
+            view = self._join([view] * count, shape, out.dtype, axis)
+        return view
 
-    def _stack(self, inputs: list[View], out: Any, parameters: Any) -> View:
+    def stack(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Join arrays along a new axis."""
         axis = parameters["axis"] % len(out.shape)
         grown = []
         for view in inputs:
@@ -311,10 +235,13 @@ class Tracer:
             grown.append(view.moved({i: i if i < axis else i + 1 for i in range(len(view.shape))}, shape))
         return self._join(grown, tuple(out.shape), out.dtype, axis)
 
-    def _concatenate(self, inputs: list[View], out: Any, parameters: Any) -> View:
+    def concatenate(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Join arrays along an axis."""
         return self._join(inputs, tuple(out.shape), out.dtype, parameters["dimension"])
 
     def _join(self, parts: list[View], shape: Shape, dtype: Any, axis: int) -> View:
+        if 0 in shape:
+            return self.spread(self.graph.constant(np.zeros((), dtype)), shape)
         parts = [part for part in parts if 0 not in part.shape]
         if len(parts) == 1:
             return parts[0]
@@ -324,10 +251,11 @@ class Tracer:
         accesses = tuple(part.access() for part in parts)
         return View.whole(self.graph.node("concatenate", accesses, squeezed(shape), dtype, attributes), shape)
 
-    def _cond(self, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def cond(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return the results of one of two branches."""
         which, operands = inputs[0], inputs[1:]
         branches = parameters["branches"]
-        if len(branches) != 2 or squeezed(which.shape):
+        if len(branches) != 2 or which.shape:
             raise UnsupportedError("a switch of several branches")
         regions, results = [], []
         for branch in branches:
@@ -337,7 +265,21 @@ class Tracer:
         cond = self.graph.node("cond", (which.access(),), (), np.bool_, regions=tuple(regions), invariant=False)
         return [self._branch_result(cond, i, views) for i, views in enumerate(zip(*results, strict=True))]
 
-    def _while(self, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+    def _branch_result(self, cond: Any, place: int, views: tuple[View, ...]) -> View:
+        first = views[0]
+        node = self.graph.node(
+            "output",
+            (Access(cond, ()),),
+            squeezed(first.shape),
+            first.node.dtype,
+            (place,),
+            invariant=False,
+            uniform=cond.uniform and all(view.node.uniform for view in views),
+        )
+        return View.whole(node, first.shape)
+
+    def while_(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return what a loop hands on when its condition no longer holds."""
         conditions, bodies = parameters["cond_nconsts"], parameters["body_nconsts"]
         first = inputs[conditions + bodies :]
         if any(0 in view.shape for view in first):
@@ -367,46 +309,22 @@ class Tracer:
         self.graph.region = region.parent
         return region, views
 
-    def _cumsum(self, inputs: list[View], out: Any, parameters: Any) -> View:
-        shape = tuple(out.shape)
-        if shape[parameters["axis"]] == 1:
-            return inputs[0]
-        attributes = (len(squeezed(shape[: parameters["axis"]])), parameters["reverse"])
-        return View.whole(
-            self.graph.node("cumsum", (inputs[0].access(),), squeezed(shape), out.dtype, attributes), shape
-        )
 
-    def _branch_result(self, cond: Any, place: int, views: tuple[View, ...]) -> View:
-        first = views[0]
-        node = self.graph.node(
-            "output",
-            (Access(cond, ()),),
-            squeezed(first.shape),
-            first.node.dtype,
-            (place,),
-            invariant=False,
-            uniform=cond.uniform and all(view.node.uniform for view in views),
-        )
-        return View.whole(node, first.shape)
+class _Products:
+    """The products of one function, by their variables, and who looks at them."""
 
+    def __init__(self, jaxpr: Any):
+        self.made: dict[Any, list[View]] = {}
+        read = [atom for equation in jaxpr.eqns for atom in equation.invars] + list(jaxpr.outvars)
+        self._reads = Counter(atom for atom in read if not isinstance(atom, jex.Literal))
 
-def _filling(value: Any, dtype: Any) -> Any:
-    """Return what JAX puts where an index is out of range."""
-    if value is not None:
-        return value
-    kind = np.dtype(dtype).kind
-    if kind == "f":
-        return np.nan
-    if kind == "b":
-        return True
-    return np.iinfo(dtype).min if kind == "i" else np.iinfo(dtype).max
+    def of(self, atom: Any) -> list[View] | None:
+        """Return the factors, if it is a product."""
+        return None if isinstance(atom, jex.Literal) else self.made.get(atom)
 
-
-class _Like(NamedTuple):
-    """Shape and type of a result."""
-
-    shape: Shape
-    dtype: Any
+    def only_here(self, atom: Any) -> bool:
+        """Return whether it is looked at once."""
+        return self._reads[atom] == 1
 
 
 def trace(function: Callable[..., Any], *arguments: Any) -> Any:

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.native.graph import Access, Node, Shape, UnsupportedError
+from qrsim.native.graph import Access, Node, Shape
+from qrsim.native.refusal import UnsupportedError
 from qrsim.native.text import literal, scalar_type, splat, stored_bytes, stored_type, suffix, vector
 
 # For each axis of an array: which start moves it and the largest that it may be, None where it stands still.
@@ -218,23 +219,14 @@ class Writer:
 
     def _pick(self, node: Node, lanes: int) -> str:
         """Return elements of an array that lie where the program computes."""
-        access, place = node.args[0], self.place(node.args[0].node)
-        moved, fill = node.attributes
+        access, place, (moved,) = node.args[0], self.place(node.args[0].node), node.attributes
         starts = [self.value(start) for start in node.args[1:]]
         dtypes = [start.node.dtype for start in node.args[1:]]
         if all(have <= 1 for _, have in starts):
             begun = self.begun(place, moved, starts, dtypes)
-            found = self.widened(self._read(access, begun), node.dtype, lanes)
-        else:
-            wide = [self.widened(start, dtype, lanes) for start, dtype in zip(starts, dtypes, strict=True)]
-            starts = [(text, lanes) for text in wide]
-            found = self._picked(node, place, wide, lanes)
-        if fill is None:
-            return found
-        inside = self.in_range(moved, starts, dtypes, lanes)
-        of = vector(scalar_type(node.dtype), lanes)
-        number = splat(literal(np.frombuffer(fill, node.dtype)[0], node.dtype), scalar_type(node.dtype), lanes)
-        return self.emit(f"select {vector('i1', lanes)} {inside}, {of} {found}, {of} {number}")
+            return self.widened(self._read(access, begun), node.dtype, lanes)
+        wide = [self.widened(start, dtype, lanes) for start, dtype in zip(starts, dtypes, strict=True)]
+        return self._picked(node, place, wide, lanes)
 
     def begun(self, place: Place, moved: Moves, starts: list[tuple[str, int]], dtypes: list[Any]) -> Place:
         """Return a place moved by starts, each brought into its range."""
@@ -260,7 +252,7 @@ class Writer:
 
     def _picked(self, node: Node, place: Place, starts: list[str], lanes: int) -> str:
         """Return a vector of elements, each from its own start."""
-        access, (moved, _), wide = node.args[0], node.attributes, vector("i64", lanes)
+        access, (moved,), wide = node.args[0], node.attributes, vector("i64", lanes)
         # From lane to lane: to the next world, or to the next element along the vector's axis.
         step = stored_bytes(node.dtype) if self._lanes_of(access.node) > 1 else 0
         if self.scope.lane_axis is not None:

@@ -162,7 +162,7 @@ class Quadrotor:
         thrust_rate = self.thrust_rate(state.thrust, command.throttle, command.battery, dt)
         velocity, rates = state.velocity_body, state.rates_body
         relative = velocity - air_velocity(trig)
-        lift = (state.thrust + dt * thrust_rate) / self.mass
+        lift = (state.thrust + dt * thrust_rate) * (1.0 / self.mass)
         aerodynamic = Vec3(self.kuv * relative.x, self.kuv * relative.y, self.kw * relative.z - lift)
         # Process noise is a real force, so an accelerometer feels it.
         force = aerodynamic + noise.linear
@@ -183,7 +183,7 @@ class Quadrotor:
         wanted = self.wanted_thrust(throttle)
         ceiling = self.cvb0 + self.cvb1 * battery
         missing = jnp.minimum(wanted, ceiling) - thrust
-        limited = jnp.clip(missing / dt, -self.tau1, self.tau1)
+        limited = jnp.clip(missing * (1.0 / dt), -self.tau1, self.tau1)
         return jnp.where(raw < self.throttle_min_raw, self.tau0 * missing, limited)
 
     def wanted_thrust(self, throttle: Array) -> Array:
@@ -194,9 +194,9 @@ class Quadrotor:
     def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
         """Return the stabilised body's angular acceleration [rad/s^2] (eqs. 4-5)."""
         rates, attitude = state.rates_body, state.attitude
-        roll_raw = command.roll / PITCH_ROLL_RAD_PER_RAW
-        pitch_raw = command.pitch / PITCH_ROLL_RAD_PER_RAW
-        yaw_raw = command.yaw_rate / YAW_RATE_RAD_S_PER_RAW
+        roll_raw = command.roll * (1.0 / PITCH_ROLL_RAD_PER_RAW)
+        pitch_raw = command.pitch * (1.0 / PITCH_ROLL_RAD_PER_RAW)
+        yaw_raw = command.yaw_rate * (1.0 / YAW_RATE_RAD_S_PER_RAW)
         roll = self.kpq1 * (self.kpq0 * roll_raw - attitude.roll) + self.kpq2 * rates.x
         pitch = self.kpq1 * (self.kpq0 * pitch_raw - attitude.pitch) + self.kpq2 * rates.y
         return Vec3(

@@ -1,0 +1,41 @@
+"""What is not compiled here, and how that is said."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class UnsupportedError(Exception):
+    """A program that this code generator cannot compile; XLA can.
+
+    Args:
+        reason: what it is about the program.
+        place: the line of the program, where it is known.
+    """
+
+    def __init__(self, reason: str, place: str = ""):
+        super().__init__(f"{reason} at {place}" if place else reason)
+        self.reason, self.place = reason, place
+
+    def at(self, place: str) -> UnsupportedError:
+        """Return the same with a line of the program, unless it has one."""
+        return self if self.place else UnsupportedError(self.reason, place)
+
+
+@contextmanager
+def refusing() -> Iterator[None]:
+    """Let whatever goes wrong inside be a program that this code generator cannot compile.
+
+    Raises:
+        UnsupportedError: in place of any other error but a lack of memory.
+    """
+    try:
+        yield
+    except (UnsupportedError, MemoryError):
+        raise
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise UnsupportedError(
+            f"an error of the code generator itself ({type(error).__name__}: {text[:200]})"
+        ) from error
