@@ -2,39 +2,56 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
+from typing import Concatenate, ParamSpec, TypeVar
 
 from qrsim.errors import BusyError
 
 
-class _Flown(Protocol):
-    _flying: Any
+class Alone:
+    """What one thread at a time may change, and others may look at meanwhile.
+
+    Whoever looks holds ``_lock`` and waits for it. Whoever changes holds it too and notes ``_changes``: another
+    that wants to change knows that it must not wait: two threads that fly one simulation get another flight each time.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._changes = False
+
+    def _wait_or_refuse(self, what: str) -> None:
+        """Take the lock, which another thread has, as soon as nobody looks.
+
+        Raises:
+            BusyError: the other one does not look but change.
+        """
+        if self._changes:
+            raise BusyError(
+                f"{what}: another thread is flying this simulation; give each thread its own, or let one wait for the "
+                "other (threading.Lock)"
+            )
+        self._lock.acquire()
 
 
-S = TypeVar("S", bound=_Flown)
+S = TypeVar("S", bound=Alone)
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 def alone(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[S, P], R]:
-    """Let one thread at a time call a method, and those that it calls; its object has a lock ``_flying``.
-
-    A thread that comes while another is inside does not wait, because whoever flies one simulation from two threads
-    gets another flight each time: it is told.
-    """
+    """Let one thread at a time call a method that changes something, see ``Alone``."""
 
     @wraps(method)
     def called(self: S, /, *arguments: P.args, **named: P.kwargs) -> R:
-        if not self._flying.acquire(blocking=False):
-            raise BusyError(
-                f"{method.__name__}: another thread is flying this simulation; give each thread its own, or let one "
-                "wait for the other (threading.Lock)"
-            )
+        if not self._lock.acquire(False):
+            self._wait_or_refuse(method.__name__)
+        self._changes = True
         try:
             return method(self, *arguments, **named)
         finally:
-            self._flying.release()
+            self._changes = False
+            self._lock.release()
 
     return called

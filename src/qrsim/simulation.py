@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import threading
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import jax
 import numpy as np
 
 from qrsim.actions import ActionChecker
-from qrsim.alone import alone
+from qrsim.alone import Alone, alone
 from qrsim.configuration import use_compilation_cache
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
@@ -47,7 +46,7 @@ class History:
 
 
 # Of a simulation, what a copy makes for itself.
-_MADE_AGAIN = ("_checker", "_ticks", "_numbers", "_host", "_flying", "_changing")
+_MADE_AGAIN = ("_checker", "_ticks", "_numbers", "_host", "_lock", "_changes")
 
 
 class _Snapshot:
@@ -65,7 +64,7 @@ class _Snapshot:
         return Glimpse(self._layout, self._buffers, numbers, (State, FleetState))  # type: ignore
 
 
-class Simulation:
+class Simulation(Alone):
     """A world that flies.
 
     One thread at a time may fly it: where another is in a call that changes its state, ``reset``, ``step`` and the like
@@ -88,6 +87,7 @@ class Simulation:
     """
 
     def __init__(self, world: World, *, seed: int = 0, number: int = 0, name: str = "world", site: Site | None = None):
+        super().__init__()
         use_compilation_cache()
         self.world = world
         self.name = name
@@ -104,13 +104,10 @@ class Simulation:
         self._numbers: Any = None
         self._state: Buffers | None = None
         self._host: _Snapshot | None = None
-        self._flying = threading.RLock()
-        # Held while the state is changed or copied.
-        self._changing = threading.RLock()
 
     def __getstate__(self) -> dict[str, Any]:
         # Programs are those of the world, and made again; locks are nobody else's.
-        with self._changing:
+        with self._lock:
             kept = {name: value for name, value in vars(self).items() if name not in _MADE_AGAIN}
             return kept | {"_state": None if self._state is None else tuple(map(np.array, self._state))}
 
@@ -142,7 +139,7 @@ class Simulation:
         """Start an episode and return its first reading; a new seed makes another episode."""
         if seed is not None:
             self.seed = _checked_seed(seed)
-        with self._changing, self.precision_context():
+        with self.precision_context():
             self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
             self._numbers = self._layout.numbers()
             self.tick, self._host = 0, None
@@ -153,7 +150,7 @@ class Simulation:
     def _keys(self, seed: int, number: int) -> WorldKeys:
         return keys_of(self.world, Key.root(seed, number))
 
-    @alone
+    # Here and in ``advance`` what ``alone`` does is written out: called so often, its own call counts.
     def step(self, command: Any = None, ticks: int = 1, estimate: Estimate | None = None) -> Reading:
         """Advance and return the reading at the end.
 
@@ -170,20 +167,33 @@ class Simulation:
             UsageError: wrong shape, a value for a vehicle that flies that is not finite, one outside its range (field,
                 value and range are named), or a number of ticks that is not a positive integer.
         """
-        self._advance(command, ticks, estimate)
-        return self.reading
+        if not self._lock.acquire(False):
+            self._wait_or_refuse("step")
+        self._changes = True
+        try:
+            self._advance(command, ticks, estimate)
+            return Reading(self.world, self._snapshot().glimpse(self._numbers), self.tick, self.site)
+        finally:
+            self._changes = False
+            self._lock.release()
 
-    @alone
     def advance(self, command: Any = None, ticks: int = 1, estimate: Estimate | None = None) -> None:
         """Advance as ``step`` does, for those who do not look at the reading of every step."""
-        self._advance(command, ticks, estimate)
+        if not self._lock.acquire(False):
+            self._wait_or_refuse("advance")
+        self._changes = True
+        try:
+            self._advance(command, ticks, estimate)
+        finally:
+            self._changes = False
+            self._lock.release()
 
     def _advance(self, command: Any, ticks: int, estimate: Estimate | None) -> None:
         actions = self._checker.actions(command, lambda: self.valid)
         estimates = self._checker.estimates(estimate)
         count = self._checked_ticks(ticks)
         layout, state = self._running()
-        with self._changing, self.precision_context():
+        with self.precision_context():
             self._state = self._ticks.advance(layout, state, self.tick, count, (actions, estimates))
             self.tick += count
             self._host = None
@@ -211,7 +221,7 @@ class Simulation:
         if count > capacity:
             raise UsageError(f"ticks: {count} is more than the capacity, {capacity}; give capacity={count}, or none")
         layout, state = self._running()
-        with self._changing, self.precision_context():
+        with self.precision_context():
             self._state, rows = self._ticks.record(layout, state, self.tick, count, (actions, estimates), capacity)
             numbers = np.arange(self.tick + 1, self.tick + count + 1)
             self.tick += count
@@ -238,7 +248,7 @@ class Simulation:
         """
         layout, before = self._running()
         rows, chosen = checked_rows(state, self.vehicle_names, self.dtype)
-        with self._changing, self.precision_context():
+        with self.precision_context():
             changed = self._ticks.place(layout, before, self.tick, (rows, chosen))
             fleets = layout.unpack(changed).fleets
             refuse_misplaced([fleet.violation for fleet in fleets], chosen, self.vehicle_names)
@@ -272,7 +282,7 @@ class Simulation:
         """
         saved = SavedState.of(source)
         saved.check(self.name, self._fingerprint())
-        with self._changing, self.precision_context():
+        with self.precision_context():
             keys = self._keys(saved.seed, saved.number)
             layout, own = (self._layout, self._state) if self._layout is not None else self._ticks.reset(keys)
             assert layout is not None
@@ -307,19 +317,19 @@ class Simulation:
     @property
     def state(self) -> State:
         """The whole state as NumPy arrays."""
-        return self._snapshot().state
+        with self._lock:
+            return self._snapshot().state
 
     def _snapshot(self) -> _Snapshot:
-        with self._changing:
-            if self._host is None:
-                # A copy, because the next step overwrites the buffers themselves.
-                self._host = _Snapshot(*self._running())
-            return self._host
+        if self._host is None:
+            # A copy, because the next step overwrites the buffers themselves.
+            self._host = _Snapshot(*self._running())
+        return self._host
 
     @property
     def history(self) -> History:
         """The present state as a History of one tick."""
-        with self._changing:
+        with self._lock:
             layout, state = self._running()
             host, tick = tuple(np.array(buffer)[None] for buffer in state), self.tick
         return History(np.array([tick]), self.world.time_step, layout.unpack(host))  # type: ignore[arg-type]
@@ -327,13 +337,14 @@ class Simulation:
     @property
     def reading(self) -> Reading:
         """What the sensors say now."""
-        with self._changing:
+        with self._lock:
             return Reading(self.world, self._snapshot().glimpse(self._numbers), self.tick, self.site)
 
     @property
     def truth(self) -> Truth:
         """What is really the case now, all fleets one after the other."""
-        return Truth(self._snapshot().glimpse(self._numbers))
+        with self._lock:
+            return Truth(self._snapshot().glimpse(self._numbers))
 
     @property
     def valid(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
