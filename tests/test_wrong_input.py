@@ -153,6 +153,29 @@ def test_overrides_that_are_refused(override: str) -> None:
     assert len(str(caught.value)) < 6000
 
 
+LONG = "x" * 5000
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["plot", LONG], ["compare", LONG, LONG], ["run", "hover", "--out", LONG], ["sweep-report", LONG],
+        ["run", "hover", "--policy", f"{LONG}.py:f"], ["show", f"{LONG}.yaml"], ["sweep-report", "."],
+    ],
+)  # fmt: skip
+def test_names_that_no_file_can_have(command: list[str], capsys: Any) -> None:
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert any(words in said for words in ("File name too long", "there is no file", "it is no store"))
+    assert "Traceback" not in said
+
+
+def test_a_run_of_such_a_name() -> None:
+    for name in (LONG, "a\0b"):
+        with pytest.raises(UsageError, match="no run at "):
+            open_run(name)
+
+
 def test_a_folder_that_is_written_while_it_is_read(run_folder: Path) -> None:
     """A run that was killed before its first tick has no parts, and that is said."""
     shutil.rmtree(run_folder / "truth")

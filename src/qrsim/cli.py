@@ -41,7 +41,7 @@ from qrsim.apps.sweep.command import Sweep
 from qrsim.apps.sweep.report_command import SweepReport
 from qrsim.apps.validate.command import Validate
 from qrsim.apps.view.command import View
-from qrsim.errors import QrsimError, UsageError, did_you_mean
+from qrsim.errors import QrsimError, UsageError, did_you_mean, shortened
 
 DESCRIPTION = """A simulator of several unmanned aerial vehicles outdoors.
 
@@ -50,6 +50,8 @@ Example:
   qrsim run outdoor_patrol --seed 7 --set world.wind.speed_20ft=7
   qrsim plot runs/NAME"""
 
+# What the system says of a name before it looks whether there is such a file.
+_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)
 _TYRO_CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
 
 
@@ -141,6 +143,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if asked := interruptions.asked():  # a library has made another exception of it
             return _interrupted(asked)
+        if isinstance(error, OSError) and error.errno in _NAMES and isinstance(error.filename, str):
+            _print_error(f"{shortened(error.filename, 100)}: {error.strerror}")
+            return 2
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
             _discard_output()
             _print_error(f"cannot write the output: {error.strerror}")
@@ -176,7 +181,7 @@ def _dispatch(arguments: list[str]) -> int:
         return 0
     for argument in arguments:
         # Python keeps bytes that are no text of the terminal's encoding; logs and JSON could not hold them.
-        if any("\ud800" <= character <= "\udfff" for character in argument):
+        if "\0" in argument or any("\ud800" <= character <= "\udfff" for character in argument):
             raise UsageError(f"qrsim: the argument {argument!a} is no text in UTF-8")
     try:
         command = _parse(arguments, COMMANDS, "qrsim", DESCRIPTION)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pyarrow as pa
 from pydantic import TypeAdapter, ValidationError
 
-from qrsim.errors import RunError, ScenarioError, UsageError, did_you_mean
+from qrsim.errors import RunError, ScenarioError, UsageError, did_you_mean, shortened
 from qrsim.logs.episodes import EPISODES_FILE, episode_folders, holds_episodes, which_one
 from qrsim.logs.layout import EVENTS, FORMAT, INDEX, RUN_FILE, SCENARIO_FILE, Column, Event, RunInfo
 from qrsim.logs.parts import StreamParts
@@ -40,6 +40,11 @@ def open_run(path: Path | str, *, skip_damaged: bool = False) -> Run:
         RunError: ``run.json`` is damaged, or of a later version of qrsim.
     """
     folder = Path(path)
+    try:
+        folder.exists()
+    except (OSError, ValueError) as error:  # a name that is too long, or has a null byte
+        words = getattr(error, "strerror", None) or str(error)
+        raise UsageError(f"no run at {shortened(str(folder), 100)}: {words}") from None
     if holds_episodes(folder):
         found = episode_folders(folder)
         if len(found) == 1:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from qrsim.errors import RunError
+from qrsim.errors import RunError, UsageError
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,8 @@ class SweepReport:
         require("sweep", "qrsim sweep-report")
         from qrsim.apps.sweep.report import find, print_report, to_json, write
 
+        if not self.store.name:
+            raise UsageError(f"{self.store}: it is no store of a sweep; 'qrsim sweep STUDY' writes one")
         folder = self.out or self.store.with_name(f"{self.store.name.removesuffix('.zarr')}-report")
         report = find(self.store, self.metric, self.map)
         try:
