@@ -16,6 +16,8 @@ import pytest
 
 from qrsim import load_scenario
 
+pytestmark = pytest.mark.long
+
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 NAMES = sorted(path.stem for path in FOLDER.glob("[!_]*.py"))
 MACHINE = {"cpu", "cores", "load_average", "os", "python", "jax", "jaxlib", "qrsim"}

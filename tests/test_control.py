@@ -506,6 +506,7 @@ class TestClosedLoop:
 
 
 class TestGradients:
+    @pytest.mark.long
     def test_with_respect_to_gains_set_point_and_start(self):
         """Finite, also where the vehicle is at its waypoint, where commands are clipped, and at the yaw's wrap."""
         start = Vec3(floats(0.0, 0.0, 0.0), floats(0.0, 0.0, 0.0), floats(-10.0, -10.0, -10.0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,18 +25,27 @@ def blocks(language: str) -> list[tuple[str, str]]:
     return found
 
 
+def examples(language: str) -> list[Any]:
+    """Return a case for every example; those beyond the README take long."""
+    cases = []
+    for name, text in blocks(language):
+        marks = () if name.startswith("README") else (pytest.mark.long,)
+        cases.append(pytest.param(name, text, id=name, marks=marks))
+    return cases
+
+
 def test_the_pages_have_examples() -> None:
     assert blocks("python")
     assert blocks("bash")
 
 
-@pytest.mark.parametrize(("name", "text"), [pytest.param(*block, id=block[0]) for block in blocks("python")])
+@pytest.mark.parametrize(("name", "text"), examples("python"))
 def test_python_example(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     exec(compile(text, name, "exec"), {"__name__": "example"})
 
 
-@pytest.mark.parametrize(("name", "text"), [pytest.param(*block, id=block[0]) for block in blocks("bash")])
+@pytest.mark.parametrize(("name", "text"), examples("bash"))
 def test_commands(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for line in text.splitlines():
@@ -46,7 +56,7 @@ def test_commands(name: str, text: str, tmp_path: Path, monkeypatch: pytest.Monk
         assert cli.main(words[1:]) == 0, line
 
 
-@pytest.mark.parametrize(("name", "text"), [pytest.param(*block, id=block[0]) for block in blocks("yaml")])
+@pytest.mark.parametrize(("name", "text"), examples("yaml"))
 def test_scenario_flies(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("example.yaml").write_text(text, "utf-8")

@@ -11,6 +11,7 @@ def steps() -> dict[str, dict[str, dict[str, float]]]:
     return study.step_responses()
 
 
+@pytest.mark.long
 def test_every_controller_settles_where_it_is_asked_to(steps: dict[str, dict[str, dict[str, float]]]) -> None:
     """In calm air, to 1 % of the step; heights to 5 %, because the published integral takes minutes."""
     for fleet, responses in steps.items():

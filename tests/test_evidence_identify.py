@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from evidence import identify as study
 
 
@@ -14,6 +15,7 @@ def test_vehicles_that_are_drawn_can_hover() -> None:
         assert study.HOVER[0] <= throttle <= study.HOVER[1]
 
 
+@pytest.mark.long
 def test_a_simulated_vehicle_is_identified() -> None:
     """One short flight in wind: the roll and pitch constants to 3 %."""
     found = study.round_trip(1, 16.0)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
 from evidence import performance
 from evidence.__main__ import plain
 
 
+@pytest.mark.long
 def test_small_form():
     found = plain(performance.run(full=False))
     for stages in found["throughput"].values():

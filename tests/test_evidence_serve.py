@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
 from evidence import serve
 from evidence.__main__ import plain
 
 
+@pytest.mark.long
 def test_small_form():
     found = plain(serve.run(full=False))
     for name in ("lock_step", "outstanding", "written_twice", "readings", "long_steps"):

@@ -17,6 +17,8 @@ from examples import keep_spot_ppo as ppo
 
 from qrsim.errors import UsageError
 
+pytestmark = pytest.mark.long
+
 REPORT = Path(__file__).parents[1] / "docs" / "evidence" / "training.json"
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from evidence import view as study
 
+pytestmark = pytest.mark.long
+
 
 def test_browsers_come_and_go_while_vehicles_fly() -> None:
     """Numbers of a busy machine mean nothing; that they are there, and of what kind, does."""

@@ -84,6 +84,7 @@ def extreme(flown: Rollout, name: str, values: Array) -> tuple[Array, Array]:
 class TestAgainstTheStates:
     """Of every world and vehicle, with nothing but NumPy."""
 
+    @pytest.mark.long
     def test_path(self, flown):
         position = flown.recorded["position"]
         assert position.dtype == np.float64

@@ -12,6 +12,8 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+pytestmark = pytest.mark.long
+
 NOTEBOOK = Path(__file__).resolve().parent.parent / "examples" / "first_experiment.ipynb"
 LARGEST_BYTES = 400_000
 

@@ -158,6 +158,7 @@ class TestWorldsAreSimulations:
         assert flown.reasons(2)[0].startswith("out_of_area: position_ned.x = 6.1")
         assert flown["position_ned"][1, 0, 2] > flown["position_ned"][0, 0, 2] + 0.1  # the heavier sinks
 
+    @pytest.mark.long
     def test_on_two_devices(self, bare, tmp_path):
         """Three worlds, so that one device has a world to itself, and the other a world twice."""
         program = """
@@ -310,6 +311,7 @@ class TestBlocks:
 
 
 class TestMemory:
+    @pytest.mark.long
     def test_many_worlds_stay_small(self):
         """4096 worlds of one noisy vehicle below 2 GiB; as many again, in a second block, add little."""
         program = """

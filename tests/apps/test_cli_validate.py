@@ -79,7 +79,9 @@ def quick(recordings: Path) -> Callable[[str], Outcome]:
     return run
 
 
-@pytest.mark.parametrize("name", list(PARTS))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.long] * (name in ("gnss", "turbulence"))) for name in PARTS]
+)
 def test_a_part_passes_and_tells_its_numbers(quick: Callable[[str], Outcome], name: str):
     outcome = quick(name)
     assert [check.name for check in outcome.checks if not check.passed] == []

@@ -149,6 +149,7 @@ class TestRefused:
         refused(words, "pip install 'qrsim[view]'")
 
 
+@pytest.mark.long
 def test_two_pages_of_one_run_and_their_end(flown: Flight):
     """In processes of their own, on two ports; Ctrl-C ends them."""
     command = [sys.executable, "-m", "qrsim.cli", "view", str(flown.folder)]
@@ -179,6 +180,7 @@ def test_a_run_prints_where_its_page_is(fly):
     assert flight.json["simulated_s"] == pytest.approx(0.4)
 
 
+@pytest.mark.long
 def test_a_browser_that_goes_away_ends_no_run(tmp_path: Path):
     """Closed without a word in mid-run; another one gets the page, and Ctrl-C ends the run as always."""
     words = ["outdoor_patrol", "--duration", "900", "--view", "--view-port", "0", "--out", str(tmp_path / "run")]

@@ -24,7 +24,10 @@ from qrsim.view.clock import SPEEDS, Clock
 from qrsim.view.page import Page
 from qrsim.view.server import address, start_server
 
-pytestmark = pytest.mark.skipif(find_browser() is None, reason=f"no browser; {INSTALL}")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(find_browser() is None, reason=f"no browser; {INSTALL}"),
+]
 WIDTH, HEIGHT = 800, 600
 PATIENCE_S = 90.0
 # Of the picture's middle; the panel is beside it.

@@ -19,6 +19,8 @@ from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView
 from qrsim.view.steering import Wind
 
+pytestmark = pytest.mark.long
+
 SEED = 3
 SEARCH = load_scenario(
     "search_and_rescue/2D",

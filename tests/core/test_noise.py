@@ -228,6 +228,7 @@ class TestStructure:
 class TestStatistics:
     """Each statistic's p-value against 0.001/K over the K of its family: 99.9 % confidence (Bonferroni)."""
 
+    @pytest.mark.long
     def test_normals(self, small):
         found = small["normals"]
         assert found["draws"] == 9 * 4 * 1024 * 64

@@ -141,6 +141,7 @@ def test_mean_and_spread_of_a_score_are_as_published(r: float, ground: int) -> N
 
 
 @pytest.mark.parametrize("ground", [CLEAR, CLUTTER])
+@pytest.mark.long
 def test_the_scores_of_empty_windows_are_distributed_as_published(ground: int) -> None:
     """Mean and variance of the ratios of 20 pictures from 25 m against the formulas, within four standard errors.
 
@@ -170,6 +171,7 @@ def _moments(r: Array, ground: int) -> tuple[tuple[Array, Array], tuple[Array, A
     return (shaped[0][0], shaped[0][1]), (shaped[1][0], shaped[1][1])
 
 
+@pytest.mark.long
 def test_a_picture_is_the_same_however_often_and_with_whomever_it_is_looked_at() -> None:
     one = develop(Camera(), taken((0.0, 0.0, -25.0), number=3.0), NOBODY)
     two = develop(Camera(), taken([(0.0, 0.0, -25.0), (5.0, 0.0, -30.0)], number=3.0), NOBODY)

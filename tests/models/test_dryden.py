@@ -406,6 +406,7 @@ def simulate(turbulence: Dryden, height: Any, airspeed: Any, dt: float, ticks: i
     return jax.lax.scan(tick, state, jnp.arange(ticks - keep, ticks, dtype=jnp.uint32))[1]
 
 
+@pytest.mark.long
 def test_monte_carlo_variance() -> None:
     """Chi-squared over 2048 independent vehicles, in a band of 99 % confidence over all 15 x 6 variances."""
     vehicles, cases = 2048, list(itertools.product(HEIGHTS, AIRSPEEDS))

@@ -13,6 +13,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+@pytest.mark.long
 def test_variances_and_spectra_of_both() -> None:
     """Every variance is the one its own recursion has, at 99.9 % confidence over all; spectra are near the standard's.
 

@@ -79,6 +79,7 @@ def test_gust_late_in_a_long_run_is_as_smooth_as_an_early_one() -> None:
     np.testing.assert_allclose([at(late, 1e6 + time)[0] for time in times], early, atol=1e-5)
 
 
+@pytest.mark.long
 def test_no_gust_and_gradients() -> None:
     place = Vec3.of(jnp.ones((3, 3), jnp.float32))
     still = NoGust().velocity_ned(place, jnp.int32(3), jnp.float32(0.5))

@@ -254,6 +254,7 @@ class TestProcessNoise:
             for axis, base in zip(jax.tree.leaves(scaled), reference, strict=True):
                 np.testing.assert_allclose(axis, base * math.sqrt(0.02 / dt), rtol=1e-6)
 
+    @pytest.mark.long
     def test_motion_does_not_depend_on_the_step(self):
         """The spread of 4096 vehicles after 0.4 s, at four times the steps."""
         n = 4096
@@ -309,6 +310,7 @@ class TestNumerics:
         assert fine < 1e-3
 
     @pytest.mark.parametrize("precision", ["float32", "float64"])
+    @pytest.mark.long
     def test_gradient_with_respect_to_every_constant(self, precision: str):
         """Finite throughout; in float64 also equal to central differences."""
         rng = np.random.default_rng(3)

@@ -28,6 +28,7 @@ def grounds() -> np.ndarray[Any, Any]:
     return np.asarray(jax.jit(jax.vmap(grow))(jnp.arange(24, dtype=jnp.uint32)))
 
 
+@pytest.mark.long
 def test_the_classes_have_their_shares(grounds: np.ndarray[Any, Any]) -> None:
     """The last one grown exactly; of the one before, occlusion may have turned some cells, never more than its own."""
     assert set(np.unique(grounds)) == {CLEAR, CLUTTER, OCCLUSION}

@@ -20,6 +20,7 @@ FLOWN = [name for name in built_in_names() if "/" not in name or name in FAMILIE
 
 
 @pytest.mark.parametrize("name", FLOWN)
+@pytest.mark.long
 def test_a_built_in_scenario_flies_for_twenty_seconds(name: str) -> None:
     simulation = qrsim.load(name, seed=1)
     start = simulation.reset()

@@ -159,6 +159,7 @@ def puffs(points: Array, speed: float, count: int) -> Array:
     return found
 
 
+@pytest.mark.long
 def test_samples_of_puffs_are_like_those_of_the_source() -> None:
     """Who hovers and says as much everywhere is fifty off; the locations alone bring that below 15."""
     game = play("3E", ["task.samples=400"])

@@ -64,6 +64,7 @@ def moved(episode: Any, fleet: int, positions: Any) -> Any:
     return replace(episode, state=replace(state, fleets=tuple(fleets)))
 
 
+@pytest.mark.long
 def test_cats_are_placed_as_published_and_the_mouse_flees_along_the_sum() -> None:
     """And the reward is that of all cats: the reference sums the first only."""
     game = play("cats_and_mouse/1A")
@@ -113,6 +114,7 @@ def test_a_collision_costs_the_penalty_and_ends_the_episode() -> None:
     assert np.isfinite(np.asarray(step.observation)).all(), "the last believed place is seen"
 
 
+@pytest.mark.long
 def test_hovering_near_a_person_finds_it_and_gives_one() -> None:
     game = play("search_and_rescue/2A")
     episode, seen = begin(game, [4, 5])
@@ -129,6 +131,7 @@ def test_hovering_near_a_person_finds_it_and_gives_one() -> None:
     np.testing.assert_allclose(step.reward, -1.0 / 200.0)
 
 
+@pytest.mark.long
 def test_an_episode_is_the_same_alone_and_in_a_batch() -> None:
     """The noise to the bit, the flight within rounding; where sensors are due at other times than actions too."""
     game = play("plume_mapping/3E", "world.plume.gap=0.4", "world.plume.puffs=1500")
@@ -224,6 +227,7 @@ def test_what_cannot_be_played_is_refused(name: str, override: str, message: str
         load_scenario(name, [override])
 
 
+@pytest.mark.long
 def test_cats_that_find_no_place_are_an_error_with_numbers() -> None:
     import qrsim
     from qrsim.errors import RunError

@@ -41,6 +41,7 @@ def drawn(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return handle.batched_positions[there], handle.batched_colors[there]
 
 
+@pytest.mark.long
 def test_windows_lie_where_the_camera_looks_and_say_what_the_classifier_says(scene: Scene, flown: Simulation):
     frame = frame_of(flown.state, flown.time, flown.world)
     scene.draw(frame)

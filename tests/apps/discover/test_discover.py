@@ -26,6 +26,8 @@ from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.openloop import simulate_open_loop
 from qrsim.scenarios.scenario import load_scenario
 
+pytestmark = pytest.mark.long
+
 LEFT_OUT = ("velocity_north", "velocity_east", "velocity_down", "throttle", "battery")
 
 

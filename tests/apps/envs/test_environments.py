@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import Any
 
@@ -41,12 +41,18 @@ def test_every_scenario_with_a_task_is_an_environment() -> None:
     assert all(gymnasium_id(name) in gymnasium.registry for name in SINGLE)
 
 
-@pytest.mark.parametrize("name", SINGLE)
+def checked(names: Sequence[str]) -> list[Any]:
+    """Return a case for every name; all but the quick ones take long."""
+    quick = ("keep_spot", "goto_waypoint", "cats_and_mouse/1A")
+    return [pytest.param(name, marks=() if name in quick else (pytest.mark.long,)) for name in names]
+
+
+@pytest.mark.parametrize("name", checked(SINGLE))
 def test_gymnasium_finds_nothing_wrong(name: str) -> None:
     check_env(gymnasium.make(gymnasium_id(name)).unwrapped)
 
 
-@pytest.mark.parametrize("name", SEVERAL)
+@pytest.mark.parametrize("name", checked(SEVERAL))
 def test_pettingzoo_finds_nothing_wrong(name: str) -> None:
     parallel_api_test(parallel_env(name), num_cycles=1000)
     parallel_seed_test(lambda: parallel_env(name))
@@ -161,6 +167,7 @@ def test_every_cat_needs_an_action() -> None:
         env.step({"mouse": np.zeros(2)})
 
 
+@pytest.mark.long
 def test_functions_can_be_compiled_and_mapped_over_seeds_and_scanned() -> None:
     """And a reset by the number of a seed is that of an environment."""
     env = Functional.of("keep_spot")

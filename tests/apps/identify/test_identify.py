@@ -43,6 +43,7 @@ def answer(log: FlightLog) -> Answer:
     return solve(Question(ROTATION, START, separate=True), [cut(log, 2.0, 0.0, 0.6)])
 
 
+@pytest.mark.long
 def test_constants_of_both_axes_are_found(answer: Answer) -> None:
     """With a noise of 1 mrad, to 2 %; each 95 % interval, three times as wide, holds the truth."""
     for name in ("kpq0", "kpq1", "kpq2", "kq0", "kq1", "kq2"):
@@ -73,6 +74,7 @@ def test_a_narrow_prior_holds_a_constant(log: FlightLog) -> None:
     assert found.values["kpq1"] == pytest.approx(179.0, abs=0.01)
 
 
+@pytest.mark.long
 def test_the_command_writes_a_vehicle_that_scenarios_fly(
     log_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

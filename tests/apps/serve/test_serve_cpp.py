@@ -53,6 +53,7 @@ def served() -> Iterator[Running]:
         yield found
 
 
+@pytest.mark.long
 def test_a_client_in_cpp_runs_the_whole_reference_protocol(build, served):
     program = build("reference_client", (Path(__file__).parent / "reference_client.cc").read_text("utf-8"))
     done = subprocess.run(

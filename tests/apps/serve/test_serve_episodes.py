@@ -65,6 +65,7 @@ def test_an_episode_is_that_of_the_environment_bit_for_bit(client):
             client.act([HOVER])
 
 
+@pytest.mark.long
 def test_several_agents_see_by_name_and_hand_in_answers(client):
     environment = ParallelTask(yaml.safe_load(PLUMES))
     episode = client.play(scenario=PLUMES, seed=3)

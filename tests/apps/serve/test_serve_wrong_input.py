@@ -285,6 +285,7 @@ REPLIES = {Message.STATE, Message.TASKINFO, Message.ACK, Message.SERVER, Message
 @seed(7)
 @settings(max_examples=100, deadline=None, database=None, suppress_health_check=list(HealthCheck))
 @given(payloads=st.lists(st.one_of(mutated(), st.binary(max_size=60)), min_size=20, max_size=20), started=st.booleans())
+@pytest.mark.long
 def test_two_thousand_malformed_requests(payloads, started, serving):
     """One reply to each, or the connection ends in order; the server serves on."""
     with Wire(serving.port) as wire, Wire(serving.port) as other:

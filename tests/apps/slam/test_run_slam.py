@@ -16,6 +16,8 @@ from qrsim.apps.run.recorder import fly
 from qrsim.errors import RunError, UsageError
 from qrsim.scenarios.scenario import load_scenario
 
+pytestmark = pytest.mark.long
+
 # As many states as the problems of the other tests, so that they are one program.
 SECONDS = 29.9
 

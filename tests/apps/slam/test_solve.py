@@ -72,6 +72,7 @@ def dense(normal: graphs.Normal) -> tuple[Any, Any]:
     return full, np.concatenate([np.ravel(normal.gradient), np.ravel(normal.gradient_landmarks)])
 
 
+@pytest.mark.long
 def test_the_normal_equations_are_those_of_central_differences(small: tuple[graphs.Graph, Any, Any]) -> None:
     problem, x, landmarks = small
     with jax.enable_x64(True):
@@ -128,6 +129,7 @@ def test_both_ways_to_hold_steps_back_lead_to_one_optimum() -> None:
     assert not ten.converged
 
 
+@pytest.mark.long
 def test_scipy_finds_the_same_optimum(small: tuple[graphs.Graph, Any, Any]) -> None:
     """Its own trust region on the same residuals with a sparse Jacobian: the cost to 6 digits."""
     problem, x, landmarks = small

@@ -31,6 +31,7 @@ def errors_of(time_constant: float, count: int = 4000) -> Any:
 
 
 @pytest.mark.parametrize("time_constant", [1e-3, 1.0, 100.0])
+@pytest.mark.long
 def test_errors_are_as_large_and_as_long_as_asked_for(time_constant: float) -> None:
     """Variances and correlations over 4000 receivers, within 5 standard errors; nothing in height."""
     errors = errors_of(time_constant)

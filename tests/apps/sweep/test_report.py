@@ -59,6 +59,7 @@ def test_sobol_indices_are_those_of_the_function(tmp_path: Path) -> None:
     np.testing.assert_allclose(report.sensitivity.total, (alone + together) / total, atol=0.02)
 
 
+@pytest.mark.long
 def test_the_boundary_of_failure_is_found_with_its_interval(tmp_path: Path) -> None:
     vary = {
         WIND: {"low": 0.0, "high": 10.0, "count": 11, "name": "wind"},
@@ -108,6 +109,7 @@ def test_a_report_of_a_sweep_that_still_runs(tmp_path: Path) -> None:
     assert np.isnan(mean[2])
 
 
+@pytest.mark.long
 def test_the_command_writes_pictures_and_tables(tmp_path: Path, capsys: Any) -> None:
     store = flown(tmp_path)
     assert main(["sweep-report", str(store)]) == 0

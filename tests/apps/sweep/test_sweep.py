@@ -172,6 +172,7 @@ def test_the_command_of_an_episode_flies_it_again(tmp_path: Path, named: bool, c
     assert vehicle["tracking_error_rms_m"] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.long
 def test_a_baseline_flies_what_qrsim_run_flies(tmp_path: Path) -> None:
     study = {
         "scenario": "search_and_rescue/2A",

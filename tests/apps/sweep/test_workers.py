@@ -15,6 +15,8 @@ from qrsim.apps.sweep import cluster
 from qrsim.cli import main
 from qrsim.errors import RunError
 
+pytestmark = pytest.mark.long
+
 # Many small batches, so that there is a middle to be killed in.
 MANY = {"seeds": 20, "batch": 4}
 BATCHES = 60
