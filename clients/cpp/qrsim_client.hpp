@@ -110,6 +110,9 @@ class Client {
     if (socket_ < 0) throw ConnectionFailed("cannot connect to " + where_ + ": " + std::strerror(reason));
     const int yes = 1;
     setsockopt(socket_, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
+#ifdef SO_NOSIGPIPE
+    setsockopt(socket_, SOL_SOCKET, SO_NOSIGPIPE, &yes, sizeof yes);
+#endif
     set_timeout(timeout_s);
   }
   ~Client() { close(); }

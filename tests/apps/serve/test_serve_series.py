@@ -189,14 +189,13 @@ def test_readings_that_are_missing_are_left_to_protobuf():
 
 
 def test_an_owner_who_asks_for_nothing_loses_his_session_and_is_told_so():
-    with running(idle_timeout=0.3) as served, Wire(served.port) as owner, Wire(served.port) as other:
+    with running(idle_timeout=1.0) as served, Wire(served.port) as owner, Wire(served.port) as other:
         owner.init()
         watcher = Client(port=served.port)
         states = watcher.watch(timeout=20.0)
-        begun = time.monotonic()
-        while time.monotonic() < begun + 0.8:
+        for _ in range(8):
             assert owner.ask(step()).type == Message.STATE, "who asks for something keeps it"
-            time.sleep(0.05)
+            time.sleep(0.2)
         state = owner.ask(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()))
         assert state.type == Message.READINGS
         deadline = time.monotonic() + 20.0
@@ -205,7 +204,7 @@ def test_an_owner_who_asks_for_nothing_loses_his_session_and_is_told_so():
             time.sleep(0.02)
         assert other.init().type == Message.STATE
         said = owner.refused(step())
-        assert said.startswith("session 1 has ended, because its owner asked for nothing for 0.3 s (--idle-timeout)")
+        assert said.startswith("session 1 has ended, because its owner asked for nothing for 1 s (--idle-timeout)")
         assert owner.ask(HELLO).type == Message.SERVER, "the connection stays"
         assert other.ask(step()).type == Message.STATE
         times = [next(states).time for _ in range(5)]

@@ -39,7 +39,6 @@ class Connection(asyncio.Protocol):
         server: whose client it is.
         session: what it controls, None until INIT or OPEN.
         lost: why it controls that no more, "" where it was not taken away.
-        watchdog: takes the session away where nothing is asked for too long.
         reasons: whether it asked for states of invalid vehicles.
         gone: set when nothing can be sent any more, or the server ends.
         leaving: set when the client sends nothing more, or is gone.
@@ -49,7 +48,6 @@ class Connection(asyncio.Protocol):
         self.server = server
         self.session: Session | Playing | None = None
         self.lost = ""
-        self.watchdog: asyncio.Task[None] | None = None
         self._waits_since: float | None = None
         self.reasons = False
         self.gone, self.leaving = asyncio.Event(), asyncio.Event()

@@ -33,6 +33,7 @@ S = TypeVar("S", Session, Playing)
 # ended.
 PATIENCE_S, LEAVING_S = 0.3, 30.0
 BACKLOG = 256
+MOST_BETWEEN_LOOKS_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,8 @@ class Server:
         self._opening = 0
         # Of those whose owner has lost them already.
         self._ending = 0
+        self._endings: set[asyncio.Task[None]] = set()
+        self._stopped = threading.Event()
         self._stopping = asyncio.Event()
         self._others = ThreadPoolExecutor(1, thread_name_prefix="load")
 
@@ -119,8 +122,13 @@ class Server:
             for number in (signal.SIGINT, signal.SIGTERM):
                 with suppress(NotImplementedError):
                     loop.add_signal_handler(number, self.stop)
+        if self.options.idle_timeout:
+            threading.Thread(target=self._watch_idle, args=(loop,), name="idle", daemon=True).start()
         ready(*listening.sockets[0].getsockname()[:2])
-        await self._stopping.wait()
+        try:
+            await self._stopping.wait()
+        finally:
+            self._stopped.set()
         listening.close()
         await self._end()
 
@@ -138,6 +146,7 @@ class Server:
         for connection in list(self._connections):
             connection.gone_soon()
         tasks = [connection.finished for connection in self._connections if connection.finished]
+        tasks += self._endings
         if tasks:
             await asyncio.wait(tasks, timeout=5.0)
         self._others.shutdown(wait=False)
@@ -212,21 +221,29 @@ class Server:
             self._opening -= 1
         connection.session, connection.lost = session, ""
         self.sessions[session.number] = session
-        if self.options.idle_timeout:
-            connection.watchdog = asyncio.get_running_loop().create_task(self._end_idle(connection, session))
         count = f"{session.size} vehicle{'s' if session.size != 1 else ''}"
         self.say(f"session {session.number} begins: {session.scenario.name}, {count}, seed {session.seed}")
         return session
 
-    async def _end_idle(self, connection: Connection, session: Session | Playing) -> None:
-        """End a session once its owner has asked for nothing for too long."""
+    def _watch_idle(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Look for idle owners, in a thread of its own: a timer of the loop would cost every request microseconds."""
+        while not self._stopped.wait(min(0.25 * self.options.idle_timeout, MOST_BETWEEN_LOOKS_S)):
+            with suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(self._end_idle)
+
+    def _end_idle(self) -> None:
+        """End the sessions of owners who have asked for nothing for too long."""
         longest = self.options.idle_timeout
-        while (idle := connection.idle_s()) < longest:
-            await asyncio.sleep(longest - idle)
-        connection.session, connection.watchdog = None, None
-        why = f"its owner asked for nothing for {longest:g} s (--idle-timeout)"
-        connection.lost = f"session {session.number} has ended, because {why}; INIT or OPEN begin another"
-        await self._end_session(session, f", because {why}")
+        for connection in self._connections:
+            session = connection.session
+            if session is None or connection.idle_s() < longest:
+                continue
+            why = f"its owner asked for nothing for {longest:g} s (--idle-timeout)"
+            connection.session = None
+            connection.lost = f"session {session.number} has ended, because {why}; INIT or OPEN begin another"
+            ending = asyncio.get_running_loop().create_task(self._end_session(session, f", because {why}"))
+            self._endings.add(ending)
+            ending.add_done_callback(self._endings.discard)
 
     def _owner_leaves(self) -> bool:
         return self._ending > 0 or any(
@@ -238,9 +255,6 @@ class Server:
         session = connection.session
         if session is None:
             return
-        if connection.watchdog is not None:
-            connection.watchdog.cancel()
-            connection.watchdog = None
         connection.session = None
         await self._end_session(session)
 
@@ -308,6 +322,8 @@ class Server:
             session: whose state.
             states: its frames with and without reasons, as far as they are there already.
         """
+        if not self._watching:
+            return
         states = states or {}
         for connection, watching in self._watching.items():
             if watching.session not in (None, session.number):

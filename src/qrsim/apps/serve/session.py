@@ -135,6 +135,7 @@ class Session:
     def warm(self) -> None:
         """Compile every kind of step, from and to the start."""
         start = self.simulation.truth.position_ned
+        self.simulation.set_state(np.full_like(start, np.nan))
         for command in (
             WaypointSetpoint.of(start),
             VelocitySetpoint.of(np.zeros_like(start)),
