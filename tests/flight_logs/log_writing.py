@@ -75,6 +75,10 @@ _ULOG_TOPICS = {
     "vehicle_local_position": "float vx;float vy;float vz",
     "battery_status": "float voltage_v",
 }
+_OLD_TOPICS = {
+    "vehicle_attitude": "float rollspeed;float pitchspeed;float yawspeed;float[4] q",
+    "vehicle_attitude_setpoint": "float[4] q_d;float yaw_sp_move_rate;float thrust",
+}
 
 
 def _quaternion(roll: Floats, pitch: Floats, yaw: Floats) -> Floats:
@@ -84,11 +88,14 @@ def _quaternion(roll: Floats, pitch: Floats, yaw: Floats) -> Floats:
     return np.column_stack([w, x, y, z])
 
 
-def write_ulog(path: Path, signals: dict[str, Floats], without: tuple[str, ...] = ()) -> Path:
-    """Write a PX4 log; velocity comes at 25 Hz and the battery at 5 Hz, as there."""
+def write_ulog(path: Path, signals: dict[str, Floats], without: tuple[str, ...] = (), old: bool = False) -> Path:
+    """Write a PX4 log; velocity comes at 25 Hz and the battery at 5 Hz, as there.
+
+    An old one has the body rates with the attitude, and the thrust as a number.
+    """
     s = signals
     zero = np.zeros(len(s["time"]))
-    tables = {
+    tables: dict[str, tuple[int, Floats]] = {
         "vehicle_attitude": (1, _quaternion(s["roll"], s["pitch"], s["yaw"])),
         "vehicle_attitude_setpoint": (
             1,
@@ -103,12 +110,22 @@ def write_ulog(path: Path, signals: dict[str, Floats], without: tuple[str, ...] 
         "vehicle_local_position": (2, np.column_stack([s["velocity_north"], s["velocity_east"], s["velocity_down"]])),
         "battery_status": (10, s["battery"][:, None]),
     }  # fmt: skip
+    topics = _ULOG_TOPICS
+    if old:
+        rates = np.column_stack([s["roll_rate"], s["pitch_rate"], s["yaw_rate"]])
+        asked = tables["vehicle_attitude_setpoint"][1]
+        tables |= {
+            "vehicle_attitude": (1, np.column_stack([rates, tables["vehicle_attitude"][1]])),
+            "vehicle_attitude_setpoint": (1, np.column_stack([asked[:, :5], s["throttle"]])),
+        }
+        without = (*without, "vehicle_angular_velocity")
+        topics = topics | _OLD_TOPICS
     content = b"ULog\x01\x12\x35" + struct.pack("<BQ", 1, 0)
 
     def message(kind: bytes, payload: bytes) -> bytes:
         return struct.pack("<H", len(payload)) + kind + payload
 
-    for name, fields in _ULOG_TOPICS.items():
+    for name, fields in topics.items():
         content += message(b"F", f"{name}:uint64_t timestamp;{fields};".encode())
     rows: list[tuple[int, int, Floats]] = []
     for number, name in enumerate(tables):

@@ -38,6 +38,15 @@ def test_what_was_logged_is_read(name: str, signals: dict[str, Floats], tmp_path
         assert close.mean() > 0.97, key
 
 
+def test_an_old_ulog_has_its_rates_with_the_attitude(signals: dict[str, Floats], tmp_path: Path) -> None:
+    log = read_log(write_ulog(tmp_path / "log.ulg", signals, old=True))
+    assert set(log.signals) == set(SIGNALS) - {"thrust"}
+    for name in ("roll_rate", "pitch_rate", "yaw_rate", "throttle"):
+        assert np.isclose(log.signals[name], signals[name][: len(log.time)], atol=2e-3).mean() > 0.97, name
+    assert log.rates["velocity_down"] == pytest.approx(25.0)
+    assert log.rates["battery"] == pytest.approx(5.0)
+
+
 def test_units_of_a_table(signals: dict[str, Floats], tmp_path: Path) -> None:
     units = {
         "time": ("ms", 1e3), "roll": ("deg", 180 / np.pi), "velocity_north": ("km/h", 3.6), "battery": ("mV", 1e3),

@@ -145,6 +145,13 @@ def measure(log: FlightLog, rows: Rows) -> Excitation:
         if deaf:
             silent += [channel for channel in ASPECTS[name].channels if channel in part]
             silent += ["yaw"] if name == "yaw" else []
+    if {"roll", "pitch"} <= set(silent):
+        # Velocity cannot be predicted without a tilt that is.
+        unpredicted = [name for name in ("drag", "heave") if name not in lacking]
+        lacking |= dict.fromkeys(
+            unpredicted, "neither roll nor pitch follows a command, so that no velocity is predicted"
+        )
+        silent += [channel for name in ("drag", "heave") for channel in ASPECTS[name].channels if channel in part]
     still = standing_still(log) & rows
     return Excitation(
         movements, follows, lacking, tuple(dict.fromkeys(silent)), float(still.sum() / max(int(rows.sum()), 1))
@@ -262,16 +269,21 @@ def nature(excitation: Excitation) -> str:
 
 
 def without_ground(log: FlightLog) -> FlightLog:
-    """Return a log without the rows in which it stands on the ground, unless that is all of it.
+    """Return a log without the time in which it stands on the ground, unless that is all of it.
 
-    No law of flight describes them. How many they are is in the notes.
+    No law of flight describes it. It is cut off at both ends, so that shares of the rows are shares of the flight; in
+    between there are gaps. How long it is stands in the notes.
     """
     still = standing_still(log)
     if not still.any() or still.all():
         return log
     note = f"{still.sum() * log.dt:.1f} s on the ground are left out"
-    signals = {name: np.where(still, np.nan, values) for name, values in log.signals.items()}
-    return replace(log, signals=signals, notes=[*log.notes, note])
+    flown = np.flatnonzero(~still)
+    part = slice(int(flown[0]), int(flown[-1]) + 1)
+    if part.start:
+        note += f"; times count from {log.time[part.start]:.2f} s"
+    signals = {name: np.where(still, np.nan, values)[part] for name, values in log.signals.items()}
+    return replace(log, time=log.time[part] - log.time[part.start], signals=signals, notes=[*log.notes, note])
 
 
 def without_frozen(log: FlightLog) -> FlightLog:

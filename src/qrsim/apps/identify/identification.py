@@ -53,7 +53,7 @@ def identify(
         RunError: no fit predicts the held-out parts better than the start does.
     """
     begun = time.perf_counter()
-    logs = [_flown(log, question, train, progress) for log in logs]
+    logs = [_flown(log, question, progress) for log in logs]
     for log in logs:
         cut(log, math.inf, train, 1.0)  # refuses at once a log with nothing to score
     pieces = _pieces(logs, horizon, train, progress)
@@ -104,15 +104,14 @@ def _constants(question: Question, pieces: Sequence[Piece]) -> tuple[str, ...]:
     return question.constants
 
 
-def _flown(log: FlightLog, question: Question, train: float, progress: Callable[[str], None]) -> FlightLog:
+def _flown(log: FlightLog, question: Question, progress: Callable[[str], None]) -> FlightLog:
     """Return a log without the rows in which it stands on the ground or a sensor hangs.
 
     Raises:
-        UsageError: it stands in nearly all of those that would be fitted.
+        UsageError: it stands there nearly all the time.
     """
-    fitted = np.arange(len(log.time)) < round(train * len(log.time))
-    if standing_still(log)[fitted].mean() >= ON_THE_GROUND:
-        excitation = measure(log, fitted)
+    if standing_still(log).mean() >= ON_THE_GROUND:
+        excitation = measure(log, np.ones(len(log.time), bool))
         names = question.constants or constants_in(channels_of(log), question.separate)
         refuse_unexcited([log], [excitation], not_shown(names, question.separate, [excitation]))
     flown = without_frozen(without_ground(log))

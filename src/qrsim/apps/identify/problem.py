@@ -25,7 +25,7 @@ from qrsim.apps.identify.simulate import DRIFT, GUST, PLACE, linearised, predict
 from qrsim.core.tree import cast
 from qrsim.errors import UsageError
 from qrsim.flight_logs import FlightLog
-from qrsim.flight_logs.signals import Floats
+from qrsim.flight_logs.signals import SIGNALS, Floats
 from qrsim.models.vehicles.quadrotor import Quadrotor
 
 # Used where a log has none: no ceiling of the thrust is met.
@@ -36,6 +36,8 @@ INNER_STEPS, INNER_TOLERANCE = 2, 0.1
 SHORTEST_ROWS = 25
 # The robust loss grows linearly beyond so many standard deviations.
 ROBUST_AT = 3.0
+# How far a start is believed to be from the record of a channel that counts for nothing.
+SILENT_WIDTH = {"rad": 0.1, "rad/s": 0.3, "m/s": 1.0, "N": 5.0}
 # Standard deviation of gusts and their drift to begin with, and what they are at least [m/s].
 FIRST_GUST, FIRST_DRIFT, SMALLEST_GUST = 0.5, 0.2, 0.01
 
@@ -122,9 +124,11 @@ def cut(log: FlightLog, horizon: float, first: float = 0.0, last: float = 1.0, w
                 windows.append(np.minimum(rows, end - 1))
                 used.append(rows < end)
     if not windows:
+        least = min(length, SHORTEST_ROWS) if runs else SHORTEST_ROWS
         raise UsageError(
-            f"{log.source}: too short: no piece of {min(length, SHORTEST_ROWS) * log.dt:g} s without a gap among rows"
-            f" {round(first * len(good))} to {round(last * len(good))} of {len(good)}"
+            f"{log.source}: too short: no piece of {least * log.dt:g} s without a gap from"
+            f" {first * len(good) * log.dt:.2f} to {last * len(good) * log.dt:.2f} s; --train, --from and --to choose"
+            f" other parts{''.join(f'; {note}' for note in log.notes)}"
         )
     # What comes later has no effect on these rows.
     commands = commands[: round(last * len(good))]
@@ -260,6 +264,12 @@ class Shooting:
         gusts = range(own, normal.shape[-1])
         normal[:, gusts, gusts] += 1.0 / self.gust**2
         gradient[:, own:] += self._gusts() / self.gust**2
+        # What no residual holds stays near what was measured.
+        for place, name in ((i, name) for i, name in enumerate(self.piece.channels) if name in self.piece.silent):
+            width = SILENT_WIDTH[SIGNALS[name].unit]
+            at = self.piece.places[place]
+            normal[:, place, place] += 1.0 / width**2
+            gradient[:, place] += (self.starts[:, at] - self.piece.measured[self.piece.windows[0], place]) / width**2
         return normal, cross, gradient
 
 
