@@ -481,6 +481,9 @@ class TestSetState:
             "state: expected shape (5, 13), 12, 6 or 3 columns, "
         )
         assert said(shared.set_state, "up").startswith("state: expected shape (5, 13)")
+        # Numbers that are too large for any type of NumPy.
+        assert said(shared.set_state, [[10**400] * 3] * 5).startswith("state: expected shape (5, 13)")
+        assert said(shared.step, [[10**400] * 5] * 5).startswith("command: ")
         apart = np.array([[10.0 * i, 0.0, -20.0] for i in range(5)])
         partly = apart.copy()
         partly[2, 1] = np.nan

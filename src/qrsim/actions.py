@@ -152,7 +152,7 @@ class ActionChecker:
                 raise UsageError(f"{what}: {name}: expected shape {(size,)}, found {shape_of(leaf)}")
             try:
                 return jnp.asarray(leaf, self.dtype) if self.traced else np.ascontiguousarray(leaf, self.dtype)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 raise UsageError(f"{what}: {name}: expected numbers, found {leaf!r}") from None
 
         return jax.tree_util.tree_map_with_path(convert, record)
@@ -161,7 +161,7 @@ class ActionChecker:
         shape = (len(names), len(COMMAND_FIELDS))
         try:
             array = (jnp if self.traced else np).asarray(command, self.dtype)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             array = np.zeros(0)
         if array.shape != shape:
             raise UsageError(
@@ -200,7 +200,7 @@ class ActionChecker:
     def _broadcast(self, what: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
         try:
             array = np.broadcast_to(np.asarray(values, self.dtype), shape)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise UsageError(f"{what}: expected numbers of shape {shape}, found {shape_of(values)}") from None
         if not np.all(np.isfinite(array)):
             row = int(np.argwhere(~np.isfinite(array))[0][0])

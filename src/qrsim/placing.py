@@ -74,7 +74,7 @@ def checked_rows(rows: Any, names: Sequence[str], dtype: np.dtype[Any]) -> tuple
     """
     try:
         given = np.asarray(rows, dtype)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         given = np.zeros(0, dtype)
     if given.ndim != 2 or len(given) != len(names) or given.shape[1] not in WIDTHS:
         raise UsageError(f"state: expected shape ({len(names)}, 13), 12, 6 or 3 columns, found shape {given.shape}")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import multiprocessing
 import pickle
+import subprocess
+import sys
 from typing import Any
 
 import gymnasium
@@ -92,3 +94,25 @@ def test_one_that_has_not_started() -> None:
     found = pickle.loads(pickle.dumps(single()))
     env = single()
     assert same(jax.tree.leaves(found.reset(seed=3)), jax.tree.leaves(env.reset(seed=3)))
+
+
+FORKED = """
+import multiprocessing, warnings
+import gymnasium, numpy as np, qrsim, qrsim.apps.envs
+warnings.simplefilter("ignore")
+qrsim.configure(cpu_devices=2)
+env = gymnasium.make_vec("qrsim/keep_spot-v0", num_envs=64)
+env.reset(seed=1)
+def act(number):
+    return float(env.step(np.zeros(env.action_space.shape, np.float32))[1].sum())
+act(0)
+with multiprocessing.get_context("fork").Pool(1) as pool:
+    found = pool.apply_async(act, (1,)).get(timeout=60)
+assert found == act(1)
+"""
+
+
+@pytest.mark.long
+def test_in_a_process_that_is_forked_off_after_threads_have_flown() -> None:
+    """It has none of the threads, and used to wait for them for ever."""
+    subprocess.run([sys.executable, "-c", FORKED], check=True, timeout=300)

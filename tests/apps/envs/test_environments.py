@@ -165,6 +165,10 @@ def test_every_cat_needs_an_action() -> None:
         env.step({"cat_0": np.zeros(2)})
     with pytest.raises(UsageError, match="no agent is called 'mouse'"):
         env.step({"mouse": np.zeros(2)})
+    with pytest.raises(UsageError, match="expected a dict with one for each agent, found ndarray"):
+        env.step(np.zeros((3, 2)))  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="action"):
+        env.step({agent: [10**400, 0] for agent in env.agents})
 
 
 @pytest.mark.long

@@ -107,7 +107,7 @@ class Batch:
         shape = (self.size, len(agents), len(axes))
         try:
             array = np.asarray(action, self.dtype)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise UsageError(f"{who}: expected numbers of shape {shape[2:]}, found {action!r}") from None
         if array.shape != shape:
             # Whoever has one environment, or one agent, does not see these axes.

@@ -83,6 +83,8 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         """
         if not self.agents:
             raise UsageError("the episode has ended, or has not begun: call reset()")
+        if not isinstance(actions, dict):
+            raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
         for agent in actions:
             if agent not in self.agents:
                 raise UsageError(f"actions: no agent is called '{agent}'{did_you_mean(str(agent), self.agents)}")
