@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -170,3 +171,14 @@ def test_binary_rubbish_is_refused(tmp_path: Path) -> None:
         path.write_bytes(beginning + bytes(range(256)) * 3)
         with pytest.raises(UsageError, match=name):
             read_log(path)
+
+
+def test_a_damaged_dataflash_log_says_so_in_few_lines(tmp_path: Path, capfd: Any) -> None:
+    """The library writes a line for each byte that it cannot place, some of them past Python."""
+    path = write_dataflash(tmp_path / "log.bin", flown(6.0))
+    data = bytearray(path.read_bytes())
+    data[20_000:24_000] = bytes(4000)
+    path.write_bytes(bytes(data))
+    notes = read_log(path).notes
+    assert len(notes) < 15
+    assert capfd.readouterr() == ("", "")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Track
 
 _DEG = math.pi / 180.0
+MOST_COMPLAINTS = 3
 # Signal, message, field, factor to SI.
 FIELDS: tuple[tuple[str, str, str, float], ...] = (
     ("roll", "ATT", "Roll", _DEG),
@@ -50,8 +53,8 @@ def read_dataflash(path: Path) -> FlightLog:
     times: dict[str, list[float]] = {}
     values: dict[str, list[float]] = {}
     try:
-        # The library prints its complaints.
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        # The library prints its complaints, and its part in C past Python.
+        with _no_standard_error(), contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
             log = reader.DFReader_binary(str(path))
             while (message := log.recv_match(type=list(MESSAGES))) is not None:
                 _take(message, times, values)
@@ -59,9 +62,25 @@ def read_dataflash(path: Path) -> FlightLog:
         raise UsageError(f"{path}: a DataFlash log that cannot be read: {error or type(error).__name__}") from None
     if not values:
         raise UsageError(f"{path}: none of the messages {', '.join(MESSAGES)}")
-    notes = [f"the reader says: {line}" for line in dict.fromkeys(said.getvalue().splitlines()) if line.strip()]
+    lines = [line for line in dict.fromkeys(said.getvalue().splitlines()) if line.strip()]
+    notes = [f"the reader says: {line}" for line in lines[:MOST_COMPLAINTS]]
+    if len(lines) > MOST_COMPLAINTS:
+        notes.append(f"the reader says {len(lines) - MOST_COMPLAINTS} more of the kind: the file is damaged")
     tracks = {name: Track(np.array(times[name]), np.array(values[name])) for name in values}
     return prepare(path, "ArduPilot DataFlash", tracks, notes)
+
+
+@contextlib.contextmanager
+def _no_standard_error() -> Iterator[None]:
+    """Let nothing of this process reach its standard error, whatever writes it."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _take(message: Any, times: dict[str, list[float]], values: dict[str, list[float]]) -> None:
