@@ -120,6 +120,17 @@ class TestNeverLost:
                 gc.collect()
             wait()
 
+    @pytest.mark.parametrize("module", ["llvmlite.binding.ffi", "jax._src.core", "jaxlib.mlir"])
+    def test_not_where_code_in_c_does_not_stand_it(self, number: int, module: str) -> None:
+        """Not before it is left, that is."""
+        done: list[int] = []
+        inside: dict[str, Any] = {"__name__": module, "press": press, "time": time, "done": done}
+        exec("def work(number):\n press(number)\n time.sleep(0.1)\n done.append(1)", inside)
+        with pytest.raises(Interruption), heard():
+            inside["work"](number)
+            wait()
+        assert done == [1]
+
 
 class TestInOrder:
     def test_it_does_not_come_again_while_things_are_put_in_order(self) -> None:

@@ -2,8 +2,9 @@
 
 A signal becomes an exception in the middle of whatever the program does. Where that is a callback of the garbage
 collector (JAX has one), a destructor or a callback of a library in C, the exception is dropped and the program goes on.
-So an exception that dies before the command line has taken it sends its signal again. In the middle of what hands
-memory to LLVM and back none is raised at all: the signal is sent again a little later.
+So an exception that dies before the command line has taken it sends its signal again. Where it would end the process
+or corrupt it (in what hands memory to LLVM, while a module in C is imported, inside of JAX for some seconds), none is
+raised: the signal is sent again a little later.
 """
 
 from __future__ import annotations
@@ -13,17 +14,21 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
+from importlib.machinery import ExtensionFileLoader
 from types import FrameType
 from typing import Any
 
 # What it is called, and the exit code; the latter as shells have it.
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 AGAIN_AFTER_S = 0.02
-# Modules in the middle of which nothing is raised.
+# Modules in the middle of which nothing is raised, and those that are given some seconds to finish.
 FRAGILE = ("llvmlite.", "qrsim.native.compiler", "ctypes")
+DELICATE = ("jax.", "jaxlib.")
+PATIENCE_S = 3.0
 # The last signal that came, and whether somebody still waits for it to be taken.
-_state: dict[str, Any] = {"number": None, "listening": False}
+_state: dict[str, Any] = {"number": None, "listening": False, "since": None, "waiting": False}
 
 
 class Interruption(KeyboardInterrupt):
@@ -72,7 +77,7 @@ def heard() -> Iterator[None]:
         if not (dropped.exc_type is not None and issubclass(dropped.exc_type, Interruption)):
             hook(dropped)
 
-    _state.update(number=None, listening=True)
+    _state.update(number=None, listening=True, since=None, waiting=False)
     sys.unraisablehook = quiet
     try:
         yield
@@ -127,28 +132,41 @@ def _installed(handler: Any) -> dict[int, Any]:
 
 def _raise(number: int, frame: FrameType | None) -> None:
     _state["number"] = number
-    if _fragile(frame):
+    _state["since"] = _state["since"] or time.monotonic()
+    names = FRAGILE if time.monotonic() - _state["since"] > PATIENCE_S else (*FRAGILE, *DELICATE)
+    if _is_inside(frame, names):
         _send_again(number)
-    else:
-        raise Interruption(number)
+        return
+    _state["since"] = None
+    raise Interruption(number)
 
 
-def _fragile(frame: FrameType | None) -> bool:
-    """Return whether the program is where an exception would leave memory with two owners, or none."""
+def _is_inside(frame: FrameType | None, names: tuple[str, ...]) -> bool:
+    """Return whether code in C has called this that cannot stand an exception: it would end or corrupt the process."""
     while frame is not None:
-        if frame.f_globals.get("__name__", "").startswith(FRAGILE):
+        if frame.f_globals.get("__name__", "").startswith(names):
+            return True
+        # A module in C that is being imported.
+        if frame.f_code in _LOADING:
             return True
         frame = frame.f_back
     return False
 
 
+_LOADING = (ExtensionFileLoader.exec_module.__code__, ExtensionFileLoader.create_module.__code__)
+
+
 def _send_again(number: int) -> None:
+    if _state["waiting"]:
+        return
+    _state["waiting"] = True
     again = threading.Timer(AGAIN_AFTER_S, _send, (number,))
     again.daemon = True
     again.start()
 
 
 def _send(number: int) -> None:
+    _state["waiting"] = False
     if not _state["listening"]:
         return
     if hasattr(signal, "pthread_kill"):
