@@ -145,6 +145,9 @@ def test_slow_logs_show_no_attitude(rate: float, shown: bool, log: FlightLog) ->
     if not shown:
         assert found.lacking["roll"] == "roll_rate was logged at 4.5 Hz; at least 5 Hz are needed"
         assert found.lacking["heave"] == "velocity_down was logged at 1.8 Hz; at least 2 Hz are needed"
+        slow = of(replace(log, rates=dict.fromkeys(log.signals, 1.0)))
+        assert slow.shown == ()
+        assert nature(slow) == "logged too slowly to show how a vehicle answers"
 
 
 @pytest.mark.parametrize(("acceleration", "shown"), [(0.85, False), (1.15, True)])

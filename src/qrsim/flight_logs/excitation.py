@@ -111,8 +111,8 @@ class Excitation:
         movements: of each signal by name.
         follows: largest correlation of an aspect's measurement with its command at a delay up to LONGEST_DELAY_S.
         lacking: by aspect, why the log does not show it; aspects that it shows are not there.
-        silent: channels that were not measured, do not follow a command that moves or move without being asked, so that
-            no fit can use them.
+        silent: channels that were not measured or too slowly, do not follow a command that moves or move without being
+            asked, so that no fit can use them.
         still: share of the rows in which nothing moves.
     """
 
@@ -197,7 +197,7 @@ def correlation(first: Floats, second: Floats) -> float:
 def _why_not(
     name: str, movements: Mapping[str, Movement], follows: Mapping[str, float], part: Mapping[str, Floats], dt: float
 ) -> tuple[str, bool]:
-    """Return why an aspect is not shown, "" if it is, and whether that is because nothing answers to its command."""
+    """Return why an aspect is not shown, "" if it is, and whether no fit can use its channels."""
     aspect = ASPECTS[name]
     missing = [each for each in (aspect.command, *aspect.channels) if each and each not in movements]
     if missing:
@@ -205,7 +205,7 @@ def _why_not(
     slowest = SLOWEST_ATTITUDE_HZ if name in ("roll", "pitch", "yaw") else SLOWEST_VELOCITY_HZ
     for each in (aspect.command, *aspect.channels):
         if each and movements[each].rate_hz < slowest:
-            return f"{each} was logged at {movements[each].rate_hz:.3g} Hz; at least {slowest:g} Hz are needed", False
+            return f"{each} was logged at {movements[each].rate_hz:.3g} Hz; at least {slowest:g} Hz are needed", True
     still = [each for each in aspect.channels if not movements[each].moves]
     if aspect.command and not movements[aspect.command].moves:
         why = f"{told(aspect.command, movements[aspect.command])}: not asked to move"
@@ -263,6 +263,8 @@ def nature(excitation: Excitation) -> str:
     asked = [name for name in COMMANDED if name in excitation.movements and excitation.movements[name].moves]
     if excitation.still >= ON_THE_GROUND or not moving:
         return "on the ground, or not flown: nothing that a vehicle turns or lifts itself by moves more than its noise"
+    if asked and any("was logged at" in why for why in excitation.lacking.values()):
+        return "logged too slowly to show how a vehicle answers"
     if not asked:
         return f"not commanded: {', '.join(moving)} move, but no command does (carried by hand, or not armed)"
     return "not in flight, or not by these commands: what moves does not follow what was asked for"
