@@ -140,7 +140,9 @@ def test_the_truth_has_plain_arrays_of_all_vehicles(shared: Simulation) -> None:
     for name, shape in shapes.items():
         value = getattr(truth, name)
         assert isinstance(value, np.ndarray), name
-        assert (value.shape, value.dtype) == (shape, np.float32), name
+        # Positions have two parts of single precision.
+        dtype = np.float64 if name in ("position_ned", "state") else np.float32
+        assert (value.shape, value.dtype) == (shape, dtype), name
     np.testing.assert_array_equal(truth.position_ned, STARTS.astype(np.float32))
     np.testing.assert_allclose(truth.thrust, 1.68 * 9.81, rtol=1e-6)
     np.testing.assert_array_equal(truth.state[:, :3], truth.position_ned)
@@ -207,7 +209,7 @@ def test_a_step_returns_the_reading_at_its_end(flying: Simulation) -> None:
     reading = flying.step(None, ticks=np.int64(49))
     assert (flying.tick, flying.time) == (50, 1.0)
     assert reading.time == 1.0
-    np.testing.assert_array_equal(reading["alpha"].gnss.position_ned, flying.truth.position_ned[:3])
+    np.testing.assert_array_equal(reading["alpha"].gnss.position_ned, flying.truth.position_ned[:3].astype(np.float32))
 
 
 def test_without_a_command_every_fleet_flies_its_route(flying: Simulation) -> None:

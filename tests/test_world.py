@@ -54,10 +54,10 @@ def test_sensors_speak_exactly_at_the_multiples_of_their_periods() -> None:
         for name, (measured, true, period) in now.items():
             if tick % period == 0:
                 held[name] = true
-            np.testing.assert_array_equal(measured, held[name], err_msg=f"{name} at tick {tick}")
+            np.testing.assert_array_equal(measured, held[name].astype(np.float32), err_msg=f"{name} at tick {tick}")
             # Still at the start, later moving, so that a held reading is not the truth.
             if tick > 2 and tick % period:
-                assert not np.array_equal(measured, true), f"{name} at tick {tick}"
+                assert not np.array_equal(measured, true.astype(np.float32)), f"{name} at tick {tick}"
             if tick % period == 0:
                 changes[name].append(tick)
     assert changes["barometer"] == list(range(0, 31, 3))

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.pairs import joined, two_sum
 from qrsim.core.tree import quantity, record, replace, select
 from qrsim.core.vectors import Vec3
 from qrsim.world import FleetState, State, World
@@ -61,6 +62,8 @@ class Flight:
     charge: Array = quantity(unit="1", doc="lowest charge of the battery, NaN without one")
     clipped: Array = quantity(doc="int32 ticks whose command was clipped")
     stopped: Array = quantity(doc="int32 tick at which it stopped, -1 while it flies")
+    position_low_ned: Any = quantity(default=None, unit="m", doc="what single precision leaves out of position_ned")
+    distance_low: Any = quantity(default=None, unit="m", doc="what single precision leaves out of distance")
 
 
 class FlightMetrics:
@@ -83,6 +86,7 @@ class FlightMetrics:
             horizontal_square=zero, vertical_square=zero, without_fix=count, loss=none,
             wind=none, closeness=none, outwards=none,
             charge=jnp.full_like(like, jnp.nan), clipped=count, stopped=jnp.full(like.shape, -1, jnp.int32),
+            position_low_ned=_low(state), distance_low=None if _low(state) is None else zero,
         )  # fmt: skip
         return self.update(nothing, world, state, jnp.int32(0))
 
@@ -90,17 +94,21 @@ class FlightMetrics:
         """Take the state at a tick into account."""
         flying = _together(state, lambda fleet: fleet.violation.code) == 0
         position = _together(state, lambda fleet: fleet.vehicle.position_ned)
+        low = _low(state)
         goal = _goal(world, state)
         start = select(_differs(goal, flight.leg_end), _known(flight.leg_end, flight.position_ned), flight.leg_start)
-        error = _distance_from_leg(position, start, goal)
+        error = _distance_from_leg(_minus(position, low, start), start, goal)
         counted = flying & jnp.isfinite(error)
         air = _together(state, lambda fleet: fleet.mean_wind_ned + fleet.gust_ned)
         clipped = _together(state, lambda fleet: fleet.command_clipped)
+        distance, distance_low = _farther(flight, position, low, flying)
         flight = replace(
             flight,
+            distance=distance,
+            distance_low=distance_low,
             ticks=flight.ticks + _one(flying & (tick > 0)),
-            distance=flight.distance + jnp.where(flying, (position - flight.position_ned).norm(), 0.0),
             position_ned=position,
+            position_low_ned=low,
             leg_start=start,
             leg_end=goal,
             tracked=flight.tracked + _one(counted),
@@ -113,9 +121,10 @@ class FlightMetrics:
             stopped=jnp.where((flight.stopped < 0) & ~flying, tick, flight.stopped),
         )
         if flying.shape[0] <= MOST_FOR_SEPARATION:
-            closeness = -_nearest(position)
+            # As seen from the first of them, so that what is near is not rounded to what is far from the origin.
+            closeness = -_nearest(_minus(position, low, position.map(lambda axis: axis[:1])))
             flight = replace(flight, closeness=flight.closeness.update(closeness, tick, position, flying))
-        return _look_at_fixes(flight, state, tick, position, flying)
+        return _look_at_fixes(flight, state, tick, position, low, flying)
 
     def finish(self, flight: Flight, world: World, state: State) -> dict[str, np.ndarray[Any, Any]]:
         """Return the metrics by name, each (W, n), from what W worlds remember (host arrays)."""
@@ -129,7 +138,7 @@ class FlightMetrics:
 
         found: dict[str, Any] = {
             "flown_s": flight.ticks * dt,
-            "distance_m": flight.distance,
+            "distance_m": joined(flight.distance, flight.distance_low),
             "tracking_error_rms_m": root_mean(flight.tracking_square, flight.tracked),
             "gnss_horizontal_rms_m": root_mean(flight.horizontal_square, flight.fixes),
             "gnss_vertical_rms_m": root_mean(flight.vertical_square, flight.fixes),
@@ -148,13 +157,36 @@ class FlightMetrics:
                 found[f"{name}_{unit}"] = -extreme.value if name in smallest else extreme.value
             found[f"{name}_at_s"] = when(extreme.tick)
             found[f"{name}_position_ned"] = np.stack(jax.tree.leaves(extreme.position_ned), axis=-1)
-        found["position_ned"] = np.stack(jax.tree.leaves(flight.position_ned), axis=-1)
+        position = joined(flight.position_ned, flight.position_low_ned)
+        found["position_ned"] = np.stack(jax.tree.leaves(position), axis=-1)
         return {name: np.asarray(values) for name, values in found.items()}
 
 
 def _together(state: State, pick: Any) -> Any:
     """Return something of all fleets, one after the other."""
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *(pick(fleet) for fleet in state.fleets))
+
+
+def _low(state: State) -> Any:
+    """Return what single precision leaves out of the positions (n,), None in double precision."""
+    if state.fleets[0].position_low_ned is None:
+        return None
+    return _together(state, lambda fleet: fleet.position_low_ned)
+
+
+def _minus(position: Vec3, low: Any, place: Vec3) -> Vec3:
+    """Return positions of two parts minus a place."""
+    offset = position - place
+    return offset if low is None else offset + low
+
+
+def _farther(flight: Flight, position: Vec3, low: Any, flying: Array) -> tuple[Array, Any]:
+    """Return the distance flown (n,) with the way of a tick, and what single precision leaves out of it."""
+    if low is None:
+        way = (position - flight.position_ned).norm()
+        return flight.distance + jnp.where(flying, way, 0.0), None
+    way = (position - flight.position_ned + (low - flight.position_low_ned)).norm()
+    return two_sum(flight.distance, flight.distance_low + jnp.where(flying, way, 0.0))
 
 
 def _one(counts: Array) -> Array:
@@ -186,9 +218,14 @@ def _known(preferred: Vec3, other: Vec3) -> Vec3:
     return select(jnp.isfinite(preferred.x), preferred, other)
 
 
-def _distance_from_leg(position: Vec3, start: Vec3, end: Vec3) -> Array:
-    """Return the distance (n,) [m] from the leg between two points; from the point where they coincide."""
-    leg, offset = end - start, position - start
+def _distance_from_leg(offset: Vec3, start: Vec3, end: Vec3) -> Array:
+    """Return the distance (n,) [m] from the leg between two points; from the point where they coincide.
+
+    Args:
+        offset: position minus start.
+        start, end: of the leg.
+    """
+    leg = end - start
     square = leg.dot(leg)
     along = jnp.clip(offset.dot(leg) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
     return (offset - leg * along).norm()
@@ -202,10 +239,10 @@ def _nearest(position: Vec3) -> Array:
     return jnp.sqrt(jnp.min(jnp.where(itself, jnp.inf, square), axis=1))
 
 
-def _look_at_fixes(flight: Flight, state: State, tick: Array, position: Vec3, flying: Array) -> Flight:
+def _look_at_fixes(flight: Flight, state: State, tick: Array, position: Vec3, low: Any, flying: Array) -> Flight:
     """Compare what the receivers report with the truth; vehicles without one have no fixes and lose none."""
     reported, has = _together(state, _fix)
-    error = reported - position
+    error = reported - position if low is None else reported - position - low
     # A receiver repeats itself between two fixes; with a delay of one period, once after the start too.
     counts = jnp.isfinite(error.x) & flying & _differs(reported, flight.fix_ned)
     lost = has & flying & ~jnp.isfinite(error.x)

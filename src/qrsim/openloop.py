@@ -9,25 +9,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.pairs import parts_of
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.vehicles.moving import move
 from qrsim.models.vehicles.quadrotor import Command, ProcessNoise, Quadrotor, QuadrotorState
 
 
 @partial(jax.jit, static_argnames="dt")
-def _scan(vehicle: Quadrotor, initial: jax.Array, commands: jax.Array, wind_body: jax.Array, dt: float) -> jax.Array:
+def _scan(
+    vehicle: Quadrotor, initial: jax.Array, rest: jax.Array, commands: jax.Array, wind_body: jax.Array, dt: float
+) -> jax.Array:
+    """Return the rows of ``simulate_open_loop``; ``rest`` is what ``initial`` leaves out of the start."""
     like = initial[0]
     still = Vec3.zeros((), like.dtype)
     noise = ProcessNoise(still, still)
     wind = Vec3.of(wind_body)
 
-    def tick(state: QuadrotorState, row: jax.Array) -> tuple[QuadrotorState, jax.Array]:
-        state, force = vehicle.step(state, Command(*(row[i] for i in range(5))), lambda trig: wind, noise, dt)
-        return state, jnp.stack([*jax.tree.leaves(state), force.x, force.y, force.z])
+    def tick(carry: tuple[QuadrotorState, Vec3 | None], row: jax.Array) -> tuple[Any, jax.Array]:
+        command = Command(*(row[i] for i in range(5)))
+        state, low, force = move(vehicle, *carry, command, lambda trig: wind, noise, dt)
+        return (state, low), jnp.stack([*jax.tree.leaves(state), force.x, force.y, force.z])
 
     leaves = [initial[i] for i in range(13)]
     start = QuadrotorState(Vec3(*leaves[:3]), Euler(*leaves[3:6]), Vec3(*leaves[6:9]), Vec3(*leaves[9:12]), leaves[12])
-    return jax.lax.scan(tick, start, commands)[1]
+    low = Vec3.of(rest[:3]) if like.dtype == jnp.float32 else None
+    return jax.lax.scan(tick, (start, low), commands)[1]
 
 
 def simulate_open_loop(
@@ -53,10 +60,12 @@ def simulate_open_loop(
         (T, 16): the state after each row, then the mean specific force [m/s^2] during it.
     """
     dtype = np.dtype(precision)
+    first, rest = parts_of(np.asarray(initial_state, np.float64), dtype)
     with jax.enable_x64(dtype == np.float64):
         rows = _scan(
             cast(vehicle, dtype),
-            jnp.asarray(initial_state, dtype),
+            jnp.asarray(first),
+            jnp.asarray(rest),
             jnp.asarray(commands, dtype),
             jnp.asarray(wind_body, dtype),
             dt,

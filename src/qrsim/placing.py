@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qrsim.core.pairs import parts_of
 from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
@@ -27,7 +28,8 @@ def place(world: World, given: tuple[Any, Any], state: State, tick: Any) -> Stat
 
     Args:
         world: its parameters.
-        given: rows (n, 13) of all vehicles, a thrust of NaN being the weight; and which of them (n,) are placed.
+        given: rows (n, 16) of all vehicles, a thrust of NaN being the weight, the last three what single precision
+            leaves out of the positions; and which of them (n,) are placed.
         state: of the world; the violations of those that are placed say whether they can be where they were put.
         tick: () int32, now.
     """
@@ -38,7 +40,8 @@ def place(world: World, given: tuple[Any, Any], state: State, tick: Any) -> Stat
     for fleet, before, keys in zip(world.fleets, state.fleets, state.fleet_keys, strict=True):
         mine = slice(first, first + fleet.size)
         first += fleet.size
-        fresh = start_fleet(world, fleet, _vehicles(fleet, rows[mine]), keys, tick, state.sky, view, before)
+        low = Vec3(*(rows[mine, i] for i in range(13, 16)))
+        fresh = start_fleet(world, fleet, _vehicles(fleet, rows[mine]), keys, tick, state.sky, view, before, low)
         fresh = replace(fresh, guidance=before.guidance, setpoint=before.setpoint, battery=before.battery)
         fleets.append(select(chosen[mine], fresh, before))
     return replace(state, fleets=_checked(world, tuple(fleets), chosen))
@@ -67,26 +70,28 @@ def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple
 
 
 def checked_rows(rows: Any, names: Sequence[str], dtype: np.dtype[Any]) -> tuple[FloatArray, FloatArray]:
-    """Return what ``place`` is given: states (n, 13) and which vehicles (n,) are placed; see ``Simulation.set_state``.
+    """Return what ``place`` is given: rows (n, 16) and which vehicles (n,) are placed; see ``Simulation.set_state``.
 
     Raises:
         UsageError: wrong shape, or a row that is partly NaN.
     """
     try:
-        given = np.asarray(rows, dtype)
+        given = np.asarray(rows, np.float64)
     except (TypeError, ValueError, OverflowError):
-        given = np.zeros(0, dtype)
+        given = np.zeros(0)
     if given.ndim != 2 or len(given) != len(names) or given.shape[1] not in WIDTHS:
         raise UsageError(f"state: expected shape ({len(names)}, 13), 12, 6 or 3 columns, found shape {given.shape}")
-    chosen = ~np.isnan(given).all(axis=1)
-    wrong = chosen & ~np.isfinite(given).all(axis=1)
+    chosen = np.asarray(~np.isnan(given).all(axis=1))
+    with np.errstate(over="ignore"):
+        wrong = chosen & ~np.isfinite(given.astype(dtype)).all(axis=1)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise UsageError(f"state: the row of vehicle {row} ('{names[row]}') is partly not finite: {given[row]}")
-    full = np.zeros((len(names), 13), dtype)
+    full = np.zeros((len(names), 13))
     full[:, 12] = np.nan
     full[chosen, : given.shape[1]] = given[chosen]
-    return full, chosen
+    rounded, rest = parts_of(full, dtype)
+    return np.concatenate([rounded, rest[:, :3]], axis=1), chosen
 
 
 def refuse_misplaced(violations: Sequence[Violation], chosen: FloatArray, names: Sequence[str]) -> None:

@@ -21,7 +21,7 @@ from qrsim.models.attitude import AttitudeReading
 from qrsim.models.camera import CameraReading, Picture
 from qrsim.models.gnss import FEWEST_SATELLITES, GnssReading, SkyState
 from qrsim.models.site import Site
-from qrsim.world import Fleet, FleetState, State, World
+from qrsim.world import Fleet, FleetState, State, World, position_of
 
 Floats = np.ndarray[Any, Any]
 
@@ -300,8 +300,8 @@ class Truth:
 
     @property
     def position_ned(self) -> Floats:
-        """(n, 3) position [m]."""
-        return self._gather(lambda fleet: fleet.vehicle.position_ned)
+        """(n, 3) position [m], in double precision."""
+        return self._gather(position_of)
 
     @property
     def attitude(self) -> Floats:
@@ -349,6 +349,6 @@ class Truth:
 
     @property
     def state(self) -> Floats:
-        """(n, 13) position, Euler angles, body velocity, body rates, thrust."""
+        """(n, 13) position, Euler angles, body velocity, body rates, thrust, in double precision."""
         parts = (self.position_ned, self.attitude, self.velocity_body, self.rates_body, self.thrust[:, None])
         return np.concatenate(parts, axis=1)

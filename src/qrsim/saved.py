@@ -22,7 +22,7 @@ from qrsim.models.sp3 import Sp3Orbits
 from qrsim.models.terrain import OCCLUSION
 from qrsim.world import FleetState, State, World
 
-FORMAT = 3
+FORMAT = 4
 NAMES = ("format", "floats", "integers", "tick", "seed", "number", "name", "world")
 LARGEST_TICK = 2**31 - 2
 LARGEST_SEED, LARGEST_NUMBER = 2**63 - 1, 2**32 - 1
@@ -230,12 +230,18 @@ def _floats(where: str, tree: Any, flies: Any = None) -> Iterator[tuple[str, np.
             yield where, leaf if flies is None or leaf.shape[:1] != flies.shape else leaf[flies]
 
 
-def _ranges(world: World, state: State, tick: int) -> Iterator[tuple[str, Any, int, int]]:
+def _ranges(world: World, state: State, tick: int) -> Iterator[tuple[str, Any, float, float]]:
     """Yield where and what in a state is a number of something, and its smallest and largest value."""
     for number, (fleet, now) in enumerate(zip(world.fleets, state.fleets, strict=True)):
         here = f"of fleet {number}"
         yield f"the reason why a vehicle stopped, {here},", now.violation.code, 0, len(REASONS) - 1
         last = max(0, len(fleet.route.yaw) - 1)
+        if now.position_low_ned is not None:
+            for axis in "xyz":
+                # Half the spacing of numbers as large as the position, or as the way of any tick where that is larger.
+                largest = np.max(np.abs(getattr(now.vehicle.position_ned, axis)), initial=1000.0)
+                most = 0.5 * float(np.spacing(largest))
+                yield f"the second part of a position {here}", getattr(now.position_low_ned, axis), -most, most
         if isinstance(now.guidance, RouteState):
             yield f"the number of a waypoint {here}", now.guidance.index, 0, last
             yield f"the number of waypoints reached {here}", now.guidance.reached, 0, tick + 1

@@ -72,6 +72,7 @@ def scene_of(state: FleetState, sky: SkyState, view: Surroundings | None = None)
     vehicle = state.vehicle
     return {
         "position_ned": vehicle.position_ned,
+        "position_low_ned": state.position_low_ned,
         "velocity_ned": rotation(vehicle.attitude).to_ned(vehicle.velocity_body),
         "attitude": vehicle.attitude,
         "velocity_body": vehicle.velocity_body,
@@ -88,7 +89,7 @@ def estimate_of(fleet: Fleet, state: FleetState) -> Estimate:
     truth = state.vehicle
     if fleet.controller.feed == "truth":
         velocity = rotation(truth.attitude).to_ned(truth.velocity_body)
-        return Estimate(truth.position_ned, velocity, truth.attitude)
+        return Estimate(truth.position_ned, velocity, truth.attitude, state.position_low_ned)
     measured = measured_quantities(state.readings)
     position, velocity = measured["position_ned"], measured["velocity_ned"]
     return Estimate(

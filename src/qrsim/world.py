@@ -30,6 +30,7 @@ from qrsim.models.area import Violation, collisions, reason_code
 from qrsim.models.contents import Surroundings
 from qrsim.models.gnss import SkyState
 from qrsim.models.orbits import split_time
+from qrsim.models.vehicles.moving import move
 from qrsim.models.vehicles.quadrotor import Command, clip_command
 from qrsim.sensing import estimate_of, faulted, measured_quantities, scene_of, sense
 from qrsim.world_tree import (
@@ -45,6 +46,7 @@ from qrsim.world_tree import (
     World,
     WorldKeys,
     period_ticks,
+    position_of,
     when_due,
 )
 
@@ -63,6 +65,7 @@ __all__ = [
     "measured_quantities",
     "own_checks",
     "period_ticks",
+    "position_of",
     "refuse_unplaced",
     "reset",
     "start_fleet",
@@ -183,22 +186,26 @@ def _fly(
         wanted = action
     else:
         fed = estimate_of(fleet, state) if believed is None else believed
-        estimate = jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(new), new, old), fed, estimate)
+        alone = replace(fed, position_low_ned=None)
+        estimate = jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, estimate)
         asked = action
         if asked is None:
             others = _others(world, before, fleet)
             guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others)
-        controller, wanted = fleet.controller.step(controller, estimate, asked, dt)
+        known = replace(estimate, position_low_ned=fed.position_low_ned)
+        controller, wanted = fleet.controller.step(controller, known, asked, dt)
         setpoint = _shown(fleet, asked)
     weight = fleet.vehicle.mass * fleet.vehicle.gravity
     voltage = fleet.battery.voltage(state.battery, truth.thrust, weight, wanted.battery)
     command, clipped = clip_command(replace(wanted, battery=voltage), getattr(fleet.battery, "commanded", True))
     battery = fleet.battery.step(state.battery, truth.thrust, weight, dt)
-    vehicle, force = fleet.vehicle.step(
-        truth, command, lambda trig: trig.rotation().to_body(air), fleet.vehicle.draw_noise(noise[PROCESS], dt), dt
+    drawn = fleet.vehicle.draw_noise(noise[PROCESS], dt)
+    vehicle, low, force = move(
+        fleet.vehicle, truth, state.position_low_ned, command, lambda trig: trig.rotation().to_body(air), drawn, dt
     )
     return replace(
-        state, vehicle=vehicle, specific_force=force, turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
+        state, vehicle=vehicle, position_low_ned=low, specific_force=force,
+        turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
         gust_rates_ned=_gust_rates(world, turbulence, height),
         estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=command,
         command_clipped=clipped, battery=battery,
@@ -253,7 +260,13 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
         valid = violation.code == 0
         # Only the vehicle itself is put back: what else a stopped vehicle computes goes nowhere.
         kept = select(valid, vehicle, stopped)
-        checked.append(replace(new, vehicle=kept, violation=violation, command_clipped=new.command_clipped & valid))
+        low = select(valid, new.position_low_ned, old.position_low_ned)
+        checked.append(
+            replace(
+                new, vehicle=kept, position_low_ned=low, violation=violation,
+                command_clipped=new.command_clipped & valid,
+            )
+        )  # fmt: skip
     return tuple(checked)
 
 
@@ -294,6 +307,7 @@ def start_fleet(
     sky: SkyState,
     view: Surroundings,
     before: FleetState | None = None,
+    low: Vec3 | None = None,
 ) -> FleetState:
     """Return a fleet at its start: noise processes stationary, every sensor with a first reading.
 
@@ -304,6 +318,7 @@ def start_fleet(
         tick: () int32, now.
         sky, view: what sensors may look at.
         before: where the fleet has flown before, of which sensors may keep what is theirs, as the number of a picture.
+        low: what single precision leaves out of the positions (n,), if anything.
     """
     like = vehicle.thrust
     draws = _draw_fleet(world, fleet, keys, tick)
@@ -348,6 +363,7 @@ def start_fleet(
         readings=(),
         true_readings=(),
         passed_on=(),
+        position_low_ned=(low or Vec3(zero, zero, zero)) if like.dtype == jnp.float32 else None,
     )
     scene = scene_of(state, sky, view)
     firsts = []

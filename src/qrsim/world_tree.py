@@ -9,6 +9,7 @@ from jax import Array, lax
 
 from qrsim.control import Estimate, Route, RouteState, Setpoint
 from qrsim.core.noise import StreamKeys
+from qrsim.core.pairs import joined
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.area import StateLimits, Violation
@@ -140,6 +141,9 @@ class FleetState:
     readings: tuple[Any, ...] = quantity(doc="last reading of each sensor as delivered; NaN once a vehicle is invalid")
     true_readings: tuple[Any, ...] = quantity(doc="for sensors with faults, the reading without them; else None")
     passed_on: tuple[Any, ...] = quantity(doc="for each fault that remembers, the reading it passed on last; else None")
+    position_low_ned: Vec3 | None = quantity(
+        default=None, unit="m", doc="what single precision leaves out of vehicle.position_ned; None in double precision"
+    )
 
 
 @record
@@ -154,6 +158,12 @@ class State:
     contents_keys: StreamKeys | None = quantity(default=None, doc="keys of the plume's randomness; None if it has none")
     drawn: tuple[Array, ...] = quantity(default=(), doc="what this episode has drawn for each range of the world")
     placed: tuple[Array, ...] = quantity(default=(), doc="bool, of each fleet placed at random: a place was found")
+
+
+def position_of(fleet: FleetState) -> Vec3:
+    """Return the true position of each vehicle (n,) [m] with both its parts, of arrays on the host."""
+    position: Vec3 = joined(fleet.vehicle.position_ned, fleet.position_low_ned)
+    return position
 
 
 @record

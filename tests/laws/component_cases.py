@@ -302,6 +302,7 @@ def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
         specific_force=Vec3(axis(2.0), axis(2.0), axis(2.0, first=-9.81, offset=-9.81)),
         mean_wind_ned=vector(3.0),
         gust_ned=vector(1.0),
+        position_low_ned=None,
     )
     command = Command(axis(0.3), axis(0.3), axis(0.1, offset=0.6, first=0.59), axis(0.5), axis(0.5, 11.0, 11.0))
     view = surroundings(world, dtype)

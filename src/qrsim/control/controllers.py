@@ -46,6 +46,14 @@ def _feed() -> Any:
     return setting(default="measurements", doc="what the controller is fed with")
 
 
+def _hold(
+    loop: HeightLoop, state: HeightState, estimate: Estimate, z_wanted: Array, dt: float
+) -> tuple[HeightState, Array]:
+    """Return the new state and the throttle (n,) that hold a height, of all that is known of the present one."""
+    low = estimate.position_low_ned
+    return loop.step(state, estimate.position_ned.z, z_wanted, dt, None if low is None else low.z)
+
+
 @record
 class WaypointController:
     """Flies to a waypoint at a limited speed, holding height and heading."""
@@ -77,7 +85,7 @@ class WaypointController:
         self, state: HeightState, estimate: Estimate, setpoint: WaypointSetpoint, dt: float
     ) -> tuple[HeightState, Command]:
         """Return the new state and the command (n,)."""
-        error = setpoint.position_ned - estimate.position_ned
+        error = -estimate.offset_from(setpoint.position_ned)
         sine, cosine = sincos(estimate.attitude.yaw)
 
         def to_heading(north: Array, east: Array) -> tuple[Array, Array]:
@@ -90,7 +98,7 @@ class WaypointController:
         pitch = jnp.clip(self.velocity_gain * (u - u_wanted), -self.tilt_limit, self.tilt_limit)
         roll = jnp.clip(self.velocity_gain * (v_wanted - v), -self.tilt_limit, self.tilt_limit)
         turn = yaw_rate(estimate.attitude.yaw, setpoint.yaw, self.yaw_gain, self.yaw_rate_limit)
-        state, throttle = self.height.step(state, estimate.position_ned.z, setpoint.position_ned.z, dt)
+        state, throttle = _hold(self.height, state, estimate, setpoint.position_ned.z, dt)
         return state, Command(pitch, roll, throttle, turn, jnp.broadcast_to(self.battery, pitch.shape))
 
 
@@ -191,7 +199,7 @@ class VelocityHeightController:
         horizontal, (forward, right) = self.velocity.step(
             state.horizontal, (error.x, error.y), asked, self.tilt_limit, dt
         )
-        height, throttle = self.height.step(state.height, estimate.position_ned.z, setpoint.z, dt)
+        height, throttle = _hold(self.height, state.height, estimate, setpoint.z, dt)
         turn = yaw_rate(estimate.attitude.yaw, setpoint.yaw, self.yaw_gain, self.yaw_rate_limit)
         command = Command(-forward, right, throttle, turn, jnp.broadcast_to(self.battery, right.shape))
         return VelocityHeightState(horizontal, height), command
@@ -223,7 +231,7 @@ class AttitudeHeightController:
         self, state: HeightState, estimate: Estimate, setpoint: AttitudeHeightSetpoint, dt: float
     ) -> tuple[HeightState, Command]:
         """Return the new state and the command (n,)."""
-        state, throttle = self.height.step(state, estimate.position_ned.z, setpoint.z, dt)
+        state, throttle = _hold(self.height, state, estimate, setpoint.z, dt)
         turn = yaw_rate(estimate.attitude.yaw, setpoint.yaw, self.yaw_gain, self.yaw_rate_limit)
         pitch = jnp.clip(setpoint.pitch, -self.tilt_limit, self.tilt_limit)
         roll = jnp.clip(setpoint.roll, -self.tilt_limit, self.tilt_limit)

@@ -42,9 +42,18 @@ class HeightLoop:
         """Return a state that has not seen a set-point; z is (n,) [m]."""
         return HeightState(jnp.zeros_like(z), jnp.zeros_like(z), jnp.full_like(z, NEVER))
 
-    def step(self, state: HeightState, z: Array, z_wanted: Array, dt: float) -> tuple[HeightState, Array]:
-        """Return the new state and the throttle [0, 1] for z and z_wanted (n,) [m], down positive."""
-        error = z - z_wanted
+    def step(
+        self, state: HeightState, z: Array, z_wanted: Array, dt: float, z_low: Array | None = None
+    ) -> tuple[HeightState, Array]:
+        """Return the new state and the throttle [0, 1] for z and z_wanted (n,) [m], down positive.
+
+        Args:
+            state: of the last step.
+            z, z_wanted: where the vehicle is and is to be.
+            dt: step [s].
+            z_low: what single precision leaves out of z, if that is known.
+        """
+        error = z - z_wanted if z_low is None else z - z_wanted + z_low
         # A new set-point would show as a spike of the derivative.
         rate = jnp.where(z_wanted == state.z_wanted, (error - state.error) * (1.0 / dt), 0.0)
         integral = state.integral + error * dt

@@ -47,6 +47,14 @@ class Estimate:
     position_ned: Vec3 = quantity(unit="m", doc="position")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
     attitude: Euler = quantity(unit="rad", doc="Euler angles")
+    position_low_ned: Vec3 | None = quantity(
+        default=None, unit="m", doc="what single precision leaves out of the position; None where nobody knows"
+    )
+
+    def offset_from(self, place_ned: Vec3) -> Vec3:
+        """Return the position minus a place (n,) [m], of which a large one is not rounded before it is subtracted."""
+        offset = self.position_ned - place_ned
+        return offset if self.position_low_ned is None else offset + self.position_low_ned
 
     @staticmethod
     def of(position_ned: Any, velocity_ned: Any, attitude: Any) -> Estimate:

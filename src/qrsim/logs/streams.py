@@ -12,7 +12,7 @@ from qrsim.logs import Column
 from qrsim.models.area import REASONS, reason_text
 from qrsim.models.gnss import FEWEST_SATELLITES
 from qrsim.simulation import History, Simulation
-from qrsim.world import FleetState, World
+from qrsim.world import FleetState, World, position_of
 
 Values = dict[str, np.ndarray[Any, Any]]
 STREAMS = ("truth", "measurements", "commands", "wind")
@@ -39,6 +39,9 @@ def _tree(stream: str, names: tuple[str, ...], state: FleetState) -> list[tuple[
         for name, leaf, info in walk(root, prefix)
     ]
     if stream == "truth":
+        whole = position_of(state)
+        exact = {f"position_ned.{axis}": getattr(whole, axis) for axis in "xyz"}
+        items = [(name, exact.get(name, leaf), unit, doc) for name, leaf, unit, doc in items]
         items.append(("valid", state.violation.code == 0, "", "whether the vehicle still flies"))
     if stream == "commands":
         items.append(("clipped", state.command_clipped, "", "the command was outside its range and was clipped"))
@@ -203,8 +206,5 @@ class EventFinder:
     @staticmethod
     def _positions(history: History, row: int) -> np.ndarray[Any, Any]:
         """Return the positions (n, 3) of all vehicles."""
-        axes = "xyz"
-        fleets = history.state.fleets
-        return np.stack(
-            [np.concatenate([getattr(f.vehicle.position_ned, axis)[row] for f in fleets]) for axis in axes], axis=1
-        )
+        positions = [position_of(fleet) for fleet in history.state.fleets]
+        return np.stack([np.concatenate([getattr(each, axis)[row] for each in positions]) for axis in "xyz"], axis=1)

@@ -14,6 +14,7 @@ from jax import Array
 
 from qrsim.core.fastmath import sincos
 from qrsim.core.noise import Draw, ou_step
+from qrsim.core.pairs import added
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.orbits import Orbits
@@ -172,9 +173,10 @@ class ReceiverState:
     """What a receiver remembers: the last fix, and the fixes still on their way to the user."""
 
     position_ned: Vec3 = quantity(unit="m", doc="last solution")
-    true_ned: Vec3 = quantity(unit="m", doc="true position at the last solution")
+    true_ned: Any = quantity(unit="m", doc="true position at the last solution; None for a solution of two parts")
     pending: tuple[GnssReading, ...] = quantity(doc="readings that the delay holds back, oldest first")
     listed: Any = quantity(default=None, doc="(S, n) bool: satellites kept of the hand list, else None")
+    position_low_ned: Any = quantity(default=None, unit="m", doc="what position_ned leaves out, or None")
 
 
 # The satellites "from a typical flight day" of the reference implementation; each receiver keeps 10 to 13 of them.
@@ -209,43 +211,50 @@ class GnssReceiver:
     period: float = setting(
         default=0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0
     )
-    reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky")
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky", "position_low_ned")
 
     def init(
-        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
+        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState, position_low_ned: Vec3 | None = None
     ) -> tuple[ReceiverState, GnssReading]:
         """Return the first fix, as if it had been reported for a while; its velocity is the true one."""
         listed = self._choose_listed(draw, sky) if self.satellites == "hand_list" else None
         fix, _ = self._solve(draw, position_ned, sky, listed)
-        position = position_ned + fix.offset_ned
+        position, true, low = _solution(position_ned, fix, position_low_ned)
         reading = GnssReading(position, velocity_ned, fix.satellites, fix.hdop, fix.vdop)
-        return ReceiverState(position, position_ned, (reading,) * self.delay, listed), reading
+        return ReceiverState(position, true, (reading,) * self.delay, listed, low), reading
 
     def restart(
-        self, state: ReceiverState, draw: Draw, since: Array, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
-    ) -> tuple[ReceiverState, GnssReading]:
+        self, state: ReceiverState, draw: Draw, since: Array, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState,
+        position_low_ned: Vec3 | None = None,
+    ) -> tuple[ReceiverState, GnssReading]:  # fmt: skip
         """Return the first fix of receivers that were put elsewhere ``since`` [s] after an epoch."""
-        fresh, reading = self.init(draw, position_ned, velocity_ned, sky)
+        fresh, reading = self.init(draw, position_ned, velocity_ned, sky, position_low_ned)
         # Where they would have been at that epoch, because the next velocity is that of a whole period.
         moved = velocity_ned * since
-        return replace(fresh, position_ned=fresh.position_ned - moved, true_ned=fresh.true_ned - moved), reading
+        if fresh.position_low_ned is None:
+            return replace(fresh, position_ned=fresh.position_ned - moved, true_ned=fresh.true_ned - moved), reading
+        position, low = added(fresh.position_ned, fresh.position_low_ned - moved)
+        return replace(fresh, position_ned=position, position_low_ned=low), reading
 
     def step(
-        self, state: ReceiverState, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState
-    ) -> tuple[ReceiverState, GnssReading]:
+        self, state: ReceiverState, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState,
+        position_low_ned: Vec3 | None = None,
+    ) -> tuple[ReceiverState, GnssReading]:  # fmt: skip
         """Compute a fix for receivers at position_ned (n,) and report the one of ``delay`` periods ago."""
         fix, velocity_error = self._solve(draw, position_ned, sky, state.listed)
-        position = position_ned + fix.offset_ned
+        position, true, low = _solution(position_ned, fix, position_low_ned)
         if velocity_error is not None:
             velocity = velocity_ned + velocity_error
         else:
-            # Truth and error are differenced apart: what their sum loses to rounding would be divided by the period.
-            error_before = state.position_ned - state.true_ned
-            moved = (position_ned - state.true_ned) + (fix.offset_ned - error_before)
+            # What a sum of truth and error loses to rounding would be divided by the period.
+            if low is None:
+                moved = (position_ned - state.true_ned) + (fix.offset_ned - (state.position_ned - state.true_ned))
+            else:
+                moved = (position - state.position_ned) + (low - state.position_low_ned)
             velocity = moved * (1.0 / self.period)
         fresh = GnssReading(position, velocity, fix.satellites, fix.hdop, fix.vdop)
         queue = (*state.pending, fresh)
-        return ReceiverState(position, position_ned, queue[1:], state.listed), queue[0]
+        return ReceiverState(position, true, queue[1:], state.listed, low), queue[0]
 
     def fix(self, draw: Draw, position_ned: Vec3, sky: SkyState) -> Fix:
         """Return the navigation solution of each receiver (n,) from the satellites above the mask."""
@@ -287,6 +296,17 @@ class GnssReceiver:
         score = jnp.where(on_list[:, None], normals[:count], -math.inf)
         rank = jnp.sum((score[None, :, :] > score[:, None, :]).astype(jnp.int32), axis=1)
         return on_list[:, None] & (rank < (FEWEST_LISTED + quartile)[None, :])
+
+
+def _solution(position_ned: Vec3, fix: Fix, position_low_ned: Vec3 | None) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
+    """Return the solution of receivers (n,), the true position and what the solution leaves out, as a state has them.
+
+    From a position of two parts comes a solution of two parts, which need not be taken apart into truth and error.
+    """
+    if position_low_ned is None:
+        return position_ned + fix.offset_ned, position_ned, None
+    position, low = added(position_ned, fix.offset_ned + position_low_ned)
+    return position, None, low
 
 
 @record

@@ -11,7 +11,7 @@ from qrsim.core.noise import StreamKeys
 from qrsim.models.area import reason_text
 from qrsim.models.camera import CameraReading
 from qrsim.models.contents import ContentsState
-from qrsim.world_tree import FleetState, State, World
+from qrsim.world_tree import FleetState, State, World, position_of
 
 Floats = np.ndarray[Any, Any]
 
@@ -131,7 +131,7 @@ def frame_of(state: State, time: float, world: World) -> Frame:
     values = np.concatenate([np.asarray(fleet.violation.value) for fleet in state.fleets])
     return Frame(
         time,
-        gather(lambda fleet: fleet.vehicle.position_ned),
+        gather(position_of),
         gather(lambda fleet: fleet.vehicle.attitude),
         gather(lambda fleet: fleet.estimate.position_ned),
         gather(_fix),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -108,6 +109,7 @@ class Readout:
         floats, integers = layout.sizes
         places = layout.unpack((np.arange(floats), np.arange(integers, dtype=np.int32)))
         self._x_places = np.concatenate([_state_places(fleet) for fleet in places.fleets])
+        self._low_places = _low_places(places.fleets)
         self._codes = np.concatenate([fleet.violation.code for fleet in places.fleets])
         self._values = np.concatenate([fleet.violation.value for fleet in places.fleets])
         rows, columns, sources, first = [], [], [], 0
@@ -128,6 +130,8 @@ class Readout:
         floats = np.asarray(self._simulation.packed[1][0])
         self._time[0] = self._simulation.time
         self._x[...] = floats.take(self._x_places)
+        if self._low_places is not None:
+            self._x[:, :3] += floats.take(self._low_places)
         self._ex[self._ex_rows, self._ex_columns] = floats.take(self._ex_places)
         if self._explains and not self.all_valid():
             return self._explained()
@@ -181,6 +185,14 @@ def _state_places(fleet: FleetState) -> Array:
     vehicle = fleet.vehicle
     groups = (vehicle.position_ned, vehicle.attitude, vehicle.velocity_body, vehicle.rates_body)
     return np.stack([*(axis for group in groups for axis in vars(group).values()), vehicle.thrust], axis=1)
+
+
+def _low_places(fleets: Sequence[FleetState]) -> Array | None:
+    """Return the places (n, 3) of what single precision leaves out of the positions, None in double precision."""
+    lows = [fleet.position_low_ned for fleet in fleets]
+    if any(low is None for low in lows):
+        return None
+    return np.concatenate([np.stack([low.x, low.y, low.z], axis=1) for low in lows if low is not None])
 
 
 def _measured_places(fleet: FleetState) -> dict[int, Any]:
