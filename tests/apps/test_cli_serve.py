@@ -30,6 +30,7 @@ from qrsim.scenarios.scenario import load_scenario
         (["--idle-timeout", "-1"], "--idle-timeout -1: expected a number of seconds, or 0 for never"),
         (["--idle-timeout", "nan"], "--idle-timeout nan"),
         (["--episodes", "sam"], "--episodes sam: expected new or same; did you mean 'same'?"),
+        (["TaskComplac"], "did you mean 'TaskComplacs'?"),
         (["keep_spott"], "did you mean 'keep_spot'?"),
         (["--set", "duration=3"], "there is no SCENARIO to change"),
     ],

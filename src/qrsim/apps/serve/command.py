@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.errors import RunError, UsageError, did_you_mean, nearest
 from qrsim.extras import require
 
 if TYPE_CHECKING:
@@ -175,9 +175,12 @@ class Serve:
             if self.set:
                 raise UsageError("--set: there is no SCENARIO to change")
             return None
-        from qrsim.apps.serve.tasks import ours
+        from qrsim.apps.serve.tasks import REFERENCE_TASKS, ours
         from qrsim.scenarios.scenario import load_scenario
 
+        meant = nearest(self.scenario, REFERENCE_TASKS) if self.scenario.startswith("Task") else None
+        if meant not in (None, self.scenario) and not Path(self.scenario).exists():
+            raise UsageError(f"no scenario is called '{self.scenario}'; did you mean '{meant}'?")
         return load_scenario(ours(self.scenario), self.set)
 
 
