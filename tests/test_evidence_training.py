@@ -15,6 +15,7 @@ from evidence import training as study
 from evidence.__main__ import plain
 from examples import keep_spot_ppo as ppo
 
+from qrsim.apps.envs import Functional
 from qrsim.errors import UsageError
 
 pytestmark = pytest.mark.long
@@ -77,6 +78,11 @@ def full() -> dict[str, Any]:
     """The recorded results."""
     results: dict[str, Any] = json.loads(REPORT.read_text(encoding="utf-8"))["results"]
     return results
+
+
+def test_the_example_pays_nothing_beforehand() -> None:
+    """With 100 steps to an episode its learners would end far away, where most is given back."""
+    assert float(Functional.of("keep_spot", ppo.OVERRIDES).play.task.stake) == 0.0
 
 
 def test_every_learner_rises_above_hovering_and_the_controller(full: dict[str, Any]) -> None:

@@ -134,6 +134,7 @@ def ended(name: str, *overrides: str) -> Any:
         ("keep_spot", ("task.crash=published",), -7.0, -1000.0),
         ("goto_waypoint", ("task.crash=published",), -5507.0, -1000.0),
         ("keep_velocity", ("task.crash=published", "task.penalty=-50"), -7.0, -50.0),
+        ("goto_waypoint", ("task.crash=published", "task.stake=0"), -5007.0, -1000.0),
         # Or what costs most, in 60 s: every second the command that costs most, and the farthest corner at the end.
         ("keep_spot", (), -7.0, -(60.0 * HIGHEST_RATE + 600.0)),
         ("keep_spot", ("task.penalty=-9000",), -7.0, -9000.0),
@@ -157,7 +158,7 @@ def ended(name: str, *overrides: str) -> Any:
     ],
 )
 def test_the_return_after_a_crash(name: str, overrides: tuple[str, ...], paid: float, after: float) -> None:
-    """In ``paid``: 7 for commands, the squared distance, and half of what a crash costs, if the goal is so far away."""
+    """In ``paid``: 7 for commands, the squared distance, and of a far goal the stake, half of what a crash costs."""
     first, last = ended(name, *overrides)
     assert first == pytest.approx(paid, rel=1e-6)
     assert first + last == pytest.approx(after, rel=1e-6)

@@ -3,7 +3,7 @@
 The rewards of an episode add up to what the reference implementation returns at its end: minus the integral of the
 costs, and for a place minus the squared distance from it at the end. That distance is paid as it changes, a potential
 of the state (Ng, Harada and Russell 1999), so who learns hears of it at once, and the sum is that of the end for every
-``period``. So is half of what a crash costs: paid on the way to the nearest limit of the area, given back on the way
+``period``. So is a part of what a crash costs: paid on the way to the nearest limit of the area, given back on the way
 home and at the end. Who crashes gets what is missing to a total that no crash can have made better: see ``crash``.
 """
 
@@ -36,9 +36,6 @@ from qrsim.world_tree import Action, FleetState, State, World
 _UNITS = {"pitch": "rad", "roll": "rad", "throttle": "1", "yaw_rate": "rad/s", "battery": "V"}
 AXES = tuple(Axis(name, _UNITS[name], *COMMAND_LIMITS[name]) for name in COMMAND_FIELDS)
 Crash = Literal["worst", "published"]
-# Part of what a crash costs that is paid on the way there. Where nothing is, whoever learns with rewards as they are
-# has to find out from single steps that are a thousand times worse than all others.
-STAKE = 0.5
 # Of a goal at a limit of its area, or beyond it [m].
 SHORTEST_REACH = 1.0
 
@@ -95,6 +92,10 @@ class Commanded:
         default="worst",
         doc="return after a crash: published, the penalty; worst, no more than anybody can have who does not crash",
     )
+    stake: Array = parameter(
+        default=0.5, unit="1", doc="part of what a crash costs that is paid on the way there and given back",
+        minimum=0.0, maximum=1.0,
+    )  # fmt: skip
     fleet: str = setting(default="pelicans", doc="name of the fleet whose vehicles are the agents")
     period: float = action_period(0.02)
 
@@ -134,7 +135,7 @@ class Commanded:
     ) -> tuple[SimpleMemory, Array]:
         """Return minus what a step costs all vehicles together, for each of them."""
         distance = self.distance_squared(memory, world, state)
-        stake = -STAKE * self.crash_return(memory, world, state, steps) / distance.shape[0]
+        stake = -self.stake * self.crash_return(memory, world, state, steps) / distance.shape[0]
         owed = distance + jnp.where(step < steps, stake * jnp.minimum(distance / memory.reach, 1.0), 0.0)
         reward = -jnp.sum(memory.cost + (owed - memory.owed))
         after = replace(memory, cost=jnp.zeros_like(owed), owed=owed, total=memory.total + reward)
