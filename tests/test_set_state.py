@@ -98,7 +98,7 @@ def test_the_others_go_on_to_the_bit_and_the_draws_are_those_of_the_tick(outdoor
     for old, new in zip(jax.tree.leaves(before.fleets), jax.tree.leaves(after.fleets), strict=True):
         if old.ndim and old.shape[-1] == 5:
             np.testing.assert_array_equal(new[..., others], old[..., others])
-    assert not np.array_equal(after.fleets[0].sensors[0].true_ned.x, before.fleets[0].sensors[0].true_ned.x)
+    assert not np.array_equal(after.fleets[0].readings[0].position_ned.x, before.fleets[0].readings[0].position_ned.x)
     again = outdoors.set_state(rows)
     np.testing.assert_array_equal(again.gnss.position_ned, reading.gnss.position_ned)
     outdoors.step()
