@@ -112,5 +112,5 @@ def test_a_bearing_with_a_leading_zero_is_decimal() -> None:
 
 
 def test_words_for_true_and_false_get_a_hint() -> None:
-    with pytest.raises(ScenarioError, match="'yes' is neither true nor false; did you mean true"):
+    with pytest.raises(ScenarioError, match=r"'yes' is neither true nor false .*; did you mean true"):
         load_scenario("outdoor_patrol", ["fleets.pelicans.guidance.repeat=yes"])

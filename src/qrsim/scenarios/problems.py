@@ -144,7 +144,9 @@ class _Fault:
             return f"{where}: expected {self._length()}, found {len(value) or 'none'}{self._meaning()}"
         if value is None:
             return f"{where}: has no value{self._meaning()}"
-        return f"{where}: {self._shown(value)} {self._fault(kind, context)}{self._meaning()}"
+        meant = _OTHER_WORDS.get(str(value).lower()) if kind == "bool_type" else None
+        hint = f"; did you mean {meant}?" if meant else ""
+        return f"{where}: {self._shown(value)} {self._fault(kind, context)}{self._meaning()}{hint}"
 
     def _fault(self, kind: str, context: dict[str, Any]) -> str:
         if kind in _RANGES:
@@ -153,8 +155,6 @@ class _Fault:
             return f"is no name; allowed: {_characters(str(context['pattern']))}"
         if kind == "string_too_long":
             return f"is too long; allowed: at most {context['max_length']} characters"
-        if kind == "bool_type" and str(self.details["input"]).lower() in _OTHER_WORDS:
-            return f"{_PLAIN[kind]}; did you mean {_OTHER_WORDS[str(self.details['input']).lower()]}?"
         return _PLAIN.get(kind, f"is not right: {self.details['msg']}")
 
     def _known(self) -> list[str]:
