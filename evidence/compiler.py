@@ -107,14 +107,20 @@ def _inside(numbers: Any, value: Value, factor: float) -> Any:
     return near | same | ~np.isfinite(value.error)
 
 
-def tried(number: int, featured: Any = None) -> tuple[str, Program]:
-    """Return what became of one random program: "handed over", "equal", "within", "ambiguous", or what is wrong."""
+def tried(number: int, featured: Any = None, longest: int = 11) -> tuple[str, Program]:
+    """Return what became of one random program: one of OUTCOMES, or what is wrong; and the program.
+
+    Args:
+        number: of the program.
+        featured: what it has in any case, one of MAKERS; None: at random, now and then something that is XLA's.
+        longest: the most makers that it has.
+    """
     choose = random.Random(SEED * 1_000_003 + number)
     if featured is None:
         featured = HANDED_OVER if choose.random() < 0.04 else choose.choice(MAKERS)
     double = choose.random() < 0.1
     with jax.enable_x64(double), np.errstate(all="ignore"):
-        program = Program(choose, featured, choose.randrange(4, 12), double)
+        program = Program(choose, featured, choose.randrange(2, longest + 1), double)
         mode, ticks = choose.choice(MODES), choose.choice((1, 2, 3))
         if double and mode.lanes == 16:
             mode = Mode(8, mode.side_by_side)

@@ -1,0 +1,223 @@
+"""What users write, by machine code and by XLA: the shapes of real worlds, and what the code generator hands over."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+from tests.native.test_operations import by_jax, run
+from tests.small_worlds import bare_pair, noisy_pair
+
+import qrsim
+from qrsim import configuration
+from qrsim.core.fastmath import rounded
+from qrsim.errors import CompilerWarning
+from qrsim.native import Mode, UnsupportedError, forget, tracing
+from qrsim.rollouts import rollout
+from qrsim.simulation import Simulation
+from qrsim.ticking import mode_of
+
+COUNTS = (1, 2, 7, 16, 17, 144, 1000)
+
+
+@pytest.fixture(autouse=True)
+def _anew():
+    forget()
+    yield
+    forget()
+
+
+def chooses(_: Any, state: Any, tick: Any) -> Any:
+    """Return what policies make of what they see: the best, who is out of range, sums, loops, norms of NaN."""
+    x, y, place = state["x"], state["y"], state["place"]
+    speed = jnp.abs(x) + jnp.abs(y)
+    best = jnp.argmax(speed)
+    near = lax.while_loop(
+        lambda c: c[0] < 3, lambda c: (c[0] + 1, jnp.where(c[1] > 1.0, 0.5 * c[1], c[1])), (0, speed)
+    )[1]
+    return {
+        "x": x.at[place].get(mode="fill", fill_value=0.25),
+        "y": x.at[place].get(mode="clip") + speed[best],
+        "place": place,
+        "best": best + jnp.argmin(y),
+        "sum": jnp.cumsum(jnp.round(x)),
+        "parts": jax.ops.segment_sum(jnp.round(y), place, x.shape[0]),
+        "norm": jnp.stack([jnp.linalg.norm(jnp.round(x)), jnp.linalg.norm(jnp.stack([x[0], jnp.nan]))]),
+        "near": near + lax.cond(best > 0, lambda: x, lambda: y),
+        "last": x.at[-1].set(7.0).at[place].add(1.0, mode="drop") + jnp.minimum(x / 0.0, 1e30),
+    }
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_worlds_of_every_size(count):
+    """One tick, within three units of the last place, in the way a world of that size is flown."""
+    random = np.random.default_rng(count)
+    numbers = {
+        "x": random.choice([-2.0, -0.5, 0.0, 0.25, 1.0, 3.0], (2, count)).astype(np.float32),
+        "y": random.choice([-1.0, 0.5, 2.0, 2.5], (2, count)).astype(np.float32),
+        "place": random.integers(-count - 3, count + 3, (2, count), np.int32),
+    }
+    state = dict(
+        numbers, best=np.zeros(2, np.int32), sum=numbers["x"], parts=numbers["x"], near=numbers["x"], last=numbers["x"],
+        norm=np.zeros((2, 2), np.float32),
+    )  # fmt: skip
+    for mode in (mode_of(count, np.dtype(np.float32)), Mode(16, True)):
+        with np.errstate(all="ignore"):
+            for mine, theirs in zip(run(chooses, state, mode), by_jax(chooses, state), strict=True):
+                for name, wanted in theirs.items():
+                    np.testing.assert_array_max_ulp(mine[name], wanted, 3) if wanted.dtype.kind == "f" else (
+                        np.testing.assert_array_equal(mine[name], wanted, err_msg=name)
+                    )
+
+
+def test_a_function_of_the_same_name_is_another():
+    """It was taken for the package's own search for neighbours."""
+
+    @jax.jit
+    def nearest_squared(x, y, z, offset):
+        return x + 2.0 * y - z + offset
+
+    def function(_, state, tick):
+        return dict(state, found=nearest_squared(state["x"], state["x"], state["x"], jnp.float32(0.5)))
+
+    state = {"x": np.linspace(-3.0, 3.0, 144, dtype=np.float32)[None], "found": np.zeros((1, 144), np.float32)}
+    (mine,) = run(function, state, Mode(16, False))
+    np.testing.assert_allclose(mine["found"], 2.0 * state["x"][0] + 0.5, atol=2e-6)
+
+
+def test_a_minimum_is_a_minimum_and_what_is_rounded_is_not_contracted():
+    def function(_, state, tick):
+        a, b, c = state["a"], state["b"], state["c"]
+        return dict(
+            state, least=jnp.minimum(a, 1e30), tied=a * b - b * a, rounded=rounded(a * b) - c, once=a * b - c,
+            gap=(p := a * b) - jnp.max(p),
+        )  # fmt: skip
+
+    a = np.array([[np.inf, 1.1, 3.3]], np.float32)
+    b = np.array([[1.0, 1.3, 0.7]], np.float32)
+    state = {"a": a, "b": b, "c": a * b} | dict.fromkeys(("least", "tied", "rounded", "once", "gap"), 0.0 * b)
+    (mine,) = run(function, state, Mode(16, False))
+    np.testing.assert_array_equal(mine["least"], np.array([1e30, 1.1, 3.3], np.float32))
+    np.testing.assert_array_equal(mine["tied"][1:], 0.0)
+    np.testing.assert_array_equal(mine["rounded"][1:], 0.0)
+    # The rounding error of the product, which one rounding of both leaves over.
+    exact = a[0, 1:].astype(float) * b[0, 1:] - (a * b)[0, 1:]
+    np.testing.assert_allclose(mine["once"][1:], exact, rtol=1e-6)
+    assert (exact != 0.0).all()
+
+
+def test_a_world_that_does_not_take_a_branch_does_not_turn_in_its_loop():
+    """The loop in the branch would never end with its numbers."""
+
+    def function(_, state, tick):
+        k = state["k"]
+        found = lax.cond(k > 0, lambda: lax.while_loop(lambda c: c != 0, lambda c: c - 2, 2 * k) + 5, lambda: k * 0 - 1)
+        return {"k": k, "found": found}
+
+    def odd(_, state, tick):
+        return function(_, dict(state, k=state["k"]), tick)
+
+    state = {"k": np.array([3, -1, 4, 0, 2] * 4, np.int32), "found": np.zeros(20, np.int32)}
+    found = [int(each["found"]) for each in run(odd, state, Mode(16, True))]
+    assert found == [5, -1, 5, -1, 5] * 4
+
+
+@pytest.mark.parametrize(
+    ("reason", "function"),
+    [
+        ("'sort' at", lambda x: jnp.sort(x)),
+        ("'dot_general' at", lambda x: jnp.outer(x, x) @ x),
+        ("'scan' at", lambda x: lax.fori_loop(0, 3, lambda i, v: v * 0.5, x)),
+        ("a scatter that applies a function", lambda x: x.at[0].apply(jnp.sin)),
+        ("numbers of type float16", lambda x: x.astype(jnp.float16).astype(jnp.float32)),
+    ],
+)
+def test_the_reason_names_operation_and_line(reason, function):
+    state = {"x": np.ones((1, 4), np.float32)}
+    with pytest.raises(UnsupportedError, match=reason) as caught:
+        run(lambda _, now, tick: {"x": function(now["x"])}, state, Mode(16, False))
+    assert "test_users.py:" in str(caught.value)
+
+
+def test_numbers_that_would_be_cut_short_from_tick_to_tick_are_refused():
+    with jax.enable_x64(True), pytest.raises(UnsupportedError, match="numbers of type int64 from tick to tick"):
+        run(lambda _, now, tick: {"k": now["k"] + 1}, {"k": np.zeros((1, 4), np.int64)}, Mode(8, False))
+
+
+class TestFallback:
+    @pytest.fixture
+    def broken(self, monkeypatch):
+        """Let the code generator have a fault of its own."""
+
+        def fault(*_: Any) -> Any:
+            raise KeyError(12)
+
+        monkeypatch.setattr(tracing.Tracer, "broadcast_in_dim", fault)
+        monkeypatch.setenv("QRSIM_COMPILATION_CACHE", "off")
+
+    def test_a_fault_of_its_own_costs_one_warning(self, broken):
+        simulation = Simulation(bare_pair().world(), seed=1)
+
+        def fly() -> None:
+            simulation.reset()
+            simulation.step(ticks=3)
+
+        with pytest.warns(CompilerWarning, match=r"error of the code generator itself \(KeyError: 12\)") as told:
+            fly()
+        assert len([each for each in told if each.category is CompilerWarning]) == 1
+        assert simulation.tick == 3
+
+    def test_a_policy_flies_by_xla_with_one_warning(self):
+        """That names what it is and where; asked again, or told to use XLA, nothing more is said."""
+
+        @jax.jit
+        def sorting(reading):
+            order = jnp.sort(reading.gnss.position_ned[:, 0])
+            return jnp.zeros((2, 5)).at[:, 2].set(0.59).at[:, 4].set(12.0) + 0.0 * order[:, None]
+
+        world = noisy_pair().world()
+        with pytest.warns(CompilerWarning, match=r"XLA.*does not take 'sort' at .*test_users.py:\d+") as told:
+            first = rollout(world, sorting, ticks=5, worlds=2, seed=1)
+        assert len([each for each in told if each.category is CompilerWarning]) == 1
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", CompilerWarning)
+            second = rollout(world, sorting, ticks=5, worlds=2, seed=1)
+        np.testing.assert_array_equal(first["position_ned"], second["position_ned"])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("count", COUNTS)
+def test_policies_of_real_worlds_by_both_compilers(count, monkeypatch):
+    """The chosen vehicle climbs, by each of some policies; after 5 ticks both are where the other is."""
+
+    def asked(which: Any) -> Any:
+        thrust = jnp.where(jnp.arange(count) == which, 0.7, 0.59)
+        return jnp.zeros((count, 5)).at[:, 2].set(thrust).at[:, 4].set(12.0)
+
+    policies = {
+        "argmax": lambda r: asked(jnp.argmax(r.gnss.position_ned[:, 0])),
+        "sort": lambda r: asked(jnp.argsort(r.gnss.position_ned[:, 1])[0]),
+        "matmul": lambda r: asked(0) + 0.0 * (r.gnss.position_ned @ jnp.eye(3))[:, :1],
+        "clip": lambda r: asked(r.gnss.position_ned[:, 0].at[count + 5].get(mode="clip").astype(int) % count),
+        "cumsum": lambda r: asked(jnp.cumsum(jnp.ones(count))[-1].astype(int) - 1),
+    }  # fmt: skip
+    content = qrsim.load_scenario("outdoor_patrol").spec.model_dump(mode="json")
+    fleet = content["fleets"]["pelicans"]
+    fleet["vehicles"] = [
+        dict(fleet["vehicles"][i % 5], position_ned=[7.0 * (i % 30) - 100.0, 7.0 * (i // 30) - 100.0, -30.0])
+        for i in range(count)
+    ]
+    world = qrsim.load_scenario(content).world()
+    for name, policy in policies.items():
+        found = []
+        for compiler in configuration.COMPILERS:
+            monkeypatch.setitem(configuration._chosen, "compiler", compiler)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", CompilerWarning)
+                found.append(rollout(world, jax.jit(policy), ticks=5, seed=1)["position_ned"])
+        np.testing.assert_allclose(*found, atol=2e-4, err_msg=name)
