@@ -48,15 +48,13 @@ def test_three_hundred_programs_and_every_primitive():
         check(number)
 
     try_it()
-    # "core_closed_call" and "call" are of JAX's own making, and not to be had by what a user writes.
-    wanted = {primitive for primitive in RULES if primitive.name not in ("core_closed_call", "core_call")}
-    for number in range(200):
-        missing = wanted - seen
-        if not missing:
+    # What chance left out so far.
+    for number in range(60):
+        if set(RULES) <= seen:
             break
         for i, maker in enumerate(MAKERS):
             check(2 * 10**9 + 1000 * number + i, maker)
-    assert not wanted - seen
+    assert not {primitive.name for primitive in set(RULES) - seen}
 
 
 SPECIAL = np.array(

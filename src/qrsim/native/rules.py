@@ -110,10 +110,7 @@ def _rows() -> dict[str, Rule]:
     # What is only there for differentiation, staging or for other compilers.
     rows |= {name: Rule("transparent", "", {}) for name in ("copy", "stop_gradient", "optimization_barrier")}
     rows |= {name: Rule("call", "jaxpr", _STAGED) for name in ("jit", "remat")}
-    rows |= {
-        name: Rule("call", "call_jaxpr", _STAGED)
-        for name in ("closed_call", "call", "custom_jvp_call", "custom_vjp_call")
-    }
+    rows |= {name: Rule("call", "call_jaxpr", _STAGED) for name in ("custom_jvp_call", "custom_vjp_call")}
     return rows
 
 
