@@ -365,5 +365,6 @@ class TestBadInput:
 
 
 def test_what_is_public():
-    assert qrsim.rollout is rollout
+    assert qrsim.rollout.__module__ == "qrsim.scenarios.flying"
+    assert qrsim.Rollout.__module__ == "qrsim.rollouts"
     assert dataclasses.fields(qrsim.Rollout)
