@@ -118,6 +118,8 @@ def write(name: str, module: ModuleType, revision: str, output: Path, part: str 
         report = json.loads(path.read_text(encoding="utf-8"))
         report["results"] |= results
         report["parts"] = report.get("parts", {}) | {part: run}
+        if set(report["parts"]) == set(module.PARTS):
+            report |= run  # nothing is left of the run of the whole
     output.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return path

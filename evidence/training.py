@@ -153,9 +153,9 @@ def draw(results: dict[str, Any]) -> Any:
         axes.plot(np.arange(1, len(curve) + 1), curve, lw=1.4, label=f"PPO, learner {seed}")
     for name, label, style in (("hover", "hover command", ":"), ("controller", "waypoint controller", "--")):
         axes.axhline(results[name]["mean"], color="black", ls=style, label=f"{label}: {results[name]['mean']:.0f}")
-    axes.set_yscale("symlog", linthresh=10.0)
+    axes.set_yscale("symlog", linthresh=1.0)
     axes.yaxis.set_major_formatter("{x:g}")
-    axes.set_ylim(top=-10.0)
+    axes.set_ylim(top=-1.0)
     axes.set_xlabel(f"iteration, {results['episodes']} episodes of 10 s each")
     axes.set_ylabel("mean return of an episode")
     axes.set_title("keep_spot in a wind of 3 m/s from anywhere, commands at 10 Hz", fontsize=10)

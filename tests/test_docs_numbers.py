@@ -248,6 +248,9 @@ class TestRunner:
         report = json.loads((tmp_path / "two.json").read_text(encoding="utf-8"))
         assert report["results"] == {"left": {"a": 2}, "right": {"a": 1}}
         assert (report["commit"], report["parts"]["left"]["commit"]) == ("abc1234", "def5678")
+        assert runner.main(["two:right"], tmp_path) == 0
+        report = json.loads((tmp_path / "two.json").read_text(encoding="utf-8"))
+        assert (report["commit"], set(report["parts"])) == ("def5678", {"left", "right"})
         capsys.readouterr()
         for name, said in (("two:rigth", "did you mean 'right'?; it has left, right"), ("one:a", "it has none")):
             assert runner.main([name], tmp_path) == 2
