@@ -143,7 +143,7 @@ BROKEN: dict[str, Callable[[Signals], Signals]] = {
         if name != "time" else values for name, values in s.items()
     },
     "noisy": each((*ANGLES, *RATES, *VELOCITY), noisy(0.05)),
-    "noise": each((*ANGLES, *RATES, *VELOCITY), noisy(1.0)),
+    "noise": each((*ANGLES, *RATES, *VELOCITY), noisy(0.3)),
     **{f"at {50 // every} Hz": sampled(every) for every in (5, 10, 25)},
     "holed": each((*ANGLES, "throttle"), holed),
     "yaw wrapped": each(("yaw",), lambda v: (v + 3.1 + np.pi) % (2.0 * np.pi) - np.pi),

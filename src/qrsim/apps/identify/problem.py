@@ -34,6 +34,8 @@ FULL_BATTERY_V = 12.0
 INNER_STEPS, INNER_TOLERANCE = 2, 0.1
 # A piece between gaps that is shorter is left out.
 SHORTEST_ROWS = 25
+# Channels and derivatives beyond this, or that are no numbers, are of no vehicle; their squares are to be numbers.
+FAR = 1e100
 # The robust loss grows linearly beyond so many standard deviations.
 ROBUST_AT = 3.0
 # How far a start is believed to be from the record of a channel that counts for nothing.
@@ -202,7 +204,7 @@ class Shooting:
             with jax.enable_x64(True):
                 parts = linearised(piece.places, tuple(free), **self._arguments(values))
                 found, by_value, by_start = (np.asarray(part) for part in parts)
-            if not (np.isfinite(found).all() and np.isfinite(by_value).all() and np.isfinite(by_start).all()):
+            if not all((np.abs(part) < FAR).all() for part in (found, by_value, by_start)):
                 # The solver tried constants that no vehicle has; it comes back from there.
                 self.starts, self._follow = piece.starts(), None
                 gust = np.zeros((len(self.starts), len(self.gust)))
