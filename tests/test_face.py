@@ -66,6 +66,12 @@ def test_what_is_no_world_is_refused(source: Any, options: dict[str, Any], messa
         qrsim.rollout(source, **options)
 
 
+def test_overrides_from_a_generator_hold_for_every_scenario() -> None:
+    lower = (f"fleets.a.vehicles.0.position_ned.2={z}" for z in (-7,))
+    flown = qrsim.rollout([STILL, STILL], seeds=[1, 2], ticks=5, overrides=lower)
+    np.testing.assert_allclose(flown["position_ned"][:, 0, 2], -7.0, atol=0.01)
+
+
 def test_a_world_has_no_duration_and_no_overrides() -> None:
     world = qrsim.load_scenario(STILL).world()
     with pytest.raises(UsageError, match="ticks: how many is not said, and a World has no duration"):

@@ -344,6 +344,7 @@ class TestBadInput:
             ({"ticks": 1, "seed": 2**63}, "seed: 9223372036854775808"),
             ({"ticks": 1, "seed": 1.5}, "seed: 1.5"),
             ({"ticks": 1, "seeds": []}, "seeds: an empty list"),
+            ({"ticks": 1, "seeds": 10}, r"seeds: expected one for each world, such as range\(10\), found 10"),
             ({"ticks": 1, "seeds": [1, -2]}, "seed: -2"),
             ({"ticks": 1, "seeds": [1, 2], "worlds": 3}, "worlds: 3, but a list of 2"),
             ({"ticks": 1, "policy_ticks": 0}, "policy_ticks: 0"),

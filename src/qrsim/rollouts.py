@@ -164,6 +164,8 @@ def _which(
     """Return seed and number (W,) of each world."""
     if not several:
         raise UsageError("world: an empty list has no world to fly")
+    if seeds is not None and not hasattr(seeds, "__iter__"):
+        raise UsageError(f"seeds: expected one for each world, such as range(10), found {seeds!r:.100}")
     given = [seed] if seeds is None else list(seeds)
     for value in given:
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value < LARGEST_SEED:

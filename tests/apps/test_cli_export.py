@@ -465,6 +465,7 @@ def test_wrong_usage(recorded, tmp_path, refused):
 
     check("csv", "--stream", "trut", parts=("has no stream 'trut'; did you mean 'truth'?",))
     check("csv", "--every", "0", parts=("--every 0: expected an integer from 1",))
+    check("csv", "--every", "9" * 30, parts=("expected an integer from 1 to 2**31 - 1",))
     check("gpx", "--stream", "truth", parts=("--stream chooses among the tables of csv; gpx",))
     check("gpx", "--out", str(tmp_path), "--force", parts=(f"{tmp_path} is a folder",))
     (tmp_path / "x.csv").touch()

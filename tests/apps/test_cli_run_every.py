@@ -94,6 +94,8 @@ def test_words(words, expected):
         (["truth=0"], "--every truth=0: expected N or STREAM=N with an integer from 1"),
         (["-3"], "--every"),
         (["truth=2.5"], "--every truth=2.5: expected N or STREAM=N with an integer from 1"),
+        (["9" * 50], "expected N or STREAM=N with an integer from 1 to 2**31 - 1"),
+        (["truth=" + "9" * 5000], "expected N or STREAM=N with an integer from 1 to 2**31 - 1"),
         (["truth"], "--every truth: expected N or STREAM=N"),
         (["truth=2", "truth=3"], "--every truth=3: truth is given twice"),
         (["2", "3"], "--every 3: N for all streams is given twice"),

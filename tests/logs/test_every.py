@@ -104,9 +104,10 @@ def test_only_the_first_tick_is_kept(tmp_path):
     [
         ({"trut": 2}, "no stream 'trut'; did you mean 'truth'"),
         ({"events": 2}, "'events' are all kept"),
-        ({"truth": 0}, "stream 'truth': expected an integer from 1, got 0"),
-        ({"truth": 2.5}, "expected an integer from 1, got 2.5"),
-        ({"truth": True}, "expected an integer from 1, got True"),
+        ({"truth": 0}, "stream 'truth': expected an integer from 1 to 2..31 - 1, got 0"),
+        ({"truth": 2.5}, "expected an integer from 1 to 2..31 - 1, got 2.5"),
+        ({"truth": True}, "expected an integer from 1 to 2..31 - 1, got True"),
+        ({"truth": 2**31}, "expected an integer from 1 to 2..31 - 1, got 2147483648"),
     ],
 )
 def test_wrong_decimation(every, message, tmp_path):

@@ -225,6 +225,7 @@ def test_degrees_override_radians_and_the_other_way_round() -> None:
             "fleets.pelicans.vehicles.-1: expected an index from 0 to 4, found '-1'",
         ),
         ("fleets.pelicans.vehicles.²=x", "expected an index from 0 to 4, found '²'"),
+        ("fleets.pelicans.vehicles.9999999999=x", "expected an index from 0 to 4, found '9999999999'"),
         (
             "fleets.pelicans.vehicles.first.name=x",
             "fleets.pelicans.vehicles.first: expected an index from 0 to 4, found 'first'",
@@ -242,6 +243,12 @@ def test_a_bad_override_path_is_an_error_that_repeats_it(override: str, expected
         patrol(override)
     assert str(caught.value).startswith(f"--set {override}: ")
     assert expected in str(caught.value)
+
+
+def test_an_index_of_thousands_of_digits_is_an_error_of_a_line() -> None:
+    with pytest.raises(UsageError, match=r"^--set fleets.pelicans.vehicles.9+ ... 9+=x: expected path=value") as caught:
+        patrol(f"fleets.pelicans.vehicles.{'9' * 5000}=x")
+    assert len(str(caught.value)) < 2200
 
 
 def test_an_override_that_the_scenario_does_not_know_is_found_by_its_check() -> None:

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from qrsim.errors import ScenarioError
+from qrsim.errors import ScenarioError, did_you_mean
+from qrsim.scenarios import problems
 from qrsim.scenarios.scenario import load_scenario
 
 
@@ -383,6 +384,24 @@ def test_several_faults_are_reported_together() -> None:
         "fleets.alpha.vehicle.type",
         "fleets.alpha.vehicles.1.position_ned",
     }
+
+
+def test_thousands_of_faults_are_counted_and_the_first_are_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To look for the nearest name of each would take half a minute for a file of a megabyte."""
+    asked: list[str] = []
+
+    def counted(name: str, known: Any) -> str:
+        asked.append(name)
+        return did_you_mean(name, known)
+
+    monkeypatch.setattr(problems, "did_you_mean", counted)
+    content = valid()
+    content["fleets"]["alpha"]["vehicles"] = [{"position_nde": [0.0, 0.0, -1.0]}] * 3000
+    with pytest.raises(ScenarioError, match=r"0.position_nde: no such .*; did you mean 'position_ned'") as caught:
+        load_scenario(content)
+    assert len(caught.value.problems) == 3000
+    assert len(asked) == 200
+    assert str(caught.value).endswith("... and 2800 more")
 
 
 def test_several_faults_between_parts_are_reported_together() -> None:

@@ -18,6 +18,8 @@ import pyarrow as pa
 from qrsim.errors import UsageError, did_you_mean
 
 FORMAT = 1
+# Ticks are counted in 32 bits.
+LARGEST_EVERY = 2**31 - 1
 RUN_FILE, SCENARIO_FILE, EVENTS = "run.json", "scenario.yaml", "events"
 
 FinalState = Literal["finished", "failed", "interrupted"]
@@ -181,8 +183,8 @@ def check_every(every: Mapping[str, int], streams: Collection[str]) -> None:
             raise UsageError(f"every: '{EVENTS}' are all kept; known: {', '.join(streams)}")
         if stream not in streams:
             raise UsageError(f"every: no stream '{stream}'{did_you_mean(stream, streams)}")
-        if isinstance(number, bool) or not isinstance(number, int) or number < 1:
-            raise UsageError(f"every: stream '{stream}': expected an integer from 1, got {number!r}")
+        if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= LARGEST_EVERY:
+            raise UsageError(f"every: stream '{stream}': expected an integer from 1 to 2**31 - 1, got {number!r:.100}")
 
 
 def part_name(number: int) -> str:

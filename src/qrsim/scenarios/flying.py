@@ -10,6 +10,7 @@ from qrsim import rollouts
 from qrsim.errors import UsageError
 from qrsim.models.site import Site
 from qrsim.rollouts import Rollout
+from qrsim.scenarios.reading import checked_overrides
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.world_tree import State, World
 
@@ -70,6 +71,8 @@ def rollout(
     from qrsim.simulation import check_precision
 
     check_precision(precision)
+    # A generator would be at its end after the first of several scenarios.
+    overrides = checked_overrides(overrides)
     several = list(world) if isinstance(world, list | tuple) else [world]
     scenarios = [_scenario(source, overrides) for source in several]
     first = next((scenario for scenario in scenarios if scenario is not None), None)

@@ -11,7 +11,7 @@ from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from qrsim.errors import did_you_mean
+from qrsim.errors import MOST_PROBLEMS, did_you_mean
 
 _RANGES = ("greater_than_equal", "less_than_equal", "greater_than", "less_than")
 _LENGTHS = ("too_short", "too_long")
@@ -37,8 +37,11 @@ _PLAIN = {
 
 
 def describe(error: ValidationError, model: type[BaseModel], data: Any) -> list[str]:
-    """Return one sentence per fault, in the order of the schema."""
-    return [_Fault(details, model, data).sentence() for details in error.errors()]
+    """Return one sentence per fault, in the order of the schema; of more than are printed, the library's own words."""
+    found = error.errors(include_url=False)
+    told = [_Fault(details, model, data).sentence() for details in found[:MOST_PROBLEMS]]
+    # To find the place and the nearest name of a hundred thousand takes many seconds, and nobody reads them.
+    return told + [f"{'.'.join(map(str, rest['loc']))}: {rest['msg']}" for rest in found[MOST_PROBLEMS:]]
 
 
 def component_types(model: type[BaseModel], path: list[str]) -> list[str]:

@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from qrsim.errors import ScenarioError, UsageError, did_you_mean, shortened
+from qrsim.errors import LONGEST_NAME, ScenarioError, UsageError, did_you_mean, shortened
 from qrsim.recordings import RECORDINGS, data_folder
 from qrsim.scenarios.problems import component_types
 from qrsim.scenarios.schema import ScenarioSpec
@@ -192,7 +192,7 @@ def apply_override(content: dict[str, Any], assignment: str) -> None:
     """
     path, equals, text = assignment.partition("=")
     parts = path.strip().split(".")
-    if not equals or not all(parts) or len(parts) > DEEPEST:
+    if not equals or not all(parts) or len(parts) > DEEPEST or max(map(len, parts)) > LONGEST_NAME:
         raise UsageError(f"--set {shortened(assignment)}: expected path=value, for example world.wind.speed_20ft=7")
     value = parse_yaml(text, f"--set {path}") if text.strip() else ""
     target: Any = content
@@ -239,7 +239,7 @@ def _check_name(target: dict[str, Any], parts: list[str], depth: int, assignment
 
 def _index(target: list[Any], parts: list[str], depth: int, assignment: str) -> int:
     text = parts[depth]
-    if re.fullmatch("[0-9]+", text) and int(text) < len(target):
+    if re.fullmatch("[0-9]{1,9}", text) and int(text) < len(target):
         return int(text)
     allowed = f"an index from 0 to {len(target) - 1}" if target else "nothing, the list is empty"
     raise UsageError(f"--set {assignment}: {'.'.join(parts[: depth + 1])}: expected {allowed}, found '{text}'")

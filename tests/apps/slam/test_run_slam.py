@@ -137,6 +137,7 @@ def test_the_command_solves_a_run(run: Path, tmp_path: Path, capsys: pytest.Capt
     [
         (["--seeds", "0"], "--seeds 0: expected a positive number"),
         (["--duration", "-1"], "--duration -1: expected a positive number"),
+        (["--duration", "1e300"], "--duration 1e+300: expected a positive number of seconds, at most 10 000 000"),
         (["--vehicle", "a"], "--vehicle: only with --run"),
         (["--run", "nowhere"], "no run at nowhere"),
         (["--run", "nowhere", "--sweep"], "--sweep: not with --run"),

@@ -59,9 +59,10 @@ class Export:
     def run(self) -> None:
         """Check, write, and say what was written."""
         from qrsim.logs import open_run
+        from qrsim.logs.layout import LARGEST_EVERY
 
-        if self.every is not None and self.every < 1:
-            raise UsageError(f"--every {self.every}: expected an integer from 1")
+        if self.every is not None and not 1 <= self.every <= LARGEST_EVERY:
+            raise UsageError(f"--every {self.every}: expected an integer from 1 to 2**31 - 1")
         if self.stream is not None and self.format != "csv":
             raise UsageError(f"--stream chooses among the tables of csv; {self.format} has no such choice")
         recorded = open_run(self.run_folder, skip_damaged=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from qrsim.errors import UsageError
-from qrsim.logs.layout import check_every
+from qrsim.errors import UsageError, shortened
+from qrsim.logs.layout import LARGEST_EVERY, check_every
 from qrsim.logs.streams import STREAMS
 
 
@@ -18,8 +18,10 @@ def parse_every(words: Sequence[str]) -> dict[str, int]:
     found: dict[str, int] = {}
     for word in words:
         stream, _, number = word.rpartition("=")
-        if not number.isdecimal() or int(number) < 1:
-            raise UsageError(f"--every {word}: expected N or STREAM=N with an integer from 1")
+        if not (number.isdecimal() and len(number) < 20 and 1 <= int(number) <= LARGEST_EVERY):
+            raise UsageError(
+                f"--every {shortened(word, 100)}: expected N or STREAM=N with an integer from 1 to 2**31 - 1"
+            )
         if stream in found:
             raise UsageError(f"--every {word}: {stream or 'N for all streams'} is given twice")
         if stream or "=" in word:

@@ -85,8 +85,8 @@ class SlamCommand:
             raise UsageError(f"--seeds {self.seeds}: expected a positive number of flights")
         if not 0 <= self.first_seed < 2**63 - self.seeds:
             raise UsageError(f"--first-seed {self.first_seed}: expected an integer from 0 to 2**63 - 1 - --seeds")
-        if not 0.0 < self.duration < float("inf"):
-            raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
+        if not 0.0 < self.duration <= 1e7:
+            raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds, at most 10 000 000")
         if self.vehicle is not None and self.run_folder is None:
             raise UsageError("--vehicle: only with --run")
         if self.run_folder is not None:
