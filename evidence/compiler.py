@@ -6,7 +6,6 @@ import hashlib
 import json
 import random
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -160,12 +159,14 @@ def run(full: bool) -> dict[str, Any]:
 def _all_of(total: int) -> dict[int, str]:
     """Try all programs by two processes; what is done already lies in the folder of temporary files."""
     place = Path(tempfile.gettempdir()) / f"qrsim-evidence-compiler-{_state()}.json"
-    found = {int(k): v for k, v in json.loads(place.read_text()).items()} if place.exists() else {}
-    parts = [(first, first + PART) for first in range(0, total, PART) if first not in found]
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn"), max_tasks_per_child=10) as pool:
-        for done in _shown(pool.map(_part, parts), len(parts)):
+    found = {int(k): v for k, v in json.loads(place.read_text(encoding="utf-8")).items()} if place.exists() else {}
+    parts = [(first, min(first + PART, total)) for first in range(0, total, PART)]
+    parts = [part for part in parts if not found.keys() >= set(range(*part))]
+    # Anew now and then, because compiled programs stay in memory.
+    with get_context("spawn").Pool(2, maxtasksperchild=10) as pool:
+        for done in _shown(pool.imap_unordered(_part, parts), len(parts)):
             found |= done
-            place.write_text(json.dumps(found))
+            place.write_text(json.dumps(found), encoding="utf-8")
     return found
 
 
