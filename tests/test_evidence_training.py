@@ -92,3 +92,11 @@ def test_every_learner_rises_above_hovering_and_the_controller(full: dict[str, A
         assert len(learner["curve"]) == full["iterations"] == ppo.ITERATIONS
         assert learner["low"] > full["controller"]["high"] > full["controller"]["low"] > full["hover"]["high"]
         assert learner["flown_to_the_end"] == 1.0
+
+
+def test_stable_baselines_has_learned_to_fly_without_a_crash(full: dict[str, Any]) -> None:
+    """With its defaults, on the registered environment; hovering leaves the area in most of the same episodes."""
+    learned = full["sb3"]
+    assert learned["trials"] == study.SB3_FULL[3] == 1000
+    assert learned["flown_to_the_end"] == 1.0 > 0.5 > learned["hover"]["flown_to_the_end"]
+    assert learned["low"] > -25.0 > learned["hover"]["high"]
