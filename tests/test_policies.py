@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.small_worlds import pair
+from tests.small_worlds import bare_pair, pair
 
 from qrsim import Estimate, VelocitySetpoint, WaypointSetpoint
 from qrsim.errors import RunError, UsageError
@@ -389,3 +390,38 @@ def test_a_word_that_is_nearly_right_is_named() -> None:
         load_function("policy", "basline", ("baseline",))
     with pytest.raises(UsageError, match=r"for example my_policy:hover, or 'baseline'$"):
         load_function("policy", "pilot", ("baseline",))
+
+
+@dataclass
+class Throttle:
+    """A policy, and what sums up a flight: both with an attribute, and neither with a hash."""
+
+    amount: float
+
+    def init(self, reading: Any, state: Any = None) -> Any:
+        return jnp.zeros(2)
+
+    def step(self, reading: Any, memory: Any) -> Any:
+        return jnp.asarray([[0.0, 0.0, self.amount, 0.0, 12.0]] * 2), memory
+
+    def update(self, total: Any, world: Any, state: Any, tick: Any) -> Any:
+        return total + self.amount
+
+    def finish(self, total: Any, world: Any, state: Any) -> Any:
+        return {"total": total}
+
+
+def test_an_attribute_that_has_changed_is_flown():
+    """It flew, and summed up, as the object was when it was compiled first."""
+    world, policy, metrics = bare_pair().world(), Throttle(0.4), Throttle(1.0)
+
+    def fly() -> Any:
+        flown = rollout(world, policy, ticks=5, metrics=metrics, record=place, record_every=5)
+        # Down is positive.
+        return flown["total"][0, 0], flown.recorded[0, 1, 0, 2] - flown.recorded[0, 0, 0, 2]
+
+    first = fly()
+    policy.amount, metrics.amount = 0.9, 3.0
+    second = fly()
+    assert (first[0], second[0]) == (5.0, 15.0)
+    assert second[1] < first[1]

@@ -6,7 +6,8 @@ A policy is one of
   ticks with NumPy arrays, whatever it is written in;
 - the same function under ``jax.jit``. It is compiled into the loop, for thousands of worlds at once;
 - an object with ``init(reading)``, which returns its memory, and ``step(reading, memory)``, which returns the command
-  and the new memory (any tree of arrays). It is compiled into the loop.
+  and the new memory (any tree of arrays). It is compiled into the loop, its attributes as constants: a rollout looks at
+  them when it begins, and compiles anew where one has changed.
 
 An estimator is the same with a ``qrsim.Estimate`` in place of the command; where that is NaN, a controller believes
 what it did before, as with sensors that have nothing to say. Both see readings only, never the truth.
@@ -18,7 +19,7 @@ import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,27 +27,28 @@ from typing import Any
 
 import jax
 
+from qrsim.core.sameness import Itself, sameness
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean, nearest
 from qrsim.user_files import check_file
 
 
 @dataclass(frozen=True)
 class UserFunction:
-    """A policy or an estimator; two are equal that were made of the same object.
+    """A policy or an estimator; two are equal that were made of the same object with the same attributes.
 
     Attributes:
         what: "policy" or "estimator", for messages.
         name: what the user calls it.
-        identity: of the user's own object.
+        identity: of the user's own object and its attributes, which are constants of a program.
         compiled: whether it becomes part of the loop; else it is called with NumPy arrays.
         init: from a reading to the memory.
         step: from a reading and the memory to the result and the memory.
-        given: the user's own object, kept so that its identity stays its own.
+        given: the user's own object.
     """
 
     what: str
     name: str
-    identity: int
+    identity: Hashable
     compiled: bool = field(compare=False)
     init: Callable[[Any], Any] = field(compare=False)
     step: Callable[[Any, Any], Any] = field(compare=False)
@@ -92,7 +94,7 @@ def user_function(what: str, given: Any) -> UserFunction | None:
     if not inspect.isclass(given) and hasattr(given, "init") and hasattr(given, "step"):
         _check_arguments(what, f"{name}.init", given.init, ["reading"])
         _check_arguments(what, f"{name}.step", given.step, ["reading", "memory"])
-        return UserFunction(what, name, id(given), True, given.init, given.step, given)
+        return UserFunction(what, name, sameness(given), True, given.init, given.step, given)
     if not callable(given) or inspect.isclass(given):
         raise UsageError(f"{what}: expected a function of a reading, or an object with init and step, found {given!r}")
     # Compiled into the loop, the user's own function is what is traced.
@@ -103,7 +105,7 @@ def user_function(what: str, given: Any) -> UserFunction | None:
     def step(reading: Any, memory: Any) -> tuple[Any, Any]:
         return plain(reading), memory
 
-    return UserFunction(what, name, id(given), compiled, lambda reading: None, step, given)
+    return UserFunction(what, name, Itself(given), compiled, lambda reading: None, step, given)
 
 
 def _check_arguments(what: str, name: str, function: Any, arguments: list[str]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -41,6 +41,7 @@ class Setup:
     Attributes:
         policy, estimator: the user's, None without.
         metrics: what sums up a flight.
+        measured: which object that is, and its attributes, which are constants of a program.
         policy_ticks: the policy is asked at every so-many-th tick.
         site: origin of the local frame.
         structure: of a World as a PyTree.
@@ -52,7 +53,8 @@ class Setup:
 
     policy: UserFunction | None
     estimator: UserFunction | None
-    metrics: Any
+    metrics: Any = field(compare=False)
+    measured: Hashable
     policy_ticks: int
     site: Site = field(compare=False)
     structure: Any

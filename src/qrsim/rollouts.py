@@ -16,6 +16,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from qrsim.configuration import use_compilation_cache
+from qrsim.core.sameness import sameness
 from qrsim.core.structure import kinds
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.metrics import FLIGHT_METRICS
@@ -143,8 +144,9 @@ def setup_of(
     devices = jax.devices()
     mesh = Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
     structure, fixed, varied, which_varied = _stack(list(several))
+    metrics = FLIGHT_METRICS if metrics is None else metrics
     setup = Setup(
-        user_function("policy", policy), user_function("estimator", estimator), metrics or FLIGHT_METRICS,
+        user_function("policy", policy), user_function("estimator", estimator), metrics, sameness(metrics),
         policy_ticks, site or Site(), structure, repr(structure), which_varied, mesh, tuple(kinds(structure)),
     )  # fmt: skip
     return setup, fixed, varied

@@ -133,6 +133,10 @@ def test_a_world_that_does_not_take_a_branch_does_not_turn_in_its_loop():
         ("'sort' at", lambda x: jnp.sort(x)),
         ("'dot_general' at", lambda x: jnp.outer(x, x) @ x),
         ("'scan' at", lambda x: lax.fori_loop(0, 3, lambda i, v: v * 0.5, x)),
+        (
+            "a loop with a condition for each element at",
+            jax.vmap(lambda x: lax.while_loop(lambda c: c < x, lambda c: 2.0 * c + 1.0, jnp.float32(0.0))),
+        ),
         ("a scatter that applies a function", lambda x: x.at[0].apply(jnp.sin)),
         ("numbers of type float16", lambda x: x.astype(jnp.float16).astype(jnp.float32)),
     ],

@@ -284,6 +284,8 @@ class Tracer(Indexing):
         first = inputs[conditions + bodies :]
         if any(0 in view.shape for view in first):
             raise UnsupportedError("a loop over nothing")
+        if squeezed(parameters["cond_jaxpr"].out_avals[0].shape):
+            raise UnsupportedError("a loop with a condition for each element")
         carries = [self._unknown("carry", (), view) for view in first]
         views = [View.whole(node, view.shape) for node, view in zip(carries, first, strict=True)]
         regions = [

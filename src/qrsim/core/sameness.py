@@ -1,0 +1,72 @@
+"""Whether an object of a user's is what it was when a program was made of it."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import types
+from collections.abc import Hashable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+# So many attributes of attributes are looked at; what lies deeper is told by its identity.
+DEPTH = 4
+_PLAIN = (bool, int, float, complex, str, bytes, type(None))
+_CODE = (
+    type, types.FunctionType, types.BuiltinFunctionType, types.MethodType, types.ModuleType, functools.partial,
+    jax.stages.Wrapped,
+)  # fmt: skip
+
+
+class Itself:
+    """An object as a key: equal to itself only, and kept, so that no other one gets its place in memory.
+
+    Args:
+        kept: the object.
+    """
+
+    def __init__(self, kept: Any):
+        self.kept = kept
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Itself) and self.kept is other.kept
+
+    def __hash__(self) -> int:
+        return id(self.kept)
+
+
+def sameness(given: Any, depth: int = DEPTH) -> Hashable:
+    """Return a key that differs where an object is another, or has other attributes than it had.
+
+    A program has the attributes of a policy as constants. Functions and classes are told by their identity: as with
+    ``jax.jit``, what they close over is not looked at.
+
+    Args:
+        given: the object.
+        depth: so many steps into attributes, lists and dicts are looked at.
+    """
+    if isinstance(given, _PLAIN):
+        # As text, because 1, 1.0 and True are equal, NaN is not equal to itself, and -0.0 is no 0.0.
+        return type(given), repr(given)
+    if isinstance(given, jax.core.Tracer):
+        # Left behind by a program that was made; no two programs leave the same.
+        return jax.core.Tracer
+    if isinstance(given, np.ndarray | np.generic | jax.Array) and _has_numbers(given):
+        numbers = np.asarray(given)
+        return type(given), str(numbers.dtype), numbers.shape, hashlib.sha256(numbers.tobytes()).digest()
+    if depth and not isinstance(given, _CODE):
+        if isinstance(given, list | tuple):
+            return type(given), tuple(sameness(part, depth - 1) for part in given)
+        if isinstance(given, set | frozenset):
+            return type(given), frozenset(sameness(part, depth - 1) for part in given)
+        named = given if isinstance(given, dict) else getattr(given, "__dict__", {})
+        parts = tuple((sameness(name, 1), sameness(part, depth - 1)) for name, part in list(named.items()))
+        return type(given) if isinstance(given, dict) else Itself(given), parts
+    return Itself(given)
+
+
+def _has_numbers(array: Any) -> bool:
+    return not jnp.issubdtype(array.dtype, jax.dtypes.extended) and array.dtype != object
