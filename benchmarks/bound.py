@@ -191,7 +191,7 @@ def time_package(worlds: int, ticks: int, repeats: int) -> dict[str, Any]:
     """Return the row of this package; a rollout is timed whole, from its start to its metrics."""
     import qrsim
 
-    world = qrsim.load_scenario(scenario(VEHICLES)).world()
+    world = qrsim.load_scenario(scenario(VEHICLES), quiet=True).world()
     metrics = Nothing()
     walls, cpus = [], []
     for _ in range(1 + repeats):  # the first one compiles

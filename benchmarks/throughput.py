@@ -61,7 +61,7 @@ def stage_world(count: int, stage: str) -> Any:
         fleet["guidance"] = {"type": "attitude"}
     elif place < STAGES.index("gnss"):
         fleet["sensors"]["gnss"] = {"type": "ideal_gnss"}
-    return load_scenario(content).world()
+    return load_scenario(content, quiet=True).world()
 
 
 @contextmanager

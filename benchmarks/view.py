@@ -48,7 +48,7 @@ def simulation(count: int) -> Any:
     """Return a simulation of the default scenario with so many vehicles, reset."""
     import qrsim
 
-    found = qrsim.Simulation(qrsim.load_scenario(_common.patrol(count)).world(), seed=1)
+    found = qrsim.Simulation(qrsim.load_scenario(_common.patrol(count), quiet=True).world(), seed=1)
     found.reset()
     return found
 
@@ -99,7 +99,7 @@ def factor(count: int, duration: float, browsers: int | None) -> tuple[float, fl
     from qrsim.view.clock import Clock
     from qrsim.view.live import LiveView
 
-    scenario = qrsim.load_scenario(_common.patrol(count), [f"duration={duration}"])
+    scenario = qrsim.load_scenario(_common.patrol(count), [f"duration={duration}"], quiet=True)
     view = None if browsers is None else LiveView(0, Clock(float("inf")))
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         if view is not None:

@@ -111,7 +111,7 @@ def watch(view: LiveView, duration: float, found: dict[str, Any]) -> None:
 def run(full: bool) -> dict[str, Any]:
     """Return what was drawn, fetched and kept in memory."""
     count, duration = FULL if full else SMALL
-    scenario = qrsim.load_scenario(patrol(count), [f"duration={duration}"])
+    scenario = qrsim.load_scenario(patrol(count), [f"duration={duration}"], quiet=True)
     view, found = LiveView(0, Clock()), {}  # type: ignore[var-annotated]
     watching = threading.Thread(target=watch, args=(view, duration, found))
     with tempfile.TemporaryDirectory() as folder:
