@@ -40,7 +40,7 @@ class TestRecording:
         assert frame.time == time
         assert recording.end == pytest.approx(DURATION)
         for i, axis in enumerate("xyz"):
-            np.testing.assert_array_equal(frame.position_ned[:, i], truth[f"position_ned.{axis}"][row])
+            np.testing.assert_array_equal(frame.position_ned[:, i], np.float32(truth[f"position_ned.{axis}"][row]))
             np.testing.assert_array_equal(frame.ghost_ned[:, i], measured[f"gnss.position_ned.{axis}"][row])
             np.testing.assert_array_equal(frame.wind_ned[:, i], wind[f"mean_ned.{axis}"][row])
             np.testing.assert_array_equal(frame.gust_ned[:, i], wind[f"gust_ned.{axis}"][row])
@@ -62,7 +62,7 @@ class TestRecording:
         assert recording.shown == 5
         whole = open_run(flown.folder)["truth"]
         np.testing.assert_array_equal(recording.time, whole.time[::5])
-        np.testing.assert_array_equal(recording.frame(5.0).position_ned[:, 0], whole["position_ned.x"][250])
+        np.testing.assert_array_equal(recording.frame(5.0).position_ned[:, 0], np.float32(whole["position_ned.x"][250]))
 
     def test_stopped_vehicles_say_why(self, fly):
         flight = fly("--duration", "3", "--no-figure", "--set", "fleets.pelicans.limits.rate=0.4")

@@ -282,12 +282,13 @@ def test_every_quantity_of_a_reading_has_a_unit_and_a_meaning(name: str) -> None
 
 
 def test_every_sensor_has_an_ideal_form_that_says_the_truth() -> None:
-    """It has the same reading and the same inputs, and draws nothing."""
+    """It has the same reading and draws nothing; its inputs are the same but for what single precision leaves out."""
     kinds: dict[bool, set[Any]] = {True: set(), False: set()}
     for name in GROUPS["SENSORS"]:
         sensor: Any = GROUPS["SENSORS"][name]
         (found, _), _ = computed("SENSORS", name)
-        kinds[name.startswith("ideal_")].add((type(found["results"]["second"]), sensor.reads))
+        reads = tuple(what for what in sensor.reads if what != "position_low_ned")
+        kinds[name.startswith("ideal_")].add((type(found["results"]["second"]), reads))
         if name.startswith("ideal_"):
             assert jax.tree.leaves(found["noise"]) == []
             later = inputs(0)["later"]

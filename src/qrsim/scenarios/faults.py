@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import dataclasses
 import typing
 from collections.abc import Iterator
@@ -80,7 +81,8 @@ def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 def _time_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Iterator[str]:
     for name, seconds in (("start", fault.start), ("end", fault.end)):
-        if seconds and not is_multiple(seconds, scenario.time_step):
+        # An end beyond all steps is that of the run.
+        if seconds and not is_multiple(seconds, scenario.time_step, math.inf):
             yield f"{path}.{name}: {seconds:g} s is not a multiple of the time step {scenario.time_step:g} s"
     if fault.start >= scenario.duration:
         yield (

@@ -14,10 +14,10 @@ from qrsim.scenarios.schema import ScenarioSpec
 MOST_STEPS = 2**31 - 2
 
 
-def is_multiple(seconds: float, step: float) -> bool:
-    """Return whether a time is a whole number of steps, at least one and at most as many as are counted."""
+def is_multiple(seconds: float, step: float, most: float = MOST_STEPS) -> bool:
+    """Return whether a time is a whole number of steps, at least one and at most ``most``."""
     ratio = seconds / step
-    return math.isfinite(ratio) and 1 <= round(ratio) <= MOST_STEPS and math.isclose(ratio, round(ratio), rel_tol=1e-9)
+    return math.isfinite(ratio) and 1 <= round(ratio) <= most and math.isclose(ratio, round(ratio), rel_tol=1e-9)
 
 
 def timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
