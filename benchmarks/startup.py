@@ -79,6 +79,8 @@ def flights(folder: Path, runs: int, scenario: str, cache: Path | None) -> tuple
         environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
         # The user's cache, on Linux.
         environment["XDG_CACHE_HOME"] = str(place)
+        # Of a run too short for its sensors, which is meant.
+        environment["PYTHONWARNINGS"] = "ignore::UserWarning"
         words = ["run", scenario, "--duration", "0.02", "--no-figure", "--json", "--out", str(folder / f"run-{number}")]
         begun = time.time()
         wall, cpu, printed = run_timed([sys.executable, "-m", "qrsim.cli", *words], environment)

@@ -78,8 +78,8 @@ def step_setpoints(starts: dict[str, Values]) -> dict[str, Any]:
     return {
         "waypoint": qrsim.WaypointSetpoint.of(waypoint, asked("waypoint", "yaw")),
         "velocity": qrsim.VelocitySetpoint.of(velocity, asked("velocity", "yaw")),
-        "velocity_height": qrsim.VelocityHeightSetpoint.of(level[:, :2], HEIGHT + level[:, 2]),
-        "attitude_height": qrsim.AttitudeHeightSetpoint.of(tilt[:, 0], tilt[:, 1], HEIGHT + tilt[:, 2]),
+        "velocity_height": qrsim.VelocityHeightSetpoint.of(level[:, :2], -HEIGHT - level[:, 2]),
+        "attitude_height": qrsim.AttitudeHeightSetpoint.of(tilt[:, 0], tilt[:, 1], -HEIGHT - tilt[:, 2]),
         "attitude": qrsim.AttitudeSetpoint.of(asked("attitude", "roll"), asked("attitude", "pitch"), 0.0, 0.6),
     }
 
