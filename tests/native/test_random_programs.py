@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 import jax
@@ -149,4 +148,4 @@ def test_the_study_counts_what_became_of_programs():
     assert found["different"] == 0
     assert found["compiled"] + found["handed_over"] == found["programs"]
     assert found["equal_to_the_bit"] > found["within"] > 0
-    assert list(itertools.islice(found["first_different"], 1)) == []
+    assert found["different"] == 0
