@@ -61,11 +61,20 @@ def _extreme(name: str) -> Callable[..., Value]:
             start = {} if x.rounded.size else {"initial": _first(name, x.rounded.dtype)}
             return whole(function.reduce(x.rounded, axis=axes, **start), *_any_of(x, axes))
         start = {"initial": -np.inf if name == "maximum" else np.inf}
-        exact, error = function.reduce(x.exact, axis=axes, **start), x.error.max(axis=axes, initial=0.0)
+        exact, error = _signed(name, x.exact, axes, **start), x.error.max(axis=axes, initial=0.0)
         error = np.where(np.isnan(exact) & np.isfinite(error), 0.0, error)
-        return Value(function.reduce(x.rounded, axis=axes, **start), exact, error)
+        return Value(_signed(name, x.rounded, axes, **start), exact, error)
 
     return of
+
+
+def _signed(name: str, x: Any, axes: tuple[int, ...], **start: Any) -> Any:
+    """Return the extreme along axes; as in JAX and unlike in NumPy -0 is less than +0, in whichever order they come."""
+    found = getattr(np, name).reduce(x, axis=axes, **start)
+    sign = -1.0 if name == "minimum" else 1.0
+    # A sum of zeros is -0 where all of them are.
+    zero = sign * np.add.reduce(np.where(x == 0.0, sign * x, -0.0), axis=axes, initial=-0.0)
+    return np.where(found == 0.0, zero, found).astype(x.dtype)
 
 
 def _first(name: str, dtype: Any) -> Any:

@@ -149,3 +149,18 @@ def test_the_study_counts_what_became_of_programs():
     assert found["compiled"] + found["handed_over"] == found["programs"]
     assert found["equal_to_the_bit"] > found["within"] > 0
     assert found["different"] == 0
+
+
+@pytest.mark.parametrize("values", [(-0.0, 0.0), (0.0, -0.0), (-0.0, -0.0), (0.0, -3.0, -0.0), (-0.0, 3.0, 0.0)])
+@pytest.mark.parametrize(("name", "function"), [("reduce_max", jnp.max), ("reduce_min", jnp.min)])
+def test_the_reference_takes_the_zero_that_jax_takes(name, function, values):
+    closed = jax.make_jaxpr(function)(np.float32(values))
+    (found,) = evaluate(closed, [given(np.float32(values))])
+    own = np.asarray(jax.jit(function)(np.float32(values)))
+    assert str(closed.jaxpr.eqns[0].primitive) == name
+    assert float(found.rounded) == float(own)
+    assert np.signbit(found.rounded) == np.signbit(own)
+
+
+def test_a_program_whose_zeros_have_both_signs():
+    assert compiler.tried(16612)[0] == "equal"
