@@ -92,22 +92,11 @@ def rollout(
 ) -> Rollout:
     """Fly many worlds from their start and return what sums up each flight.
 
+    What ``qrsim.rollout`` does with scenarios once they are Worlds; its docstring explains every argument.
+
     Args:
         world: the parameters of all worlds, or a list with those of each, which may differ in numbers only.
-        policy: what commands the vehicles, see ``qrsim.policies``; None: every fleet's own guidance.
         ticks: steps of every world.
-        worlds: how many, W; their randomness is (seed, 0), (seed, 1), ...
-        seed: of all randomness.
-        seeds: one for each world in place of ``seed`` and ``worlds``.
-        estimator: what feeds the controllers in place of the sensors, see ``qrsim.policies``.
-        policy_ticks: the policy is asked at every so-many-th tick, and its command held in between.
-        metrics: what sums up a flight: an object with ``init``, ``update`` and ``finish`` as in FlightMetrics.
-        record: a function of a world's State that returns arrays to keep.
-        record_every: ticks between two records, the first one at the start.
-        sink: called with the numbers (B,) of some worlds, the tick, and what ``record`` returned for them, each leaf
-            (B, ...): nothing is then held in memory.
-        progress: called with the number of world-ticks done since the last call.
-        site: origin of the local frame, for readings in latitude and longitude of policies outside the compiled loop.
 
     Raises:
         UsageError: wrong numbers, worlds of different structure, or a policy or estimator of the wrong kind, shape or

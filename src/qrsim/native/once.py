@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -12,8 +13,12 @@ from qrsim.native.cache import kept
 from qrsim.native.refusal import UnsupportedError, refusing
 
 log = logging.getLogger(__name__)
-# By all that they depend on; in the place of what cannot be made, the reason.
+# By all that they depend on, the last used at the end; in the place of what cannot be made, the reason.
 _MADE: dict[Any, Any] = {}
+# So many are kept here; a policy whose attributes change is another program each time.
+MOST_MADE = 256
+# Sessions of a server make theirs in threads.
+_KEEPING = threading.Lock()
 # The reasons that a user has heard.
 _TOLD: set[str] = set()
 
@@ -32,15 +37,20 @@ def once(
     Raises:
         UnsupportedError: it cannot be made.
     """
-    if key not in _MADE:
+    found = _MADE.get(key)
+    if found is None:
         try:
-            found = make() if what is None else kept(what, make)
+            binary = make() if what is None else kept(what, make)
             with refusing():
-                _MADE[key] = load(found)
+                found = load(binary)
         except UnsupportedError as why:
             _tell(key[0], why)
-            _MADE[key] = why
-    found = _MADE[key]
+            found = why
+    with _KEEPING:
+        _MADE.pop(key, None)
+        _MADE[key] = found
+        while len(_MADE) > MOST_MADE:
+            del _MADE[next(iter(_MADE))]
     if isinstance(found, UnsupportedError):
         raise found
     return found
