@@ -7,11 +7,15 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import qrsim
 from qrsim.cli import main
+from qrsim.models.turbulence import low_altitude_scales
+from qrsim.scenarios import plausibility
 from qrsim.scenarios.scenario import built_in_names, load_scenario
 
 VEHICLE = "fleets.pelicans.vehicle"
@@ -145,3 +149,29 @@ def test_the_command_line_says_each_once(capsys: Any) -> None:
     lines = [line for line in capsys.readouterr().err.splitlines() if "cannot stay in the air" in line]
     assert len(lines) == 1
     assert lines[0].startswith("warning: outdoor_patrol: fleets.pelicans.vehicle.mass: 4 kg weigh 39.2 N")
+
+
+@pytest.mark.parametrize(
+    "wind",
+    [
+        {"type": "calm"},
+        {"type": "log_shear", "speed_20ft": 7.0, "wind_from_deg": 30},
+        {"type": "veering_shear", "speed_20ft": 7.0, "wind_from_deg": 30, "profile": "log"},
+        {"type": "veering_shear", "speed_20ft": 7.0, "wind_from_deg": 30, "profile": "power", "exponent": 0.2},
+    ],
+    ids=lambda wind: f"{wind['type']} {wind.get('profile', '')}",
+)
+def test_its_wind_and_gusts_are_those_of_the_models(wind: dict[str, Any]) -> None:
+    """It has them in NumPy, because a first use of JAX would take longer than to read the scenario."""
+    turbulence = {"type": "dryden", **({} if "speed_20ft" in wind else {"speed_20ft": 4.0, "wind_from_deg": 30})}
+    scenario = load_scenario(
+        {"name": "x", "extends": "hover", "world": {"wind": wind, "turbulence": turbulence}}, quiet=True
+    )
+    world, heights = scenario.world("float64"), np.array([0.01, 3.0, 20.0, 120.0, 280.0])
+    with jax.enable_x64(True):
+        air = world.wind.velocity_ned(jnp.asarray(heights), jnp.asarray(0), jnp.asarray(0.0))
+        speed = np.sqrt(np.asarray(air.dot(air)))
+        _, ratios = low_altitude_scales(jnp.asarray(heights))
+    np.testing.assert_allclose(plausibility.mean_wind(scenario.spec, heights), speed, rtol=1e-9, atol=1e-12)
+    sigma = 0.1 * wind.get("speed_20ft", 4.0) * np.asarray(ratios.x)
+    np.testing.assert_allclose(plausibility.gust_sigma(scenario.spec, heights), sigma, rtol=1e-9)
