@@ -6,7 +6,6 @@ by PyYAML's constructors, which follow YAML 1.1, recurse, and expand aliases wit
 
 from __future__ import annotations
 
-import copy
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -89,7 +88,8 @@ class _Builder:
     def __init__(self) -> None:
         self.stack: list[_Open] = []
         self.count = 0
-        self.anchors: dict[str, tuple[Any, int]] = {}
+        # Value, how many values it is, and how deeply nested.
+        self.anchors: dict[str, tuple[Any, int, int]] = {}
         self.result: Any = None
 
     def build(self, text: str) -> Any:
@@ -144,7 +144,7 @@ class _Builder:
 
     def _keep(self, anchor: str | None, value: Any, size: int) -> None:
         if anchor:
-            self.anchors[anchor] = value, size
+            self.anchors[anchor] = value, size, _depth(value)
 
     def _of_alias(self, event: Any) -> Any:
         """Return a copy of what an alias stands for: two places must not change together."""
@@ -153,11 +153,11 @@ class _Builder:
             raise _FaultError(f"'*{name}' stands inside of what it stands for", mark)
         if name not in self.anchors:
             raise _FaultError(f"'*{name}' has no '&{name}' before it", mark)
-        value, size = self.anchors[name]
+        value, size, depth = self.anchors[name]
         self._add(size - 1, mark)
-        if len(self.stack) + _depth(value) > DEEPEST:
+        if len(self.stack) + depth > DEEPEST:
             raise _FaultError(f"'*{name}': nested deeper than {DEEPEST} levels", mark)
-        return copy.deepcopy(value)
+        return _copied(value)
 
     def _place(self, value: Any, mark: Any, plain: str = "") -> None:
         """Put a value where the document has it."""
@@ -188,6 +188,13 @@ def _depth(value: Any) -> int:
     """Return how deeply a value is nested; limited by DEEPEST where it was built."""
     parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else None
     return 0 if parts is None else 1 + max(map(_depth, parts), default=0)
+
+
+def _copied(value: Any) -> Any:
+    """Return a copy of lists and mappings, and of those in them; nothing else that YAML has can be changed."""
+    if isinstance(value, dict):
+        return {key: _copied(part) for key, part in value.items()}
+    return [_copied(part) for part in value] if isinstance(value, list) else value
 
 
 def _scalar(event: Any) -> Any:
