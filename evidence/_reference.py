@@ -27,7 +27,10 @@ _SMOOTH: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
 }
 _STEPS: dict[str, Callable[..., Any]] = {"floor": np.floor, "ceil": np.ceil, "sign": np.sign}
 _BITS: dict[str, Callable[..., Any]] = {"and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor}
-_EXTREMES: dict[str, Callable[..., Any]] = {"max": np.maximum, "min": np.minimum}
+_EXTREMES: dict[str, Callable[..., Any]] = {
+    "max": lambda a, b: _of_zeros(np.maximum(a, b), a, b, 1.0),
+    "min": lambda a, b: _of_zeros(np.minimum(a, b), a, b, -1.0),
+}
 _CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "remat": "jaxpr", "checkpoint": "jaxpr", "remat2": "jaxpr",
           "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "closed_call": "call_jaxpr",
           "call": "call_jaxpr", "core_call": "call_jaxpr", "core_closed_call": "call_jaxpr"}  # fmt: skip
@@ -134,6 +137,15 @@ def _remainder(inputs: list[Value], parameters: Any, dtype: Any) -> Value:
     a, b = inputs
     sure = (a.error == 0.0) & (b.error == 0.0)
     return Value(bounds.flushed(np.fmod(a.rounded, b.rounded)), np.fmod(a.exact, b.exact), np.where(sure, 0.0, np.inf))
+
+
+def _of_zeros(found: Array, a: Array, b: Array, sign: float) -> Array:
+    """Return extremes with the zero that JAX takes: -0 is less than +0, in whichever order they come."""
+    zeros = (found == 0) & (a == b)
+    # The sum of zeros is -0 where both are; the other way round for the least.
+    return (
+        np.where(zeros, sign * (sign * a + sign * b), found).astype(found.dtype) if found.dtype.kind == "f" else found
+    )
 
 
 def _extreme(name: str) -> Callable[..., Value]:

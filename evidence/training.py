@@ -6,7 +6,7 @@ are. Stable-Baselines3 learns with every setting at its default on the registere
 ``TRIES`` episodes without a crash; it is then scored in others. Means have Student t intervals.
 
 The part ``sb3`` needs Stable-Baselines3 and its PyTorch, which qrsim does not install:
-``pip install torch==2.13.0 stable-baselines3`` (the build of PyTorch for the CPU is enough).
+``pip install torch==2.13.0 stable-baselines3==2.9.2`` (the build of PyTorch for the CPU is enough).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from qrsim.tasks import KeepSpot
 
 DOC = "return of policies learned by PPO on keep_spot, against hovering and the waypoint controller"
 PARTS = ("example", "sb3")
-INSTALL = "pip install torch==2.13.0 stable-baselines3"
+INSTALL = "pip install torch==2.13.0 stable-baselines3==2.9.2"
 # Learners, iterations, episodes of each iteration, episodes to try them in.
 FULL, SMALL = (3, ppo.ITERATIONS, ppo.EPISODES, 1000), (1, 2, 16, 16)
 # Stable-Baselines3: the most steps, those between two tries, episodes to try it in, episodes to score it in.

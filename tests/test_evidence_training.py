@@ -45,7 +45,7 @@ def test_stable_baselines_learns_in_its_small_form() -> None:
 
 def test_without_stable_baselines_the_full_form_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    with pytest.raises(UsageError, match=r"part 'sb3' needs: pip install torch==2.13.0 stable-baselines3"):
+    with pytest.raises(UsageError, match=r"part 'sb3' needs: pip install torch==2.13.0 stable-baselines3==2.9.2"):
         study.run(full=True)
 
 

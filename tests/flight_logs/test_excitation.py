@@ -14,6 +14,7 @@ from qrsim.flight_logs import FlightLog
 from qrsim.flight_logs.excitation import (
     Excitation,
     described,
+    follow,
     measure,
     nature,
     noise_of,
@@ -189,3 +190,16 @@ def test_a_sensor_that_hangs_is_left_out(log: FlightLog) -> None:
     assert np.flatnonzero(np.isnan(left.signals["roll"])).tolist() == list(range(300, 360))
     assert "roll: the same to the last digit for 1.20 s, first at 6.00 s; left out" in left.notes
     assert without_frozen(log) is log
+
+
+@pytest.mark.parametrize(("delay_s", "follows"), [(0.1, True), (0.6, True), (0.78, False)])
+def test_an_answer_may_be_late_but_not_by_more_than_documented(delay_s: float, follows: bool) -> None:
+    """White commands, so that no other delay correlates: up to 0.7 s, and five rows over which both are averaged."""
+    rng, lag = np.random.default_rng(5), round(delay_s / DT)
+    command = rng.standard_normal(4000)
+    assert (follow(command[lag:], command[: len(command) - lag], DT) > 0.5) == follows
+
+
+@pytest.mark.parametrize(("share", "words"), [(0.96, "on the ground"), (0.94, "not in flight")])
+def test_a_log_is_of_the_ground_when_hardly_anything_moves(share: float, words: str, log: FlightLog) -> None:
+    assert nature(replace(of(log), still=share)).startswith(words)

@@ -161,5 +161,16 @@ def test_the_reference_takes_the_zero_that_jax_takes(name, function, values):
     assert np.signbit(found.rounded) == np.signbit(own)
 
 
+@pytest.mark.parametrize(("name", "function"), [("max", jnp.maximum), ("min", jnp.minimum)])
+def test_the_reference_takes_the_zero_that_jax_takes_of_two(name, function):
+    a, b = np.float32([0.0, -0.0, -0.0, 0.0, 1.0, np.nan]), np.float32([-0.0, 0.0, -0.0, 0.0, -0.0, 0.0])
+    closed = jax.make_jaxpr(function)(a, b)
+    (found,) = evaluate(closed, [given(a), given(b)])
+    own = np.asarray(jax.jit(function)(a, b))
+    assert str(closed.jaxpr.eqns[0].primitive) == name
+    np.testing.assert_array_equal(found.rounded, own)
+    np.testing.assert_array_equal(np.signbit(found.rounded)[:5], np.signbit(own)[:5])
+
+
 def test_a_program_whose_zeros_have_both_signs():
     assert compiler.tried(16612)[0] == "equal"

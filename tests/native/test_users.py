@@ -9,17 +9,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import lax
+from jax import Array, lax
 from tests.native.test_operations import by_jax, run
 from tests.small_worlds import bare_pair, noisy_pair
 
 import qrsim
 from qrsim import configuration
+from qrsim.apps.envs.functional import Functional
 from qrsim.core.fastmath import rounded
+from qrsim.core.noise import Key
+from qrsim.core.tree import parameter, record, replace
+from qrsim.core.vectors import Vec3
 from qrsim.errors import CompilerWarning
 from qrsim.native import Mode, UnsupportedError, forget, tracing
 from qrsim.rollouts import rollout
 from qrsim.simulation import Simulation
+from qrsim.tasks import KeepSpot
+from qrsim.tasks.episodes import episodes
 from qrsim.ticking import mode_of
 
 COUNTS = (1, 2, 7, 16, 17, 144, 1000)
@@ -194,6 +200,32 @@ class TestFallback:
         np.testing.assert_array_equal(first["position_ned"], second["position_ned"])
 
 
+def vehicles(name: str, count: int) -> dict[str, Any]:
+    """Return a scenario with so many vehicles, 6.5 m apart."""
+    content = qrsim.load_scenario(name).spec.model_dump(mode="json")
+    fleet = content["fleets"]["pelicans"]
+    fleet["vehicles"] = [
+        dict(
+            fleet["vehicles"][i % len(fleet["vehicles"])],
+            position_ned=[6.5 * (i % 32) - 100.0, 6.5 * (i // 32) - 100.0, -30.0],
+        )
+        for i in range(count)
+    ]
+    content["world"]["area"] |= {"x_min": -130.0, "x_max": 130.0, "y_min": -130.0, "y_max": 130.0, "z_min": -80.0}
+    return content
+
+
+def by_both(monkeypatch: pytest.MonkeyPatch, fly: Any) -> list[Any]:
+    """Return what comes of both compilers, neither of which may hand over."""
+    found = []
+    for compiler in configuration.COMPILERS:
+        monkeypatch.setitem(configuration._chosen, "compiler", compiler)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", CompilerWarning)
+            found.append(fly())
+    return found
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("count", COUNTS)
 def test_policies_of_real_worlds_by_both_compilers(count, monkeypatch):
@@ -212,16 +244,78 @@ def test_policies_of_real_worlds_by_both_compilers(count, monkeypatch):
         zero = jnp.zeros(count)
         return jnp.stack([zero, zero, jnp.where(climbs, 0.7, 0.59), zero, zero + 12.0], axis=1)
 
-    content = qrsim.load_scenario("outdoor_patrol").spec.model_dump(mode="json")
-    fleet = content["fleets"]["pelicans"]
-    fleet["vehicles"] = [
-        dict(fleet["vehicles"][i % 5], position_ned=[6.5 * (i % 32) - 100.0, 6.5 * (i // 32) - 100.0, -30.0])
-        for i in range(count)
-    ]
-    world, found = qrsim.load_scenario(content).world(), []
-    for compiler in configuration.COMPILERS:
-        monkeypatch.setitem(configuration._chosen, "compiler", compiler)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", CompilerWarning)
-            found.append(rollout(world, chooses_vehicles, ticks=5, seed=1)["position_ned"])
+    world = qrsim.load_scenario(vehicles("outdoor_patrol", count)).world()
+    found = by_both(monkeypatch, lambda: rollout(world, chooses_vehicles, ticks=5, seed=1)["position_ned"])
     np.testing.assert_allclose(*found, atol=2e-4)
+
+
+@record
+class Wake:
+    """A wind of a user's: whoever is highest is in calm air, and all others feel those before them in the list."""
+
+    strength: Array = parameter(default=4.0, unit="m/s", doc="of the wind")
+
+    def velocity_ned(self, height_agl: Array, seconds: Array | None = None, fraction: Array | None = None) -> Vec3:
+        """Return the velocity (n,) of the air."""
+        count = height_agl.shape[0]
+        number = jnp.arange(count)
+        highest = jnp.argmax(height_agl)
+        before = height_agl.at[number - 1].get(mode="clip")
+        beyond = height_agl.at[number + 1].get(mode="fill", fill_value=10.0)
+        north = jnp.where(number == highest, 0.0, self.strength) + 0.01 * jnp.cumsum(before - beyond) / count
+        groups = jax.ops.segment_sum(height_agl, number % 3, 3) / count
+        east = groups[number % 3] * lax.cond(height_agl[0] > 20.0, lambda: 0.05, lambda: 0.0)
+        down = jnp.nan_to_num(jnp.linalg.norm(jnp.stack([height_agl[0], jnp.nan])), nan=0.5)
+        return Vec3(north, east, jnp.broadcast_to(down, north.shape))
+
+
+@pytest.mark.parametrize("count", [1, *(pytest.param(n, marks=pytest.mark.long) for n in COUNTS if n > 1)])
+def test_components_of_users_by_both_compilers(count, monkeypatch):
+    world = replace(
+        qrsim.load_scenario(vehicles("outdoor_patrol", count)).world(), wind=Wake(strength=jnp.float32(4.0))
+    )
+
+    def fly() -> Any:
+        simulation = Simulation(world, seed=1)
+        simulation.reset()
+        simulation.step(ticks=5)
+        return simulation.truth.position_ned, simulation.state.fleets[0].mean_wind_ned.stack()
+
+    mine, theirs = by_both(monkeypatch, fly)
+    np.testing.assert_allclose(mine[0], theirs[0], atol=2e-4)
+    np.testing.assert_allclose(mine[1], theirs[1], atol=2e-4)
+
+
+@record
+class Race(KeepSpot):
+    """A task of a user's: who has come farthest wins what the others lose."""
+
+    def judge(self, memory: Any, world: Any, state: Any, step: Array, steps: int) -> tuple[Any, Array]:
+        """Return the reward (n,) of each."""
+        memory, shared = KeepSpot.judge(self, memory, world, state, step, steps)
+        place = state.fleets[0].vehicle.position_ned
+        count = place.x.shape[0]
+        gone = place.x - memory.start_ned.x
+        first = jnp.argmax(gone)
+        ranks = jnp.sum(gone[:, None] < gone[None, :], axis=1) if count < 200 else jnp.cumsum(gone > 0.0)
+        won = jnp.zeros(count).at[first].add(1.0).at[first - 1].add(-1.0, mode="drop") + gone[-1 - first]
+        return memory, shared + won + lax.cond(step > 1, lambda: ranks.astype(gone.dtype), lambda: jnp.round(gone))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("count", COUNTS)
+def test_tasks_of_users_by_both_compilers(count, monkeypatch):
+    play = Functional.of(vehicles("keep_spot_10", count)).play
+    play = replace(play, task=Race(**vars(play.task)))
+    actions = np.random.default_rng(count).uniform(-0.2, 0.2, (3, 2, count, 5)).astype(np.float32)
+
+    def fly() -> Any:
+        some = episodes(play, 2, np.dtype(np.float32))
+        some.start(np.arange(2), play.keys(Key.roots(np.arange(2), np.zeros(2, np.int64))))
+        steps = [some.step(action) for action in actions]
+        return [step.reward for step, _ in steps], [truth["position_ned"] for _, truth in steps], type(some).__name__
+
+    mine, theirs = by_both(monkeypatch, fly)
+    assert {mine[2], theirs[2]} == {"NativeEpisodes", "XlaEpisodes"}
+    np.testing.assert_allclose(mine[1], theirs[1], atol=2e-4)
+    np.testing.assert_allclose(mine[0], theirs[0], atol=2e-4, rtol=2e-5)

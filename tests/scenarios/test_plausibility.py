@@ -77,6 +77,24 @@ def test_what_cannot_fly_is_told_with_its_numbers(override: str, words: str) -> 
     assert words in found[0]
 
 
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        # Damping ratios of 0.11 and 0.09: 2 sqrt(179.797) is 26.8177.
+        ("kpq2=-2.95", ""),
+        ("kpq2=-2.4136", "hardly damped"),
+        # Mountains and poles, and no place on Earth.
+        ("gravity=9.76", ""),
+        ("gravity=9.84", ""),
+        ("gravity=9.6", "on Earth"),
+        ("gravity=10.1", "on Earth"),
+    ],
+)
+def test_from_where_on_it_is_told(override: str, words: str) -> None:
+    assert words in " ".join(warned(f"{VEHICLE}.{override}"))
+    assert bool(warned(f"{VEHICLE}.{override}")) == bool(words)
+
+
 def test_loops_of_their_own_are_judged_too() -> None:
     assert "kq1: the pitch loop is unstable" in warned(f"{VEHICLE}={{type: quadrotor, kq1: -5}}")[0]
     assert (

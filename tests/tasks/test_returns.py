@@ -184,6 +184,24 @@ def test_half_of_what_a_crash_costs_is_paid_on_the_way_to_the_nearest_limit_and_
     np.testing.assert_allclose(np.cumsum(rewards), [-16 - 148.769, -144 - 929.808, -1 - 9.29808, -4.0], rtol=1e-5)
 
 
+def test_a_goal_on_a_limit_has_its_stake_within_a_metre() -> None:
+    """The goal lies on the floor of the area: 0.5 m away a quarter of the stake is due, half of what a crash costs."""
+    scenario = load_scenario(
+        "keep_spot", ["world.area={type: box, x_min: -9, x_max: 9, y_min: -9, y_max: 9, z_min: -40, z_max: -10}"]
+    )
+    task, world = scenario.task(), scenario.world()
+
+    def at(down: float) -> Any:
+        place = Vec3(jnp.zeros(1), jnp.zeros(1), jnp.full(1, down, jnp.float32))
+        return SimpleNamespace(
+            fleets=[SimpleNamespace(vehicle=SimpleNamespace(position_ned=place, thrust=place.x))], drawn=()
+        )
+
+    _, reward = task.judge(task.init(world, at(-10.0), None), world, at(-10.5), jnp.int32(1), scenario.steps)
+    costs = 60.0 * HIGHEST_RATE + 9.0**2 + 9.0**2 + 30.0**2
+    assert float(reward[0]) == pytest.approx(-0.25 - 0.5 * 0.25 * costs, rel=1e-5)
+
+
 def test_an_area_that_knows_no_farthest_corner_is_refused() -> None:
     class Anywhere:
         """An area of a user's own."""
