@@ -67,9 +67,9 @@ def stage_world(count: int, stage: str) -> Any:
 @contextmanager
 def no_collisions(off: bool) -> Iterator[None]:
     """Let nobody look for collisions, if ``off``, which no scenario can ask for: for the cost of looking."""
-    from qrsim import world as ticks_of
     from qrsim.models.area import Violation
     from qrsim.native import forget
+    from qrsim.world import tick as ticks_of
 
     before = ticks_of.collisions
     if off:
@@ -99,10 +99,10 @@ def measure(worlds: int, count: int, stage: str, seconds: float, repeats: int) -
 def _measured(world: Any, worlds: int, count: int, stage: str, seconds: float, repeats: int) -> dict[str, Any]:
     import numpy as np
 
-    from qrsim import world as ticks_of
     from qrsim.core.noise import Key
     from qrsim.rollout_flight import Flight
     from qrsim.rollouts import setup_of
+    from qrsim.world import tick as ticks_of
 
     begun = time.perf_counter()
     setup, fixed, own = setup_of([world], metrics=Nothing())

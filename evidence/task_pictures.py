@@ -19,10 +19,10 @@ from matplotlib.figure import Figure
 from evidence.pictures import write_named
 from qrsim.apps.envs.batch import Batch
 from qrsim.core.vectors import Vec3
-from qrsim.episode import surroundings
 from qrsim.logs.picture import new_figure, save_picture
 from qrsim.tasks import Play
 from qrsim.tasks.baselines import baseline
+from qrsim.world.episode import surroundings
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 Values = np.ndarray[Any, Any]

@@ -18,7 +18,7 @@ from qrsim.logs.summary import summarise, tracking_error
 from qrsim.metrics import MOST_FOR_SEPARATION, Extreme, _nearest
 from qrsim.rollouts import Rollout, rollout
 from qrsim.scenarios.scenario import Scenario
-from qrsim.world import State
+from qrsim.world.tick import State
 
 SEEDS, DURATION, TICKS, DT = [3, 4, 8], 6.0, 300, 0.02
 FIX_TICKS = 10  # the receiver's 0.2 s, which is also its delay: the second fix is the first again

@@ -19,7 +19,7 @@ from qrsim.errors import RunError, UsageError
 from qrsim.policies import load_function, user_function
 from qrsim.rollouts import Rollout, rollout
 from qrsim.simulation import Simulation
-from qrsim.world import World
+from qrsim.world.tick import World
 
 SEED = 5
 SAME = {"rtol": 2e-5, "atol": 2e-5}

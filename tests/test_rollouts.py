@@ -26,7 +26,7 @@ from qrsim.errors import UsageError
 from qrsim.native.compiler import Loaded
 from qrsim.rollouts import Rollout, rollout
 from qrsim.simulation import Simulation
-from qrsim.world import State, World
+from qrsim.world.tick import State, World
 
 SEED, TICKS, EVERY = 5, 200, 50
 # Metres and radians: what single precision makes of the same noise in programs compiled differently.

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from qrsim.scenarios.making import make_scenario, make_world
     from qrsim.scenarios.scenario import Scenario, load_scenario
     from qrsim.simulation import Simulation
-    from qrsim.world import State, World
+    from qrsim.world.tick import State, World
 
 __version__ = metadata.version("qrsim")
 
@@ -48,11 +48,11 @@ _LAZY = {
     "Run": "qrsim.logs",
     "Scenario": "qrsim.scenarios.scenario",
     "Simulation": "qrsim.simulation",
-    "State": "qrsim.world",
+    "State": "qrsim.world.tick",
     "VelocityHeightSetpoint": "qrsim.control",
     "VelocitySetpoint": "qrsim.control",
     "WaypointSetpoint": "qrsim.control",
-    "World": "qrsim.world",
+    "World": "qrsim.world.tick",
     "configure": "qrsim.configuration",
     "fly": "qrsim.apps.run.recorder",
     "load_scenario": "qrsim.scenarios.scenario",

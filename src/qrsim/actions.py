@@ -14,7 +14,7 @@ from qrsim.control import SETPOINTS, Estimate, WaypointSetpoint
 from qrsim.core.tree import walk
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
-from qrsim.world import Action, World
+from qrsim.world.tick import Action, World
 
 FloatArray = np.ndarray[Any, Any]
 # Says which vehicles (n,) fly; called only where something is not finite.

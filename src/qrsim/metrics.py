@@ -12,7 +12,7 @@ from jax import Array
 from qrsim.core.pairs import joined, two_sum
 from qrsim.core.tree import quantity, record, replace, select
 from qrsim.core.vectors import Vec3
-from qrsim.world import FleetState, State, World
+from qrsim.world.tick import FleetState, State, World
 
 # Beyond this number of vehicles the smallest distance between two is not looked for.
 MOST_FOR_SEPARATION = 64

@@ -14,7 +14,7 @@ from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.area import Violation, collisions, reason_text
-from qrsim.world import Fleet, FleetState, State, World, own_checks, start_fleet, surroundings
+from qrsim.world.tick import Fleet, FleetState, State, World, own_checks, start_fleet, surroundings
 
 FloatArray = np.ndarray[Any, Any]
 WIDTHS = (3, 6, 12, 13)

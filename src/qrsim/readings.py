@@ -14,14 +14,14 @@ import numpy as np
 from qrsim.control.setpoints import library
 from qrsim.core.pack import Glimpse
 from qrsim.core.vectors import Euler, Vec3, rotation
-from qrsim.episode import picture
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.area import reason_text
 from qrsim.models.attitude import AttitudeReading
 from qrsim.models.camera import CameraReading, Picture
 from qrsim.models.gnss import FEWEST_SATELLITES, GnssReading, SkyState
 from qrsim.models.site import Site
-from qrsim.world import Fleet, FleetState, State, World, position_of
+from qrsim.world.episode import picture
+from qrsim.world.tick import Fleet, FleetState, State, World, position_of
 
 Floats = np.ndarray[Any, Any]
 

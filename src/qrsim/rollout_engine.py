@@ -11,7 +11,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim import world as ticks_of
 from qrsim.actions import ActionChecker
 from qrsim.configuration import FEW_VEHICLES, threads, uses_llvm
 from qrsim.core.noise import Key
@@ -22,7 +21,8 @@ from qrsim.policies import UserFunction
 from qrsim.readings import Reading
 from qrsim.rollout_flight import Flight, traced_start
 from qrsim.rollout_parts import Carry, Setup, recorder
-from qrsim.world import State, World
+from qrsim.world import tick as ticks_of
+from qrsim.world.tick import State, World
 
 Array = np.ndarray[Any, Any]
 # Ticks between two looks at the progress, where nothing else stops the loop.

@@ -29,7 +29,7 @@ from qrsim.native import (
 )
 from qrsim.rollout_parts import Carry, Setup, begin_world, programs, tick_of_world
 from qrsim.ticking import mode_of_many
-from qrsim.world import WorldKeys
+from qrsim.world.tick import WorldKeys
 
 
 class Flight:

@@ -13,7 +13,6 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
-from qrsim import world as ticks_of
 from qrsim.actions import ActionChecker
 from qrsim.configuration import quick_to_compile
 from qrsim.errors import UsageError
@@ -21,7 +20,8 @@ from qrsim.metrics import FLIGHT_METRICS
 from qrsim.models.site import Site
 from qrsim.policies import UserFunction
 from qrsim.readings import Reading
-from qrsim.world import State, World, WorldKeys
+from qrsim.world import tick as ticks_of
+from qrsim.world.tick import State, World, WorldKeys
 
 Array = np.ndarray[Any, Any]
 AXIS = "worlds"

@@ -25,7 +25,7 @@ from qrsim.models.site import Site
 from qrsim.policies import user_function
 from qrsim.rollout_engine import Engine, Schedule
 from qrsim.rollout_parts import AXIS, Setup
-from qrsim.world import State, World
+from qrsim.world.tick import State, World
 
 Array = np.ndarray[Any, Any]
 # Vehicles of a block on one device: their states and the noise of a tick then stay in a core's own cache.

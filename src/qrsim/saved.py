@@ -20,7 +20,7 @@ from qrsim.errors import RunError, UsageError
 from qrsim.models.area import REASONS
 from qrsim.models.sp3 import Sp3Orbits
 from qrsim.models.terrain import OCCLUSION
-from qrsim.world import FleetState, State, World
+from qrsim.world.tick import FleetState, State, World
 
 FORMAT = 4
 NAMES = ("format", "floats", "integers", "tick", "seed", "number", "name", "world")

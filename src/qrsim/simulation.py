@@ -23,7 +23,7 @@ from qrsim.placing import checked_rows, refuse_misplaced
 from qrsim.readings import Reading, Truth
 from qrsim.saved import LARGEST_TICK, SavedState, fingerprint, write
 from qrsim.ticking import ticks as ticks_of
-from qrsim.world import FleetState, State, World, WorldKeys, keys_of, refuse_unplaced
+from qrsim.world.tick import FleetState, State, World, WorldKeys, keys_of, refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]
 # Ticks that a program of ``record`` is for where the user does not say.

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from qrsim import world as ticks_of
 from qrsim.configuration import FEW_VEHICLES, quick_jit, uses_llvm
 from qrsim.core.pack import Buffers, Packer
 from qrsim.native import (
@@ -30,7 +29,8 @@ from qrsim.native import (
     trace_of,
 )
 from qrsim.placing import place
-from qrsim.world import State, World, WorldKeys
+from qrsim.world import tick as ticks_of
+from qrsim.world.tick import State, World, WorldKeys
 
 
 def mode_of(vehicles: int, dtype: np.dtype[Any]) -> Mode:

@@ -11,13 +11,13 @@ import pytest
 
 from qrsim.apps.run.recorder import fly
 from qrsim.apps.view.recording import Recording
-from qrsim.episode import develop, picture
 from qrsim.logs import open_run
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.simulation import Simulation
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView
 from qrsim.view.steering import Wind
+from qrsim.world.episode import develop, picture
 
 pytestmark = pytest.mark.long
 

@@ -39,8 +39,8 @@ from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.quadrotor import Command
 from qrsim.models.wind import LogShear
 from qrsim.scenarios import catalogue
-from qrsim.sensing import scene_of
-from qrsim.world import Start
+from qrsim.world.sensing import scene_of
+from qrsim.world.tick import Start
 
 DT = 0.02
 # Spread and middle of waypoints along north, east and down [m].

@@ -18,7 +18,7 @@ import qrsim
 from qrsim.core.noise import Draw, Drawn, Key
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation import Simulation
-from qrsim.world import World, _draw_fleet, _stream_keys
+from qrsim.world.tick import World, _draw_fleet, _stream_keys
 from small_worlds import noisy, simulate
 
 SEED, TICKS, OBSERVED = 3, 25, 5

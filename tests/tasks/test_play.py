@@ -242,7 +242,7 @@ def test_every_episode_draws_the_ranges_anew() -> None:
     game = play("cats_and_mouse/1C")
     assert game.world.ranges[0].paths == (("wind", "wind_from_rad"), ("turbulence", "wind_from_rad"))
     keys = game.keys(Key.roots(np.arange(300), np.zeros(300, np.int64)))
-    from qrsim.episode import draw_ranges, episode_draws
+    from qrsim.world.episode import draw_ranges, episode_draws
 
     def drawn(key: Any) -> Any:
         return draw_ranges(game.world, episode_draws(game.world, key.world, jnp.zeros((), jnp.float32)))[0]

@@ -12,7 +12,7 @@ from qrsim.logs import Column
 from qrsim.models.area import REASONS, reason_text
 from qrsim.models.gnss import FEWEST_SATELLITES
 from qrsim.simulation import History, Simulation
-from qrsim.world import FleetState, World, position_of
+from qrsim.world.tick import FleetState, World, position_of
 
 Values = dict[str, np.ndarray[Any, Any]]
 STREAMS = ("truth", "measurements", "commands", "wind")

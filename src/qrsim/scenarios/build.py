@@ -27,7 +27,7 @@ from qrsim.scenarios.ranges import range_problems, ranges_of
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
 from qrsim.scenarios.task import task_problems
 from qrsim.scenarios.timing import timing_problems
-from qrsim.world import PROCESS, TURBULENCE, Fleet, Start, World
+from qrsim.world.tick import PROCESS, TURBULENCE, Fleet, Start, World
 
 # What a controller fed with measurements needs, and the sensors that measure it.
 NEEDED = {"position_ned": "gnss_receiver", "height": "barometer", "attitude": "attitude_estimator"}

@@ -12,7 +12,7 @@ from qrsim.models.site import Site
 from qrsim.rollouts import Rollout
 from qrsim.scenarios.reading import checked_overrides
 from qrsim.scenarios.scenario import Scenario, load_scenario
-from qrsim.world_tree import State, World
+from qrsim.world.state import State, World
 
 Source = World | Scenario | str | Path | dict[str, Any]
 

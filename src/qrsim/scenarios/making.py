@@ -12,7 +12,7 @@ from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.fence import PolygonArea
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import Scenario, load_scenario
-from qrsim.world import World
+from qrsim.world.tick import World
 
 SCENARIO_PARTS = ("name", "description", "duration", "time_step", "start_time", "site", "extends", "ranges", "task")
 WORLD_PARTS = (

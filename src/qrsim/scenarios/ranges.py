@@ -15,7 +15,7 @@ from qrsim.errors import did_you_mean
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.schema import RangeSpec, ScenarioSpec
-from qrsim.world_tree import Range
+from qrsim.world.state import Range
 
 # Where a World has the parts of a scenario; what is looked at while a scenario is loaded or flown on is not there.
 IN_WORLD: dict[str, tuple[str, ...]] = {

@@ -26,7 +26,7 @@ from qrsim.scenarios.reading import (
 )
 from qrsim.scenarios.schema import ScenarioSpec, json_schema
 from qrsim.scenarios.vehicle_file import insert_vehicle_files
-from qrsim.world import World
+from qrsim.world.tick import World
 from qrsim.yaml_text import dump_yaml
 
 __all__ = ["Scenario", "built_in_names", "json_schema", "load_scenario"]

@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from qrsim import world as ticks_of
 from qrsim.control.setpoints import library
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import quantity, record, replace, setting
 from qrsim.tasks.agents import all_fly, number_of
-from qrsim.world_tree import State, World, WorldKeys, period_ticks
+from qrsim.world import tick as ticks_of
+from qrsim.world.state import State, World, WorldKeys, period_ticks
 
 TASK = "/task"
 

@@ -13,11 +13,11 @@ from qrsim.control import VelocitySetpoint
 from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
-from qrsim.episode import surroundings
 from qrsim.models.plume import PuffPlume
 from qrsim.models.uniform import uniform
 from qrsim.tasks.agents import BELIEVED, Axis, action_period, believed, fleet_of, only, penalty, velocity_axes
-from qrsim.world_tree import Action, State, World
+from qrsim.world.episode import surroundings
+from qrsim.world.state import Action, State, World
 
 # Places looked at for each location before it is taken where it is.
 MOST_LOOKS = 100_000

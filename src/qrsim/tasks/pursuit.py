@@ -12,7 +12,7 @@ from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.tasks.agents import Axis, action_period, estimate_of, fleet_of, only, penalty, velocity_axes
-from qrsim.world_tree import Action, State, World
+from qrsim.world.state import Action, State, World
 
 
 @record

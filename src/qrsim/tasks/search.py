@@ -11,7 +11,6 @@ from qrsim.control import VelocitySetpoint
 from qrsim.core.noise import Draw
 from qrsim.core.tree import quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.episode import picture
 from qrsim.models.camera import Camera, Picture
 from qrsim.tasks.agents import (
     BELIEVED,
@@ -24,7 +23,8 @@ from qrsim.tasks.agents import (
     penalty,
     velocity_axes,
 )
-from qrsim.world_tree import Action, State, World
+from qrsim.world.episode import picture
+from qrsim.world.state import Action, State, World
 
 
 @record

@@ -31,7 +31,7 @@ from qrsim.tasks.agents import (
     only,
     square,
 )
-from qrsim.world_tree import Action, FleetState, State, World
+from qrsim.world.state import Action, FleetState, State, World
 
 _UNITS = {"pitch": "rad", "roll": "rad", "throttle": "1", "yaw_rate": "rad/s", "battery": "V"}
 AXES = tuple(Axis(name, _UNITS[name], *COMMAND_LIMITS[name]) for name in COMMAND_FIELDS)

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.episode import develop
 from qrsim.models.camera import CameraReading
 from qrsim.view import shapes
 from qrsim.view.contents import Contents
 from qrsim.view.frame import Beside
 from qrsim.view.layers import Layer, Stage
-from qrsim.world_tree import World
+from qrsim.world.episode import develop
+from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
 # While nobody is chosen, of so many cameras.

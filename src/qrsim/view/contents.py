@@ -10,7 +10,7 @@ import numpy as np
 from qrsim.view import shapes
 from qrsim.view.frame import Beside, Frame
 from qrsim.view.layers import Layer, Stage
-from qrsim.world_tree import World
+from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
 # Of the classes of the ground, from the second on: clutter and occlusion.
@@ -130,7 +130,7 @@ class Plume(Contents):
 
 def _concentration(world: World, drawn: Any, contents: Any, tick: Any, places: Any) -> Any:
     from qrsim.core.vectors import Vec3
-    from qrsim.episode import surroundings
+    from qrsim.world.episode import surroundings
 
     around = surroundings(world.with_drawn(drawn), contents, tick)
     return around.concentration(Vec3(places[:, 0], places[:, 1], places[:, 2]))

@@ -11,7 +11,7 @@ from qrsim.core.noise import StreamKeys
 from qrsim.models.area import reason_text
 from qrsim.models.camera import CameraReading
 from qrsim.models.contents import ContentsState
-from qrsim.world_tree import FleetState, State, World, position_of
+from qrsim.world.state import FleetState, State, World, position_of
 
 Floats = np.ndarray[Any, Any]
 

@@ -11,7 +11,7 @@ from qrsim.models.area import BoxArea
 from qrsim.models.fence import PolygonArea
 from qrsim.view import shapes
 from qrsim.view.layers import Layer, Stage
-from qrsim.world_tree import World
+from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
 AREA_COLOUR, OBSTACLE_COLOUR, NORTH_COLOUR = (90, 60, 160), (150, 130, 110), (190, 30, 30)

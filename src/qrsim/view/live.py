@@ -20,7 +20,7 @@ from qrsim.view.page import Page
 from qrsim.view.server import address, start_server
 from qrsim.view.steering import Wind, change_wind, wind_of
 from qrsim.view.truth import true_values
-from qrsim.world_tree import State, World
+from qrsim.world.state import State, World
 
 Floats = np.ndarray[Any, Any]
 # How many values a plot keeps: a minute, at every frame.

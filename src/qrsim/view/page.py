@@ -16,7 +16,7 @@ from qrsim.view.frame import Cast, Frame
 from qrsim.view.layers import STRONG_WIND
 from qrsim.view.scene import Scene
 from qrsim.view.server import Delivery
-from qrsim.world_tree import World
+from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
 NOBODY = "(nobody)"

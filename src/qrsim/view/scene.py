@@ -14,7 +14,7 @@ from qrsim.view.frame import Cast, Frame
 from qrsim.view.ground import Area, Ground, Obstacles
 from qrsim.view.layers import Ghosts, Gusts, Layer, Names, Poles, Stage, Vehicles, Wind
 from qrsim.view.paths import EstimatedPaths, Paths
-from qrsim.world_tree import World
+from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
 # Spans of a drawn vehicle [m]: that of a Pelican, and the largest of a few; of many, a part of the room that each has.

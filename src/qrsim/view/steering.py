@@ -12,7 +12,7 @@ import numpy as np
 
 from qrsim.core.tree import field_info, replace
 from qrsim.simulation import Simulation
-from qrsim.world_tree import World
+from qrsim.world.state import World
 
 # Of the events that say so: their kind, and the fields of the two of a change.
 WIND_CHANGED = "wind_changed"

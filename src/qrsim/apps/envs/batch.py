@@ -13,7 +13,7 @@ from qrsim.apps.envs.functional import Functional
 from qrsim.configuration import use_compilation_cache
 from qrsim.errors import UsageError
 from qrsim.tasks.episodes import episodes, score
-from qrsim.world import refuse_unplaced
+from qrsim.world.tick import refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]
 # An action may be outside [-1, 1] by no more than rounding.

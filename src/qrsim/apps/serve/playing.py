@@ -22,7 +22,7 @@ from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.qrsim_pb2 import Act, Arrayd, Outcome
 from qrsim.tasks import Play
 from qrsim.tasks.episodes import episodes, score
-from qrsim.world import refuse_unplaced
+from qrsim.world.tick import refuse_unplaced
 
 Array = np.ndarray[Any, Any]
 PRECISION = np.dtype(np.float32)

@@ -15,7 +15,7 @@ from qrsim.models.gnss import GnssReading
 from qrsim.models.inertial import AccelerometerReading, GyroscopeReading
 from qrsim.protocol.framing import HEAD_SIZE, frame
 from qrsim.protocol.qrsim_pb2 import Message, State
-from qrsim.world import FleetState
+from qrsim.world.tick import FleetState
 
 Array = np.ndarray[Any, Any]
 STATE_SIZE, MEASURED_SIZE = 13, 20

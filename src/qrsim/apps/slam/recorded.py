@@ -13,7 +13,7 @@ from qrsim.logs import Run
 from qrsim.logs.reader import Stream
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.world import Fleet, period_ticks
+from qrsim.world.tick import Fleet, period_ticks
 
 TRUE_STATE = (
     *(f"position_ned.{axis}" for axis in "xyz"),

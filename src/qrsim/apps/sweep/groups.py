@@ -16,7 +16,7 @@ from qrsim.apps.sweep.axes import Axis, apply
 from qrsim.apps.sweep.study import Content
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.scenarios.scenario import Scenario, load_scenario
-from qrsim.world import World
+from qrsim.world.tick import World
 
 Array = np.ndarray[Any, Any]
 

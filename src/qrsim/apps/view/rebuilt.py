@@ -18,7 +18,6 @@ from qrsim.apps.view.columns import Columns, vector
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.episode import draw_ranges, episode_draws, start_contents
 from qrsim.logs import Run
 from qrsim.logs.layout import EVENTS
 from qrsim.logs.streams import PERSON_FOUND
@@ -28,8 +27,9 @@ from qrsim.view.cameras import camera_places
 from qrsim.view.frame import Beside
 from qrsim.view.steering import WIND_CHANGED, with_wind
 from qrsim.view.truth import ANGLES, AXES
-from qrsim.world import keys_of
-from qrsim.world_tree import World, WorldKeys, period_ticks
+from qrsim.world.episode import draw_ranges, episode_draws, start_contents
+from qrsim.world.state import World, WorldKeys, period_ticks
+from qrsim.world.tick import keys_of
 
 Floats = np.ndarray[Any, Any]
 

@@ -14,7 +14,7 @@ from qrsim.logs.layout import EVENTS, INDEX, Event
 from qrsim.logs.summary import NOT_A_STOP
 from qrsim.view.frame import Cast, Frame, cast_of
 from qrsim.view.truth import ANGLES, AXES, true_values
-from qrsim.world_tree import World
+from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
 # Of a plot [s].

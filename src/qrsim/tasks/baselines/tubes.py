@@ -11,10 +11,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.episode import surroundings
 from qrsim.models.contents import ContentsState
 from qrsim.models.plume import PuffPlume
 from qrsim.tasks.play import Play
+from qrsim.world.episode import surroundings
 
 Array = np.ndarray[Any, Any]
 # Slices of a tube along the wind, to so far [m] beyond where its axis leaves the box: its side leaves it later.

@@ -13,7 +13,7 @@ from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3, rotation
 from qrsim.models.contents import Surroundings
 from qrsim.models.gnss import SkyState
-from qrsim.world_tree import Fleet, FleetState, World, period_ticks, when_due
+from qrsim.world.state import Fleet, FleetState, World, period_ticks, when_due
 
 
 def sense(

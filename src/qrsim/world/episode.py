@@ -16,7 +16,7 @@ from qrsim.models.camera import Picture
 from qrsim.models.contents import ContentsState, Surroundings
 from qrsim.models.persons import Persons
 from qrsim.models.uniform import uniform
-from qrsim.world_tree import (
+from qrsim.world.state import (
     PERSONS,
     PLACEMENT,
     PLUME,

@@ -16,7 +16,13 @@ from qrsim.control import Estimate, Setpoint
 from qrsim.core.noise import Draw, Drawn, Key, Noise, Stream, StreamKeys, draw_together
 from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Vec3, rotation
-from qrsim.episode import (
+from qrsim.models.area import Violation, collisions, reason_code
+from qrsim.models.contents import Surroundings
+from qrsim.models.gnss import SkyState
+from qrsim.models.orbits import split_time
+from qrsim.models.vehicles.moving import move
+from qrsim.models.vehicles.quadrotor import Command, clip_command
+from qrsim.world.episode import (
     draw_ranges,
     episode_draws,
     episode_streams,
@@ -26,14 +32,8 @@ from qrsim.episode import (
     step_contents,
     surroundings,
 )
-from qrsim.models.area import Violation, collisions, reason_code
-from qrsim.models.contents import Surroundings
-from qrsim.models.gnss import SkyState
-from qrsim.models.orbits import split_time
-from qrsim.models.vehicles.moving import move
-from qrsim.models.vehicles.quadrotor import Command, clip_command
-from qrsim.sensing import estimate_of, faulted, measured_quantities, scene_of, sense
-from qrsim.world_tree import (
+from qrsim.world.sensing import estimate_of, faulted, measured_quantities, scene_of, sense
+from qrsim.world.state import (
     PLUME,
     PROCESS,
     SKY,
