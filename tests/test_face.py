@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import qrsim
-from qrsim.actions import ActionChecker
 from qrsim.errors import UsageError
+from qrsim.interface.actions import ActionChecker
 
 STILL: dict[str, Any] = {
     "name": "still",

@@ -13,8 +13,8 @@ import pytest
 from qrsim.cli import main
 from qrsim.errors import QrsimError
 from qrsim.flight_logs import read_log
+from qrsim.interface.policies import load_function
 from qrsim.logs import open_run
-from qrsim.policies import load_function
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.user_files import open_file, read_bytes, read_text
 

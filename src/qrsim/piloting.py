@@ -7,10 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.actions import ActionChecker
 from qrsim.errors import UsageError
-from qrsim.policies import UserFunction, user_function
-from qrsim.readings import Reading
+from qrsim.interface.actions import ActionChecker
+from qrsim.interface.policies import UserFunction, user_function
+from qrsim.interface.readings import Reading
 from qrsim.rollout_parts import call_compiled
 from qrsim.simulation import History, Simulation
 
@@ -20,7 +20,7 @@ class Pilot:
 
     Args:
         simulation: what they fly; it has been reset.
-        policy, estimator: see ``qrsim.policies``; None for the scenario's own.
+        policy, estimator: see ``qrsim.interface.policies``; None for the scenario's own.
         policy_ticks: the policy is asked at every so-many-th tick.
 
     Raises:

@@ -11,14 +11,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.actions import ActionChecker
 from qrsim.configuration import FEW_VEHICLES, threads, uses_llvm
 from qrsim.core.noise import Key
 from qrsim.core.pack import Packer
 from qrsim.errors import UsageError
+from qrsim.interface.actions import ActionChecker
+from qrsim.interface.policies import UserFunction
+from qrsim.interface.readings import Reading
 from qrsim.native import identity, kept, layout_of
-from qrsim.policies import UserFunction
-from qrsim.readings import Reading
 from qrsim.rollout_flight import Flight, traced_start
 from qrsim.rollout_parts import Carry, Setup, recorder
 from qrsim.world import tick as ticks_of

@@ -13,13 +13,13 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
-from qrsim.actions import ActionChecker
 from qrsim.configuration import quick_to_compile
 from qrsim.errors import UsageError
-from qrsim.metrics import FLIGHT_METRICS
+from qrsim.interface.actions import ActionChecker
+from qrsim.interface.metrics import FLIGHT_METRICS
+from qrsim.interface.policies import UserFunction
+from qrsim.interface.readings import Reading
 from qrsim.models.site import Site
-from qrsim.policies import UserFunction
-from qrsim.readings import Reading
 from qrsim.world import tick as ticks_of
 from qrsim.world.tick import State, World, WorldKeys
 

@@ -19,10 +19,10 @@ from qrsim.configuration import use_compilation_cache
 from qrsim.core.sameness import sameness
 from qrsim.core.structure import kinds
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.metrics import FLIGHT_METRICS
+from qrsim.interface.metrics import FLIGHT_METRICS
+from qrsim.interface.policies import user_function
 from qrsim.models.area import reason_text
 from qrsim.models.site import Site
-from qrsim.policies import user_function
 from qrsim.rollout_engine import Engine, Schedule
 from qrsim.rollout_parts import AXIS, Setup
 from qrsim.world.tick import State, World
@@ -42,7 +42,7 @@ class Rollout:
     """What came of W worlds of n vehicles each.
 
     Attributes:
-        metrics: by name, each (W, n) or (W, n, 3); see ``qrsim.metrics.FlightMetrics``.
+        metrics: by name, each (W, n) or (W, n, 3); see ``qrsim.interface.metrics.FlightMetrics``.
         recorded: what ``record`` returned, each leaf (W, R, ...); None where nothing was, or all went to a sink.
         record_ticks: (R,) ticks of what was recorded.
         seeds, numbers: (W,) seed of each world and its number in that seed: ``Simulation(world, seed=, number=)``

@@ -10,17 +10,17 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.actions import ActionChecker
 from qrsim.alone import Alone, alone
 from qrsim.configuration import use_compilation_cache
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
 from qrsim.core.pack import Buffers, Glimpse, Packer
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.interface.actions import ActionChecker
+from qrsim.interface.readings import Reading, Truth
 from qrsim.models.area import reason_text
 from qrsim.models.site import Site
 from qrsim.placing import checked_rows, refuse_misplaced
-from qrsim.readings import Reading, Truth
 from qrsim.saved import LARGEST_TICK, SavedState, fingerprint, write
 from qrsim.ticking import ticks as ticks_of
 from qrsim.world.tick import FleetState, State, World, WorldKeys, keys_of, refuse_unplaced

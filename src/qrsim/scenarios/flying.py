@@ -45,12 +45,12 @@ def rollout(
     Args:
         world: a scenario by its name (``qrsim list``), the path of its YAML file, its content as a dict or a Scenario;
             a World; or a list with one of these for each world, which may differ in numbers only.
-        policy: what commands the vehicles, see ``qrsim.policies``; None: every fleet's own guidance.
+        policy: what commands the vehicles, see ``qrsim.interface.policies``; None: every fleet's own guidance.
         ticks: steps of every world; None: the duration of the scenario.
         worlds: how many, W; their randomness is (seed, 0), (seed, 1), ...
         seed: of all randomness.
         seeds: one for each world in place of ``seed`` and ``worlds``.
-        estimator: what feeds the controllers in place of the sensors, see ``qrsim.policies``.
+        estimator: what feeds the controllers in place of the sensors, see ``qrsim.interface.policies``.
         policy_ticks: the policy is asked at every so-many-th tick, and its command held in between.
         metrics: what sums up a flight: an object with ``init``, ``update`` and ``finish`` as in FlightMetrics.
         record: a function of a world's State that returns arrays to keep.

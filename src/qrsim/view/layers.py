@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from viser import SceneApi
 
-from qrsim.readings import quaternion_of
+from qrsim.interface.readings import quaternion_of
 from qrsim.view import shapes
 from qrsim.view.frame import Cast, Frame
 

@@ -114,7 +114,7 @@ class Check:
     def _fly(self, scenario: Scenario) -> tuple[Rollout, float]:
         import time
 
-        from qrsim.policies import load_function
+        from qrsim.interface.policies import load_function
         from qrsim.rollouts import rollout
 
         functions: dict[str, Any] = {

@@ -29,9 +29,9 @@ from qrsim.apps.export.output import Written, is_readable, replacing
 from qrsim.apps.export.place import Floats, Place
 from qrsim.apps.export.tracks import Samples, axes, is_fresh, position_sensors, read_samples
 from qrsim.errors import RunError
+from qrsim.interface.readings import quaternion_of
 from qrsim.logs import Event, Run
 from qrsim.logs.summary import NOT_A_STOP
-from qrsim.readings import quaternion_of
 
 WORLD = "map"
 # Foxglove's timestamps count the seconds since 1970 in 32 bits.

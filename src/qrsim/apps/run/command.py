@@ -131,7 +131,7 @@ class Run:
             raise UsageError(f"run folder {folder} exists and is never overwritten; choose another --out")
         functions: dict[str, Any] = {}
         if self.policy is not None or self.estimator is not None:
-            from qrsim.policies import load_function
+            from qrsim.interface.policies import load_function
 
             chosen = {"policy": self.policy, "estimator": self.estimator}
             given = {what: source for what, source in chosen.items() if source not in (None, BASELINE)}

@@ -75,7 +75,7 @@ def fly(
         precision: float32 or float64.
         every: stream -> N: of this stream only the ticks that N divides are kept. Events are all kept.
         realtime: pace the flight against the wall clock.
-        policy, estimator, policy_ticks: the user's own functions, see ``qrsim.policies``.
+        policy, estimator, policy_ticks: the user's own functions, see ``qrsim.interface.policies``.
         progress: called after every chunk with simulated and wall time [s].
         command_line: words to note in the run folder, by default those of this process.
         view: page that shows the flight, and says how fast it goes.

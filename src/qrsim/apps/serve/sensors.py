@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from qrsim.apps.serve.readout import varint
+from qrsim.interface.readings import as_array, quaternion_of
 from qrsim.models.attitude import AttitudeReading
 from qrsim.models.camera import CameraReading
 from qrsim.models.gnss import GnssReading
 from qrsim.models.site import Site
 from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.framing import frame
-from qrsim.readings import as_array, quaternion_of
 from qrsim.simulation import Simulation
 
 Array = np.ndarray[Any, Any]

@@ -78,7 +78,7 @@ def _function(what: str, source: str, digest: str) -> Any:
 
     from qrsim.apps.sweep.study import digest_of
     from qrsim.errors import UsageError
-    from qrsim.policies import load_function
+    from qrsim.interface.policies import load_function
 
     if digest_of(what, source) != digest:
         raise UsageError(f"{what} {source}: a worker has another file of that name, or it was changed; in {Path.cwd()}")

@@ -12,7 +12,7 @@ import numpy as np
 from qrsim.apps.sweep.flying import Job, goals
 from qrsim.apps.sweep.groups import Group
 from qrsim.errors import UsageError
-from qrsim.metrics import FLIGHT_METRICS
+from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.piloting import Pilot
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation import Simulation

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from qrsim.apps.sweep.metrics import METRICS
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
-from qrsim.policies import load_function
+from qrsim.interface.policies import load_function
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.reading import anchor_files, apply_override, read_scenario
 from qrsim.scenarios.schema import NAME, Finite

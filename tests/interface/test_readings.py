@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.interface.readings import Reading, SensorReading, quaternion_of
 from qrsim.models.attitude import AttitudeReading
 from qrsim.models.gnss import GnssReading
 from qrsim.models.site import Site
-from qrsim.readings import Reading, SensorReading, quaternion_of
 from small_worlds import noisy, simulate
 
 SITE = Site.from_degrees(51.7119, -0.21052, 30.0)
