@@ -100,8 +100,8 @@ def _measured(world: Any, worlds: int, count: int, stage: str, seconds: float, r
     import numpy as np
 
     from qrsim.core.noise import Key
-    from qrsim.rollout_flight import Flight
-    from qrsim.rollouts import setup_of
+    from qrsim.simulation.many_worlds import Flight
+    from qrsim.simulation.rollout import setup_of
     from qrsim.world import tick as ticks_of
 
     begun = time.perf_counter()

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError
-from qrsim.saved import LARGEST_TICK
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
+from qrsim.simulation.snapshot import LARGEST_TICK
 
 Content = dict[str, Any]
 DTYPES = (

@@ -24,7 +24,7 @@ from qrsim.core.tree import replace
 from qrsim.flight_logs import FlightLog, read_log
 from qrsim.models.vehicles.quadrotor import THROTTLE_RAW_PER_UNIT, Quadrotor
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
-from qrsim.openloop import hover_state, simulate_open_loop
+from qrsim.simulation.openloop import hover_state, simulate_open_loop
 
 DOC = "constants and laws found again in simulated flights; errors on held-out parts of the recordings"
 SEED = 20261121

@@ -97,9 +97,9 @@ def _flight(shot: Shot) -> tuple[Any, Callable[[], Any]]:
     """Return a simulation at its start, and what advances it."""
     from evidence.view import patrol
     from qrsim.apps.run.baseline import baseline_policy
-    from qrsim.piloting import Pilot
     from qrsim.scenarios.scenario import load_scenario
-    from qrsim.simulation import Simulation
+    from qrsim.simulation.pilot import Pilot
+    from qrsim.simulation.simulation import Simulation
 
     scenario = load_scenario(patrol(shot.scenario) if isinstance(shot.scenario, int) else shot.scenario)
     simulation = Simulation(scenario.world(), seed=shot.seed, name=scenario.name, site=scenario.site)

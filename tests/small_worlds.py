@@ -10,7 +10,7 @@ from typing import Any
 from qrsim.scenarios.making import make_scenario
 from qrsim.scenarios.reading import read_scenario
 from qrsim.scenarios.scenario import Scenario, load_scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 
 
 def noisy(*, vehicle_more: bool = False, fleet_more: bool = False, without: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     )
     from qrsim.logs import Run, open_run
     from qrsim.models.vehicles.quadrotor import Command
-    from qrsim.rollouts import Rollout
     from qrsim.scenarios.flying import rollout
     from qrsim.scenarios.making import make_scenario, make_world
     from qrsim.scenarios.scenario import Scenario, load_scenario
-    from qrsim.simulation import Simulation
+    from qrsim.simulation.rollout import Rollout
+    from qrsim.simulation.simulation import Simulation
     from qrsim.world.tick import State, World
 
 __version__ = metadata.version("qrsim")
@@ -44,10 +44,10 @@ _LAZY = {
     "AttitudeSetpoint": "qrsim.control",
     "Command": "qrsim.models.vehicles.quadrotor",
     "Estimate": "qrsim.control",
-    "Rollout": "qrsim.rollouts",
+    "Rollout": "qrsim.simulation.rollout",
     "Run": "qrsim.logs",
     "Scenario": "qrsim.scenarios.scenario",
-    "Simulation": "qrsim.simulation",
+    "Simulation": "qrsim.simulation.simulation",
     "State": "qrsim.world.tick",
     "VelocityHeightSetpoint": "qrsim.control",
     "VelocitySetpoint": "qrsim.control",
@@ -110,7 +110,7 @@ def load(
         ScenarioError: faults in the scenario, all of them listed.
     """
     from qrsim.scenarios.scenario import load_scenario
-    from qrsim.simulation import Simulation, check_precision
+    from qrsim.simulation.simulation import Simulation, check_precision
 
     check_precision(precision)
     scenario = load_scenario(source, overrides)

@@ -161,7 +161,7 @@ def test_golden_in_single_precision(golden, name, tmp_path):
 
 def test_output_keeps_17_digits(tmp_path):
     from qrsim.models.vehicles.quadrotor import Quadrotor
-    from qrsim.openloop import hover_state, simulate_open_loop
+    from qrsim.simulation.openloop import hover_state, simulate_open_loop
 
     path = write(tmp_path, *["0.1,-0.2,0.7,0.5,11.5"] * 3)
     assert openloop(path, units="si") == 0

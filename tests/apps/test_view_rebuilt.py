@@ -13,7 +13,7 @@ from qrsim.apps.run.recorder import fly
 from qrsim.apps.view.recording import Recording
 from qrsim.logs import open_run
 from qrsim.scenarios.scenario import Scenario, load_scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView
 from qrsim.view.steering import Wind

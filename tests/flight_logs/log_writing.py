@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.models.vehicles.quadrotor import Quadrotor
-from qrsim.openloop import simulate_open_loop
+from qrsim.simulation.openloop import simulate_open_loop
 
 DT = 0.02
 Floats = np.ndarray[Any, Any]

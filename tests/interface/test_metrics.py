@@ -16,8 +16,8 @@ from qrsim.core.vectors import Vec3
 from qrsim.interface.metrics import MOST_FOR_SEPARATION, Extreme, _nearest
 from qrsim.logs import open_run
 from qrsim.logs.summary import summarise, tracking_error
-from qrsim.rollouts import Rollout, rollout
 from qrsim.scenarios.scenario import Scenario
+from qrsim.simulation.rollout import Rollout, rollout
 from qrsim.world.tick import State
 
 SEEDS, DURATION, TICKS, DT = [3, 4, 8], 6.0, 300, 0.02

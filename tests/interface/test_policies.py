@@ -17,8 +17,8 @@ from tests.small_worlds import bare_pair, pair
 from qrsim import Estimate, VelocitySetpoint, WaypointSetpoint
 from qrsim.errors import RunError, UsageError
 from qrsim.interface.policies import load_function, user_function
-from qrsim.rollouts import Rollout, rollout
-from qrsim.simulation import Simulation
+from qrsim.simulation.rollout import Rollout, rollout
+from qrsim.simulation.simulation import Simulation
 from qrsim.world.tick import World
 
 SEED = 5

@@ -22,9 +22,9 @@ from qrsim.core.tree import cast, record, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.vehicles.moving import move, only_adds
 from qrsim.models.vehicles.quadrotor import ProcessNoise, Quadrotor, QuadrotorState
-from qrsim.rollouts import rollout
 from qrsim.scenarios.making import make_scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.rollout import rollout
+from qrsim.simulation.simulation import Simulation
 
 # North, east and down [m]; at 32768 m and 8192 m the spacing of single precision doubles.
 PLACES = np.array(

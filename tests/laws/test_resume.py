@@ -12,7 +12,7 @@ import pytest
 from component_cases import GROUPS, START, parameters_needed
 
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 
 # A world has one of each of these, a fleet one of each of the others; obstacles and sensors go together.
 OF_A_WORLD = {

@@ -17,7 +17,7 @@ import pytest
 import qrsim
 from qrsim.core.noise import Draw, Drawn, Key
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 from qrsim.world.tick import World, _draw_fleet, _stream_keys
 from small_worlds import noisy, simulate
 

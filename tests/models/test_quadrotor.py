@@ -27,7 +27,7 @@ from qrsim.models.vehicles.quadrotor import (
     clip_command,
     raw_to_command,
 )
-from qrsim.openloop import hover_state, simulate_open_loop
+from qrsim.simulation.openloop import hover_state, simulate_open_loop
 
 Array = np.ndarray[Any, Any]
 # Root of the thrust curve at 1.68 kg.

@@ -13,13 +13,14 @@ from tests.native.test_operations import by_jax, run
 from tests.small_worlds import bare_pair, noisy_pair
 
 import qrsim
-from qrsim import configuration, ticking
+from qrsim import configuration
 from qrsim.errors import UsageError
 from qrsim.models.area import nearest_squared
 from qrsim.native import Mode
-from qrsim.rollouts import rollout
-from qrsim.simulation import Simulation
-from qrsim.ticking import NativeTicks, XlaTicks
+from qrsim.simulation import one_world as ticking
+from qrsim.simulation.one_world import NativeTicks, XlaTicks
+from qrsim.simulation.rollout import rollout
+from qrsim.simulation.simulation import Simulation
 
 SEED = 5
 

@@ -22,11 +22,11 @@ from qrsim.core.tree import parameter, record, replace
 from qrsim.core.vectors import Vec3
 from qrsim.errors import CompilerWarning
 from qrsim.native import Mode, UnsupportedError, forget, tracing
-from qrsim.rollouts import rollout
-from qrsim.simulation import Simulation
+from qrsim.simulation.one_world import mode_of
+from qrsim.simulation.rollout import rollout
+from qrsim.simulation.simulation import Simulation
 from qrsim.tasks import KeepSpot
 from qrsim.tasks.episodes import episodes
-from qrsim.ticking import mode_of
 
 COUNTS = (1, 2, 7, 16, 17, 144, 1000)
 

@@ -21,7 +21,7 @@ from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.models.wind import LogShear
 from qrsim.scenarios.making import SENSORS, make_scenario, make_world
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 from qrsim.tasks import KeepSpot
 
 ROUTES = {"position_ned": [0.0, 0.0, -10.0], "waypoints_ned": [[-50.0, -50.0, -10.0]]}

@@ -106,7 +106,7 @@ def test_loops_of_their_own_are_judged_too() -> None:
 def test_the_law_of_the_warning_is_that_of_the_flight() -> None:
     """The lean that a command of 0.9 rad gives, flown open loop, and the airspeed at which drag balances it."""
     from qrsim.models.vehicles.quadrotor import Quadrotor
-    from qrsim.openloop import hover_state, simulate_open_loop
+    from qrsim.simulation.openloop import hover_state, simulate_open_loop
 
     vehicle = Quadrotor(process_noise=0.0, kw=-1e3, rate_max=99.0)
     lean = 0.9 * 3.2506e-4 / math.radians(0.025)

@@ -15,7 +15,7 @@ from qrsim.core.noise import Key
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 from qrsim.tasks import Play
 
 Array = np.ndarray[Any, Any]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 from qrsim.view import shapes
 from qrsim.view.cameras import INSTANCES, Cameras
 from qrsim.view.frame import cast_of, frame_of

@@ -17,7 +17,7 @@ from tests.view.fetching import fetching
 from qrsim.apps.run.recorder import fly
 from qrsim.logs import open_run
 from qrsim.scenarios.scenario import Scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView
 from qrsim.view.server import free_port

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from qrsim.models.area import REASONS
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 from small_worlds import ALPHA, BRAVO, STILL, Flight, noisy, quiet, simulate
 
 AT_EACH_OTHER: list[Flight] = [

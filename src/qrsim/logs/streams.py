@@ -11,7 +11,7 @@ from qrsim.core.tree import walk
 from qrsim.logs import Column
 from qrsim.models.area import REASONS, reason_text
 from qrsim.models.gnss import FEWEST_SATELLITES
-from qrsim.simulation import History, Simulation
+from qrsim.simulation.simulation import History, Simulation
 from qrsim.world.tick import FleetState, World, position_of
 
 Values = dict[str, np.ndarray[Any, Any]]

@@ -1,4 +1,4 @@
-"""Rollouts of scenarios: ``rollout`` of qrsim.rollouts for whoever has a name, a file or a dict in place of a World."""
+"""Rollouts for whoever has a name, a file or a dict in place of a World (see ``qrsim.simulation.rollout``)."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from qrsim import rollouts
 from qrsim.errors import UsageError
 from qrsim.models.site import Site
-from qrsim.rollouts import Rollout
 from qrsim.scenarios.reading import checked_overrides
 from qrsim.scenarios.scenario import Scenario, load_scenario
+from qrsim.simulation import rollout as rollouts
+from qrsim.simulation.rollout import Rollout
 from qrsim.world.state import State, World
 
 Source = World | Scenario | str | Path | dict[str, Any]
@@ -68,7 +68,7 @@ def rollout(
             or estimator of the wrong kind, shape or value (vehicle, world and tick are named).
         ScenarioError: faults in a scenario, all of them listed.
     """
-    from qrsim.simulation import check_precision
+    from qrsim.simulation.simulation import check_precision
 
     check_precision(precision)
     # A generator would be at its end after the first of several scenarios.

@@ -27,8 +27,8 @@ from qrsim.native import (
     once,
     trace_of,
 )
+from qrsim.simulation.one_world import mode_of_many
 from qrsim.tasks.play import Episode, Play, Progress, Step
-from qrsim.ticking import mode_of_many
 
 Array = np.ndarray[Any, Any]
 

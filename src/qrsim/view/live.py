@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.tree import walk
-from qrsim.simulation import History, Simulation
+from qrsim.simulation.simulation import History, Simulation
 from qrsim.view.clock import FRAME_S, Clock
 from qrsim.view.frame import Frame, cast_of, frame_of
 from qrsim.view.page import Page

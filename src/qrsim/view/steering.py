@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.tree import field_info, replace
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import World
 
 # Of the events that say so: their kind, and the fields of the two of a change.

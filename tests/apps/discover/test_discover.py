@@ -23,8 +23,8 @@ from qrsim.errors import UsageError
 from qrsim.flight_logs import read_log
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
 from qrsim.models.vehicles.quadrotor import Quadrotor
-from qrsim.openloop import simulate_open_loop
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation.openloop import simulate_open_loop
 
 pytestmark = pytest.mark.long
 

@@ -17,7 +17,7 @@ from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.framing import LARGEST_REQUEST, Deframer, frame
 from qrsim.protocol.qrsim_pb2 import Message, Step
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 from small_worlds import quiet, simulate
 
 SEED = 11

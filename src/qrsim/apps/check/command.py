@@ -17,8 +17,8 @@ from qrsim.errors import RunError, UsageError
 
 if TYPE_CHECKING:
     from qrsim.apps.check.outcomes import Outcome
-    from qrsim.rollouts import Rollout
     from qrsim.scenarios.scenario import Scenario
+    from qrsim.simulation.rollout import Rollout
 
 MOST_SEEDS = 6
 
@@ -115,7 +115,7 @@ class Check:
         import time
 
         from qrsim.interface.policies import load_function
-        from qrsim.rollouts import rollout
+        from qrsim.simulation.rollout import rollout
 
         functions: dict[str, Any] = {
             what: None if source is None else load_function(what, source)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.models.area import REASONS
-from qrsim.rollouts import Rollout
+from qrsim.simulation.rollout import Rollout
 
 CONFIDENCE = 0.95
 # Outcomes by the kinds of reason for which a vehicle stops; a lost fix is no reason to stop.

@@ -11,8 +11,8 @@ from qrsim.apps.check.outcomes import ANY, KINDS, LOST, Outcome
 from qrsim.logs.picture import new_figure
 from qrsim.logs.picture import save_picture as save
 from qrsim.models.area import REASONS
-from qrsim.rollouts import Rollout
 from qrsim.scenarios.scenario import Scenario
+from qrsim.simulation.rollout import Rollout
 
 COLOURS = dict(
     zip((*KINDS, LOST), ("tab:red", "tab:purple", "tab:brown", "tab:orange", "black", "tab:blue"), strict=True)

@@ -83,7 +83,7 @@ class OpenLoop:
         import numpy as np
 
         from qrsim.apps.openloop.units import si_within_limits
-        from qrsim.openloop import simulate_open_loop
+        from qrsim.simulation.openloop import simulate_open_loop
 
         vehicle = _vehicle(self.vehicle)
         commands, clipped = si_within_limits(table, self.units, self.clip)
@@ -124,7 +124,7 @@ def _vehicle(name: str) -> Quadrotor:
 
 def _initial_state(vehicle: Quadrotor, initial: list[float] | None) -> np.ndarray[Any, Any]:
     """Return the (13,) state; what ``initial`` leaves out is zero, thrust the weight."""
-    from qrsim.openloop import hover_state
+    from qrsim.simulation.openloop import hover_state
 
     state = hover_state(vehicle)
     if initial is not None:

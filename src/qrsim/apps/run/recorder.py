@@ -15,10 +15,10 @@ from qrsim.logs import RunInfo, RunWriter
 from qrsim.logs.layout import check_every
 from qrsim.logs.streams import STREAMS, EventFinder, columns, values
 from qrsim.scenarios.scenario import Scenario
-from qrsim.simulation import History, Simulation
+from qrsim.simulation.simulation import History, Simulation
 
 if TYPE_CHECKING:
-    from qrsim.piloting import Pilot
+    from qrsim.simulation.pilot import Pilot
     from qrsim.view.live import LiveView
 
 CHUNK_TICKS = 50
@@ -125,7 +125,7 @@ def fly(
 
 def _pilot(simulation: Simulation, policy: Any, estimator: Any, policy_ticks: int) -> Pilot:
     # Imported here, because most runs have none.
-    from qrsim.piloting import Pilot
+    from qrsim.simulation.pilot import Pilot
 
     return Pilot(simulation, policy, estimator, policy_ticks)
 

@@ -16,7 +16,7 @@ from qrsim.models.gnss import GnssReading
 from qrsim.models.site import Site
 from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.framing import frame
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 
 Array = np.ndarray[Any, Any]
 Derive = Callable[[Array], Array]

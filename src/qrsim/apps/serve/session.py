@@ -25,7 +25,7 @@ from qrsim.logs import EpisodesWriter, RunInfo, RunWriter
 from qrsim.logs.streams import STREAMS, EventFinder, columns, values
 from qrsim.protocol.qrsim_pb2 import Arrayd, Events
 from qrsim.scenarios.scenario import Scenario
-from qrsim.simulation import History, Simulation
+from qrsim.simulation.simulation import History, Simulation
 
 if TYPE_CHECKING:
     from qrsim.view.live import LiveView

@@ -23,8 +23,8 @@ from qrsim.core.tree import parameter, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import RunError
 from qrsim.models.gnss import GnssReading
-from qrsim.rollouts import rollout
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation.rollout import rollout
 from qrsim.world.tick import State, World, measured_quantities, period_ticks
 
 SCENARIO, DURATION, STATE_PERIOD, HEIGHT = "range_only_slam", 120.0, 0.1, 20.0

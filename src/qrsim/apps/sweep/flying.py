@@ -90,8 +90,8 @@ def _roll_out(job: Job) -> dict[str, Array]:
     import jax
 
     from qrsim.configuration import use_compilation_cache
-    from qrsim.rollout_engine import Engine, Schedule
-    from qrsim.rollouts import setup_of
+    from qrsim.simulation.blocks import Engine, Schedule
+    from qrsim.simulation.rollout import setup_of
 
     use_compilation_cache()
     group = _group(job.group)
@@ -118,7 +118,7 @@ def _stacked(group: Any, job: Job, functions: dict[str, Any]) -> Any:
 
     import jax.numpy as jnp
 
-    from qrsim.rollouts import setup_of
+    from qrsim.simulation.rollout import setup_of
 
     structure, fixed, own, which = group.varied(job.numbers)
     setup, _, _ = setup_of([group.world], **functions, policy_ticks=job.policy_ticks)

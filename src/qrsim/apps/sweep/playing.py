@@ -13,9 +13,9 @@ from qrsim.apps.sweep.flying import Job, goals
 from qrsim.apps.sweep.groups import Group
 from qrsim.errors import UsageError
 from qrsim.interface.metrics import FLIGHT_METRICS
-from qrsim.piloting import Pilot
 from qrsim.scenarios.scenario import Scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.pilot import Pilot
+from qrsim.simulation.simulation import Simulation
 from qrsim.tasks import Play
 from qrsim.tasks.baselines import BaselinePolicy, baseline
 

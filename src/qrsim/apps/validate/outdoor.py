@@ -15,7 +15,7 @@ from qrsim.core.integrate import heun
 from qrsim.core.tree import cast
 from qrsim.core.vectors import AttitudeTrig, Vec3, rotation
 from qrsim.models.vehicles.quadrotor import Command, ProcessNoise, Quadrotor, QuadrotorState
-from qrsim.openloop import simulate_open_loop
+from qrsim.simulation.openloop import simulate_open_loop
 
 RECORDING = "outdoor_flight.csv"
 ROWS = 8000

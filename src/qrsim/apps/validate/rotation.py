@@ -10,7 +10,7 @@ import numpy as np
 from qrsim.apps.validate.recorded import BATTERY_V, DT, Match, command_rows, read_table
 from qrsim.apps.validate.report import Finding, Outcome, Part, reference_check, share_verdict
 from qrsim.models.vehicles.quadrotor import THROTTLE_RAW_PER_UNIT, Quadrotor
-from qrsim.openloop import simulate_open_loop
+from qrsim.simulation.openloop import simulate_open_loop
 
 RECORDING = "rotation_rig.csv"
 # A command that the recording leaves out.

@@ -19,8 +19,8 @@ from qrsim.interface.actions import ActionChecker
 from qrsim.interface.policies import UserFunction
 from qrsim.interface.readings import Reading
 from qrsim.native import identity, kept, layout_of
-from qrsim.rollout_flight import Flight, traced_start
-from qrsim.rollout_parts import Carry, Setup, recorder
+from qrsim.simulation.block_parts import Carry, Setup, recorder
+from qrsim.simulation.many_worlds import Flight, traced_start
 from qrsim.world import tick as ticks_of
 from qrsim.world.tick import State, World
 

@@ -23,8 +23,8 @@ from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.interface.policies import user_function
 from qrsim.models.area import reason_text
 from qrsim.models.site import Site
-from qrsim.rollout_engine import Engine, Schedule
-from qrsim.rollout_parts import AXIS, Setup
+from qrsim.simulation.block_parts import AXIS, Setup
+from qrsim.simulation.blocks import Engine, Schedule
 from qrsim.world.tick import State, World
 
 Array = np.ndarray[Any, Any]

@@ -10,7 +10,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.alone import Alone, alone
 from qrsim.configuration import use_compilation_cache
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
@@ -20,9 +19,10 @@ from qrsim.interface.actions import ActionChecker
 from qrsim.interface.readings import Reading, Truth
 from qrsim.models.area import reason_text
 from qrsim.models.site import Site
-from qrsim.placing import checked_rows, refuse_misplaced
-from qrsim.saved import LARGEST_TICK, SavedState, fingerprint, write
-from qrsim.ticking import ticks as ticks_of
+from qrsim.simulation.alone import Alone, alone
+from qrsim.simulation.one_world import ticks as ticks_of
+from qrsim.simulation.placing import checked_rows, refuse_misplaced
+from qrsim.simulation.snapshot import LARGEST_TICK, SavedState, fingerprint, write
 from qrsim.world.tick import FleetState, State, World, WorldKeys, keys_of, refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]

@@ -11,8 +11,8 @@ from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.policies import UserFunction, user_function
 from qrsim.interface.readings import Reading
-from qrsim.rollout_parts import call_compiled
-from qrsim.simulation import History, Simulation
+from qrsim.simulation.block_parts import call_compiled
+from qrsim.simulation.simulation import History, Simulation
 
 
 class Pilot:

@@ -19,7 +19,7 @@ from tests import small_worlds
 
 import qrsim
 from qrsim.errors import UsageError
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 
 SCENARIO = "outdoor_patrol"
 

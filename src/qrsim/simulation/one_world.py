@@ -28,7 +28,7 @@ from qrsim.native import (
     once,
     trace_of,
 )
-from qrsim.placing import place
+from qrsim.simulation.placing import place
 from qrsim.world import tick as ticks_of
 from qrsim.world.tick import State, World, WorldKeys
 
@@ -124,7 +124,7 @@ class NativeTicks:
         return state, kept_rows  # type: ignore[return-value]
 
     def place(self, layout: Packer, state: Buffers, tick: int, given: Any) -> Buffers:
-        """Return another state, with vehicles put somewhere; see ``qrsim.placing.place``."""
+        """Return another state, with vehicles put somewhere; see ``qrsim.simulation.placing.place``."""
         call = self._found(layout, given, "place")
         if call is None:
             return self.adopt(layout, self.instead.place(layout, state, tick, given))
@@ -315,7 +315,7 @@ class XlaTicks:
         return np.asarray(after[0]), np.asarray(after[1])
 
     def place(self, layout: Packer, state: Buffers, tick: int, given: Any) -> Buffers:
-        """Return another state, with vehicles put somewhere; see ``qrsim.placing.place``."""
+        """Return another state, with vehicles put somewhere; see ``qrsim.simulation.placing.place``."""
         after = _place(self._size, self.layout, layout, self._parameters, state, np.int32(tick), given)
         return np.asarray(after[0]), np.asarray(after[1])
 

@@ -15,9 +15,9 @@ from tests.small_worlds import noisy_pair, simulate
 import qrsim
 from qrsim import errors
 from qrsim.errors import QrsimError, RunError, ScenarioError
-from qrsim.piloting import Pilot
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.simulation import Simulation
+from qrsim.simulation.pilot import Pilot
+from qrsim.simulation.simulation import Simulation
 
 COPIES: list[Callable[[Any], Any]] = [lambda item: pickle.loads(pickle.dumps(item)), copy.deepcopy]
 ERRORS = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, QrsimError)]

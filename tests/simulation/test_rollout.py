@@ -20,12 +20,12 @@ import pytest
 from tests.small_worlds import bare_pair, noisy_pair
 
 import qrsim
-from qrsim import rollouts
 from qrsim.core.tree import replace
 from qrsim.errors import UsageError
 from qrsim.native.compiler import Loaded
-from qrsim.rollouts import Rollout, rollout
-from qrsim.simulation import Simulation
+from qrsim.simulation import rollout as rollouts
+from qrsim.simulation.rollout import Rollout, rollout
+from qrsim.simulation.simulation import Simulation
 from qrsim.world.tick import State, World
 
 SEED, TICKS, EVERY = 5, 200, 50
@@ -185,7 +185,7 @@ else:
 
 def in_process(program: str, *arguments: str) -> str:
     """Run a program of its own and return what it prints."""
-    root = Path(__file__).parents[1]
+    root = Path(__file__).parents[2]
     done = subprocess.run(
         [sys.executable, "-c", program, *arguments],
         cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, capture_output=True, text=True, timeout=300,
@@ -367,5 +367,5 @@ class TestBadInput:
 
 def test_what_is_public():
     assert qrsim.rollout.__module__ == "qrsim.scenarios.flying"
-    assert qrsim.Rollout.__module__ == "qrsim.rollouts"
+    assert qrsim.Rollout.__module__ == "qrsim.simulation.rollout"
     assert dataclasses.fields(qrsim.Rollout)

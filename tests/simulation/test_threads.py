@@ -12,7 +12,7 @@ import pytest
 from tests.small_worlds import noisy_pair
 
 from qrsim.errors import BusyError, RunError
-from qrsim.simulation import Simulation
+from qrsim.simulation.simulation import Simulation
 
 CALLS = ("reset", "step", "advance", "record", "set_state", "save", "load", "change_world")
 

@@ -8,8 +8,8 @@ import pytest
 
 import qrsim
 from qrsim.control import WaypointSetpoint
-from qrsim.placing import checked_rows
-from qrsim.simulation import Simulation
+from qrsim.simulation.placing import checked_rows
+from qrsim.simulation.simulation import Simulation
 
 # A tenth of a second after the last fix, in the middle of its period.
 BEFORE = 505

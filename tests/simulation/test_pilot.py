@@ -12,8 +12,8 @@ from tests.small_worlds import pair
 
 from qrsim import Estimate, WaypointSetpoint
 from qrsim.errors import RunError, UsageError
-from qrsim.piloting import Pilot
-from qrsim.simulation import Simulation
+from qrsim.simulation.pilot import Pilot
+from qrsim.simulation.simulation import Simulation
 from qrsim.world.tick import World
 
 SEED, TICKS = 5, 60

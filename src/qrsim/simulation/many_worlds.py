@@ -27,8 +27,8 @@ from qrsim.native import (
     once,
     trace_of,
 )
-from qrsim.rollout_parts import Carry, Setup, begin_world, programs, tick_of_world
-from qrsim.ticking import mode_of_many
+from qrsim.simulation.block_parts import Carry, Setup, begin_world, programs, tick_of_world
+from qrsim.simulation.one_world import mode_of_many
 from qrsim.world.tick import WorldKeys
 
 

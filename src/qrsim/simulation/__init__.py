@@ -1,0 +1,1 @@
+"""Worlds that are flown: one, many, by a policy, open loop; and a state as bytes."""
