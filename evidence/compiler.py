@@ -17,9 +17,9 @@ import numpy as np
 from evidence._bounds import AmbiguousError, Value, given
 from evidence._programs import HANDED_OVER, MAKERS, Program
 from evidence._reference import evaluate
-from qrsim.core.pack import Packer
-from qrsim.native import Input, Mode, UnsupportedError, build
-from qrsim.native import Program as Compiled
+from qrsim.engine.layout import Packer
+from qrsim.engine.llvm import Input, Mode, UnsupportedError, build
+from qrsim.engine.llvm import Program as Compiled
 
 DOC = "random programs by the package's own code generator, against a reference with bounds"
 SEED = 20240229
@@ -179,7 +179,7 @@ def _state() -> str:
 
     digest = hashlib.sha256()
     root = Path(qrsim.__file__).parent
-    for path in sorted([*root.glob("native/*.py"), *root.glob("core/*.py"), *Path(__file__).parent.glob("*.py")]):
+    for path in sorted([*root.glob("engine/llvm/*.py"), *root.glob("core/*.py"), *Path(__file__).parent.glob("*.py")]):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 

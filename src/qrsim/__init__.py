@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from qrsim.apps.run.recorder import fly
     from qrsim.apps.slam.estimate import slam
-    from qrsim.configuration import configure
     from qrsim.control import (
         AttitudeHeightSetpoint,
         AttitudeSetpoint,
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
         VelocitySetpoint,
         WaypointSetpoint,
     )
+    from qrsim.engine.settings import configure
     from qrsim.logs import Run, open_run
     from qrsim.models.vehicles.quadrotor import Command
     from qrsim.scenarios.flying import rollout
@@ -53,7 +53,7 @@ _LAZY = {
     "VelocitySetpoint": "qrsim.control",
     "WaypointSetpoint": "qrsim.control",
     "World": "qrsim.world.tick",
-    "configure": "qrsim.configuration",
+    "configure": "qrsim.engine.settings",
     "fly": "qrsim.apps.run.recorder",
     "load_scenario": "qrsim.scenarios.scenario",
     "make_scenario": "qrsim.scenarios.making",

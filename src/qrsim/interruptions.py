@@ -24,7 +24,7 @@ from typing import Any
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 AGAIN_AFTER_S = 0.02
 # Modules in the middle of which nothing is raised, and those that are given some seconds to finish.
-FRAGILE = ("llvmlite.", "qrsim.native.compiler", "ctypes")
+FRAGILE = ("llvmlite.", "qrsim.engine.llvm.compiler", "ctypes")
 DELICATE = ("jax.", "jaxlib.")
 PATIENCE_S = 3.0
 # The last signal that came, and whether somebody still waits for it to be taken.

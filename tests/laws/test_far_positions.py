@@ -16,10 +16,10 @@ import pytest
 from component_cases import DT, GROUPS, VEHICLES, example, inputs, parameters_needed
 
 import qrsim
-from qrsim.configuration import _chosen
 from qrsim.core.pairs import parts_of, two_sum
 from qrsim.core.tree import cast, record, replace
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.engine.settings import _chosen
 from qrsim.models.vehicles.moving import move, only_adds
 from qrsim.models.vehicles.quadrotor import ProcessNoise, Quadrotor, QuadrotorState
 from qrsim.scenarios.making import make_scenario

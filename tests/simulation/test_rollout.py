@@ -21,8 +21,8 @@ from tests.small_worlds import bare_pair, noisy_pair
 
 import qrsim
 from qrsim.core.tree import replace
+from qrsim.engine.llvm.compiler import Loaded
 from qrsim.errors import UsageError
-from qrsim.native.compiler import Loaded
 from qrsim.simulation import rollout as rollouts
 from qrsim.simulation.rollout import Rollout, rollout
 from qrsim.simulation.simulation import Simulation

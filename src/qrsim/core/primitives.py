@@ -1,7 +1,7 @@
 """Operations of our own in JAX's programs, so that a compiler knows them by what they are and not by how they look.
 
 Each is a JAX primitive: it can be jitted, batched and differentiated like any other, XLA gets it as the operations of
-one function, and our own code generator (``qrsim.native``) recognises the primitive itself.
+one function, and our own code generator (``qrsim.engine.llvm``) recognises the primitive itself.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from qrsim.control.setpoints import library
-from qrsim.core.pack import Glimpse
 from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.engine.layout import Glimpse
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.area import reason_text
 from qrsim.models.attitude import AttitudeReading

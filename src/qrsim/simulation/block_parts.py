@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
-from qrsim.configuration import quick_to_compile
+from qrsim.engine.settings import quick_to_compile
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.metrics import FLIGHT_METRICS

@@ -11,14 +11,15 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.configuration import FEW_VEHICLES, threads, uses_llvm
 from qrsim.core.noise import Key
-from qrsim.core.pack import Packer
+from qrsim.engine.cache import identity, kept
+from qrsim.engine.layout import Packer
+from qrsim.engine.llvm import layout_of
+from qrsim.engine.settings import FEW_VEHICLES, threads, uses_llvm
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.policies import UserFunction
 from qrsim.interface.readings import Reading
-from qrsim.native import identity, kept, layout_of
 from qrsim.simulation.block_parts import Carry, Setup, recorder
 from qrsim.simulation.many_worlds import Flight, traced_start
 from qrsim.world import tick as ticks_of

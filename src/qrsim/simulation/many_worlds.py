@@ -10,9 +10,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.configuration import FEW_VEHICLES, threads, uses_llvm
-from qrsim.core.pack import Packer
-from qrsim.native import (
+from qrsim.engine.cache import identity
+from qrsim.engine.layout import Packer
+from qrsim.engine.llvm import (
     Input,
     Lanes,
     Mode,
@@ -22,11 +22,11 @@ from qrsim.native import (
     UnsupportedError,
     build,
     build_start,
-    identity,
     layout_of,
-    once,
     trace_of,
 )
+from qrsim.engine.programs import once
+from qrsim.engine.settings import FEW_VEHICLES, threads, uses_llvm
 from qrsim.simulation.block_parts import Carry, Setup, begin_world, programs, tick_of_world
 from qrsim.simulation.one_world import mode_of_many
 from qrsim.world.tick import WorldKeys

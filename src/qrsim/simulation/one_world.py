@@ -1,6 +1,6 @@
 """How the ticks of one world are computed: by this package's own machine code, or by XLA.
 
-Both take and return the state in two flat NumPy buffers, see ``qrsim.core.pack``.
+Both take and return the state in two flat NumPy buffers, see ``qrsim.engine.layout``.
 """
 
 from __future__ import annotations
@@ -13,21 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from qrsim.configuration import FEW_VEHICLES, quick_jit, uses_llvm
-from qrsim.core.pack import Buffers, Packer
-from qrsim.native import (
-    Input,
-    Mode,
-    Program,
-    Start,
-    UnsupportedError,
-    aligned,
-    build,
-    build_start,
-    identity,
-    once,
-    trace_of,
-)
+from qrsim.engine.cache import identity
+from qrsim.engine.layout import Buffers, Packer
+from qrsim.engine.llvm import Input, Mode, Program, Start, UnsupportedError, aligned, build, build_start, trace_of
+from qrsim.engine.programs import once
+from qrsim.engine.settings import FEW_VEHICLES, quick_jit, uses_llvm
 from qrsim.simulation.placing import place
 from qrsim.world import tick as ticks_of
 from qrsim.world.tick import State, World, WorldKeys

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
-from qrsim.configuration import use_compilation_cache
 from qrsim.core.sameness import sameness
 from qrsim.core.structure import kinds
+from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.interface.policies import user_function

@@ -10,10 +10,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.configuration import use_compilation_cache
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
-from qrsim.core.pack import Buffers, Glimpse, Packer
+from qrsim.engine.layout import Buffers, Glimpse, Packer
+from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.readings import Reading, Truth

@@ -13,13 +13,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.archive import DamagedError, OtherNamesError, read_archive
 from qrsim.control import RouteState
-from qrsim.core.pack import Buffers, Packer
+from qrsim.engine.layout import Buffers, Packer
 from qrsim.errors import RunError, UsageError
 from qrsim.models.area import REASONS
 from qrsim.models.sp3 import Sp3Orbits
 from qrsim.models.terrain import OCCLUSION
+from qrsim.simulation.archive import DamagedError, OtherNamesError, read_archive
 from qrsim.world.tick import FleetState, State, World
 
 FORMAT = 4

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.configuration import FEW_VEHICLES, quick_jit, quick_to_compile, threads, uses_llvm
 from qrsim.core.noise import Key
-from qrsim.core.pack import Packer, struct
-from qrsim.native import (
+from qrsim.engine.cache import identity
+from qrsim.engine.layout import Packer, struct
+from qrsim.engine.llvm import (
     Input,
     Lanes,
     Program,
@@ -22,11 +22,11 @@ from qrsim.native import (
     UnsupportedError,
     build,
     build_start,
-    identity,
     layout_of,
-    once,
     trace_of,
 )
+from qrsim.engine.programs import once
+from qrsim.engine.settings import FEW_VEHICLES, quick_jit, quick_to_compile, threads, uses_llvm
 from qrsim.simulation.one_world import mode_of_many
 from qrsim.tasks.play import Episode, Play, Progress, Step
 

@@ -14,8 +14,8 @@ from tests.apps.slam.problems import exact_flight, exact_ranges
 from qrsim.apps.slam import graph as graphs
 from qrsim.apps.slam.estimate import estimate
 from qrsim.apps.slam.solve import Damping, Point, landmark_covariance, solve, step
-from qrsim.configuration import quick_jit
 from qrsim.core.tree import replace
+from qrsim.engine.settings import quick_jit
 
 
 def made(**options: Any) -> tuple[graphs.Graph, Any, Any]:

@@ -90,7 +90,7 @@ class Check:
     def _use_cores(self) -> None:
         from contextlib import suppress
 
-        from qrsim.configuration import available_cores, configure
+        from qrsim.engine.settings import available_cores, configure
 
         if self.cores is not None:
             if self.cores < 1:

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from qrsim.apps.envs.functional import Functional
-from qrsim.configuration import use_compilation_cache
+from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError
 from qrsim.tasks.episodes import episodes, score
 from qrsim.world.tick import refuse_unplaced

@@ -13,10 +13,10 @@ from qrsim.apps.serve.commands import rows_of
 from qrsim.apps.serve.pacing import Pacer
 from qrsim.apps.serve.readout import States
 from qrsim.apps.serve.session import Wishes
-from qrsim.configuration import use_compilation_cache
 from qrsim.core.noise import Key
-from qrsim.core.pack import Buffers, Packer
 from qrsim.core.tree import cast
+from qrsim.engine.layout import Buffers, Packer
+from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError
 from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.qrsim_pb2 import Act, Arrayd, Outcome

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from qrsim.core.pack import Buffers, Packer
+from qrsim.engine.layout import Buffers, Packer
 from qrsim.models.area import reason_text
 from qrsim.models.attitude import AttitudeReading
 from qrsim.models.barometer import BarometerReading

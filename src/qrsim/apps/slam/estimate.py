@@ -24,7 +24,7 @@ from qrsim.apps.slam.ranging import (
     measure_ranges,
 )
 from qrsim.apps.slam.solve import DAMPINGS, Point, Solution, landmark_covariance, solve
-from qrsim.configuration import use_compilation_cache
+from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import RunError, UsageError, did_you_mean, warn_user
 from qrsim.logs import Run, open_run
 

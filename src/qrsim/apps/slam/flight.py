@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from qrsim.configuration import quick_jit
 from qrsim.core.noise import Drawn
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.engine.settings import quick_jit
 from qrsim.errors import RunError, UsageError
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
 

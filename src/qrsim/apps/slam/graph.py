@@ -23,8 +23,8 @@ from jax import Array
 
 from qrsim.apps.slam.flight import SIZE, Flight, Floats, advance, dead_reckon
 from qrsim.apps.slam.ranging import Ranging
-from qrsim.configuration import quick_jit
 from qrsim.core.tree import quantity, record, replace, setting
+from qrsim.engine.settings import quick_jit
 from qrsim.errors import UsageError
 from qrsim.models.vehicles.quadrotor import PROCESS_NOISE_STEP_S
 

@@ -90,7 +90,7 @@ class Sweep:
         from qrsim.apps.sweep.cluster import workers_of
         from qrsim.apps.sweep.store import Store
         from qrsim.apps.sweep.sweeping import sweep
-        from qrsim.configuration import available_cores
+        from qrsim.engine.settings import available_cores
 
         begun = time.perf_counter()
         store = Store(out, plan)

@@ -46,7 +46,7 @@ class Job:
 
 def fly(job: Job, threads: int = 1) -> dict[str, Array] | str:
     """Return the metrics (W,) of a batch, or why it cannot be flown."""
-    from qrsim.configuration import configure
+    from qrsim.engine.settings import configure
 
     with _ALONE:
         # A process that has computed something already keeps the devices it has.
@@ -89,7 +89,7 @@ def _roll_out(job: Job) -> dict[str, Array]:
     """Fly the worlds of a batch side by side."""
     import jax
 
-    from qrsim.configuration import use_compilation_cache
+    from qrsim.engine.settings import use_compilation_cache
     from qrsim.simulation.blocks import Engine, Schedule
     from qrsim.simulation.rollout import setup_of
 

@@ -47,7 +47,7 @@ class Validate:
     def run(self) -> int:
         """Check, run, write, report."""
         from qrsim.apps.validate.parts import choose, find_recordings, run_parts
-        from qrsim.configuration import use_compilation_cache
+        from qrsim.engine.settings import use_compilation_cache
 
         parts = choose(self.only)
         found = find_recordings(parts)

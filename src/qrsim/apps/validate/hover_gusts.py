@@ -13,10 +13,10 @@ import numpy as np
 from qrsim.apps.validate.jsbsim_gusts import jsbsim_series
 from qrsim.apps.validate.spectra import DT, Case, Floats, scales
 from qrsim.apps.validate.statistics import against, mean_and_error
-from qrsim.configuration import quick_jit
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
+from qrsim.engine.settings import quick_jit
 from qrsim.models.dryden import Dryden
 from qrsim.models.turbulence import DrydenFirstOrder
 from qrsim.models.wind import FEET_PER_METRE, REFERENCE_FT, LogShear

@@ -13,11 +13,11 @@ import numpy as np
 from scipy import linalg
 
 from qrsim.apps.validate.recorded import Table, read_table
-from qrsim.configuration import quick_jit
 from qrsim.core.allan import overlapping_allan_deviation
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
+from qrsim.engine.settings import quick_jit
 from qrsim.models.gnss import GnssReceiver, OrnsteinUhlenbeckErrors, Sky
 from qrsim.models.gnss_errors import GaussMarkov2
 from qrsim.models.orbits import split_time

@@ -1,0 +1,1 @@
+"""How a program is compiled and kept: settings, layouts of trees in memory, cache, machine code."""

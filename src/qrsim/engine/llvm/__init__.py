@@ -1,0 +1,27 @@
+"""Machine code for a processor from the same tick that JAX traces: whole ticks in one function, the state in its cache.
+
+XLA makes some hundred loops of a tick, and every one of them goes through memory. Here the tick's jaxpr becomes a few
+loops over vectors, written as LLVM's text and compiled by it. What a program does that the code generator cannot do is
+``UnsupportedError``, and then XLA compiles it as before.
+"""
+
+from qrsim.engine.llvm.lanes import Lanes, Together, layout_of
+from qrsim.engine.llvm.program import Binary, Input, Mode, Program, aligned, build
+from qrsim.engine.llvm.refusal import UnsupportedError
+from qrsim.engine.llvm.start import Start, build_start, trace_of
+
+__all__ = [
+    "Binary",
+    "Input",
+    "Lanes",
+    "Mode",
+    "Program",
+    "Start",
+    "Together",
+    "UnsupportedError",
+    "aligned",
+    "build",
+    "build_start",
+    "layout_of",
+    "trace_of",
+]

@@ -1,0 +1,327 @@
+"""From steps to LLVM's text: one function that advances some worlds by any number of ticks."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from qrsim.engine.llvm.graph import Node
+from qrsim.engine.llvm.loops import Loops, shared_axis
+from qrsim.engine.llvm.neighbours import Neighbours
+from qrsim.engine.llvm.refusal import UnsupportedError
+from qrsim.engine.llvm.scattering import write_scatter
+from qrsim.engine.llvm.schedule import Step
+from qrsim.engine.llvm.text import literal, scalar_type, splat, stored_type, vector
+from qrsim.engine.llvm.writing import Place, Scope
+
+
+class Emitter(Loops):
+    """Writes the text of steps; the arguments are those of ``Loops``."""
+
+    # Steps
+
+    def steps(self, steps: list[Step], stored: set[int]) -> None:
+        """Write steps; ``stored`` are the numbers of the nodes that need memory."""
+        for step in steps:
+            if step.kind == "cond":
+                self._branching(step, stored)
+            elif step.kind == "while":
+                self._repeating(step, stored)
+            elif step.kind == "running":
+                self._running(step.nodes[0])
+            elif step.kind == "concatenate":
+                self._concatenation(step.nodes[0])
+            elif step.kind == "nearest":
+                Neighbours(self).write(step.nodes[0])
+            elif step.kind == "scatter":
+                write_scatter(self, step.nodes[0])
+            elif step.domain == ():
+                self._straight(step)
+            elif 0 not in step.domain or any(node.op == "reduce" for node in step.nodes):
+                self._nest(step, stored)
+
+    def _compute(self, node: Node, lanes: int) -> str:
+        if node.op == "iota":
+            return self._iota(node, lanes)
+        if node.op == "pick":
+            return self._pick(node, lanes)
+        values = [self.widened(self.value(access), access.node.dtype, lanes) for access in node.args]
+        return self.operations.compute(node, values, lanes)
+
+    def _straight(self, step: Step) -> None:
+        self.scope = Scope((), [], None, {}, {})
+        for node in step.nodes:
+            lanes = self._lanes_of(node)
+            self.scalars[node.number] = self._compute(node, lanes), lanes
+
+    def _iota(self, node: Node, lanes: int) -> str:
+        axis = node.attributes[0]
+        element, counter = scalar_type(node.dtype), self.scope.variables[axis]
+        if node.dtype.kind not in "iu":
+            raise UnsupportedError("an iota of floating-point numbers")
+        number = self.emit(f"trunc i64 {counter} to {element}") if element != "i64" else counter
+        if axis != self.scope.lane_axis:
+            return self.widened((number, 1), node.dtype, lanes)
+        of = vector(element, lanes)
+        ramp = "<" + ", ".join(f"{element} {lane}" for lane in range(lanes)) + ">"
+        return self.emit(f"add {of} {self.widened((number, 1), node.dtype, lanes)}, {ramp}")
+
+    def _nest(self, step: Step, stored: set[int]) -> None:
+        """Write a loop over the kept axes, in it one over the reduced axes."""
+        if any(step.domain[axis] == 0 for axis in step.kept):
+            return
+        last = len(step.domain) - 1
+        ordered = any(node.op == "reduce" and node.attributes[0] in ("add", "mul") for node in step.nodes)
+        lane_axis: int | None = last
+        # A sum along the vector's own axis would be taken in another order.
+        if self.side_by_side or self.lanes == 1 or (last in step.reduced and ordered):
+            lane_axis = None
+        together = 1 if step.reduced else _together(step, lane_axis)
+        scopes = [Scope(step.domain, ["0"] * len(step.domain), lane_axis, {}, {}) for _ in range(together)]
+        self.scope = scopes[0]
+        with self.over(step.kept, step.domain, lane_axis, together):
+            self._spread_counters(scopes, lane_axis)
+            accumulators = {node.number: self._accumulator(node) for node in step.nodes if node.op == "reduce"}
+            with self.over(step.reduced, step.domain, lane_axis):
+                if 0 not in step.domain:
+                    self._body(step, scopes, accumulators, stored)
+            for node in step.nodes:
+                if node.op == "reduce":
+                    self._finish(node, accumulators[node.number])
+
+    def _spread_counters(self, scopes: list[Scope], lane_axis: int | None) -> None:
+        """Let the further ones of several scopes stand beside the first along the axis that they share."""
+        axis = shared_axis(scopes[0].domain, lane_axis)
+        for i, scope in enumerate(scopes[1:], 1):
+            scope.variables[:] = scopes[0].variables
+            assert axis is not None
+            counter = scopes[0].variables[axis]
+            scope.variables[axis] = self.emit(f"add nuw nsw i64 {counter}, {i}")
+            scope.offsets.clear()
+
+    def _body(self, step: Step, scopes: list[Scope], accumulators: dict[int, str], stored: set[int]) -> None:
+        """Write one turn of a loop, or several at once, operation by operation."""
+        for node in step.nodes:
+            for scope in scopes:
+                self.scope = scope
+                if node.op == "reduce":
+                    self._accumulate(node, accumulators[node.number])
+                else:
+                    scope.values[node.number] = self._compute(node, self._width(node))
+        for scope in scopes:
+            self.scope = scope
+            self._keep(step, stored)
+        self.scope = scopes[0]
+
+    def _keep(self, step: Step, stored: set[int]) -> None:
+        # At the end, so that every read of a place comes before what is written to it.
+        for node in step.nodes:
+            if node.number in stored and node.op != "reduce":
+                value = self.scope.values[node.number]
+                self.write(self.places[node.number], node.dtype, value, self._width(node), self.scope.variables)
+
+    # Reductions
+
+    def _reduced_width(self, node: Node) -> int:
+        operand = node.args[0].node
+        if self.side_by_side:
+            return self._lanes_of(operand) if operand.op != "constant" else 1
+        return 1 if self.scope.lane_axis is None else self.lanes
+
+    def _accumulator(self, node: Node) -> str:
+        lanes, pointer = self._reduced_width(node), self.name("sum")
+        of = vector(stored_type(node.dtype), lanes)
+        self.entry.append(f"  {pointer} = alloca {of}, align 64")
+        self.store(
+            node.dtype, pointer, splat(neutral(node.attributes[0], node.dtype), scalar_type(node.dtype), lanes), lanes
+        )
+        return pointer
+
+    def _accumulate(self, node: Node, pointer: str) -> None:
+        lanes = self._reduced_width(node)
+        access = node.args[0]
+        value = self.widened(self.value(access), node.dtype, lanes)
+        axis = self.scope.lane_axis
+        if axis is not None and axis in node.attributes[1] and self.scope.domain[axis] % lanes:
+            inside = self.inside(self.scope.variables[axis], self.scope.domain[axis])
+            of = vector(scalar_type(node.dtype), lanes)
+            none = splat(neutral(node.attributes[0], node.dtype), scalar_type(node.dtype), lanes)
+            value = self.emit(f"select {vector('i1', lanes)} {inside}, {of} {value}, {of} {none}")
+        before = self.load(node.dtype, pointer, lanes)
+        self.store(
+            node.dtype, pointer, self.operations.combine(node.attributes[0], node.dtype, lanes, before, value), lanes
+        )
+
+    def _finish(self, node: Node, pointer: str) -> None:
+        lanes, axis = self._reduced_width(node), self.scope.lane_axis
+        value = self.load(node.dtype, pointer, lanes)
+        if axis is not None and axis in node.attributes[1]:
+            of = vector(scalar_type(node.dtype), lanes)
+            parts = [self.emit(f"extractelement {of} {value}, i32 {lane}") for lane in range(lanes)]
+            value, lanes = parts[0], 1
+            for part in parts[1:]:
+                value = self.operations.combine(node.attributes[0], node.dtype, 1, value, part)
+        kept = [v for a, v in enumerate(self.scope.variables) if a not in node.attributes[1]]
+        place = self.places[node.number]
+        wanted = self.lanes if place.own and self.side_by_side else lanes
+        self.store(
+            node.dtype,
+            self.address(place, [(v, 0) for v in kept]),
+            self.widened((value, lanes), node.dtype, wanted),
+            wanted,
+        )
+
+    # Moves
+
+    def _concatenation(self, node: Node) -> None:
+        axis, begins, shapes = node.attributes
+        place = self.places[node.number]
+        for access, begin, shape in zip(node.args, begins, shapes, strict=False):
+            # A part of one element has no axis here; the others have all of the whole's.
+            whole = len(shape) == len(node.shape)
+            moved = Place(
+                place.pointer, place.offset + begin * place.strides[axis],
+                place.strides if whole else tuple(s for a, s in enumerate(place.strides) if a != axis),
+                place.own, tight=len(node.shape) > 1,
+            )  # fmt: skip
+            # Parts are written in order, so that what is written behind one is overwritten by the next; but what is
+            # written behind the last one of a row may be the beginning of another.
+            self.copy(access, shape, moved)
+
+    def _running(self, node: Node) -> None:
+        """Write what becomes of the elements before each one along an axis, itself included."""
+        axis, backwards, how = node.attributes
+        self.open_scope(node.shape)
+        lanes, (last, dtype) = self._lanes_of(node), (node.shape[axis] - 1, node.dtype)
+        pointer, of = self.name("sum"), vector(stored_type(dtype), lanes)
+        self.entry.append(f"  {pointer} = alloca {of}, align 64")
+        with self.over([i for i in range(len(node.shape)) if i != axis], node.shape, None):
+            self.store(dtype, pointer, splat(neutral(how, dtype), scalar_type(dtype), lanes), lanes)
+            with self.loop(last + 1) as counter:
+                along = self.emit(f"sub i64 {last}, {counter}") if backwards else counter
+                self.scope.variables[axis] = along
+                value = self.widened(self.value(node.args[0]), dtype, lanes)
+                total = self.operations.combine(how, dtype, lanes, self.load(dtype, pointer, lanes), value)
+                self.store(dtype, pointer, total, lanes)
+                self.write(self.places[node.number], dtype, total, lanes, self.scope.variables)
+
+    # Branches and repetition
+
+    def _repeating(self, step: Step, stored: set[int]) -> None:
+        """Write a loop that each world leaves when its own condition no longer holds."""
+        node = step.nodes[0]
+        condition, body = node.regions
+        places = [self.places[output.number] for output in node.attributes[1]]
+        self.move_all([(a, c.shape, p) for a, c, p in zip(node.args, node.attributes[0], places, strict=True)])
+        outside = dict(self.scalars)
+        self.count += 1
+        label = f"while{self.count}"
+        self.do(f"br label %{label}")
+        self.start_block(label)
+        self.steps(step.branches[0], stored)
+        self.scope = Scope((), [], None, {}, {})
+        goes_on, lanes = self.value(condition.results[0])
+        keep, outer = None, self.turning
+        if lanes > 1:
+            if outer is not None:
+                # A world that is not here at all must not keep the others turning.
+                goes_on = self.emit(f"and {vector('i1', lanes)} {goes_on}, {outer}")
+            self.turning = goes_on
+            mask, every = vector("i1", lanes), splat("true", "i1", lanes)
+            keep = self.emit(f"xor {mask} {goes_on}, {every}")
+            goes_on = self._any(goes_on)
+        self.do(f"br i1 {goes_on}, label %{label}.body, label %{label}.after")
+        self.start_block(f"{label}.body")
+        self.steps(step.branches[1], stored)
+        self.move_all([(a, c.shape, p) for a, c, p in zip(body.results, node.attributes[0], places, strict=True)], keep)
+        self.do(f"br label %{label}")
+        self.start_block(f"{label}.after")
+        self.scalars, self.turning = outside, outer
+
+    def _any(self, flags: str) -> str:
+        """Return whether any world has its flag set."""
+        mask, name = vector("i1", self.lanes), f"llvm.vector.reduce.or.v{self.lanes}i1"
+        self.declarations.add(f"declare i1 @{name}({mask})")
+        return self.emit(f"call i1 @{name}({mask} {flags})")
+
+    def _branching(self, step: Step, stored: set[int]) -> None:
+        cond = step.nodes[0]
+        self.scope = Scope((), [], None, {}, {})
+        which, lanes = self.value(cond.args[0])
+        dtype = cond.args[0].node.dtype
+        of, zero = vector(scalar_type(dtype), lanes), splat("0", scalar_type(dtype), lanes)
+        # What is below the number of the first branch takes the first.
+        above = f"icmp {'s' if dtype.kind == 'i' else 'u'}gt {of} {which}, {zero}"
+        taken = which if dtype.kind == "b" else self.emit(above)
+        self.count += 1
+        label = f"branch{self.count}"
+        if lanes > 1:
+            self._branch_by_world(step, taken, label, stored)
+            return
+        self.do(f"br i1 {taken}, label %{label}.true, label %{label}.false")
+        for number in (0, 1):
+            self._branch(step, number, f"{label}.{'true' if number else 'false'}", f"{label}.after", stored)
+        self.start_block(f"{label}.after")
+
+    def _branch_by_world(self, step: Step, taken: str, label: str, stored: set[int]) -> None:
+        """Write a branching that each world takes for itself: both branches, where any world takes it."""
+        mask = vector("i1", self.lanes)
+        others = self.emit(f"xor {mask} {taken}, {splat('true', 'i1', self.lanes)}")
+        outer, masks = self.turning, [taken, others]
+        if outer is not None:
+            masks = [self.emit(f"and {mask} {own}, {outer}") for own in masks]
+        self.do(f"br i1 {self._any(taken)}, label %{label}.true, label %{label}.rest")
+        self.turning = masks[0]
+        self._branch(step, 1, f"{label}.true", f"{label}.rest", stored)
+        self.start_block(f"{label}.rest")
+        self.do(f"br i1 {self._any(others)}, label %{label}.false, label %{label}.after")
+        self.turning = masks[1]
+        self._branch(step, 0, f"{label}.false", f"{label}.after", stored, keep=taken)
+        self.turning = outer
+        self.start_block(f"{label}.after")
+
+    def _branch(
+        self, step: Step, number: int, label: str, after: str, stored: set[int], keep: str | None = None
+    ) -> None:
+        """Write one branch, and where its results go; ``keep`` are the worlds whose results are there already."""
+        outside = dict(self.scalars)
+        self.start_block(label)
+        self.steps(step.branches[number], stored)
+        region, outputs = step.nodes[0].regions[number], step.nodes[1:]
+        moves = [
+            (region.results[node.attributes[0]], node.shape, self.places[node.number])
+            for node in outputs if node.op == "output"
+        ]  # fmt: skip
+        self.move_all(moves, keep)
+        self.do(f"br label %{after}")
+        self.scalars = outside
+
+
+def neutral(how: str, dtype: Any) -> str:
+    """Return what a reduction begins with."""
+    if how in ("add", "or"):
+        return literal(0, dtype)
+    if how == "mul":
+        return literal(1, dtype)
+    if how == "and":
+        return literal(True, dtype) if dtype.kind == "b" else "-1"
+    if dtype.kind == "f":
+        return literal(math.inf if how == "min" else -math.inf, dtype)
+    if dtype.kind == "b":
+        return literal(how == "min", dtype)
+    limits = np.iinfo(dtype)
+    return str(limits.max if how == "min" else limits.min)
+
+
+def _together(step: Step, lane_axis: int | None) -> int:
+    """Return how many turns of a loop are written as one.
+
+    One turn of a body of some hundred operations that wait for each other fills what the processor looks ahead, and
+    few of them run at once. A shorter body needs no help, and a longer one no more of it than its registers hold.
+    """
+    axis = shared_axis(step.domain, lane_axis)
+    if axis is None or not 100 <= len(step.nodes) <= 200:
+        return 1
+    return next((turns for turns in (4, 2) if step.domain[axis] % turns == 0), 1)

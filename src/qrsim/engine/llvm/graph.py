@@ -1,0 +1,162 @@
+"""A tick as a graph of elementwise operations on small arrays, which is what a loop can be made of.
+
+Axes of one element are left out: an array of shape (12, 1) is one of shape (12,) here. What only looks at an array in
+another way (a slice, a new axis, a transposition) is no operation but an index, so it costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from qrsim.engine.llvm.text import scalar_type
+
+Shape = tuple[int, ...]
+# For each axis of a node: the axis of the loop it follows, or None where it stands still, and an offset.
+Index = tuple[tuple[int | None, int], ...]
+
+
+@dataclass(eq=False)
+class Node:
+    """One array.
+
+    Attributes:
+        op: what makes it; ``input``, ``constant``, ``iota``, ``reduce``, ``concatenate``, ``pick``, ``scatter``,
+            ``running``, ``cond``, ``while``, ``carry`` (what a while hands from turn to turn), ``output`` (of a cond or
+            while), or an elementwise operation by JAX's name of it.
+        args: what it reads.
+        shape: without axes of one element.
+        dtype: NumPy's.
+        attributes: what else the operation is told.
+        domain: shape of the loop that computes it; its own unless it reduces.
+        regions: of a cond, one for each branch; of a while, its condition and its body.
+        invariant: the same at every tick.
+        uniform: the same in every world.
+    """
+
+    op: str
+    args: tuple[Access, ...]
+    shape: Shape
+    dtype: np.dtype[Any]
+    attributes: tuple[Any, ...] = ()
+    domain: Shape = ()
+    regions: tuple[Region, ...] = ()
+    invariant: bool = False
+    uniform: bool = False
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class Access:
+    """A node read at an index of the reading loop."""
+
+    node: Node
+    index: Index
+
+    def identical(self, domain: Shape) -> bool:
+        """Return whether each element of the loop reads its own element."""
+        return self.node.shape == domain and self.index == tuple((axis, 0) for axis in range(len(domain)))
+
+
+@dataclass(frozen=True)
+class View:
+    """An array of the traced program: a node, seen through an index of the program's own axes, unit axes included."""
+
+    node: Node
+    index: Index
+    shape: Shape
+
+    @staticmethod
+    def whole(node: Node, shape: Shape) -> View:
+        """Return a node as an array of a shape that differs from its own by axes of one element."""
+        return View(node, tuple((axis, 0) for axis, extent in enumerate(shape) if extent != 1), shape)
+
+    def access(self, shape: Shape | None = None) -> Access:
+        """Return how a loop over ``shape`` (by default the view's own), without its unit axes, reads it."""
+        shape = self.shape if shape is None else shape
+        loop_axis, count = {}, 0
+        for axis, extent in enumerate(shape):
+            if extent != 1:
+                loop_axis[axis] = count
+                count += 1
+        return Access(
+            self.node,
+            tuple((loop_axis.get(axis) if axis is not None else None, offset) for axis, offset in self.index),
+        )
+
+    def moved(self, axes: dict[int, int | None], shape: Shape) -> View:
+        """Return the view whose axis ``axes[a]`` is this one's axis a."""
+        index = tuple((axes.get(axis) if axis is not None else None, offset) for axis, offset in self.index)
+        return View(self.node, index, shape)
+
+    def shifted(self, starts: Sequence[int], shape: Shape) -> View:
+        """Return the part that begins at ``starts``; an axis of which one element is left stands still."""
+        index: list[tuple[int | None, int]] = []
+        for axis, offset in self.index:
+            begin = 0 if axis is None else starts[axis]
+            still = axis is None or shape[axis] == 1
+            index.append((None if still else axis, offset + begin))
+        return View(self.node, tuple(index), shape)
+
+
+def squeezed(shape: Iterable[int]) -> Shape:
+    """Return a shape without its axes of one element."""
+    return tuple(extent for extent in shape if extent != 1)
+
+
+@dataclass(eq=False)
+class Region:
+    """A list of nodes in an order in which they can be computed, and which accesses it hands out."""
+
+    parent: Region | None = None
+    nodes: list[Node] = field(default_factory=list)
+    results: list[Access] = field(default_factory=list)
+    known: dict[Any, Node] = field(default_factory=dict)
+
+    def find(self, key: Any) -> Node | None:
+        """Return an equal node computed before, here or outside."""
+        region: Region | None = self
+        while region is not None:
+            if key in region.known:
+                return region.known[key]
+            region = region.parent
+        return None
+
+
+class Graph:
+    """Nodes under construction; equal ones are made once."""
+
+    def __init__(self) -> None:
+        self.region = Region()
+        self.count = 0
+
+    def node(
+        self, op: str, args: tuple[Access, ...], shape: Shape, dtype: Any, attributes: tuple[Any, ...] = (), **more: Any
+    ) -> Node:
+        """Return a node, invariant and uniform where all that it reads is."""
+        dtype = np.dtype(dtype)
+        key = (op, tuple((id(a.node), a.index) for a in args), shape, dtype, attributes, more.get("domain"))
+        if op not in ("cond", "while", "carry", "output", "input"):
+            found = self.region.find(key)
+            if found is not None:
+                return found
+        more.setdefault("invariant", all(a.node.invariant for a in args))
+        more.setdefault("uniform", all(a.node.uniform for a in args))
+        more.setdefault("domain", shape)
+        self.count += 1
+        node = Node(op, args, shape, dtype, attributes, number=self.count, **more)
+        self.region.nodes.append(node)
+        self.region.known[key] = node
+        return node
+
+    def constant(self, value: Any) -> View:
+        """Return an array that is known now."""
+        array = np.asarray(value)
+        # An array of numbers that the code generator does not have is refused here.
+        scalar_type(array.dtype)
+        shape = squeezed(array.shape)
+        attributes = (array.reshape(shape).tobytes(),)
+        return View.whole(self.node("constant", (), shape, array.dtype, attributes), array.shape)

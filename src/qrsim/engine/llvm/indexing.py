@@ -1,0 +1,170 @@
+"""Rules for what is read from, or put, where the program computes: single elements, parts, and other shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from qrsim.engine.llvm.graph import Shape, View, squeezed
+from qrsim.engine.llvm.nodes import Like, Nodes
+from qrsim.engine.llvm.refusal import UnsupportedError
+
+
+class Indexing(Nodes):
+    """The part of a Tracer that deals with places.
+
+    An axis of one element is no axis of a node. Where a program says how far along it something lies, that may still
+    be out of range, so ranges are checked for every axis of the program's own, and before nodes are read.
+    """
+
+    def dynamic_slice(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return a part that begins where the program computes, brought into range."""
+        operand, shape = inputs[0], tuple(out.shape)
+        starts = {axis: inputs[1 + axis] for axis, extent in enumerate(operand.shape) if extent != shape[axis]}
+        limits = {axis: operand.shape[axis] - shape[axis] for axis in starts}
+        return self._pick(operand, starts, limits, {axis: axis for axis in range(len(shape))}, out)
+
+    def _pick(
+        self, operand: View, starts: dict[int, View], limits: dict[int, int], follows: dict[int, int], out: Any
+    ) -> View:
+        """Return elements of an array that lie where the program computes.
+
+        Args:
+            operand: the array.
+            starts: axis of the array -> where it begins, () or of the result's shape.
+            limits: axis -> the largest start; others are brought into range.
+            follows: axis of the array -> axis of the result that it follows from there.
+            out: shape and type of the result.
+        """
+        shape = tuple(out.shape)
+        order = {axis: i for i, axis in enumerate(starts)}
+        # For each axis of the array in memory: which start moves it, and the largest that it may be.
+        moved = tuple((order[a], limits[a]) if a in order else None for a, _ in operand.index)
+        still = operand.moved({axis: follows.get(axis) for axis in range(len(operand.shape))}, shape)
+        if not any(moved):
+            return still
+        accesses = (still.access(), *(start.access(shape) for start in starts.values()))
+        return View.whole(self.graph.node("pick", accesses, squeezed(shape), out.dtype, (moved,)), shape)
+
+    def gather(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return single elements, each from where an array of whole numbers says."""
+        operand, places = inputs
+        numbers, shape, mode = parameters["dimension_numbers"], tuple(out.shape), parameters["mode"].name
+        single = {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims} == set(range(len(operand.shape)))
+        if numbers.offset_dims or not single or any(size != 1 for size in parameters["slice_sizes"]):
+            raise UnsupportedError("a gather of parts")
+        if mode not in ("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS"):
+            raise UnsupportedError(f"a gather with mode {mode}")
+        if 0 in operand.shape:
+            raise UnsupportedError("a gather from nothing")
+        follows = dict(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
+        starts = self._along(places, numbers.start_index_map, shape)
+        limits = {axis: operand.shape[axis] - 1 for axis in starts}
+        found = self._pick(operand, starts, limits, {int(a): int(b) for a, b in follows.items()}, out)
+        if mode != "FILL_OR_DROP":
+            return found
+        fill = np.asarray(_filling(parameters["fill_value"], out.dtype), out.dtype)
+        inside = self._inside(starts, limits, shape)
+        return self.apply("select_n", shape, out.dtype, inside, self.spread(self.graph.constant(fill), shape), found)
+
+    def _inside(self, starts: dict[int, View], limits: dict[int, int], shape: Shape) -> View:
+        """Return whether all starts are in range."""
+        inside = self.spread(self.graph.constant(np.bool_(True)), shape)
+        for axis, start in starts.items():
+            dtype = start.node.dtype
+            tests = [("le", limits[axis])] if dtype.kind == "u" else [("ge", 0), ("le", limits[axis])]
+            for op, limit in tests:
+                bound = self.spread(self.graph.constant(np.asarray(limit, dtype)), shape)
+                within = self.apply(op, shape, np.bool_, start, bound)
+                inside = self.apply("and", shape, np.bool_, inside, within)
+        return inside
+
+    def scatter(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Put single elements, each to where an array of whole numbers says."""
+        operand, places, updates = inputs
+        numbers, shape, mode = parameters["dimension_numbers"], updates.shape, parameters["mode"].name
+        inserted = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
+        if numbers.update_window_dims or inserted != set(range(len(operand.shape))):
+            raise UnsupportedError("a scatter of parts")
+        if mode not in ("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS"):
+            raise UnsupportedError(f"a scatter with mode {mode}")
+        # How JAX writes a function that is applied to elements.
+        if op == "set" and parameters.get("update_jaxpr") is not None:
+            raise UnsupportedError("a scatter that applies a function")
+        if 0 in operand.shape:
+            return operand
+        starts = self._along(places, numbers.scatter_dims_to_operand_dims, shape)
+        if mode == "CLIP":
+            starts = {axis: self._clipped(start, operand.shape[axis] - 1, shape) for axis, start in starts.items()}
+        order = {axis: i for i, axis in enumerate(starts)}
+        kept = [axis for axis, extent in enumerate(operand.shape) if extent != 1]
+        moved = tuple((order[a], operand.shape[a] - 1) if a in order else None for a in kept)
+        single = tuple((order[a], 0) for a in order if a not in kept)
+        follows = dict(zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True))
+        index = View(updates.node, tuple((follows.get(a), 0) for a in kept), shape).access().index
+        accesses = (operand.access(), updates.access(), *(start.access() for start in starts.values()))
+        node = self.graph.node(
+            "scatter", accesses, squeezed(out.shape), out.dtype, (op, moved, single, index), domain=squeezed(shape)
+        )
+        return View.whole(node, tuple(out.shape))
+
+    def _clipped(self, start: View, largest: int, shape: Shape) -> View:
+        dtype = start.node.dtype
+        low, high = (self.spread(self.graph.constant(np.asarray(v, dtype)), shape) for v in (0, largest))
+        return self.apply("clamp", shape, dtype, low, start, high)
+
+    @staticmethod
+    def _along(places: View, axes: Sequence[int], shape: Shape) -> dict[int, View]:
+        """Return how far along each of some axes, from an array that has them in its last one."""
+        found = {}
+        for which, axis in enumerate(axes):
+            one = places.shifted([0] * len(shape) + [which], (*shape, 1))
+            found[int(axis)] = one.moved({i: i for i in range(len(shape))}, shape)
+        return found
+
+    def reshape(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return the same numbers in the order of rows, in another shape."""
+        (operand, *dynamic), shape = inputs, tuple(out.shape)
+        if dynamic:
+            raise UnsupportedError("a shape that the program computes")
+        if squeezed(operand.shape) == squeezed(shape):
+            return self.without_unit_axes(operand, shape)
+        if 0 in shape:
+            return self.spread(self.graph.constant(np.zeros((), out.dtype)), shape)
+        number = self._linear(shape)
+        starts, stride = {}, 1
+        for axis in reversed(range(len(operand.shape))):
+            extent = operand.shape[axis]
+            if extent != 1:
+                over = self.apply("div", shape, np.int32, number, self._number(stride, shape))
+                starts[axis] = self.apply("rem", shape, np.int32, over, self._number(extent, shape))
+            stride *= extent
+        return self._pick(operand, starts, {axis: operand.shape[axis] - 1 for axis in starts}, {}, out)
+
+    def _linear(self, shape: Shape) -> View:
+        """Return the place (int32) of each element of an array in the order of its rows."""
+        found, stride = self._number(0, shape), 1
+        for axis in reversed(range(len(shape))):
+            if shape[axis] != 1:
+                along = self.iota("", [], Like(shape, np.dtype(np.int32)), {"dimension": axis})
+                far = self.apply("mul", shape, np.int32, along, self._number(stride, shape))
+                found = self.apply("add", shape, np.int32, found, far)
+            stride *= shape[axis]
+        return found
+
+    def _number(self, value: int, shape: Shape) -> View:
+        return self.spread(self.graph.constant(np.int32(value)), shape)
+
+
+def _filling(value: Any, dtype: Any) -> Any:
+    """Return what JAX puts where an index is out of range."""
+    if value is not None:
+        return value
+    kind = np.dtype(dtype).kind
+    if kind == "f":
+        return np.nan
+    if kind == "b":
+        return True
+    return np.iinfo(dtype).min if kind == "i" else np.iinfo(dtype).max

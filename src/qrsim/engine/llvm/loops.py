@@ -1,0 +1,106 @@
+"""Loops over the elements of arrays: what copies, concatenations, searches and scatters are written with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from qrsim.engine.llvm.graph import Access, Node, Shape
+from qrsim.engine.llvm.operations import Operations
+from qrsim.engine.llvm.text import scalar_type, stored_bytes, vector
+from qrsim.engine.llvm.writing import Place, Scope, Writer
+
+
+class Loops(Writer):
+    """A writer that knows the operations, and where there is room for copies.
+
+    Args:
+        places: of every node that is in memory.
+        lanes: of a vector.
+        side_by_side: the lanes are worlds, not elements.
+        spare: gives memory for a copy of a node that waits, none of which was given out before.
+        spare_bytes: gives the offset of so many bytes of it.
+    """
+
+    def __init__(
+        self,
+        places: dict[int, Place],
+        lanes: int,
+        side_by_side: bool,
+        spare: Callable[[Node, Shape], Place],
+        spare_bytes: Callable[[int], int],
+    ):
+        super().__init__(places, lanes, side_by_side)
+        self.spare, self.spare_bytes = spare, spare_bytes
+        self.operations = Operations(self.emit, self.declarations)
+        # Which worlds take the branches and have not left the loops that are being written; None where all do.
+        self.turning: str | None = None
+
+    @contextmanager
+    def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Any:
+        """Write loops over some axes of the domain, ``together`` turns of one of them at once."""
+        if not axes:
+            yield
+            return
+        axis = axes[0]
+        turns = together if axis == shared_axis(domain, lane_axis) else 1
+        with self.loop(domain[axis], self.lanes if axis == lane_axis else turns) as counter:
+            self.scope.variables[axis] = counter
+            with self.over(axes[1:], domain, lane_axis, together):
+                yield
+
+    def copy(self, access: Access, shape: Shape, to: Place, keep: str | None = None) -> None:
+        """Write a loop that copies an array to a place, but for the worlds ``keep``."""
+        if 0 in shape:
+            return
+        lane_axis = len(shape) - 1 if shape and not self.side_by_side and self.lanes > 1 else None
+        if lane_axis is not None and to.strides[lane_axis] != stored_bytes(access.node.dtype):
+            lane_axis = None
+        self.scope = Scope(shape, ["0"] * len(shape), lane_axis, {}, {})
+        with self.over(range(len(shape)), shape, lane_axis):
+            found, lanes = self.value(access)
+            wide = max(1, lanes) if lane_axis is None else self.lanes
+            value = self.widened((found, lanes), access.node.dtype, wide)
+            if keep is not None:
+                value, wide = self._kept(to, access.node.dtype, value, wide, keep), self.lanes
+            self.write(to, access.node.dtype, value, wide, self.scope.variables)
+
+    def _kept(self, to: Place, dtype: Any, value: str, lanes: int, keep: str) -> str:
+        """Return a value but for the worlds ``keep``, for which it is what lies at its place."""
+        of = vector(scalar_type(dtype), self.lanes)
+        before = self.load(dtype, self.address(to, [(v, 0) for v in self.scope.variables]), self.lanes)
+        value = self.widened((value, lanes), dtype, self.lanes)
+        return self.emit(f"select {vector('i1', self.lanes)} {keep}, {of} {before}, {of} {value}")
+
+    def move_all(self, moves: list[tuple[Access, Shape, Place]], keep: str | None = None) -> None:
+        """Write copies that all read before any of them writes; ``keep`` as of ``copy``."""
+        targets = {(to.pointer, to.offset) for _, _, to in moves}
+        later: list[tuple[Access, Shape, Place]] = []
+        for access, shape, to in moves:
+            source = None if self._in_register(access.node) else self.place(access.node)
+            if source is not None and source == to and access.identical(shape):
+                continue
+            if source is not None and (source.pointer, source.offset) in targets:
+                place = self.spare(access.node, shape)
+                self.copy(access, shape, place)
+                later.append((self._stand_in(access.node, shape, place), shape, to))
+            else:
+                later.append((access, shape, to))
+        for access, shape, to in later:
+            self.copy(access, shape, to, keep)
+
+    def _in_register(self, node: Node) -> bool:
+        return node.number in self.scalars or (node.op == "constant" and node.shape == ())
+
+    def _stand_in(self, node: Node, shape: Shape, place: Place) -> Access:
+        self.count += 1
+        copy = Node("input", (), shape, node.dtype, uniform=node.uniform, number=-self.count)
+        self.places[copy.number] = place
+        return Access(copy, tuple((axis, 0) for axis in range(len(shape))))
+
+
+def shared_axis(domain: Shape, lane_axis: int | None) -> int | None:
+    """Return the axis along which several turns of a loop can be taken at once: the last but the vector's own."""
+    axes = [axis for axis in range(len(domain)) if axis != lane_axis]
+    return axes[-1] if axes else None

@@ -1,0 +1,55 @@
+"""What the rules of primitives are made of."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from qrsim.engine.llvm.graph import Graph, Shape, View, squeezed
+
+
+class Like(NamedTuple):
+    """Shape and type of a result."""
+
+    shape: Shape
+    dtype: Any
+
+
+class Nodes:
+    """Makes nodes of a graph from views.
+
+    Args:
+        graph: to which they are added.
+    """
+
+    def __init__(self, graph: Graph):
+        self.graph = graph
+
+    def apply(self, name: str, shape: Shape, dtype: Any, *inputs: View, attributes: tuple[Any, ...] = ()) -> View:
+        """Return an elementwise operation on arrays of one shape, or of none."""
+        accesses = tuple(view.access(shape) for view in inputs)
+        return View.whole(self.graph.node(name, accesses, squeezed(shape), dtype, attributes), shape)
+
+    def iota(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return the place of each element along an axis."""
+        shape, dtype = tuple(out.shape), np.dtype(out.dtype)
+        if shape[parameters["dimension"]] == 1:
+            return self.spread(self.graph.constant(np.zeros((), dtype)), shape)
+        axis = len(squeezed(shape[: parameters["dimension"]]))
+        if dtype.kind != "f":
+            return View.whole(self.graph.node("iota", (), squeezed(shape), dtype, (axis,)), shape)
+        whole = View.whole(self.graph.node("iota", (), squeezed(shape), np.int32, (axis,)), shape)
+        return self.apply("convert_element_type", shape, dtype, whole)
+
+    @staticmethod
+    def spread(scalar: View, shape: Shape) -> View:
+        """Return a scalar as an array."""
+        return View(scalar.node, (), shape)
+
+    @staticmethod
+    def without_unit_axes(view: View, shape: Shape) -> View:
+        """Return a view with other axes of one element."""
+        before = [axis for axis, extent in enumerate(view.shape) if extent != 1]
+        after = [axis for axis, extent in enumerate(shape) if extent != 1]
+        return view.moved(dict(zip(before, after, strict=True)), shape)

@@ -1,0 +1,340 @@
+"""LLVM's text for one operation on values of one type."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from qrsim.engine.llvm.graph import Node
+from qrsim.engine.llvm.refusal import UnsupportedError
+from qrsim.engine.llvm.text import DType, literal, scalar_type, splat, suffix, vector
+
+# Emits an instruction and returns the name of its value.
+Emit = Callable[[str], str]
+
+_LIBRARY = {
+    "exp", "exp2", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh",
+    "tanh", "pow",
+}  # fmt: skip
+_FLOAT_COMPARISONS = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
+_BITS = {"and": "and", "or": "or", "xor": "xor"}
+_SHIFTS = {"shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}
+
+
+class Operations:
+    """Emits the elementwise operations.
+
+    Args:
+        emit: writes an instruction and returns the name of its value.
+        declarations: takes the functions that are called.
+    """
+
+    def __init__(self, emit: Emit, declarations: set[str]):
+        self.emit, self.declarations = emit, declarations
+
+    def compute(self, node: Node, values: list[str], lanes: int) -> str:
+        """Return the value of a node from those of its arguments, all of ``lanes`` lanes."""
+        argument = node.args[0].node.dtype if node.args else node.dtype
+        kind = argument.kind
+        of = vector(scalar_type(argument), lanes)
+        rule = getattr(self, f"_{node.op}", None)
+        if node.op in ("add", "sub", "mul", "div", "rem"):
+            if node.op in ("div", "rem") and kind in "iu" and _divides_well(node.args[1].node):
+                return self.emit(f"{'s' if kind == 'i' else 'u'}{node.op} {of} {values[0]}, {values[1]}")
+            return self._arithmetic(node.op, kind, of, argument, values, lanes)
+        if node.op in _FLOAT_COMPARISONS:
+            return self._comparison(node.op, kind, of, values)
+        if node.op in _BITS:
+            return self.emit(f"{_BITS[node.op]} {of} {values[0]}, {values[1]}")
+        if node.op in _SHIFTS:
+            return self._shift(node, of, values, lanes)
+        if node.op in _LIBRARY:
+            return self._library(node.op, argument, values, lanes)
+        if rule is None:
+            raise UnsupportedError(f"'{node.op}'")
+        result: str = rule(node, of, values, lanes)
+        return result
+
+    def combine(self, how: str, dtype: DType, lanes: int, a: str, b: str) -> str:
+        """Return the value of one step of a reduction."""
+        of = vector(scalar_type(dtype), lanes)
+        if how in ("min", "max"):
+            return self._extreme(how, dtype, of, a, b, lanes)
+        if how in _BITS:
+            return self.emit(f"{_BITS[how]} {of} {a}, {b}")
+        return self._arithmetic(how, dtype.kind, of, dtype, [a, b], lanes)
+
+    def _call(self, name: str, result: str, types: list[str], values: list[str]) -> str:
+        self.declarations.add(f"declare {result} @{name}({', '.join(types)})")
+        arguments = ", ".join(f"{t} {v}" for t, v in zip(types, values, strict=True))
+        return self.emit(f"call {result} @{name}({arguments})")
+
+    def _intrinsic(self, name: str, dtype: DType, lanes: int, values: list[str]) -> str:
+        element = scalar_type(dtype)
+        of = vector(element, lanes)
+        return self._call(f"llvm.{name}.{suffix(element, lanes)}", of, [of] * len(values), values)
+
+    def _library(self, name: str, dtype: DType, values: list[str], lanes: int) -> str:
+        element = scalar_type(dtype)
+        if element not in ("float", "double"):
+            raise UnsupportedError(f"'{name}' of {dtype}")
+        symbol = name + ("f" if element == "float" else "")
+        # The library would see a number too small to be a normal one, which everything else here takes for zero.
+        values = [self._intrinsic("canonicalize", dtype, lanes, [value]) for value in values]
+        if lanes == 1:
+            return self._call(symbol, element, [element] * len(values), values)
+        of, result = vector(element, lanes), "poison"
+        for lane in range(lanes):
+            parts = [self.emit(f"extractelement {of} {value}, i32 {lane}") for value in values]
+            one = self._call(symbol, element, [element] * len(values), parts)
+            result = self.emit(f"insertelement {of} {result}, {element} {one}, i32 {lane}")
+        return result
+
+    def _arithmetic(self, op: str, kind: str, of: str, dtype: DType, values: list[str], lanes: int) -> str:
+        if kind == "f":
+            return self.emit(f"f{op} {of} {values[0]}, {values[1]}")
+        if kind == "b":
+            raise UnsupportedError(f"'{op}' of bool")
+        if op in ("div", "rem"):
+            return self._whole_division(op, of, dtype, values, lanes)
+        return self.emit(f"{op} {of} {values[0]}, {values[1]}")
+
+    def _whole_division(self, op: str, of: str, dtype: DType, values: list[str], lanes: int) -> str:
+        """Return what JAX does: all bits set, or the number itself as remainder, where the divisor is zero."""
+        element, mask, signed = scalar_type(dtype), vector("i1", lanes), dtype.kind == "i"
+        zero, one, ones = (splat(text, element, lanes) for text in ("0", "1", "-1"))
+        is_zero = self.emit(f"icmp eq {of} {values[1]}, {zero}")
+        # Dividing by zero, or the least number by minus one, would end the process, even in lanes that nobody reads.
+        hard, is_minus_one = is_zero, ""
+        if signed:
+            is_minus_one = self.emit(f"icmp eq {of} {values[1]}, {ones}")
+            hard = self.emit(f"or {mask} {is_zero}, {is_minus_one}")
+        safe = self.emit(f"select {mask} {hard}, {of} {one}, {of} {values[1]}")
+        result = self.emit(f"{'s' if signed else 'u'}{op} {of} {values[0]}, {safe}")
+        if op == "rem":
+            return self.emit(f"select {mask} {is_zero}, {of} {values[0]}, {of} {result}")
+        if signed:
+            negative = self.emit(f"sub {of} {zero}, {values[0]}")
+            result = self.emit(f"select {mask} {is_minus_one}, {of} {negative}, {of} {result}")
+        return self.emit(f"select {mask} {is_zero}, {of} {ones}, {of} {result}")
+
+    def _shift(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Return what JAX does: nothing is left, or the sign, where a number is shifted by its width or more."""
+        how, bits = _SHIFTS[node.op], 8 * node.dtype.itemsize
+        known = _known_number(node.args[1].node)
+        if known is not None and 0 <= known < bits:
+            return self.emit(f"{how} {of} {values[0]}, {values[1]}")
+        element = scalar_type(node.dtype)
+        last, width = splat(str(bits - 1), element, lanes), splat(str(bits), element, lanes)
+        name = f"llvm.umin.{suffix(element, lanes)}"
+        near = self._call(name, of, [of, of], [values[1], last])
+        result = self.emit(f"{how} {of} {values[0]}, {near}")
+        if how == "ashr":
+            return result
+        inside = self.emit(f"icmp ult {of} {values[1]}, {width}")
+        zero = splat("0", element, lanes)
+        return self.emit(f"select {vector('i1', lanes)} {inside}, {of} {result}, {of} {zero}")
+
+    def _comparison(self, op: str, kind: str, of: str, values: list[str]) -> str:
+        if kind == "f":
+            return self.emit(f"fcmp {_FLOAT_COMPARISONS[op]} {of} {values[0]}, {values[1]}")
+        signed = "" if op in ("eq", "ne") else "s" if kind == "i" else "u"
+        return self.emit(f"icmp {signed}{op} {of} {values[0]}, {values[1]}")
+
+    def _fma(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        return self._intrinsic("fma", node.dtype, lanes, values)
+
+    def _fms(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        return self._intrinsic("fma", node.dtype, lanes, [*values[:2], self.emit(f"fneg {of} {values[2]}")])
+
+    def _fnma(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        return self._intrinsic("fma", node.dtype, lanes, [self.emit(f"fneg {of} {values[0]}"), *values[1:]])
+
+    def _neg(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        if node.dtype.kind == "f":
+            return self.emit(f"fneg {of} {values[0]}")
+        return self.emit(f"sub {of} {splat('0', scalar_type(node.dtype), lanes)}, {values[0]}")
+
+    def _abs(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        if node.dtype.kind == "f":
+            return self._intrinsic("fabs", node.dtype, lanes, values)
+        if node.dtype.kind == "u":
+            return values[0]
+        negative = self._neg(node, of, values, lanes)
+        return self._call(f"llvm.smax.{suffix(scalar_type(node.dtype), lanes)}", of, [of, of], [values[0], negative])
+
+    def _sign(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        dtype, element = node.dtype, scalar_type(node.dtype)
+        zero, one, minus = (splat(literal(v, dtype), element, lanes) for v in (0, 1, -1))
+        mask = vector("i1", lanes)
+        above = self._comparison("gt", dtype.kind, of, [values[0], zero])
+        below = self._comparison("lt", dtype.kind, of, [values[0], zero])
+        rest = self.emit(f"select {mask} {below}, {of} {minus}, {of} {values[0]}")
+        return self.emit(f"select {mask} {above}, {of} {one}, {of} {rest}")
+
+    def _not(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        ones = "true" if node.dtype.kind == "b" else "-1"
+        return self.emit(f"xor {of} {values[0]}, {splat(ones, scalar_type(node.dtype), lanes)}")
+
+    def _min(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        return self._ordered("min", node, of, values, lanes)
+
+    def _max(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        return self._ordered("max", node, of, values, lanes)
+
+    def _ordered(self, how: str, node: Node, of: str, values: list[str], lanes: int) -> str:
+        known = [_known_number(arg.node) for arg in node.args]
+        if node.dtype.kind == "f":
+            # A number that is known is no NaN, and where the other is equal they may only differ as zeros do.
+            for which in (0, 1):
+                number = known[which]
+                if number is not None and not math.isnan(number):
+                    return self._limited(how, of, values[1 - which], values[which], number, lanes)
+        return self._extreme(how, node.dtype, of, values[0], values[1], lanes)
+
+    def _limited(self, how: str, of: str, value: str, limit: str, number: float, lanes: int) -> str:
+        """Return min or max of a value and a number that is known."""
+        positive = math.copysign(1.0, number) > 0.0
+        # Of two zeros the positive one is the larger.
+        takes_equal = number == 0.0 and positive == (how == "max")
+        compare = ("ole" if takes_equal else "olt") if how == "min" else ("oge" if takes_equal else "ogt")
+        taken = self.emit(f"fcmp {compare} {of} {limit}, {value}")
+        return self.emit(f"select {vector('i1', lanes)} {taken}, {of} {limit}, {of} {value}")
+
+    def _extreme(self, how: str, dtype: DType, of: str, a: str, b: str, lanes: int) -> str:
+        """Return min or max, NaN where either is; of two zeros the positive one is the larger."""
+        if dtype.kind == "f":
+            name = f"llvm.{'minimum' if how == 'min' else 'maximum'}.{suffix(scalar_type(dtype), lanes)}"
+            return self._call(name, of, [of, of], [a, b])
+        if dtype.kind == "b":
+            return self.emit(f"{'and' if how == 'min' else 'or'} {of} {a}, {b}")
+        sign = "s" if dtype.kind == "i" else "u"
+        return self._call(f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}", of, [of, of], [a, b])
+
+    def _clamp(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        low, value, high = values
+        return self._extreme(
+            "min", node.dtype, of, self._extreme("max", node.dtype, of, value, low, lanes), high, lanes
+        )
+
+    def _select_n(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        if len(values) != 3 or node.args[0].node.dtype.kind != "b":
+            raise UnsupportedError("a selection among several")
+        result = vector(scalar_type(node.dtype), lanes)
+        return self.emit(f"select {vector('i1', lanes)} {values[0]}, {result} {values[2]}, {result} {values[1]}")
+
+    def _sqrt(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        return self._intrinsic("sqrt", node.dtype, lanes, values)
+
+    def _rsqrt(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        one = splat(literal(1.0, node.dtype), scalar_type(node.dtype), lanes)
+        return self._arithmetic("div", "f", of, node.dtype, [one, self._sqrt(node, of, values, lanes)], lanes)
+
+    def _floor(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        return self._intrinsic("floor", node.dtype, lanes, values)
+
+    def _ceil(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        return self._intrinsic("ceil", node.dtype, lanes, values)
+
+    def _round(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        to_even = int(node.attributes[0]) == 1
+        return self._intrinsic("roundeven" if to_even else "round", node.dtype, lanes, values)
+
+    def _is_finite(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        dtype = node.args[0].node.dtype
+        size = self._intrinsic("fabs", dtype, lanes, values)
+        infinity = splat("0x7FF0000000000000", scalar_type(dtype), lanes)
+        return self.emit(f"fcmp olt {of} {size}, {infinity}")
+
+    def _square(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        return self.emit(f"{'f' if node.dtype.kind == 'f' else ''}mul {of} {values[0]}, {values[0]}")
+
+    def _integer_pow(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        power, kind = int(node.attributes[0]), node.dtype.kind
+        if kind not in "fiu" or (kind != "f" and power < 0):
+            raise UnsupportedError("this whole power")
+        if power == 0:
+            return splat(literal(1, node.dtype), scalar_type(node.dtype), lanes)
+        multiply = "fmul" if kind == "f" else "mul"
+        result, square, left = None, values[0], abs(power)
+        while left:
+            if left & 1:
+                result = square if result is None else self.emit(f"{multiply} {of} {result}, {square}")
+            left >>= 1
+            if left:
+                square = self.emit(f"{multiply} {of} {square}, {square}")
+        assert result is not None
+        if power > 0:
+            return result
+        one = splat(literal(1.0, node.dtype), scalar_type(node.dtype), lanes)
+        return self._arithmetic("div", "f", of, node.dtype, [one, result], lanes)
+
+    def _bitcast_convert_type(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        to = vector(scalar_type(node.dtype), lanes)
+        return values[0] if to == of else self.emit(f"bitcast {of} {values[0]} to {to}")
+
+    def whole_part(self, before: DType, after: DType, of: str, value: str, lanes: int) -> str:
+        """Return the nearest whole number towards zero that there is, zero for NaN.
+
+        LLVM has an intrinsic for this, which it takes apart into scalars.
+        """
+        limits, element, mask = np.iinfo(after), scalar_type(before), vector("i1", lanes)
+        to, signed = vector(scalar_type(after), lanes), after.kind == "i"
+        low, beyond = (splat(literal(float(n), before), element, lanes) for n in (limits.min, limits.max + 1))
+        above = self.emit(f"fcmp ogt {of} {value}, {low}")
+        held = self.emit(f"select {mask} {above}, {of} {value}, {of} {low}")
+        converted = self.emit(f"fpto{'s' if signed else 'u'}i {of} {held} to {to}")
+        # Frozen, because what is too large could be anything, and is replaced.
+        converted = self.emit(f"freeze {to} {converted}")
+        large = self.emit(f"fcmp oge {of} {held}, {beyond}")
+        last = splat(str(limits.max if signed else -1), scalar_type(after), lanes)
+        found = self.emit(f"select {mask} {large}, {to} {last}, {to} {converted}")
+        if not signed:
+            return found
+        missing = self.emit(f"fcmp uno {of} {value}, {value}")
+        return self.emit(f"select {mask} {missing}, {to} {splat('0', scalar_type(after), lanes)}, {to} {found}")
+
+    def _convert_element_type(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        before, after = node.args[0].node.dtype, node.dtype
+        to = vector(scalar_type(after), lanes)
+        if before.kind == "b":
+            how = "uitofp" if after.kind == "f" else "zext"
+        elif after.kind == "b":
+            zero = splat(literal(0, before), scalar_type(before), lanes)
+            compare = "fcmp une" if before.kind == "f" else "icmp ne"
+            return self.emit(f"{compare} {of} {values[0]}, {zero}")
+        elif before.kind == "f" and after.kind == "f":
+            if before.itemsize == after.itemsize:
+                return values[0]
+            how = "fptrunc" if before.itemsize > after.itemsize else "fpext"
+        elif before.kind == "f":
+            return self.whole_part(before, after, of, values[0], lanes)
+        elif after.kind == "f":
+            how = "sitofp" if before.kind == "i" else "uitofp"
+        elif before.itemsize == after.itemsize:
+            return values[0]
+        elif before.itemsize > after.itemsize:
+            how = "trunc"
+        else:
+            how = "sext" if before.kind == "i" else "zext"
+        return self.emit(f"{how} {of} {values[0]} to {to}")
+
+
+def _known_number(node: Node) -> float | None:
+    """Return the number that a node is in all its elements, None where that is not known."""
+    if node.op != "constant":
+        return None
+    numbers = np.frombuffer(node.attributes[0], node.dtype)
+    if (
+        not numbers.size
+        or (numbers.view(f"u{node.dtype.itemsize}") != numbers.view(f"u{node.dtype.itemsize}")[0]).any()
+    ):
+        return None
+    return numbers[0].item()
+
+
+def _divides_well(divisor: Node) -> bool:
+    """Return whether whole numbers can be divided by what is known of a divisor."""
+    return _known_number(divisor) not in (None, 0, -1)

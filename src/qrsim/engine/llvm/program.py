@@ -1,0 +1,358 @@
+"""A compiled tick: the text put together, compiled, and called."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr
+
+from qrsim.engine.layout import Buffers, Packer, struct
+from qrsim.engine.llvm.compiler import Loaded, machine_code, machine_triple
+from qrsim.engine.llvm.emit import Emitter
+from qrsim.engine.llvm.graph import Access, Graph, Node, Shape, View, squeezed
+from qrsim.engine.llvm.refusal import UnsupportedError, refusing
+from qrsim.engine.llvm.schedule import ALONE, NESTED, Arena, Scheduler, all_nodes, in_place, materialised, readers
+from qrsim.engine.llvm.simplify import live_nodes
+from qrsim.engine.llvm.text import stored_bytes
+from qrsim.engine.llvm.tracing import Tracer, trace
+from qrsim.engine.llvm.writing import Place, Writer
+
+# What lies in a buffer of integers.
+_WHOLE = ("int32", "uint32", "bool")
+# A loop may read this many elements behind the last one.
+SPARE = 64
+
+
+@dataclass(frozen=True)
+class Input:
+    """One of the trees that a tick reads.
+
+    Attributes:
+        layout: how its leaves lie in two buffers.
+        own: each world has its own; otherwise it is the same for all.
+    """
+
+    layout: Packer
+    own: bool
+
+
+@dataclass(frozen=True)
+class Mode:
+    """How a program uses vectors.
+
+    Attributes:
+        lanes: elements of a vector; 1 for scalars.
+        side_by_side: the lanes are worlds; otherwise they are elements of the arrays of one world.
+    """
+
+    lanes: int
+    side_by_side: bool
+
+    @property
+    def worlds(self) -> int:
+        """Worlds that one call advances."""
+        return self.lanes if self.side_by_side else 1
+
+
+@dataclass(frozen=True)
+class Binary:
+    """A program as it is kept: machine code, and the bytes of working memory that it takes."""
+
+    code: bytes
+    scratch_bytes: int
+
+
+def build(function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode) -> Binary:
+    """Compile a function from a state to the next one.
+
+    Args:
+        function: called as function(*trees, tick) of one world; returns a tree like the last one, which it advances.
+            Or what was traced of one that needs neither the last tree nor the tick.
+        inputs: the trees; the last one is the state.
+        mode: how vectors are used.
+
+    Raises:
+        UnsupportedError: the function does what this code generator cannot do.
+    """
+    closed = function
+    if not isinstance(closed, ClosedJaxpr):
+        # What goes wrong in the function itself is its author's to know.
+        closed = trace(closed, *(each.layout.template() for each in inputs), struct((), np.dtype(np.int32)))
+    with refusing():
+        writer = _Writer(closed, tuple(inputs), mode.lanes, mode.side_by_side)
+        text = writer.text()
+        return Binary(machine_code(text), writer.arena.size + SPARE * 8)
+
+
+class Program:
+    """A compiled tick that can be called.
+
+    Args:
+        binary: what ``build`` returned.
+        inputs, mode: what it was built for.
+    """
+
+    def __init__(self, binary: Binary, inputs: Sequence[Input], mode: Mode):
+        self.inputs, self.mode, self.scratch_bytes = tuple(inputs), mode, binary.scratch_bytes
+        self._loaded = Loaded(binary.code)
+        pointers = [ctypes.c_void_p] * (2 * len(self.inputs) + 1)
+        prototype = ctypes.CFUNCTYPE(None, *pointers, ctypes.c_int32, ctypes.c_int32)
+        self._call = prototype(self._loaded.address("advance"))
+
+    def scratch(self) -> Any:
+        """Return working memory for one thread."""
+        return aligned(self.scratch_bytes, np.dtype(np.uint8))
+
+    def buffers(self, which: int) -> Buffers:
+        """Return empty buffers of an input: of its floats and of its integers, for all lanes where it is own."""
+        layout = self.inputs[which].layout
+        width = self.mode.worlds if self.inputs[which].own else 1
+        floats, integers = (
+            aligned(size * width, np.dtype(dtype))
+            for size, dtype in zip(layout.sizes, (layout.dtype, np.int32), strict=True)
+        )
+        return floats, integers
+
+    def __call__(self, addresses: Sequence[int], scratch: int, tick: int, count: int) -> None:
+        """Advance the state by ``count`` ticks, from addresses of the buffers of all inputs in order."""
+        self._call(*addresses, scratch, tick, count)
+
+
+def aligned(size: int, dtype: np.dtype[Any]) -> Any:
+    """Return an array of zeros (size,) that begins where a vector may, with room for one behind its end."""
+    raw = np.zeros(size * dtype.itemsize + 64 + SPARE * 8, np.uint8)
+    begin = -raw.ctypes.data % 64
+    return raw[begin : begin + size * dtype.itemsize].view(dtype)
+
+
+class _Writer:
+    """Traces, schedules and writes."""
+
+    def __init__(self, closed: ClosedJaxpr, inputs: tuple[Input, ...], lanes: int, side_by_side: bool):
+        self.inputs, self.lanes, self.side_by_side = inputs, lanes, side_by_side
+        self.graph = Graph()
+        self.arena = Arena()
+        self.places: dict[int, Place] = {}
+        self.leaves: list[list[Node]] = []
+        self._trace(closed)
+        self._schedule()
+
+    def _trace(self, closed: ClosedJaxpr) -> None:
+        views: list[View] = []
+        for which, given in enumerate(self.inputs):
+            layout, nodes = given.layout, []
+            parts = zip(layout.shapes, layout.dtypes, layout.slices, layout.is_float, strict=True)
+            for shape, dtype, part, is_float in parts:
+                node = self._input(which, given, shape, dtype, part, is_float)
+                nodes.append(node)
+                views.append(View.whole(node, shape))
+            self.leaves.append(nodes)
+        self.tick = self.graph.node("input", (), (), np.dtype(np.int32), ("tick",), invariant=False, uniform=True)
+        views.append(View.whole(self.tick, ()))
+        alone = not self.side_by_side and self.lanes > 1
+        found = Tracer(self.graph, alone).run(closed.jaxpr, closed.consts, views[: len(closed.jaxpr.invars)])
+        self.results = [view.access() for view in found]
+
+    def _input(self, which: int, given: Input, shape: Shape, dtype: Any, part: slice, is_float: bool) -> Node:
+        # As they lie in the buffers; others would be taken for what they are not.
+        if np.dtype(dtype) != given.layout.dtype if is_float else np.dtype(dtype).name not in _WHOLE:
+            raise UnsupportedError(f"numbers of type {np.dtype(dtype)} from tick to tick")
+        own = given.own and self.side_by_side
+        is_state = which == len(self.inputs) - 1
+        node = self.graph.node(
+            "input", (), squeezed(shape), dtype, (which, part.start, is_float), invariant=not is_state, uniform=not own
+        )
+        element = stored_bytes(np.dtype(dtype)) * (self.lanes if own else 1)
+        strides = _row_major(node.shape, element)
+        pointer = f"%{'floats' if is_float else 'integers'}{which}"
+        self.places[node.number] = Place(pointer, part.start * element, strides, own, tight=is_state)
+        return node
+
+    def _schedule(self) -> None:
+        live = live_nodes(self.graph.region, self.results)
+        scheduler = Scheduler(live)
+        nodes = self.graph.region.nodes
+        self.prologue = scheduler.steps([node for node in nodes if node.invariant], set())
+        done = {node.number for node in all_nodes(self.prologue)}
+        self.body = scheduler.steps([node for node in nodes if not node.invariant], done)
+        every = materialised([*self.prologue, *self.body], self.results)
+        computed = all_nodes([*self.prologue, *self.body])
+        self.stored = {node.number for node in computed if node.number in every and not _in_register(node)}
+        self.in_place = in_place([*self.prologue, *self.body])
+        self._place()
+
+    def _place(self) -> None:
+        for node in all_nodes(self.prologue):
+            if node.number in self.stored and node.number not in self.in_place:
+                self.places[node.number] = self._take(node)
+        self._place_in_state()
+        last = {number: reads[-1][0] for number, reads in readers(self.body).items()}
+        for access in self.results:
+            last[access.node.number] = len(self.body)
+        ending: dict[int, list[tuple[int, int]]] = {}
+        for i, step in enumerate(self.body):
+            for node in all_nodes([step]):
+                if node.number in self.stored and node.number not in self.places and node.number not in self.in_place:
+                    place = self._take(node)
+                    self.places[node.number] = place
+                    inner = node not in step.nodes
+                    end = i if inner else max(i, last.get(node.number, 0))
+                    ending.setdefault(end, []).append((place.offset, self._bytes(node.shape, node)))
+            for offset, size in ending.pop(i, []):
+                self.arena.give(offset, size)
+        self._place_carries()
+
+    def _place_carries(self) -> None:
+        """What a while hands from turn to turn lies where its results do, and so do the changes made in place."""
+        for node in all_nodes([*self.prologue, *self.body]):
+            if node.op == "while":
+                for carry, output in zip(*node.attributes, strict=True):
+                    self.places[carry.number] = self.places[output.number]
+        for number, output in self.in_place.items():
+            self.places[number] = self.places[output.number]
+
+    def _place_in_state(self) -> None:
+        """Let what becomes the next state be computed where the state lies, if nobody needs the old one any more."""
+        read = readers(self.body)
+        for access in self.results:
+            read[access.node.number].append((len(self.body), None, access))
+        made = {node.number: i for i, step in enumerate(self.body) for node in step.nodes}
+        self.moves: list[tuple[Access, Shape, Place]] = []
+        for leaf, access in zip(self.leaves[-1], self.results, strict=True):
+            node, place = access.node, self.places[leaf.number]
+            step = made.get(node.number)
+            fits = (
+                step is not None
+                and node.number in self.stored
+                and node.number not in self.places
+                and node.op not in ("reduce", *ALONE)
+                and access.identical(leaf.shape)
+                and all(self._before(reading, step, leaf) for reading in read[leaf.number])
+            )
+            if fits:
+                self.places[node.number] = place
+            elif not (node is leaf and access.identical(leaf.shape)):
+                self.moves.append((access, leaf.shape, place))
+
+    def _before(self, reading: tuple[int, Any, Access], step: int, leaf: Node) -> bool:
+        at, reader, access = reading
+        if at != step:
+            return at < step
+        if self.body[step].kind != "cond":
+            return reader is not None and access.identical(leaf.shape)
+        # A branching that each world takes for itself writes its results before it has read everything.
+        return not self.side_by_side or self.body[step].nodes[0].args[0].node.uniform
+
+    def _bytes(self, shape: Shape, node: Node) -> int:
+        lanes = self.lanes if self.side_by_side and not node.uniform else 1
+        return _padded(shape, self.lanes, self.side_by_side) * stored_bytes(node.dtype) * lanes
+
+    def _spare_bytes(self, size: int) -> int:
+        """Return the offset of working memory none of which was given out before."""
+        self.arena.free.clear()
+        return self.arena.take(size)
+
+    def _spare(self, node: Node, shape: Shape) -> Place:
+        """Return memory for a copy that waits, none of which was given out before."""
+        self.arena.free.clear()
+        return self._take(node, shape)
+
+    def _take(self, node: Node, shape: Shape | None = None) -> Place:
+        shape = node.shape if shape is None else shape
+        own = self.side_by_side and not node.uniform
+        element = stored_bytes(node.dtype) * (self.lanes if own else 1)
+        rows = (*shape[:-1], _whole(shape[-1], self.lanes)) if shape and not self.side_by_side else shape
+        return Place("%scratch", self.arena.take(self._bytes(shape, node)), _row_major(rows, element), own)
+
+    def text(self) -> str:
+        """Return the module."""
+        writer = Emitter(self.places, self.lanes, self.side_by_side, self._spare, self._spare_bytes)
+        arguments = [f"ptr noalias %{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
+        arguments += ["ptr noalias %scratch", "i32 %first", "i32 %count"]
+        before_all, after_all = flushing(writer)
+        for line in before_all:
+            writer.do(line)
+        writer.steps(self.prologue, self.stored)
+        before = writer.block
+        writer.do("br label %tick")
+        writer.start_block("tick")
+        place = len(writer.lines)
+        writer.lines.append("")
+        writer.do("%tick.now = add i32 %first, %done")
+        writer.scalars[self.tick.number] = "%tick.now", 1
+        writer.steps(self.body, self.stored)
+        writer.move_all(self.moves)
+        writer.do("%done.next = add i32 %done, 1")
+        writer.do("%more = icmp ult i32 %done.next, %count")
+        writer.lines[place] = f"  %done = phi i32 [0, %{before}], [%done.next, %{writer.block}]"
+        writer.do("br i1 %more, label %tick, label %end")
+        writer.start_block("end")
+        for line in after_all:
+            writer.do(line)
+        writer.do("ret void")
+        return "\n".join(
+            [
+                *writer.constants,
+                *sorted(writer.declarations),
+                f"define void @advance({', '.join(arguments)}) #0 {{",
+                "entry:",
+                *writer.entry,
+                *writer.lines,
+                "}",
+                'attributes #0 = { nounwind "stackrealign" "prefer-vector-width"="512" '
+                '"denormal-fp-math"="preserve-sign,preserve-sign" }',
+            ]
+        )
+
+
+def flushing(writer: Writer) -> tuple[list[str], list[str]]:
+    """Return what to do before and after all else, so that numbers too small to be normal are zero, as with XLA."""
+    processor = machine_triple().split("-")[0]
+    if processor in ("x86_64", "i686", "amd64"):
+        writer.declarations |= {f"declare void @llvm.x86.sse.{name}(ptr)" for name in ("stmxcsr", "ldmxcsr")}
+        writer.entry += ["  %rounding.before = alloca i32, align 4", "  %rounding.here = alloca i32, align 4"]
+        begin = [
+            "call void @llvm.x86.sse.stmxcsr(ptr %rounding.before)",
+            "%rounding = load i32, ptr %rounding.before, align 4",
+            "%rounding.flush = or i32 %rounding, 32832",
+            "store i32 %rounding.flush, ptr %rounding.here, align 4",
+            "call void @llvm.x86.sse.ldmxcsr(ptr %rounding.here)",
+        ]
+        return begin, ["call void @llvm.x86.sse.ldmxcsr(ptr %rounding.before)"]
+    if processor in ("aarch64", "arm64"):
+        writer.declarations |= {"declare i64 @llvm.aarch64.get.fpcr()", "declare void @llvm.aarch64.set.fpcr(i64)"}
+        begin = [
+            "%rounding = call i64 @llvm.aarch64.get.fpcr()",
+            "%rounding.flush = or i64 %rounding, 16777216",
+            "call void @llvm.aarch64.set.fpcr(i64 %rounding.flush)",
+        ]
+        return begin, ["call void @llvm.aarch64.set.fpcr(i64 %rounding)"]
+    return [], []
+
+
+def _in_register(node: Node) -> bool:
+    return node.shape == () and node.op not in ("reduce", "output", *ALONE, *NESTED)
+
+
+def _row_major(shape: Shape, element: int) -> tuple[int, ...]:
+    strides, size = [], element
+    for extent in reversed(shape):
+        strides.append(size)
+        size *= extent
+    return tuple(reversed(strides))
+
+
+def _whole(extent: int, lanes: int) -> int:
+    """Return an extent with room for a vector that begins at its last element, in whole vectors."""
+    return -(-extent // lanes) * lanes
+
+
+def _padded(shape: Shape, lanes: int, side_by_side: bool) -> int:
+    size = 1
+    for axis, extent in enumerate(shape):
+        size *= _whole(extent, lanes) if axis == len(shape) - 1 and not side_by_side else extent
+    return size + (0 if side_by_side else lanes)

@@ -1,0 +1,57 @@
+"""Putting numbers into an array at places that the program computes, one after the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from qrsim.engine.llvm.graph import Node
+from qrsim.engine.llvm.loops import Loops
+from qrsim.engine.llvm.text import scalar_type, stored_bytes, vector
+
+
+def write_scatter(writer: Loops, node: Node) -> None:
+    """Write a copy of an array, and numbers into it in their order; what is out of range is left out.
+
+    Where array and copy are one (see schedule.in_place), worlds that have left the loop keep what they have.
+
+    Args:
+        writer: of the program.
+        node: its arguments are the array, the numbers, and how far along some axes each of them goes.
+    """
+    place = writer.places[node.number]
+    if not _lies_there(writer, node):
+        writer.copy(node.args[0], node.shape, place)
+    shape = node.domain
+    if 0 in shape:
+        return
+    writer.open_scope(shape)
+    with writer.over(range(len(shape)), shape, None):
+        lanes = writer.lanes if writer.side_by_side and place.own else 1
+        values = [writer.widened(writer.value(access), access.node.dtype, lanes) for access in node.args[1:]]
+        for lane in range(lanes):
+            parts = []
+            for value, access in zip(values, node.args[1:], strict=True):
+                of = vector(scalar_type(access.node.dtype), lanes)
+                parts.append(writer.emit(f"extractelement {of} {value}, i32 {lane}") if lanes > 1 else value)
+            _put(writer, node, lane if lanes > 1 else 0, parts)
+
+
+def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
+    """Write one number of one world."""
+    how, moved, single, index = node.attributes
+    place, dtype = writer.places[node.number], node.dtype
+    number, starts = parts[0], [(text, 1) for text in parts[1:]]
+    dtypes = [access.node.dtype for access in node.args[2:]]
+    inside = writer.in_range((*moved, *single), starts, dtypes, 1)
+    if writer.turning is not None and _lies_there(writer, node):
+        going = writer.emit(f"extractelement {vector('i1', writer.lanes)} {writer.turning}, i32 {lane}")
+        inside = writer.emit(f"and i1 {inside}, {going}")
+    begun = writer.begun(replace(place, offset=place.offset + lane * stored_bytes(dtype)), moved, starts, dtypes)
+    address = writer.address(begun, [(None if a is None else writer.scope.variables[a], o) for a, o in index])
+    before, of = writer.load(dtype, address, 1), scalar_type(dtype)
+    after = number if how == "set" else writer.operations.combine(how, dtype, 1, before, number)
+    writer.store(dtype, address, writer.emit(f"select i1 {inside}, {of} {after}, {of} {before}"), 1)
+
+
+def _lies_there(writer: Loops, node: Node) -> bool:
+    return writer.places.get(node.args[0].node.number) == writer.places[node.number]

@@ -1,0 +1,266 @@
+"""Which nodes share a loop, in which order the loops run, and where arrays are kept between them."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+from typing import Any
+
+from qrsim.engine.llvm.graph import Access, Node, Region, Shape
+from qrsim.engine.llvm.refusal import UnsupportedError
+
+OUTSIDE = ("input", "constant", "carry")
+# Each of these is a step of its own.
+ALONE = ("concatenate", "nearest", "scatter", "running")
+# Of these, the steps of regions are parts.
+NESTED = ("cond", "while")
+
+
+@dataclass(eq=False)
+class Step:
+    """One loop nest, one joining of arrays, or one branching.
+
+    Attributes:
+        kind: ``loop``, or one of ALONE or NESTED.
+        domain: extents of the loops.
+        nodes: computed in it, in order.
+        kept, reduced: axes of the domain, outer loops first.
+        branches: the steps of each region.
+    """
+
+    kind: str
+    domain: Shape
+    nodes: list[Node]
+    kept: tuple[int, ...] = ()
+    reduced: tuple[int, ...] = ()
+    branches: list[list[Step]] = field(default_factory=list)
+
+
+class Scheduler:
+    """Puts the live nodes of a region into steps."""
+
+    def __init__(self, live: set[int]):
+        self.live = live
+
+    def steps(self, nodes: list[Node], done: set[int]) -> list[Step]:
+        """Return the steps of nodes, where those numbered ``done`` are computed before."""
+        nodes = [node for node in nodes if node.number in self.live and node.op not in OUTSIDE]
+        done = set(done)
+        waiting = {node.number: node for node in nodes}
+        sizes = Counter(node.domain for node in nodes)
+        found: list[Step] = []
+        while waiting:
+            step = self._next(waiting, done, sizes)
+            for node in step.nodes:
+                done.add(node.number)
+                waiting.pop(node.number)
+            found.append(step)
+        return found
+
+    def _next(self, waiting: dict[int, Node], done: set[int], sizes: Counter[Shape]) -> Step:
+        ready = [node for node in waiting.values() if node.op != "output" and self._ready(node, done)]
+        if not ready:
+            raise UnsupportedError("a graph with a cycle")
+        # Small domains first: what they make lets the large one run further in one loop. What changes a carry last, so
+        # that it may do so in its place.
+        first = min(
+            ready,
+            key=lambda node: (node.op in NESTED, _changes_carry(node), sizes[node.domain] if node.domain else -1),
+        )
+        if first.op in NESTED:
+            return self._branching(first, waiting, done)
+        if first.op in ALONE:
+            return Step(first.op, first.shape, [first])
+        return self._loop(first, waiting, done)
+
+    def _loop(self, first: Node, waiting: dict[int, Node], done: set[int]) -> Step:
+        domain, nodes = first.domain, []
+        inside: set[int] = set()
+        reduced: tuple[int, ...] | None = None
+        for node in waiting.values():
+            if node.domain != domain or node.op in ("output", *ALONE, *NESTED):
+                continue
+            if not all(self._available(access, domain, inside, done) for access in node.args):
+                continue
+            if node.op == "pick" and node.args[0].node.number in inside:
+                continue
+            if node.op == "reduce":
+                axes = tuple(sorted(node.attributes[1]))
+                if reduced is None:
+                    reduced = axes
+                if axes != reduced:
+                    continue
+            else:
+                inside.add(node.number)
+            nodes.append(node)
+        reduced = reduced or ()
+        kept = tuple(axis for axis in range(len(domain)) if axis not in reduced)
+        return Step("loop", domain, nodes, kept, reduced)
+
+    @staticmethod
+    def _available(access: Access, domain: Shape, inside: set[int], done: set[int]) -> bool:
+        node = access.node
+        if node.op in OUTSIDE or node.number in done:
+            return True
+        return node.number in inside and access.identical(domain)
+
+    def _ready(self, node: Node, done: set[int]) -> bool:
+        if node.op in NESTED:
+            return all(access.node.op in OUTSIDE or access.node.number in done for access in self._outer(node))
+        return all(access.node.op in OUTSIDE or access.node.number in done for access in node.args)
+
+    def _outer(self, cond: Node) -> list[Access]:
+        """Return what a step with parts reads from outside."""
+        own: set[int] = set()
+        accesses = list(cond.args)
+
+        def visit(region: Region) -> None:
+            for node in region.nodes:
+                own.add(node.number)
+                if node.number in self.live:
+                    accesses.extend(node.args)
+                    for inner in node.regions:
+                        visit(inner)
+            accesses.extend(result for result in region.results if result.node.number in self.live)
+
+        for region in cond.regions:
+            visit(region)
+        return [access for access in accesses if access.node.number not in own]
+
+    def _branching(self, cond: Node, waiting: dict[int, Node], done: set[int]) -> Step:
+        outputs = [node for node in waiting.values() if node.op == "output" and node.args[0].node is cond]
+        step = Step(cond.op, (), [cond, *outputs])
+        step.branches = [self.steps(region.nodes, done) for region in cond.regions]
+        return step
+
+
+def _changes_carry(node: Node) -> bool:
+    return node.op == "scatter" and node.args[0].node.op == "carry"
+
+
+def in_place(steps: list[Step]) -> dict[int, Node]:
+    """Return, by its number, each scatter of a loop's body that may write where its carry lies: that carry's output.
+
+    It hands on what it was handed with some numbers changed, and nobody reads after it what was there before.
+    """
+    found: dict[int, Node] = {}
+    for step in steps:
+        for branch in step.branches:
+            found |= in_place(branch)
+        if step.kind == "while":
+            node, body = step.nodes[0], step.branches[1]
+            read = readers(body)
+            for carry, output, result in zip(*node.attributes, node.regions[1].results, strict=True):
+                scatter = result.node
+                reads = [(i, reader) for i, reader, _ in read[carry.number]]
+                reads += [(len(body), None) for access in node.regions[1].results if access.node is carry]
+                own = [i for i, reader in reads if reader is scatter]
+                if (
+                    _changes_carry(scatter)
+                    and scatter.args[0].node is carry
+                    and scatter.args[0].identical(scatter.shape)
+                    and result.identical(scatter.shape)
+                    and len(own) == 1
+                    and max(i for i, _ in reads) == own[0]
+                ):
+                    found[scatter.number] = output
+    return found
+
+
+def inner_accesses(step: Step) -> list[tuple[Node | None, Access]]:
+    """Return (reader, access) of all that a step reads, branches included; the reader is None for their results."""
+    found: list[tuple[Node | None, Access]] = []
+    for node in step.nodes:
+        if node.op in NESTED:
+            found.extend((None, access) for access in node.args)
+            for inner in (inner for steps in step.branches for inner in steps):
+                found.extend((None, access) for _, access in inner_accesses(inner))
+            found.extend((None, access) for access in branch_results(step))
+        elif node.op != "output":
+            found.extend((node, access) for access in node.args)
+    return found
+
+
+def branch_results(step: Step) -> list[Access]:
+    """Return what the regions of a step hand out, of all that is wanted of it."""
+    if step.kind == "while":
+        return [access for region in step.nodes[0].regions for access in region.results]
+    places = [output.attributes[0] for output in step.nodes if output.op == "output"]
+    return [region.results[place] for region in step.nodes[0].regions for place in places]
+
+
+def all_nodes(steps: list[Step]) -> list[Node]:
+    """Return the nodes of steps, branches included."""
+    found = []
+    for step in steps:
+        found.extend(step.nodes)
+        for branch in step.branches:
+            found.extend(all_nodes(branch))
+    return found
+
+
+def materialised(steps: list[Step], results: list[Access]) -> set[int]:
+    """Return the numbers of the nodes that are read outside the loop that computes them, so that they need memory."""
+    needed = {access.node.number for access in results}
+
+    def visit(steps: list[Step]) -> None:
+        for step in steps:
+            if step.kind in NESTED:
+                needed.update(access.node.number for access in branch_results(step))
+                needed.update(access.node.number for access in step.nodes[0].args)
+                needed.update(node.number for node in step.nodes if step.kind == "while" and node.op == "output")
+            else:
+                own = {node.number for node in step.nodes} if step.kind == "loop" else set()
+                read = [access.node.number for _, access in inner_accesses(step)]
+                needed.update(number for number in read if number not in own)
+                needed.update(node.args[0].node.number for node in step.nodes if node.op == "pick")
+            if step.kind == "loop":
+                needed.update(node.number for node in step.nodes if node.op == "reduce")
+            for branch in step.branches:
+                visit(branch)
+
+    visit(steps)
+    return needed
+
+
+class Arena:
+    """Gives out byte offsets, using those of arrays that are no longer read again."""
+
+    ALIGN = 64
+
+    def __init__(self) -> None:
+        self.free: list[tuple[int, int]] = []
+        self.size = 0
+
+    def take(self, size: int) -> int:
+        """Return the offset of ``size`` bytes."""
+        size = -(-size // self.ALIGN) * self.ALIGN
+        for i, (begin, length) in enumerate(self.free):
+            if length >= size:
+                if length == size:
+                    self.free.pop(i)
+                else:
+                    self.free[i] = (begin + size, length - size)
+                return begin
+        begin, self.size = self.size, self.size + size
+        return begin
+
+    def give(self, begin: int, size: int) -> None:
+        """Take back what ``take`` gave."""
+        size = -(-size // self.ALIGN) * self.ALIGN
+        merged: list[tuple[int, int]] = []
+        for part in sorted([*self.free, (begin, size)]):
+            if merged and merged[-1][0] + merged[-1][1] == part[0]:
+                merged[-1] = (merged[-1][0], merged[-1][1] + part[1])
+            else:
+                merged.append(part)
+        self.free = merged
+
+
+def readers(steps: list[Step]) -> dict[int, list[tuple[int, Any, Access]]]:
+    """Return for each node number who reads it: (step, reading node or None, access)."""
+    found: dict[int, list[tuple[int, Any, Access]]] = defaultdict(list)
+    for i, step in enumerate(steps):
+        for reader, access in inner_accesses(step):
+            found[access.node.number].append((i, reader, access))
+    return found

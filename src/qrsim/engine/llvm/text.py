@@ -1,0 +1,61 @@
+"""How LLVM writes types and numbers."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+
+from qrsim.engine.llvm.refusal import UnsupportedError
+
+DType = np.dtype[Any]
+_SCALAR = {"float32": "float", "float64": "double", "int32": "i32", "uint32": "i32", "int64": "i64", "uint64": "i64"}
+
+
+def scalar_type(dtype: DType) -> str:
+    """Return LLVM's name of one element in a register.
+
+    Raises:
+        UnsupportedError: there are no such numbers here.
+    """
+    if dtype.kind == "b":
+        return "i1"
+    if dtype.name not in _SCALAR:
+        raise UnsupportedError(f"numbers of type {dtype}")
+    return _SCALAR[dtype.name]
+
+
+def stored_type(dtype: DType) -> str:
+    """Return LLVM's name of one element in memory: a bool takes as much as an int32."""
+    return "i32" if dtype.kind == "b" else scalar_type(dtype)
+
+
+def stored_bytes(dtype: DType) -> int:
+    """Return the bytes of one element in memory."""
+    return 4 if dtype.kind == "b" else dtype.itemsize
+
+
+def vector(element: str, lanes: int) -> str:
+    """Return the type of ``lanes`` elements; one is a scalar."""
+    return element if lanes == 1 else f"<{lanes} x {element}>"
+
+
+def literal(value: Any, dtype: DType) -> str:
+    """Return a number as LLVM writes it."""
+    if dtype.kind == "b":
+        return "true" if value else "false"
+    if dtype.kind == "f":
+        return f"0x{struct.unpack('>Q', struct.pack('>d', float(value)))[0]:016X}"
+    return str(int(value))
+
+
+def splat(text: str, element: str, lanes: int) -> str:
+    """Return a constant of all lanes."""
+    return text if lanes == 1 else f"splat ({element} {text})"
+
+
+def suffix(element: str, lanes: int) -> str:
+    """Return the end of an intrinsic's name that says its type."""
+    letter = {"float": "f32", "double": "f64"}.get(element, element)
+    return letter if lanes == 1 else f"v{lanes}{letter}"

@@ -1,0 +1,334 @@
+"""From a JAX program to a graph: one method for each kind of operation, chosen by the table in ``rules``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend import core as jex
+from jax.extend import source_info_util
+
+from qrsim.core.nearest import by_all_pairs
+from qrsim.engine.llvm.graph import Access, Graph, Region, Shape, View, squeezed
+from qrsim.engine.llvm.indexing import Indexing
+from qrsim.engine.llvm.nodes import Like
+from qrsim.engine.llvm.refusal import UnsupportedError
+from qrsim.engine.llvm.rules import rule_of
+from qrsim.engine.llvm.text import scalar_type
+
+_ATTRIBUTES = {"integer_pow": "y", "round": "rounding_method"}
+# Of all others, all arguments are of one type.
+_MIXED = ("select_n", "convert_element_type", "bitcast_convert_type")
+# From this many points on it is quicker to look into cells of space than at all pairs.
+MANY_POINTS = 128
+
+
+class Tracer(Indexing):
+    """Turns jaxprs into nodes of a graph.
+
+    Args:
+        graph: to which nodes are added.
+        alone: the program is of one world, and has vectors.
+    """
+
+    def __init__(self, graph: Graph, alone: bool):
+        super().__init__(graph)
+        self.alone = alone
+
+    def run(self, jaxpr: Any, constants: Sequence[Any], arguments: Sequence[View]) -> list[View]:
+        """Return the results of a jaxpr for arguments."""
+        environment: dict[Any, View] = dict(zip(jaxpr.invars, arguments, strict=True))
+        for variable, value in zip(jaxpr.constvars, constants, strict=True):
+            environment[variable] = value if isinstance(value, View) else self.graph.constant(value)
+
+        def read(atom: Any) -> View:
+            if isinstance(atom, jex.Literal):
+                of: Any = atom.aval
+                return self.graph.constant(np.asarray(atom.val, of.dtype))
+            return environment[atom]
+
+        products = _Products(jaxpr)
+        for equation in jaxpr.eqns:
+            inputs = [read(atom) for atom in equation.invars]
+            try:
+                results = self._equation(equation, inputs, products)
+            except UnsupportedError as error:
+                raise error.at(source_info_util.summarize(equation.source_info)) from None
+            environment.update(zip(equation.outvars, results, strict=True))
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def _equation(self, equation: Any, inputs: list[View], products: _Products) -> list[View]:
+        rule = rule_of(equation)
+        for variable in (*equation.invars, *equation.outvars):
+            # Known here, where the line of the program is known too.
+            scalar_type(np.dtype(variable.aval.dtype))
+        out = equation.outvars[0].aval if equation.outvars else None
+        arithmetic = rule.method == "elementwise" and rule.op in ("add", "sub", "mul")
+        if arithmetic and out is not None and out.dtype.kind == "f":
+            return [self._contracted(rule.op, equation, inputs, out, products)]
+        found = getattr(self, rule.method)(rule.op, inputs, out, equation.params)
+        return found if isinstance(found, list) else [found]
+
+    def _contracted(self, op: str, equation: Any, inputs: list[View], out: Any, products: _Products) -> View:
+        """Return a sum, a difference or a product; in one rounding with a product that only goes into this sum.
+
+        A compiler may do so where it sees both together, so that the last bit depends on the program around. Here it
+        depends on the function alone that both are in. A product that is looked at elsewhere too is rounded, so that it
+        is one number wherever it is compared, and where both are products both are rounded, so that a * b - c * d is
+        zero where they are equal.
+        """
+        shape = tuple(out.shape)
+        plain = self.apply(op, shape, out.dtype, *inputs)
+        if op == "mul":
+            products.made[equation.outvars[0]] = inputs
+            return plain
+        first, second = (products.of(atom) for atom in equation.invars)
+        if (first is None) == (second is None):
+            return plain
+        which = 0 if second is None else 1
+        if not products.only_here(equation.invars[which]) or inputs[which].shape != shape:
+            return plain
+        factors, rest = first or second, inputs[1 - which]
+        assert factors is not None
+        name = "fma" if op == "add" else ("fms", "fnma")[which]
+        return self.apply(name, shape, out.dtype, *factors, rest)
+
+    def elementwise(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return an operation of one element from one element of each argument."""
+        shape: Shape = tuple(out.shape)
+        before = inputs[0].node.dtype
+        if op == "convert_element_type" and before == out.dtype:
+            return inputs[0]
+        if op == "bitcast_convert_type" and (
+            "b" in (before.kind, out.dtype.kind) or before.itemsize != out.dtype.itemsize
+        ):
+            raise UnsupportedError(f"the bits of {before} as {out.dtype}")
+        if op not in _MIXED and len({view.node.dtype for view in inputs}) > 1:
+            raise UnsupportedError(f"'{op}' of {' and '.join(str(view.node.dtype) for view in inputs)}")
+        if op == "select_n" and (len(inputs) != 3 or before.kind != "b"):
+            raise UnsupportedError("a selection among several")
+        attributes = (int(parameters[_ATTRIBUTES[op]]),) if op in _ATTRIBUTES else ()
+        return self.apply(op, shape, out.dtype, *inputs, attributes=attributes)
+
+    def transparent(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return what is handed over."""
+        return inputs
+
+    def call(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return what an inner function returns."""
+        closed = parameters[op]
+        inner = closed.jaxpr if hasattr(closed, "jaxpr") else closed
+        return self.run(inner, getattr(closed, "consts", ()), inputs)
+
+    def reduction(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return what becomes of some axes together."""
+        return self._reduced(op, inputs[0], out, parameters["axes"])
+
+    def _reduced(self, op: str, operand: View, out: Any, axes: Sequence[int]) -> View:
+        kept = [axis for axis in range(len(operand.shape)) if axis not in axes]
+        reduced = [axis for axis in axes if operand.shape[axis] != 1]
+        moved = operand.moved({axis: i for i, axis in enumerate(kept)}, tuple(out.shape))
+        if not reduced:
+            return moved
+        loop = [axis for axis, extent in enumerate(operand.shape) if extent != 1]
+        attributes = (op, tuple(loop.index(axis) for axis in reduced))
+        node = self.graph.node(
+            "reduce", (operand.access(),), squeezed(out.shape), out.dtype, attributes, domain=squeezed(operand.shape)
+        )
+        return View.whole(node, tuple(out.shape))
+
+    def running(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return what becomes of the elements up to each one along an axis."""
+        shape = tuple(out.shape)
+        if shape[parameters["axis"]] == 1 or 0 in shape:
+            return inputs[0]
+        attributes = (len(squeezed(shape[: parameters["axis"]])), parameters["reverse"], op)
+        node = self.graph.node("running", (inputs[0].access(),), squeezed(shape), out.dtype, attributes)
+        return View.whole(node, shape)
+
+    def nearest(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return the squared distance of each point's nearest neighbour."""
+        shape = tuple(out.shape)
+        if not (self.alone and len(shape) == 1 and shape[0] >= MANY_POINTS and not inputs[3].shape):
+            pairs = trace(by_all_pairs, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))  # type: ignore[no-untyped-call]
+            return self.run(pairs.jaxpr, pairs.consts, inputs)[0]
+        accesses = (*(view.access(shape) for view in inputs[:3]), inputs[3].access(()))
+        return View.whole(self.graph.node("nearest", accesses, squeezed(shape), out.dtype), shape)
+
+    def place_of(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return the first place of the least or largest element, or of the first NaN."""
+        operand, axes = inputs[0], parameters["axes"]
+        (axis,), shape = axes, operand.shape
+        if shape[axis] == 1:
+            return self.spread(self.graph.constant(np.zeros((), out.dtype)), tuple(out.shape))
+        kept = [i for i in range(len(shape)) if i != axis]
+        best = self._reduced(op, operand, Like(out.shape, operand.node.dtype), axes)
+        best = best.moved(dict(enumerate(kept)), shape)
+        found = self.apply("eq", shape, np.bool_, operand, best)
+        if operand.node.dtype.kind == "f":
+            missing = self.apply("ne", shape, np.bool_, operand, operand)
+            found = self.apply("or", shape, np.bool_, found, missing)
+        places = self.iota("", [], Like(shape, out.dtype), {"dimension": axis})
+        beyond = self.spread(self.graph.constant(np.full((), shape[axis], out.dtype)), shape)
+        chosen = self.apply("select_n", shape, out.dtype, found, beyond, places)
+        return self._reduced("min", chosen, out, axes)
+
+    def broadcast_in_dim(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return an array along more axes."""
+        if len(inputs) != 1:
+            raise UnsupportedError("a shape that the program computes")
+        operand, to = inputs[0], parameters["broadcast_dimensions"]
+        grows = {axis: to[axis] for axis, extent in enumerate(operand.shape) if extent != 1}
+        return operand.moved({axis: grows.get(axis) for axis in range(len(operand.shape))}, tuple(out.shape))
+
+    def squeeze(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return an array without some axes of one element."""
+        return self.without_unit_axes(inputs[0], tuple(out.shape))
+
+    def transpose(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return an array with its axes in another order."""
+        moves: dict[int, int | None] = {axis: i for i, axis in enumerate(parameters["permutation"])}
+        return inputs[0].moved(moves, tuple(out.shape))
+
+    def slice(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return a part."""
+        if any(stride != 1 for stride in parameters["strides"] or ()):
+            raise UnsupportedError("a slice in strides")
+        return inputs[0].shifted(parameters["start_indices"], tuple(out.shape))
+
+    def split(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return parts side by side along an axis."""
+        axis, begin, parts = parameters["axis"], 0, []
+        for size in map(int, parameters["sizes"]):
+            shape = tuple(size if i == axis else extent for i, extent in enumerate(inputs[0].shape))
+            parts.append(inputs[0].shifted([begin if i == axis else 0 for i in range(len(shape))], shape))
+            begin += size
+        return parts
+
+    def unstack(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return the parts of one element along an axis, without it."""
+        (view,), axis = inputs, parameters["axis"] % len(inputs[0].shape)
+        parts = []
+        for begin in range(view.shape[axis]):
+            shape = tuple(1 if i == axis else extent for i, extent in enumerate(view.shape))
+            part = view.shifted([begin if i == axis else 0 for i in range(len(shape))], shape)
+            parts.append(self.without_unit_axes(part, (*shape[:axis], *shape[axis + 1 :])))
+        return parts
+
+    def tile(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Return an array several times, side by side along each axis."""
+        view = inputs[0]
+        for axis, count in enumerate(parameters["reps"]):
+            shape = tuple(extent * (count if i == axis else 1) for i, extent in enumerate(view.shape))
+            view = self._join([view] * count, shape, out.dtype, axis)
+        return view
+
+    def stack(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Join arrays along a new axis."""
+        axis = parameters["axis"] % len(out.shape)
+        grown = []
+        for view in inputs:
+            shape = (*view.shape[:axis], 1, *view.shape[axis:])
+            grown.append(view.moved({i: i if i < axis else i + 1 for i in range(len(view.shape))}, shape))
+        return self._join(grown, tuple(out.shape), out.dtype, axis)
+
+    def concatenate(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
+        """Join arrays along an axis."""
+        return self._join(inputs, tuple(out.shape), out.dtype, parameters["dimension"])
+
+    def _join(self, parts: list[View], shape: Shape, dtype: Any, axis: int) -> View:
+        if 0 in shape:
+            return self.spread(self.graph.constant(np.zeros((), dtype)), shape)
+        parts = [part for part in parts if 0 not in part.shape]
+        if len(parts) == 1:
+            return parts[0]
+        begins = np.cumsum([0, *(part.shape[axis] for part in parts)])
+        where = len(squeezed(shape[:axis]))
+        attributes = (where, tuple(int(b) for b in begins), tuple(squeezed(part.shape) for part in parts))
+        accesses = tuple(part.access() for part in parts)
+        return View.whole(self.graph.node("concatenate", accesses, squeezed(shape), dtype, attributes), shape)
+
+    def cond(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return the results of one of two branches."""
+        which, operands = inputs[0], inputs[1:]
+        branches = parameters["branches"]
+        if len(branches) != 2 or which.shape:
+            raise UnsupportedError("a switch of several branches")
+        regions, results = [], []
+        for branch in branches:
+            region, views = self._region(branch, operands)
+            regions.append(region)
+            results.append(views)
+        cond = self.graph.node("cond", (which.access(),), (), np.bool_, regions=tuple(regions), invariant=False)
+        return [self._branch_result(cond, i, views) for i, views in enumerate(zip(*results, strict=True))]
+
+    def _branch_result(self, cond: Any, place: int, views: tuple[View, ...]) -> View:
+        first = views[0]
+        node = self.graph.node(
+            "output",
+            (Access(cond, ()),),
+            squeezed(first.shape),
+            first.node.dtype,
+            (place,),
+            invariant=False,
+            uniform=cond.uniform and all(view.node.uniform for view in views),
+        )
+        return View.whole(node, first.shape)
+
+    def while_(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return what a loop hands on when its condition no longer holds."""
+        conditions, bodies = parameters["cond_nconsts"], parameters["body_nconsts"]
+        first = inputs[conditions + bodies :]
+        if any(0 in view.shape for view in first):
+            raise UnsupportedError("a loop over nothing")
+        if squeezed(parameters["cond_jaxpr"].out_avals[0].shape):
+            raise UnsupportedError("a loop with a condition for each element")
+        carries = [self._unknown("carry", (), view) for view in first]
+        views = [View.whole(node, view.shape) for node, view in zip(carries, first, strict=True)]
+        regions = [
+            self._region(parameters["cond_jaxpr"], [*inputs[:conditions], *views])[0],
+            self._region(parameters["body_jaxpr"], [*inputs[conditions : conditions + bodies], *views])[0],
+        ]
+        accesses = tuple(view.access() for view in first)
+        node = self.graph.node("while", accesses, (), np.bool_, regions=tuple(regions), invariant=False, uniform=False)
+        outputs = [self._unknown("output", (Access(node, ()),), view, i) for i, view in enumerate(first)]
+        node.attributes = (tuple(carries), tuple(outputs))
+        return [View.whole(output, view.shape) for output, view in zip(outputs, first, strict=True)]
+
+    def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: Any) -> Any:
+        dtype = like.node.dtype
+        return self.graph.node(op, args, squeezed(like.shape), dtype, attributes, invariant=False, uniform=False)
+
+    def _region(self, closed: Any, inputs: list[View]) -> tuple[Region, list[View]]:
+        """Return the nodes of an inner program, and its results."""
+        region = self.graph.region = Region(parent=self.graph.region)
+        views = self.run(closed.jaxpr, closed.consts, inputs)
+        region.results = [view.access() for view in views]
+        assert region.parent is not None
+        self.graph.region = region.parent
+        return region, views
+
+
+class _Products:
+    """The products of one function, by their variables, and who looks at them."""
+
+    def __init__(self, jaxpr: Any):
+        self.made: dict[Any, list[View]] = {}
+        read = [atom for equation in jaxpr.eqns for atom in equation.invars] + list(jaxpr.outvars)
+        self._reads = Counter(atom for atom in read if not isinstance(atom, jex.Literal))
+
+    def of(self, atom: Any) -> list[View] | None:
+        """Return the factors, if it is a product."""
+        return None if isinstance(atom, jex.Literal) else self.made.get(atom)
+
+    def only_here(self, atom: Any) -> bool:
+        """Return whether it is looked at once."""
+        return self._reads[atom] == 1
+
+
+def trace(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the closed jaxpr of a function for arguments, or their shapes."""
+    return jax.make_jaxpr(function)(*arguments)

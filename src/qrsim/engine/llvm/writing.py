@@ -1,0 +1,364 @@
+"""LLVM's text under construction: blocks, loops, and what lies in memory.
+
+Either 16 worlds lie side by side in the lanes of a vector and every array is walked element by element (``worlds``), or
+there is one world and the last axis of an array is walked 16 elements at a time (``elements``). All sums run in the
+same order in both, so both give the same numbers to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from qrsim.engine.llvm.graph import Access, Node, Shape
+from qrsim.engine.llvm.refusal import UnsupportedError
+from qrsim.engine.llvm.text import literal, scalar_type, splat, stored_bytes, stored_type, suffix, vector
+
+# For each axis of an array: which start moves it and the largest that it may be, None where it stands still.
+Moves = tuple[tuple[int, int] | None, ...]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an array lies: a pointer, a byte offset, and bytes from element to element along each axis.
+
+    Attributes:
+        own: each world has its own elements, side by side.
+        tight: nothing may be written behind the last element of a row.
+    """
+
+    pointer: str
+    offset: int
+    strides: tuple[int, ...]
+    own: bool
+    tight: bool = False
+
+
+@dataclass
+class Scope:
+    """A loop nest being written."""
+
+    domain: Shape
+    variables: list[str]
+    lane_axis: int | None
+    values: dict[int, str]
+    offsets: dict[Any, Any]
+
+
+class Writer:
+    """Writes instructions, loops over elements, and reads and writes of arrays.
+
+    Args:
+        places: of every node that is in memory.
+        lanes: of a vector.
+        side_by_side: the lanes are worlds, not elements.
+    """
+
+    def __init__(self, places: dict[int, Place], lanes: int, side_by_side: bool):
+        self.places, self.lanes, self.side_by_side = places, lanes, side_by_side
+        self.lines: list[str] = []
+        self.entry: list[str] = []
+        self.declarations: set[str] = set()
+        self.constants: list[str] = []
+        self.count = 0
+        self.block = "entry"
+        self.scalars: dict[int, tuple[str, int]] = {}
+        self.scope = Scope((), [], None, {}, {})
+        self._constant_places: dict[int, Place] = {}
+
+    # Text
+
+    def name(self, prefix: str = "v") -> str:
+        """Return a fresh name."""
+        self.count += 1
+        return f"%{prefix}{self.count}"
+
+    def emit(self, text: str) -> str:
+        """Write an instruction with a result, and return the result's name."""
+        name = self.name()
+        self.lines.append(f"  {name} = {text}")
+        return name
+
+    def do(self, text: str) -> None:
+        """Write an instruction without a result."""
+        self.lines.append(f"  {text}")
+
+    def start_block(self, label: str) -> None:
+        """Begin a block of instructions."""
+        self.lines.append(f"{label}:")
+        self.block = label
+
+    @contextmanager
+    def loop(self, extent: int, step: int = 1) -> Any:
+        """Write a loop over [0, extent) around what is written inside; gives the name of its counter."""
+        if extent <= step:
+            yield "0"
+            return
+        before, head, number = self.block, f"loop{self.count}", self.name("i")
+        self.do(f"br label %{head}")
+        self.start_block(head)
+        place = len(self.lines)
+        self.lines.append("")
+        self.scope.offsets.clear()
+        yield number
+        following = self.emit(f"add nuw nsw i64 {number}, {step}")
+        more = self.emit(f"icmp ult i64 {following}, {extent}")
+        self.lines[place] = f"  {number} = phi i64 [0, %{before}], [{following}, %{self.block}]"
+        after = f"after{self.count}"
+        self.do(f"br i1 {more}, label %{head}, label %{after}")
+        self.start_block(after)
+        self.scope.offsets.clear()
+
+    @contextmanager
+    def counted(self, extent: str) -> Any:
+        """Write a loop over [0, extent) for an extent (i32) that the program computes; gives the counter (i64)."""
+        label, number = f"some{self.count}", self.name("i")
+        wide = self.emit(f"zext i32 {extent} to i64")
+        before = self.block
+        self.do(f"br label %{label}")
+        self.start_block(label)
+        place = len(self.lines)
+        self.lines.append("")
+        more = self.emit(f"icmp ult i64 {number}, {wide}")
+        self.do(f"br i1 {more}, label %{label}.one, label %{label}.after")
+        self.start_block(f"{label}.one")
+        self.scope.offsets.clear()
+        yield number
+        following = self.emit(f"add nuw nsw i64 {number}, 1")
+        self.do(f"br label %{label}")
+        self.lines[place] = f"  {number} = phi i64 [0, %{before}], [{following}, %{self.block}]"
+        self.start_block(f"{label}.after")
+        self.scope.offsets.clear()
+
+    # Memory
+
+    def _lanes_of(self, node: Node) -> int:
+        """Return the lanes of a value of a node where it stands for itself, outside of any vector of elements."""
+        return self.lanes if self.side_by_side and not node.uniform else 1
+
+    def address(self, place: Place, index: Sequence[tuple[str | None, int]]) -> str:
+        """Return a pointer to an element; each axis is at a counter (None: none) plus an offset."""
+        fixed, terms = place.offset, []
+        for (variable, offset), stride in zip(index, place.strides, strict=True):
+            fixed += offset * stride
+            if variable is not None and variable != "0":
+                terms.append((variable, stride))
+        pointer = place.pointer
+        for term in terms:
+            pointer = self._moved(pointer, *term)
+        return pointer if fixed == 0 else self.emit(f"getelementptr i8, ptr {pointer}, i64 {fixed}")
+
+    def _moved(self, pointer: str, variable: str, stride: int) -> str:
+        key = (pointer, variable, stride)
+        if key not in self.scope.offsets:
+            distance = self.emit(f"mul nuw nsw i64 {variable}, {stride}")
+            self.scope.offsets[key] = self.emit(f"getelementptr i8, ptr {pointer}, i64 {distance}")
+        return self.scope.offsets[key]
+
+    def load(self, dtype: Any, address: str, lanes: int) -> str:
+        """Return what lies at an address."""
+        stored, align = stored_type(dtype), stored_bytes(dtype)
+        value = self.emit(f"load {vector(stored, lanes)}, ptr {address}, align {align}")
+        if dtype.kind != "b":
+            return value
+        return self.emit(f"icmp ne {vector('i32', lanes)} {value}, {splat('0', 'i32', lanes)}")
+
+    def store(self, dtype: Any, address: str, value: str, lanes: int, mask: str | None = None) -> None:
+        """Write to an address, where there is a mask only its lanes."""
+        of, align = vector(stored_type(dtype), lanes), stored_bytes(dtype)
+        if dtype.kind == "b":
+            value = self.emit(f"zext {vector('i1', lanes)} {value} to {of}")
+        if mask is None:
+            self.do(f"store {of} {value}, ptr {address}, align {align}")
+            return
+        name = f"llvm.masked.store.{suffix(stored_type(dtype), lanes)}.p0"
+        self.declarations.add(f"declare void @{name}({of}, ptr, i32, {vector('i1', lanes)})")
+        self.do(f"call void @{name}({of} {value}, ptr {address}, i32 {align}, {vector('i1', lanes)} {mask})")
+
+    # Values
+
+    def value(self, access: Access) -> tuple[str, int]:
+        """Return the value of an access in the present loop, and its lanes."""
+        node, scope = access.node, self.scope
+        if node.number in self.scalars:
+            return self.scalars[node.number]
+        if node.number in scope.values and access.identical(scope.domain):
+            return scope.values[node.number], self._width(node)
+        if node.op == "constant" and node.shape == ():
+            number = np.frombuffer(node.attributes[0], node.dtype)[0]
+            return literal(number, node.dtype), 0
+        key = (node.number, access.index)
+        if key not in scope.offsets:
+            scope.offsets[key] = self._read(access, self.place(node))
+        found: tuple[str, int] = scope.offsets[key]
+        return found
+
+    def open_scope(self, domain: Shape, lane_axis: int | None = None) -> None:
+        """Begin a loop nest that is written element by element, or in vectors along an axis."""
+        self.scope = Scope(domain, ["0"] * len(domain), lane_axis, {}, {})
+
+    def read(self, access: Access) -> tuple[str, int]:
+        """Return what lies in memory at an access of the present loop, read anew."""
+        return self._read(access, self.place(access.node))
+
+    def _read(self, access: Access, place: Place) -> tuple[str, int]:
+        """Return what lies in memory at an access of the present loop, and its lanes."""
+        node, scope = access.node, self.scope
+        index = [(None if a is None else scope.variables[a], offset) for a, offset in access.index]
+        across = [i for i, (axis, _) in enumerate(access.index) if axis is not None and axis == scope.lane_axis]
+        if not across:
+            lanes = self._lanes_of(node)
+            return self.load(node.dtype, self.address(place, index), lanes), lanes
+        if len(across) == 1 and place.strides[across[0]] == stored_bytes(node.dtype):
+            return self.load(node.dtype, self.address(place, index), self.lanes), self.lanes
+        return self._gathered(node, place, index, across), self.lanes
+
+    def _pick(self, node: Node, lanes: int) -> str:
+        """Return elements of an array that lie where the program computes."""
+        access, place, (moved,) = node.args[0], self.place(node.args[0].node), node.attributes
+        starts = [self.value(start) for start in node.args[1:]]
+        dtypes = [start.node.dtype for start in node.args[1:]]
+        if all(have <= 1 for _, have in starts):
+            begun = self.begun(place, moved, starts, dtypes)
+            return self.widened(self._read(access, begun), node.dtype, lanes)
+        wide = [self.widened(start, dtype, lanes) for start, dtype in zip(starts, dtypes, strict=True)]
+        return self._picked(node, place, wide, lanes)
+
+    def begun(self, place: Place, moved: Moves, starts: list[tuple[str, int]], dtypes: list[Any]) -> Place:
+        """Return a place moved by starts, each brought into its range."""
+        pointer = place.pointer
+        for axis, move in enumerate(moved):
+            if move is not None:
+                distance = self._distance(starts[move[0]][0], dtypes[move[0]], move[1], place.strides[axis], 1)
+                pointer = self.emit(f"getelementptr i8, ptr {pointer}, i64 {distance}")
+        return Place(pointer, place.offset, place.strides, place.own)
+
+    def _distance(self, start: str, dtype: Any, largest: int, stride: int, lanes: int) -> str:
+        """Return the bytes to a start that is brought into its range."""
+        of, sign = vector(scalar_type(dtype), lanes), "s" if dtype.kind == "i" else "u"
+        for how, limit in (("max", 0), ("min", largest)):
+            name = f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}"
+            self.declarations.add(f"declare {of} @{name}({of}, {of})")
+            bound = splat(str(limit), scalar_type(dtype), lanes)
+            start = self.emit(f"call {of} @{name}({of} {start}, {of} {bound})")
+        wide = vector("i64", lanes)
+        if of != wide:
+            start = self.emit(f"zext {of} {start} to {wide}")
+        return self.emit(f"mul {wide} {start}, {splat(str(stride), 'i64', lanes)}")
+
+    def _picked(self, node: Node, place: Place, starts: list[str], lanes: int) -> str:
+        """Return a vector of elements, each from its own start."""
+        access, (moved,), wide = node.args[0], node.attributes, vector("i64", lanes)
+        # From lane to lane: to the next world, or to the next element along the vector's axis.
+        step = stored_bytes(node.dtype) if self._lanes_of(access.node) > 1 else 0
+        if self.scope.lane_axis is not None:
+            step = sum(s for (a, _), s in zip(access.index, place.strides, strict=True) if a == self.scope.lane_axis)
+        offsets = "<" + ", ".join(f"i64 {lane * step}" for lane in range(lanes)) + ">"
+        for axis, move in enumerate(moved):
+            if move is not None:
+                dtype = node.args[1 + move[0]].node.dtype
+                far = self._distance(starts[move[0]], dtype, move[1], place.strides[axis], lanes)
+                offsets = self.emit(f"add {wide} {offsets}, {far}")
+        index = [(None if a is None else self.scope.variables[a], offset) for a, offset in access.index]
+        first = self.address(place, index)
+        pointers = self.emit(f"getelementptr i8, ptr {first}, {wide} {offsets}")
+        found = self.gathered(pointers, stored_type(node.dtype), stored_bytes(node.dtype), lanes)
+        if node.dtype.kind != "b":
+            return found
+        return self.emit(f"icmp ne {vector('i32', lanes)} {found}, {splat('0', 'i32', lanes)}")
+
+    def gathered(self, pointers: str, element: str, align: int, lanes: int) -> str:
+        """Return what lies at a vector of pointers."""
+        of, places, mask = vector(element, lanes), vector("ptr", lanes), vector("i1", lanes)
+        name = f"llvm.masked.gather.{suffix(element, lanes)}.v{lanes}p0"
+        self.declarations.add(f"declare {of} @{name}({places}, i32, {mask}, {of})")
+        every = splat("true", "i1", lanes)
+        return self.emit(f"call {of} @{name}({places} {pointers}, i32 {align}, {mask} {every}, {of} poison)")
+
+    def in_range(self, moved: Moves, starts: list[tuple[str, int]], dtypes: list[Any], lanes: int) -> str:
+        """Return whether all starts are in range."""
+        inside, mask = splat("true", "i1", lanes), vector("i1", lanes)
+        for move in moved:
+            if move is not None:
+                dtype = dtypes[move[0]]
+                start = self.widened(starts[move[0]], dtype, lanes)
+                # What is below zero is large where it is taken for unsigned.
+                limit = splat(str(move[1]), scalar_type(dtype), lanes)
+                within = self.emit(f"icmp ule {vector(scalar_type(dtype), lanes)} {start}, {limit}")
+                inside = self.emit(f"and {mask} {inside}, {within}")
+        return inside
+
+    def _width(self, node: Node) -> int:
+        if self.side_by_side:
+            return self._lanes_of(node)
+        return 1 if self.scope.lane_axis is None else self.lanes
+
+    def _gathered(self, node: Node, place: Place, index: list[tuple[str | None, int]], across: list[int]) -> str:
+        """Return elements that do not lie side by side as a vector; behind the last one it is read again."""
+        element = scalar_type(node.dtype)
+        of, result = vector(element, self.lanes), "poison"
+        extent = self.scope.domain[self.scope.lane_axis]  # type: ignore[index]
+        counter = self.scope.variables[self.scope.lane_axis]  # type: ignore[index]
+        for lane in range(self.lanes):
+            at = self.emit(f"add i64 {counter}, {lane}")
+            self.declarations.add("declare i64 @llvm.umin.i64(i64, i64)")
+            at = self.emit(f"call i64 @llvm.umin.i64(i64 {at}, i64 {extent - 1})")
+            moved = [(at if i in across else variable, offset) for i, (variable, offset) in enumerate(index)]
+            one = self.load(node.dtype, self.address(place, moved), 1)
+            result = self.emit(f"insertelement {of} {result}, {element} {one}, i32 {lane}")
+        return result
+
+    def widened(self, found: tuple[str, int], dtype: Any, lanes: int) -> str:
+        """Return a value in all lanes."""
+        text, have = found
+        if have == lanes or (have == 0 and lanes == 1):
+            return text
+        element = scalar_type(dtype)
+        if have == 0:
+            return splat(text, element, lanes)
+        if have != 1:
+            raise UnsupportedError("a value of one world that depends on all of them")
+        of = vector(element, lanes)
+        first = self.emit(f"insertelement {of} poison, {element} {text}, i32 0")
+        return self.emit(f"shufflevector {of} {first}, {of} poison, <{lanes} x i32> zeroinitializer")
+
+    def place(self, node: Node) -> Place:
+        """Return where a node lies; a constant array is put into the program."""
+        if node.op != "constant":
+            return self.places[node.number]
+        if node.number not in self._constant_places:
+            array = np.frombuffer(node.attributes[0], node.dtype).reshape(node.shape)
+            if array.dtype.kind == "b":
+                array = array.astype(np.int32)
+            # Rows are read in whole vectors.
+            padded = np.zeros((*array.shape[:-1], array.shape[-1] + 2 * self.lanes), array.dtype)
+            padded[..., : array.shape[-1]] = array
+            element = stored_type(node.dtype)
+            body = ", ".join(f"{element} {literal(v, np.dtype(array.dtype))}" for v in padded.ravel())
+            symbol = f"@constant{node.number}"
+            self.constants.append(f"{symbol} = private constant [{padded.size} x {element}] [{body}], align 64")
+            strides = tuple(int(s) for s in padded.strides)
+            self._constant_places[node.number] = Place(symbol, 0, strides, own=False)
+        return self._constant_places[node.number]
+
+    def write(self, place: Place, dtype: Any, value: str, lanes: int, variables: Sequence[str]) -> None:
+        """Store a value of the present loop at its element of a place."""
+        wanted = self.lanes if place.own and self.side_by_side else lanes
+        value = self.widened((value, lanes), dtype, wanted)
+        address = self.address(place, [(v, 0) for v in variables])
+        mask = None
+        axis = self.scope.lane_axis
+        if place.tight and axis is not None and lanes > 1 and self.scope.domain[axis] % lanes:
+            mask = self.inside(self.scope.variables[axis], self.scope.domain[axis])
+        self.store(dtype, address, value, wanted, mask)
+
+    def inside(self, counter: str, extent: int) -> str:
+        """Return which lanes are elements of an axis."""
+        ramp = "<" + ", ".join(f"i64 {lane}" for lane in range(self.lanes)) + ">"
+        of = vector("i64", self.lanes)
+        at = self.emit(f"add {of} {self.widened((counter, 1), np.dtype(np.int64), self.lanes)}, {ramp}")
+        return self.emit(f"icmp ult {of} {at}, {splat(str(extent), 'i64', self.lanes)}")

@@ -1,0 +1,71 @@
+"""Programs of this process, each made once."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+from qrsim.engine.cache import kept
+from qrsim.engine.llvm.refusal import UnsupportedError, refusing
+from qrsim.errors import CompilerWarning
+
+log = logging.getLogger(__name__)
+# By all that they depend on, the last used at the end; in the place of what cannot be made, the reason.
+_MADE: dict[Any, Any] = {}
+# So many are kept here; a policy whose attributes change is another program each time.
+MOST_MADE = 256
+# Sessions of a server make theirs in threads.
+_KEEPING = threading.Lock()
+# The reasons that a user has heard.
+_TOLD: set[str] = set()
+
+
+def once(
+    key: tuple[Any, ...], what: tuple[Any, ...] | None, make: Callable[[], Any], load: Callable[[Any], Any]
+) -> Any:
+    """Return a program of this process; loaded from the user's cache, or made, where there is none yet.
+
+    Args:
+        key: all that it depends on; its first part says what it is.
+        what: the same as text, for the user's cache; None where another process could not tell it by text.
+        make: returns what the cache keeps.
+        load: returns a program from that.
+
+    Raises:
+        UnsupportedError: it cannot be made.
+    """
+    found = _MADE.get(key)
+    if found is None:
+        try:
+            binary = make() if what is None else kept(what, make)
+            with refusing():
+                found = load(binary)
+        except UnsupportedError as why:
+            _tell(key[0], why)
+            found = why
+    with _KEEPING:
+        _MADE.pop(key, None)
+        _MADE[key] = found
+        while len(_MADE) > MOST_MADE:
+            del _MADE[next(iter(_MADE))]
+    if isinstance(found, UnsupportedError):
+        raise found
+    return found
+
+
+def _tell(program: str, why: UnsupportedError) -> None:
+    """Warn of a reason once in a process."""
+    log.debug("'%s' is compiled by XLA, because of %s", program, why, exc_info=why)
+    if str(why) not in _TOLD:
+        _TOLD.add(str(why))
+        text = f"computed by XLA, which takes longer, because qrsim's own compiler does not take {why}"
+        warnings.warn(f"{program}: {text} (QRSIM_COMPILER=xla asks for XLA)", CompilerWarning, stacklevel=2)
+
+
+def forget() -> None:
+    """Let every program be made anew, for whoever changed what they are made of."""
+    _MADE.clear()
+    _TOLD.clear()

@@ -1,0 +1,119 @@
+"""Settings of the process: how many CPU devices, where compiled programs are kept."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import lru_cache, wraps
+from typing import Any
+
+import jax
+
+from qrsim.engine.folders import private, tidy
+from qrsim.errors import UsageError
+
+# The older code generator of XLA:CPU compiles a tick in half the time of the newer one. It runs a few vehicles as fast,
+# hundreds more slowly.
+FEW_VEHICLES = 64
+_QUICK_TO_COMPILE = {"xla_cpu_use_fusion_emitters": False}
+
+COMPILERS = ("llvm", "xla")
+_chosen: dict[str, Any] = {"compiler": None, "threads": None}
+
+
+def configure(*, cpu_devices: int | None = None, compiler: str | None = None) -> None:
+    """Fix settings that must be known before anything is computed.
+
+    Args:
+        cpu_devices: cores that a rollout spreads its worlds over; None: as it is, at first all that there are.
+        compiler: what makes machine code of a tick: "llvm", the package's own generator for processors, or "xla", which
+            is also what compiles for other devices and whatever the first one cannot compile; None: as it is. The
+            environment variable QRSIM_COMPILER says the same.
+
+    Raises:
+        UsageError: not a positive whole number, or JAX has already started with another number; or no such compiler.
+    """
+    if compiler is not None:
+        _chosen["compiler"] = _checked_compiler(compiler, "compiler")
+    if cpu_devices is None:
+        return
+    if isinstance(cpu_devices, bool) or not isinstance(cpu_devices, int) or cpu_devices < 1:
+        raise UsageError(f"cpu_devices: {cpu_devices!r} is not a positive whole number")
+    _chosen["threads"] = cpu_devices
+    config: Any = jax.config
+    try:
+        config.update("jax_num_cpu_devices", cpu_devices)
+    except RuntimeError:
+        found = len(jax.devices("cpu"))
+        if found != cpu_devices:
+            raise UsageError(
+                f"cpu_devices: JAX has already started with {found}; call qrsim.configure before anything is computed"
+            ) from None
+
+
+def _checked_compiler(name: Any, where: str) -> str:
+    if name not in COMPILERS:
+        raise UsageError(f"{where}: '{name}' is not known; expected one of {', '.join(COMPILERS)}")
+    return str(name)
+
+
+def uses_llvm() -> bool:
+    """Return whether ticks are compiled by the package's own generator: on processors, unless XLA is asked for.
+
+    Raises:
+        UsageError: the environment names no compiler.
+    """
+    named = os.environ.get("QRSIM_COMPILER")
+    asked = _chosen["compiler"] or (_checked_compiler(named, "QRSIM_COMPILER") if named else "llvm")
+    return bool(asked == "llvm" and jax.default_backend() == "cpu")
+
+
+def threads() -> int:
+    """Return how many threads a rollout uses."""
+    return int(_chosen["threads"] or available_cores())
+
+
+def available_cores() -> int:
+    """Return the number of cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@lru_cache(maxsize=1)
+def quick_to_compile() -> dict[str, Any]:
+    """Return the options with which XLA compiles quickly what runs for a short time, those that this XLA knows."""
+    try:
+        jax.jit(lambda: 0, compiler_options=_QUICK_TO_COMPILE).lower().compile()
+    except jax.errors.JaxRuntimeError:
+        # Newer ones have no other code generator, and refuse an option that they do not know.
+        return {}
+    return _QUICK_TO_COMPILE
+
+
+def quick_jit(function: Callable[..., Any], **options: Any) -> Any:
+    """Return ``jax.jit(function, **options)`` that compiles quickly; XLA is asked for its options at the first call."""
+    compiled = lru_cache(maxsize=1)(lambda: jax.jit(function, compiler_options=quick_to_compile(), **options))
+
+    @wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        return compiled()(*arguments, **named)
+
+    return call
+
+
+def use_compilation_cache() -> None:
+    """Keep what XLA compiles in the user's cache, unless JAX was told otherwise or QRSIM_COMPILATION_CACHE is off.
+
+    A folder that others can write into is not used, with a warning.
+    """
+    config: Any = jax.config
+    if config.jax_compilation_cache_dir or os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
+        return
+    from platformdirs import user_cache_path
+
+    place = user_cache_path("qrsim") / "compiled"
+    if not private(place):
+        return
+    tidy(place)
+    config.update("jax_compilation_cache_dir", str(place))
+    config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -1,0 +1,313 @@
+"""The cache of programs: made once, made anew where it cannot be trusted, never a traceback."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import stat
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import qrsim
+from qrsim.core.structure import from_plain, to_plain
+from qrsim.core.tree import quantity, record, setting
+from qrsim.core.vectors import Vec3
+from qrsim.engine import cache, folders
+from qrsim.engine.layout import Packer, struct
+from qrsim.engine.llvm import Binary, Start
+
+HEAD = len(cache.MAGIC) + 32
+
+
+def binary(code: bytes = b"\x7fELF code", scratch: int = 64) -> Binary:
+    return Binary(code, scratch)
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache, of which nothing was said before."""
+    monkeypatch.setattr(cache, "folder", lambda: tmp_path / "native")
+    folders._warn.cache_clear()
+    cache._tidied.cache_clear()
+    return tmp_path / "native"
+
+
+def signed(header: dict[str, Any], code: bytes) -> bytes:
+    """A file with a right digest."""
+    text = json.dumps(header).encode()
+    content = len(text).to_bytes(4, "little") + text + code
+    return cache.MAGIC + hashlib.sha256(content).digest() + content
+
+
+def opened(path: Path) -> tuple[dict[str, Any], bytes]:
+    content = path.read_bytes()[HEAD:]
+    end = 4 + int.from_bytes(content[:4], "little")
+    return json.loads(content[4:end]), content[end:]
+
+
+class TestKept:
+    def test_made_once(self, place: Path) -> None:
+        made: list[int] = []
+
+        def make() -> Binary:
+            made.append(1)
+            return binary()
+
+        found = [cache.kept(("a", 1), make), cache.kept(("a", 1), make), cache.kept(("a", 2), make)]
+        assert found == [binary()] * 3
+        assert len(made) == 2
+        assert stat.S_IMODE(place.stat().st_mode) == 0o700
+        assert {stat.S_IMODE(path.stat().st_mode) for path in place.iterdir()} == {0o600}
+
+    def test_a_number(self, place: Path) -> None:
+        found = [cache.kept(("a",), lambda: 2**40), cache.kept(("a",), lambda: 3), cache.kept(("b",), lambda: 3)]
+        assert found == [2**40, 2**40, 3]
+
+    @pytest.mark.parametrize("damage", [b"", b"\0" * 40, b"\0" * 4000, None, "cut", "pickle"])
+    def test_what_is_damaged_is_made_anew(self, place: Path, damage: Any) -> None:
+        cache.kept(("a",), binary)
+        (path,) = place.iterdir()
+        whole = path.read_bytes()
+        # What the cache was before: a digest and a pickle.
+        pickled = b"cos\nsystem\n(S'false'\ntR."
+        damages = {None: whole[:-1] + b"!", "cut": whole[:-1], "pickle": hashlib.sha256(pickled).digest() + pickled}
+        path.write_bytes(damages.get(damage, damage))
+        assert cache.kept(("a",), lambda: binary(b"new")).code == b"new"
+        assert cache.kept(("a",), lambda: binary(b"newer")).code == b"new"
+
+    @pytest.mark.parametrize(
+        "changes",
+        [
+            {"key": "0" * 64},
+            {"origin": {"jax": "0.1"}},
+            {"code_bytes": 3},
+            {"scratch_bytes": -1},
+            {"scratch_bytes": True},
+            {"scratch_bytes": 2**60},
+            {"scratch_bytes": "64"},
+            {"state": {"structure": ["tuple"], "leaves": [], "identity": ""}},
+            {
+                "state": {
+                    "structure": {"record": "os:system", "parts": {}, "settings": {}},
+                    "leaves": [],
+                    "identity": "",
+                }
+            },
+            {"state": 5},
+            {"number": "5"},
+            {"state": []},
+        ],
+    )
+    def test_what_is_of_another_program_or_makes_no_sense_is_made_anew(
+        self, place: Path, changes: dict[str, Any]
+    ) -> None:
+        cache.kept(("a",), binary)
+        (path,) = place.iterdir()
+        header, code = opened(path)
+        path.write_bytes(signed(header | changes, code))
+        assert cache.kept(("a",), lambda: binary(b"new")).code == b"new"
+
+    def test_the_file_of_another_program_under_this_ones_name(self, place: Path) -> None:
+        cache.kept(("a",), binary)
+        (first,) = place.iterdir()
+        cache.kept(("b",), lambda: binary(b"other"))
+        (second,) = set(place.iterdir()) - {first}
+        first.write_bytes(second.read_bytes())
+        assert cache.kept(("a",), lambda: binary(b"new")).code == b"new"
+
+    def test_of_another_version_of_a_library(self, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        cache.kept(("a",), binary)
+        monkeypatch.setattr(cache, "_origin", lambda: {"jax": "9"})
+        assert cache.kept(("a",), lambda: binary(b"new")).code == b"new"
+
+    def test_files_that_are_none(self, place: Path) -> None:
+        cache.kept(("a",), binary)
+        (path,) = place.iterdir()
+        elsewhere = place.parent / "elsewhere"
+        path.rename(elsewhere)
+        path.symlink_to(elsewhere)
+        assert cache.kept(("a",), lambda: binary(b"new")).code == b"new"
+        assert opened(elsewhere)[1] == binary().code
+        assert cache.kept(("a",), lambda: binary(b"newer")).code == b"new"
+        path.unlink()
+        os.mkfifo(path)
+        assert cache.kept(("a",), lambda: binary(b"newest")).code == b"newest"
+
+    def test_a_place_that_cannot_be_written_costs_only_time(self, place: Path) -> None:
+        place.write_text("a file where the folder should be")
+        assert cache.kept(("a",), binary) == binary()
+
+    def test_off(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("QRSIM_COMPILATION_CACHE", "off")
+        assert cache.folder() is None
+        assert cache.kept(("a",), lambda: binary(b"one")).code == b"one"
+        assert cache.kept(("a",), lambda: binary(b"two")).code == b"two"
+
+    def test_processes_at_the_same_time(self, place: Path) -> None:
+        program = (
+            "import sys; from pathlib import Path; from qrsim.engine.llvm import Binary, cache\n"
+            f"cache.folder = lambda: Path({str(place)!r})\n"
+            "for i in range(200):\n"
+            "    assert cache.kept((i % 7,), lambda: Binary(bytes([i % 7]) * 9000, 8)).code[0] == i % 7\n"
+        )
+        several = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(2)]
+        assert [each.wait(120) for each in several] == [0, 0]
+        assert len(list(place.iterdir())) == 7
+
+
+class TestFolder:
+    def test_one_that_others_can_write_into_is_not_used(self, place: Path) -> None:
+        for mode in (0o777, 0o770, 0o720):
+            folders._warn.cache_clear()
+            place.mkdir()
+            place.chmod(mode)
+            with pytest.warns(
+                UserWarning, match=r"neither read from .*native nor kept there: others can write into it"
+            ):
+                assert cache.kept(("a",), binary) == binary()
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                assert cache.kept(("a",), lambda: binary(b"new")).code == b"new"
+            assert not list(place.iterdir())
+            place.rmdir()
+
+    def test_one_that_others_can_only_read_is_closed(self, place: Path) -> None:
+        place.mkdir()
+        place.chmod(0o755)
+        cache.kept(("a",), binary)
+        assert stat.S_IMODE(place.stat().st_mode) == 0o700
+        assert len(list(place.iterdir())) == 1
+
+    def test_one_of_somebody_else(self, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        cache.kept(("a",), binary)
+        monkeypatch.setattr(os, "geteuid", lambda: 12345)
+        with pytest.warns(UserWarning, match=r"it belongs to another user"):
+            assert cache.kept(("a",), lambda: binary(b"new")).code == b"new"
+
+    def test_a_link(self, place: Path) -> None:
+        (place.parent / "elsewhere").mkdir(mode=0o700)
+        place.symlink_to(place.parent / "elsewhere")
+        with pytest.warns(UserWarning, match=r"it is a symbolic link"):
+            cache.kept(("a",), binary)
+        assert not list((place.parent / "elsewhere").iterdir())
+
+    def test_one_below_a_folder_that_everybody_can_write_into(self, place: Path) -> None:
+        place.parent.chmod(0o777)
+        with pytest.warns(UserWarning, match=r"everybody can write into"):
+            cache.kept(("a",), binary)
+        # As /tmp is: nobody can put another folder in the place of this one.
+        place.parent.chmod(0o1777)
+        assert folders.private(place)
+
+    def test_what_killed_processes_left_is_cleared_away(self, place: Path) -> None:
+        with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+            ended.wait()
+        place.mkdir(mode=0o700)
+        left = [place / f"key.{ended.pid}.17.tmp", place / "tmpabcdefgh"]
+        others = [place / f"key.{os.getpid()}.17.tmp", place / "other.bin"]
+        for path in (*left, *others):
+            path.write_bytes(b"half")
+        os.utime(left[1], (1e9, 1e9))
+        cache.kept(("a",), binary)
+        assert not any(path.exists() for path in left)
+        assert all(path.exists() for path in others)
+        assert len(list(place.iterdir())) == 3
+
+    def test_what_was_used_longest_ago_goes_first(self, tmp_path: Path) -> None:
+        for age in range(10):
+            (tmp_path / f"{age}.bin").write_bytes(bytes(1000))
+            os.utime(tmp_path / f"{age}.bin", (2e9 - age, 2e9 - age))
+        folders.tidy(tmp_path, 10_000)
+        assert len(list(tmp_path.iterdir())) == 10
+        folders.tidy(tmp_path, 8000)
+        assert sorted(path.stem for path in tmp_path.iterdir()) == ["0", "1", "2", "3", "4", "5"]
+
+    def test_to_read_a_program_is_to_use_it(self, place: Path) -> None:
+        cache.kept(("a",), binary)
+        (path,) = place.iterdir()
+        os.utime(path, (1e9, 1e9))
+        cache.kept(("a",), binary)
+        assert path.stat().st_mtime > 1.5e9
+
+
+@record
+class Theirs:
+    """A part of a world that is not of this package."""
+
+    value: Any = quantity(doc="something")
+    kind: tuple[str, float] = setting(default=("a", 0.1), doc="a setting")
+
+
+class TestStructure:
+    def test_there_and_back(self) -> None:
+        simulation = qrsim.load("plume_mapping/3F")
+        simulation.reset()
+        layout = simulation.packed[0]
+        leaves = list(map(struct, layout.shapes, layout.dtypes))
+        plain = json.loads(json.dumps(to_plain(layout.structure)))
+        assert Packer(from_plain(plain, iter(leaves))) == layout
+
+    def test_a_start_comes_back_as_it_was(self, place: Path) -> None:
+        template = (None, [Vec3(*[struct((2,), np.dtype(np.float32))] * 3)], Theirs(struct((), np.dtype(bool))))
+        start = cache.kept(("a",), lambda: Start(binary(), template))
+        found = cache.kept(("a",), lambda: Start(binary(b"new"), template))
+        assert found.binary == binary()
+        assert found.layout == start.layout
+        assert found.template[2].kind == ("a", 0.1)
+
+    def test_what_has_no_name_is_not_kept(self, place: Path) -> None:
+        @record
+        class Local:
+            value: Any = quantity(doc="something")
+
+        cache.kept(("a",), lambda: Start(binary(), Local(struct((), np.dtype(bool)))))
+        assert not list(place.iterdir())
+
+    def test_code_of_others_is_not_kept(self, place: Path) -> None:
+        """It can change without a change of its name."""
+        layout = Packer(Theirs(jnp.zeros(3)))
+        cache.kept(("tick", cache.identity(layout)), binary)
+        assert not place.exists()
+        cache.kept(("tick", cache.identity(Packer(Vec3(*jnp.zeros((3, 3)))))), binary)
+        assert len(list(place.iterdir())) == 1
+
+    def test_two_types_of_one_name_are_two_layouts(self) -> None:
+        def make() -> Any:
+            @record
+            class Twin:
+                value: Any = quantity(doc="something")
+
+            return Twin
+
+        some, other = make(), make()
+        assert Packer(some(jnp.zeros(3))) == Packer(some(jnp.ones(3)))
+        assert Packer(some(jnp.zeros(3))) != Packer(other(jnp.zeros(3)))
+
+
+def test_a_simulation_of_a_damaged_cache_flies(place: Path) -> None:
+    """Every file of the cache altered, cut or of another program: the flight is the same."""
+    from qrsim.engine.programs import forget
+
+    def flown() -> bytes:
+        forget()
+        simulation = qrsim.load("hover", seed=2)
+        simulation.reset()
+        simulation.step(ticks=5)
+        return simulation.save()
+
+    first = flown()
+    files = sorted(place.iterdir())
+    assert len(files) == 2
+    contents = [path.read_bytes() for path in files]
+    files[0].write_bytes(contents[1])
+    files[1].write_bytes(contents[1][:-9] + b"123456789")
+    assert flown() == first
+    assert [path.read_bytes() for path in files] == contents

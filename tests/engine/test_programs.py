@@ -1,0 +1,58 @@
+"""Programs of a process: each is made once, and so many are kept."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import pytest
+
+from qrsim.engine import programs as once
+from qrsim.engine.llvm import UnsupportedError
+from qrsim.errors import CompilerWarning
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """What was made, of a process that keeps three programs and has none."""
+    # The package has a function of this name.
+    module = sys.modules["qrsim.engine.programs"]
+    monkeypatch.setattr(module, "_MADE", {})
+    monkeypatch.setattr(module, "_TOLD", set())
+    monkeypatch.setattr(module, "MOST_MADE", 3)
+    return []
+
+
+def program(made: list[int], number: int) -> Any:
+    def make() -> int:
+        made.append(number)
+        return 10 * number
+
+    return once(("test", number), None, make, lambda binary: binary + 1)
+
+
+def test_it_is_made_once(made: list[int]):
+    assert [program(made, 1), program(made, 1)] == [11, 11]
+    assert made == [1]
+
+
+def test_the_one_that_was_used_longest_ago_is_forgotten(made: list[int]):
+    for number in (1, 2, 3, 1, 4):
+        program(made, number)
+    assert made == [1, 2, 3, 4]
+    assert program(made, 1) == 11
+    assert made == [1, 2, 3, 4]
+    program(made, 2)
+    assert made == [1, 2, 3, 4, 2]
+
+
+def test_what_cannot_be_made_is_tried_once(made: list[int]):
+    def fails() -> int:
+        made.append(0)
+        raise UnsupportedError("a test of what cannot be made")
+
+    with pytest.warns(CompilerWarning, match="a test of what cannot be made"), pytest.raises(UnsupportedError):
+        once(("test", 0), None, fails, int)
+    with pytest.raises(UnsupportedError, match="a test of what cannot be made"):
+        once(("test", 0), None, fails, int)
+    assert made == [0]
