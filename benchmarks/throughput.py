@@ -68,7 +68,7 @@ def stage_world(count: int, stage: str) -> Any:
 def no_collisions(off: bool) -> Iterator[None]:
     """Let nobody look for collisions, if ``off``, which no scenario can ask for: for the cost of looking."""
     from qrsim.engine.programs import forget
-    from qrsim.models.area import Violation
+    from qrsim.models.scene.area import Violation
     from qrsim.world import tick as ticks_of
 
     before = ticks_of.collisions

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import yaml
-from tests.models.sp3_writing import line_of, sp3_text
+from tests.models.gnss.sp3_writing import line_of, sp3_text
 
 from qrsim.logs import open_run
 

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.interface.readings import Reading, SensorReading, quaternion_of
-from qrsim.models.attitude import AttitudeReading
-from qrsim.models.gnss import GnssReading
+from qrsim.models.gnss.receivers import GnssReading
+from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.site import Site
 from small_worlds import noisy, simulate
 

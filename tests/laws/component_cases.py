@@ -29,15 +29,15 @@ from qrsim.control import (
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import FieldInfo, cast, field_info
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.area import BoxArea
-from qrsim.models.contents import Contents, ContentsState, Surroundings
-from qrsim.models.fence import PolygonArea
-from qrsim.models.gnss import SkyState
-from qrsim.models.orbits import NominalConstellation
-from qrsim.models.plume import GaussianPlume, GaussianState, Sources
+from qrsim.models.atmosphere.wind import LogShear
+from qrsim.models.gnss.orbits import NominalConstellation
+from qrsim.models.gnss.receivers import SkyState
+from qrsim.models.scene.area import BoxArea
+from qrsim.models.scene.contents import Contents, ContentsState, Surroundings
+from qrsim.models.scene.fence import PolygonArea
+from qrsim.models.scene.plume import GaussianPlume, GaussianState, Sources
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.quadrotor import Command
-from qrsim.models.wind import LogShear
 from qrsim.scenarios import catalogue
 from qrsim.world.sensing import scene_of
 from qrsim.world.tick import Start

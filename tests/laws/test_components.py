@@ -28,7 +28,7 @@ from component_cases import (
 
 from qrsim.core.tree import walk
 from qrsim.errors import ScenarioError
-from qrsim.models.area import StateLimits
+from qrsim.models.scene.area import StateLimits
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import load_scenario
 

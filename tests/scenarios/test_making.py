@@ -12,13 +12,13 @@ import pytest
 import qrsim
 from qrsim.control import HeightLoop, VelocityController, WaypointController
 from qrsim.errors import ScenarioError, UsageError
-from qrsim.models.battery import LithiumPolymer
-from qrsim.models.fence import PolygonArea
-from qrsim.models.gnss import GnssReceiver, OrnsteinUhlenbeckErrors
-from qrsim.models.obstacles import BoxObstacle, CylinderObstacle
-from qrsim.models.turbulence import DrydenFirstOrder
+from qrsim.models.atmosphere.turbulence import DrydenFirstOrder
+from qrsim.models.atmosphere.wind import LogShear
+from qrsim.models.gnss.receivers import GnssReceiver, OrnsteinUhlenbeckErrors
+from qrsim.models.scene.fence import PolygonArea
+from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle
+from qrsim.models.vehicles.battery import LithiumPolymer
 from qrsim.models.vehicles.quadrotor import Quadrotor
-from qrsim.models.wind import LogShear
 from qrsim.scenarios.making import SENSORS, make_scenario, make_world
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation

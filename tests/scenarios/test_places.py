@@ -15,7 +15,7 @@ import pytest
 import qrsim
 from qrsim.core.vectors import Vec3
 from qrsim.errors import ScenarioError
-from qrsim.models.fence import PolygonArea
+from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.site import Site
 from qrsim.scenarios.checks import distance_outside
 from qrsim.scenarios.reading import parse_yaml

@@ -14,7 +14,7 @@ import pytest
 
 import qrsim
 from qrsim.cli import main
-from qrsim.models.turbulence import low_altitude_scales
+from qrsim.models.atmosphere.turbulence import low_altitude_scales
 from qrsim.scenarios import plausibility
 from qrsim.scenarios.scenario import built_in_names, load_scenario
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.models.sp3_writing import line_of, sp3_text
+from tests.models.gnss.sp3_writing import line_of, sp3_text
 
 from qrsim.errors import ScenarioError
 from qrsim.scenarios.scenario import load_scenario

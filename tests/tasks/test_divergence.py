@@ -12,8 +12,8 @@ import pytest
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
-from qrsim.models.area import BoxArea
-from qrsim.models.plume import DispersionPlume, PuffPlume, PuffState, Sources, Wind
+from qrsim.models.scene.area import BoxArea
+from qrsim.models.scene.plume import DispersionPlume, PuffPlume, PuffState, Sources, Wind
 from qrsim.tasks import PlumeMapping
 from qrsim.tasks.plume_mapping import PlumeMemory, divergence
 

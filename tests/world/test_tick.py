@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from qrsim.models.area import REASONS
+from qrsim.models.scene.area import REASONS
 from qrsim.simulation.simulation import Simulation
 from small_worlds import ALPHA, BRAVO, STILL, Flight, noisy, quiet, simulate
 

@@ -15,10 +15,10 @@ from qrsim.control.setpoints import library
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.engine.layout import Glimpse
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.models.area import reason_text
-from qrsim.models.attitude import AttitudeReading
-from qrsim.models.camera import CameraReading, Picture
-from qrsim.models.gnss import FEWEST_SATELLITES, GnssReading, SkyState
+from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading, SkyState
+from qrsim.models.scene.area import reason_text
+from qrsim.models.sensors.attitude import AttitudeReading
+from qrsim.models.sensors.camera import CameraReading, Picture
 from qrsim.models.site import Site
 from qrsim.world.episode import picture
 from qrsim.world.tick import Fleet, FleetState, State, World, position_of

@@ -9,8 +9,8 @@ import numpy as np
 
 from qrsim.core.tree import walk
 from qrsim.logs import Column
-from qrsim.models.area import REASONS, reason_text
-from qrsim.models.gnss import FEWEST_SATELLITES
+from qrsim.models.gnss.receivers import FEWEST_SATELLITES
+from qrsim.models.scene.area import REASONS, reason_text
 from qrsim.simulation.simulation import History, Simulation
 from qrsim.world.tick import FleetState, World, position_of
 

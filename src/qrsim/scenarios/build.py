@@ -14,10 +14,10 @@ from qrsim.control import Route
 from qrsim.core.tree import cast, field_info
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError, warn_user
-from qrsim.models.area import StateLimits
-from qrsim.models.contents import Contents
-from qrsim.models.gnss import HAND_LIST, Sky
-from qrsim.models.obstacles import Obstacles
+from qrsim.models.gnss.receivers import HAND_LIST, Sky
+from qrsim.models.scene.area import StateLimits
+from qrsim.models.scene.contents import Contents
+from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.site import Site, gps_seconds_from_utc, utc_from_gps_seconds
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import area_problems, outside

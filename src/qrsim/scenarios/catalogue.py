@@ -16,31 +16,31 @@ from qrsim.control import (
     VelocityHeightGuidance,
     WaypointController,
 )
-from qrsim.models.area import BoxArea
-from qrsim.models.attitude import AttitudeEstimator, IdealAttitude
-from qrsim.models.barometer import Barometer, IdealBarometer
-from qrsim.models.battery import GivenVoltage, LithiumPolymer
-from qrsim.models.camera import Camera, IdealCamera
-from qrsim.models.concentration import ConcentrationSensor, IdealConcentration
-from qrsim.models.dryden import Dryden
-from qrsim.models.fence import PolygonArea
-from qrsim.models.gnss import GnssReceiver, IdealGnss, OrnsteinUhlenbeckErrors
-from qrsim.models.gnss_errors import ConsumerErrors, GaussMarkov2, SurveyErrors
-from qrsim.models.gust import DiscreteGust, NoGust
-from qrsim.models.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
-from qrsim.models.obstacles import BoxObstacle, CylinderObstacle
-from qrsim.models.orbits import NominalConstellation
-from qrsim.models.persons import NoPersons, Persons
-from qrsim.models.placement import GivenPlaces, RingPlaces, UniformPlaces
-from qrsim.models.plume import DispersionPlume, GaussianPlume, NoPlume, PuffPlume
-from qrsim.models.sp3 import Sp3Ephemeris
-from qrsim.models.terrain import ClearGround, PatchyGround
-from qrsim.models.turbulence import DrydenFirstOrder, Still
+from qrsim.models.atmosphere.dryden import Dryden
+from qrsim.models.atmosphere.gust import DiscreteGust, NoGust
+from qrsim.models.atmosphere.turbulence import DrydenFirstOrder, Still
+from qrsim.models.atmosphere.wind import Calm, LogShear
+from qrsim.models.atmosphere.wind_series import VeeringShear, WindFile
+from qrsim.models.gnss.errors import ConsumerErrors, GaussMarkov2, SurveyErrors
+from qrsim.models.gnss.orbits import NominalConstellation
+from qrsim.models.gnss.receivers import GnssReceiver, IdealGnss, OrnsteinUhlenbeckErrors
+from qrsim.models.gnss.sp3 import Sp3Ephemeris
+from qrsim.models.scene.area import BoxArea
+from qrsim.models.scene.fence import PolygonArea
+from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle
+from qrsim.models.scene.persons import NoPersons, Persons
+from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
+from qrsim.models.scene.plume import DispersionPlume, GaussianPlume, NoPlume, PuffPlume
+from qrsim.models.scene.terrain import ClearGround, PatchyGround
+from qrsim.models.sensors.attitude import AttitudeEstimator, IdealAttitude
+from qrsim.models.sensors.barometer import Barometer, IdealBarometer
+from qrsim.models.sensors.camera import Camera, IdealCamera
+from qrsim.models.sensors.concentration import ConcentrationSensor, IdealConcentration
+from qrsim.models.sensors.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
+from qrsim.models.vehicles.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
-from qrsim.models.wind import Calm, LogShear
-from qrsim.models.wind_series import VeeringShear, WindFile
 from qrsim.tasks import KeepSpot, KeepVelocity, NoTask, PlumeMapping, Pursuit, ReachWaypoint, Search
 
 Catalogue = dict[str, type]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.models.fence import polygon_problems
+from qrsim.models.scene.fence import polygon_problems
 
 
 def area_problems(area: Any) -> Iterator[str]:

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from qrsim.models.placement import RingPlaces
-from qrsim.models.plume import trail
+from qrsim.models.scene.placement import RingPlaces
+from qrsim.models.scene.plume import trail
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import ScenarioSpec
 from qrsim.scenarios.timing import is_multiple

@@ -12,7 +12,7 @@ import numpy as np
 
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import did_you_mean
-from qrsim.models.faults import Fault
+from qrsim.models.sensors.faults import Fault
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FaultSpec, FleetSpec, ScenarioSpec
 from qrsim.scenarios.timing import is_multiple

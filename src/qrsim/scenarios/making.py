@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.models.fence import PolygonArea
+from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.world.tick import World

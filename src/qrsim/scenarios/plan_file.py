@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError
-from qrsim.models.fence import polygon_problems
+from qrsim.models.scene.fence import polygon_problems
 from qrsim.user_files import read_text
 
 WAYPOINT, LOITER_FOREVER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22

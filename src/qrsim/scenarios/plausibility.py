@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError
+from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT
+from qrsim.models.atmosphere.wind_series import read_wind
 from qrsim.models.vehicles.expression_quadrotor import value_at
 from qrsim.models.vehicles.quadrotor import (
     COMMAND_LIMITS,
@@ -19,8 +21,6 @@ from qrsim.models.vehicles.quadrotor import (
     THROTTLE_RAW_PER_UNIT,
     Quadrotor,
 )
-from qrsim.models.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT
-from qrsim.models.wind_series import read_wind
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
 # Below this there is next to nothing left to climb, to lean and to fight gusts with.

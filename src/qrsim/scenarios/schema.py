@@ -22,8 +22,8 @@ from pydantic import (
 )
 
 from qrsim.core.tree import FieldInfo, field_info
-from qrsim.models.area import StateLimits
-from qrsim.models.fence import PolygonArea
+from qrsim.models.scene.area import StateLimits
+from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]

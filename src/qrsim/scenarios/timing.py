@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from qrsim.models.orbits import split_time
+from qrsim.models.gnss.orbits import split_time
 from qrsim.scenarios.schema import ScenarioSpec
 
 # Steps are counted in int32.

@@ -13,7 +13,7 @@ from qrsim.core.pairs import parts_of
 from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
-from qrsim.models.area import Violation, collisions, reason_text
+from qrsim.models.scene.area import Violation, collisions, reason_text
 from qrsim.world.tick import Fleet, FleetState, State, World, own_checks, start_fleet, surroundings
 
 FloatArray = np.ndarray[Any, Any]

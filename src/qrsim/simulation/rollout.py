@@ -21,7 +21,7 @@ from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.interface.policies import user_function
-from qrsim.models.area import reason_text
+from qrsim.models.scene.area import reason_text
 from qrsim.models.site import Site
 from qrsim.simulation.block_parts import AXIS, Setup
 from qrsim.simulation.blocks import Engine, Schedule

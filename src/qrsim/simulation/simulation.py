@@ -17,7 +17,7 @@ from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.readings import Reading, Truth
-from qrsim.models.area import reason_text
+from qrsim.models.scene.area import reason_text
 from qrsim.models.site import Site
 from qrsim.simulation.alone import Alone, alone
 from qrsim.simulation.one_world import ticks as ticks_of

@@ -16,9 +16,9 @@ import numpy as np
 from qrsim.control import RouteState
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.errors import RunError, UsageError
-from qrsim.models.area import REASONS
-from qrsim.models.sp3 import Sp3Orbits
-from qrsim.models.terrain import OCCLUSION
+from qrsim.models.gnss.sp3 import Sp3Orbits
+from qrsim.models.scene.area import REASONS
+from qrsim.models.scene.terrain import OCCLUSION
 from qrsim.simulation.archive import DamagedError, OtherNamesError, read_archive
 from qrsim.world.tick import FleetState, State, World
 

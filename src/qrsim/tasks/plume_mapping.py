@@ -13,8 +13,8 @@ from qrsim.control import VelocitySetpoint
 from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
-from qrsim.models.plume import PuffPlume
-from qrsim.models.uniform import uniform
+from qrsim.models.scene.plume import PuffPlume
+from qrsim.models.scene.uniform import uniform
 from qrsim.tasks.agents import BELIEVED, Axis, action_period, believed, fleet_of, only, penalty, velocity_axes
 from qrsim.world.episode import surroundings
 from qrsim.world.state import Action, State, World

@@ -11,7 +11,7 @@ from qrsim.control import VelocitySetpoint
 from qrsim.core.noise import Draw
 from qrsim.core.tree import quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.models.camera import Camera, Picture
+from qrsim.models.sensors.camera import Camera, Picture
 from qrsim.tasks.agents import (
     BELIEVED,
     Axis,

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.models.camera import CameraReading
+from qrsim.models.sensors.camera import CameraReading
 from qrsim.view import shapes
 from qrsim.view.contents import Contents
 from qrsim.view.frame import Beside

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.noise import StreamKeys
-from qrsim.models.area import reason_text
-from qrsim.models.camera import CameraReading
-from qrsim.models.contents import ContentsState
+from qrsim.models.scene.area import reason_text
+from qrsim.models.scene.contents import ContentsState
+from qrsim.models.sensors.camera import CameraReading
 from qrsim.world.state import FleetState, State, World, position_of
 
 Floats = np.ndarray[Any, Any]

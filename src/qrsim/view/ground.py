@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.models.area import BoxArea
-from qrsim.models.fence import PolygonArea
+from qrsim.models.scene.area import BoxArea
+from qrsim.models.scene.fence import PolygonArea
 from qrsim.view import shapes
 from qrsim.view.layers import Layer, Stage
 from qrsim.world.state import World

@@ -12,10 +12,10 @@ from jax import Array
 from qrsim.core.noise import Draw, Stream
 from qrsim.core.tree import replace
 from qrsim.errors import RunError
-from qrsim.models.camera import Picture
-from qrsim.models.contents import ContentsState, Surroundings
-from qrsim.models.persons import Persons
-from qrsim.models.uniform import uniform
+from qrsim.models.scene.contents import ContentsState, Surroundings
+from qrsim.models.scene.persons import Persons
+from qrsim.models.scene.uniform import uniform
+from qrsim.models.sensors.camera import Picture
 from qrsim.world.state import (
     PERSONS,
     PLACEMENT,

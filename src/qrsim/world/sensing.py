@@ -11,8 +11,8 @@ from jax import Array
 from qrsim.control import Estimate
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3, rotation
-from qrsim.models.contents import Surroundings
-from qrsim.models.gnss import SkyState
+from qrsim.models.gnss.receivers import SkyState
+from qrsim.models.scene.contents import Surroundings
 from qrsim.world.state import Fleet, FleetState, World, period_ticks, when_due
 
 

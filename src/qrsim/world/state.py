@@ -12,12 +12,12 @@ from qrsim.core.noise import StreamKeys
 from qrsim.core.pairs import joined
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.area import StateLimits, Violation
-from qrsim.models.contents import Contents, ContentsState
-from qrsim.models.faults import Fault
-from qrsim.models.gnss import Sky, SkyState
-from qrsim.models.obstacles import Obstacles
-from qrsim.models.placement import GivenPlaces
+from qrsim.models.gnss.receivers import Sky, SkyState
+from qrsim.models.scene.area import StateLimits, Violation
+from qrsim.models.scene.contents import Contents, ContentsState
+from qrsim.models.scene.obstacles import Obstacles
+from qrsim.models.scene.placement import GivenPlaces
+from qrsim.models.sensors.faults import Fault
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor
 
 S = TypeVar("S")

@@ -16,10 +16,10 @@ from qrsim.control import Estimate, Setpoint
 from qrsim.core.noise import Draw, Drawn, Key, Noise, Stream, StreamKeys, draw_together
 from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Vec3, rotation
-from qrsim.models.area import Violation, collisions, reason_code
-from qrsim.models.contents import Surroundings
-from qrsim.models.gnss import SkyState
-from qrsim.models.orbits import split_time
+from qrsim.models.gnss.orbits import split_time
+from qrsim.models.gnss.receivers import SkyState
+from qrsim.models.scene.area import Violation, collisions, reason_code
+from qrsim.models.scene.contents import Surroundings
 from qrsim.models.vehicles.moving import move
 from qrsim.models.vehicles.quadrotor import Command, clip_command
 from qrsim.world.episode import (

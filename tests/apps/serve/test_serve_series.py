@@ -17,7 +17,7 @@ from qrsim.cli import main
 from qrsim.client import Client, Refused
 from qrsim.errors import UsageError
 from qrsim.logs import open_run
-from qrsim.models.camera import CameraReading
+from qrsim.models.sensors.camera import CameraReading
 from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.framing import frame
 from qrsim.protocol.qrsim_pb2 import Message

@@ -16,7 +16,7 @@ import qrsim
 from qrsim.engine import settings as configuration
 from qrsim.engine.llvm import Mode
 from qrsim.errors import UsageError
-from qrsim.models.area import nearest_squared
+from qrsim.models.scene.area import nearest_squared
 from qrsim.simulation import one_world as ticking
 from qrsim.simulation.one_world import NativeTicks, XlaTicks
 from qrsim.simulation.rollout import rollout

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.models.area import REASONS
+from qrsim.models.scene.area import REASONS
 from qrsim.simulation.rollout import Rollout
 
 CONFIDENCE = 0.95

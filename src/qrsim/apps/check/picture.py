@@ -10,7 +10,7 @@ import numpy as np
 from qrsim.apps.check.outcomes import ANY, KINDS, LOST, Outcome
 from qrsim.logs.picture import new_figure
 from qrsim.logs.picture import save_picture as save
-from qrsim.models.area import REASONS
+from qrsim.models.scene.area import REASONS
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.rollout import Rollout
 

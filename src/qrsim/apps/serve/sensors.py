@@ -10,9 +10,9 @@ import numpy as np
 
 from qrsim.apps.serve.readout import varint
 from qrsim.interface.readings import as_array, quaternion_of
-from qrsim.models.attitude import AttitudeReading
-from qrsim.models.camera import CameraReading
-from qrsim.models.gnss import GnssReading
+from qrsim.models.gnss.receivers import GnssReading
+from qrsim.models.sensors.attitude import AttitudeReading
+from qrsim.models.sensors.camera import CameraReading
 from qrsim.models.site import Site
 from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.framing import frame

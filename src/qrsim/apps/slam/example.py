@@ -22,7 +22,7 @@ from qrsim.core.noise import Draw, ou_step
 from qrsim.core.tree import parameter, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import RunError
-from qrsim.models.gnss import GnssReading
+from qrsim.models.gnss.receivers import GnssReading
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.rollout import rollout
 from qrsim.world.tick import State, World, measured_quantities, period_ticks

@@ -48,7 +48,7 @@ def _root_mean_square(values: Array, axis: int) -> Array:
 
 def _stopped(*kinds: str) -> Callable[[Found], Array]:
     def of(found: Found) -> Array:
-        from qrsim.models.area import REASONS
+        from qrsim.models.scene.area import REASONS
 
         bad = [code for code, (kind, _) in enumerate(REASONS) if code and (not kinds or kind in kinds)]
         return np.isin(found["reason"], bad).sum(axis=1).astype(np.float64)

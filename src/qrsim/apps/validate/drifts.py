@@ -18,8 +18,8 @@ from qrsim.apps.validate.statistics import CONFIDENCE, Values, mean_and_error, w
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.attitude import AttitudeEstimator
-from qrsim.models.barometer import Barometer
+from qrsim.models.sensors.attitude import AttitudeEstimator
+from qrsim.models.sensors.barometer import Barometer
 
 SEED = 20140918
 # Readings are kept once a second.

@@ -23,8 +23,8 @@ from qrsim.apps.validate.receiver import (
 from qrsim.apps.validate.recorded import Table
 from qrsim.apps.validate.report import Check, Finding, Outcome, Part, Picture
 from qrsim.apps.validate.statistics import CONFIDENCE, mean_and_error, widest_z
-from qrsim.models.gnss import OrnsteinUhlenbeckErrors
-from qrsim.models.gnss_errors import PRESETS, GaussMarkov2
+from qrsim.models.gnss.errors import PRESETS, GaussMarkov2
+from qrsim.models.gnss.receivers import OrnsteinUhlenbeckErrors
 
 RECORDING, ORBITS = "gps_static.csv", "ngs15992_16to17.sp3"
 # The rows that the reference implementation's own test takes.

@@ -17,9 +17,9 @@ from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
 from qrsim.engine.settings import quick_jit
-from qrsim.models.dryden import Dryden
-from qrsim.models.turbulence import DrydenFirstOrder
-from qrsim.models.wind import FEET_PER_METRE, REFERENCE_FT, LogShear
+from qrsim.models.atmosphere.dryden import Dryden
+from qrsim.models.atmosphere.turbulence import DrydenFirstOrder
+from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, LogShear
 
 WIND_FT_S, FROM_DEG = 2.0, 30.0
 SPEED = WIND_FT_S / FEET_PER_METRE

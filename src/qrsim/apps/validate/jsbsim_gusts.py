@@ -24,7 +24,7 @@ import numpy as np
 
 from qrsim.apps.validate.spectra import DT, SEVERITY, SPAN, Case, Floats, scales
 from qrsim.errors import RunError
-from qrsim.models.wind import FEET_PER_METRE
+from qrsim.models.atmosphere.wind import FEET_PER_METRE
 
 INSTALL = "install it with 'python -m pip install jsbsim'"
 TYPES = {"jsbsim_type_3": 3, "jsbsim_type_4": 4}

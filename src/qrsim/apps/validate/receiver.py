@@ -18,11 +18,11 @@ from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
 from qrsim.engine.settings import quick_jit
-from qrsim.models.gnss import GnssReceiver, OrnsteinUhlenbeckErrors, Sky
-from qrsim.models.gnss_errors import GaussMarkov2
-from qrsim.models.orbits import split_time
+from qrsim.models.gnss.errors import GaussMarkov2
+from qrsim.models.gnss.orbits import split_time
+from qrsim.models.gnss.receivers import GnssReceiver, OrnsteinUhlenbeckErrors, Sky
+from qrsim.models.gnss.sp3 import Sp3Ephemeris
 from qrsim.models.site import Site, gps_seconds_from_utc
-from qrsim.models.sp3 import Sp3Ephemeris
 
 # The day of the recording.
 SEED = 20110308

@@ -16,7 +16,7 @@ from qrsim.apps.validate.statistics import against
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
-from qrsim.models.dryden import Dryden, DrydenState, dryden_scales
+from qrsim.models.atmosphere.dryden import Dryden, DrydenState, dryden_scales
 
 DT = 0.02
 SPAN = 2.0

@@ -21,8 +21,8 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.logs import Run
 from qrsim.logs.layout import EVENTS
 from qrsim.logs.streams import PERSON_FOUND
-from qrsim.models.camera import CameraReading
-from qrsim.models.contents import ContentsState
+from qrsim.models.scene.contents import ContentsState
+from qrsim.models.sensors.camera import CameraReading
 from qrsim.view.cameras import camera_places
 from qrsim.view.frame import Beside
 from qrsim.view.steering import WIND_CHANGED, with_wind

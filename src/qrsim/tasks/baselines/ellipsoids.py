@@ -14,7 +14,7 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 from scipy.optimize import least_squares
 
-from qrsim.models.plume import INNER
+from qrsim.models.scene.plume import INNER
 from qrsim.tasks.play import Play
 
 Array = np.ndarray[Any, Any]

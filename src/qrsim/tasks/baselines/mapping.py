@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from qrsim.models.plume import GaussianPlume
+from qrsim.models.scene.plume import GaussianPlume
 from qrsim.tasks.agents import number_of
 from qrsim.tasks.baselines.ellipsoids import Ellipsoids
 from qrsim.tasks.baselines.particles import Particles

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.models.plume import INNER
+from qrsim.models.scene.plume import INNER
 from qrsim.tasks.baselines.tubes import WindPlume
 
 Array = np.ndarray[Any, Any]

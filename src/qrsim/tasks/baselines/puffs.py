@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.models.plume import PuffPlume, trail
+from qrsim.models.scene.plume import PuffPlume, trail
 from qrsim.tasks.baselines.particles import Guess
 from qrsim.tasks.baselines.tubes import WindPlume
 

@@ -1,6 +1,6 @@
 """What is known of plumes in a wind before an episode, and the tubes in which they are above a threshold.
 
-The formulas are those of ``qrsim.models.plume``, for many guesses at once and on NumPy arrays.
+The formulas are those of ``qrsim.models.scene.plume``, for many guesses at once and on NumPy arrays.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.models.contents import ContentsState
-from qrsim.models.plume import PuffPlume
+from qrsim.models.scene.contents import ContentsState
+from qrsim.models.scene.plume import PuffPlume
 from qrsim.tasks.play import Play
 from qrsim.world.episode import surroundings
 

@@ -1,0 +1,82 @@
+"""Discrete gusts: a rise of the wind of known shape, at a known time or place (discrete gust model of MIL-F-8785C)."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.fastmath import sincos
+from qrsim.core.tree import parameter, record, setting
+from qrsim.core.vectors import Vec3
+from qrsim.models.atmosphere.wind import wind_to_ned
+
+
+@record
+class NoGust:
+    """No discrete gust."""
+
+    def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array) -> Vec3:
+        """Return zero [m/s] for each of (n,) vehicles."""
+        return Vec3.zeros(position_ned.x.shape, position_ned.x.dtype)
+
+
+@record
+class DiscreteGust:
+    """A 1-cosine gust: v = amplitude/2 (1 - cos(pi x/length)) for 0 <= x <= length, x the distance into the gust.
+
+    It is a function of time and place alone: x = speed (t - start_time), for 'travelling' minus the distance
+    downwind of the site's origin. So a duration D is a length of speed D. Wind axes are those of the mean wind; with
+    wind_from_deg 180 the amplitudes are north, east and down.
+    """
+
+    start_time: Array = parameter(
+        unit="s",
+        doc="when the gust begins; 'travelling': when it reaches the site's origin",
+        minimum=0.0,
+        maximum=1e7,
+    )
+    length: Array = parameter(unit="m", doc="distance over which the gust builds up, d_m", minimum=1e-3, maximum=1e6)
+    speed: Array = parameter(
+        unit="m/s", doc="speed at which it is met: the vehicle's airspeed; 'travelling': at which it moves", above=0.0
+    )
+    wind_from_rad: Array = parameter(
+        unit="rad",
+        doc="bearing the gust comes from, clockwise from north",
+        minimum=-2 * math.pi,
+        maximum=2 * math.pi,
+    )
+    along: Array = parameter(default=0.0, unit="m/s", doc="amplitude along the moving air", minimum=-50.0, maximum=50.0)
+    across: Array = parameter(
+        default=0.0, unit="m/s", doc="amplitude across it, right of its way positive", minimum=-50.0, maximum=50.0
+    )
+    down: Array = parameter(default=0.0, unit="m/s", doc="amplitude downwards", minimum=-50.0, maximum=50.0)
+    shape: Literal["ramp", "pulse"] = setting(
+        default="ramp", doc="'ramp' stays at its amplitude, as in the standard; 'pulse' falls again over another length"
+    )
+    front: Literal["uniform", "travelling"] = setting(
+        default="uniform", doc="'uniform' is everywhere at once; 'travelling' moves over the ground with the wind"
+    )
+
+    def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array) -> Vec3:
+        """Return the gust's part of the air's velocity [m/s] in NED, for each of (n,) vehicles.
+
+        Args:
+            position_ned: (n,) [m].
+            seconds, fraction: () int32 and float, time since the start [s] in whole seconds and the rest, so that
+                single precision is enough for runs of any length.
+        """
+        start = jnp.asarray(self.start_time)
+        whole = jnp.floor(start)
+        elapsed = (seconds - whole.astype(jnp.int32)).astype(fraction.dtype) + (fraction - (start - whole))
+        depth = jnp.broadcast_to(self.speed * elapsed, position_ned.x.shape)
+        if self.front == "travelling":
+            sine, cosine = sincos(jnp.asarray(self.wind_from_rad))
+            depth = depth + (cosine * position_ned.x + sine * position_ned.y)
+        end = math.pi if self.shape == "pulse" else 0.5 * math.pi
+        # (1 - cos(pi x/d))/2 = sin^2(pi x/(2 d)).
+        root, _ = sincos(jnp.clip(depth * (0.5 * math.pi / self.length), 0.0, end))
+        share = root * root
+        return wind_to_ned(self.along * share, self.across * share, self.down * share, self.wind_from_rad)

@@ -1,0 +1,1 @@
+"""Satellites, the errors of their ranges, and receivers."""

@@ -1,0 +1,65 @@
+"""What a world has in it beside vehicles: a plume, the ground's cover, persons."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import quantity, record, setting
+from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.orbits import split_time
+from qrsim.models.scene.persons import NoPersons
+from qrsim.models.scene.plume import NoPlume, Wind
+from qrsim.models.scene.terrain import ClearGround
+
+# The wind that carries a plume is that at this height [m].
+WIND_HEIGHT = 6.0
+
+
+@record
+class Contents:
+    """The components; by default there is nothing."""
+
+    plume: Any = quantity(default=NoPlume(), doc="concentration field")
+    terrain: Any = quantity(default=ClearGround(), doc="cover of the ground")
+    persons: Any = quantity(default=NoPersons(), doc="who is to be found")
+
+
+@record
+class ContentsState:
+    """What changes of them, or is drawn once an episode; None where there is nothing."""
+
+    plume: Any = quantity(default=None, doc="sources and puffs")
+    terrain: Any = quantity(default=None, doc="classes of the ground")
+    persons: Any = quantity(default=None, doc="persons and who is found")
+
+
+@record
+class Surroundings:
+    """What a sensor may look at of a world at a tick."""
+
+    contents: Contents = quantity(doc="components")
+    state: ContentsState = quantity(doc="their state")
+    wind: Any = quantity(doc="mean wind")
+    area: Any = quantity(doc="where vehicles may be")
+    tick: Array = quantity(doc="() int32")
+    time_step: float = setting(unit="s", doc="simulation step")
+
+    def carrying_wind(self, dtype: Any) -> Wind:
+        """Return the mean wind that carries a plume, in a floating-point type."""
+        time = split_time(self.tick, self.time_step, dtype)
+        return Wind.of(self.wind.velocity_ned(jnp.full(1, WIND_HEIGHT, dtype), *time).map(lambda axis: axis[0]))
+
+    def concentration(self, position_ned: Vec3) -> Array:
+        """Return the concentration at positions (n,)."""
+        plume = self.contents.plume
+        ticks = max(1, round(plume.period / self.time_step)) if hasattr(plume, "period") else 1
+        dtype = position_ned.x.dtype
+        since = (self.tick % ticks).astype(dtype) * self.time_step
+        return plume.concentration(self.state.plume, position_ned, self.carrying_wind(dtype), self.area, since)
+
+    def ground_class(self, position_ned: Vec3) -> Array:
+        """Return the class (int32) of the ground below positions of any shape."""
+        return self.contents.terrain.class_at(self.state.terrain, position_ned, self.area)

@@ -1,0 +1,124 @@
+"""A polygon as the limit of an area: an upright prism, and what makes a polygon unfit for one."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+from jax import Array
+
+from qrsim.core.tree import parameter, quantity, record
+from qrsim.core.vectors import Vec3
+from qrsim.models.scene.area import reason_code
+
+# Corners that are closer to one line than this share of its length enclose nothing.
+_FLAT = 1e-9
+
+
+@record
+class PolygonArea:
+    """An upright prism over a polygon whose edges do not cross; z = 0 is the ground."""
+
+    north: Array = quantity(unit="m", doc="(V,) corners in order, either way round; the last is joined to the first")
+    east: Array = quantity(unit="m", doc="(V,) corners")
+    z_min: Array = parameter(default=-120.0, unit="m", doc="ceiling, negative", maximum=0.0)
+    z_max: Array = parameter(default=0.0, unit="m", doc="floor; 0 is the ground", maximum=0.0)
+
+    def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
+        """Return the checks (code, value, broken) of positions (n,)."""
+        distance, z = self.distance_to_fence(position_ned), position_ned.z
+        return [
+            (reason_code("out_of_area", "fence"), distance, distance < 0.0),
+            (reason_code("out_of_area", "position_ned.z"), z, (z < self.z_min) | (z > self.z_max)),
+        ]
+
+    def distance_to_fence(self, position_ned: Vec3) -> Array:
+        """Return the horizontal distance [m] of positions of any shape from the polygon's edges, negative outside.
+
+        A position is inside where a ray due east from it crosses an odd number of edges.
+        """
+        x, y = position_ned.x[None], position_ned.y[None]
+        column = (-1,) + (1,) * position_ned.x.ndim
+        north, east = jnp.reshape(self.north, column), jnp.reshape(self.east, column)
+        next_north, next_east = jnp.roll(north, -1, axis=0), jnp.roll(east, -1, axis=0)
+        edge_north, edge_east = next_north - north, next_east - east
+        from_north, from_east = x - north, y - east
+        # A corner belongs to the edges on one side of it only, so a ray through a corner counts it rightly.
+        straddles = (north > x) != (next_north > x)
+        cross = edge_east * from_north - from_east * edge_north
+        inside = jnp.sum(straddles & ((cross > 0.0) == (edge_north > 0.0)), axis=0) % 2 == 1
+        # Beside an edge its line counts, elsewhere its first corner: its last one is the first of the next edge.
+        progress = from_north * edge_north + from_east * edge_east
+        length_squared = edge_north * edge_north + edge_east * edge_east
+        beside = (progress > 0.0) & (progress < length_squared)
+        to_line = cross * cross / jnp.where(beside, length_squared, 1.0)
+        squared = jnp.min(jnp.where(beside, to_line, from_north * from_north + from_east * from_east), axis=0)
+        # The root of zero has no gradient.
+        on_edge = squared == 0.0
+        distance = jnp.where(on_edge, 0.0, jnp.sqrt(jnp.where(on_edge, 1.0, squared)))
+        return jnp.where(inside, distance, -distance)
+
+    def margin(self, position_ned: Vec3) -> Array:
+        """Return the distance [m] of positions (n,) from the nearest side, floor and ceiling; negative outside."""
+        z = position_ned.z
+        return jnp.minimum(self.distance_to_fence(position_ned), jnp.minimum(z - self.z_min, self.z_max - z))
+
+    def farthest_squared(self, position_ned: Vec3) -> Array:
+        """Return the squared distance [m^2] of positions (n,) from the corner that is farthest."""
+        north, east = position_ned.x[None] - self.north[:, None], position_ned.y[None] - self.east[:, None]
+        z = position_ned.z
+        down = jnp.maximum(jnp.abs(z - self.z_min), jnp.abs(z - self.z_max))
+        return jnp.max(north * north + east * east, axis=0) + down * down
+
+    def height_agl(self, position_ned: Vec3) -> Array:
+        """Return the height above ground [m] of positions (n,)."""
+        return -position_ned.z
+
+
+def polygon_problems(vertices: npt.ArrayLike) -> list[str]:
+    """Return why corners (V, 2), in any unit, are no simple polygon, one sentence each; none where they are.
+
+    Corners are counted from 0, and the last is joined to the first. Edges that touch count as crossing.
+    """
+    corners = np.asarray(vertices, np.float64).reshape(-1, 2)
+    count = len(corners)
+    if count < 3:
+        return [f"has {count} corner{'' if count == 1 else 's'}; a polygon needs at least 3"]
+    wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
+    if wrong.size:
+        return [f"corner {i} is not a pair of finite numbers" for i in wrong]
+    after = np.roll(corners, -1, axis=0)
+    twice = np.flatnonzero((corners == after).all(axis=1))
+    if twice.size:
+        return [f"corners {i} and {(i + 1) % count} are the same point" for i in twice]
+    offset = corners - corners[0]
+    far = offset[np.argmax(np.sum(offset**2, axis=1))]
+    if np.max(np.abs(_cross(far, offset))) <= _FLAT * far @ far:
+        return ["encloses no area, because its corners lie on one line"]
+    pairs = _crossing_edges(corners, after)
+    if not pairs:
+        return []
+    first, second = (f"from corner {i} to {(i + 1) % count}" for i in pairs[0])
+    more = f" ({len(pairs)} pairs of edges do)" if len(pairs) > 1 else ""
+    return [f"crosses itself: the edge {first} meets the edge {second}{more}"]
+
+
+def _cross(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _crossing_edges(start: npt.NDArray[np.float64], end: npt.NDArray[np.float64]) -> list[tuple[int, int]]:
+    """Return the pairs of edges, each from start to end (V, 2), that meet anywhere but at the corner they share."""
+    count, edge = len(start), end - start
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    found = []
+    for i in range(count):
+        following = (i + 1) % count
+        if _cross(edge[i], edge[following]) == 0.0 and edge[i] @ edge[following] < 0.0:
+            found.append((i, following))
+        j = np.arange(i + 2, count - (i == 0))
+        near = ((low[j] <= high[i]) & (low[i] <= high[j])).all(axis=1)
+        ours = np.sign(_cross(edge[i], start[j] - start[i])) * np.sign(_cross(edge[i], end[j] - start[i]))
+        theirs = np.sign(_cross(edge[j], start[i] - start[j])) * np.sign(_cross(edge[j], end[i] - start[j]))
+        found += [(i, int(other)) for other in j[near & (ours <= 0.0) & (theirs <= 0.0)]]
+    return found

@@ -1,0 +1,112 @@
+"""Where the vehicles of a fleet start in an episode."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from qrsim.core.fastmath import sincos
+from qrsim.core.noise import Draw
+from qrsim.core.tree import parameter, record, replace, setting
+from qrsim.core.vectors import Vec3
+from qrsim.models.scene.plume import inner_box
+from qrsim.models.scene.uniform import uniform
+
+
+@record
+class GivenPlaces:
+    """Every vehicle starts where the scenario says."""
+
+    random: ClassVar[bool] = False
+
+
+@record
+class UniformPlaces:
+    """Uniform in the inner part of the area, at the height and attitude given, with a random heading."""
+
+    inner: Array = parameter(default=0.9, unit="1", doc="part of the area along each axis", minimum=0.0, maximum=1.0)
+    yaw_min_rad: Array = parameter(default=0.0, unit="rad", doc="smallest heading", minimum=-6.3, maximum=6.3)
+    yaw_max_rad: Array = parameter(default=0.0, unit="rad", doc="largest heading", minimum=-6.3, maximum=6.3)
+    apart: Array = parameter(default=5.0, unit="m", doc="smallest distance between two vehicles", minimum=0.0)
+    tries: int = setting(default=100, unit="1", doc="places tried before giving up", minimum=1, maximum=100_000)
+    random: ClassVar[bool] = True
+
+    def place(self, draw: Draw, start: Any, area: Any) -> tuple[Any, Array]:
+        """Return the start of vehicles (n,), and whether it was found; see ``_first_apart``."""
+        low, high = inner_box(area, self.inner)
+
+        def candidate(number: Array) -> tuple[Array, Array]:
+            return (
+                uniform(draw, 2 * number, low.x, high.x),
+                uniform(draw, 2 * number + 1, low.y, high.y),
+            )
+
+        north, east, found = _first_apart(candidate, self.apart, self.tries)
+        # Beyond all that tries can take.
+        yaw = uniform(draw, 2 * self.tries, self.yaw_min_rad, self.yaw_max_rad)
+        attitude = replace(start.attitude, yaw=yaw)
+        return replace(start, position_ned=Vec3(north, east, start.position_ned.z), attitude=attitude), found
+
+
+@record
+class RingPlaces:
+    """Uniform in angle and distance around a point, at the height and attitude given, some distance apart."""
+
+    north: Array = parameter(default=0.0, unit="m", doc="north coordinate of the point")
+    east: Array = parameter(default=0.0, unit="m", doc="east coordinate of the point")
+    nearest: Array = parameter(default=14.0, unit="m", doc="smallest distance from the point", minimum=0.0)
+    farthest: Array = parameter(default=20.0, unit="m", doc="largest distance from the point", above=0.0)
+    apart: Array = parameter(default=22.0, unit="m", doc="smallest distance between two vehicles", minimum=0.0)
+    tries: int = setting(default=100, unit="1", doc="places tried before giving up", minimum=1, maximum=100_000)
+    random: ClassVar[bool] = True
+
+    def place(self, draw: Draw, start: Any, area: Any) -> tuple[Any, Array]:
+        """Return the start of vehicles (n,), and whether it was found; see ``_first_apart``."""
+
+        def candidate(number: Array) -> tuple[Array, Array]:
+            sine, cosine = sincos(uniform(draw, 2 * number, -math.pi, math.pi))
+            distance = uniform(draw, 2 * number + 1, self.nearest, self.farthest)
+            return self.north + distance * cosine, self.east + distance * sine
+
+        north, east, found = _first_apart(candidate, self.apart, self.tries)
+        return replace(start, position_ned=Vec3(north, east, start.position_ned.z)), found
+
+    def most_vehicles(self) -> int:
+        """Return how many fit on the outer circle, which is more than find a place by chance."""
+        # Of distances next to nothing any number fits, and an angle too small to divide by.
+        if self.apart <= 1e-9 * self.farthest:
+            return 10**9
+        half = float(self.apart) / (2.0 * max(float(self.farthest), 1e-300))
+        return 1 if half > 1.0 else int(math.pi / math.asin(half) + 1e-9)
+
+
+def _first_apart(candidate: Any, apart: Array, tries: int) -> tuple[Array, Array, Array]:
+    """Return the first of some places of all vehicles together that are far enough apart.
+
+    Args:
+        candidate: from the number of a try to north and east (n,).
+        apart: smallest distance between two [m].
+        tries: places tried.
+
+    Returns:
+        north, east, and whether it was found; where not, north and east are NaN, and nobody flies.
+    """
+
+    def far_enough(north: Array, east: Array) -> Array:
+        square = (north[:, None] - north[None]) ** 2 + (east[:, None] - east[None]) ** 2
+        itself = jnp.eye(north.shape[0], dtype=bool)
+        return jnp.all(itself | (square >= apart * apart))
+
+    def again(now: tuple[Array, Array]) -> tuple[Array, Array]:
+        number = now[0] + 1
+        return number, far_enough(*(lax.stop_gradient(axis) for axis in candidate(number)))
+
+    # The place is made after the search, because a search has no slope.
+    number, found = lax.while_loop(
+        lambda now: (now[0] < tries - 1) & ~now[1], again, (jnp.int32(-1), jnp.zeros((), bool))
+    )
+    north, east = candidate(number)
+    return jnp.where(found, north, jnp.nan), jnp.where(found, east, jnp.nan), found

@@ -1,0 +1,1 @@
+"""What vehicles carry to sense with, and its faults."""

@@ -1,0 +1,289 @@
+"""Downward camera with a person classifier (docs/models.md: what tasks are about).
+
+A reading is only where and when a picture was taken. The picture itself, some thousand windows, is a function of that,
+of the persons and the ground, and of the noise of its tick; ``develop`` computes it for whoever looks at it, so that
+a world whose vehicles have cameras is as fast as one without.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.fastmath import log, sincos
+from qrsim.core.noise import Draw, Noise, Stream
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
+from qrsim.models.scene.contents import Surroundings
+from qrsim.models.scene.terrain import CLUTTER, OCCLUSION
+
+# Corners of a person, in halves of its side.
+_CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))
+
+
+@record
+class CameraReading:
+    """Where and when the last picture was taken."""
+
+    taken_at_ned: Vec3 = quantity(unit="m", doc="true position of the camera")
+    taken_attitude: Euler = quantity(unit="rad", doc="true attitude of the camera")
+    picture: Array = quantity(unit="1", doc="number of the picture, the first is 0")
+
+
+@record
+class Picture:
+    """The classifier's verdict on the windows of a picture, for each vehicle (n,); R x C windows at most.
+
+    Windows beyond the grid of a picture, and corners beyond theirs, are NaN.
+    """
+
+    ratio: Array = quantity(doc="(n, R, C) log-likelihood ratio of a person being in the window, rows down the picture")
+    north: Array = quantity(unit="m", doc="(n, R + 1, C + 1) corners of the windows on the ground")
+    east: Array = quantity(unit="m", doc="(n, R + 1, C + 1) corners of the windows on the ground")
+    rows: Array = quantity(doc="(n,) int32 rows of the grid")
+    columns: Array = quantity(doc="(n,) int32 columns of the grid")
+    seen: Array = quantity(doc="(n, R, C) bool: a missing person is really in the window; not for the one who searches")
+
+
+@record
+class _View:
+    """How one camera looks at the ground, every field ()."""
+
+    position: Vec3
+    direction: Rotation
+    rows: Array
+    columns: Array
+    width: Array
+    height: Array
+    left: Array
+    top: Array
+
+
+@record
+class PersonClassifier:
+    """Mean and spread of the score of a window, with and without a person, by the distance r to the ground it shows."""
+
+    range_limit: Array = parameter(default=50.0, unit="m", doc="r is taken to be no more than this", above=0.0)
+    near: Array = parameter(default=11.0, unit="m", doc="r below which the mean changes fast", above=0.0)
+    person_mean: Array = parameter(default=0.55, unit="1", doc="with a person: middle of the mean for near r")
+    person_swing: Array = parameter(default=0.11, unit="1", doc="with a person: amplitude of the mean for near r")
+    person_slope: Array = parameter(default=0.005, unit="1/m", doc="with a person: loss of the mean beyond")
+    occlusion_loss: Array = parameter(default=0.1, unit="1", doc="with a person: loss of the mean if occluded")
+    person_std: Array = parameter(default=0.16, unit="1", doc="with a person: std at r = 0", above=0.0)
+    person_std_slope: Array = parameter(default=-0.0061, unit="1/m", doc="with a person: its slope")
+    person_std_curve: Array = parameter(default=7.4e-5, unit="1/m^2", doc="with a person: its curvature")
+    none_mean: Array = parameter(default=0.34, unit="1", doc="without: mean at r = 0")
+    none_rise: Array = parameter(default=0.076, unit="1", doc="without: rise of the mean for near r, constant beyond")
+    none_std: Array = parameter(default=0.09, unit="1", doc="without: std at r = 0", above=0.0)
+    none_std_slope: Array = parameter(default=-0.0016, unit="1/m", doc="without: its slope")
+    none_std_curve: Array = parameter(default=2.4e-5, unit="1/m^2", doc="without: its curvature")
+    clutter_std: Array = parameter(default=0.04, unit="1", doc="without: more std on clutter", minimum=0.0)
+
+    def person(self, distance: Array, ground: Array) -> tuple[Array, Array]:
+        """Return mean and std of the score of windows with a person, of any shape.
+
+        Args:
+            distance: r [m].
+            ground: class of the ground.
+        """
+        r = jnp.clip(distance, 0.0, self.range_limit)
+        _, cosine = sincos(math.pi * (1.0 + jnp.minimum(r, self.near) / self.near))
+        near = self.person_mean + self.person_swing * cosine
+        beyond = self.person_mean + self.person_swing - self.person_slope * (r - self.near)
+        mean = jnp.where(r <= self.near, near, beyond) - jnp.where(ground == OCCLUSION, self.occlusion_loss, 0.0)
+        return mean, self.person_std + r * (self.person_std_slope + r * self.person_std_curve)
+
+    def none(self, distance: Array, ground: Array) -> tuple[Array, Array]:
+        """Return mean and std of the score of windows without a person, of any shape; see ``person``."""
+        r = jnp.clip(distance, 0.0, self.range_limit)
+        mean = self.none_mean + self.none_rise * jnp.minimum(r / self.near, 1.0)
+        std = self.none_std + r * (self.none_std_slope + r * self.none_std_curve)
+        return mean, std + jnp.where(ground == CLUTTER, self.clutter_std, 0.0)
+
+    def ratio(self, score: Array, distance: Array, ground: Array) -> Array:
+        """Return ln N(score; person) - ln N(score; none)."""
+
+        def log_density(mean: Array, std: Array) -> Array:
+            offset = (score - mean) / std
+            return -0.5 * offset * offset - log(std)
+
+        return log_density(*self.person(distance, ground)) - log_density(*self.none(distance, ground))
+
+
+@record
+class Camera:
+    """Takes pictures straight down; a classifier gives each window a score, and from it a log-likelihood ratio.
+
+    Camera x is body y, camera y is minus body x, camera z is body z. A window is as large as a person looks in the
+    middle of the picture, so a picture has the more windows the higher it is taken.
+    """
+
+    focal_length: Array = parameter(default=2280.0, unit="1", doc="focal length in pixels", above=0.0)
+    principal_x: Array = parameter(default=640.0, unit="1", doc="principal point in pixels from the left")
+    principal_y: Array = parameter(default=480.0, unit="1", doc="principal point in pixels from the top")
+    classifier: PersonClassifier = quantity(default=PersonClassifier(), doc="what scores are like")
+    width: int = setting(default=1280, unit="1", doc="width of a picture in pixels", minimum=1, maximum=20_000)
+    height: int = setting(default=960, unit="1", doc="height of a picture in pixels", minimum=1, maximum=20_000)
+    most_columns: int = setting(
+        default=90, unit="1", doc="room for columns of windows; 90 are for 80 m", minimum=1, maximum=1000
+    )
+    most_rows: int = setting(
+        default=68, unit="1", doc="room for rows of windows; 68 are for 80 m", minimum=1, maximum=1000
+    )
+    period: float = setting(
+        default=1.0, unit="s", doc="interval between pictures, a multiple of the time step", above=0.0
+    )
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude")
+    normals: ClassVar[int] = 0
+    noisy: ClassVar[bool] = True
+
+    def init(self, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
+        """Return the number of the first picture, and where it was taken by vehicles (n,)."""
+        number = jnp.zeros_like(position_ned.x)
+        return number, CameraReading(position_ned, attitude, number)
+
+    def restart(
+        self, state: Array, draw: Noise, since: Array, position_ned: Vec3, attitude: Euler
+    ) -> tuple[Array, CameraReading]:
+        """Take the last picture again, from where the vehicles were put."""
+        return state, CameraReading(position_ned, attitude, state)
+
+    def step(self, state: Array, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
+        """Take the next picture."""
+        number = state + 1.0
+        return number, CameraReading(position_ned, attitude, number)
+
+    def develop(self, reading: CameraReading, around: Surroundings, stream: Stream, size: Array) -> Picture:
+        """Return the picture that each vehicle (n,) has taken last.
+
+        Args:
+            reading: where and when.
+            around: the world; persons count as it was when the picture was taken.
+            stream: of the camera's noise, of vehicles (n,).
+            size: side of a person [m].
+        """
+        ticks = max(1, round(self.period / around.time_step))
+        # A vehicle that has stopped has no picture any more, and no number.
+        number = jnp.where(jnp.isfinite(reading.picture), reading.picture, 0.0).astype(jnp.int32)
+        tick = number * ticks
+
+        def one(camera: Camera, reading: CameraReading, tick: Array, identity: Array) -> Picture:
+            noise = jnp.zeros((self.most_rows * self.most_columns, 1), reading.picture.dtype)
+            if self.noisy:
+                draw = Draw(Stream(stream.high, stream.low, identity[None]), tick, reading.picture)
+                noise = draw.normal_rows(self.most_rows * self.most_columns)
+            return camera._develop(reading, around, tick, noise.reshape(self.most_rows, self.most_columns), size)
+
+        # A number of a camera may differ from vehicle to vehicle.
+        own = jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), number.shape), self)
+        return jax.vmap(one)(own, reading, tick, stream.ids)
+
+    def _develop(self, reading: CameraReading, around: Surroundings, tick: Array, noise: Array, size: Array) -> Picture:
+        """Return the picture of one vehicle from the normals (R, C) of its windows."""
+        view = self._view(reading, size)
+        row = jnp.arange(self.most_rows + 1).astype(noise.dtype)[:, None]
+        column = jnp.arange(self.most_columns + 1).astype(noise.dtype)[None, :]
+        corners = self._on_ground(view, view.left + column * view.width, view.top + row * view.height)
+        middle = self._on_ground(
+            view, view.left + (column[:, :-1] + 0.5) * view.width, view.top + (row[:-1] + 0.5) * view.height
+        )
+        distance, ground = (middle - view.position).norm(), around.ground_class(middle)
+        present = jnp.zeros(noise.shape, bool)
+        if around.state.persons is not None:
+            present = self._present(view, around.state.persons, tick, size)
+        means, stds = zip(self.classifier.person(distance, ground), self.classifier.none(distance, ground), strict=True)
+        score = jnp.where(present, means[0], means[1]) + jnp.where(present, stds[0], stds[1]) * noise
+        in_grid = (row[:-1] < view.rows) & (column[:, :-1] < view.columns)
+        shown = (row <= view.rows) & (column <= view.columns)
+        # The picture of a vehicle that has stopped is NaN, because its pose is.
+        ratio = self.classifier.ratio(score, distance, ground) + 0.0 * distance
+        return Picture(
+            jnp.where(in_grid, ratio, jnp.nan),
+            jnp.where(shown, corners.x, jnp.nan),
+            jnp.where(shown, corners.y, jnp.nan),
+            view.rows.astype(jnp.int32),
+            view.columns.astype(jnp.int32),
+            present & in_grid,
+        )
+
+    def _view(self, reading: CameraReading, size: Array) -> _View:
+        """Return how a camera looks at the ground, and its grid of windows."""
+        position, direction = reading.taken_at_ned, rotation(reading.taken_attitude)
+        axis = position + direction.down * (-position.z / direction.down.z)
+        pixels = [
+            self._in_picture(position, direction, axis.x + north * size, axis.y + east * size)
+            for north, east in _CORNERS
+        ]
+        doubled = sum(
+            x * next_y - next_x * y for (x, y), (next_x, next_y) in zip(pixels, [*pixels[1:], pixels[0]], strict=True)
+        )
+        side = jnp.sqrt(0.5 * jnp.abs(doubled))
+
+        def cut(length: int, most: int) -> tuple[Array, Array, Array]:
+            count = jnp.clip(jnp.round(length / side), 1.0, most)
+            window = jnp.floor(length / count)
+            return count, window, jnp.floor(0.5 * (length - window * jnp.floor(length / window)))
+
+        columns, width, left = cut(self.width, self.most_columns)
+        rows, height, top = cut(self.height, self.most_rows)
+        return _View(position, direction, rows, columns, width, height, left, top)
+
+    def _in_picture(self, position: Vec3, direction: Rotation, north: Array, east: Array) -> tuple[Array, Array]:
+        """Return the pixels of points on the ground."""
+        seen = direction.to_body(Vec3(north - position.x, east - position.y, -position.z + 0.0 * north))
+        return (
+            self.principal_x + self.focal_length * seen.y / seen.z,
+            self.principal_y - self.focal_length * seen.x / seen.z,
+        )
+
+    def _on_ground(self, view: _View, x: Array, y: Array) -> Vec3:
+        """Return the points of the ground that pixels show; x (1, C) or (R, C), y (R, 1) or (R, C)."""
+        right = (x - self.principal_x) / self.focal_length + 0.0 * y
+        ahead = -(y - self.principal_y) / self.focal_length + 0.0 * x
+        ray = view.direction.to_ned(Vec3(ahead, right, jnp.ones_like(right)))
+        reach = -view.position.z / ray.z
+        return Vec3(view.position.x + reach * ray.x, view.position.y + reach * ray.y, jnp.zeros_like(reach))
+
+    def _present(self, view: _View, persons: Any, tick: Array, size: Array) -> Array:
+        """Return in which windows (R, C) the nearest person to the middle is one that was still missing."""
+        x, y = self._in_picture(view.position, view.direction, persons.north, persons.east)
+        here = persons.there & self._in_frame(x, y)
+        corners = [
+            self._in_picture(view.position, view.direction, persons.north + north * size, persons.east + east * size)
+            for north, east in _CORNERS
+        ]
+        points = [(x, y), *corners]
+        points += [
+            ((corners[i][0] + corners[i - 1][0] + x) / 3.0, (corners[i][1] + corners[i - 1][1] + y) / 3.0)
+            for i in range(4)
+        ]
+        xs, ys = jnp.stack([point[0] for point in points]), jnp.stack([point[1] for point in points])
+        column, row = jnp.floor((xs - view.left) / view.width), jnp.floor((ys - view.top) / view.height)
+        inside = (column >= 0.0) & (column < view.columns) & (row >= 0.0) & (row < view.rows)
+        occupies = here[None] & inside & self._in_frame(xs, ys)
+        across = (x[None] - view.left) / view.width - column - 0.5
+        down = (y[None] - view.top) / view.height - row - 0.5
+        nearness = jnp.where(occupies, across * across + down * down, jnp.inf)
+        window = (
+            jnp.where(occupies, row, self.most_rows).astype(jnp.int32),
+            jnp.where(occupies, column, self.most_columns).astype(jnp.int32),
+        )
+        nearest = jnp.full((self.most_rows, self.most_columns), jnp.inf, nearness.dtype)
+        nearest = nearest.at[window].min(nearness, mode="drop")
+        first = nearness == nearest.at[window].get(mode="fill", fill_value=0.0)
+        wins = occupies & first & persons.missing(tick)[None]
+        return jnp.zeros(nearest.shape, bool).at[window].max(wins, mode="drop")
+
+    def _in_frame(self, x: Array, y: Array) -> Array:
+        return (x >= 0.0) & (x < self.width) & (y >= 0.0) & (y < self.height)
+
+
+@record
+class IdealCamera(Camera):
+    """A camera whose classifier always gives the mean score."""
+
+    noisy: ClassVar[bool] = False
