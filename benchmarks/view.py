@@ -95,7 +95,7 @@ def updates(count: int, browsers: int, seconds: float, pace: float | None) -> di
 def factor(count: int, duration: float, browsers: int | None) -> tuple[float, float]:
     """Return simulated seconds per second of a recorded run, and frames drawn per second; None: without a page."""
     import qrsim
-    from qrsim.apps.run.recorder import fly
+    from qrsim.runs.recorder import fly
     from qrsim.view.clock import Clock
     from qrsim.view.live import LiveView
 

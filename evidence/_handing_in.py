@@ -258,8 +258,8 @@ def _run(shop: Workshop, rng: Rng) -> None:
 
 
 def _read_run(folder: Path, skip_damaged: bool) -> None:
-    from qrsim.logs import open_run
-    from qrsim.logs.summary import summarise
+    from qrsim.runs import open_run
+    from qrsim.runs.summary import summarise
 
     run = open_run(folder, skip_damaged=skip_damaged)
     for stream in run:

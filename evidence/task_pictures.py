@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from evidence.pictures import write_named
 from qrsim.apps.envs.batch import Batch
 from qrsim.core.vectors import Vec3
-from qrsim.logs.picture import new_figure, save_picture
+from qrsim.runs.picture import new_figure, save_picture
 from qrsim.tasks import Play
 from qrsim.tasks.baselines import baseline
 from qrsim.world.episode import surroundings

@@ -27,7 +27,7 @@ from qrsim.apps.envs import Functional, gymnasium_id
 from qrsim.apps.envs.batch import Batch
 from qrsim.core.tree import record, replace
 from qrsim.errors import UsageError
-from qrsim.logs.picture import new_figure, save_picture
+from qrsim.runs.picture import new_figure, save_picture
 from qrsim.tasks import KeepSpot
 
 DOC = "return of policies learned by PPO on keep_spot, against hovering and the waypoint controller"

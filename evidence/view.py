@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import qrsim
-from qrsim.apps.run.recorder import fly
+from qrsim.runs.recorder import fly
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView
 

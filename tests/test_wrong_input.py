@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.logs.small_run import COLUMNS, VEHICLES, append_chunk
+from tests.runs.small_run import COLUMNS, VEHICLES, append_chunk
 
 import qrsim
 from qrsim.apps.sweep.study import load_study
 from qrsim.cli import main
 from qrsim.errors import QrsimError, RunError, ScenarioError, UsageError
 from qrsim.flight_logs import read_log
-from qrsim.logs import RunInfo, RunWriter, open_run
+from qrsim.runs import RunInfo, RunWriter, open_run
 from qrsim.scenarios.scenario import load_scenario
 
 

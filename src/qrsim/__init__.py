@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from qrsim.apps.run.recorder import fly
     from qrsim.apps.slam.estimate import slam
     from qrsim.control import (
         AttitudeHeightSetpoint,
@@ -27,8 +26,9 @@ if TYPE_CHECKING:
         WaypointSetpoint,
     )
     from qrsim.engine.settings import configure
-    from qrsim.logs import Run, open_run
     from qrsim.models.vehicles.quadrotor import Command
+    from qrsim.runs import Run, open_run
+    from qrsim.runs.recorder import fly
     from qrsim.scenarios.flying import rollout
     from qrsim.scenarios.making import make_scenario, make_world
     from qrsim.scenarios.scenario import Scenario, load_scenario
@@ -45,7 +45,7 @@ _LAZY = {
     "Command": "qrsim.models.vehicles.quadrotor",
     "Estimate": "qrsim.control",
     "Rollout": "qrsim.simulation.rollout",
-    "Run": "qrsim.logs",
+    "Run": "qrsim.runs",
     "Scenario": "qrsim.scenarios.scenario",
     "Simulation": "qrsim.simulation.simulation",
     "State": "qrsim.world.tick",
@@ -54,11 +54,11 @@ _LAZY = {
     "WaypointSetpoint": "qrsim.control",
     "World": "qrsim.world.tick",
     "configure": "qrsim.engine.settings",
-    "fly": "qrsim.apps.run.recorder",
+    "fly": "qrsim.runs.recorder",
     "load_scenario": "qrsim.scenarios.scenario",
     "make_scenario": "qrsim.scenarios.making",
     "make_world": "qrsim.scenarios.making",
-    "open_run": "qrsim.logs",
+    "open_run": "qrsim.runs",
     "rollout": "qrsim.scenarios.flying",
     "slam": "qrsim.apps.slam.estimate",
 }

@@ -14,7 +14,7 @@ from scipy.stats import beta
 from tests.small_worlds import bare_pair
 
 from qrsim import cli
-from qrsim.logs import open_run
+from qrsim.runs import open_run
 from qrsim.scenarios.making import make_scenario
 
 RUNS, FIRST = 16, 10
@@ -213,7 +213,7 @@ class TestBadInput:
         def full(path: Path, data: bytes) -> None:
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr("qrsim.logs.picture.write_atomically", full)
+        monkeypatch.setattr("qrsim.runs.picture.write_atomically", full)
         assert check("--out", str(tmp_path / "worst.svg")) == 1
         printed = capsys.readouterr()
         assert "leaves the area" in printed.out

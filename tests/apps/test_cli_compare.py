@@ -66,7 +66,7 @@ def test_a_tolerance_and_a_stream_decide_the_exit_code(flown, fly):
 
 
 def test_small_differences_are_printed_with_the_digits_that_show_them():
-    from qrsim.apps.compare.report import _values
+    from qrsim.runs.compare_report import _values
 
     assert _values(1.0, 2.0) == ("1", "2")
     assert _values(1.66385555, 1.66385567) == ("1.66385555", "1.66385567")

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
 from qrsim import cli
-from qrsim.logs import Column, RunInfo, RunWriter, open_run
+from qrsim.runs import Column, RunInfo, RunWriter, open_run
 
 NAMES = ('a/b <"é">&', "plain")
 LATITUDE, LONGITUDE, HEIGHT = 51.5, -0.25, 120.0

@@ -26,10 +26,10 @@ import yaml
 from tests.interrupting import INTERRUPTIBLE
 
 from qrsim import cli
-from qrsim.apps.run import command, recorder
-from qrsim.logs import open_run
-from qrsim.logs import writer as writer_module
-from qrsim.logs.summary import summarise
+from qrsim.apps.run import command
+from qrsim.runs import open_run, recorder
+from qrsim.runs import writer as writer_module
+from qrsim.runs.summary import summarise
 from qrsim.scenarios.scenario import load_scenario
 
 STREAMS = ("truth", "measurements", "commands", "wind")
@@ -462,7 +462,7 @@ def test_disk_full_at_the_figure_keeps_the_numbers(small_parts, fly, monkeypatch
         small_parts(0)
         return SimpleNamespace(savefig=lambda file, **options: file.write(b"picture"))
 
-    monkeypatch.setattr("qrsim.logs.figure.draw_run", drawn)
+    monkeypatch.setattr("qrsim.runs.figure.draw_run", drawn)
     flight = fly("--duration", "0.02", "--json")
     assert flight.code == 1
     said = [line for line in flight.complaints.splitlines() if not line.startswith("warning: ")]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from qrsim import cli
-from qrsim.logs import open_run
+from qrsim.runs import open_run
 
 
 def test_the_cats_of_a_baseline_chase_the_mouse(

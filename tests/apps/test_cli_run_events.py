@@ -9,7 +9,7 @@ import pytest
 import yaml
 from tests.models.gnss.sp3_writing import line_of, sp3_text
 
-from qrsim.logs import open_run
+from qrsim.runs import open_run
 
 KINDS = ("no_fix", "fix_lost", "fix_found", "fault_begins", "fault_ends")
 

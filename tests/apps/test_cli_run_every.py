@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from qrsim import cli
-from qrsim.apps.run import recorder
 from qrsim.apps.run.every import parse_every
-from qrsim.logs import open_run
-from qrsim.logs.summary import summarise
+from qrsim.runs import open_run, recorder
+from qrsim.runs.summary import summarise
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 from tests.small_worlds import pair
 
 from qrsim import cli
-from qrsim.logs import open_run
+from qrsim.runs import open_run
 
 TICKS = 150
 POLICIES = '''

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from tests.apps.conftest import DURATION, Flight
 from tests.interrupting import INTERRUPTIBLE
-from tests.logs.small_run import COLUMNS, VEHICLES
+from tests.runs.small_run import COLUMNS, VEHICLES
 from tests.view.fetching import fetching
 
 from qrsim import cli
 from qrsim.apps.view.recording import Recording
-from qrsim.logs import RunInfo, RunWriter, open_run
+from qrsim.runs import RunInfo, RunWriter, open_run
 
 
 @pytest.fixture
@@ -214,7 +214,7 @@ def test_a_server_with_a_page_has_one_session(refused):
 
 def test_without_looking_nothing_of_the_page_is_imported():
     """So 'make run' needs no viser."""
-    code = "import sys, qrsim.cli, qrsim.apps.run.recorder; print('viser' in sys.modules, 'qrsim.view' in sys.modules)"
+    code = "import sys, qrsim.cli, qrsim.runs.recorder; print('viser' in sys.modules, 'qrsim.view' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False False\n"
     assert cli.COMMANDS["view"] is not None

@@ -18,7 +18,7 @@ from tests.apps.conftest import DURATION, Flight
 from qrsim import cli
 from qrsim.apps.view.recording import Recording
 from qrsim.apps.view.replay import Replay
-from qrsim.logs import open_run
+from qrsim.runs import open_run
 from qrsim.view.browser import INSTALL, Browser, find_browser
 from qrsim.view.clock import SPEEDS, Clock
 from qrsim.view.page import Page

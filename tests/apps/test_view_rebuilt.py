@@ -9,9 +9,9 @@ import jax
 import numpy as np
 import pytest
 
-from qrsim.apps.run.recorder import fly
 from qrsim.apps.view.recording import Recording
-from qrsim.logs import open_run
+from qrsim.runs import open_run
+from qrsim.runs.recorder import fly
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.simulation.simulation import Simulation
 from qrsim.view.clock import Clock

@@ -14,8 +14,8 @@ from tests.small_worlds import bare_pair, noisy_pair
 import qrsim
 from qrsim.core.vectors import Vec3
 from qrsim.interface.metrics import MOST_FOR_SEPARATION, Extreme, _nearest
-from qrsim.logs import open_run
-from qrsim.logs.summary import summarise, tracking_error
+from qrsim.runs import open_run
+from qrsim.runs.summary import summarise, tracking_error
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.rollout import Rollout, rollout
 from qrsim.world.tick import State

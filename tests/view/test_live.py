@@ -14,8 +14,8 @@ import pytest
 from tests.small_worlds import bare_pair
 from tests.view.fetching import fetching
 
-from qrsim.apps.run.recorder import fly
-from qrsim.logs import open_run
+from qrsim.runs import open_run
+from qrsim.runs.recorder import fly
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.simulation import Simulation
 from qrsim.view.clock import Clock

@@ -23,7 +23,7 @@ from qrsim.apps.serve.session import MOST_EVENTS, Session, Wishes
 from qrsim.apps.serve.tasks import MOST_VEHICLES, offboard, uploaded
 from qrsim.client import Client, ConnectionFailed, InvalidState, Refused
 from qrsim.errors import ScenarioError, UsageError
-from qrsim.logs import open_run
+from qrsim.runs import open_run
 from qrsim.scenarios.scenario import load_scenario
 
 HOLD = [*HERE, 0.0]

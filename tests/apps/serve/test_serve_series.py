@@ -16,11 +16,11 @@ from qrsim.apps.serve.sensors import SensorReadout, _sensor, sensor_readings
 from qrsim.cli import main
 from qrsim.client import Client, Refused
 from qrsim.errors import UsageError
-from qrsim.logs import open_run
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.protocol import qrsim_pb2 as pb
 from qrsim.protocol.framing import frame
 from qrsim.protocol.qrsim_pb2 import Message
+from qrsim.runs import open_run
 from small_worlds import quiet, simulate
 
 SEED = 40

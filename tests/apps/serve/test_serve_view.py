@@ -12,7 +12,7 @@ from wires import HERE, TASK, running
 
 from qrsim.apps.serve.tasks import Tasks
 from qrsim.client import Client
-from qrsim.logs import open_run
+from qrsim.runs import open_run
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.view.live import LiveView
 from qrsim.view.steering import Wind

@@ -12,8 +12,8 @@ import pytest
 
 import qrsim
 from qrsim import cli
-from qrsim.apps.run.recorder import fly
 from qrsim.errors import RunError, UsageError
+from qrsim.runs.recorder import fly
 from qrsim.scenarios.scenario import load_scenario
 
 pytestmark = pytest.mark.long

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from qrsim.apps.check.outcomes import ANY, KINDS, LOST, Outcome
-from qrsim.logs.picture import new_figure
-from qrsim.logs.picture import save_picture as save
 from qrsim.models.scene.area import REASONS
+from qrsim.runs.picture import new_figure
+from qrsim.runs.picture import save_picture as save
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.rollout import Rollout
 

@@ -47,15 +47,15 @@ class Compare:
         """Compare, tell, draw."""
         if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
             raise UsageError(f"--tolerance {self.tolerance:g}: expected a number from 0")
-        from qrsim.apps.compare.report import print_report, to_json
-        from qrsim.logs import open_run
-        from qrsim.logs.compare import compare_runs
+        from qrsim.runs import open_run
+        from qrsim.runs.compare import compare_runs
+        from qrsim.runs.compare_report import print_report, to_json
 
         first, second = (open_run(folder, skip_damaged=True) for folder in (self.run_a, self.run_b))
         found = compare_runs(first, second, self.tolerance, self.stream)
         if self.out:
-            from qrsim.logs.compare_figure import draw_comparison
-            from qrsim.logs.picture import save_picture
+            from qrsim.runs.compare_figure import draw_comparison
+            from qrsim.runs.picture import save_picture
 
             save_picture(lambda: draw_comparison(first, second), self.out)
         if self.json:

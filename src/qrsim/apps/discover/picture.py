@@ -8,7 +8,7 @@ import numpy as np
 
 from qrsim.apps.discover.discovery import Discovery
 from qrsim.flight_logs import SIGNALS
-from qrsim.logs.picture import new_figure
+from qrsim.runs.picture import new_figure
 
 
 def draw(found: Discovery) -> Any:

@@ -12,8 +12,8 @@ from qrsim.errors import UsageError
 from qrsim.extras import require
 
 if TYPE_CHECKING:
-    from qrsim.apps.export.output import Written
-    from qrsim.logs import Run
+    from qrsim.runs import Run
+    from qrsim.runs.export.output import Written
 
 TRACK_PERIOD_S = 0.2
 
@@ -58,8 +58,8 @@ class Export:
 
     def run(self) -> None:
         """Check, write, and say what was written."""
-        from qrsim.logs import open_run
-        from qrsim.logs.layout import LARGEST_EVERY
+        from qrsim.runs import open_run
+        from qrsim.runs.layout import LARGEST_EVERY
 
         if self.every is not None and not 1 <= self.every <= LARGEST_EVERY:
             raise UsageError(f"--every {self.every}: expected an integer from 1 to 2**31 - 1")
@@ -76,8 +76,8 @@ class Export:
         return max(1, round(TRACK_PERIOD_S / recorded.info.time_step))
 
     def _write_tables(self, recorded: Run, every: int) -> list[Written]:
-        from qrsim.apps.export.csv_files import write_stream
-        from qrsim.apps.export.output import check_target, readable_streams
+        from qrsim.runs.export.csv_files import write_stream
+        from qrsim.runs.export.output import check_target, readable_streams
 
         streams = readable_streams(recorded, self.stream)
         if self.stream is not None and self.out is not None:
@@ -92,17 +92,17 @@ class Export:
         return [write_stream(recorded, *pair, every) for pair in zip(streams, targets, strict=True)]
 
     def _write_file(self, recorded: Run, every: int) -> Written:
-        from qrsim.apps.export import geojson, gpx, kml
-        from qrsim.apps.export.output import check_target
-        from qrsim.apps.export.place import place_of
-        from qrsim.apps.export.tracks import read_tracks
+        from qrsim.runs.export import geojson, gpx, kml
+        from qrsim.runs.export.output import check_target
+        from qrsim.runs.export.place import place_of
+        from qrsim.runs.export.tracks import read_tracks
 
         target = self.out or self.run_folder / "export" / f"{self.run_folder.resolve().name}.{self.format}"
         check_target(target, self.force)
         place = place_of(recorded)
         if self.format == "mcap":
             require("export", "an MCAP file")
-            from qrsim.apps.export import mcap_file
+            from qrsim.runs.export import mcap_file
 
             return mcap_file.write(recorded, place, target, every)
         write = {"geojson": geojson.write, "gpx": gpx.write, "kml": kml.write}[self.format]

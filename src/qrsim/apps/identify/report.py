@@ -14,7 +14,7 @@ from qrsim.apps.identify.problem import cut
 from qrsim.apps.identify.result import Result, write_text
 from qrsim.apps.identify.scores import LAGS, open_loop
 from qrsim.flight_logs.signals import SIGNALS
-from qrsim.logs.picture import new_figure
+from qrsim.runs.picture import new_figure
 
 RECORDED, START, FOUND = "black", "tab:blue", "tab:red"
 DPI = 100

@@ -14,7 +14,7 @@ from qrsim.apps.identify.verdicts import Verdict, channels_in
 from qrsim.errors import RunError
 from qrsim.flight_logs.excitation import Excitation
 from qrsim.flight_logs.signals import SIGNALS
-from qrsim.logs.writer import write_atomically
+from qrsim.runs.writer import write_atomically
 from qrsim.scenarios.reading import dump_yaml
 
 

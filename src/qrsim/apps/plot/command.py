@@ -12,7 +12,7 @@ import tyro
 from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
-    from qrsim.logs import Run
+    from qrsim.runs import Run
 
 FIGURE, PANELS = "figure.png", "panels.png"
 _Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the whole run)")]
@@ -63,7 +63,7 @@ class Plot:
     def run(self) -> None:
         """Check, draw, and say where the picture is."""
         self._check()
-        from qrsim.logs import open_run
+        from qrsim.runs import open_run
 
         recorded = open_run(self.run_folder)
         if self.show:
@@ -93,18 +93,18 @@ class Plot:
 
     def _draw(self, recorded: Run, path: Path) -> None:
         if not self.panel:
-            from qrsim.logs.figure import save_figure
+            from qrsim.runs.figure import save_figure
 
             save_figure(recorded, path)
             return
-        from qrsim.logs.panels import draw_panels
-        from qrsim.logs.picture import save_picture
+        from qrsim.runs.panels import draw_panels
+        from qrsim.runs.picture import save_picture
 
         save_picture(lambda: draw_panels(recorded, self.panel, self.vehicle, self.start, self.end), path)
 
 
 def _print_quantities(recorded: Run, as_json: bool) -> None:
-    from qrsim.logs.quantities import quantities
+    from qrsim.runs.quantities import quantities
 
     found = quantities(recorded)
     if as_json:

@@ -18,9 +18,9 @@ from qrsim.extras import require
 from qrsim.interruptions import word
 
 if TYPE_CHECKING:
-    from qrsim.apps.run.recorder import Pace
-    from qrsim.logs import Run as RecordedRun
-    from qrsim.logs.summary import VehicleSummary
+    from qrsim.runs import Run as RecordedRun
+    from qrsim.runs.recorder import Pace
+    from qrsim.runs.summary import VehicleSummary
     from qrsim.scenarios.scenario import Scenario
     from qrsim.view.live import LiveView
 
@@ -122,7 +122,7 @@ class Run:
         self._report(folder, pace)
 
     def _fly(self, scenario: Scenario, folder: Path, every: dict[str, int]) -> Pace:
-        from qrsim.apps.run.recorder import fly
+        from qrsim.runs.recorder import fly
 
         # The folder is checked before anything is compiled.
         if self.view:
@@ -179,8 +179,8 @@ class Run:
             page.close()
 
     def _report(self, folder: Path, pace: Pace) -> None:
-        from qrsim.logs import open_run
-        from qrsim.logs.summary import summarise
+        from qrsim.runs import open_run
+        from qrsim.runs.summary import summarise
 
         recorded = open_run(folder)
         summaries = summarise(recorded)
@@ -210,7 +210,7 @@ class Run:
 
 def _draw(recorded: RecordedRun, path: Path) -> tuple[Path | None, RunError | None]:
     """Return where the figure is, or why there is none: the numbers of a long run must not be lost with it."""
-    from qrsim.logs.figure import save_figure
+    from qrsim.runs.figure import save_figure
 
     try:
         save_figure(recorded, path)
@@ -268,7 +268,7 @@ def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None
     from rich.table import Table
     from rich.text import Text
 
-    from qrsim.logs.summary import NOT_A_STOP
+    from qrsim.runs.summary import NOT_A_STOP
 
     stops = [event for event in recorded.events if event.kind not in NOT_A_STOP]
     stopped_at = {event.vehicle: f"{event.time:.2f}" for event in reversed(stops)}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from qrsim.errors import UsageError, shortened
-from qrsim.logs.layout import LARGEST_EVERY, check_every
-from qrsim.logs.streams import STREAMS
+from qrsim.runs.layout import LARGEST_EVERY, check_every
+from qrsim.runs.streams import STREAMS
 
 
 def parse_every(words: Sequence[str]) -> dict[str, int]:

@@ -21,9 +21,9 @@ from qrsim.apps.serve.seeds import Seeds
 from qrsim.apps.serve.sensors import SensorReadout
 from qrsim.control import VelocitySetpoint, WaypointSetpoint
 from qrsim.errors import RunError, UsageError, warn_user
-from qrsim.logs import EpisodesWriter, RunInfo, RunWriter
-from qrsim.logs.streams import STREAMS, EventFinder, columns, values
 from qrsim.protocol.qrsim_pb2 import Arrayd, Events
+from qrsim.runs import EpisodesWriter, RunInfo, RunWriter
+from qrsim.runs.streams import STREAMS, EventFinder, columns, values
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.simulation import History, Simulation
 

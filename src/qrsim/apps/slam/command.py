@@ -101,7 +101,7 @@ class SlamCommand:
     def _solve_run(self, folder: Path) -> None:
         from qrsim.apps.slam.estimate import slam
         from qrsim.apps.slam.figures import draw_run
-        from qrsim.logs.picture import save_picture
+        from qrsim.runs.picture import save_picture
 
         self._make_out()
         found = slam(folder, graph=self.graph, states=self.states, vehicle=self.vehicle)
@@ -149,7 +149,7 @@ class SlamCommand:
 
 def _draw(found: Study, swept: Sweep | None, folder: Path) -> None:
     from qrsim.apps.slam import figures
-    from qrsim.logs.picture import save_picture
+    from qrsim.runs.picture import save_picture
 
     save_picture(lambda: figures.draw_trajectories(found), folder / "trajectories.png")
     save_picture(lambda: figures.draw_allan(found), folder / "allan.png")
@@ -229,7 +229,7 @@ def _interval(found: dict[str, float], name: str = "mean", unit: float = 1.0) ->
 def _write(path: Path, result: dict[str, Any]) -> None:
     import json
 
-    from qrsim.logs.writer import write_atomically
+    from qrsim.runs.writer import write_atomically
 
     try:
         write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())

@@ -26,7 +26,7 @@ from qrsim.apps.slam.ranging import (
 from qrsim.apps.slam.solve import DAMPINGS, Point, Solution, landmark_covariance, solve
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import RunError, UsageError, did_you_mean, warn_user
-from qrsim.logs import Run, open_run
+from qrsim.runs import Run, open_run
 
 MOST_ITERATIONS = 100
 FIXED_BYTES = 200 * 2**20

@@ -11,7 +11,7 @@ from qrsim.apps.slam import example
 from qrsim.apps.slam.estimate import Slam
 from qrsim.apps.slam.flight import Flight, Floats
 from qrsim.apps.slam.study import ARMS, Study, Sweep, allan, interval
-from qrsim.logs.picture import new_figure
+from qrsim.runs.picture import new_figure
 
 COLOURS = {"white": "tab:blue", "coloured": "tab:red"}
 SHORT = {

@@ -9,9 +9,9 @@ import numpy as np
 from qrsim.apps.slam.flight import Believed, Flight, Floats, make_flight, ticks_between
 from qrsim.core.tree import replace
 from qrsim.errors import RunError, UsageError, did_you_mean, warn_user
-from qrsim.logs import Run
-from qrsim.logs.reader import Stream
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS
+from qrsim.runs import Run
+from qrsim.runs.reader import Stream
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.world.tick import Fleet, period_ticks
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from qrsim.apps.sweep.analysis import CONFIDENCE, Boundary, Response, Sensitivity, heat_map
 from qrsim.apps.sweep.results import Parameter, Results
-from qrsim.logs.picture import new_figure
+from qrsim.runs.picture import new_figure
 
 Array = np.ndarray[Any, Any]
 BAND = f"{100 * CONFIDENCE:.0f} % interval"

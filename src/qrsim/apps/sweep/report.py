@@ -134,7 +134,7 @@ def _write_scenarios(report: Report, folder: Path) -> list[str]:
 def write(report: Report, folder: Path) -> list[Path]:
     """Write pictures, the tables as JSON, and the scenario; return the files."""
     from qrsim.apps.sweep import figures
-    from qrsim.logs.picture import save_picture
+    from qrsim.runs.picture import save_picture
 
     results = report.results
     folder.mkdir(parents=True, exist_ok=True)

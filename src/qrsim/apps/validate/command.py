@@ -62,7 +62,7 @@ class Validate:
 
     def _write(self, results: list[Result], report: dict[str, Any]) -> None:
         from qrsim.apps.validate.page import write_page
-        from qrsim.logs.writer import write_atomically
+        from qrsim.runs.writer import write_atomically
 
         for name, text in ((PAGE, write_page(results, report)), (NUMBERS, _dump(report))):
             try:

@@ -214,7 +214,7 @@ def _curve(of: Process) -> dict[str, list[float]]:
 
 def _picture(found: dict[str, Process]) -> Picture:
     from qrsim.apps.validate.pictures import SIMULATED, picture
-    from qrsim.logs.picture import new_figure
+    from qrsim.runs.picture import new_figure
 
     figure = new_figure(11.0, 6.2)
     panels: Any = figure.subplots(2, 2, width_ratios=(3, 2))

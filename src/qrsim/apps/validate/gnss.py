@@ -243,7 +243,7 @@ def _summary(numbers: dict[str, Any]) -> str:
 
 def _walk_picture(record: Recorded, run: Simulated) -> Picture:
     from qrsim.apps.validate.pictures import RECORDED, SIMULATED, picture
-    from qrsim.logs.picture import new_figure
+    from qrsim.runs.picture import new_figure
 
     figure = new_figure(11.0, 4.6)
     plan, height = figure.subplots(1, 2, width_ratios=(2, 3))
@@ -275,7 +275,7 @@ def _walk_picture(record: Recorded, run: Simulated) -> Picture:
 
 def _allan_picture(record: Recorded, deviation: Table, runs: dict[str, Simulated], seeds: int) -> Picture:
     from qrsim.apps.validate.pictures import RECORDED, picture
-    from qrsim.logs.picture import new_figure
+    from qrsim.runs.picture import new_figure
 
     figure = new_figure(11.0, 4.6)
     panels: Any = figure.subplots(1, 3, sharey=True)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from qrsim.apps.validate.recorded import Match
 from qrsim.apps.validate.report import Picture
-from qrsim.logs.picture import new_figure
+from qrsim.runs.picture import new_figure
 
 RECORDED, SIMULATED, OTHER, RESIDUAL = "black", "tab:red", "tab:blue", "tab:purple"
 DPI = 90

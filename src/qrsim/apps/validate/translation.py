@@ -253,7 +253,7 @@ def _three(errors: dict[str, float]) -> str:
 
 def _pictures(flight: Outdoor, match: Match, winds: Windy, numbers: dict[str, Any]) -> list[Picture]:
     from qrsim.apps.validate.pictures import OTHER, RECORDED, SIMULATED, picture
-    from qrsim.logs.picture import new_figure
+    from qrsim.runs.picture import new_figure
 
     colours = {"still air": SIMULATED, "fitted wind": OTHER}
     recorded = flight.recorded[:, :3] - flight.before[0, :3]
@@ -285,7 +285,7 @@ def _pictures(flight: Outdoor, match: Match, winds: Windy, numbers: dict[str, An
 
 def _horizon_picture(restarted: dict[str, dict[str, float]]) -> Picture:
     from qrsim.apps.validate.pictures import OTHER, SIMULATED, picture
-    from qrsim.logs.picture import new_figure
+    from qrsim.runs.picture import new_figure
 
     figure = new_figure(7.0, 3.6)
     axes: Any = figure.subplots()

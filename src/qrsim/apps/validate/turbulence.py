@@ -71,7 +71,7 @@ def study_case(
 
 def spectra_figure(case: Case, sources: dict[str, Floats], levels: dict[str, Floats]) -> Any:
     """Draw the spectra of u, v and w of one case, and below them each source's level over the closed form."""
-    from qrsim.logs.picture import new_figure
+    from qrsim.runs.picture import new_figure
 
     figure = new_figure(11.0, 6.0)
     axes: Any = figure.subplots(2, 3, sharex=True, sharey="row", height_ratios=(3, 2))
@@ -280,7 +280,7 @@ def _summary(numbers: dict[str, Any], oracle: bool) -> str:
 
 def _trace_picture(traces: dict[str, Floats]) -> Picture:
     from qrsim.apps.validate.pictures import picture
-    from qrsim.logs.picture import new_figure
+    from qrsim.runs.picture import new_figure
 
     figure = new_figure(11.0, 6.0)
     panels: Any = figure.subplots(3, 1, sharex=True)

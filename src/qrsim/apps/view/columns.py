@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.logs import Run
+from qrsim.runs import Run
 
 Floats = np.ndarray[Any, Any]
 # Times of vehicles that are kept in memory; of longer logs only every so-many-th tick is shown.

@@ -52,7 +52,7 @@ class View:
         require_viser()
         self._check()
         from qrsim.apps.view.recording import Recording
-        from qrsim.logs import open_run
+        from qrsim.runs import open_run
 
         recording = Recording(open_run(self.run_folder))
         end = recording.end
@@ -79,7 +79,7 @@ class View:
 
     def _photograph(self, recording: Recording, path: Path, time: float) -> None:
         from qrsim.apps.view.replay import remember_paths
-        from qrsim.logs.writer import write_atomically
+        from qrsim.runs.writer import write_atomically
         from qrsim.view.picture import photograph
         from qrsim.view.scene import Scene
         from qrsim.view.server import start_server

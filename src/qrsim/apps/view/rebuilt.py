@@ -18,11 +18,11 @@ from qrsim.apps.view.columns import Columns, vector
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.logs import Run
-from qrsim.logs.layout import EVENTS
-from qrsim.logs.streams import PERSON_FOUND
 from qrsim.models.scene.contents import ContentsState
 from qrsim.models.sensors.camera import CameraReading
+from qrsim.runs import Run
+from qrsim.runs.layout import EVENTS
+from qrsim.runs.streams import PERSON_FOUND
 from qrsim.view.cameras import camera_places
 from qrsim.view.frame import Beside
 from qrsim.view.steering import WIND_CHANGED, with_wind

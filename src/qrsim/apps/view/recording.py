@@ -9,9 +9,9 @@ import numpy as np
 from qrsim.apps.view.columns import Columns, vector
 from qrsim.apps.view.rebuilt import rebuilt
 from qrsim.errors import QrsimError, RunError, warn_user
-from qrsim.logs import Run
-from qrsim.logs.layout import EVENTS, INDEX, Event
-from qrsim.logs.summary import NOT_A_STOP
+from qrsim.runs import Run
+from qrsim.runs.layout import EVENTS, INDEX, Event
+from qrsim.runs.summary import NOT_A_STOP
 from qrsim.view.frame import Cast, Frame, cast_of
 from qrsim.view.truth import ANGLES, AXES, true_values
 from qrsim.world.state import World

@@ -1,0 +1,82 @@
+"""A folder of run folders: the episodes that one session of a server flew, one after the other."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from qrsim.errors import RunError, UsageError
+from qrsim.runs.layout import FORMAT, RUN_FILE, utc_now
+
+EPISODES_FILE = "episodes.json"
+_MOST_NAMED = 4
+
+
+def episode_name(number: int) -> str:
+    """Return the name of the run folder of an episode, counted from 1."""
+    return f"episode-{number:04d}"
+
+
+class EpisodesWriter:
+    """Names the run folders of episodes, and keeps a list of them; not for use from several threads."""
+
+    def __init__(self, folder: Path, content: dict[str, Any]):
+        """Use ``EpisodesWriter.create``."""
+        self.folder, self._content = folder, content
+
+    @classmethod
+    def create(cls, folder: Path, scenario: str) -> EpisodesWriter:
+        """Make a new folder for the episodes of a scenario.
+
+        Raises:
+            RunError: it exists, or cannot be written.
+        """
+        try:
+            folder.mkdir(parents=True)
+        except OSError as error:
+            raise RunError(f"cannot create the folder {folder}: {error.strerror or error}") from error
+        return cls(folder, {"format": FORMAT, "scenario": scenario, "started": utc_now(), "episodes": []})
+
+    def begin(self, seed: int) -> Path:
+        """Add the next episode to the list, and return where its run folder is to be made.
+
+        Raises:
+            RunError: the list cannot be written.
+        """
+        from qrsim.runs.writer import write_atomically
+
+        episodes = self._content["episodes"]
+        name = episode_name(len(episodes) + 1)
+        episodes.append({"folder": name, "seed": seed, "started": utc_now()})
+        text = json.dumps(self._content, indent=2, ensure_ascii=False)
+        try:
+            write_atomically(self.folder / EPISODES_FILE, f"{text}\n".encode())
+        except OSError as error:
+            raise RunError(f"cannot write in {self.folder}: {error.strerror or error}") from error
+        return self.folder / name
+
+
+def episode_folders(folder: Path) -> list[Path]:
+    """Return the run folders of the episodes in a folder, in their order; also of one whose list is behind."""
+    found = [(re.fullmatch(r"episode-(\d{4,})", path.name), path) for path in folder.iterdir()]
+    numbered = sorted((int(match[1]), path) for match, path in found if match and (path / RUN_FILE).is_file())
+    return [path for _, path in numbered]
+
+
+def holds_episodes(folder: Path) -> bool:
+    """Return whether a folder is one of episodes."""
+    return (folder / EPISODES_FILE).is_file()
+
+
+def named(folders: list[Path]) -> str:
+    """Return the names of some of the folders, for people."""
+    return ", ".join(str(path) for path in folders[:_MOST_NAMED]) + (", ..." if len(folders) > _MOST_NAMED else "")
+
+
+def which_one(folder: Path, folders: list[Path]) -> UsageError:
+    """Return the error of who wants one run where there are several, or none."""
+    if not folders:
+        return UsageError(f"{folder} holds no episodes")
+    return UsageError(f"{folder} holds {len(folders)} episodes, each a run folder: take one of {named(folders)}")

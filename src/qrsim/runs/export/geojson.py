@@ -1,0 +1,74 @@
+"""geojson: tracks and events for maps and GIS programs (RFC 7946)."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from qrsim.runs.export.output import Written, replacing
+from qrsim.runs.export.place import Floats
+from qrsim.runs.export.tracks import Mark, Segment, Track, Tracks
+
+
+def write(content: Tracks, path: Path) -> Written:
+    """Write one feature per unbroken piece of a track, with a time for every position, and one per event.
+
+    Positions are longitude and latitude [deg] to 0.1 mm, and height above the WGS-84 ellipsoid [m]. A piece of a
+    single position is a Point; an event of unknown place has no geometry.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    with replacing(path) as file:
+        file.write(b'{"type": "FeatureCollection", "features": [')
+        separator = b"\n"
+        for feature in _features(content):
+            file.write(separator + json.dumps(feature, allow_nan=False).encode())
+            separator = b",\n"
+        file.write(b"\n]}\n")
+    return Written(path, content.counts)
+
+
+def _features(content: Tracks) -> Iterator[dict[str, Any]]:
+    for track in content.tracks:
+        for number, segment in enumerate(track.segments):
+            yield _piece(track, number, segment)
+    for mark in content.marks:
+        yield _event(mark)
+
+
+def _piece(track: Track, number: int, segment: Segment) -> dict[str, Any]:
+    line = [_coordinates(place) for place in segment.geodetic]
+    geometry: dict[str, Any] = {"type": "LineString", "coordinates": line}
+    if len(line) == 1:  # a LineString has two positions or more
+        geometry = {"type": "Point", "coordinates": line[0]}
+    properties = {
+        "feature": "track",
+        "name": track.vehicle,
+        "kind": track.kind,
+        "sensor": track.sensor,
+        "segment": number,
+        "start": segment.utc[0],
+        "end": segment.utc[-1],
+        "times": segment.utc,
+    }
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _event(mark: Mark) -> dict[str, Any]:
+    point = None if mark.geodetic is None else {"type": "Point", "coordinates": _coordinates(mark.geodetic)}
+    event = asdict(mark.event)
+    seconds, name = event.pop("time"), event.pop("vehicle")
+    if event["value"] is not None and not math.isfinite(event["value"]):
+        event["value"] = None  # JSON has no NaN
+    properties = {"feature": "event", "name": name, "time": mark.utc, "seconds": seconds, **event}
+    return {"type": "Feature", "geometry": point, "properties": properties}
+
+
+def _coordinates(geodetic: Floats) -> list[float]:
+    latitude, longitude, height = geodetic.tolist()
+    return [round(longitude, 9), round(latitude, 9), round(height, 4)]

@@ -1,0 +1,207 @@
+"""mcap: poses, fixes, wind and events for Foxglove and other robot viewers (MCAP, JSON messages).
+
+qrsim's axes are north, east, down and, of a vehicle, forward, right, down. Foxglove draws z upwards, so poses are
+given in frame "map", east, north, up, with the run's origin, of axes forward, left, up of the vehicle: position
+(y, x, -z); Euler angles (roll, -pitch, 90 deg - yaw). The wind keeps the names and axes of the log.
+
+Topics, with V a vehicle and S a sensor: /V/pose and /tf (true pose), /V/location (true place, for the map),
+/V/S/fix (each new report of a receiver), /V/wind, /events. In topics, characters of V and S other than letters,
+digits and _.-~ are percent-encoded.
+"""
+
+from __future__ import annotations
+
+import heapq
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote
+
+import numpy as np
+import numpy.typing as npt
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import Writer
+
+from qrsim.runs.export import foxglove
+from qrsim.runs.export.output import Written, is_readable, replacing
+from qrsim.runs.export.place import Floats, Place
+from qrsim.runs.export.tracks import Samples, axes, is_fresh, position_sensors, read_samples
+from qrsim.errors import RunError
+from qrsim.interface.readings import quaternion_of
+from qrsim.runs import Event, Run
+from qrsim.runs.summary import NOT_A_STOP
+
+WORLD = "map"
+# Foxglove's timestamps count the seconds since 1970 in 32 bits.
+LAST_START_US = 2**32 * 1_000_000
+WARNINGS = ("command_clipped", "fault_begins", "no_fix", "fix_lost")
+
+
+class _Message(NamedTuple):
+    time_ns: int
+    topic: str
+    schema: str
+    content: dict[str, Any]
+
+
+def write(run: Run, place: Place, path: Path, every: int) -> Written:
+    """Write the run in order of time, from the ticks that ``every`` divides; events are all kept.
+
+    What is not a number is left out: JSON cannot say it.
+
+    Raises:
+        RunError: the file cannot be written, there is nothing to write, or the time does not fit into the format.
+    """
+    if not 0 <= place.start_us < LAST_START_US:
+        raise RunError(f"{run.folder}: its start_time is outside 1970 to 2106, the times that MCAP can say")
+    count = 0
+    with replacing(path) as file:
+        writer = Writer(file)
+        writer.start(library="qrsim")
+        channels = _Channels(writer)
+        for message in heapq.merge(*_sources(run, place, every), key=lambda message: message.time_ns):
+            content = {"timestamp": _timestamp(message.time_ns), **message.content}
+            data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+            writer.add_message(channels.number(message), message.time_ns, data, message.time_ns)
+            count += 1
+        if not count:
+            raise RunError(f"{run.folder}: nothing to export, because no tick was recorded (state: {run.info.state})")
+        writer.add_metadata("qrsim", _origin(run, place))
+        writer.finish()  # type: ignore[no-untyped-call]
+    return Written(path, {"messages": count})
+
+
+class _Channels:
+    """The numbers of the file's channels, which are made when they are first used."""
+
+    def __init__(self, writer: Writer):
+        self._writer = writer
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+
+    def number(self, message: _Message) -> int:
+        """Return the number of a message's channel."""
+        topic, schema = message.topic, message.schema
+        if schema not in self._schemas:
+            data = json.dumps({"title": schema, **foxglove.SCHEMAS[schema]}).encode()
+            self._schemas[schema] = self._writer.register_schema(schema, SchemaEncoding.JSONSchema, data)
+        if topic not in self._channels:
+            number = self._writer.register_channel(topic, MessageEncoding.JSON, self._schemas[schema])
+            self._channels[topic] = number
+        return self._channels[topic]
+
+
+def _sources(run: Run, place: Place, every: int) -> list[Iterator[_Message]]:
+    sources = [_fixes(run, place, every, sensor) for sensor in position_sensors(run)]
+    if is_readable(run, "truth"):
+        sources.insert(0, _poses(run, place, every))
+    if is_readable(run, "wind"):
+        sources.append(_winds(run, place, every))
+    if is_readable(run, "events"):
+        sources.append(_events(run.events, place))
+    return sources
+
+
+def _poses(run: Run, place: Place, every: int) -> Iterator[_Message]:
+    columns = axes("position_ned") + [f"attitude.{angle}" for angle in ("roll", "pitch", "yaw")]
+    topics = _topics(run, "pose"), _topics(run, "location")
+    for samples in _finite(run, "truth", columns, every):
+        north, east, down, roll, pitch, yaw = samples.values.T
+        places = place.geodetic(samples.values[:, :3]).tolist()
+        positions = np.stack((east, north, -down), axis=-1).tolist()
+        rotations = quaternion_of(np.stack((roll, -pitch, np.pi / 2 - yaw), axis=-1)).tolist()
+        times = place.nanoseconds(samples.times).tolist()
+        for i, vehicle in enumerate(samples.vehicles.tolist()):
+            name, position = run.vehicles[vehicle], dict(zip("xyz", positions[i], strict=True))
+            rotation = dict(zip("wxyz", rotations[i], strict=True))
+            pose = {"frame_id": WORLD, "pose": {"position": position, "orientation": rotation}}
+            yield _Message(times[i], topics[0][vehicle], foxglove.POSE, pose)
+            frames = {"parent_frame_id": WORLD, "child_frame_id": name}
+            yield _Message(times[i], "/tf", foxglove.FRAME, {**frames, "translation": position, "rotation": rotation})
+            yield _Message(times[i], topics[1][vehicle], foxglove.FIX, _fix(name, places[i]))
+
+
+def _fixes(run: Run, place: Place, every: int, sensor: str) -> Iterator[_Message]:
+    """Yield a receiver's reports when they differ from the one before: between fixes the log repeats the last."""
+    topics = _topics(run, quote(sensor, safe=""), "fix")
+    last = np.full((len(run.vehicles), 3), np.nan)
+    for samples in read_samples(run, "measurements", axes(f"{sensor}.position_ned"), lambda ticks: ticks % every == 0):
+        rows = _fresh_rows(samples, last)
+        places = place.geodetic(samples.values[rows]).tolist()
+        times = place.nanoseconds(samples.times[rows]).tolist()
+        for i, vehicle in enumerate(samples.vehicles[rows].tolist()):
+            yield _Message(times[i], topics[vehicle], foxglove.FIX, _fix(run.vehicles[vehicle], places[i]))
+
+
+def _fresh_rows(samples: Samples, last: Floats) -> npt.NDArray[np.int64]:
+    """Return which rows hold a new report; ``last`` (n, 3), the latest of every vehicle, is brought up to date."""
+    fresh = np.zeros(len(samples.ticks), bool)
+    for vehicle in range(len(last)):
+        rows = np.flatnonzero(samples.vehicles == vehicle)
+        if len(rows):
+            fresh[rows] = is_fresh(samples.values[rows], last[vehicle])
+            last[vehicle] = samples.values[rows[-1]]
+    return np.flatnonzero(fresh)
+
+
+def _winds(run: Run, place: Place, every: int) -> Iterator[_Message]:
+    topics = _topics(run, "wind")
+    for samples in _finite(run, "wind", axes("mean_ned") + axes("gust_ned"), every):
+        times, values = place.nanoseconds(samples.times).tolist(), samples.values.tolist()
+        for i, vehicle in enumerate(samples.vehicles.tolist()):
+            mean, gust = (dict(zip("xyz", part, strict=True)) for part in (values[i][:3], values[i][3:]))
+            yield _Message(times[i], topics[vehicle], foxglove.WIND, {"mean_ned": mean, "gust_ned": gust})
+
+
+def _events(events: list[Event], place: Place) -> Iterator[_Message]:
+    for event in sorted(events, key=lambda event: event.time):
+        level = 4 if event.kind not in NOT_A_STOP else 3 if event.kind in WARNINGS else 2
+        content = {"level": level, "message": event.message or event.kind, "name": event.vehicle or "", "file": ""}
+        content |= {"line": 0, "tick": event.tick, "kind": event.kind, "field": event.field or ""}
+        if event.value is not None and math.isfinite(event.value):
+            content["value"] = event.value
+        yield _Message(int(place.nanoseconds(event.time)), "/events", foxglove.LOG, content)
+
+
+def _finite(run: Run, stream: str, columns: list[str], every: int) -> Iterator[Samples]:
+    """Yield the rows of a stream, part by part, in which every value is a number."""
+    for samples in read_samples(run, stream, columns, lambda ticks: ticks % every == 0):
+        rows = np.isfinite(samples.values).all(axis=1)
+        yield Samples(samples.vehicles[rows], samples.ticks[rows], samples.times[rows], samples.values[rows])
+
+
+def _topics(run: Run, *words: str) -> list[str]:
+    """Return the topic of every vehicle."""
+    return ["/".join(("", quote(vehicle, safe=""), *words)) for vehicle in run.vehicles]
+
+
+def _fix(frame: str, geodetic: list[float]) -> dict[str, Any]:
+    latitude, longitude, altitude = geodetic
+    return {
+        "frame_id": frame,
+        "latitude": latitude,
+        "longitude": longitude,
+        "altitude": altitude,
+        "position_covariance": [0.0] * 9,
+        "position_covariance_type": 0,
+    }
+
+
+def _timestamp(time_ns: int) -> dict[str, int]:
+    seconds, rest = divmod(time_ns, 1_000_000_000)
+    return {"sec": seconds, "nsec": rest}
+
+
+def _origin(run: Run, place: Place) -> dict[str, str]:
+    """Return what the file says of its origin."""
+    latitude, longitude, height = place.geodetic(np.zeros(3)).tolist()
+    return {
+        "scenario": run.info.scenario,
+        "seed": str(run.info.seed),
+        "version": run.info.versions.get("qrsim", "unknown"),
+        "origin_latitude_deg": repr(latitude),
+        "origin_longitude_deg": repr(longitude),
+        "origin_height_m": repr(height),
+    }

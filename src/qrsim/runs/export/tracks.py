@@ -1,0 +1,224 @@
+"""Tracks and events on the Earth, as geojson, gpx and kml show them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from qrsim.runs.export.output import is_readable
+from qrsim.runs.export.place import Floats, Place
+from qrsim.errors import RunError
+from qrsim.runs import Event, Run
+
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Rows of a stream.
+
+    Attributes:
+        vehicles: (R,) index of each row's vehicle.
+        ticks: (R,) number of the step.
+        times: (R,) simulated time [s].
+        values: (R, k) of k columns.
+    """
+
+    vehicles: npt.NDArray[np.int64]
+    ticks: npt.NDArray[np.int64]
+    times: Floats
+    values: Floats
+
+
+@dataclass(frozen=True)
+class Segment:
+    """An unbroken piece of a track: (T,) UTC times and (T, 3) latitude [deg], longitude [deg], height [m]."""
+
+    utc: list[str]
+    geodetic: Floats
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where a vehicle was, or where a receiver said it was.
+
+    Attributes:
+        vehicle: its name.
+        number: its index in the run.
+        sensor: name of the receiver, None for the true track.
+        segments: in order of time; a new one begins after every gap.
+    """
+
+    vehicle: str
+    number: int
+    sensor: str | None
+    segments: list[Segment]
+
+    @property
+    def kind(self) -> str:
+        """What stands in the files: "true" or "gnss"."""
+        return "true" if self.sensor is None else "gnss"
+
+    @property
+    def title(self) -> str:
+        """Name for people."""
+        return f"{self.vehicle} {self.sensor or 'true'}"
+
+
+@dataclass(frozen=True)
+class Mark:
+    """An event: its UTC time, and the true place (3,) [deg, deg, m] of its vehicle, None where that is unknown."""
+
+    event: Event
+    utc: str
+    geodetic: Floats | None
+
+    @property
+    def title(self) -> str:
+        """Name for people."""
+        return self.event.kind if self.event.vehicle is None else f"{self.event.vehicle} {self.event.kind}"
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """What geojson, gpx and kml show: tracks, the true one of each vehicle first, and events in order of time."""
+
+    name: str
+    tracks: list[Track]
+    marks: list[Mark]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of points of all tracks, and of events."""
+        points = sum(len(segment.utc) for track in self.tracks for segment in track.segments)
+        return {"points": points, "events": len(self.marks)}
+
+
+def read_tracks(run: Run, place: Place, every: int) -> Tracks:
+    """Return the tracks at the ticks that ``every`` divides, and all events.
+
+    A receiver's track has the ticks at which its report differs from the one before. Where a position is not a
+    number or ticks are missing, a new segment begins.
+
+    Raises:
+        RunError: there is nothing to show.
+    """
+    sources: list[tuple[str, str | None, str]] = [("truth", None, "position_ned")] if is_readable(run, "truth") else []
+    sources += [("measurements", sensor, f"{sensor}.position_ned") for sensor in position_sensors(run)]
+    found: list[Track] = []
+    for stream, sensor, column in sources:
+        samples = _joined(read_samples(run, stream, axes(column), lambda ticks: ticks % every == 0))
+        for number, vehicle in enumerate(run.vehicles):
+            rows = samples.vehicles == number
+            own = Samples(samples.vehicles[rows], samples.ticks[rows], samples.times[rows], samples.values[rows])
+            segments = _segments(own, place, every, fresh_only=sensor is not None)
+            if segments:
+                found.append(Track(vehicle, number, sensor, segments))
+    marks = _marks(run, place)
+    if not found and not marks:
+        raise RunError(f"{run.folder}: nothing to export, because no tick was recorded (state: {run.info.state})")
+    return Tracks(run.info.scenario, sorted(found, key=lambda track: track.number), marks)
+
+
+def axes(name: str) -> list[str]:
+    """Return the columns of a recorded vector."""
+    return [f"{name}.{axis}" for axis in AXES]
+
+
+def position_sensors(run: Run) -> list[str]:
+    """Return the names of the sensors that report a position."""
+    if not is_readable(run, "measurements"):
+        return []
+    ending = ".position_ned.x"
+    names = [column.name for column in run.describe("measurements")]
+    return [name.removesuffix(ending) for name in names if name.endswith(ending)]
+
+
+def read_samples(
+    run: Run, stream: str, columns: Sequence[str], wanted: Callable[[npt.NDArray[np.int64]], npt.NDArray[np.bool_]]
+) -> Iterator[Samples]:
+    """Yield the rows of a stream part by part; ``wanted`` says of ticks (R,) which are kept."""
+    names = pa.array(run.vehicles, pa.string())
+    for table in run.batches(stream, ["time", "tick", "vehicle", *columns]):
+        kept = table.filter(pa.array(wanted(table["tick"].to_numpy())))
+        vehicles = pc.index_in(kept["vehicle"].cast(pa.string()), value_set=names)
+        if vehicles.null_count:
+            raise RunError(f"{run.folder / stream}: it is damaged: it has rows of vehicles that the run has not")
+        values = [kept[name].to_numpy().astype(np.float64) for name in columns]
+        yield Samples(
+            vehicles.to_numpy().astype(np.int64),
+            kept["tick"].to_numpy(),
+            kept["time"].to_numpy(),
+            np.stack(values, axis=-1),
+        )
+
+
+def is_fresh(values: Floats, last: Floats) -> npt.NDArray[np.bool_]:
+    """Return at which of (T, 3) reports there is one that differs from that before; ``last`` (3,) is before them."""
+    before = np.concatenate([last[None], values[:-1]])
+    return np.asarray(np.isfinite(values).all(axis=1) & (values != before).any(axis=1))
+
+
+def _joined(batches: Iterator[Samples]) -> Samples:
+    """Return all rows at once; there is always at least one part."""
+    parts = list(batches)
+    return Samples(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("vehicles", "ticks", "times", "values"))
+    )
+
+
+def _segments(samples: Samples, place: Place, every: int, fresh_only: bool) -> list[Segment]:
+    """Return the unbroken pieces of one vehicle's track."""
+    if not len(samples.ticks):
+        return []
+    valid = np.isfinite(samples.values).all(axis=1)
+    pieces = np.cumsum(~valid | _is_gap(samples.ticks, every))
+    kept = is_fresh(samples.values, np.full(3, np.nan)) if fresh_only else valid
+    if not kept.any():
+        return []
+    times, pieces = samples.times[kept], pieces[kept]
+    geodetic = place.geodetic(samples.values[kept])
+    # RFC 7946, section 3.1.9: a line that crosses the antimeridian is cut there.
+    cut = (np.diff(pieces) > 0) | (np.abs(np.diff(geodetic[:, 1])) > 180.0)
+    bounds = [0, *(1 + np.flatnonzero(cut)), len(times)]
+    return [Segment(place.utc(times[a:b]), geodetic[a:b]) for a, b in pairwise(bounds)]
+
+
+def _is_gap(ticks: npt.NDArray[np.int64], every: int) -> npt.NDArray[np.bool_]:
+    """Return (T,) before which of the ticks some are missing; a log need not hold every tick."""
+    steps = np.diff(ticks)
+    usual = max(every, int(steps.min())) if len(steps) else every
+    return np.concatenate([[False], steps > usual])
+
+
+def _marks(run: Run, place: Place) -> list[Mark]:
+    if not is_readable(run, "events"):
+        return []
+    events = run.events
+    # Where the truth was decimated: the last place that was logged before the event.
+    every = run.info.every.get("truth", 1)
+    ticks = {event.tick: event.tick // every * every for event in events}
+    places = _true_places(run, set(ticks.values())) if is_readable(run, "truth") else {}
+    marks = []
+    for event, utc in zip(events, place.utc([event.time for event in events]), strict=True):
+        position = places.get((ticks[event.tick], event.vehicle))
+        marks.append(Mark(event, utc, None if position is None else place.geodetic(position)))
+    return marks
+
+
+def _true_places(run: Run, ticks: set[int]) -> dict[tuple[int, Any], Floats]:
+    """Return (tick, vehicle) -> true position_ned (3,) at some ticks, without those that are not a number."""
+    wanted = np.array(sorted(ticks), np.int64)
+    found: dict[tuple[int, Any], Floats] = {}
+    for samples in read_samples(run, "truth", axes("position_ned"), lambda there: np.isin(there, wanted)):
+        for vehicle, tick, position in zip(samples.vehicles, samples.ticks, samples.values, strict=True):
+            if np.isfinite(position).all():
+                found[int(tick), run.vehicles[vehicle]] = position
+    return found

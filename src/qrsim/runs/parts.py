@@ -1,0 +1,128 @@
+"""The Parquet parts of one stream, read as one table."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from qrsim.errors import RunError, UsageError, did_you_mean, shortened
+from qrsim.runs.layout import Column, column_of, part_name
+from qrsim.user_files import check_file
+
+# What pyarrow raises where bytes are not what they were; texts of the footer are decoded without care.
+DAMAGES = (OSError, pa.ArrowException, ValueError, KeyError, TypeError, OverflowError, MemoryError)
+
+
+def _first_line(error: BaseException) -> str:
+    words = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return shortened(str(words).partition("\n")[0], 300)
+
+
+@dataclass
+class StreamParts:
+    """The parts of one stream that were there when the run was opened.
+
+    Attributes:
+        stream: its name.
+        folder: where the parts lie.
+        found: numbers of the parts, ascending.
+        count: how many parts run.json speaks of; a part that came after it was written is valid too.
+        skip_damaged: leave damaged and missing parts out with a warning, instead of raising.
+    """
+
+    stream: str
+    folder: Path
+    found: list[int]
+    count: int
+    skip_damaged: bool
+
+    @cached_property
+    def columns(self) -> tuple[Column, ...]:
+        """All columns, time, tick and vehicle first."""
+        return tuple(column_of(item) for item in self._schema)
+
+    def column(self, name: str) -> Column:
+        """Return one column's description. Raises UsageError where there is none of this name."""
+        for column in self.columns:
+            if column.name == name:
+                return column
+        known = [column.name for column in self.columns]
+        raise UsageError(f"stream '{self.stream}' has no column '{name}'{did_you_mean(str(name), known)}")
+
+    def table(self, names: Sequence[str] | None = None) -> pa.Table:
+        """Return the rows of all parts with the named columns, in that order (None: with all).
+
+        Raises:
+            UsageError: unknown column.
+            RunError: a part is damaged or missing.
+        """
+        return pa.concat_tables(self.tables(names))
+
+    def tables(self, names: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """Return the parts one after the other, each read when its turn comes; raises as ``table``."""
+        chosen = [column.name for column in self.columns] if names is None else [self.column(n).name for n in names]
+        return (self._read(number, self._schema, chosen) for number in self._usable)
+
+    @cached_property
+    def _schema(self) -> pa.Schema:
+        return self._open(self._usable[0]).schema_arrow
+
+    @cached_property
+    def _usable(self) -> list[int]:
+        """Numbers of the parts to read, ascending; never empty."""
+        expected = range(max(self.count, 1, *(number + 1 for number in self.found[-1:])))
+        usable, schema = [], None
+        for number in expected:
+            try:
+                if number not in self._found_set:
+                    raise self._damage(number, "it is missing")
+                # Where parts may be left out, all columns must leave out the same ones: so each is read whole, once.
+                if self.skip_damaged:
+                    schema = schema or self._open(number).schema_arrow
+                    self._read(number, schema, schema.names)
+            except RunError as error:
+                if not self.skip_damaged:
+                    raise
+                warnings.warn(f"left out: {error}", stacklevel=2)
+            else:
+                usable.append(number)
+        if not usable:
+            raise RunError(f"{self.folder}: no part can be read")
+        return usable
+
+    @cached_property
+    def _found_set(self) -> set[int]:
+        return set(self.found)
+
+    def _open(self, number: int) -> pq.ParquetFile:
+        try:
+            file = check_file(self.folder / part_name(number))
+            found = pq.ParquetFile(file, page_checksum_verification=True)
+            # The schema is decoded only when it is asked for.
+            _ = found.schema_arrow
+            return found
+        except DAMAGES as error:
+            raise self._damage(number, _first_line(error)) from error
+
+    def _read(self, number: int, schema: pa.Schema, names: Sequence[str]) -> pa.Table:
+        with self._open(number) as file:
+            if not file.schema_arrow.equals(schema):
+                raise self._damage(number, "its columns are not those of the parts before it")
+            try:
+                return file.read(columns=list(names)).select(list(names))
+            except DAMAGES as error:
+                raise self._damage(number, _first_line(error)) from error
+
+    def _damage(self, number: int, reason: str) -> RunError:
+        total = max(self.count, len(self.found))
+        advice = "" if self.skip_damaged else "; open_run(..., skip_damaged=True) reads the others"
+        return RunError(
+            f"{self.folder / part_name(number)} (part {number + 1} of {total} of '{self.stream}') "
+            f"cannot be read: {reason}{advice}"
+        )

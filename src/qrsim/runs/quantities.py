@@ -1,0 +1,74 @@
+"""The quantities of a run by name: ``truth.position_ned.z``, or ``truth.position_ned`` for its three axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from qrsim.errors import UsageError, did_you_mean, nearest
+from qrsim.runs.layout import EVENTS, INDEX, Column
+from qrsim.runs.reader import Run
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A column of a stream that has a value for every vehicle at every tick."""
+
+    stream: str
+    column: Column
+
+    @property
+    def name(self) -> str:
+        """Stream and column."""
+        return f"{self.stream}.{self.column.name}"
+
+
+def quantities(run: Run) -> list[Quantity]:
+    """Return all quantities in the order in which they were recorded."""
+    streams = [stream for stream in run.streams if stream != EVENTS]
+    return [Quantity(stream, column) for stream in streams for column in run.describe(stream)[len(INDEX) :]]
+
+
+def find_quantities(run: Run, name: str) -> list[Quantity]:
+    """Return the quantity of a name, or the parts of a vector, of angles and the like.
+
+    Raises:
+        UsageError: there is none of this name.
+    """
+    every = quantities(run)
+    found = [item for item in every if item.name == name]
+    if found:
+        return found
+    groups = _groups(every)
+    if name in groups:
+        return groups[name]
+    raise UsageError(_unknown(run, name, [*groups, *(item.name for item in every)]))
+
+
+def _groups(every: list[Quantity]) -> dict[str, list[Quantity]]:
+    """Return name -> parts of what has no parts of parts: a vector is one, a sensor with several quantities is not."""
+    names = dict.fromkeys(item.name.rpartition(".")[0] for item in every if "." in item.column.name)
+    members = {name: [item for item in every if item.name.startswith(f"{name}.")] for name in names}
+    return {
+        name: parts for name, parts in members.items() if all("." not in part.name[len(name) + 1 :] for part in parts)
+    }
+
+
+def _unknown(run: Run, name: str, known: list[str]) -> str:
+    if not name:
+        return "a panel needs the name of a quantity before, between and after its commas; --list shows all quantities"
+    stream, _, column = name.partition(".")
+    streams = [own for own in run.streams if own != EVENTS]
+    advice = "; --list shows all quantities"
+    if stream == EVENTS:
+        return f"'{name}': events are not one per vehicle and tick and cannot be drawn; known: {', '.join(streams)}"
+    if stream in streams:
+        inside = [own for own in known if own.startswith(f"{name}.") and own.rpartition(".")[0] not in known]
+        if inside:
+            return f"'{name}' is not one quantity but several, such as {', '.join(inside[:3])}{advice}"
+        match = nearest(name, [own for own in known if own.startswith(f"{stream}.")])
+        what = f"stream '{stream}' has no quantity '{column}'" if column else f"'{name}' names no quantity"
+        return what + (f"; did you mean '{match}'?" if match else advice)
+    match = nearest(name, known)
+    return f"no stream '{stream}' in '{name}'" + (
+        f"; did you mean '{match}'?" if match else did_you_mean(stream, streams)
+    )

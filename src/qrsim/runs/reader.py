@@ -1,0 +1,338 @@
+"""Read a run folder: finished, still running, or killed."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+from pydantic import TypeAdapter, ValidationError
+
+from qrsim.errors import RunError, ScenarioError, UsageError, did_you_mean, shortened
+from qrsim.runs.episodes import EPISODES_FILE, episode_folders, holds_episodes, which_one
+from qrsim.runs.layout import EVENTS, FORMAT, INDEX, RUN_FILE, SCENARIO_FILE, Column, Event, RunInfo
+from qrsim.runs.parts import StreamParts
+from qrsim.user_files import LARGEST_DATA, read_text
+from qrsim.yaml_text import parse_yaml
+
+_INFO = TypeAdapter(RunInfo)
+# A part is written every few seconds: a run of a year has as many.
+MOST_PARTS = 10_000_000
+
+
+def open_run(path: Path | str, *, skip_damaged: bool = False) -> Run:
+    """Open a run folder for reading, as it is at this moment; open it again to see what came since.
+
+    Args:
+        path: the run folder; or a folder of the episodes of a server's session, which is the run of its episode where
+            there is one, and otherwise has nothing but ``episodes``.
+        skip_damaged: leave damaged and missing parts out, with a warning for each, instead of raising.
+
+    Raises:
+        UsageError: there is no run folder at ``path``; and where one of several episodes is to be read as a run.
+        RunError: ``run.json`` is damaged, or of a later version of qrsim.
+    """
+    folder = Path(path)
+    try:
+        folder.exists()
+    except (OSError, ValueError) as error:  # a name that is too long, or has a null byte
+        words = getattr(error, "strerror", None) or str(error)
+        raise UsageError(f"no run at {shortened(str(folder), 100)}: {words}") from None
+    if holds_episodes(folder):
+        found = episode_folders(folder)
+        if len(found) == 1:
+            return open_run(found[0], skip_damaged=skip_damaged)
+        return _Episodes(folder, found, skip_damaged)
+    if not (folder / RUN_FILE).is_file():
+        raise UsageError(_not_a_run(folder))
+    # Before the parts are listed: these are then at least as many as the counts in it.
+    info = _read_info(folder / RUN_FILE)
+    try:
+        scenario_yaml = read_text(folder / SCENARIO_FILE, LARGEST_DATA)
+    except OSError as error:
+        raise RunError(f"cannot read {folder / SCENARIO_FILE}: {error.strerror or error}") from error
+    return Run(folder, info, scenario_yaml, skip_damaged)
+
+
+class Run:
+    """One recorded run. ``run["truth"]["position_ned.x"]`` is an array of shape (T, n).
+
+    Attributes:
+        folder: where it lies.
+        info: the content of ``run.json``.
+        scenario_yaml: the resolved scenario, as text.
+    """
+
+    def __init__(self, folder: Path, info: RunInfo, scenario_yaml: str, skip_damaged: bool = False):
+        """Use ``open_run``."""
+        self.folder, self.info, self.scenario_yaml = folder, info, scenario_yaml
+        self._parts = {
+            stream: StreamParts(stream, folder / stream, _part_numbers(folder / stream), count, skip_damaged)
+            for stream, count in info.parts.items()
+        }
+        self._streams: dict[str, Stream] = {}
+
+    @cached_property
+    def scenario(self) -> Any:
+        """The resolved scenario, a dict. Raises RunError where the file is no YAML."""
+        source = self.folder / SCENARIO_FILE
+        try:
+            return parse_yaml(self.scenario_yaml, str(source))
+        except ScenarioError as error:
+            raise RunError(f"{source} is damaged: {error.problems[0]}") from error
+
+    @property
+    def episodes(self) -> tuple[Run, ...]:
+        """The runs in the folder of a server's session, in the order in which they were flown; else this one alone."""
+        return (self,)
+
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """Names of what was recorded, "events" included."""
+        return tuple(self._parts)
+
+    @property
+    def vehicles(self) -> tuple[str, ...]:
+        """Names of the vehicles, in the order of the arrays' last axis."""
+        return self.info.vehicles
+
+    def __getitem__(self, stream: str) -> Stream:
+        """Return a stream as (T, n) arrays; it keeps no column in memory. Raises UsageError on an unknown name."""
+        if stream == EVENTS:
+            raise UsageError("events are not one per vehicle and tick: use run.events or run.table('events')")
+        if stream not in self._streams:
+            self._streams[stream] = Stream(self._stream_parts(stream), self.vehicles)
+        return self._streams[stream]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.streams)
+
+    def __contains__(self, stream: object) -> bool:
+        return stream in self._parts
+
+    def table(self, stream: str, columns: Sequence[str] | None = None) -> pa.Table:
+        """Return a stream as recorded: one row per time and vehicle, or per event.
+
+        Args:
+            stream: its name.
+            columns: those to read, in this order; None for all. Units are in the fields' metadata.
+
+        Raises:
+            UsageError: unknown stream or column.
+            RunError: a part is damaged or missing; the message names it.
+        """
+        return self._stream_parts(stream).table(columns)
+
+    def batches(self, stream: str, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """Return the rows of ``table`` piece by piece, for logs that do not fit into memory; raises as table."""
+        return self._stream_parts(stream).tables(columns)
+
+    def describe(self, stream: str) -> tuple[Column, ...]:
+        """Return name, unit, meaning and type of each column, time, tick and vehicle included; raises as table."""
+        return self._stream_parts(stream).columns
+
+    def units(self, stream: str) -> dict[str, str]:
+        """Return column -> unit ("" where there is none), time, tick and vehicle included; raises as table."""
+        return {column.name: column.unit for column in self.describe(stream)}
+
+    @property
+    def events(self) -> list[Event]:
+        """All events in the order in which they were recorded; raises as table."""
+        return [Event(**row) for row in self.table(EVENTS).to_pylist()]
+
+    def _stream_parts(self, stream: str) -> StreamParts:
+        if stream not in self._parts:
+            raise UsageError(f"{self.folder} has no stream '{stream}'{did_you_mean(str(stream), self._parts)}")
+        return self._parts[stream]
+
+
+class _Episodes(Run):
+    """Several runs in one folder, which have to be told apart before anything is read."""
+
+    def __init__(self, folder: Path, found: list[Path], skip_damaged: bool):
+        self.folder, self._found, self._skip_damaged = folder, found, skip_damaged
+
+    @property
+    def episodes(self) -> tuple[Run, ...]:
+        return tuple(open_run(folder, skip_damaged=self._skip_damaged) for folder in self._found)
+
+    def __getattr__(self, name: str) -> Any:
+        # All else that a run has is that of one episode.
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise which_one(self.folder, self._found)
+
+
+class Batch(NamedTuple):
+    """Some ticks of a stream: times (T,) [s], their numbers (T,), and columns of shape (T, n)."""
+
+    time: npt.NDArray[np.float64]
+    tick: npt.NDArray[np.int64]
+    arrays: dict[str, npt.NDArray[Any]]
+
+
+class Stream:
+    """One stream of a run as arrays of shape (T, n), n vehicles in the run's order.
+
+    A column is read from disk each time it is asked for: keep it in a variable, or take many with ``arrays``.
+    """
+
+    def __init__(self, parts: StreamParts, vehicles: Sequence[str]):
+        """Use ``run[stream]``."""
+        self._parts = parts
+        self.vehicles = tuple(vehicles)
+
+    @cached_property
+    def _grid(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+        """(T,) times and ticks, after a check that the rows are what the arrays' shape promises."""
+        return self._steps(self._parts.table([column.name for column in INDEX]))
+
+    def _steps(self, table: pa.Table) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+        """Return (T,) times and ticks of some rows, after the same check."""
+        count = len(self.vehicles)
+        order = _codes(table["vehicle"], self.vehicles)
+        times: npt.NDArray[np.float64] = table["time"].to_numpy()
+        ticks: npt.NDArray[np.int64] = table["tick"].to_numpy()
+        steps = ticks[::count]
+        in_order = np.array_equal(order, np.tile(np.arange(count), len(steps)))
+        if in_order and np.array_equal(ticks, np.repeat(steps, count)):
+            return times[::count].copy(), steps.copy()
+        raise RunError(
+            f"{self._parts.folder}: its rows are not one per vehicle at each tick, so there are no (T, n) arrays; "
+            "use run.table"
+        )
+
+    @property
+    def time(self) -> npt.NDArray[np.float64]:
+        """Simulated time [s], shape (T,)."""
+        return self._grid[0]
+
+    @property
+    def tick(self) -> npt.NDArray[np.int64]:
+        """Number of the simulation step, shape (T,)."""
+        return self._grid[1]
+
+    def columns(self) -> tuple[str, ...]:
+        """Return the names that can be indexed with."""
+        return tuple(column.name for column in self._parts.columns[len(INDEX) :])
+
+    def column(self, name: str) -> Column:
+        """Return unit, meaning and type of a column. Raises UsageError where there is none of this name."""
+        return self._parts.column(name)
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        """Return a column, shape (T, n), in its own dtype; raises as ``arrays``."""
+        return self.arrays([name])[name]
+
+    def arrays(self, names: Sequence[str] | None = None) -> dict[str, npt.NDArray[Any]]:
+        """Return several columns (None: all), each of shape (T, n), in one pass over the files.
+
+        Raises:
+            UsageError: unknown column.
+            RunError: a part is damaged or missing; the message names it.
+        """
+        names = self._known(names)
+        shape = (len(self.time), len(self.vehicles))
+        table = self._parts.table(names)
+        return {name: table[name].to_numpy().reshape(shape) for name in names}
+
+    def batches(self, names: Sequence[str] | None = None) -> Iterator[Batch]:
+        """Return the ticks of ``arrays`` piece by piece, for logs that do not fit into memory; raises as ``arrays``."""
+        names = self._known(names)
+        for table in self._parts.tables([*(column.name for column in INDEX), *names]):
+            if not table.num_rows:
+                continue
+            time, tick = self._steps(table)
+            shape = (len(time), len(self.vehicles))
+            yield Batch(time, tick, {name: table[name].to_numpy().reshape(shape) for name in names})
+
+    def _known(self, names: Sequence[str] | None) -> Sequence[str]:
+        if names is None:
+            return self.columns()
+        for name in names:
+            if name not in self:
+                known = did_you_mean(str(name), self.columns())
+                raise UsageError(f"stream '{self._parts.stream}' has no column '{name}'{known}")
+        return names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns())
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns()
+
+
+def _codes(vehicle: pa.ChunkedArray, vehicles: Sequence[str]) -> npt.NDArray[np.int64]:
+    """Return the index of each row's vehicle; -1 for a name that is not one of the run's."""
+    index = {name: i for i, name in enumerate(vehicles)}
+    chunks = [np.zeros(0, np.int64)]
+    for chunk in vehicle.chunks:
+        # The last entry stands for an absent name, which the index -1 finds.
+        lookup = np.array([*(index.get(name, -1) for name in chunk.dictionary.to_pylist()), -1])
+        chunks.append(lookup[chunk.indices.fill_null(-1).to_numpy()])
+    return np.concatenate(chunks)
+
+
+def _part_numbers(folder: Path) -> list[int]:
+    """Return the numbers of the parts in a stream's folder, ascending; temporary files have other names."""
+    if not folder.is_dir():
+        return []
+    matches = (re.fullmatch(r"part-(\d{5,9})\.parquet", path.name) for path in folder.iterdir())
+    # What has a larger number is no part that a run wrote.
+    return sorted(number for match in matches if match and (number := int(match[1])) < MOST_PARTS)
+
+
+def _not_a_run(folder: Path) -> str:
+    if not folder.exists():
+        return f"no run at {folder}: there is no such folder"
+    hint = ""
+    if (folder.parent / RUN_FILE).is_file():
+        hint = f"; the run is {folder.parent}"
+    elif folder.is_dir():
+        inside = sorted(path.parent.name for name in (RUN_FILE, EPISODES_FILE) for path in folder.glob(f"*/{name}"))
+        hint = f"; runs inside it: {', '.join(inside[:8])}{', ...' if len(inside) > 8 else ''}" if inside else ""
+    return f"{folder} is not a run folder: it has no {RUN_FILE}{hint}"
+
+
+def _problem(info: RunInfo) -> str:
+    """Return what no run can have, "" where all is well."""
+    if not info.vehicles:
+        return "vehicles: there are none"
+    if len(set(info.vehicles)) < len(info.vehicles):
+        return "vehicles: a name is there twice"
+    if not (math.isfinite(info.time_step) and info.time_step > 0.0):
+        return f"time_step: {info.time_step:g}; expected above 0"
+    for name, counts in (("every", info.every), ("parts", info.parts)):
+        for stream, count in counts.items():
+            if not re.fullmatch(r"[A-Za-z0-9_.-]+", stream) or stream in (".", ".."):
+                return f"{name}: {stream!r:.60} is no name of a stream"
+            if not 0 <= count <= MOST_PARTS:
+                return f"{name}.{stream}: {count}; expected 0 to {MOST_PARTS}"
+    return "" if 0 <= info.ticks < 2**63 else f"ticks: {info.ticks}; expected at least 0"
+
+
+def _read_info(path: Path) -> RunInfo:
+    try:
+        data = json.loads(read_text(path))
+        version = data["format"]
+        if version == FORMAT:
+            info = _INFO.validate_python(data)
+            if problem := _problem(info):
+                raise RunError(f"{path} is damaged: {problem}")
+            return info
+    except OSError as error:
+        raise RunError(f"cannot read {path}: {error.strerror or error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(step) for step in first["loc"])
+        raise RunError(f"{path} is damaged: {where}: {first['msg']}") from error
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise RunError(f"{path} is damaged: {error!r}") from error
+    raise RunError(f"{path} has the run folder format {version}; this version of qrsim reads format {FORMAT}")

@@ -1,0 +1,191 @@
+"""Flies a simulation and records it, at full speed or against the wall clock."""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from qrsim.errors import RunError
+from qrsim.runs import RunInfo, RunWriter
+from qrsim.runs.layout import check_every
+from qrsim.runs.streams import STREAMS, EventFinder, columns, values
+from qrsim.scenarios.scenario import Scenario
+from qrsim.simulation.simulation import History, Simulation
+
+if TYPE_CHECKING:
+    from qrsim.simulation.pilot import Pilot
+
+CHUNK_TICKS = 50
+REALTIME_CHUNK_S = 0.1
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How a recording went.
+
+    Attributes:
+        simulated_s: simulated time.
+        timed_s: the part of it that ``wall_s`` measures: all but the first tick.
+        wall_s: wall time of the flight, without start-up and the first tick.
+        start_up_s: wall time until the first tick was done, from the call of ``fly``.
+        first_tick_unix_s: when the first tick was done [s since 1970], for whoever started the process.
+        overruns: chunks that were finished too late in real time.
+    """
+
+    simulated_s: float
+    timed_s: float
+    wall_s: float
+    start_up_s: float
+    first_tick_unix_s: float
+    overruns: int
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated seconds per wall second."""
+        return self.timed_s / self.wall_s if self.wall_s > 0 else 0.0
+
+
+class Watcher(Protocol):
+    """Who looks on while a simulation flies, and may hold it up: a page (see ``qrsim.view.live``)."""
+
+    def begin(self, simulation: Simulation, title: str) -> None:
+        """See a simulation at its start."""
+
+    def offer(self, history: History) -> None:
+        """See what was flown."""
+
+    def changes(self, simulation: Simulation) -> Iterable[dict[str, Any]]:
+        """Make the changes that were asked for since, and return them as events."""
+
+    def wait(self, ticks: int) -> int:
+        """Wait until it is time, and return how many of the ticks may be flown."""
+
+
+def fly(
+    scenario: Scenario,
+    folder: Path,
+    *,
+    seed: int,
+    precision: str,
+    every: Mapping[str, int] | None = None,
+    realtime: bool = False,
+    policy: Any = None,
+    estimator: Any = None,
+    policy_ticks: int = 1,
+    progress: Callable[[float, float], None] = lambda simulated_s, wall_s: None,
+    command_line: Sequence[str] | None = None,
+    view: Watcher | None = None,
+) -> Pace:
+    """Fly a scenario from start to end and record it.
+
+    Args:
+        scenario: what to fly.
+        folder: the run folder; must not exist.
+        seed: of all randomness.
+        precision: float32 or float64.
+        every: stream -> N: of this stream only the ticks that N divides are kept. Events are all kept.
+        realtime: pace the flight against the wall clock.
+        policy, estimator, policy_ticks: the user's own functions, see ``qrsim.interface.policies``.
+        progress: called after every chunk with simulated and wall time [s].
+        command_line: words to note in the run folder, by default those of this process.
+        view: page that shows the flight, and says how fast it goes.
+
+    Raises:
+        UsageError: the folder exists, or ``every`` names no stream or is no integer from 1.
+        RunError: the log cannot be written, or the user's functions fail; what was flushed before stays readable.
+    """
+    begun = time.perf_counter()
+    check_every(every or {}, STREAMS)
+    simulation = Simulation(scenario.world(precision), seed=seed, name=scenario.name, site=scenario.site)
+    info = RunInfo.collect(
+        scenario=scenario.name, seed=seed, precision=precision, time_step=scenario.spec.time_step,
+        vehicles=simulation.vehicle_names, every=every, command_line=command_line,
+    )  # fmt: skip
+    make_parent(folder)
+    simulation.reset()
+    if view is not None:
+        view.begin(simulation, f"{scenario.name}, seed {seed}")
+    beginning, finder = simulation.history, EventFinder(simulation)
+    wanted = columns(simulation.world, beginning)
+    pilot = None if policy is None and estimator is None else _pilot(simulation, policy, estimator, policy_ticks)
+    # The first tick alone, so that compiling does not count as flying.
+    first = _record(simulation, 1, pilot)
+    start_up, first_tick = time.perf_counter() - begun, time.time()
+    gc.enable()
+    with RunWriter.create(folder, info=info, scenario_yaml=scenario.to_yaml(), columns=wanted) as writer:
+
+        def keep(history: History) -> None:
+            arrays = values(simulation.world, history, wanted)
+            with writer.together():
+                for stream in STREAMS:
+                    writer.append(stream, history.ticks, history.time, arrays[stream])
+                for event in finder.find(history):
+                    writer.append_event(**event)
+            if view is not None:
+                view.offer(history)
+                for event in view.changes(simulation):
+                    writer.append_event(**event)
+
+        keep(beginning)
+        keep(first)
+        # A page has a clock of its own.
+        paced = realtime and view is None
+        return _loop(simulation, scenario.ticks, (start_up, first_tick), paced, pilot, keep, progress, view)
+
+
+def _pilot(simulation: Simulation, policy: Any, estimator: Any, policy_ticks: int) -> Pilot:
+    # Imported here, because most runs have none.
+    from qrsim.simulation.pilot import Pilot
+
+    return Pilot(simulation, policy, estimator, policy_ticks)
+
+
+def _record(simulation: Simulation, ticks: int, pilot: Pilot | None) -> History:
+    return pilot.record(ticks, CHUNK_TICKS) if pilot else simulation.record(ticks, capacity=CHUNK_TICKS)
+
+
+def make_parent(folder: Path) -> None:
+    """Make the folder that the run folder goes into, before anything is compiled.
+
+    Raises:
+        RunError: it cannot be made or written to.
+    """
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise RunError(f"cannot create the run folder {folder}: Not a directory: {folder.parent}") from None
+    except OSError as error:
+        raise RunError(f"cannot create the run folder {folder}: {error.strerror or error}") from None
+    if not os.access(folder.parent, os.W_OK):
+        raise RunError(f"cannot create the run folder {folder}: {folder.parent} is not writable")
+
+
+def _loop(
+    simulation: Simulation,
+    ticks: int,
+    begun: tuple[float, float],
+    realtime: bool,
+    pilot: Pilot | None,
+    keep: Callable[[History], None],
+    progress: Callable[[float, float], None],
+    view: Watcher | None = None,
+) -> Pace:
+    chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step))) if realtime else CHUNK_TICKS
+    start = time.perf_counter()
+    first = simulation.time
+    overruns = 0
+    while simulation.tick < ticks:
+        count = min(chunk, ticks - simulation.tick)
+        keep(_record(simulation, count if view is None else view.wait(count), pilot))
+        flown, wall = simulation.time - first, time.perf_counter() - start
+        if realtime and flown > wall:
+            time.sleep(flown - wall)
+        elif realtime:
+            overruns += 1
+        progress(simulation.time, time.perf_counter() - start)
+    return Pace(simulation.time, simulation.time - first, time.perf_counter() - start, *begun, overruns)

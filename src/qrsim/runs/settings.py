@@ -1,0 +1,54 @@
+"""In what the settings of two runs differ: seed, versions, and the scenario value by value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from qrsim.runs.reader import Run
+
+ABSENT = "(absent)"
+INFO = ("seed", "precision", "every", "state", "ticks", "versions", "platform")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A value that two runs do not share: its path, and what each run has, ``ABSENT`` where that is nothing."""
+
+    path: str
+    values: tuple[Any, Any]
+
+
+def setting_differences(first: Run, second: Run) -> list[Setting]:
+    """Return what differs in run.json and in the resolved scenario; that of the scenario begins with "scenario.".
+
+    Raises:
+        RunError: a scenario.yaml is no YAML.
+    """
+    runs = (first, second)
+    infos = [{name: getattr(run.info, name) for name in INFO} for run in runs]
+    scenarios = [{"scenario": _scenario(run)} for run in runs]
+    return [*_differences("", *infos), *_differences("", *scenarios)]
+
+
+def _scenario(run: Run) -> Any:
+    return run.scenario
+
+
+def _differences(path: str, first: Any, second: Any) -> Iterator[Setting]:
+    """Yield the differences of two trees; a list of plain values is one value."""
+    mine, other = _children(first), _children(second)
+    if mine is not None and other is not None:
+        for key in dict.fromkeys([*mine, *other]):
+            yield from _differences(f"{path}.{key}".removeprefix("."), mine.get(key, ABSENT), other.get(key, ABSENT))
+    elif first != second:
+        yield Setting(path, (first, second))
+
+
+def _children(tree: Any) -> Mapping[Any, Any] | None:
+    if isinstance(tree, Mapping):
+        return tree
+    if isinstance(tree, list) and any(isinstance(item, dict | list) for item in tree):
+        return dict(enumerate(tree))
+    return None

@@ -1,0 +1,210 @@
+"""From a History to the streams of a run folder: which columns there are, and their values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.tree import walk
+from qrsim.runs import Column
+from qrsim.models.gnss.receivers import FEWEST_SATELLITES
+from qrsim.models.scene.area import REASONS, reason_text
+from qrsim.simulation.simulation import History, Simulation
+from qrsim.world.tick import FleetState, World, position_of
+
+Values = dict[str, np.ndarray[Any, Any]]
+STREAMS = ("truth", "measurements", "commands", "wind")
+# Kind of the event that says that a person was found; its value is the number of the person.
+PERSON_FOUND = "person_found"
+
+
+def _tree(stream: str, names: tuple[str, ...], state: FleetState) -> list[tuple[str, Any, str, str]]:
+    """Return (column, array (T, n), unit, doc) of one fleet's part of a stream."""
+    roots: dict[str, list[tuple[str, Any]]] = {
+        "truth": [("", state.vehicle), ("specific_force.", state.specific_force)],
+        "measurements": [(f"{name}.", reading) for name, reading in zip(names, state.readings, strict=True)],
+        "commands": [("", state.command), ("setpoint.", state.setpoint)],
+        "wind": [("mean_ned.", state.mean_wind_ned), ("gust_ned.", state.gust_ned)],
+    }
+    if state.gust_rates_ned is not None:
+        roots["wind"].append(("gust_rates_ned.", state.gust_rates_ned))
+    if hasattr(state.battery, "charge"):
+        roots["truth"].append(("battery.", state.battery))
+    units = {"specific_force.": "m/s^2", "mean_ned.": "m/s", "gust_ned.": "m/s", "gust_rates_ned.": "rad/s"}
+    items = [
+        (name, leaf, info.unit or units.get(prefix, ""), info.doc)
+        for prefix, root in roots[stream]
+        for name, leaf, info in walk(root, prefix)
+    ]
+    if stream == "truth":
+        whole = position_of(state)
+        exact = {f"position_ned.{axis}": getattr(whole, axis) for axis in "xyz"}
+        items = [(name, exact.get(name, leaf), unit, doc) for name, leaf, unit, doc in items]
+        items.append(("valid", state.violation.code == 0, "", "whether the vehicle still flies"))
+    if stream == "commands":
+        items.append(("clipped", state.command_clipped, "", "the command was outside its range and was clipped"))
+        items.append(("waypoint", state.guidance.index, "", "index of the waypoint flown to"))
+    return items
+
+
+def columns(world: World, history: History) -> dict[str, list[Column]]:
+    """Return the columns of every stream; a quantity that only some fleets have is one column for all."""
+    found: dict[str, dict[str, Column]] = {stream: {} for stream in STREAMS}
+    for stream in STREAMS:
+        for fleet, state in zip(world.fleets, history.state.fleets, strict=True):
+            for name, leaf, unit, doc in _tree(stream, fleet.sensor_names, state):
+                found[stream].setdefault(name, Column(name, unit, doc, leaf.dtype.name))
+    return {stream: list(by_name.values()) for stream, by_name in found.items()}
+
+
+def values(world: World, history: History, wanted: dict[str, list[Column]]) -> dict[str, Values]:
+    """Return (T, n) arrays for every column of every stream; NaN where a fleet lacks the quantity."""
+    result: dict[str, Values] = {}
+    for stream in STREAMS:
+        parts = []
+        for fleet, state in zip(world.fleets, history.state.fleets, strict=True):
+            own = {name: leaf for name, leaf, _, _ in _tree(stream, fleet.sensor_names, state)}
+            shape = (len(history.ticks), fleet.size)
+            parts.append({c.name: own[c.name] if c.name in own else _absent(shape, c) for c in wanted[stream]})
+        result[stream] = {c.name: np.concatenate([part[c.name] for part in parts], axis=1) for c in wanted[stream]}
+    return result
+
+
+def _absent(shape: tuple[int, int], column: Column) -> np.ndarray[Any, Any]:
+    """Return what is logged for a quantity that a fleet lacks: NaN, or 0 where the type has no NaN."""
+    return np.full(shape, np.nan if column.dtype.startswith("float") else 0, column.dtype)
+
+
+class EventFinder:
+    """Notices what happens once: a vehicle becomes invalid, reaches a waypoint, loses a sensor, and the like."""
+
+    def __init__(self, simulation: Simulation):
+        self.world = simulation.world
+        self.names = simulation.vehicle_names
+        self.time_step = simulation.world.time_step
+        start = simulation.history
+        self.before = {key: pick(start)[-1] for key, pick in self._sources().items()}
+
+    @staticmethod
+    def _sources() -> dict[str, Callable[[History], Any]]:
+        def together(pick: Callable[[FleetState], Any]) -> Callable[[History], Any]:
+            return lambda history: np.concatenate([pick(fleet) for fleet in history.state.fleets], axis=1)
+
+        return {
+            "code": together(lambda fleet: fleet.violation.code),
+            "reached": together(lambda fleet: fleet.guidance.reached),
+            "clipped": together(lambda fleet: fleet.command_clipped),
+        }
+
+    def find(self, history: History) -> list[dict[str, Any]]:
+        """Return the events of a history as arguments of ``RunWriter.append_event``, in order of time."""
+        found: list[tuple[int, int, dict[str, Any]]] = []
+        for key, pick in self._sources().items():
+            now = pick(history)
+            previous = np.concatenate([self.before[key][None], now[:-1]])
+            self.before[key] = now[-1]
+            for row, vehicle in np.argwhere(now > previous):
+                found.append((int(row), int(vehicle), self._event(key, history, int(row), int(vehicle))))
+        found += self._faults(history)
+        found += self._losses(history)
+        found += self._persons(history)
+        found.sort(key=lambda item: item[:2])
+        return [event for _, _, event in found]
+
+    def _faults(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+        """Return the scheduled faults that begin or end."""
+        found, first = [], 0
+        for fleet in self.world.fleets:
+            for fault in fleet.faults:
+                for edge, word in ((fault.start_tick, "begins"), (fault.end_tick, "ends")):
+                    for row in np.flatnonzero(history.ticks == int(edge)):
+                        for i in np.flatnonzero(fault.affected):
+                            event = self._at(history, int(row), first + int(i))
+                            message = (
+                                f"{event['vehicle']}: {fault.sensor} {fault.kind}, {word} at {event['time']:.2f} s"
+                            )
+                            event |= {"kind": f"fault_{word}", "field": fault.sensor, "message": message}
+                            found.append((int(row), first + int(i), event))
+            first += fleet.size
+        return found
+
+    def _losses(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+        """Return where a GNSS receiver of a flying vehicle has no fix for want of satellites, or finds it again."""
+        found, first = [], 0
+        for fleet, state in zip(self.world.fleets, history.state.fleets, strict=True):
+            for sensor, reading in zip(fleet.sensor_names, state.readings, strict=True):
+                if not hasattr(reading, "satellites"):
+                    continue
+                key = f"{fleet.name}/{sensor}"
+                lost = np.isnan(reading.position_ned.x) & (reading.satellites < FEWEST_SATELLITES)
+                from_the_start = key not in self.before
+                before = self.before.get(key, np.zeros(fleet.size, bool))
+                previous = np.concatenate([before[None], lost[:-1]])
+                self.before[key] = lost[-1]
+                for row, i in np.argwhere(lost != previous):
+                    event = self._at(history, int(row), first + int(i))
+                    count = float(reading.satellites[row, i])
+                    kind = "fix_found" if not lost[row, i] else "no_fix" if from_the_start and row == 0 else "fix_lost"
+                    counted = f"{count:.0f} satellites" if np.isfinite(count) else "the vehicle has stopped"
+                    message = (
+                        f"{event['vehicle']}: {sensor} {kind.replace('_', ' ')} at {event['time']:.2f} s, {counted}"
+                    )
+                    value = count if np.isfinite(count) else None
+                    event |= {"kind": kind, "field": f"{sensor}.satellites", "value": value, "message": message}
+                    found.append((int(row), first + int(i), event))
+            first += fleet.size
+        return found
+
+    def _persons(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+        """Return who was found, by the vehicle that was nearest."""
+        persons = history.state.contents.persons
+        if persons is None:
+            return []
+        found = []
+        for row, number in np.argwhere(persons.found_tick == history.ticks[:, None]):
+            where = np.array([persons.north[row, number], persons.east[row, number], 0.0])
+            vehicle = self._nearest_to(history, int(row), where)
+            event = self._at(history, int(row), vehicle)
+            message = f"{event['vehicle']} found person {number} at {event['time']:.2f} s"
+            event |= {"kind": PERSON_FOUND, "field": "persons", "value": float(number), "message": message}
+            found.append((int(row), vehicle, event))
+        return found
+
+    def _at(self, history: History, row: int, vehicle: int) -> dict[str, Any]:
+        return {"time": float(history.time[row]), "tick": int(history.ticks[row]), "vehicle": self.names[vehicle]}
+
+    def _event(self, key: str, history: History, row: int, vehicle: int) -> dict[str, Any]:
+        event = self._at(history, row, vehicle)
+        name, time = event["vehicle"], event["time"]
+        if key == "reached":
+            count = int(self._sources()["reached"](history)[row, vehicle])
+            message = f"{name} reached its waypoint number {count} at {time:.2f} s"
+            return {**event, "kind": "waypoint_reached", "field": "waypoint", "value": float(count), "message": message}
+        if key == "clipped":
+            return {**event, "kind": "command_clipped", "message": f"{name}: command clipped at {time:.2f} s"}
+        code = int(self._sources()["code"](history)[row, vehicle])
+        value = float(np.concatenate([f.violation.value for f in history.state.fleets], axis=1)[row, vehicle])
+        kind, field = REASONS[code]
+        message = f"{name} stopped at {time:.2f} s, {reason_text(code, value)}"
+        if kind == "collision" and field == "distance":
+            message += f" m to {self._nearest(history, row, vehicle)}"
+        return {**event, "kind": kind, "field": field, "value": value, "message": message}
+
+    def _nearest(self, history: History, row: int, vehicle: int) -> str:
+        own = self._positions(history, row)[vehicle]
+        return self.names[self._nearest_to(history, row, own, vehicle)]
+
+    def _nearest_to(self, history: History, row: int, where: np.ndarray[Any, Any], but: int | None = None) -> int:
+        """Return who is nearest to a place (3,), without one of them where that is asked for."""
+        distance = np.linalg.norm(self._positions(history, row) - where, axis=1)
+        if but is not None:
+            distance[but] = np.inf
+        return int(np.argmin(distance))
+
+    @staticmethod
+    def _positions(history: History, row: int) -> np.ndarray[Any, Any]:
+        """Return the positions (n, 3) of all vehicles."""
+        positions = [position_of(fleet) for fleet in history.state.fleets]
+        return np.stack([np.concatenate([getattr(each, axis)[row] for each in positions]) for axis in "xyz"], axis=1)

@@ -1,0 +1,182 @@
+"""What happened in a run, per vehicle, from its log."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import reduce
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from qrsim.runs.layout import Event
+from qrsim.runs.reader import Run, Stream
+
+Floats = np.ndarray[Any, Any]
+Rows = np.ndarray[Any, Any]
+STREAMS = ("truth", "measurements", "commands", "wind")
+NOT_A_STOP = (
+    "waypoint_reached",
+    "command_clipped",
+    "fault_begins",
+    "fault_ends",
+    "no_fix",
+    "fix_lost",
+    "fix_found",
+    "wind_changed",
+    "person_found",
+)
+
+
+@dataclass(frozen=True)
+class VehicleSummary:
+    """One vehicle's run; NaN where a quantity was not recorded.
+
+    Each number is of the ticks at which all streams that it needs were logged.
+
+    Attributes:
+        vehicle: name.
+        distance_m: length of the true path.
+        tracking_error_rms_m: distance of the true position from the leg being flown (a point while it is held); NaN
+            where no waypoint was.
+        gnss_horizontal_rms_m, gnss_vertical_rms_m: what the receiver reports minus the truth at that moment, so the
+            delay of the fix counts, over the epochs at which a new fix was reported.
+        worst_wind_m_s: largest speed of the air at the vehicle while it flies, gusts included.
+        waypoints: how many it reached.
+        stopped: why it stopped flying, "" if it did not.
+    """
+
+    vehicle: str
+    distance_m: float
+    tracking_error_rms_m: float
+    gnss_horizontal_rms_m: float
+    gnss_vertical_rms_m: float
+    worst_wind_m_s: float
+    waypoints: int
+    stopped: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields by name, None in place of NaN (JSON has no NaN)."""
+        return {
+            name: None if isinstance(value, float) and not np.isfinite(value) else value
+            for name, value in asdict(self).items()
+        }
+
+
+def common_rows(run: Run, *streams: str) -> list[Rows]:
+    """Return, for each of the named streams, its rows (T,) at the ticks that all of them have.
+
+    Streams of different decimation have different ticks. Where a disk ran full or the process was killed, some streams
+    are longer than others: the rows end where the first of all ends.
+    """
+    ends = [run[name].tick[-1:] + run.info.every.get(name, 1) for name in STREAMS]
+    ticks = [run[name].tick for name in streams]
+    common = reduce(np.intersect1d, ticks)
+    common = common[common < min(int(end[0]) if len(end) else 0 for end in ends)]
+    return [np.searchsorted(own, common) for own in ticks]
+
+
+def vectors(stream: Stream, name: str, rows: Rows | slice = slice(None)) -> Floats:
+    """Return (T, n, 3) of a quantity recorded as NAME.x, NAME.y, NAME.z, at some rows or all."""
+    arrays = stream.arrays([f"{name}.{axis}" for axis in "xyz"])
+    return np.stack([np.asarray(array, np.float64)[rows] for array in arrays.values()], axis=-1)
+
+
+def waypoints_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
+    """Return (T, n, 3) the waypoint each vehicle was asked to fly to [m], NaN where it was asked for something else."""
+    commands = run["commands"]
+    if "setpoint.position_ned.x" in commands:
+        return vectors(commands, "setpoint.position_ned", rows)
+    return np.full((len(commands.time[rows]), len(run.vehicles), 3), np.nan)
+
+
+def stops_of(run: Run) -> dict[int, Event]:
+    """Return index of a vehicle -> the event that ended its flight."""
+    stops = [event for event in run.events if event.kind not in NOT_A_STOP and event.vehicle is not None]
+    return {run.vehicles.index(str(event.vehicle)): event for event in reversed(stops)}
+
+
+def gnss_sensor(run: Run) -> str | None:
+    """Return the name of the first sensor that reports a position, None where there is none."""
+    for column in run["measurements"].columns():
+        if column.endswith(".position_ned.x"):
+            return column.removesuffix(".position_ned.x")
+    return None
+
+
+def gnss_error(run: Run) -> tuple[Floats, Floats]:
+    """Return (times (E,), errors (E, n, 3) [m] in NED) at the epochs E at which any receiver reported a new fix.
+
+    Epochs at which the truth was not logged are left out.
+    """
+    sensor = gnss_sensor(run)
+    if sensor is None:
+        return np.zeros(0), np.zeros((0, len(run.vehicles), 3))
+    reported = vectors(run["measurements"], f"{sensor}.position_ned")
+    fresh = np.ones(len(reported), bool)
+    changed = (reported[1:] != reported[:-1]) & np.isfinite(reported[1:])
+    fresh[1:] = changed.any(axis=(1, 2))
+    true_rows, rows = common_rows(run, "truth", "measurements")
+    true_rows, rows = true_rows[fresh[rows]], rows[fresh[rows]]
+    truth = vectors(run["truth"], "position_ned", true_rows)
+    return run["measurements"].time[rows], reported[rows] - truth
+
+
+def tracking_error(position: Floats, waypoint: Floats) -> Floats:
+    """Return the distance (T, n) [m] of positions (T, n, 3) from the leg that leads to each waypoint (T, n, 3)."""
+    error = np.empty(position.shape[:2])
+    # A run that was killed at once has no ticks.
+    for vehicle in range(position.shape[1]) if len(position) else ():
+        target, place = waypoint[:, vehicle], position[:, vehicle]
+        same = (target[1:] == target[:-1]) | np.isnan(target[1:]) & np.isnan(target[:-1])
+        changes = 1 + np.flatnonzero(~np.all(same, axis=1))
+        bounds = [0, *changes, len(target)]
+        origin = place[0]
+        for begin, end in pairwise(bounds):
+            goal = target[begin]
+            leg, offset = goal - origin, place[begin:end] - origin
+            length_squared = float(leg @ leg)
+            along = np.clip(offset @ leg / length_squared, 0.0, 1.0) if length_squared > 0 else np.zeros(end - begin)
+            error[begin:end, vehicle] = np.linalg.norm(offset - along[:, None] * leg, axis=1)
+            origin = goal if np.isfinite(goal).all() else place[end - 1]
+    return error
+
+
+def _rms(values: Floats, axis: int | tuple[int, ...] = 0) -> Floats:
+    """Root mean square without NaN; NaN where nothing is left."""
+    count = np.sum(np.isfinite(values), axis=axis)
+    total = np.nansum(np.square(values), axis=axis)
+    return np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def summarise(run: Run) -> list[VehicleSummary]:
+    """Return one summary per vehicle, in the order of the run's vehicles."""
+    position = vectors(run["truth"], "position_ned")
+    flying = np.where(run["truth"]["valid"].astype(bool), 1.0, np.nan)
+    [rows] = common_rows(run, "truth")
+    distance = np.linalg.norm(np.diff(position[rows], axis=0), axis=-1).sum(axis=0)
+    rows, commanded = common_rows(run, "truth", "commands")
+    tracking = _rms(tracking_error(position[rows], waypoints_of(run, commanded)) * flying[rows])
+    _, gnss = gnss_error(run)
+    horizontal, vertical = _rms(np.linalg.norm(gnss[..., :2], axis=-1)), _rms(gnss[..., 2])
+    rows, windy = common_rows(run, "truth", "wind")
+    air = vectors(run["wind"], "mean_ned", windy) + vectors(run["wind"], "gust_ned", windy)
+    wind = np.linalg.norm(air, axis=-1) * flying[rows]
+    events = run.events
+    summaries = []
+    for i, name in enumerate(run.vehicles):
+        own = [event for event in events if event.vehicle == name]
+        stops = [event for event in own if event.kind not in NOT_A_STOP]
+        summaries.append(
+            VehicleSummary(
+                name,
+                float(distance[i]),
+                float(tracking[i]),
+                float(horizontal[i]),
+                float(vertical[i]),
+                float(np.nanmax(wind[:, i], initial=0.0)),
+                sum(event.kind == "waypoint_reached" for event in own),
+                f"{stops[0].kind} at {stops[0].time:.2f} s" if stops else "",
+            )
+        )
+    return summaries

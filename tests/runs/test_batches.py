@@ -1,0 +1,66 @@
+"""A stream read piece by piece is the stream read at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from small_run import append_chunk
+
+from qrsim.errors import RunError, UsageError
+from qrsim.runs import RunWriter, open_run
+
+
+def test_the_pieces_make_up_the_table(start: Callable[..., RunWriter]) -> None:
+    with start() as writer:
+        for first_tick in (1, 5, 9):
+            append_chunk(writer, first_tick)
+            writer.flush()
+    run = open_run(writer.folder)
+    pieces = list(run.batches("truth"))
+    # The first part is empty: it holds the columns.
+    assert [piece.num_rows for piece in pieces] == [0, 12, 12, 12]
+    assert pa.concat_tables(pieces).equals(run.table("truth"))
+    some = pa.concat_tables(run.batches("truth", ["thrust", "tick"]))
+    assert some.equals(run.table("truth", ["thrust", "tick"]))
+
+
+def test_arrays_piece_by_piece(start: Callable[..., RunWriter]) -> None:
+    with start() as writer:
+        for first_tick in (1, 5, 9):
+            append_chunk(writer, first_tick)
+            writer.flush()
+    stream = open_run(writer.folder)["truth"]
+    pieces = list(stream.batches(["thrust"]))
+    # Nothing of the empty first part.
+    assert [piece.tick.tolist() for piece in pieces] == [[1, 2, 3, 4], [5, 6, 7, 8], [9, 10, 11, 12]]
+    np.testing.assert_array_equal(np.concatenate([piece.time for piece in pieces]), stream.time)
+    joined = np.concatenate([piece.arrays["thrust"] for piece in pieces])
+    np.testing.assert_array_equal(joined, stream["thrust"])
+    assert joined.dtype == np.float32
+    with pytest.raises(UsageError, match="has no column 'trust'; did you mean 'thrust'"):
+        next(stream.batches(["trust"]))
+
+
+def test_only_the_piece_asked_for_is_read(start: Callable[..., RunWriter]) -> None:
+    with start() as writer:
+        for first_tick in (1, 5):
+            append_chunk(writer, first_tick)
+            writer.flush()
+    (writer.folder / "truth" / "part-00002.parquet").write_bytes(b"")
+    pieces = open_run(writer.folder).batches("truth")
+    assert [next(pieces).num_rows for _ in range(2)] == [0, 12]
+    with pytest.raises(RunError, match=r"truth/part-00002\.parquet"):
+        next(pieces)
+
+
+def test_wrong_names_are_refused_before_anything_is_read(start: Callable[..., RunWriter]) -> None:
+    with start() as writer:
+        append_chunk(writer, 1)
+    run = open_run(writer.folder)
+    with pytest.raises(UsageError, match="did you mean 'truth'"):
+        run.batches("trut")
+    with pytest.raises(UsageError, match="did you mean 'thrust'"):
+        run.batches("truth", ["trust"])

@@ -1,0 +1,274 @@
+"""The figure: drawn for every kind of run, and what it shows."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from flight import GNSS_ERROR, HEIGHT, STEP, write_flight
+from matplotlib.figure import Figure
+
+from qrsim.errors import RunError, UsageError
+from qrsim.runs import open_run
+from qrsim.runs.figure import draw_run, save_figure
+from qrsim.runs.summary import gnss_error
+
+PLAN, HEIGHTS, GNSS, WIND = range(4)
+
+
+def drawn(folder: Path, **options: Any) -> Figure:
+    """The figure of a made-up flight; a warning of matplotlib or NumPy is a failure."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return draw_run(open_run(write_flight(folder / "run", **options)))
+
+
+def lines(figure: Figure, panel: int, style: str = "-") -> list[Any]:
+    """Lines of more than one point."""
+    return [line for line in figure.axes[panel].lines if line.get_linestyle() == style and len(line.get_xdata()) > 1]
+
+
+def crosses(figure: Figure, panel: int) -> list[Any]:
+    return [line for line in figure.axes[panel].lines if line.get_marker() == "X"]
+
+
+def texts(figure: Figure, panel: int) -> set[str]:
+    return {text.get_text() for text in figure.axes[panel].texts}
+
+
+def png_size(path: Path) -> tuple[int, int]:
+    data = path.read_bytes()
+    assert data.startswith(b"\x89PNG\r\n\x1a\n")
+    return struct.unpack(">II", data[16:24])
+
+
+KINDS: dict[str, dict[str, Any]] = {
+    "one vehicle": {"vehicles": 1},
+    "ten vehicles": {"vehicles": 10},
+    "thirty vehicles": {"vehicles": 30},
+    "a hundred vehicles": {"vehicles": 100},
+    "still air": {"wind": 0.0},
+    "no sensors": {"sensors": ()},
+    "nothing, many": {"sensors": (), "vehicles": 11, "wind": 0.0},
+    "no barometer": {"sensors": ("gnss",)},
+    "a crash": {"stops": {1: 25}},
+    "all of many crashed": {"vehicles": 11, "stops": dict.fromkeys(range(11), 25)},
+    "crashed at the start": {"vehicles": 1, "stops": {0: 0}},
+    "two ticks": {"ticks": 2},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_run_can_be_drawn(kind, tmp_path):
+    figure = drawn(tmp_path, **KINDS[kind])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        figure.canvas.draw()
+    width, height = figure.canvas.get_width_height()
+    assert len(figure.axes) == 4
+    for axes in figure.axes:
+        assert axes.get_title()
+        assert "[" in axes.get_xlabel()
+        assert "[" in axes.get_ylabel()
+        low, high = axes.get_ylim()
+        assert np.isfinite([low, high]).all()
+        assert high > low
+        box = axes.title.get_window_extent()
+        assert 0 <= box.x0 < box.x1 <= width
+        assert 0 <= box.y0 < box.y1 <= height
+    for left, right in ((PLAN, HEIGHTS), (GNSS, WIND)):
+        first, second = (figure.axes[panel].title.get_window_extent() for panel in (left, right))
+        assert first.x1 < second.x0
+
+
+def test_the_plan_has_east_to_the_right_and_north_up(tmp_path):
+    figure = drawn(tmp_path, vehicles=2)
+    true = [line for line in lines(figure, PLAN) if line.get_linewidth() > 1]
+    run = open_run(tmp_path / "run")
+    for i, line in enumerate(true):
+        np.testing.assert_array_equal(line.get_xdata(), run["truth"]["position_ned.y"][:, i])
+        np.testing.assert_array_equal(line.get_ydata(), run["truth"]["position_ned.x"][:, i])
+        assert line.get_label() == f"v{i}"
+    assert len(true) == 2
+    figure.canvas.draw()
+    axes = figure.axes[PLAN]
+    (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
+    box = axes.get_window_extent()
+    assert (east - west) / box.width == pytest.approx((north - south) / box.height, rel=1e-6)
+    for name, low, high in (("y", west, east), ("x", south, north)):
+        values = run["truth"][f"position_ned.{name}"]
+        assert low < values.min() <= values.max() < high
+
+
+def test_height_is_up(tmp_path):
+    figure = drawn(tmp_path, vehicles=1)
+    true, measured = sorted(lines(figure, HEIGHTS), key=lambda line: -line.get_linewidth())
+    np.testing.assert_array_equal(true.get_ydata(), HEIGHT)
+    np.testing.assert_array_equal(measured.get_ydata(), HEIGHT + 0.5)
+    [wanted] = lines(figure, HEIGHTS, "--")
+    np.testing.assert_array_equal(wanted.get_ydata(), HEIGHT)
+
+
+def test_the_gnss_panel_shows_the_error_of_the_summary(tmp_path):
+    figure = drawn(tmp_path, vehicles=2)
+    times, error = gnss_error(open_run(tmp_path / "run"))
+    for i, line in enumerate(lines(figure, GNSS)):
+        np.testing.assert_array_equal(line.get_xdata(), times)
+        np.testing.assert_allclose(line.get_ydata(), np.hypot(error[:, i, 0], error[:, i, 1]), rtol=1e-12)
+    for i, line in enumerate(lines(figure, GNSS, ":")):
+        np.testing.assert_allclose(line.get_ydata(), np.abs(error[:, i, 2]), rtol=1e-12)
+    assert len(lines(figure, GNSS)) == len(lines(figure, GNSS, ":")) == 2
+
+
+def test_many_vehicles_have_median_and_range(tmp_path):
+    figure = drawn(tmp_path, vehicles=30)
+    [horizontal], [vertical] = lines(figure, GNSS), lines(figure, GNSS, ":")
+    np.testing.assert_allclose(horizontal.get_ydata(), np.hypot(*GNSS_ERROR[:2]))
+    np.testing.assert_allclose(vertical.get_ydata(), abs(GNSS_ERROR[2]))
+    [with_gusts], [mean] = lines(figure, WIND), lines(figure, WIND, ":")
+    np.testing.assert_allclose(with_gusts.get_ydata(), 13.0)
+    np.testing.assert_allclose(mean.get_ydata(), 5.0)
+    assert not figure.legends
+    assert {str(i) for i in range(30)} <= texts(figure, PLAN)
+
+
+def test_few_vehicles_are_named(tmp_path):
+    figure = drawn(tmp_path, vehicles=5)
+    [legend] = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == [f"v{i}" for i in range(5)]
+    colours = {
+        line.get_color() if isinstance(line.get_color(), str) else tuple(line.get_color())
+        for line in legend.get_lines()
+    }
+    assert len(colours) == 5
+
+
+def test_a_crash_is_marked_where_and_when_it_was(tmp_path):
+    figure = drawn(tmp_path, stops={1: 25})
+    run = open_run(tmp_path / "run")
+    [place] = crosses(figure, PLAN)
+    assert place.get_xdata() == run["truth"]["position_ned.y"][25, 1]
+    assert place.get_ydata() == run["truth"]["position_ned.x"][25, 1]
+    [moment] = crosses(figure, HEIGHTS)
+    assert moment.get_xdata() == pytest.approx([25 * STEP])
+    assert "1 stopped (X)" in figure.get_suptitle()
+    # Its height ends there.
+    thick = [line for line in lines(figure, HEIGHTS) if line.get_linewidth() > 1]
+    ends = [np.isfinite(line.get_ydata()).sum() for line in thick]
+    assert ends == [60, 26]
+
+
+def test_no_crash_no_cross(tmp_path):
+    figure = drawn(tmp_path)
+    assert crosses(figure, PLAN) == crosses(figure, HEIGHTS) == []
+    assert figure.get_suptitle() == "made_up, seed 5: 2 vehicles, 1.18 s"
+
+
+def test_the_wind_arrow_points_along_the_air(tmp_path):
+    figure = drawn(tmp_path)
+    figure.canvas.draw()
+    [arrow] = [text for text in figure.axes[PLAN].texts if text.get_text() == ""]
+    tip, tail = arrow.xycoords.transform(arrow.xy), arrow.anncoords.transform(arrow.xyann)
+    # 3 m/s to the north and 4 to the east, whatever the shape of the axes; and the arrow is inside of them.
+    assert np.arctan2(tip[0] - tail[0], tip[1] - tail[1]) == pytest.approx(np.arctan2(4, 3))
+    box = figure.axes[PLAN].get_window_extent()
+    assert box.x0 < tail[0] < tip[0] < box.x1
+    assert box.y0 < tail[1] < tip[1] < box.y1
+    assert "mean wind 5.0 m/s" in texts(figure, PLAN)
+
+
+def test_what_is_not_there_is_said(tmp_path):
+    figure = drawn(tmp_path, wind=0.0, sensors=())
+    assert "no mean wind" in texts(figure, PLAN)
+    assert "still air" in texts(figure, WIND)
+    assert "no GNSS receiver" in texts(figure, GNSS)
+    assert not lines(figure, GNSS)
+    for panel in (PLAN, HEIGHTS):
+        assert "thin" not in figure.axes[panel].get_title()
+
+
+@pytest.mark.parametrize(
+    ("end", "said"),
+    [
+        ("interrupted", "interrupted at 1.18 s"),
+        ("failed", "failed at 1.18 s"),
+        ("running", "still running or killed, drawn up to 1.18 s"),
+    ],
+)
+def test_the_title_says_how_the_run_ended(end, said, tmp_path):
+    assert drawn(tmp_path, end=end).get_suptitle().endswith(said)
+
+
+@pytest.mark.parametrize("written", [("truth",), ("commands", "wind")])
+def test_a_run_killed_in_the_middle_of_a_flush_is_drawn_up_to_what_all_streams_have(written, tmp_path):
+    figure = drawn(tmp_path, killed_after=written)
+    assert figure.get_suptitle().endswith("drawn up to 0.58 s")
+    for panel in (HEIGHTS, WIND):
+        assert {len(line.get_xdata()) for line in lines(figure, panel)} == {30}
+
+
+def test_nothing_recorded_is_an_error_in_words(tmp_path):
+    run = open_run(write_flight(tmp_path / "run", ticks=0, end="running"))
+    with pytest.raises(RunError, match=r"run: nothing to draw, because no tick was recorded \(state: running\)"):
+        save_figure(run, tmp_path / "figure.png")
+    assert not (tmp_path / "figure.png").exists()
+
+
+# ---------------------------------------------------------------- files
+
+
+@pytest.mark.parametrize("vehicles", [1, 30])
+def test_png_has_a_sensible_size(vehicles, tmp_path):
+    run = open_run(write_flight(tmp_path / "run", vehicles=vehicles))
+    save_figure(run, tmp_path / "figure.png")
+    width, height = png_size(tmp_path / "figure.png")
+    assert 1200 <= width <= 1600
+    assert 800 <= height <= 1200
+    # An empty canvas of this size has about 5 kB.
+    assert 20_000 < (tmp_path / "figure.png").stat().st_size < 2_000_000
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+@pytest.mark.parametrize(("ending", "start"), [("pdf", b"%PDF-"), ("SVG", b"<?xml")])
+def test_other_formats(ending, start, tmp_path):
+    save_figure(open_run(write_flight(tmp_path / "run")), tmp_path / f"figure.{ending}")
+    assert (tmp_path / f"figure.{ending}").read_bytes().startswith(start)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("figure.pgn", r"figure\.pgn: cannot draw '\.pgn'; did you mean 'png'\?"),
+        ("figure.xyz", r"figure\.xyz: cannot draw '\.xyz'; known: png, pdf, svg"),
+        ("figure", r"figure: the name of a picture needs an ending; known: png, pdf, svg"),
+    ],
+)
+def test_unknown_endings(name, message, tmp_path):
+    with pytest.raises(UsageError, match=message):
+        save_figure(open_run(write_flight(tmp_path / "run")), tmp_path / name)
+
+
+def test_a_figure_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
+    run = open_run(write_flight(tmp_path / "run"))
+    (tmp_path / "figure.png").write_bytes(b"old")
+
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(RunError, match=r"cannot write .*figure\.png: No space left on device"):
+        save_figure(run, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").read_bytes() == b"old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["figure.png", "run"]
+
+
+def test_drawing_needs_no_display_and_no_pyplot():
+    program = "import sys, qrsim.runs.figure; print('matplotlib.pyplot' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
