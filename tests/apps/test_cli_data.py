@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from qrsim import cli, recordings
+from qrsim import cli
 from qrsim.apps.data import command
 from qrsim.errors import RunError, UsageError
-from qrsim.recordings import Recording
+from qrsim.files import recordings
+from qrsim.files.recordings import Recording
 
 CONTENTS = {"rig.csv": b"1,2,3\n" * 1000, "flight.csv": b"4,5,6\n", "orbits.sp3": b"#a2010\n"}
 
@@ -204,7 +205,7 @@ def test_data_file(upstream, tmp_path, monkeypatch):
 
 
 def test_the_registry_matches_the_recordings(recordings: Path):
-    from qrsim.recordings import RECORDINGS, data_file
+    from qrsim.files.recordings import RECORDINGS, data_file
 
     assert os.environ["QRSIM_DATA_DIR"] == str(recordings)
     for name in RECORDINGS:

@@ -22,8 +22,8 @@ from qrsim.apps.validate.parts import PARTS
 from qrsim.apps.validate.report import Check, Finding, Outcome, Part, Picture, reference_check, share_verdict
 from qrsim.core.allan import exponential_allan_variance
 from qrsim.errors import RunError
+from qrsim.files.recordings import RECORDINGS
 from qrsim.models.gnss.receivers import OrnsteinUhlenbeckErrors
-from qrsim.recordings import RECORDINGS
 
 PIXEL = bytes.fromhex("89504e470d0a1a0a")
 

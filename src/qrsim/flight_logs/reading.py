@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from qrsim.errors import UsageError, did_you_mean_file
+from qrsim.files.user_files import open_file
 from qrsim.flight_logs.signals import FlightLog
-from qrsim.user_files import open_file
 
 _ULOG_MAGIC = b"ULog"
 _DATAFLASH_HEADER = b"\xa3\x95"

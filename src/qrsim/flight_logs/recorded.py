@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from qrsim.errors import UsageError
+from qrsim.files.user_files import open_text
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Floats, Track
 from qrsim.models.vehicles.quadrotor import (
@@ -15,7 +16,6 @@ from qrsim.models.vehicles.quadrotor import (
     THROTTLE_RAW_PER_UNIT,
     YAW_RATE_RAD_S_PER_RAW,
 )
-from qrsim.user_files import open_text
 
 DT = 0.02
 BATTERY_V = 11.0

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files.user_files import open_text
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import SIGNALS, FlightLog, Floats, Track
 from qrsim.models.vehicles.quadrotor import PITCH_ROLL_RAD_PER_RAW, THROTTLE_RAW_PER_UNIT, YAW_RATE_RAD_S_PER_RAW
-from qrsim.user_files import open_text
 
 _DEG = math.pi / 180.0
 # Factor to SI of each unit that a column may be in, by the SI unit.

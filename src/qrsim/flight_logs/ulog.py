@@ -11,9 +11,9 @@ import numpy as np
 
 from qrsim import extras
 from qrsim.errors import UsageError
+from qrsim.files.user_files import read_bytes
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Floats, Track
-from qrsim.user_files import read_bytes
 
 _HEADER_BYTES = 16
 # Signal, topic, the field that holds it (the first that is there), factor to SI. Of rows for the same signal the first

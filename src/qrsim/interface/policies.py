@@ -29,7 +29,7 @@ import jax
 
 from qrsim.core.sameness import Itself, sameness
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean, nearest
-from qrsim.user_files import check_file
+from qrsim.files.user_files import check_file
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from qrsim.errors import RunError, UsageError, did_you_mean, shortened
 from qrsim.runs.layout import Column, column_of, part_name
-from qrsim.user_files import check_file
+from qrsim.files.user_files import check_file
 
 # What pyarrow raises where bytes are not what they were; texts of the footer are decoded without care.
 DAMAGES = (OSError, pa.ArrowException, ValueError, KeyError, TypeError, OverflowError, MemoryError)

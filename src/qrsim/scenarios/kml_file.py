@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files.user_files import LARGEST_TEXT, read_bytes
 from qrsim.models.scene.fence import polygon_problems
-from qrsim.user_files import LARGEST_TEXT, read_bytes
 
 GEOMETRIES = ("Point", "LineString", "LinearRing", "Polygon", "Model", "Track", "MultiTrack")
 

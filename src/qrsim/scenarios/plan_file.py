@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError
+from qrsim.files.user_files import read_text
 from qrsim.models.scene.fence import polygon_problems
-from qrsim.user_files import read_text
 
 WAYPOINT, LOITER_FOREVER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
 # Commands that are flown, and what their first four parameters ask for, which is not; "" where nothing is defined.

@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from qrsim.errors import ScenarioError, warn_user
+from qrsim.files.yaml_text import dump_yaml
 from qrsim.models.site import Site
 from qrsim.scenarios import build
 from qrsim.scenarios.places import in_ned
@@ -27,7 +28,6 @@ from qrsim.scenarios.reading import (
 from qrsim.scenarios.schema import ScenarioSpec, json_schema
 from qrsim.scenarios.vehicle_file import insert_vehicle_files
 from qrsim.world.tick import World
-from qrsim.yaml_text import dump_yaml
 
 __all__ = ["Scenario", "built_in_names", "json_schema", "load_scenario"]
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean_file
-from qrsim.user_files import read_text
-from qrsim.yaml_text import parse_yaml
+from qrsim.files.user_files import read_text
+from qrsim.files.yaml_text import parse_yaml
 
 
 def read_vehicle_file(path: Path) -> dict[str, Any]:

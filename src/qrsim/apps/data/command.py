@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from qrsim import recordings
 from qrsim.errors import RunError
+from qrsim.files import recordings
 
 
 @dataclass(frozen=True)

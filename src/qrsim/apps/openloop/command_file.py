@@ -18,7 +18,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.user_files import read_bytes
+from qrsim.files.user_files import read_bytes
 
 Units = Literal["raw", "si"]
 COLUMNS = ("pitch", "roll", "throttle", "yaw", "battery")

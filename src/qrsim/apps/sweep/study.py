@@ -16,12 +16,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from qrsim.apps.sweep.metrics import METRICS
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.files.user_files import read_text
+from qrsim.files.yaml_text import parse_yaml
 from qrsim.interface.policies import load_function
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.reading import anchor_files, apply_override, read_scenario
 from qrsim.scenarios.schema import NAME, Finite
-from qrsim.user_files import read_text
-from qrsim.yaml_text import parse_yaml
 
 BASELINE = "baseline"
 # What a store and its tables can hold.

@@ -85,7 +85,7 @@ def to_json(results: list[Result]) -> dict[str, Any]:
     import platform
     from importlib.metadata import version
 
-    from qrsim.recordings import RECORDINGS
+    from qrsim.files.recordings import RECORDINGS
 
     used = dict.fromkeys(name for result in results if result.outcome for name in result.part.recordings)
     return {

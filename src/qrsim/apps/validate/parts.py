@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from qrsim import recordings
 from qrsim.apps.validate import drifts, gnss, rotation, thrust, translation, turbulence
 from qrsim.apps.validate.report import Outcome, Part
 from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.files import recordings
 
 PARTS: dict[str, Part] = {
     part.name: part for part in (thrust.PART, rotation.PART, translation.PART, turbulence.PART, gnss.PART, drifts.PART)

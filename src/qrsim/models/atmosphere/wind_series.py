@@ -16,8 +16,8 @@ from qrsim.core.fastmath import exp, log
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
+from qrsim.files.user_files import LARGEST_TABLE, open_text
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT, wind_to_ned
-from qrsim.user_files import LARGEST_TABLE, open_text
 
 COLUMNS = ("time", "north", "east", "down")
 # A row every simulation step at the smallest step; in single precision rows much closer would coincide.

@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from qrsim.errors import UsageError, did_you_mean_file
+from qrsim.files.user_files import LARGEST_TABLE, read_bytes
 from qrsim.models.site import GPS_EPOCH, Float64, gps_minus_utc
-from qrsim.user_files import LARGEST_TABLE, read_bytes
 
 VERSIONS = ("a", "c", "d")
 # Letters of the satellite systems, the same in RINEX.

@@ -8,8 +8,8 @@ import time
 import pytest
 
 from qrsim.errors import ScenarioError
+from qrsim.files.yaml_text import DEEPEST, MOST_NODES, dump_yaml, parse_yaml
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.yaml_text import DEEPEST, MOST_NODES, dump_yaml, parse_yaml
 
 
 def problem(text: str) -> str:

@@ -12,11 +12,11 @@ import pytest
 
 from qrsim.cli import main
 from qrsim.errors import QrsimError
+from qrsim.files.user_files import open_file, read_bytes, read_text
 from qrsim.flight_logs import read_log
 from qrsim.interface.policies import load_function
 from qrsim.runs import open_run
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.user_files import open_file, read_bytes, read_text
 
 
 @pytest.fixture

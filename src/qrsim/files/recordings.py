@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from qrsim import extras
 from qrsim.errors import RunError, UsageError, did_you_mean
-from qrsim.user_files import read_bytes
+from qrsim.files.user_files import read_bytes
 
 UPSTREAM = "https://raw.githubusercontent.com/UCL-CompLACS/qrsim/efd8539a11604edfe8fa7c95a9e1ea1753ad516e/"
 FOLDER_VARIABLE = "QRSIM_DATA_DIR"

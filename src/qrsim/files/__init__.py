@@ -1,0 +1,1 @@
+"""What a user names: opened safely, YAML read with limits."""
