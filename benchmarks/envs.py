@@ -102,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     _common.without_cache()
     on = _common.machine()
-    from qrsim.apps import envs
+    from qrsim import envs
 
     envs.register()
     names = chosen.environments or (("keep_spot", "CartPole") if chosen.quick else ENVIRONMENTS)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.apps.envs.batch import Batch
+from qrsim.envs.batch import Batch
 
 DOC = "returns of the simple tasks with the throttle cut, hovering and by a controller; and with other periods"
 # Pitch, roll, throttle, yaw rate, battery in [-1, 1]; a throttle of 0.59 costs nothing and nearly hovers.

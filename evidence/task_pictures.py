@@ -17,8 +17,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from evidence.pictures import write_named
-from qrsim.apps.envs.batch import Batch
 from qrsim.core.vectors import Vec3
+from qrsim.envs.batch import Batch
 from qrsim.runs.picture import new_figure, save_picture
 from qrsim.tasks import Play
 from qrsim.tasks.baselines import baseline

@@ -18,7 +18,7 @@ import jax
 import numpy as np
 from scipy import stats
 
-from qrsim.apps.envs.batch import Batch
+from qrsim.envs.batch import Batch
 from qrsim.tasks import Play
 from qrsim.tasks.baselines import baseline
 

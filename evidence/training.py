@@ -23,9 +23,9 @@ from examples import keep_spot_ppo as ppo
 
 from evidence.returns import HOVER, fly
 from evidence.tasks import CONFIDENCE, summary
-from qrsim.apps.envs import Functional, gymnasium_id
-from qrsim.apps.envs.batch import Batch
 from qrsim.core.tree import record, replace
+from qrsim.envs import Functional, gymnasium_id
+from qrsim.envs.batch import Batch
 from qrsim.errors import UsageError
 from qrsim.runs.picture import new_figure, save_picture
 from qrsim.tasks import KeepSpot

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from qrsim.apps.envs import Functional
+from qrsim.envs import Functional
 
 # The task keep_spot for ten seconds, commanded ten times a second, in a wind of 3 m/s from anywhere and its gusts.
 OVERRIDES = (

@@ -15,7 +15,7 @@ from evidence import training as study
 from evidence.__main__ import plain
 from examples import keep_spot_ppo as ppo
 
-from qrsim.apps.envs import Functional
+from qrsim.envs import Functional
 from qrsim.errors import UsageError
 
 pytestmark = pytest.mark.long

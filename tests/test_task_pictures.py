@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from evidence import task_pictures as pictures
 
-from qrsim.apps import envs
+from qrsim import envs
 
 
 def test_every_family_with_a_baseline_has_a_picture() -> None:

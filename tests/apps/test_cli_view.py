@@ -19,8 +19,8 @@ from tests.runs.small_run import COLUMNS, VEHICLES
 from tests.view.fetching import fetching
 
 from qrsim import cli
-from qrsim.apps.view.recording import Recording
 from qrsim.runs import RunInfo, RunWriter, open_run
+from qrsim.view.recording import Recording
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ class TestRecording:
         assert recording.frame(0.3).time == pytest.approx(0.3)
 
     def test_long_logs_are_thinned_out(self, flown: Flight, monkeypatch: pytest.MonkeyPatch):
-        monkeypatch.setattr("qrsim.apps.view.columns.MOST_POSES", 600)
+        monkeypatch.setattr("qrsim.view.columns.MOST_POSES", 600)
         recording = Recording(open_run(flown.folder))
         assert recording.shown == 5
         whole = open_run(flown.folder)["truth"]

@@ -16,12 +16,12 @@ from PIL import Image
 from tests.apps.conftest import DURATION, Flight
 
 from qrsim import cli
-from qrsim.apps.view.recording import Recording
-from qrsim.apps.view.replay import Replay
 from qrsim.runs import open_run
 from qrsim.view.browser import INSTALL, Browser, find_browser
 from qrsim.view.clock import SPEEDS, Clock
 from qrsim.view.page import Page
+from qrsim.view.recording import Recording
+from qrsim.view.replay import Replay
 from qrsim.view.server import address, start_server
 
 pytestmark = [

@@ -9,13 +9,13 @@ import jax
 import numpy as np
 import pytest
 
-from qrsim.apps.view.recording import Recording
 from qrsim.runs import open_run
 from qrsim.runs.recorder import fly
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.simulation.simulation import Simulation
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView
+from qrsim.view.recording import Recording
 from qrsim.view.steering import Wind
 from qrsim.world.episode import develop, picture
 

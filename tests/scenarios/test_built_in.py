@@ -14,7 +14,7 @@ from qrsim.scenarios import catalogue
 from qrsim.scenarios.reading import parse_yaml
 from qrsim.scenarios.scenario import built_in_names, json_schema, load_scenario
 
-# Of a family one variant: all of them fly in tests/apps/envs.
+# Of a family one variant: all of them fly in tests/envs.
 FAMILIES = ("cats_and_mouse/1C", "search_and_rescue/2B", "plume_mapping/3F")
 FLOWN = [name for name in built_in_names() if "/" not in name or name in FAMILIES]
 

@@ -16,9 +16,9 @@ import pytest
 from evidence import returns as study
 from evidence.returns import LENGTH, changing, fly, pilots
 
-from qrsim.apps.envs.batch import Batch
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3
+from qrsim.envs.batch import Batch
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.vehicles.quadrotor import Command
 from qrsim.scenarios.scenario import load_scenario

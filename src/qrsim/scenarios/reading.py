@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import LONGEST_NAME, ScenarioError, UsageError, did_you_mean, shortened
+from qrsim.files.recordings import RECORDINGS, data_folder
 from qrsim.files.user_files import read_text
 from qrsim.files.yaml_text import DEEPEST, MOST_NODES
 from qrsim.files.yaml_text import dump_yaml as dump_yaml
 from qrsim.files.yaml_text import parse_yaml as parse_yaml
-from qrsim.files.recordings import RECORDINGS, data_folder
 from qrsim.scenarios.problems import component_types
 from qrsim.scenarios.schema import ScenarioSpec
 

@@ -12,9 +12,9 @@ import pytest
 import yaml
 from wires import HERE, TASK, Running, running
 
-from qrsim.apps.envs.parallel import ParallelTask
-from qrsim.apps.envs.single import SingleTask
 from qrsim.client import Client, Refused
+from qrsim.envs.parallel import ParallelTask
+from qrsim.envs.single import SingleTask
 from qrsim.errors import UsageError
 
 SHORT = "extends: keep_spot\nname: short_keep_spot\nduration: 0.2\n"

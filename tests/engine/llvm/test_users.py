@@ -14,7 +14,6 @@ from tests.engine.llvm.test_operations import by_jax, run
 from tests.small_worlds import bare_pair, noisy_pair
 
 import qrsim
-from qrsim.apps.envs.functional import Functional
 from qrsim.core.fastmath import rounded
 from qrsim.core.noise import Key
 from qrsim.core.tree import parameter, record, replace
@@ -22,6 +21,7 @@ from qrsim.core.vectors import Vec3
 from qrsim.engine import settings as configuration
 from qrsim.engine.llvm import Mode, UnsupportedError, tracing
 from qrsim.engine.programs import forget
+from qrsim.envs.functional import Functional
 from qrsim.errors import CompilerWarning
 from qrsim.simulation.one_world import mode_of
 from qrsim.simulation.rollout import rollout

@@ -15,7 +15,7 @@ from qrsim.errors import RunError, UsageError
 from qrsim.interruptions import calling
 
 if TYPE_CHECKING:
-    from qrsim.apps.view.recording import Recording
+    from qrsim.view.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class View:
 
         require_viser()
         self._check()
-        from qrsim.apps.view.recording import Recording
         from qrsim.runs import open_run
+        from qrsim.view.recording import Recording
 
         recording = Recording(open_run(self.run_folder))
         end = recording.end
@@ -61,7 +61,7 @@ class View:
         if recording.shown > 1:
             print(f"so long a log is shown at every {recording.shown}th of its ticks", file=sys.stderr)
         if self.export is not None:
-            from qrsim.apps.view.film import export
+            from qrsim.view.film import export
 
             print(export(recording, self.export))
         if self.screenshot is not None:
@@ -78,9 +78,9 @@ class View:
             check_name(self.screenshot)
 
     def _photograph(self, recording: Recording, path: Path, time: float) -> None:
-        from qrsim.apps.view.replay import remember_paths
         from qrsim.runs.writer import write_atomically
         from qrsim.view.picture import photograph
+        from qrsim.view.replay import remember_paths
         from qrsim.view.scene import Scene
         from qrsim.view.server import start_server
 
@@ -100,9 +100,9 @@ class View:
         print(path)
 
     def _serve(self, recording: Recording) -> None:
-        from qrsim.apps.view.replay import Replay
         from qrsim.view.clock import SPEEDS, Clock
         from qrsim.view.page import Page
+        from qrsim.view.replay import Replay
         from qrsim.view.server import address, start_server
 
         server = start_server(self.port)

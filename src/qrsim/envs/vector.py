@@ -11,9 +11,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from qrsim.apps.envs.batch import Batch
-from qrsim.apps.envs.single import only_one, refuse_drawing, shaped, split_answer
-from qrsim.apps.envs.spaces import action_space, observation_space
+from qrsim.envs.batch import Batch
+from qrsim.envs.single import only_one, refuse_drawing, shaped, split_answer
+from qrsim.envs.spaces import action_space, observation_space
 from qrsim.errors import UsageError
 
 Array = np.ndarray[Any, Any]

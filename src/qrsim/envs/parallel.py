@@ -11,9 +11,9 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from qrsim.apps.envs.batch import Batch
-from qrsim.apps.envs.single import refuse_drawing, shaped, split_answer
-from qrsim.apps.envs.spaces import action_space, observation_space
+from qrsim.envs.batch import Batch
+from qrsim.envs.single import refuse_drawing, shaped, split_answer
+from qrsim.envs.spaces import action_space, observation_space
 from qrsim.errors import UsageError, did_you_mean
 
 

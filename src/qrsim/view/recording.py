@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.apps.view.columns import Columns, vector
-from qrsim.apps.view.rebuilt import rebuilt
 from qrsim.errors import QrsimError, RunError, warn_user
 from qrsim.runs import Run
 from qrsim.runs.layout import EVENTS, INDEX, Event
 from qrsim.runs.summary import NOT_A_STOP
+from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Cast, Frame, cast_of
+from qrsim.view.rebuilt import rebuilt
 from qrsim.view.truth import ANGLES, AXES, true_values
 from qrsim.world.state import World
 

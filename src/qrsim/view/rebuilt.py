@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from qrsim.apps.view.columns import Columns, vector
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
@@ -24,6 +23,7 @@ from qrsim.runs import Run
 from qrsim.runs.layout import EVENTS
 from qrsim.runs.streams import PERSON_FOUND
 from qrsim.view.cameras import camera_places
+from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Beside
 from qrsim.view.steering import WIND_CHANGED, with_wind
 from qrsim.view.truth import ANGLES, AXES

@@ -1,18 +1,18 @@
 """Tasks as environments: Gymnasium, PettingZoo, and pure functions of JAX. Importing this registers them.
 
 ``gymnasium.make("qrsim/keep_spot-v0")``, ``gymnasium.make_vec("qrsim/keep_spot-v0", num_envs=1024)``,
-``qrsim.apps.envs.parallel_env("cats_and_mouse/1C")``, ``qrsim.apps.envs.Functional.of("keep_spot")``.
+``qrsim.envs.parallel_env("cats_and_mouse/1C")``, ``qrsim.envs.Functional.of("keep_spot")``.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from qrsim.apps.envs.functional import Functional
+from qrsim.envs.functional import Functional
 from qrsim.extras import require
 
 if TYPE_CHECKING:
-    from qrsim.apps.envs.parallel import ParallelTask
+    from qrsim.envs.parallel import ParallelTask
 
 # Scenarios with one vehicle to command, and with several.
 SINGLE = (
@@ -56,8 +56,8 @@ def register() -> None:
         if gymnasium_id(scenario) not in gymnasium.registry:
             gymnasium.register(
                 gymnasium_id(scenario),
-                entry_point="qrsim.apps.envs.single:SingleTask",
-                vector_entry_point="qrsim.apps.envs.vector:VectorTask",
+                entry_point="qrsim.envs.single:SingleTask",
+                vector_entry_point="qrsim.envs.vector:VectorTask",
                 kwargs={"scenario": scenario},
             )
 
@@ -69,7 +69,7 @@ def parallel_env(scenario: Any, **options: Any) -> ParallelTask:
         MissingExtraError: PettingZoo is not installed.
     """
     require("envs", "an environment of PettingZoo")
-    from qrsim.apps.envs.parallel import ParallelTask
+    from qrsim.envs.parallel import ParallelTask
 
     return ParallelTask(scenario, **options)
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from qrsim.apps.view.recording import Recording
-from qrsim.apps.view.replay import remember_paths
 from qrsim.errors import RunError, UsageError
+from qrsim.view.recording import Recording
+from qrsim.view.replay import remember_paths
 from qrsim.view.scene import Scene
 from qrsim.view.server import start_server
 

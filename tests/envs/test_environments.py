@@ -16,9 +16,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
-from qrsim.apps.envs import SEVERAL, SINGLE, Functional, gymnasium_id, parallel_env
-from qrsim.apps.envs.parallel import ParallelTask
-from qrsim.apps.envs.single import SingleTask
+from qrsim.envs import SEVERAL, SINGLE, Functional, gymnasium_id, parallel_env
+from qrsim.envs.parallel import ParallelTask
+from qrsim.envs.single import SingleTask
 from qrsim.errors import UsageError
 from qrsim.scenarios.scenario import built_in_names, load_scenario
 

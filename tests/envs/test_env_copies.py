@@ -14,7 +14,7 @@ import jax
 import numpy as np
 import pytest
 
-from qrsim.apps.envs import parallel_env
+from qrsim.envs import parallel_env
 
 COPIES = pytest.mark.parametrize("copy_of", [lambda item: pickle.loads(pickle.dumps(item)), copy.deepcopy],
                                  ids=["pickle", "deepcopy"])  # fmt: skip
@@ -98,7 +98,7 @@ def test_one_that_has_not_started() -> None:
 
 FORKED = """
 import multiprocessing, warnings
-import gymnasium, numpy as np, qrsim, qrsim.apps.envs
+import gymnasium, numpy as np, qrsim, qrsim.envs
 warnings.simplefilter("ignore")
 qrsim.configure(cpu_devices=2)
 env = gymnasium.make_vec("qrsim/keep_spot-v0", num_envs=64)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from qrsim.apps.envs.batch import Batch
+from qrsim.envs.batch import Batch
 
 SAMPLES, VELOCITY = "samples", "velocity"
 

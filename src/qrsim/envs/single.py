@@ -10,8 +10,8 @@ import gymnasium
 import jax
 import numpy as np
 
-from qrsim.apps.envs.batch import Batch
-from qrsim.apps.envs.spaces import SAMPLES, VELOCITY, action_space, observation_space
+from qrsim.envs.batch import Batch
+from qrsim.envs.spaces import SAMPLES, VELOCITY, action_space, observation_space
 from qrsim.errors import UsageError
 
 
@@ -25,7 +25,7 @@ def only_one(batch: Batch) -> None:
     if len(agents) != 1:
         raise UsageError(
             f"{batch.functional.name}: {len(agents)} vehicles are commanded, {', '.join(agents)}; it is an "
-            "environment of PettingZoo, qrsim.apps.envs.parallel_env"
+            "environment of PettingZoo, qrsim.envs.parallel_env"
         )
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.apps.envs.functional import Functional
 from qrsim.engine.settings import use_compilation_cache
+from qrsim.envs.functional import Functional
 from qrsim.errors import UsageError
 from qrsim.tasks.episodes import episodes, score
 from qrsim.world.tick import refuse_unplaced

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.apps.view.recording import Recording
 from qrsim.view.clock import FRAME_S, SPEEDS, Clock
 from qrsim.view.page import Page
+from qrsim.view.recording import Recording
 from qrsim.view.scene import Scene
 
 # The slider is moved at every so-many-th frame.
