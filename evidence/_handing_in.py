@@ -215,8 +215,8 @@ def _kml(shop: Workshop, rng: Rng) -> None:
 
 
 def _study(shop: Workshop, rng: Rng) -> None:
-    from qrsim.apps.sweep.prepare import plan_of
-    from qrsim.apps.sweep.study import load_study
+    from qrsim.sweep.prepare import plan_of
+    from qrsim.sweep.study import load_study
 
     _, data = shop.studies[int(rng.integers(len(shop.studies)))]
     plan = plan_of(load_study(str(shop.write("study.yaml", mutated(rng, data)))))

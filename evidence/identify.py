@@ -15,13 +15,13 @@ from scipy import stats
 
 import qrsim
 from evidence.recordings import data_folder
-from qrsim.apps.discover.discovery import Discovery, discover, is_published
-from qrsim.apps.identify.constants import CONSTANTS, PITCH, constants_in
-from qrsim.apps.identify.fit import Answer, Question, solve
-from qrsim.apps.identify.identification import identify
-from qrsim.apps.identify.problem import cut
 from qrsim.core.tree import replace
+from qrsim.discover.discovery import Discovery, discover, is_published
 from qrsim.flight_logs import FlightLog, read_log
+from qrsim.identify.constants import CONSTANTS, PITCH, constants_in
+from qrsim.identify.fit import Answer, Question, solve
+from qrsim.identify.identification import identify
+from qrsim.identify.problem import cut
 from qrsim.models.vehicles.quadrotor import THROTTLE_RAW_PER_UNIT, Quadrotor
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
 from qrsim.simulation.openloop import hover_state, simulate_open_loop

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from qrsim.apps.validate.statistics import CONFIDENCE, Statistic, Values, against, judge, p_values  # noqa: F401 (tests use p_values)
 from qrsim.core.noise import Key, Stream, ou_decay, ou_step
+from qrsim.validate.statistics import CONFIDENCE, Statistic, Values, against, judge, p_values  # noqa: F401 (tests use p_values)
 
 DOC = "standard normals and Ornstein-Uhlenbeck processes against their theory"
 SEED = 20140914

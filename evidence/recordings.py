@@ -9,9 +9,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from qrsim.apps.validate import outdoor, rotation, thrust
-from qrsim.apps.validate.recorded import FETCH, command_rows
 from qrsim.errors import RunError
+from qrsim.validate import outdoor, rotation, thrust
+from qrsim.validate.recorded import FETCH, command_rows
 
 __all__ = ["DOC", "command_rows", "data_folder", "run"]
 

@@ -57,12 +57,12 @@ import json, sys, tempfile, time
 from pathlib import Path
 
 import qrsim
-from qrsim.apps.sweep.cluster import workers_of
-from qrsim.apps.sweep.flying import fly
-from qrsim.apps.sweep.prepare import plan_of
-from qrsim.apps.sweep.store import Store
-from qrsim.apps.sweep.study import load_study
-from qrsim.apps.sweep.sweeping import Jobs, sweep
+from qrsim.sweep.cluster import workers_of
+from qrsim.sweep.flying import fly
+from qrsim.sweep.prepare import plan_of
+from qrsim.sweep.store import Store
+from qrsim.sweep.study import load_study
+from qrsim.sweep.sweeping import Jobs, sweep
 
 if __name__ == "__main__":
     study, rounds, workers = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
@@ -100,9 +100,9 @@ import json, sys, tempfile
 from pathlib import Path
 
 from evidence.rollout import peak_bytes
-from qrsim.apps.sweep.prepare import plan_of
-from qrsim.apps.sweep.store import Store
-from qrsim.apps.sweep.study import load_study
+from qrsim.sweep.prepare import plan_of
+from qrsim.sweep.store import Store
+from qrsim.sweep.study import load_study
 
 with tempfile.TemporaryDirectory() as folder:
     study = Path(folder) / "million.yaml"

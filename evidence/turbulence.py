@@ -8,10 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from qrsim.apps.validate.jsbsim_gusts import INSTALL, TYPES, jsbsim_theory
-from qrsim.apps.validate.spectra import CASES, COMPONENTS, DT, SEVERITY, SPAN, closed_form
-from qrsim.apps.validate.statistics import judge
-from qrsim.apps.validate.turbulence import spectra_figure, study_case
+from qrsim.validate.jsbsim_gusts import INSTALL, TYPES, jsbsim_theory
+from qrsim.validate.spectra import CASES, COMPONENTS, DT, SEVERITY, SPAN, closed_form
+from qrsim.validate.statistics import judge
+from qrsim.validate.turbulence import spectra_figure, study_case
 
 __all__ = ["CASES", "COMPONENTS", "DOC", "INSTALL", "SEED", "TYPES", "closed_form", "jsbsim_theory", "run"]
 

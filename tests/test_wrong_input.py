@@ -16,12 +16,12 @@ import pytest
 from tests.runs.small_run import COLUMNS, VEHICLES, append_chunk
 
 import qrsim
-from qrsim.apps.sweep.study import load_study
 from qrsim.cli import main
 from qrsim.errors import QrsimError, RunError, ScenarioError, UsageError
 from qrsim.flight_logs import read_log
 from qrsim.runs import RunInfo, RunWriter, open_run
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.sweep.study import load_study
 
 
 @pytest.fixture

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from qrsim.apps.slam.estimate import slam
     from qrsim.control import (
         AttitudeHeightSetpoint,
         AttitudeSetpoint,
@@ -60,8 +59,10 @@ _LAZY = {
     "make_world": "qrsim.scenarios.making",
     "open_run": "qrsim.runs",
     "rollout": "qrsim.scenarios.flying",
-    "slam": "qrsim.apps.slam.estimate",
 }
+
+# Rooms that are used as a library, imported on first use too.
+_ROOMS = ("discover", "envs", "identify", "slam", "sweep", "validate")
 
 __all__ = [
     "AttitudeHeightSetpoint",
@@ -86,7 +87,6 @@ __all__ = [
     "make_world",
     "open_run",
     "rollout",
-    "slam",
 ]
 
 
@@ -122,6 +122,10 @@ def __getattr__(name: str) -> Any:
         import importlib
 
         return getattr(importlib.import_module(_LAZY[name]), name)
+    if name in _ROOMS:
+        import importlib
+
+        return importlib.import_module(f"qrsim.{name}")
     from qrsim.errors import did_you_mean, nearest
 
     # Python itself asks for names such as __path__; of these nobody has mistyped one.
@@ -131,4 +135,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """Return what is for users, for completion."""
-    return [*__all__, *(name for name in globals() if name.startswith("__") and name not in __all__)]
+    return [*__all__, *_ROOMS, *(name for name in globals() if name.startswith("__") and name not in __all__)]

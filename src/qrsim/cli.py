@@ -26,21 +26,21 @@ import tyro
 
 from qrsim import interruptions
 from qrsim.apps.check.command import Check
-from qrsim.apps.compare.command import Compare
-from qrsim.apps.data.command import Fetch, Where
-from qrsim.apps.discover.command import Discover
-from qrsim.apps.export.command import Export
-from qrsim.apps.identify.command import Identify
+from qrsim.apps.compare import Compare
+from qrsim.apps.data import Fetch, Where
+from qrsim.apps.discover import Discover
+from qrsim.apps.export import Export
+from qrsim.apps.identify import Identify
 from qrsim.apps.openloop.command import OpenLoop
-from qrsim.apps.plot.command import Plot
+from qrsim.apps.plot import Plot
 from qrsim.apps.run.command import Run
-from qrsim.apps.scenario.command import List, Schema, Show
+from qrsim.apps.scenario import List, Schema, Show
 from qrsim.apps.serve.command import Serve
-from qrsim.apps.slam.command import SlamCommand
-from qrsim.apps.sweep.command import Sweep
-from qrsim.apps.sweep.report_command import SweepReport
-from qrsim.apps.validate.command import Validate
-from qrsim.apps.view.command import View
+from qrsim.apps.slam import SlamCommand
+from qrsim.apps.sweep import Sweep
+from qrsim.apps.sweep_report import SweepReport
+from qrsim.apps.validate import Validate
+from qrsim.apps.view import View
 from qrsim.errors import QrsimError, UsageError, did_you_mean, shortened
 
 DESCRIPTION = """A simulator of several unmanned aerial vehicles outdoors.

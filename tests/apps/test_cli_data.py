@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from qrsim import cli
-from qrsim.apps.data import command
+from qrsim.apps import data as command
 from qrsim.errors import RunError, UsageError
 from qrsim.files import recordings
 from qrsim.files.recordings import Recording

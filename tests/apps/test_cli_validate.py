@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 
 from qrsim import cli
-from qrsim.apps.validate import gnss, outdoor, parts, receiver, report, thrust, translation, turbulence
-from qrsim.apps.validate.parts import PARTS
-from qrsim.apps.validate.report import Check, Finding, Outcome, Part, Picture, reference_check, share_verdict
 from qrsim.core.allan import exponential_allan_variance
 from qrsim.errors import RunError
 from qrsim.files.recordings import RECORDINGS
 from qrsim.models.gnss.receivers import OrnsteinUhlenbeckErrors
+from qrsim.validate import gnss, outdoor, parts, receiver, report, thrust, translation, turbulence
+from qrsim.validate.parts import PARTS
+from qrsim.validate.report import Check, Finding, Outcome, Part, Picture, reference_check, share_verdict
 
 PIXEL = bytes.fromhex("89504e470d0a1a0a")
 

@@ -152,7 +152,7 @@ class TestRefused:
 @pytest.mark.long
 def test_two_pages_of_one_run_and_their_end(flown: Flight):
     """In processes of their own, on two ports; Ctrl-C ends them."""
-    command = [sys.executable, "-m", "qrsim.cli", "view", str(flown.folder)]
+    command = [sys.executable, "-c", INTERRUPTIBLE, "view", str(flown.folder)]
     pages = [
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1)
         for _ in range(2)

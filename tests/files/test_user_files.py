@@ -105,7 +105,7 @@ def named(ending: str, read: Any) -> Any:
 
 
 def study(path: Path) -> None:
-    from qrsim.apps.sweep.study import load_study
+    from qrsim.sweep.study import load_study
 
     load_study(str(path))
 

@@ -1,1 +1,0 @@
-"""Saying in what two runs differ."""

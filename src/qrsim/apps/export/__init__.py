@@ -1,1 +1,0 @@
-"""Recorded runs in the formats of other programs: tables, maps, GPS tools, globes and robot viewers."""

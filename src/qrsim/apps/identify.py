@@ -1,0 +1,214 @@
+"""``qrsim identify``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from qrsim.errors import UsageError, did_you_mean
+
+if TYPE_CHECKING:
+    from qrsim.identify.fit import Question
+    from qrsim.identify.result import Result
+
+_Optional = tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: all of it)")
+
+
+@dataclass(frozen=True)
+class Identify:
+    """Find the constants of a vehicle from flight logs, and write it as a vehicle for scenarios.
+
+    Logs: PX4 ULog, ArduPilot DataFlash .bin, CSV with names and units ('roll [deg]'), the public recordings. The first
+    part of each is fitted through the simulator's own equations; the rest is held out and scored open loop. A constant
+    that the logs do not show, or that predicts the rest no better, stays at its start, and that is said. Logs that show
+    none (on the ground, not commanded) are refused, and nothing is written.
+
+    Example:
+      qrsim identify flight.ulg --mass 1.9 -o my_vehicle.yaml
+      qrsim identify one.bin two.bin --separate --mass 1.9:0.1 -o my_vehicle.yaml
+      qrsim run hover --set "fleets.uav.vehicle={file: my_vehicle.yaml}"
+    """
+
+    logs: Annotated[tyro.conf.Positional[list[Path]], tyro.conf.arg(metavar="LOG [LOG ...]")]
+    """Flight logs of the same vehicle."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o", "--output"], metavar="FILE")] = Path("my_vehicle.yaml")
+    """Vehicle to write; the report goes into a folder beside it, FILE without its ending plus _report."""
+    vehicle: Literal["quadrotor"] = "quadrotor"
+    """Form of the model."""
+    separate: bool = False
+    """Pitch has constants of its own."""
+    fit: Annotated[str | None, tyro.conf.arg(metavar="NAME[,NAME...]", help_behavior_hint="(default: all)")] = None
+    """Only these constants; the others stay at their start."""
+    start: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: published)")] = None
+    """A vehicle written by this command, to begin with."""
+    mass: Annotated[str | None, tyro.conf.arg(metavar="KG[:STD]", help_behavior_hint="(default: 1.68)")] = None
+    """Take-off mass; with a standard deviation it is estimated about this value."""
+    prior: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME=VALUE:STD")] = field(
+        default_factory=list
+    )
+    """What is known of a constant; can be given several times."""
+    delay: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: estimated)")] = None
+    """By which commands act late."""
+    train: float = 0.6
+    """Share of each log that is fitted; the rest is held out."""
+    horizon: float = 5.0
+    """Length of a window that is flown without looking at the record [s]."""
+    loss: Literal["robust", "squares"] = "robust"
+    """What residuals count."""
+    ignore: Annotated[str | None, tyro.conf.arg(metavar="SIGNAL[,SIGNAL...]", help_behavior_hint="(default: none)")] = (
+        None
+    )
+    """Measured signals that are known to be wrong; they are still compared."""
+    begin: Annotated[float, tyro.conf.arg(name="from", metavar="SECONDS")] = 0.0
+    """Leave out what comes earlier in each log, such as standing on the ground."""
+    end: Annotated[float, tyro.conf.arg(name="to", metavar="SECONDS", help_behavior_hint="(default: its end)")] = (
+        math.inf
+    )
+    """Leave out what comes later in each log."""
+    overwrite: bool = False
+    """Replace FILE where it exists."""
+    quiet: bool = False
+    """Print no progress."""
+    json: bool = False
+    """Print the result as JSON."""
+
+    def run(self) -> None:
+        """Check, read, fit, write, say."""
+        self._check()
+        from qrsim.flight_logs import read_log
+        from qrsim.identify.constants import lacking
+        from qrsim.identify.identification import identify, part_of
+        from qrsim.identify.report import write_report
+        from qrsim.identify.result import write_text
+
+        question = self._question()
+        logs = [part_of(read_log(path), self.begin, self.end) for path in self.logs]
+        for log in logs:
+            self._say(f"{log.source} ({log.kind})", *(f"  {note}" for note in log.notes))
+            if missing := lacking(log):
+                self._say(f"  thrust: left out, because there is no {' and no '.join(missing)}")
+        found = identify(logs, question, self.horizon, self.train, self._say)
+        write_text(self.out, found.yaml(self.out))
+        folder = self.out.with_name(f"{self.out.stem}_report")
+        write_report(found, folder)
+        if self.json:
+            import json
+
+            print(json.dumps(found.to_json() | {"vehicle": str(self.out), "report": str(folder)}, indent=2))
+        else:
+            _print(found, self.out, folder)
+
+    def _check(self) -> None:
+        if not self.logs:
+            raise UsageError("no LOG is named")
+        if self.out.suffix not in (".yaml", ".yml"):
+            raise UsageError(f"--out {self.out}: expected a name that ends in .yaml")
+        if self.out.exists() and not self.overwrite:
+            raise UsageError(f"{self.out}: exists already; --overwrite replaces it")
+        if not 0.1 <= self.train <= 0.95:
+            raise UsageError(f"--train {self.train:g}: expected a share from 0.1 to 0.95; the rest is held out")
+        if not 0.2 <= self.horizon <= 1000.0:
+            raise UsageError(f"--horizon {self.horizon:g}: expected 0.2 to 1000 s")
+        if self.delay is not None and not 0.0 <= self.delay <= 1.0:
+            raise UsageError(f"--delay {self.delay:g}: expected 0 to 1 s")
+        if not self.begin < self.end:
+            raise UsageError(f"--from {self.begin:g} is not before --to {self.end:g}")
+
+    def _question(self) -> Question:
+        from qrsim.identify.constants import CHANNELS, CONSTANTS, PITCH, check_names
+        from qrsim.identify.fit import Prior, Question
+        from qrsim.identify.starting import starting_values
+
+        start = starting_values(self.start, self.separate)
+        priors: dict[str, Prior] = {}
+        for text in self.prior:
+            name, _, rest = text.partition("=")
+            check_names([name], self.separate)
+            priors[name] = _prior(f"--prior {text}", rest, "NAME=VALUE:STD")
+        if self.mass is not None:
+            value, colon, _ = self.mass.partition(":")
+            if colon:
+                priors["mass"] = _prior(f"--mass {self.mass}", self.mass, "KG:STD")
+            start["mass"] = _number(f"--mass {self.mass}", value)
+            if start["mass"] <= 0.0:
+                raise UsageError(f"--mass {self.mass}: expected a mass above 0 kg")
+        for name, prior in priors.items():
+            start[name] = prior.mean
+        names = tuple(name.strip() for name in self.fit.split(",")) if self.fit else ()
+        check_names(names, self.separate)
+        unused = [name for name in CONSTANTS if name in PITCH and not self.separate]
+        start = {name: value for name, value in start.items() if name not in unused}
+        ignored = tuple(name.strip() for name in self.ignore.split(",")) if self.ignore else ()
+        for name in ignored:
+            if name not in CHANNELS:
+                raise UsageError(f"--ignore: no measured signal is called '{name}'{did_you_mean(name, CHANNELS)}")
+        return Question(names, start, self.separate, priors, self.delay, self.loss == "robust", ignored)
+
+    def _say(self, *lines: str) -> None:
+        if not (self.quiet or self.json):
+            for line in lines:
+                print(line, flush=True)
+
+
+def _number(option: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(f"{option}: '{text}' is not a finite number")
+    return value
+
+
+def _prior(option: str, text: str, form: str) -> Any:
+    from qrsim.identify.fit import Prior
+
+    value, colon, std = text.partition(":")
+    if not colon:
+        raise UsageError(f"{option}: expected {form}")
+    prior = Prior(_number(option, value), _number(option, std))
+    if prior.std <= 0.0:
+        raise UsageError(f"{option}: the standard deviation must be above 0")
+    return prior
+
+
+def _print(found: Result, out: Path, folder: Path) -> None:
+    print(f"\n{'constant':<10} {'value':>13} {'95 % interval':>29}   {'start':>13}  unit")
+    for name, each in found.constants().items():
+        print(
+            f"{name:<10} {each['value']:>13.6g} {each['low']:>14.5g} {each['high']:>14.5g}   {each['start']:>13.6g}"
+            f"  {each['unit']}"
+        )
+    values = found.answer.values
+    for verdict, names in found.other_verdicts().items():
+        listed = ", ".join(f"{name} {values[name]:.4g}" for name in names)
+        print(f"{listed}: {verdict}")
+    for i, (piece, scores) in enumerate(zip(found.pieces, found.held_out, strict=True)):
+        _print_signals(found, i)
+        print(f"\n{piece.log.source.name}, held-out {scores['rows']} rows, open loop: mean squared error")
+        print(f"  {'signal':<16} {'start':>11} {'fitted':>11}   lower by")
+        for name, after in scores["identified"].items():
+            change = scores["lower_percent"].get(name, 0.0)
+            print(f"  {name:<16} {scores['start'][name]:>11.4g} {after:>11.4g}   {change:6.1f} %")
+        if scores.get("velocity_5_s"):
+            five = scores["velocity_5_s"]
+            print(
+                f"  {'horizontal, 5 s':<16} {five['start']:>11.4g} {five['identified']:>11.4g}"
+                f"   {five['lower_percent']:6.1f} %"
+            )
+    print(f"\n{found.wall_s:.1f} s, compiling included; {out}, {folder / 'report.md'}")
+
+
+def _print_signals(found: Result, i: int) -> None:
+    print(f"\n{found.pieces[i].log.source.name}, fitted part: how much its signals move")
+    print(f"  {'signal':<17} {'std':>10} {'noise':>10} {'std/noise':>10}  unit")
+    for name, each in found.channels(i).items():
+        words = "" if each["moves"] else "  does not move"
+        words = "  identified" if each.get("identified") else words
+        print(
+            f"  {name:<17} {each['std']:>10.3g} {each['noise']:>10.2g} {each['ratio']:>10.3g}  {each['unit']:<6}{words}"
+        )

@@ -1,1 +1,0 @@
-"""``qrsim identify``: the constants of a vehicle from its flight logs."""

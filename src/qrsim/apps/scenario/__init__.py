@@ -1,1 +1,0 @@
-"""Looking at scenarios and their schema."""

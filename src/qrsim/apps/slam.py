@@ -1,0 +1,258 @@
+"""``qrsim slam``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from qrsim.errors import RunError, UsageError
+
+if TYPE_CHECKING:
+    from qrsim.slam.estimate import Slam
+    from qrsim.slam.study import Study, Sweep
+
+
+SWEPT = {"plain": "taken for white", "bias": "as a state"}
+# Arms that are meant to converge.
+CONVERGED = ("converged", "plain", "bias")
+
+
+@dataclass(frozen=True)
+class SlamCommand:
+    """Show what coloured GNSS noise does to range-only SLAM: fly, find trajectory and landmarks, compare.
+
+    A Pelican flies between random waypoints, once with the simulator's time-correlated GNSS errors and once with white
+    ones of the same size. Ranges to ten unknown landmarks and the commands then give trajectory and landmarks, in one
+    of two graphs: in 'paper', as published, GNSS is only where the iterations begin; in 'gnss' every fix is a factor,
+    and the coloured error is also modelled as a state. docs/slam.md has the equations and what to expect.
+
+    Example:
+      qrsim slam --seeds 10 --out slam
+      qrsim slam --graph paper --noise both --seeds 50 --out slam_paper
+      qrsim slam --run runs/first --out slam_first
+    """
+
+    graph: Literal["paper", "gnss"] = "gnss"
+    """Where GNSS enters: at the start of the iterations only, or as factors."""
+    states: Literal["full", "poses"] = "full"
+    """Unknown at each time: all 13 states of the model, or position and heading only, which is much faster."""
+    noise: Literal["white", "coloured", "both"] = "both"
+    """GNSS errors to fly with."""
+    seeds: int = 5
+    """How many flights with each."""
+    first_seed: int = 0
+    """Seed of the first flight; the others follow."""
+    duration: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 120.0
+    """Simulated time of each flight."""
+    sweep: bool = False
+    """Also fly with correlation times from white to 100 s, of equal variance, and draw the error against them."""
+    run_folder: Annotated[
+        Path | None, tyro.conf.arg(name="run", metavar="RUN", help_behavior_hint="(default: none)")
+    ] = None
+    """Take this recorded run in place of new flights."""
+    vehicle: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = None
+    """Vehicle of the run."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: no figures)")] = None
+    """New or empty folder for figures and result.json."""
+    json: bool = False
+    """Print the result as JSON."""
+
+    def run(self) -> None:
+        """Check, fly, solve, report."""
+        self._check()
+        if self.run_folder is not None:
+            self._solve_run(self.run_folder)
+        else:
+            self._study()
+
+    def _make_out(self) -> None:
+        """Make the folder, so that what cannot be written is known before anything is flown."""
+        if self.out is None:
+            return
+        try:
+            self.out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RunError(f"--out {self.out}: {error.strerror or error}") from None
+
+    def _check(self) -> None:
+        if self.seeds < 1:
+            raise UsageError(f"--seeds {self.seeds}: expected a positive number of flights")
+        if not 0 <= self.first_seed < 2**63 - self.seeds:
+            raise UsageError(f"--first-seed {self.first_seed}: expected an integer from 0 to 2**63 - 1 - --seeds")
+        if not 0.0 < self.duration <= 1e7:
+            raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds, at most 10 000 000")
+        if self.vehicle is not None and self.run_folder is None:
+            raise UsageError("--vehicle: only with --run")
+        if self.run_folder is not None:
+            for name in ("noise", "seeds", "first_seed", "duration", "sweep"):
+                if getattr(self, name) != getattr(SlamCommand, name):
+                    raise UsageError(f"--{name.replace('_', '-')}: not with --run, whose flight is what it is")
+        if self.out is not None and self.out.is_dir() and any(self.out.iterdir()):
+            raise UsageError(f"--out {self.out}: it exists and is not empty; choose another folder")
+        if self.sweep and self.noise == "white":
+            raise UsageError("--sweep: takes the size of the errors from coloured flights; leave out --noise white")
+
+    def _solve_run(self, folder: Path) -> None:
+        from qrsim.runs.picture import save_picture
+        from qrsim.slam.estimate import from_run
+        from qrsim.slam.figures import draw_run
+
+        self._make_out()
+        found = from_run(folder, graph=self.graph, states=self.states, vehicle=self.vehicle)
+        result = _of_run(found)
+        if self.out is not None:
+            save_picture(lambda: draw_run(found), self.out / "trajectory.png")
+            _write(self.out / "result.json", result)
+        if self.json:
+            _print_json(result)
+            return
+        print(f"{found.flight.name}, graph {self.graph}, {len(found.time)} states\n")
+        print(f"trajectory RMSE {_metres(result['trajectory_rmse_m'])} m")
+        determined = f"of {int(found.determined.sum())} that are determined"
+        print(f"landmark RMSE   {_metres(result['landmark_rmse_m'])} m, {determined}")
+        if self.out is not None:
+            print(f"\nfigure and numbers: {self.out}")
+
+    def _study(self) -> None:
+        from qrsim.slam import study as studies
+
+        noises = studies.NOISES if self.noise == "both" else (self.noise,)
+        seeds = range(self.first_seed, self.first_seed + self.seeds)
+        # Coloured flights are always flown; those of a sweep come one kind after the other.
+        studies.check_size(len(seeds), len({"coloured", *noises}) + self.sweep, self.duration, self.states)
+        self._make_out()
+        solves = len(seeds) * (len(noises) + (self.sweep and 1 + len(studies.TIME_CONSTANTS)))
+        with _progress(solves) as progress:
+            flights = studies.fly(seeds, noises, self.duration)
+            found = studies.study(self.graph, seeds, flights, states=self.states, progress=progress)
+            swept = studies.sweep(seeds, flights, states=self.states, progress=progress) if self.sweep else None
+        result = studies.numbers(found)
+        result = {"graph": self.graph, "first_seed": self.first_seed, "duration_s": self.duration, **result}
+        if swept is not None:
+            result["sweep"] = swept.numbers()
+        if self.out is not None:
+            _draw(found, swept, self.out)
+            _write(self.out / "result.json", result)
+        if self.json:
+            _print_json(result)
+        else:
+            _print_study(result)
+            if self.out is not None:
+                print(f"\nfigures and numbers: {self.out}")
+
+
+def _draw(found: Study, swept: Sweep | None, folder: Path) -> None:
+    from qrsim.runs.picture import save_picture
+    from qrsim.slam import figures
+
+    save_picture(lambda: figures.draw_trajectories(found), folder / "trajectories.png")
+    save_picture(lambda: figures.draw_allan(found), folder / "allan.png")
+    if len(found.seeds) > 1:
+        save_picture(lambda: figures.draw_errors(found), folder / "errors.png")
+    if swept is not None:
+        save_picture(lambda: figures.draw_sweep(swept), folder / "sweep.png")
+
+
+def _of_run(found: Slam) -> dict[str, Any]:
+    """Return the numbers of a run's estimate; None where there is no number."""
+    import math
+
+    places = [[None if math.isnan(axis) else axis for axis in place] for place in found.landmarks_ned.tolist()]
+    rmse = found.landmark_rmse_m
+    return {
+        "run": found.flight.name,
+        "graph": found.graph,
+        "states": len(found.time),
+        "iterations": found.iterations,
+        "converged": found.converged,
+        "trajectory_rmse_m": found.trajectory_rmse_m,
+        "landmark_rmse_m": None if math.isnan(rmse) else rmse,
+        "landmarks_ned": places,
+        "determined": found.determined.tolist(),
+        "ambiguous": found.mirrors.ambiguous.tolist(),
+    }
+
+
+def _print_study(result: dict[str, Any]) -> None:
+    from qrsim.slam.estimate import MOST_ITERATIONS
+    from qrsim.slam.study import ARMS
+
+    arms = ARMS[result["graph"]]
+    count = f"{result['seeds']} flight{'s' if result['seeds'] > 1 else ''}"
+    print(f"graph {result['graph']}, {count} of {result['duration_s']:g} s with each noise")
+    determined = result["landmarks"]
+    print(f"landmarks that the ranges determine: {determined['determined']} of {determined['all']}\n")
+    print(f"  {'RMSE [m], mean over flights':<32} {'noise':<9} {'trajectory':>10} {'landmarks':>10}")
+    for arm, meaning in arms.items():
+        for noise, found in result["errors"].items():
+            if arm in found:
+                means = [_metres(found[arm][name].get("mean"), 10) for name in ("trajectory_m", "landmarks_m")]
+                print(f"  {meaning:<32} {noise:<9} {means[0]} {means[1]}")
+    left = sum(found[arm]["not_converged"] for found in result["errors"].values() for arm in found if arm in CONVERGED)
+    if left:
+        print(f"\n  not converged after {MOST_ITERATIONS} iterations: {left} of the solutions", end="")
+    for arm, found in result["paired"].items():
+        for name, test in ((name, test) for name, test in found.items() if test["pairs"]):
+            what = f"{arms[arm]}, {name.removesuffix('_m')}"
+            print(f"\n  {what}: coloured - white {_interval(test)} m, Wilcoxon p = {test['p']:.2g}", end="")
+    if "remedy" in result:
+        share = result["remedy"]["trajectory_m"]["recovered"]
+        part = _interval(share, "part", 100.0)
+        print(f"\n\n  the error as a state recovers {part} % of what the trajectory lost", end="")
+    for noise, fixes in result["fixes"].items():
+        if "allan" in fixes:
+            slope = _interval(fixes["allan"], "slope")
+            print(f"\n  {noise} fixes: slope of the Allan deviation, 0.4 to 10 s: {slope}", end="")
+    for name, found in result.get("sweep", {}).items():
+        means = [f"{found[arm]['mean']:.3f} m {how}" for arm, how in SWEPT.items() if arm in found]
+        print(f"\n  correlation {name.removeprefix('tau_').replace('_', ' '):<7}{', '.join(means)}", end="")
+    print()
+
+
+def _metres(value: float | None, width: int = 8) -> str:
+    """Return a number of metres, or a dash where there is none."""
+    return f"{'-':>{width}}" if value is None else f"{value:{width}.3f}"
+
+
+def _interval(found: dict[str, float], name: str = "mean", unit: float = 1.0) -> str:
+    if "low" not in found:
+        return f"{unit * found[name]:.3g}"
+    return f"{unit * found[name]:.3g} (95 %: {unit * found['low']:.3g} to {unit * found['high']:.3g})"
+
+
+def _write(path: Path, result: dict[str, Any]) -> None:
+    import json
+
+    from qrsim.runs.writer import write_atomically
+
+    try:
+        write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def _print_json(result: dict[str, Any]) -> None:
+    import json
+
+    print(json.dumps(result, indent=2, allow_nan=False))
+
+
+@contextmanager
+def _progress(solves: int) -> Iterator[Callable[[], None]]:
+    """Show a bar while the context lasts, on a terminal only."""
+    if not sys.stderr.isatty():
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} of {task.total:.0f}"))
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("flights solved", total=solves)
+        yield lambda: bar.advance(task)

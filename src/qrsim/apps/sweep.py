@@ -1,0 +1,195 @@
+"""``qrsim sweep``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from qrsim.errors import UsageError
+
+if TYPE_CHECKING:
+    from qrsim.sweep.plan import Batch, Plan
+    from qrsim.sweep.study import Study
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Fly a study: a scenario under many conditions, with many seeds each, on all cores or on a cluster.
+
+    A study says what varies, how often each condition is flown, and what is kept of an episode; docs/sweep.md explains
+    it. Results go to a store, an xarray Dataset in Zarr, as they come in, and can be read from there at once. A sweep
+    that was interrupted or killed goes on where it was when the same command is given again.
+
+    Studies that come with qrsim: station_keeping, gnss_errors, swarm_collisions, search_in_wind.
+
+    Example:
+      qrsim sweep station_keeping --seeds 4 --values 5
+      qrsim sweep my_study.yaml --workers 8 --out sweeps/first.zarr
+      qrsim sweep my_study.yaml --scheduler tcp://192.168.0.1:8786
+      qrsim sweep-report sweeps/station_keeping.zarr
+    """
+
+    study: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="STUDY")]
+    """Name of a study that comes with qrsim, or a YAML file."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: one for each core)")] = None
+    """Processes to fly with."""
+    scheduler: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: none)")] = None
+    """Fly on the workers of this Dask scheduler instead."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="STORE", help_behavior_hint="(default: sweeps/NAME.zarr)")] = None
+    """Store to write, or to go on with."""
+    seeds: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the study's)")] = None
+    """Episodes at each point."""
+    points: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the study's)")] = None
+    """Points of the sample."""
+    values: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all)")] = None
+    """At most so many values of each parameter that has values, evenly chosen."""
+    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
+        default_factory=list
+    )
+    """Change one value of the scenario at all points; can be given several times."""
+    plan: bool = False
+    """Check the study and say what would be flown."""
+    json: bool = False
+    """Print the result as JSON."""
+
+    def run(self) -> None:
+        """Check, fly what is missing, say where it is."""
+        study = self._study()
+        from qrsim.extras import require
+
+        require("sweep", "qrsim sweep")
+        from qrsim.sweep.prepare import plan_of
+
+        plan = plan_of(study)
+        out = self.out or Path("sweeps") / f"{study.spec.name}.zarr"
+        if self.plan:
+            self._tell(_planned(plan), f"{_sentence(plan)}\nstore: {out}")
+            return
+        self._fly(plan, out)
+
+    def _study(self) -> Study:
+        from qrsim.sweep.study import load_study
+
+        for name in ("workers", "seeds", "points", "values"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise UsageError(f"--{name} {value}: expected a positive number")
+        if self.workers is not None and self.scheduler is not None:
+            raise UsageError("--workers: not with --scheduler, which has its own")
+        changes = {name: value for name in ("seeds", "points") if (value := getattr(self, name)) is not None}
+        return load_study(self.study, changes, self.set, self.values or 0)
+
+    def _fly(self, plan: Plan, out: Path) -> None:
+        from qrsim.engine.settings import available_cores
+        from qrsim.sweep.cluster import workers_of
+        from qrsim.sweep.store import Store
+        from qrsim.sweep.sweeping import sweep
+
+        begun = time.perf_counter()
+        store = Store(out, plan)
+        before = _episodes(plan, store.done)
+        flying = 0.0
+        try:
+            if not store.done.all():
+                with workers_of(self.scheduler, self.workers or available_cores()) as client:
+                    flying = time.perf_counter()
+                    with _progress(plan, before) as progress:
+                        sweep(plan, store, client, progress)
+                    flying = time.perf_counter() - flying
+        finally:
+            store.close()
+        flown = plan.episodes - before
+        simulated = _simulated(plan) * flown / max(1, plan.episodes)
+        result = {
+            **_planned(plan),
+            "store": str(out),
+            "flown": flown,
+            "simulated_s": simulated,
+            "wall_s": round(time.perf_counter() - begun, 3),
+            "flying_s": round(flying, 3),
+            "bytes_per_episode": round(store.bytes_per_episode(), 1),
+        }
+        was = f", {before} of them before" if before else ""
+        fast = f" in {flying:.1f} s ({simulated / flying:.0f} times real time)" if flown else ""
+        self._tell(
+            result,
+            f"{_sentence(plan)}{was}: {flown} flown{fast}\nstore: {out}\nto look at it: qrsim sweep-report {out}",
+        )
+
+    def _tell(self, result: dict[str, Any], text: str) -> None:
+        if self.json:
+            import json
+
+            print(json.dumps(result, indent=2))
+        else:
+            print(text)
+
+
+def _planned(plan: Plan) -> dict[str, Any]:
+    return {
+        "study": plan.study.spec.name,
+        "digest": plan.study.digest,
+        "dimensions": dict(zip(plan.dims, plan.shape, strict=True)),
+        "points": plan.points,
+        "episodes": plan.episodes,
+        "batches": plan.batches,
+        "programs": len(plan.groups),
+    }
+
+
+def _sentence(plan: Plan) -> str:
+    sizes = " x ".join(f"{size} {name}" for name, size in zip(plan.dims, plan.shape, strict=True))
+    return f"{plan.study.spec.name}: {plan.episodes} episodes ({sizes}) in {plan.batches} batches"
+
+
+def _episodes(plan: Plan, done: Any) -> int:
+    import math
+
+    import numpy as np
+
+    regions = (plan.region(int(index)) for index in np.flatnonzero(done))
+    return sum(math.prod(part.stop - part.start for part in region) for region in regions)
+
+
+def _simulated(plan: Plan) -> float:
+    """Return the simulated time of all episodes [s]; groups have as many points each."""
+    durations = [group.ticks * group.time_step for group in plan.groups.values()]
+    return plan.episodes * sum(durations) / len(durations)
+
+
+@contextmanager
+def _progress(plan: Plan, before: int) -> Iterator[Callable[[Batch], None]]:
+    """Show a bar with episodes and the real-time factor while the context lasts, on a terminal only."""
+    if not sys.stderr.isatty():
+        yield lambda batch: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f} of {task.total:.0f} episodes"),
+        TextColumn("{task.fields[factor]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(plan.study.spec.name, total=plan.episodes, completed=before, factor="starting")
+        begun = time.perf_counter()
+        simulated = 0.0
+
+        def show(batch: Batch) -> None:
+            nonlocal simulated
+            group = plan.groups[batch.group]
+            simulated += batch.episodes * group.ticks * group.time_step
+            factor = simulated / max(time.perf_counter() - begun, 1e-9)
+            bar.update(task, advance=batch.episodes, factor=f"{factor:.0f} x real time")
+
+        yield show

@@ -1,0 +1,66 @@
+"""``qrsim sweep-report``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from qrsim.errors import RunError, UsageError
+
+
+@dataclass(frozen=True)
+class SweepReport:
+    """Say what a sweep found: tables, pictures, and the commands that fly the worst episodes again.
+
+    How a metric depends on each parameter, with confidence bands; a map over two parameters; where half of the episodes
+    fail, by a logistic fit; Sobol indices, where the study was sampled for them. A sweep that still runs can be looked
+    at too: the report is then of what has been flown.
+
+    Example:
+      qrsim sweep-report sweeps/station_keeping.zarr
+      qrsim sweep-report sweeps/station_keeping.zarr --metric wind_max_m_s --out windy
+    """
+
+    store: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STORE")]
+    """Store of a sweep."""
+    metric: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the study's first)")] = (
+        None
+    )
+    """Metric of the map, of the Sobol indices and of the worst episodes."""
+    map: Annotated[
+        tyro.conf.UseAppendAction[list[str]],
+        tyro.conf.arg(metavar="PARAMETER", help_behavior_hint="(default: the first two)"),
+    ] = field(default_factory=list)
+    """Parameter of the maps; to be given twice."""
+    out: Annotated[
+        Path | None, tyro.conf.arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(default: STORE-report)")
+    ] = None
+    """Folder for pictures and report.json."""
+    json: bool = False
+    """Print the tables as JSON."""
+
+    def run(self) -> None:
+        """Find, write, tell."""
+        from qrsim.extras import require
+
+        require("sweep", "qrsim sweep-report")
+        from qrsim.sweep.report import find, print_report, to_json, write
+
+        if not self.store.name:
+            raise UsageError(f"{self.store}: it is no store of a sweep; 'qrsim sweep STUDY' writes one")
+        folder = self.out or self.store.with_name(f"{self.store.name.removesuffix('.zarr')}-report")
+        report = find(self.store, self.metric, self.map)
+        try:
+            files = write(report, folder)
+        except OSError as error:
+            raise RunError(f"--out {folder}: {error.strerror or error}") from None
+        if self.json:
+            import json
+
+            print(json.dumps({**to_json(report, folder), "files": [str(file) for file in files]}, indent=2))
+            return
+        print_report(report, folder)
+        print(f"pictures: {', '.join(str(file) for file in files if file.suffix == '.png')}")

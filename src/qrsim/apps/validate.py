@@ -1,0 +1,162 @@
+"""``qrsim validate``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from qrsim.errors import RunError
+
+if TYPE_CHECKING:
+    from qrsim.validate.parts import Result
+    from qrsim.validate.report import Part
+
+PAGE, NUMBERS = "validation.html", "validation.json"
+
+
+@dataclass(frozen=True)
+class Validate:
+    """Hold every model against recordings, closed forms and an independent simulator, and write a report.
+
+    The figures that made the original simulator credible, each with its number, its bound and what it says: thrust,
+    rotation, translation, turbulence, gnss, drifts. One HTML page that needs nothing else, and a JSON of every number.
+    Parts whose recordings are missing are skipped, and named; 'qrsim data fetch' gets the recordings.
+
+    Exit code 0: every check passed; 1: one did not. How well a model fits a recording is told, and fails nothing.
+
+    Example:
+      qrsim validate
+      qrsim validate --only thrust --only rotation --out reports/today
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: validation)")] = Path("validation")
+    """Folder for the report."""
+    only: Annotated[
+        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")
+    ] = field(default_factory=list)
+    """Run only this part; can be given several times."""
+    json: bool = False
+    """Print the JSON of every number in place of the summary."""
+
+    def run(self) -> int:
+        """Check, run, write, report."""
+        from qrsim.engine.settings import use_compilation_cache
+        from qrsim.validate.parts import choose, find_recordings, run_parts
+
+        parts = choose(self.only)
+        found = find_recordings(parts)
+        _check_folder(self.out)
+        use_compilation_cache()
+        with _progress(parts) as done:
+            results = run_parts(parts, found, done=done)
+        report = to_json(results)
+        self._write(results, report)
+        self._print(results, report)
+        return 0 if report["passed"] else 1
+
+    def _write(self, results: list[Result], report: dict[str, Any]) -> None:
+        from qrsim.runs.writer import write_atomically
+        from qrsim.validate.page import write_page
+
+        for name, text in ((PAGE, write_page(results, report)), (NUMBERS, _dump(report))):
+            try:
+                write_atomically(self.out / name, text.encode("utf-8"))
+            except OSError as error:
+                raise RunError(f"cannot write {self.out / name}: {error.strerror or error}") from None
+
+    def _print(self, results: list[Result], report: dict[str, Any]) -> None:
+        if self.json:
+            print(_dump(report), end="")
+            return
+        for result in results:
+            _print_part(result)
+        print(f"report:  {self.out / PAGE}\nnumbers: {self.out / NUMBERS}")
+
+
+def to_json(results: list[Result]) -> dict[str, Any]:
+    """Return the whole report without its pictures."""
+    import datetime
+    import platform
+    from importlib.metadata import version
+
+    from qrsim.files.recordings import RECORDINGS
+
+    used = dict.fromkeys(name for result in results if result.outcome for name in result.part.recordings)
+    return {
+        "qrsim": version("qrsim"),
+        "jax": version("jax"),
+        "platform": platform.platform(),
+        "made": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "passed": all(result.outcome.passed for result in results if result.outcome),
+        "recordings": {name: RECORDINGS[name].sha256 for name in used},
+        "parts": {result.part.name: result.to_json() for result in results},
+    }
+
+
+def _dump(report: dict[str, Any]) -> str:
+    import json
+
+    return json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _print_part(result: Result) -> None:
+    outcome = result.outcome
+    if outcome is None:
+        print(f"skipped  {result.part.title}: {result.skipped}\n")
+        return
+    good = sum(check.passed for check in outcome.checks)
+    print(f"{'pass' if outcome.passed else 'FAIL':<8} {result.part.title}: {good} of {len(outcome.checks)} checks")
+    print(f"         {outcome.reading}")
+    for check in outcome.checks:
+        if not check.passed:
+            told = f"{check.value:.6g} {check.unit}".rstrip()
+            print(f"         FAIL {check.name}: {told}, expected {check.expected:.6g} ± {check.tolerance:.2g}")
+    for finding in outcome.findings:
+        if finding.verdict != "to note":
+            print(f"         {finding.verdict}: {finding.name}: {finding.number}")
+    for words in outcome.skipped:
+        print(f"         skipped: {words}")
+    print()
+
+
+def _check_folder(folder: Path) -> None:
+    """Make the folder and write into it, before anything is computed.
+
+    Raises:
+        RunError: this is not possible.
+    """
+    import tempfile
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=".qrsim-"):
+            pass
+    except OSError as error:
+        raise RunError(f"--out {folder}: cannot write there: {error.strerror or error}") from None
+
+
+@contextmanager
+def _progress(parts: list[Part]) -> Iterator[Callable[[Part], None] | None]:
+    """Show which part runs while the context lasts, on a terminal only."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description:<12}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    names = [part.name for part in parts]
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(names[0], total=len(parts))
+
+        def done(part: Part) -> None:
+            bar.advance(task)
+            bar.update(task, description=names[min(names.index(part.name) + 1, len(names) - 1)])
+
+        yield done

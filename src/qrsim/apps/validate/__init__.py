@@ -1,1 +1,0 @@
-"""Holding the models against recordings, closed forms and independent implementations."""

@@ -1,1 +1,0 @@
-"""Looking at recorded runs in three dimensions."""

@@ -1,0 +1,1 @@
+"""Laws of a vehicle from its flight logs, by co-evolution."""

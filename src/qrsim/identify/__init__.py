@@ -1,0 +1,1 @@
+"""Constants of a vehicle from its flight logs, by non-linear least squares."""

@@ -1,0 +1,359 @@
+"""``qrsim.slam``: the smoothed trajectory and the landmarks of a recorded flight."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from qrsim.engine.settings import use_compilation_cache
+from qrsim.errors import RunError, UsageError, did_you_mean, warn_user
+from qrsim.runs import Run, open_run
+from qrsim.slam.flight import SIZE, Flight, Floats
+from qrsim.slam.graph import GRAPHS, POSE, PRIORS, STATES, make_graph
+from qrsim.slam.mirror import Mirrors, mirrors
+from qrsim.slam.ranging import (
+    FEWEST_RANGES,
+    RANGE_LIMIT,
+    RANGE_STD,
+    Ranging,
+    given_ranges,
+    guesses_of,
+    landmarks_of,
+    measure_ranges,
+)
+from qrsim.slam.solve import DAMPINGS, Point, Solution, landmark_covariance, solve
+
+MOST_ITERATIONS = 100
+FIXED_BYTES = 200 * 2**20
+# Correlation time of the simulator's gauss_markov_2 errors, to 1/e [s]; see docs/models.md.
+BIAS_TIME_CONSTANT = 44.3
+
+
+@dataclass(frozen=True)
+class Slam:
+    """The estimate of a flight.
+
+    Attributes:
+        graph, states, prior: what was asked for.
+        flight, ranging: all that went in, for an estimator of your own.
+        time: (T + 1,) since the first state [s].
+        position_ned: (T + 1, 3) [m].
+        state: (T + 1, D) position, Euler angles, velocity and rates in body axes and thrust; for poses position and
+            heading.
+        bias: (T + 1, 2) estimated GNSS error, north and east [m]; None where it is not modelled.
+        landmarks_ned: (L, 3) [m]; NaN where a landmark has too few ranges.
+        landmarks_std: (L,) [m], the largest standard deviation in any direction.
+        determined: (L,) whether the ranges say where each landmark is.
+        mirrors: where each landmark's reflection fits the ranges as well, and how well.
+        iterations, converged, costs: how the solution was found.
+        kept: number of iterations -> the point after them.
+    """
+
+    graph: str
+    states: str
+    prior: str
+    flight: Flight
+    ranging: Ranging
+    time: Floats
+    position_ned: Floats
+    state: Floats
+    bias: Floats | None
+    landmarks_ned: Floats
+    landmarks_std: Floats
+    determined: npt.NDArray[np.bool_]
+    mirrors: Mirrors
+    iterations: int
+    converged: bool
+    costs: tuple[float, ...]
+    kept: dict[int, Point]
+
+    @property
+    def problems(self) -> list[str]:
+        """What is wrong with the result, one sentence each: landmarks that are not determined, no convergence."""
+        found = []
+        for i in np.flatnonzero(~self.determined):
+            count = int(self.ranging.per_landmark[i])
+            why = f"{count} range{'s' if count != 1 else ''}, at least {FEWEST_RANGES} needed"
+            if count >= FEWEST_RANGES:
+                why = f"its {count} ranges leave it uncertain by {self.landmarks_std[i]:.0f} m"
+            found.append(f"landmark {i} is not determined: {why}")
+        if not self.converged:
+            found.append(f"not converged after {self.iterations} iterations")
+        return found
+
+    @property
+    def trajectory_rmse_m(self) -> float:
+        """Root mean square distance of the positions from the truth [m]."""
+        return self.score(position_ned=self.position_ned)["trajectory_rmse_m"]
+
+    @property
+    def landmark_rmse_m(self) -> float:
+        """Root mean square distance of the determined landmarks from the truth [m]; NaN where it is not known."""
+        return self.score(landmarks_ned=self.landmarks_ned).get("landmark_rmse_m", float("nan"))
+
+    def score(
+        self, position_ned: npt.ArrayLike | None = None, landmarks_ned: npt.ArrayLike | None = None
+    ) -> dict[str, float]:
+        """Return the errors of another estimate of the same flight, counted as this one's are.
+
+        Args:
+            position_ned: (T + 1, 3) [m].
+            landmarks_ned: (L, 3) [m]; those that are not determined do not count.
+
+        Raises:
+            UsageError: an array of another shape.
+        """
+        found: dict[str, float] = {}
+        given: dict[str, tuple[Any, Floats, Any]] = {}
+        given["trajectory_rmse_m"] = (position_ned, self.flight.truth[:, :3], slice(None))
+        if self.ranging.true_ned is not None:
+            given["landmark_rmse_m"] = (landmarks_ned, self.ranging.true_ned, self.determined)
+        for name, (values, truth, rows) in given.items():
+            if values is None:
+                continue
+            array = np.asarray(values, np.float64)
+            if array.shape != truth.shape:
+                raise UsageError(f"score: expected an array of shape {truth.shape}, found {array.shape}")
+            found[name] = rms_distance(array[rows], truth[rows])
+        return found
+
+
+def rms_distance(places: Floats, others: Floats) -> float:
+    """Return the root mean square distance between two rows of places (N, 3) [m]; NaN where there are none."""
+    if not len(places):
+        return float("nan")
+    return float(np.sqrt(np.mean(np.sum(np.square(places - others), axis=-1))))
+
+
+def from_run(
+    run: Run | Path | str,
+    *,
+    graph: Literal["paper", "gnss"] = "gnss",
+    states: Literal["full", "poses"] = "full",
+    prior: Literal["start", "estimate"] | None = None,
+    vehicle: str | None = None,
+    landmarks_ned: npt.ArrayLike | None = None,
+    landmarks_guess_ned: npt.ArrayLike | None = None,
+    ranges: npt.ArrayLike | None = None,
+    range_std: float = RANGE_STD,
+    range_limit: float = RANGE_LIMIT,
+    seed: int | None = None,
+    state_period: float = 0.1,
+    fix_std: float | None = None,
+    bias_time_constant: float | None = None,
+    process_noise: float | None = None,
+    iterations: int = MOST_ITERATIONS,
+    damping: Literal["metres", "diagonal"] = "metres",
+    keep: tuple[int, ...] = (),
+) -> Slam:
+    """Smooth the trajectory of a recorded flight and find landmarks by ranges to them; see docs/slam.md.
+
+    Args:
+        run: a run folder, or what ``qrsim.open_run`` returned.
+        graph: "gnss" has a factor for each GNSS fix; in "paper" GNSS is only where the iterations begin.
+        states: "full" are the 13 of the vehicle's model, "poses" are position and heading only.
+        prior: the first state is known to be near the true "start" (the default of "paper"), or only as well as the
+            "estimate" of the sensors (the default of "gnss").
+        vehicle: which one; None where the run has only one.
+        landmarks_ned: (L, 3) true places [m]; None: ten drawn at random on the ground around the flight, unless
+            ``ranges`` are given.
+        landmarks_guess_ned: (L, 3) where to begin; None: drawn at random in the same place.
+        ranges: your own, rows (R, 3) of time [s], number of the landmark from 0, range [m]; None: simulated.
+        range_std: white noise of a range [m].
+        range_limit: simulated ranges reach so far [m].
+        seed: of simulated landmarks, guesses and ranges; None: the run's.
+        state_period: time between two states, a multiple of the simulator's step [s].
+        fix_std: standard deviation of a fix per axis [m]; None: measured against the truth of the run.
+        bias_time_constant: in "gnss", model the fixes' error as Ornstein-Uhlenbeck states of this time constant [s].
+        process_noise: in place of the vehicle's own, for what the model does not know, such as gusts [m/s^2, rad/s^2].
+        iterations: at most so many linear solutions.
+        damping: how Levenberg and Marquardt's steps are held back: in the places of vehicle and landmarks ("metres"),
+            or in every unknown in proportion to its curvature ("diagonal"), as general solvers do; the optimum is the
+            same.
+        keep: numbers of iterations after which the point is kept, for ``Slam.kept``.
+
+    Raises:
+        UsageError: an unknown option, ranges that are not finite or do not fit, or no landmark in range.
+        RunError: the run lacks something that is needed, or the problem does not fit into memory.
+    """
+    from qrsim.slam.recorded import flight_of_run
+
+    _check_numbers(
+        range_std=range_std, range_limit=range_limit, fix_std=fix_std, bias_time_constant=bias_time_constant,
+        process_noise=process_noise, state_period=state_period,
+    )  # fmt: skip
+    if seed is not None and seed < 0:
+        raise UsageError(f"seed: {seed} is negative")
+    opened = run if isinstance(run, Run) else open_run(run)
+    flight = flight_of_run(opened, vehicle, state_period, process_noise)
+    number = opened.info.seed if seed is None else seed
+    ranging = _ranging(flight, landmarks_ned, landmarks_guess_ned, ranges, range_std, range_limit, number)
+    found = estimate(
+        flight, ranging, graph=graph, states=states, prior=prior, fix_std=fix_std,
+        bias_time_constant=bias_time_constant, iterations=iterations, damping=damping, keep=keep,
+    )  # fmt: skip
+    for problem in found.problems:
+        warn_user(problem)
+    return found
+
+
+def estimate(
+    flight: Flight,
+    ranging: Ranging,
+    *,
+    graph: str = "gnss",
+    states: str = "full",
+    prior: str | None = None,
+    fix_std: float | None = None,
+    bias_time_constant: float | None = None,
+    iterations: int = MOST_ITERATIONS,
+    damping: str = "metres",
+    keep: tuple[int, ...] = (),
+) -> Slam:
+    """Return the estimate of a flight; arguments and errors as ``slam``."""
+    prior = prior or ("start" if graph == "paper" else "estimate")
+    options = {
+        "graph": (graph, GRAPHS),
+        "states": (states, STATES),
+        "prior": (prior, PRIORS),
+        "damping": (damping, DAMPINGS),
+    }
+    for name, (value, known) in options.items():
+        if value not in known:
+            raise UsageError(f"{name}: '{value}' is not known{did_you_mean(str(value), known)}")
+    if bias_time_constant is not None and graph != "gnss":
+        raise UsageError("bias_time_constant: without GNSS fixes there is no error of them; take graph gnss")
+    if isinstance(iterations, bool) or not isinstance(iterations, int | np.integer) or iterations < 1:
+        raise UsageError(f"iterations: {iterations!r} is not a positive whole number")
+    std = flight.fix_std if fix_std is None else fix_std
+    size = state_size(states, bias_time_constant is not None)
+    check_memory(len(flight.truth), size, ranging.ranges.shape[1], available_bytes())
+    per_landmark = ranging.per_landmark
+    active = (per_landmark >= FEWEST_RANGES).astype(np.float64)
+    if not active.any():
+        raise UsageError(f"landmarks: none has {FEWEST_RANGES} ranges; ranges to each: {per_landmark.tolist()}")
+    problem, x = make_graph(
+        flight, ranging, active, graph=graph, states=states, prior=prior, fix_std=std,
+        bias_time_constant=bias_time_constant,
+    )  # fmt: skip
+    use_compilation_cache()
+    solution = solve(problem, x, ranging.guess_ned, iterations, keep, damping)
+    reflected = mirrors(solution.point, ranging)
+    if solution.converged and reflected.better.any():
+        places = np.where(reflected.better[:, None], reflected.places_ned, solution.point.landmarks)
+        again = solve(problem, solution.point.x, places, iterations, damping=damping)
+        if again.converged and again.point.cost <= solution.point.cost + 0.5 * reflected.tolerance:
+            solution = _joined(solution, again)
+            reflected = mirrors(solution.point, ranging)
+    return _result(problem.base, graph, states, prior, flight, ranging, active > 0, solution, reflected, problem)
+
+
+def _joined(first: Solution, again: Solution) -> Solution:
+    """Return the second solution with the first one's history."""
+    return Solution(
+        again.point, first.iterations + again.iterations, again.converged, [*first.costs, *again.costs], first.kept
+    )
+
+
+def _result(
+    base: int, graph: str, states: str, prior: str, flight: Flight, ranging: Ranging, enough: Any, solution: Solution,
+    reflected: Mirrors, problem: Any,
+) -> Slam:  # fmt: skip
+    point = solution.point
+    spread = np.sqrt(np.linalg.eigvalsh(landmark_covariance(problem, point))[:, -1])
+    # Uncertain by half its distance, a landmark is not even known by its direction.
+    with np.errstate(invalid="ignore"):
+        near = 0.5 * np.nanmedian(np.where(enough[None], ranging.ranges, 0.0), axis=0)
+    determined = enough & (spread < near)
+
+    return Slam(
+        graph=graph, states=states, prior=prior, flight=flight, ranging=ranging, time=flight.time,
+        position_ned=point.x[:, :3], state=point.x[:, :base],
+        bias=point.x[:, base:] if point.x.shape[1] > base else None,
+        landmarks_ned=np.where(enough[:, None], point.landmarks, np.nan),
+        landmarks_std=np.where(enough, spread, np.inf), determined=determined, mirrors=reflected,
+        iterations=solution.iterations, converged=solution.converged, costs=tuple(solution.costs), kept=solution.kept,
+    )  # fmt: skip
+
+
+def _ranging(
+    flight: Flight, true_ned: Any, guess_ned: Any, ranges: Any, std: float, limit: float, seed: int
+) -> Ranging:
+    """Return the ranges of a run: given, or simulated to given or drawn landmarks."""
+    north_east = flight.truth[:, :2]
+    centre = 0.5 * (north_east.min(axis=0) + north_east.max(axis=0))
+    known = None if true_ned is None else _places("landmarks_ned", true_ned)
+    guess = None if guess_ned is None else _places("landmarks_guess_ned", guess_ned)
+    if ranges is None and known is None:
+        known = landmarks_of(seed, centre)
+    if known is None and guess is None:
+        raise UsageError("ranges: say how many landmarks there are by landmarks_ned or landmarks_guess_ned, (L, 3)")
+    count = len(known if known is not None else guess)  # type: ignore[arg-type]
+    if guess is None:
+        guess = guesses_of(seed, centre, count)
+    if known is not None and len(guess) != count:
+        raise UsageError(f"landmarks_guess_ned: {len(guess)} places for {count} landmarks")
+    if ranges is not None:
+        return given_ranges(ranges, flight.time, count, std, guess, known)
+    assert known is not None
+    return measure_ranges(flight.truth[:, :3], known, guess, seed, std, limit)
+
+
+def _places(name: str, values: Any) -> Floats:
+    array = np.asarray(values, np.float64)
+    if array.ndim != 2 or array.shape[1:] != (3,) or not len(array) or not np.isfinite(array).all():
+        raise UsageError(f"{name}: expected finite places (L, 3) [m], found shape {array.shape}")
+    return array
+
+
+def _check_numbers(**numbers: float | None) -> None:
+    for name, value in numbers.items():
+        if value is not None and not (np.isfinite(value) and value > 0.0):
+            raise UsageError(f"{name}: {value!r} is not a positive number")
+
+
+def state_size(states: str, bias: bool) -> int:
+    """Return how many numbers are unknown at each time."""
+    return (SIZE if states == "full" else len(POSE)) + 2 * bias
+
+
+def bytes_needed(states: int, size: int, landmarks: int) -> int:
+    """Return how much memory a problem takes at most: ``states`` times of ``size`` numbers, and the landmarks.
+
+    Each state has its blocks of Jacobians and of the matrix, its rows of what the landmarks are eliminated with, and
+    its ranges. The factors are above those of measured problems (docs/slam.md); compiled programs take FIXED_BYTES.
+    """
+    blocks, rows, ranges = 16 * size * size, 5 * size * (1 + 3 * landmarks), 40 * landmarks
+    return FIXED_BYTES + 8 * states * (blocks + rows + ranges)
+
+
+def available_bytes() -> int:
+    """Return how much memory is free, or all there is where the system does not say."""
+    try:
+        with open("/proc/meminfo", encoding="utf-8") as file:
+            for line in file:
+                if line.startswith("MemAvailable:"):
+                    return 1024 * int(line.split()[1])
+    except OSError:
+        pass
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+SMALLER = "take a longer state_period, states poses, or fewer landmarks"
+
+
+def check_memory(
+    states: int, size: int, landmarks: int, available: int, flights: int = 0, smaller: str = SMALLER
+) -> None:
+    """Refuse a problem that does not fit beside the bytes of the flights, before it starts; raises RunError."""
+    needed = bytes_needed(states, size, landmarks) + flights
+    if needed > available:
+        raise RunError(
+            f"slam: {states} states of {size} numbers and {landmarks} landmarks need {needed / 2**30:.1f} GiB, and "
+            f"{available / 2**30:.1f} GiB are free; {smaller}"
+        )

@@ -1,0 +1,188 @@
+"""The example of Symington et al., IROS 2014: one Pelican between random waypoints, only GNSS in error.
+
+A flight belongs to a seed: waypoints, landmarks, guesses and the noise of the ranges are the same in all its flights,
+which differ in the errors of the GNSS receiver that the vehicle flies with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+from jax import Array
+
+from qrsim.core.noise import Draw, ou_step
+from qrsim.core.tree import parameter, record, replace, setting
+from qrsim.core.vectors import Vec3
+from qrsim.errors import RunError
+from qrsim.models.gnss.receivers import GnssReading
+from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation.rollout import rollout
+from qrsim.slam import ranging
+from qrsim.slam.flight import SIZE, Believed, Flight, Floats, make_flight, ticks_between
+from qrsim.slam.ranging import Ranging
+from qrsim.world.tick import State, World, measured_quantities, period_ticks
+
+SCENARIO, DURATION, STATE_PERIOD, HEIGHT = "range_only_slam", 120.0, 0.1, 20.0
+ROUTE = 60
+# A time constant so short that nothing is left of an error after one period of the receiver.
+WHITE = 1e-3
+CENTRE = np.zeros(2)
+
+
+@record
+class CorrelatedGnss:
+    """A receiver with an Ornstein-Uhlenbeck error north and east; white where its time constant is far below a period.
+
+    Down and the velocity are true: the published white noise is in latitude and longitude only.
+    """
+
+    std_north: Array = parameter(unit="m", doc="standard deviation of the error north", minimum=0.0)
+    std_east: Array = parameter(unit="m", doc="standard deviation of the error east", minimum=0.0)
+    time_constant: Array = parameter(unit="s", doc="of both errors", above=0.0)
+    period: float = setting(default=0.2, unit="s", doc="interval between fixes", above=0.0)
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky")
+
+    def init(
+        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: Any
+    ) -> tuple[tuple[Array, Array], GnssReading]:
+        """Return stationary first errors and the first fix."""
+        north, east = draw.normals(2)
+        return self._read((self.std_north * north, self.std_east * east), position_ned, velocity_ned)
+
+    def step(
+        self, state: tuple[Array, Array], draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: Any
+    ) -> tuple[tuple[Array, Array], GnssReading]:
+        """Advance the errors by one period and return the fix of vehicles at position_ned (n,)."""
+        north, east = draw.normals(2)
+        error = (
+            ou_step(state[0], north, self.period, self.std_north, self.time_constant),
+            ou_step(state[1], east, self.period, self.std_east, self.time_constant),
+        )
+        return self._read(error, position_ned, velocity_ned)
+
+    @staticmethod
+    def _read(error: tuple[Array, Array], position: Vec3, velocity: Vec3) -> tuple[tuple[Array, Array], GnssReading]:
+        zero = jnp.zeros_like(position.x)
+        place = Vec3(position.x + error[0], position.y + error[1], position.z)
+        return error, GnssReading(place, velocity, zero, zero, zero)
+
+
+def _record(state: State) -> dict[str, Array]:
+    """Return what a Flight is made of, of the only vehicle."""
+    fleet = state.fleets[0]
+    seen = measured_quantities(fleet.readings)
+    velocity, attitude = seen["velocity_ned"], seen["attitude"]
+    position = seen["position_ned"]
+    rows = {
+        "truth": jax.tree.leaves(fleet.vehicle),
+        "position_ned": (position.x, position.y, -seen["height"]),
+        "velocity_ned": (velocity.x, velocity.y, -seen["height_rate"]),
+        "attitude": (attitude.roll, attitude.pitch, attitude.yaw),
+        "rates_body": jax.tree.leaves(seen["rates_body"]),
+        "command": jax.tree.leaves(fleet.command),
+        "code": (fleet.violation.code.astype(position.x.dtype),),
+    }
+    return {name: jnp.concatenate(parts) for name, parts in rows.items()}
+
+
+def base_world(precision: str = "float32", **overrides: Any) -> World:
+    """Return the world of the example; overrides are assignments of scenario values, dots as double underscores."""
+    assignments = [f"{name.replace('__', '.')}={value}" for name, value in overrides.items()]
+    return load_scenario(SCENARIO, assignments).world(precision)
+
+
+def world_of(base: World, seed: int) -> World:
+    """Return the world with the waypoints of a seed, the vehicle starting at the first of them."""
+    places = ranging.draw_landmarks(seed, ranging.WAYPOINTS, ROUTE, CENTRE, ranging.SIDE)
+    fleet = base.fleets[0]
+    dtype = fleet.start.position_ned.x.dtype
+    columns: list[Any] = [np.asarray(column, dtype) for column in (places[:, 0], places[:, 1], np.full(ROUTE, -HEIGHT))]
+    route = replace(
+        fleet.route,
+        position_ned=Vec3(*(column[:, None] for column in columns)),
+        yaw=np.zeros((ROUTE, 1), dtype),
+        count=np.full_like(fleet.route.count, ROUTE),
+    )
+    start = replace(fleet.start, position_ned=Vec3(*(column[:1] for column in columns)))
+    return replace(base, fleets=(replace(fleet, route=route, start=start),))
+
+
+def with_correlated(world: World, std: npt.ArrayLike, time_constant: float) -> World:
+    """Return the world with a CorrelatedGnss of deviations (2,) [m] and a time constant [s]."""
+    fleet = world.fleets[0]
+    dtype = fleet.start.position_ned.x.dtype
+    at = fleet.sensor_names.index("gnss")
+    numbers: Any = (*np.asarray(std, dtype), np.asarray(time_constant, dtype))
+    receiver = CorrelatedGnss(numbers[0], numbers[1], numbers[2], fleet.sensors[at].period)
+    sensors = (*fleet.sensors[:at], receiver, *fleet.sensors[at + 1 :])
+    return replace(world, fleets=(replace(fleet, sensors=sensors),))
+
+
+def coloured_flights(
+    seeds: Sequence[int], duration: float = DURATION, state_period: float = STATE_PERIOD, base: World | None = None
+) -> list[Flight]:
+    """Return a flight of each seed with the simulator's own sky and receiver."""
+    base = base_world() if base is None else base
+    return _flown("coloured", [world_of(base, seed) for seed in seeds], seeds, duration, state_period)
+
+
+def correlated_flights(
+    seeds: Sequence[int],
+    coloured: Sequence[Flight],
+    time_constant: float = WHITE,
+    duration: float = DURATION,
+    state_period: float = STATE_PERIOD,
+    base: World | None = None,
+) -> list[Flight]:
+    """Return a flight of each seed with errors of another correlation time, white by default.
+
+    The deviations are the root mean square errors, north and east, of the coloured flight of the same seed.
+    """
+    base = base_world() if base is None else base
+    stds = [np.sqrt(np.mean(np.square(flight.fix_error), axis=0)) for flight in coloured]
+    worlds = [with_correlated(world_of(base, seed), std, time_constant) for seed, std in zip(seeds, stds, strict=True)]
+    name = "white" if time_constant == WHITE else f"{time_constant:g} s"
+    return _flown(name, worlds, seeds, duration, state_period)
+
+
+def _flown(name: str, worlds: list[World], seeds: Sequence[int], duration: float, state_period: float) -> list[Flight]:
+    first = worlds[0]
+    ticks = ticks_between(state_period, first.time_step)
+    flown = rollout(
+        worlds, ticks=ticks_between(duration, first.time_step, "duration"), seeds=list(seeds), record=_record,
+        record_every=1,
+    )  # fmt: skip
+    return [
+        _flight(
+            name, world, seed, {key: np.asarray(rows[i], np.float64) for key, rows in flown.recorded.items()}, ticks
+        )
+        for i, (world, seed) in enumerate(zip(worlds, seeds, strict=True))
+    ]
+
+
+def _flight(name: str, world: World, seed: int, recorded: dict[str, Floats], ticks: int) -> Flight:
+    stopped = recorded.pop("code")[:, 0] != 0.0
+    if stopped.any():
+        raise RunError(f"{name}, seed {seed}: the vehicle stopped at {np.argmax(stopped) * world.time_step:g} s")
+    fleet = world.fleets[0]
+    gnss = fleet.sensors[fleet.sensor_names.index("gnss")]
+    truth, commands = recorded.pop("truth"), recorded.pop("command")
+    assert truth.shape[1] == SIZE
+    believed = Believed(**recorded)
+    epochs = np.arange(0, len(truth), period_ticks(gnss.period, world.time_step))
+    fixes = (epochs, believed.position_ned[epochs, :2])
+    air = np.zeros((len(truth), 3))
+    return make_flight(
+        f"{name}, seed {seed}", world.time_step, ticks, fleet.vehicle, truth, believed, commands, air, fixes
+    )
+
+
+def ranging_of(flight: Flight, seed: int, std: float = ranging.RANGE_STD) -> Ranging:
+    """Return the ranges of a flight to the landmarks of its seed, which all its flights share."""
+    landmarks, guesses = ranging.landmarks_of(seed, CENTRE), ranging.guesses_of(seed, CENTRE)
+    return ranging.measure_ranges(flight.truth[:, :3], landmarks, guesses, seed, std, ranging.RANGE_LIMIT)

@@ -1,0 +1,114 @@
+"""Landmarks and the ranges to them: drawn for a seed, or a user's own, checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from qrsim.errors import UsageError
+from qrsim.slam.flight import Floats
+
+# The example of Symington et al., "Simulating Quadrotor UAVs in Outdoor Scenarios", IROS 2014.
+LANDMARKS, SIDE, RANGE_LIMIT, RANGE_STD = 10, 40.0, 25.0, 5.0
+# Three coordinates need three.
+FEWEST_RANGES = 3
+# What each random draw of a seed is for: all are independent, and the same whatever else is drawn.
+WAYPOINTS, PLACES, GUESSES, NOISE = range(4)
+
+
+@dataclass(frozen=True)
+class Ranging:
+    """Ranges from T + 1 states to L landmarks.
+
+    Attributes:
+        ranges: (T + 1, L) [m], NaN where there is none; the mean where one state has several.
+        counts: (T + 1, L) how many of them.
+        std: of one range [m].
+        guess_ned: (L, 3) where the landmarks are looked for first [m].
+        true_ned: (L, 3) where they are [m], None where nobody knows.
+    """
+
+    ranges: Floats
+    counts: Floats
+    std: float
+    guess_ned: Floats
+    true_ned: Floats | None
+
+    @property
+    def per_landmark(self) -> npt.NDArray[np.int64]:
+        """(L,) ranges to each landmark."""
+        return self.counts.sum(axis=0).astype(np.int64)
+
+
+def generator(seed: int, purpose: int) -> np.random.Generator:
+    """Return the random numbers of a seed for one purpose."""
+    return np.random.default_rng((seed, purpose))
+
+
+def draw_landmarks(seed: int, purpose: int, count: int, centre: Floats, side: float) -> Floats:
+    """Return places (count, 3) on the ground, uniform over a square of ``side`` [m] about a centre (2,)."""
+    horizontal = centre + side * (generator(seed, purpose).random((count, 2)) - 0.5)
+    return np.concatenate([horizontal, np.zeros((count, 1))], axis=1)
+
+
+def landmarks_of(seed: int, centre: Floats) -> Floats:
+    """Return the true places (L, 3) that a seed draws about a centre (2,)."""
+    return draw_landmarks(seed, PLACES, LANDMARKS, centre, SIDE)
+
+
+def guesses_of(seed: int, centre: Floats, count: int = LANDMARKS) -> Floats:
+    """Return where a seed begins to look for landmarks (L, 3) about a centre (2,)."""
+    return draw_landmarks(seed, GUESSES, count, centre, SIDE)
+
+
+def measure_ranges(
+    position_ned: Floats, landmarks_ned: Floats, guess_ned: Floats, seed: int, std: float, limit: float
+) -> Ranging:
+    """Return ranges from positions (T + 1, 3) to the landmarks (L, 3) within ``limit`` [m], with white noise.
+
+    Raises:
+        UsageError: no landmark is ever within the limit.
+    """
+    distance = np.linalg.norm(position_ned[:, None] - landmarks_ned[None], axis=-1)
+    if not (distance <= limit).any():
+        raise UsageError(f"no landmark comes within {limit:g} m of the flight; the nearest {distance.min():.1f} m")
+    noise = std * generator(seed, NOISE).standard_normal(distance.shape)
+    ranges = np.where(distance <= limit, distance + noise, np.nan)
+    return Ranging(ranges, np.isfinite(ranges).astype(np.float64), std, guess_ned, landmarks_ned)
+
+
+def given_ranges(
+    rows: npt.ArrayLike, time: Floats, count: int, std: float, guess_ned: Floats, true_ned: Floats | None
+) -> Ranging:
+    """Return a user's ranges, rows (R, 3) of time [s], number of the landmark from 0, and range [m].
+
+    Raises:
+        UsageError: a row that is not finite, a range that is negative, a landmark that is not there, or a time without
+            a state (the row is named); or no row at all.
+    """
+    table = np.asarray(rows, np.float64)
+    if table.ndim != 2 or table.shape[1] != 3 or not len(table):
+        raise UsageError(f"ranges: expected rows (R, 3) of time, landmark and range, found shape {table.shape}")
+    for i in np.flatnonzero(~np.isfinite(table).all(axis=1))[:1]:
+        raise UsageError(f"ranges: row {i} is {table[i].tolist()}: leave out what was not measured")
+    for i in np.flatnonzero(table[:, 2] < 0.0)[:1]:
+        raise UsageError(f"ranges: row {i}: a range of {table[i, 2]:g} m is negative")
+    number = np.round(table[:, 1]).astype(np.int64)
+    for i in np.flatnonzero((number != table[:, 1]) | (number < 0) | (number >= count))[:1]:
+        raise UsageError(f"ranges: row {i}: landmark {table[i, 1]:g}; expected a number from 0 to {count - 1}")
+    state = np.round((table[:, 0] - time[0]) / (time[1] - time[0])).astype(np.int64)
+    inside = (state >= 0) & (state < len(time))
+    on_state = inside & (np.abs(time[np.where(inside, state, 0)] - table[:, 0]) < 1e-6)
+    for i in np.flatnonzero(~on_state)[:1]:
+        raise UsageError(
+            f"ranges: row {i}: no state at {table[i, 0]:g} s; states are every {time[1] - time[0]:g} s from "
+            f"{time[0]:g} to {time[-1]:g} s (see state_period)"
+        )
+    total, counts = np.zeros((len(time), count)), np.zeros((len(time), count))
+    np.add.at(total, (state, number), table[:, 2])
+    np.add.at(counts, (state, number), 1.0)
+    ranges: Any = np.where(counts > 0, total / np.maximum(counts, 1.0), np.nan)
+    return Ranging(ranges, counts, std, guess_ned, true_ned)

@@ -1,0 +1,165 @@
+"""A Flight out of a run folder."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.tree import replace
+from qrsim.errors import RunError, UsageError, did_you_mean, warn_user
+from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS
+from qrsim.runs import Run
+from qrsim.runs.reader import Stream
+from qrsim.scenarios.scenario import load_scenario
+from qrsim.slam.flight import Believed, Flight, Floats, make_flight, ticks_between
+from qrsim.world.tick import Fleet, period_ticks
+
+TRUE_STATE = (
+    *(f"position_ned.{axis}" for axis in "xyz"),
+    *(f"attitude.{angle}" for angle in ("roll", "pitch", "yaw")),
+    *(f"velocity_body.{axis}" for axis in "xyz"),
+    *(f"rates_body.{axis}" for axis in "xyz"),
+    "thrust",
+)
+
+
+def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_noise: float | None) -> Flight:
+    """Return the flight of one vehicle of a run.
+
+    Args:
+        run: the run folder, with truth, measurements and commands of every tick.
+        vehicle: its name; None where there is only one.
+        state_period: between two states [s].
+        process_noise: in place of the vehicle's own [m/s^2, rad/s^2].
+
+    Raises:
+        UsageError: no such vehicle, or a period that does not fit.
+        RunError: the run lacks something that is needed.
+    """
+    index = _index(run, vehicle)
+    ticks = ticks_between(state_period, run.info.time_step)
+    world = load_scenario(run.scenario, quiet=True).world("float64")
+    fleet, number = _fleet(world.fleets, index)
+    count = _whole(run, "truth")
+    commands = _columns(run, "commands", COMMAND_FIELDS, index, count)
+    truth = _columns(run, "truth", TRUE_STATE, index, count)
+    flying = run["truth"]["valid"][:count, index].astype(bool)
+    if not flying.all():
+        count = int(np.argmin(flying))
+        stopped = run["truth"].time[count]
+        warn_user(f"{run.folder}: {run.vehicles[index]} stopped at {stopped:g} s; what follows is left out")
+    believed, gnss = _believed(run, index, count, truth[:count])
+    model = fleet.vehicle
+    if process_noise is not None:
+        model = replace(model, process_noise=np.float64(process_noise))
+    model = type(model)(**{name: _of(value, number) for name, value in vars(model).items()})
+    wind = _wind(run, index, count)
+    fixes = _fixes(fleet, gnss, believed.position_ned, run.info.time_step, ticks)
+    name = f"{run.folder}, {run.vehicles[index]}"
+    return make_flight(name, run.info.time_step, ticks, model, truth[:count], believed, commands[:count], wind, fixes)
+
+
+def _index(run: Run, vehicle: str | None) -> int:
+    if vehicle is None:
+        if len(run.vehicles) > 1:
+            raise UsageError(f"{run.folder}: several vehicles; choose one with vehicle: {', '.join(run.vehicles)}")
+        return 0
+    if vehicle not in run.vehicles:
+        raise UsageError(f"{run.folder}: no vehicle '{vehicle}'{did_you_mean(vehicle, run.vehicles)}")
+    return run.vehicles.index(vehicle)
+
+
+def _fleet(fleets: tuple[Fleet, ...], index: int) -> tuple[Fleet, int]:
+    for fleet in fleets:
+        if index < fleet.size:
+            return fleet, index
+        index -= fleet.size
+    raise RunError("the scenario of the run has fewer vehicles than its log")
+
+
+def _of(value: Any, number: int) -> Any:
+    """Return one vehicle's own value of a parameter that may be given for each."""
+    return value[number] if np.ndim(value) else value
+
+
+def _whole(run: Run, stream: str) -> int:
+    """Return the number of ticks of a stream from the start, after a check that it has them all."""
+    if stream not in run or not len(run[stream].tick):
+        known = ", ".join(name for name in run.streams)
+        raise RunError(f"{run.folder}: there are no {stream} in it (it has {known}); slam needs those of every tick")
+    tick = run[stream].tick
+    if tick[0] != 0 or np.any(np.diff(tick) != 1):
+        every = run.info.every.get(stream, 1)
+        why = f"only every {every}th tick was kept" if every > 1 else "ticks are missing"
+        raise RunError(f"{run.folder}: {stream}: {why}; slam needs every tick: fly again without --every {stream}=...")
+    return len(tick)
+
+
+def _columns(run: Run, stream: str, names: tuple[str, ...], index: int, count: int) -> Floats:
+    """Return some columns (count, K) of a vehicle, in float64."""
+    if _whole(run, stream) < count:
+        raise RunError(f"{run.folder}: {stream} end before truth does")
+    for name in names:
+        if name not in run[stream]:
+            raise RunError(f"{run.folder}: {stream} have no '{name}', which slam needs")
+    arrays = run[stream].arrays(names)
+    return np.stack([np.asarray(arrays[name][:count, index], np.float64) for name in names], axis=-1)
+
+
+def _sensor(stream: Stream, column: str) -> str | None:
+    """Return the name of the first sensor with a column."""
+    found = [name.removesuffix(f".{column}") for name in stream.columns() if name.endswith(f".{column}")]
+    return found[0] if found else None
+
+
+def _believed(run: Run, index: int, count: int, truth: Floats) -> tuple[Believed, str]:
+    """Return what the vehicle's sensors said, and the name of its GNSS receiver."""
+    _whole(run, "measurements")
+    stream = run["measurements"]
+    parts = {}
+    needed = {"position_ned.x": "xyz", "velocity_ned.x": "xyz", "attitude.roll": "", "rates_body.x": "xyz"}
+    sensors = {first: _sensor(stream, first) for first in needed}
+    for first, sensor in sensors.items():
+        if sensor is None:
+            raise RunError(f"{run.folder}: no sensor measures {first.rpartition('.')[0]}, which the estimate needs")
+        root = first.rpartition(".")[0]
+        names = tuple(f"{sensor}.{root}.{axis}" for axis in (needed[first] or ("roll", "pitch", "yaw")))
+        parts[root] = _columns(run, "measurements", names, index, count)
+    barometer = _sensor(stream, "height")
+    if barometer is not None:
+        names = (f"{barometer}.height", f"{barometer}.height_rate")
+        height = _columns(run, "measurements", names, index, count)
+        parts["position_ned"][:, 2], parts["velocity_ned"][:, 2] = -height[:, 0], -height[:, 1]
+    believed = Believed(parts["position_ned"], parts["velocity_ned"], parts["attitude"], parts["rates_body"])
+    return believed, str(sensors["position_ned.x"])
+
+
+def _wind(run: Run, index: int, count: int) -> Floats:
+    """Return the mean wind (count, 3) [m/s], the last one logged at each tick; none where none was logged."""
+    if "wind" not in run or not len(run["wind"].tick):
+        return np.zeros((count, 3))
+    stream = run["wind"]
+    arrays = stream.arrays([f"mean_ned.{axis}" for axis in "xyz"])
+    rows = np.maximum(np.searchsorted(stream.tick, np.arange(count), side="right") - 1, 0)
+    return np.stack([np.asarray(array[rows, index], np.float64) for array in arrays.values()], axis=-1)
+
+
+def _fixes(fleet: Fleet, gnss: str, position: Floats, time_step: float, ticks: int) -> tuple[Any, Floats]:
+    """Return the ticks (F,) at which fixes were made and where they say the vehicle was, (F, 2) [m].
+
+    Raises:
+        UsageError: fixes come between two states.
+    """
+    sensor = dict(zip(fleet.sensor_names, fleet.sensors, strict=True))[gnss]
+    period = period_ticks(sensor.period, time_step)
+    if period % ticks:
+        raise UsageError(
+            f"state_period: fixes every {period * time_step:g} s are not all at states every {ticks * time_step:g} s"
+        )
+    delay = getattr(sensor, "delay", 0) * period
+    # Before a fix that is late was made, a receiver reports the one of the start.
+    reported = np.arange(delay, len(position), period)
+    places = position[reported, :2]
+    known = np.isfinite(places).all(axis=1)
+    return reported[known] - delay, places[known]

@@ -1,0 +1,205 @@
+"""Levenberg and Marquardt on the sparse normal equations of a chain of states with a border of landmarks.
+
+The states alone make a block-tridiagonal matrix, factorised in band form (LAPACK's pbtrf through SciPy); the landmarks
+are eliminated by their Schur complement. Memory and time are linear in the number of states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+
+from qrsim.slam.flight import Floats
+from qrsim.slam.graph import Graph, Normal, cost, linearise
+
+# The iterations end where a step moves no place by more than CONVERGED_M, or promises less than CONVERGED_COST: the
+# cost is half of chi^2, so that is far below anything that noise could tell apart.
+CONVERGED_M, CONVERGED_COST = 1e-5, 1e-9
+LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e12
+# Which unknowns a step is held back in, and how much in the first one: "metres" the places of vehicle and landmarks,
+# all alike; "diagonal" every unknown in proportion to its own curvature, as general solvers do.
+DAMPINGS = {"metres": 1e-3, "diagonal": 1e-4}
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where the iterations are.
+
+    Attributes:
+        x: (T + 1, D) states.
+        landmarks: (L, 3) [m].
+        cost: half the sum of the squared residuals.
+    """
+
+    x: Floats
+    landmarks: Floats
+    cost: float
+
+
+@dataclass
+class Solution:
+    """What came of the iterations.
+
+    Attributes:
+        point: the last point.
+        iterations: linear solutions, refused ones included.
+        converged: whether they ended by themselves.
+        costs: at the start and after each iteration.
+        kept: number of iterations -> the point after them, as asked for.
+    """
+
+    point: Point
+    iterations: int
+    converged: bool
+    costs: list[float]
+    kept: dict[int, Point] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Damping:
+    """What is added to the diagonal of the normal equations: states (T + 1, D) and landmarks (L, 3)."""
+
+    states: Floats
+    landmarks: Floats
+
+    @classmethod
+    def of(cls, normal: Normal, kind: str, amount: float) -> Damping:
+        """Return an amount of damping of a kind in DAMPINGS."""
+        states, landmarks = np.zeros(normal.gradient.shape), np.ones(normal.gradient_landmarks.shape)
+        states[:, :3] = 1.0
+        if kind == "diagonal":
+            states = np.einsum("tii->ti", np.asarray(normal.diagonal))
+            landmarks = np.einsum("lii->li", np.asarray(normal.corner))
+        return cls(amount * states, amount * landmarks)
+
+
+def banded(normal: Normal, damping: Damping) -> Floats:
+    """Return the states' matrix (2 D, (T + 1) D) in LAPACK's lower band form, damped."""
+    diagonal, below = np.asarray(normal.diagonal), np.asarray(normal.below)
+    count, size, _ = diagonal.shape
+    band = np.zeros((2 * size, count * size))
+    for column in range(size):
+        for row in range(column, size):
+            band[row - column, column::size] = diagonal[:, row, column]
+        for row in range(size):
+            band[size + row - column, column : (count - 1) * size : size] = below[:, row, column]
+    band[0] += damping.states.ravel()
+    return band
+
+
+def reduce(normal: Normal, damping: Damping) -> tuple[Floats, Floats, Floats, Floats]:
+    """Eliminate the states.
+
+    Returns:
+        The landmarks' matrix (3 L, 3 L) and right-hand side (3 L,), and the solutions of the states for the gradient
+        (T + 1, D) and for each column of the border (T + 1, D, 3 L).
+
+    Raises:
+        LinAlgError: the matrix is not positive definite.
+    """
+    count, size = normal.gradient.shape
+    border = np.asarray(normal.border).reshape(count, 3, -1)
+    right = np.zeros((count, size, 1 + border.shape[2]))
+    right[:, :, 0] = -np.asarray(normal.gradient)
+    right[:, :3, 1:] = border
+    factor = cholesky_banded(banded(normal, damping), overwrite_ab=True, lower=True, check_finite=False)
+    flat = right.reshape(count * size, -1)
+    solved = cho_solve_banded((factor, True), flat, overwrite_b=True, check_finite=False)
+    solved = solved.reshape(count, size, -1)
+    schur: Any = -np.tensordot(border, solved[:, :3, 1:], axes=([0, 1], [0, 1]))
+    for i, block in enumerate(np.asarray(normal.corner)):
+        schur[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += block + np.diag(damping.landmarks[i])
+    told = np.tensordot(border, solved[:, :3, 0], axes=([0, 1], [0, 1]))
+    wanted: Any = -np.asarray(normal.gradient_landmarks).ravel() - told
+    return schur, wanted, solved[:, :, 0], solved[:, :, 1:]
+
+
+def step(normal: Normal, damping: Damping) -> tuple[Floats, Floats]:
+    """Return the damped Gauss-Newton step of the states (T + 1, D) and the landmarks (L, 3); raises LinAlgError."""
+    schur, wanted, free, bound = reduce(normal, damping)
+    landmarks: Any = np.linalg.solve(schur, wanted)
+    return free - bound @ landmarks, landmarks.reshape(-1, 3)
+
+
+def _promised(normal: Normal, dx: Floats, da: Floats, damping: Damping) -> float:
+    """Return by how much the quadratic model says that the cost falls."""
+    damped = np.sum(damping.states * dx**2) + np.sum(damping.landmarks * da**2)
+    slope = np.sum(dx * np.asarray(normal.gradient)) + np.sum(da * np.asarray(normal.gradient_landmarks))
+    return float(0.5 * (damped - slope))
+
+
+def solve(
+    graph: Graph,
+    x: Floats,
+    landmarks: Floats,
+    iterations: int,
+    keep: tuple[int, ...] = (),
+    damping: str = "metres",
+) -> Solution:
+    """Minimise the cost from states x (T + 1, D) and landmarks (L, 3), in at most so many iterations.
+
+    Args:
+        graph: the problem.
+        x, landmarks: where to begin.
+        iterations: at most so many linear solutions.
+        keep: after which iterations to keep the point.
+        damping: a kind in DAMPINGS.
+    """
+    with jax.enable_x64(True):
+        return _minimise(graph, x, landmarks, iterations, keep, damping)
+
+
+def _minimise(
+    graph: Graph, x: Floats, landmarks: Floats, iterations: int, keep: tuple[int, ...], kind: str
+) -> Solution:
+    normal = linearise(graph, jnp.asarray(x), jnp.asarray(landmarks))
+    point = Point(x, landmarks, float(normal.cost))
+    found = Solution(point, 0, False, [point.cost], {0: point} if 0 in keep else {})
+    amount, growth = DAMPINGS[kind], 2.0
+    while found.iterations < iterations and not found.converged and amount < MOST_DAMPING:
+        found.iterations += 1
+        damping = Damping.of(normal, kind, amount)
+        try:
+            dx, da = step(normal, damping)
+            tried = Point(point.x + dx, point.landmarks + da, 0.0)
+            reached = float(cost(graph, jnp.asarray(tried.x), jnp.asarray(tried.landmarks)))
+            promised = _promised(normal, dx, da, damping)
+            moved = max(np.abs(dx[:, :3]).max(), np.abs(da).max())
+            found.converged = bool(moved < CONVERGED_M or promised < CONVERGED_COST)
+            ratio = (point.cost - reached) / max(promised, CONVERGED_COST)
+        except LinAlgError:
+            ratio, reached = -1.0, np.inf
+        if found.converged or (np.isfinite(reached) and ratio > 0.0):
+            if reached <= point.cost:
+                point = Point(tried.x, tried.landmarks, reached)
+            if not found.converged:
+                normal = linearise(graph, jnp.asarray(point.x), jnp.asarray(point.landmarks))
+            # Nielsen's rule: follow how well the quadratic model foretold the cost.
+            amount = max(amount * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), LEAST_DAMPING)
+            growth = 2.0
+        else:
+            amount, growth = amount * growth, 2.0 * growth
+        found.point = point
+        found.costs.append(point.cost)
+        if found.iterations in keep:
+            found.kept[found.iterations] = point
+    for number in keep:
+        found.kept.setdefault(number, point)
+    return found
+
+
+def landmark_covariance(graph: Graph, point: Point) -> Floats:
+    """Return the covariance (L, 3, 3) [m^2] of each landmark, all else uncertain too; huge where none is determined."""
+    with jax.enable_x64(True):
+        normal = linearise(graph, jnp.asarray(point.x), jnp.asarray(point.landmarks))
+        schur, *_ = reduce(normal, Damping.of(normal, "metres", 0.0))
+    values, vectors = np.linalg.eigh(0.5 * (schur + schur.T))
+    every = (vectors / np.maximum(values, 1e-12)) @ vectors.T
+    count = len(point.landmarks)
+    blocks = every.reshape(count, 3, count, 3)
+    return np.stack([blocks[i, :, i] for i in range(count)])

@@ -1,0 +1,137 @@
+"""What a worker does: fly a batch."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import QrsimError
+from qrsim.sweep.metrics import of_episodes
+
+Array = np.ndarray[Any, Any]
+# The engine keeps its programs in one place for a process.
+_ALONE = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Job:
+    """A batch as it goes to a worker.
+
+    Attributes:
+        group: a ``Group``, pickled; most batches have the same, which is then unpacked once.
+        numbers: value of each number that varies, (W,) each.
+        seeds: (W,) of the episodes.
+        metrics: names.
+        policy, estimator, policy_ticks: who flies, see ``StudySpec``.
+        code: digests of the files of both.
+        precision: float32 or float64.
+    """
+
+    group: bytes
+    numbers: dict[str, Array]
+    seeds: Array
+    metrics: tuple[str, ...]
+    policy: str | None
+    estimator: str | None
+    policy_ticks: int
+    code: tuple[tuple[str, str], ...]
+    precision: str
+
+
+def fly(job: Job, threads: int = 1) -> dict[str, Array] | str:
+    """Return the metrics (W,) of a batch, or why it cannot be flown."""
+    from qrsim.engine.settings import configure
+
+    with _ALONE:
+        # A process that has computed something already keeps the devices it has.
+        with suppress(QrsimError):
+            configure(cpu_devices=threads)
+        try:
+            from qrsim.sweep.study import BASELINE
+
+            if job.policy == BASELINE:
+                from qrsim.sweep.playing import play
+
+                found = play(_group(job.group), job)
+            else:
+                found = _roll_out(job)
+        except QrsimError as error:
+            return str(error)
+    return of_episodes(job.metrics, found)
+
+
+@lru_cache(maxsize=8)
+def _group(pickled: bytes) -> Any:
+    return pickle.loads(pickled)
+
+
+@lru_cache(maxsize=8)
+def _function(what: str, source: str, digest: str) -> Any:
+    """Return a user's function, the same object for all batches, so that it is compiled once."""
+    from pathlib import Path
+
+    from qrsim.errors import UsageError
+    from qrsim.interface.policies import load_function
+    from qrsim.sweep.study import digest_of
+
+    if digest_of(what, source) != digest:
+        raise UsageError(f"{what} {source}: a worker has another file of that name, or it was changed; in {Path.cwd()}")
+    return load_function(what, source)
+
+
+def _roll_out(job: Job) -> dict[str, Array]:
+    """Fly the worlds of a batch side by side."""
+    import jax
+
+    from qrsim.engine.settings import use_compilation_cache
+    from qrsim.simulation.blocks import Engine, Schedule
+    from qrsim.simulation.rollout import setup_of
+
+    use_compilation_cache()
+    group = _group(job.group)
+    code = dict(job.code)
+    given = {"policy": job.policy, "estimator": job.estimator}
+    functions: dict[str, Any] = {what: source and _function(what, source, code[what]) for what, source in given.items()}
+    with jax.enable_x64(job.precision == "float64"):
+        if group.places is None:
+            worlds = group.loaded(job.numbers, job.precision)
+            setup, fixed, own = setup_of(worlds, **functions, policy_ticks=job.policy_ticks)
+        else:
+            setup, fixed, own = _stacked(group, job, functions)
+        engine = Engine(setup, group.world, fixed, own, Schedule(group.ticks, 0), None, None, lambda done: None)
+        found, _ = engine.fly(np.arange(len(job.seeds)), job.seeds, np.zeros_like(job.seeds))
+    if "end_error_m" not in job.metrics:
+        return found
+    rows = [setup.world(fixed, [part[i] for part in own]) for i in range(len(job.seeds))] if own else [group.world]
+    return {**found, "goal_ned": np.stack([goals(world) for world in rows])}
+
+
+def _stacked(group: Any, job: Job, functions: dict[str, Any]) -> Any:
+    """Return what ``setup_of`` does, without a World for each episode."""
+    from dataclasses import replace
+
+    import jax.numpy as jnp
+
+    from qrsim.simulation.rollout import setup_of
+
+    structure, fixed, own, which = group.varied(job.numbers)
+    setup, _, _ = setup_of([group.world], **functions, policy_ticks=job.policy_ticks)
+    return replace(setup, structure=structure, varied=which), [jnp.asarray(leaf) for leaf in fixed], own
+
+
+def goals(world: Any) -> Array:
+    """Return the last waypoint of each vehicle (n, 3) [m]."""
+    found = []
+    for fleet in world.fleets:
+        route = fleet.route
+        last = np.asarray(route.count) - 1
+        vehicle = np.arange(len(last))
+        axes = (route.position_ned.x, route.position_ned.y, route.position_ned.z)
+        found.append(np.stack([np.asarray(axis)[last, vehicle] for axis in axes], axis=-1))
+    return np.concatenate(found).astype(np.float64)

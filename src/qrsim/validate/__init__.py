@@ -1,0 +1,1 @@
+"""The models against recordings and closed forms."""
