@@ -73,8 +73,8 @@ pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium) and task_*.
 	@$(BIN)/python -m evidence.pictures
 	@$(BIN)/python -m evidence.task_pictures
 
-proto: $(TOOLS)  ## generate the Python of src/qrsim/protocol/qrsim.proto anew
-	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/protocol/qrsim.proto
+proto: $(TOOLS)  ## generate the Python of src/qrsim/links/reference/protocol/qrsim.proto anew
+	$(BIN)/python -m grpc_tools.protoc --proto_path=src --python_out=src --pyi_out=src qrsim/links/reference/protocol/qrsim.proto
 
 clean:  ## remove caches and build output (.venv stays)
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

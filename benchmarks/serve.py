@@ -53,8 +53,8 @@ def served(content: dict[str, Any], *words: str) -> Iterator[int]:
 
 def request(size: int, dt: float) -> bytes:
     """Return a STEP of all vehicles, at a velocity of zero, with its length message."""
-    from qrsim.protocol.framing import frame
-    from qrsim.protocol.qrsim_pb2 import Arrayd, Message, Step
+    from qrsim.links.reference.protocol.framing import frame
+    from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Message, Step
 
     step = Step(dt=dt, type=Step.VEL, cmd=[Arrayd(value=[0.0, 0.0, 0.0])] * size)
     return frame(Message(type=Message.STEP, step=step).SerializeToString())
@@ -62,7 +62,7 @@ def request(size: int, dt: float) -> bytes:
 
 def connected(port: int, task: str) -> tuple[socket.socket, int, bytes]:
     """Start a task; return the connection, how many bytes a STATE has, and a STEP of one tick."""
-    from qrsim.client import Client
+    from qrsim.links.reference.client import Client
 
     client = Client(port=port)
     client.init(task)
@@ -117,8 +117,8 @@ def written_twice(port: int, task: str, count: int) -> dict[str, Any]:
 
 def readings(port: int, task: str, count: int) -> dict[str, Any]:
     """Return the row of a client that asks what all sensors say."""
-    from qrsim.protocol.framing import frame
-    from qrsim.protocol.qrsim_pb2 import GetReadings, Message
+    from qrsim.links.reference.protocol.framing import frame
+    from qrsim.links.reference.protocol.qrsim_pb2 import GetReadings, Message
 
     connection, _, _ = connected(port, task)
     question = frame(Message(type=Message.GET_READINGS, get_readings=GetReadings()).SerializeToString())
@@ -151,7 +151,7 @@ def row(what: str, taken: Sequence[float], per_second: float, target: float | No
 
 def one_vehicle(quick: bool) -> list[dict[str, Any]]:
     """Round trips with one vehicle of the default scenario, and long steps."""
-    from qrsim.client import Client
+    from qrsim.links.reference.client import Client
 
     count, rows = (50, []) if quick else (20_000, [])
     content = _common.patrol(1)
@@ -202,7 +202,7 @@ def real_time(seconds: float, vehicles: int) -> dict[str, Any]:
 
 def streamed(vehicles: int, seconds: float) -> dict[str, Any]:
     """Let a client fly many vehicles as fast as 50 Hz, and a watcher receive every state."""
-    from qrsim.client import Client
+    from qrsim.links.reference.client import Client
 
     content = _common.patrol(vehicles)
     with served(content, "--realtime", "1") as port, Client(port=port) as watcher:

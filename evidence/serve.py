@@ -16,10 +16,10 @@ from typing import Any
 from google.protobuf.message import DecodeError
 
 from evidence.performance import printed
-from qrsim.client import Client
-from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.framing import frame
-from qrsim.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.client import Client
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.framing import frame
+from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 
 DOC = "round trips, real time and streams of a server, and a server under malformed and truncated requests"
 SEED = 20261120

@@ -1,7 +1,7 @@
 """Write what this package shares with qrsim: ``python clients/python/generate.py``, with qrsim installed.
 
-The client and the frames are those of ``qrsim.client`` and ``qrsim.protocol.framing`` with other imports. The messages
-are made of the descriptor of qrsim.proto, without the check of versions that protoc puts into its code, so that every
+The client and the frames are those of ``qrsim.links.reference`` with other imports. The messages are made of the
+descriptor of qrsim.proto, without the check of versions that protoc puts into its code, so that every
 protobuf from 3.20 on takes them; and in a pool of their own, so that qrsim and qrsim_client can be imported together.
 """
 
@@ -11,19 +11,19 @@ from importlib import import_module
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-SOURCE, PACKAGE = HERE.parents[1] / "src" / "qrsim", HERE / "qrsim_client"
+SOURCE, PACKAGE = HERE.parents[1] / "src" / "qrsim" / "links" / "reference", HERE / "qrsim_client"
 NOTE = "# Written by generate.py from {}: change that.\n"
 IMPORTS = {
     """from qrsim.errors import RunError, UsageError
-from qrsim.protocol import DecodeError
-from qrsim.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol import DecodeError
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
 """: """from qrsim_client import qrsim_pb2 as pb
 from qrsim_client.errors import RunError, UsageError
 """,
     "import numpy as np\n": "import numpy as np\nfrom google.protobuf.message import DecodeError\n",
     "from qrsim.errors import": "from qrsim_client.errors import",
-    "from qrsim.protocol.framing import": "from qrsim_client.framing import",
-    "from qrsim.protocol.qrsim_pb2 import": "from qrsim_client.qrsim_pb2 import",
+    "from qrsim.links.reference.protocol.framing import": "from qrsim_client.framing import",
+    "from qrsim.links.reference.protocol.qrsim_pb2 import": "from qrsim_client.qrsim_pb2 import",
 }
 MESSAGES = '''{note}"""The messages of the protocol."""
 
@@ -49,15 +49,15 @@ def copied(path: str) -> str:
     left = [line for line in text.splitlines() if line.startswith(("import qrsim", "from qrsim."))]
     if left:
         raise SystemExit(f"{path}: no place for {left}")
-    return NOTE.format(f"src/qrsim/{path}") + text
+    return NOTE.format(f"src/qrsim/links/reference/{path}") + text
 
 
 def messages() -> str:
     """Return the module of the messages."""
-    descriptor = import_module("qrsim.protocol.qrsim_pb2").DESCRIPTOR
+    descriptor = import_module("qrsim.links.reference.protocol.qrsim_pb2").DESCRIPTOR
     content = descriptor.serialized_pb
     lines = [f"    {content[at : at + WIDTH]!r}" for at in range(0, len(content), WIDTH)]
-    note = NOTE.format("src/qrsim/protocol/qrsim.proto")
+    note = NOTE.format("src/qrsim/links/reference/protocol/qrsim.proto")
     return MESSAGES.format(note=note, content="\n".join(lines), name=descriptor.name)
 
 

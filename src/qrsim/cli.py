@@ -35,7 +35,7 @@ from qrsim.apps.openloop.command import OpenLoop
 from qrsim.apps.plot import Plot
 from qrsim.apps.run.command import Run
 from qrsim.apps.scenario import List, Schema, Show
-from qrsim.apps.serve.command import Serve
+from qrsim.apps.serve import Serve
 from qrsim.apps.slam import SlamCommand
 from qrsim.apps.sweep import Sweep
 from qrsim.apps.sweep_report import SweepReport

@@ -10,10 +10,10 @@ import sys
 
 import pytest
 
-from qrsim.apps.serve.command import Serve, _Log, _prepare
-from qrsim.apps.serve.server import Options
-from qrsim.apps.serve.tasks import Tasks
-from qrsim.client import Client
+from qrsim.apps.serve import Serve, _Log, _prepare
+from qrsim.links.reference.client import Client
+from qrsim.links.reference.server import Options
+from qrsim.links.reference.tasks import Tasks
 from qrsim.scenarios.scenario import load_scenario
 
 
@@ -58,7 +58,7 @@ def test_other_machines_need_a_flag_and_are_warned_of(capsys):
 
 def test_a_fleet_too_large_for_reference_clients_is_warned_of(monkeypatch, capsys):
     """Whoever has fewer than 10 000 bytes to spare is told how many vehicles fit."""
-    monkeypatch.setattr("qrsim.protocol.framing.LARGEST_FOR_REFERENCE_CLIENT", 250)
+    monkeypatch.setattr("qrsim.links.reference.protocol.framing.LARGEST_FOR_REFERENCE_CLIENT", 250)
     _prepare(Tasks(load_scenario("free_flight")), Options())
     said = "the STATE of this fleet of 1 is 293 bytes; clients of the reference simulator take 250, that is 0 vehicles"
     assert said in capsys.readouterr().err

@@ -29,7 +29,7 @@ def config(monkeypatch: pytest.MonkeyPatch) -> FakeConfig:
 
 
 class TestDevices:
-    """A second device is tested in a process of its own, see test_rollouts.py."""
+    """A second device is tested in a process of its own, see test_rollout.py."""
 
     @pytest.mark.parametrize("number", [0, -1, 1.5, "2", True])
     def test_no_number_of_devices(self, number: Any):

@@ -1,4 +1,4 @@
-# Written by generate.py from src/qrsim/client.py: change that.
+# Written by generate.py from src/qrsim/links/reference/client.py: change that.
 """A client of ``qrsim serve``; it needs NumPy and protobuf only, none of what computes.
 
 clients/python has this module as a package of its own, for Python 3.8 and later: nothing here may need a later one, and

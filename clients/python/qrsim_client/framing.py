@@ -1,4 +1,4 @@
-# Written by generate.py from src/qrsim/protocol/framing.py: change that.
+# Written by generate.py from src/qrsim/links/reference/protocol/framing.py: change that.
 """Frames: each message preceded by a length message of five bytes."""
 
 from __future__ import annotations

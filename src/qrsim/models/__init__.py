@@ -1,1 +1,1 @@
-"""Models of physical things, a folder for each part of the outdoors; they import only qrsim.core and qrsim.errors."""
+"""Models of physical things, a folder for each part of the outdoors; they import only core, files and errors."""

@@ -1,4 +1,4 @@
-"""Simulation: the stateful, friendly object over world.py."""
+"""Simulation: the stateful, friendly object over world/tick.py."""
 
 from __future__ import annotations
 

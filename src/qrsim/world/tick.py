@@ -1,4 +1,4 @@
-"""A world from tick to tick: its start, and the order of one tick (world_tree.py says what it is made of).
+"""A world from tick to tick: its start, and the order of one tick (world/state.py says what it is made of).
 
 Read ``step`` from top to bottom: sky, then for each fleet wind, controller and dynamics, then all new
 positions together, then the sensors that are due. Nothing here compiles; simulation.py does.

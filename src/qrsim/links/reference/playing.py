@@ -9,17 +9,17 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.apps.serve.commands import rows_of
-from qrsim.apps.serve.pacing import Pacer
-from qrsim.apps.serve.readout import States
-from qrsim.apps.serve.session import Wishes
 from qrsim.core.noise import Key
 from qrsim.core.tree import cast
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError
-from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.qrsim_pb2 import Act, Arrayd, Outcome
+from qrsim.links.pacing import Pacer
+from qrsim.links.reference.commands import rows_of
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.qrsim_pb2 import Act, Arrayd, Outcome
+from qrsim.links.reference.readout import States
+from qrsim.links.reference.session import Wishes
 from qrsim.tasks import Play
 from qrsim.tasks.episodes import episodes, score
 from qrsim.world.tick import refuse_unplaced

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.apps.serve.readout import varint
 from qrsim.interface.readings import as_array, quaternion_of
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.framing import frame
+from qrsim.links.reference.readout import varint
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.models.site import Site
-from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.framing import frame
 from qrsim.simulation.simulation import Simulation
 
 Array = np.ndarray[Any, Any]

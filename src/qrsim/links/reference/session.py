@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qrsim.apps.serve.commands import Commands, rows_of
-from qrsim.apps.serve.pacing import Pacer
-from qrsim.apps.serve.readout import States
-from qrsim.apps.serve.seeds import Seeds
-from qrsim.apps.serve.sensors import SensorReadout
 from qrsim.control import VelocitySetpoint, WaypointSetpoint
 from qrsim.errors import RunError, UsageError, warn_user
-from qrsim.protocol.qrsim_pb2 import Arrayd, Events
+from qrsim.links.pacing import Pacer
+from qrsim.links.reference.commands import Commands, rows_of
+from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Events
+from qrsim.links.reference.readout import States
+from qrsim.links.reference.seeds import Seeds
+from qrsim.links.reference.sensors import SensorReadout
 from qrsim.runs import EpisodesWriter, RunInfo, RunWriter
 from qrsim.runs.streams import STREAMS, EventFinder, columns, values
 from qrsim.scenarios.scenario import Scenario

@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from qrsim.apps.serve.server import Options, Server
-from qrsim.apps.serve.tasks import Tasks
-from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.framing import frame
-from qrsim.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.framing import frame
+from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.server import Options, Server
+from qrsim.links.reference.tasks import Tasks
 
 # Every test flies this scenario where it can, so that it is compiled once.
 TASK = "free_flight"

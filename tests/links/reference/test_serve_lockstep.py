@@ -11,11 +11,11 @@ import pytest
 from wires import DISCONNECT, HELLO, HERE, RESET, TASK, Wire, running, step
 
 import qrsim
-from qrsim.apps.serve.readout import Readout, largest_fleet, state_size
-from qrsim.apps.serve.tasks import REFERENCE_TASKS, Tasks, offboard
-from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.framing import LARGEST_REQUEST, Deframer, frame
-from qrsim.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.framing import LARGEST_REQUEST, Deframer, frame
+from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.readout import Readout, largest_fleet, state_size
+from qrsim.links.reference.tasks import REFERENCE_TASKS, Tasks, offboard
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
 from small_worlds import quiet, simulate

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
 
-from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[4]
 HALF = struct.pack("<d", 0.5)
 
 
@@ -87,7 +87,7 @@ def test_extensions_have_numbers_above_those_of_the_reference():
 
 def test_what_is_generated_is_what_make_proto_makes(tmp_path):
     pytest.importorskip("grpc_tools", reason="grpcio-tools is not installed: make tools")
-    folder = "qrsim/protocol"
+    folder = "qrsim/links/reference/protocol"
     words = ["-m", "grpc_tools.protoc", f"--proto_path={ROOT / 'src'}", f"--python_out={tmp_path}"]
     subprocess.run([sys.executable, *words, f"--pyi_out={tmp_path}", f"{folder}/qrsim.proto"], check=True)
     for name in ("qrsim_pb2.py", "qrsim_pb2.pyi"):

@@ -11,7 +11,7 @@ import numpy as np
 from qrsim.control import VelocitySetpoint, WaypointSetpoint
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
-from qrsim.protocol.qrsim_pb2 import Arrayd, Message, Step
+from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Message, Step
 
 Array = np.ndarray[Any, Any]
 # Tags and lengths of a vector and of the Arrayd in it.

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from wires import HERE, TASK, running
 
-from qrsim.apps.serve.tasks import Tasks
-from qrsim.client import Client
+from qrsim.links.reference.client import Client
+from qrsim.links.reference.tasks import Tasks
 from qrsim.runs import open_run
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.view.live import LiveView

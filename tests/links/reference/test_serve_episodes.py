@@ -12,10 +12,10 @@ import pytest
 import yaml
 from wires import HERE, TASK, Running, running
 
-from qrsim.client import Client, Refused
 from qrsim.envs.parallel import ParallelTask
 from qrsim.envs.single import SingleTask
 from qrsim.errors import UsageError
+from qrsim.links.reference.client import Client, Refused
 
 SHORT = "extends: keep_spot\nname: short_keep_spot\nduration: 0.2\n"
 SLOW = "extends: keep_spot\nname: slow\nduration: 600.0\ntask: {period: 300.0}\n"

@@ -16,13 +16,13 @@ import pytest
 from wires import HERE, TASK, Running, running
 
 import qrsim
-from qrsim.apps.serve import server as server_module
-from qrsim.apps.serve.pacing import LONGEST_DELAY_S, Pacer
-from qrsim.apps.serve.seeds import Seeds
-from qrsim.apps.serve.session import MOST_EVENTS, Session, Wishes
-from qrsim.apps.serve.tasks import MOST_VEHICLES, offboard, uploaded
-from qrsim.client import Client, ConnectionFailed, InvalidState, Refused
 from qrsim.errors import ScenarioError, UsageError
+from qrsim.links.pacing import LONGEST_DELAY_S, Pacer
+from qrsim.links.reference import server as server_module
+from qrsim.links.reference.client import Client, ConnectionFailed, InvalidState, Refused
+from qrsim.links.reference.seeds import Seeds
+from qrsim.links.reference.session import MOST_EVENTS, Session, Wishes
+from qrsim.links.reference.tasks import MOST_VEHICLES, offboard, uploaded
 from qrsim.runs import open_run
 from qrsim.scenarios.scenario import load_scenario
 
@@ -142,7 +142,7 @@ def test_events_must_be_asked_for(clients):
 
 
 def test_events_that_nobody_reads_are_counted(monkeypatch):
-    monkeypatch.setattr("qrsim.apps.serve.session.MOST_EVENTS", 2)
+    monkeypatch.setattr("qrsim.links.reference.session.MOST_EVENTS", 2)
     assert MOST_EVENTS > 1000
     session = Session(1, Wishes(load_scenario(TASK), Seeds(0), events=True))
     session._events.extend({"time": float(i), "kind": "k", "vehicle": "pelicans_0"} for i in range(5))
@@ -354,7 +354,10 @@ def test_a_server_that_is_not_there_or_no_server():
 
 def test_the_client_needs_nothing_that_computes():
     """It starts where JAX is not installed."""
-    code = "import sys, qrsim.client; print([name for name in ('jax', 'scipy', 'pydantic') if name in sys.modules])"
+    code = (
+        "import sys, qrsim.links.reference.client;"
+        " print([name for name in ('jax', 'scipy', 'pydantic') if name in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
 

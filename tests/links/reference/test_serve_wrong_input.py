@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 from wires import DISCONNECT, HELLO, HERE, QUIT, RESET, TASK, Wire, running, step
 
-from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.framing import LARGEST_REQUEST, frame
-from qrsim.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.framing import LARGEST_REQUEST, frame
+from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 
 OUTSIDE = [500.0, 0.0, -9.0]
 

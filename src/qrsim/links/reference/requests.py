@@ -6,18 +6,18 @@ from collections.abc import Awaitable, Callable
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from qrsim.apps.serve.pacing import Pacer, checked_factor
-from qrsim.apps.serve.playing import Playing
-from qrsim.apps.serve.sensors import sensor_readings
-from qrsim.apps.serve.session import Session, Wishes
-from qrsim.apps.serve.tasks import offboard, uploaded
 from qrsim.errors import UsageError
-from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.framing import LARGEST_REQUEST
-from qrsim.protocol.qrsim_pb2 import Message
+from qrsim.links.pacing import Pacer, checked_factor
+from qrsim.links.reference.playing import Playing
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.framing import LARGEST_REQUEST
+from qrsim.links.reference.protocol.qrsim_pb2 import Message
+from qrsim.links.reference.sensors import sensor_readings
+from qrsim.links.reference.session import Session, Wishes
+from qrsim.links.reference.tasks import offboard, uploaded
 
 if TYPE_CHECKING:
-    from qrsim.apps.serve.connection import Connection
+    from qrsim.links.reference.connection import Connection
 
 CAPABILITIES = ("seed", "scenario", "realtime", "readings", "reasons", "watch", "events", "episodes")
 # What clients of the reference implementation look for.

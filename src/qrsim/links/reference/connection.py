@@ -8,16 +8,16 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, cast
 
-from qrsim.apps.serve.playing import Playing
-from qrsim.apps.serve.requests import known_step, parsed_step, step
-from qrsim.apps.serve.session import Session
 from qrsim.errors import QrsimError, UsageError
-from qrsim.protocol import DecodeError
-from qrsim.protocol.framing import HEAD_SIZE, LARGEST_REQUEST, Deframer, frame
-from qrsim.protocol.qrsim_pb2 import Ack, Message
+from qrsim.links.reference.playing import Playing
+from qrsim.links.reference.protocol import DecodeError
+from qrsim.links.reference.protocol.framing import HEAD_SIZE, LARGEST_REQUEST, Deframer, frame
+from qrsim.links.reference.protocol.qrsim_pb2 import Ack, Message
+from qrsim.links.reference.requests import known_step, parsed_step, step
+from qrsim.links.reference.session import Session
 
 if TYPE_CHECKING:
-    from qrsim.apps.serve.server import Server
+    from qrsim.links.reference.server import Server
 
 # Bytes that may wait to be sent: then a client's next request waits, and a watcher misses states.
 MOST_WAITING = 4 << 20

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from wires import step
 
-from qrsim.apps.serve.commands import WIDTHS, Commands
-from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.commands import WIDTHS, Commands
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 
 CHANCE = np.random.default_rng(5)
 NUMBERS = [1e300, -1e-300, np.nan, -np.inf, -0.0, 0.1, 16777217.0]

@@ -8,13 +8,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from qrsim.engine.layout import Buffers, Packer
+from qrsim.links.reference.protocol.framing import HEAD_SIZE, frame
+from qrsim.links.reference.protocol.qrsim_pb2 import Message, State
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.inertial import AccelerometerReading, GyroscopeReading
-from qrsim.protocol.framing import HEAD_SIZE, frame
-from qrsim.protocol.qrsim_pb2 import Message, State
 from qrsim.world.tick import FleetState
 
 Array = np.ndarray[Any, Any]

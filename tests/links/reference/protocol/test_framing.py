@@ -7,8 +7,8 @@ import random
 import pytest
 
 from qrsim.errors import UsageError
-from qrsim.protocol.framing import LARGEST_REQUEST, Deframer, frame
-from qrsim.protocol.qrsim_pb2 import Size
+from qrsim.links.reference.protocol.framing import LARGEST_REQUEST, Deframer, frame
+from qrsim.links.reference.protocol.qrsim_pb2 import Size
 
 
 def test_a_length_message_is_that_of_the_protocol():

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from qrsim.errors import UsageError
-from qrsim.protocol.qrsim_pb2 import Pacing
+from qrsim.links.reference.protocol.qrsim_pb2 import Pacing
 
 # A client that stays behind for longer has paused: the clock starts anew rather than to hurry after it.
 LONGEST_DELAY_S = 0.25

@@ -19,7 +19,7 @@ from qrsim.errors import RunError, UsageError, did_you_mean, nearest
 from qrsim.extras import require
 
 if TYPE_CHECKING:
-    from qrsim.apps.serve.server import Options
+    from qrsim.links.reference.server import Options
     from qrsim.scenarios.scenario import Scenario
     from qrsim.view.live import LiveView
 
@@ -89,8 +89,8 @@ class Serve:
         scenario = self._scenario()
         import asyncio
 
-        from qrsim.apps.serve.server import Server
-        from qrsim.apps.serve.tasks import Tasks
+        from qrsim.links.reference.server import Server
+        from qrsim.links.reference.tasks import Tasks
 
         tasks = Tasks(scenario, self.scenario)
         if scenario is not None:
@@ -114,9 +114,9 @@ class Serve:
             log.close()
 
     def _options(self) -> Options:
-        from qrsim.apps.serve.pacing import checked_factor
-        from qrsim.apps.serve.seeds import EPISODES
-        from qrsim.apps.serve.server import Options
+        from qrsim.links.pacing import checked_factor
+        from qrsim.links.reference.seeds import EPISODES
+        from qrsim.links.reference.server import Options
 
         if not 0 <= self.port <= 65535:
             raise UsageError(f"--port {self.port}: expected 0 to 65535")
@@ -175,7 +175,7 @@ class Serve:
             if self.set:
                 raise UsageError("--set: there is no SCENARIO to change")
             return None
-        from qrsim.apps.serve.tasks import REFERENCE_TASKS, ours
+        from qrsim.links.reference.tasks import REFERENCE_TASKS, ours
         from qrsim.scenarios.scenario import load_scenario
 
         meant = nearest(self.scenario, REFERENCE_TASKS) if self.scenario.startswith("Task") else None
@@ -186,11 +186,11 @@ class Serve:
 
 def _prepare(tasks: object, options: Options) -> None:
     """Compile what the operator's scenario needs, so that its first client need not wait."""
-    from qrsim.apps.serve.readout import largest_fleet, state_size
-    from qrsim.apps.serve.seeds import Seeds
-    from qrsim.apps.serve.session import Session, Wishes
-    from qrsim.apps.serve.tasks import Tasks
-    from qrsim.protocol.framing import LARGEST_FOR_REFERENCE_CLIENT
+    from qrsim.links.reference.protocol.framing import LARGEST_FOR_REFERENCE_CLIENT
+    from qrsim.links.reference.readout import largest_fleet, state_size
+    from qrsim.links.reference.seeds import Seeds
+    from qrsim.links.reference.session import Session, Wishes
+    from qrsim.links.reference.tasks import Tasks
 
     assert isinstance(tasks, Tasks)
     session = Session(0, Wishes(tasks.offboard(""), Seeds(options.seed), realtime=1.0))

@@ -15,14 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from qrsim.apps.serve.connection import MOST_WAITING, Connection
-from qrsim.apps.serve.playing import Playing
-from qrsim.apps.serve.requests import HANDLERS, NEEDED
-from qrsim.apps.serve.seeds import Seeds
-from qrsim.apps.serve.session import Session
-from qrsim.apps.serve.tasks import Tasks
 from qrsim.errors import RunError, UsageError
-from qrsim.protocol.qrsim_pb2 import Message
+from qrsim.links.reference.connection import MOST_WAITING, Connection
+from qrsim.links.reference.playing import Playing
+from qrsim.links.reference.protocol.qrsim_pb2 import Message
+from qrsim.links.reference.requests import HANDLERS, NEEDED
+from qrsim.links.reference.seeds import Seeds
+from qrsim.links.reference.session import Session
+from qrsim.links.reference.tasks import Tasks
 
 if TYPE_CHECKING:
     from qrsim.view.live import LiveView

@@ -11,15 +11,15 @@ import pytest
 from wires import HELLO, HERE, RESET, TASK, Wire, running, step
 
 import qrsim
-from qrsim.apps.serve.seeds import Seeds
-from qrsim.apps.serve.sensors import SensorReadout, _sensor, sensor_readings
 from qrsim.cli import main
-from qrsim.client import Client, Refused
 from qrsim.errors import UsageError
+from qrsim.links.reference.client import Client, Refused
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.framing import frame
+from qrsim.links.reference.protocol.qrsim_pb2 import Message
+from qrsim.links.reference.seeds import Seeds
+from qrsim.links.reference.sensors import SensorReadout, _sensor, sensor_readings
 from qrsim.models.sensors.camera import CameraReading
-from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.framing import frame
-from qrsim.protocol.qrsim_pb2 import Message
 from qrsim.runs import open_run
 from small_worlds import quiet, simulate
 

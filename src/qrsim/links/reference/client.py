@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qrsim.errors import RunError, UsageError
-from qrsim.protocol import DecodeError
-from qrsim.protocol import qrsim_pb2 as pb
-from qrsim.protocol.framing import Deframer, frame
-from qrsim.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.protocol import DecodeError
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.framing import Deframer, frame
+from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 
 if TYPE_CHECKING:
     Array = np.ndarray[Any, Any]

@@ -1,1 +1,0 @@
-"""A live simulation for clients over TCP."""

@@ -1,0 +1,1 @@
+"""The TCP protocol of the reference implementation: messages, server and client."""
