@@ -25,6 +25,7 @@ from typing import Any
 import jax
 
 import evidence
+from evidence import docs
 from qrsim.errors import QrsimError, UsageError, did_you_mean
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -176,6 +177,8 @@ def main(arguments: Sequence[str] | None = None, output: Path = OUTPUT) -> int:
             # The others may take hours, and know nothing of this one.
             print(f"error: {error}", file=sys.stderr)
             code = code or error.exit_code
+    if output == OUTPUT and docs.differences(ROOT):
+        print("the documentation shows other numbers; `python -m evidence.docs` names them, with --write it mends them")
     return code
 
 

@@ -1,4 +1,4 @@
-"""Every example in README.md and docs/*.md runs: Python blocks as they are, qrsim commands in a temporary folder."""
+"""Every example in README.md and docs/ runs: Python blocks as they are, qrsim commands in a temporary folder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from qrsim import cli
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
