@@ -1,0 +1,85 @@
+"""What a world asks of its air: mean wind, turbulence, discrete gusts.
+
+A component names its contract as its base class. Methods marked abstract are required; the others, and the class
+variables, have the defaults that stand here. An argument with a default may be left out of a component's own method.
+Time is ``seconds`` () int32 and ``fraction`` () in [0, 1) since the start of the run, so that single precision is
+enough for runs of any length.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+from jax import Array
+
+from qrsim.core.noise import Draw, Noise
+from qrsim.core.vectors import Vec3
+
+# What a turbulence may declare in ``reads``.
+TURBULENCE_READS = ("position_ned", "seconds", "fraction", "field")
+
+
+@runtime_checkable
+class Wind(Protocol):
+    """The mean wind."""
+
+    def at(self, duration: float) -> Wind:
+        """Return what flies for a run of a duration [s]: the wind itself, or what it reads from its file.
+
+        Raises:
+            UsageError: it does not last that long.
+        """
+        return self
+
+    @abstractmethod
+    def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array) -> Vec3:
+        """Return the air's velocity (n,) [m/s] at heights (n,) [m] above ground."""
+
+
+@runtime_checkable
+class Turbulence(Protocol):
+    """Random gusts at n vehicles.
+
+    Attributes:
+        normals: standard normals that ``init`` and ``step`` draw for each vehicle.
+        rates: whether it gives the rotation of the air.
+        reads: of "position_ned" (n,) [m], "seconds", "fraction" and "field", what ``gust_ned`` and ``gust_rates_ned``
+            are handed by these names beside the state and the height.
+        field_ids: numbers of what ``draw_field`` draws for, once an episode for the whole world; 0: nothing is drawn.
+    """
+
+    normals: ClassVar[int] = 0
+    rates: ClassVar[bool] = False
+    reads: ClassVar[tuple[str, ...]] = ()
+    field_ids: int = 0
+
+    def draw_field(self, draw: Draw) -> Any:
+        """Return what the gusts of all vehicles of an episode share, of a draw for ``field_ids`` ids."""
+
+    @abstractmethod
+    def init(self, draw: Noise) -> Any:
+        """Return stationary first states of the vehicles (n,)."""
+
+    @abstractmethod
+    def step(
+        self, state: Any, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
+    ) -> Any:
+        """Advance by dt [s] for vehicles at heights (n,) [m] that move over ground at velocity_ned (n,) [m/s]."""
+
+    @abstractmethod
+    def gust_ned(self, state: Any, height_agl: Array, *args: Any, **reads: Any) -> Vec3:
+        """Return the gust (n,) [m/s] at heights (n,) [m] above ground."""
+
+    def gust_rates_ned(self, state: Any, height_agl: Array, *args: Any, **reads: Any) -> Vec3:
+        """Return the rotation of the air (n,) [rad/s] at heights (n,) [m] above ground, where ``rates`` says so."""
+        return Vec3.zeros(height_agl.shape, height_agl.dtype)
+
+
+@runtime_checkable
+class Gust(Protocol):
+    """A gust of known shape: a function of place and time."""
+
+    @abstractmethod
+    def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array) -> Vec3:
+        """Return what it adds to the air's velocity (n,) [m/s] at positions (n,) [m]."""

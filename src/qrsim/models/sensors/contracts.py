@@ -1,0 +1,82 @@
+"""What a world asks of a sensor.
+
+A component names its contract as its base class. Methods marked abstract are required; the others, and the class
+variables, have the defaults that stand here.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+from jax import Array
+
+from qrsim.core.noise import Noise
+from qrsim.core.vectors import Euler, Vec3
+
+# What a sensor may declare in ``reads``; each is (n,) but the last two.
+SCENE = (
+    "position_ned",
+    "position_low_ned",
+    "velocity_ned",
+    "attitude",
+    "velocity_body",
+    "rates_body",
+    "specific_force",
+    "wind_ned",
+    "sky",
+    "surroundings",
+)
+
+
+@runtime_checkable
+class Sensor(Protocol):
+    """A sensor on each of n vehicles.
+
+    Its reading is a record of arrays (n,) whose fields carry unit and doc; these are the columns of the logs. A reading
+    that does not exist, as a fix without satellites, is NaN. ``init``, ``step`` and ``restart`` are handed what
+    ``reads`` names, by name.
+
+    Attributes:
+        period: interval between readings [s], a multiple of the time step.
+        reads: what it looks at, of ``SCENE``.
+        normals: standard normals that ``init`` and ``step`` draw for each vehicle.
+        draws_alone: whether it draws any number of normals, from a ``Draw`` of its own; ``normals`` does not count.
+        delay: periods between the instant of a reading and its delivery, on average.
+        jitter: std of the time of delivery [s].
+        mount_position_body: where it is mounted [m] from the centre of mass; None: there.
+        mount_attitude: how it is turned against the body axes [rad]; None: not at all.
+        takes_pictures: whether it has ``develop``, which makes a picture of a reading (camera.py).
+    """
+
+    period: float
+    reads: ClassVar[tuple[str, ...]] = ()
+    normals: ClassVar[int] = 0
+    draws_alone: ClassVar[bool] = False
+    delay: int = 0
+    jitter: float = 0.0
+    mount_position_body: Vec3 | None = None
+    mount_attitude: Euler | None = None
+    takes_pictures: ClassVar[bool] = False
+
+    @abstractmethod
+    def init(self, draw: Noise, *args: Any, **reads: Any) -> tuple[Any, Any]:
+        """Return the first state and the first reading (n,)."""
+
+    @abstractmethod
+    def step(self, state: Any, draw: Noise, *args: Any, **reads: Any) -> tuple[Any, Any]:
+        """Advance one period, and return the state and the reading (n,) that is delivered now."""
+
+    def restart(self, state: Any, draw: Noise, since: Array, *args: Any, **reads: Any) -> tuple[Any, Any]:
+        """Return state and reading of vehicles that were put elsewhere ``since`` () [s] after a reading."""
+        return self.init(draw, *args, **reads)
+
+    def fresh(self, tick: Array, time_step: float) -> Array:
+        """Return () whether a reading is delivered at a tick, rather than held since an earlier one."""
+        return tick % max(1, round(self.period / time_step)) == 0
+
+    def time_of_reading(self, tick: Array, time_step: float) -> Array:
+        """Return () the tick at which what is held at a tick was true; 0 where the delay has not passed since then."""
+        ticks = max(1, round(self.period / time_step))
+        since = tick // ticks - self.delay
+        return ticks * since * (since > 0)

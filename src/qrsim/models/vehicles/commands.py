@@ -1,0 +1,43 @@
+"""What a command record says of itself: its fields, their limits, and how it is brought into them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, TypeVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import field_info, replace
+
+C = TypeVar("C")
+
+
+def fields_of(command_type: type[Any]) -> tuple[str, ...]:
+    """Return the names of the fields of a command record, in their order."""
+    return tuple(field.name for field in dataclasses.fields(command_type))
+
+
+def limits_of(command_type: type[Any]) -> dict[str, tuple[float, float]]:
+    """Return lowest and highest value of each field of a command record; infinite where it has none."""
+    found = {}
+    for field in dataclasses.fields(command_type):
+        info = field_info(field)
+        low = -math.inf if info.minimum is None else info.minimum
+        found[field.name] = (low, math.inf if info.maximum is None else info.maximum)
+    return found
+
+
+def clipped(command: C, without: tuple[str, ...] = ()) -> tuple[C, Array]:
+    """Bring a command into the limits of its fields; also say, with a bool (n,), whether that changed it.
+
+    Args:
+        command: record of arrays (n,).
+        without: fields that stay as they are.
+    """
+    limits = limits_of(type(command))
+    fields = [name for name in limits if name not in without]
+    found = replace(command, **{name: jnp.clip(getattr(command, name), *limits[name]) for name in fields})
+    changed = [getattr(found, name) != getattr(command, name) for name in fields]
+    return found, jnp.any(jnp.stack(changed), axis=0)

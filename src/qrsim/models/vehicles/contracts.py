@@ -1,0 +1,180 @@
+"""What a world asks of a vehicle and of a battery.
+
+A component names its contract as its base class. Methods marked abstract are required; the others, and the class
+variables, have the defaults that stand here. An argument with a default may be left out of a component's own method.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+from jax import Array
+
+from qrsim.core.noise import Noise
+from qrsim.core.tree import quantity, record
+from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
+from qrsim.models.vehicles.commands import clipped
+
+# A check of vehicles: the code of a reason (scene/area.py), the value (n,) that is looked at, and whether it is broken.
+Check = tuple[int, Array, Array]
+# What a vehicle may declare in ``reads``.
+AROUND = ("ground", "air_rates", "downwash")
+
+
+@record
+class Load:
+    """What a battery has to supply; each (n,), or one number for all."""
+
+    thrust: Array = quantity(unit="N", doc="collective thrust")
+    weight: Array = quantity(unit="N", doc="weight, which is the thrust in hover")
+    power: Array | None = quantity(default=None, unit="W", doc="electrical power; None where the model has none")
+
+
+@record
+class Pose:
+    """Where each vehicle (n,) is and how it moves, whatever its own state is made of."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="position in the site's frame")
+    attitude: Euler = quantity(unit="rad", doc="ZYX Euler angles")
+    velocity_body: Vec3 = quantity(unit="m/s", doc="velocity over ground in body axes")
+    rates_body: Vec3 = quantity(unit="rad/s", doc="body rates")
+
+
+@dataclass(frozen=True)
+class Around:
+    """What a vehicle may look at of the world during a step.
+
+    Attributes:
+        ground: positions (n,) [m] -> the down coordinate (n,) [m] of the ground below, and its normal (n,), upwards.
+        air_rates: rotation of the air (n,) [rad/s] in body axes; zero where the turbulence gives none.
+        downwash: positions (n,) [m] -> the velocity (n,) [m/s] in NED that wakes of other vehicles add to the air.
+            Zero: no wake is modelled.
+    """
+
+    ground: Callable[[Vec3], tuple[Array, Vec3]]
+    air_rates: Vec3
+    downwash: Callable[[Vec3], Vec3]
+
+
+@runtime_checkable
+class Vehicle(Protocol):
+    """A model of n vehicles; its parameters are numbers or arrays (n,).
+
+    Its state is a record of arrays (n,) with the field ``position_ned`` [m]; all else is read through ``pose``.
+
+    Attributes:
+        command_type: record of its own command; each field (n,) carries unit, minimum and maximum.
+        actions: command records that it accepts from a user, ``command_type`` among them.
+        normals: standard normals that ``draw_noise`` draws for each vehicle.
+        reads: what it wants of ``Around``; where that is empty, ``step`` is called without ``around``.
+        default_controller: name in the catalogue.
+    """
+
+    command_type: ClassVar[type[Any]]
+    actions: ClassVar[tuple[type[Any], ...]]
+    normals: ClassVar[int] = 0
+    reads: ClassVar[tuple[str, ...]] = ()
+    default_controller: ClassVar[str] = "none"
+
+    @abstractmethod
+    def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
+        """Return the state of vehicles (n,) that are put somewhere: [m], [rad], [m/s], [rad/s]."""
+
+    @abstractmethod
+    def idle_command(self, like: Array) -> Any:
+        """Return the command (n,) before the first one: hover, trim or zero; ``like`` is any array (n,)."""
+
+    def clip(self, command: Any, powered: bool = False) -> tuple[Any, Array]:
+        """Bring a command into the limits of its fields; also say, with a bool (n,), whether that changed it.
+
+        Args:
+            command: one of ``actions``.
+            powered: whether a battery has set a voltage in it (``powered``), which is no command's to limit.
+        """
+        return clipped(command)
+
+    def powered(self, command: Any, voltage: Array | None) -> Any:
+        """Return a command at a battery's voltage (n,) [V]; None: whatever voltage the command itself has."""
+        return command
+
+    @abstractmethod
+    def load(self, state: Any) -> Load:
+        """Return what the vehicle takes from its battery."""
+
+    @abstractmethod
+    def pose(self, state: Any) -> Pose:
+        """Return position, attitude, velocity and rates (n,)."""
+
+    def draw_noise(self, draw: Noise, dt: float) -> Any:
+        """Draw the process noise of one step of dt [s] from ``normals`` normals."""
+
+    @abstractmethod
+    def step(
+        self,
+        state: Any,
+        command: Any,
+        air_velocity: Callable[[AttitudeTrig], Vec3],
+        noise: Any,
+        dt: float,
+        around: Around | None = None,
+    ) -> tuple[Any, Vec3]:
+        """Advance one step.
+
+        Args:
+            state: before it, arrays (n,).
+            command: within its limits, applied during the whole step.
+            air_velocity: attitude -> air velocity (n,) [m/s] in body axes.
+            noise: what ``draw_noise`` returned.
+            dt: step [s].
+            around: only where ``reads`` names something.
+
+        Returns:
+            The state after it, and the mean specific force (n,) [m/s^2] during it, in body axes.
+        """
+
+    def specific_force(
+        self,
+        state: Any,
+        command: Any,
+        air_velocity: Callable[[AttitudeTrig], Vec3],
+        noise: Any,
+        dt: float,
+        around: Around | None = None,
+    ) -> Vec3:
+        """Return the specific force (n,) [m/s^2] in body axes at an instant; arguments as of ``step``."""
+        more = (around,) if self.reads else ()
+        return self.step(state, command, air_velocity, noise, dt, *more)[1]
+
+    @abstractmethod
+    def stopped(self, state: Any) -> Any:
+        """Return the state of vehicles that are held where they are, at rest."""
+
+    def own_checks(self, state: Any) -> list[Check]:
+        """Return what can end the flight of each vehicle (n,) beside area, limits and collisions."""
+        return []
+
+
+@runtime_checkable
+class Battery(Protocol):
+    """Where the voltage of n vehicles comes from.
+
+    Attributes:
+        drains: whether its state has a ``charge`` (n,), 1 full and 0 empty, which is logged and ends a flight at 0.
+    """
+
+    drains: ClassVar[bool] = False
+
+    @abstractmethod
+    def init(self, like: Array) -> Any:
+        """Return the state at the start; ``like`` is any array (n,)."""
+
+    @abstractmethod
+    def step(self, state: Any, load: Load, dt: float) -> Any:
+        """Advance by dt [s] under a load (n,)."""
+
+    @abstractmethod
+    def voltage(self, state: Any, load: Load) -> Array | None:
+        """Return the voltage under load (n,) [V]; None: as commanded."""

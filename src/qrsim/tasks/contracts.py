@@ -1,0 +1,76 @@
+"""What an episode asks of a task.
+
+A task names the contract as its base class. Methods marked abstract are required; the others, and the class variables,
+have the defaults that stand here. All of them are pure functions of JAX.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.noise import Draw
+from qrsim.tasks.agents import Axis
+from qrsim.world.state import Action, State, World
+
+
+@runtime_checkable
+class Task(Protocol):
+    """What is to be done, and what it is worth; the agents are the n vehicles of one fleet.
+
+    Attributes:
+        fleet: name of that fleet; "": there is no task.
+        period: time between two actions [s], a multiple of the time step.
+        penalty: reward of the step in which a vehicle stops.
+        axes: the numbers of an action, with unit and range; an agent gives each in [-1, 1].
+        asks_for: kind of set-points that its fleet's controller must take; None: its actions are commands.
+        ids: numbers of what ``init`` draws for.
+        hands_in: whether an agent hands in an answer at the end, which has a ``score``.
+    """
+
+    fleet: str
+    period: float
+    penalty: Array
+    axes: ClassVar[tuple[Axis, ...]]
+    asks_for: ClassVar[type[Any] | None] = None
+    ids: int = 0
+    hands_in: ClassVar[bool] = False
+
+    @abstractmethod
+    def init(self, world: World, state: State, draw: Draw) -> Any:
+        """Return what it remembers of an episode at its start; ``draw`` is its own randomness, for ``ids`` ids."""
+
+    @abstractmethod
+    def commands(self, memory: Any, world: World, action: Array) -> tuple[Action, ...]:
+        """Return an action for each fleet of actions (n, A) in their units."""
+
+    def each_tick(self, memory: Any, world: World, state: State) -> Any:
+        """Return the memory after a tick."""
+        return memory
+
+    @abstractmethod
+    def judge(self, memory: Any, world: World, state: State, step: Array, steps: int) -> tuple[Any, Array]:
+        """Return the memory after step ``step`` () of ``steps``, counted from 1, and its reward (n,) while all fly."""
+
+    def crashed(self, memory: Any, world: World, state: State, steps: int) -> Array:
+        """Return the reward () of the step in which a vehicle stops."""
+        return jnp.asarray(self.penalty)
+
+    @abstractmethod
+    def observe(self, memory: Any, world: World, state: State) -> Any:
+        """Return what each agent sees, (n, O) or a dict of arrays (n, ...), never the truth."""
+
+    @abstractmethod
+    def sees(self, world: World) -> tuple[Axis, ...] | dict[str, tuple[Axis, ...]]:
+        """Return what the O numbers of an observation are, with their units; of a dict, where they have names."""
+
+    def answer_shape(self, world: World) -> tuple[int, ...]:
+        """Return the shape of what each agent hands in at the end; () where it hands in nothing."""
+        return ()
+
+    def score(self, memory: Any, world: World, state: State, answer: Array) -> Array:
+        """Return the score (n,) of answers (n, *answer_shape)."""
+        return jnp.zeros(answer.shape[0], answer.dtype)
