@@ -41,13 +41,13 @@ def without_cache() -> None:
 
 
 def patrol(count: int) -> dict[str, Any]:
-    """Return the default scenario with ``count`` vehicles, each on a square of its own, in an area that holds them.
+    """Return the published patrol with ``count`` vehicles, each on a square of its own, in an area that holds them.
 
-    Wind, turbulence, sensors and controller are those of the default scenario.
+    Wind, turbulence, sensors and controller are those of the scenario ``patrol_published``, which never changes.
     """
     import qrsim
 
-    content = qrsim.load_scenario("outdoor_patrol").spec.model_dump(mode="json")
+    content = qrsim.load_scenario("patrol_published").spec.model_dump(mode="json")
     columns = math.ceil(math.sqrt(count))
     vehicles = []
     for i in range(count):

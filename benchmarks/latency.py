@@ -1,4 +1,4 @@
-"""How long one call of Simulation.step() takes: one vehicle of the default scenario, everything on."""
+"""How long one call of Simulation.step() takes: one vehicle of ``patrol_published``, everything on."""
 
 from __future__ import annotations
 

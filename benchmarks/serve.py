@@ -150,7 +150,7 @@ def row(what: str, taken: Sequence[float], per_second: float, target: float | No
 
 
 def one_vehicle(quick: bool) -> list[dict[str, Any]]:
-    """Round trips with one vehicle of the default scenario, and long steps."""
+    """Round trips with one vehicle of ``patrol_published``, and long steps."""
     from qrsim.links.reference.client import Client
 
     count, rows = (50, []) if quick else (20_000, [])
@@ -234,7 +234,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     results = one_vehicle(chosen.quick)
     if not chosen.quick:
         results += [real_time(60.0, 100), streamed(1000, 10.0)]
-    title = "Serving: one vehicle of the default scenario unless said, everything on, over loopback"
+    title = "Serving: one vehicle of ``patrol_published`` unless said, everything on, over loopback"
     _common.publish("serve", title, on, results, HEADINGS, chosen.json)
     for found in results:
         if "late" in found and not chosen.json:

@@ -80,7 +80,7 @@ def peers() -> dict[str, Any]:
 
 def memory(ticks: int) -> dict[str, Any]:
     """Return the largest resident set before and after many ticks of the default scenario, and bytes per vehicle."""
-    simulation = qrsim.load("outdoor_patrol")
+    simulation = qrsim.load("patrol_published")
     simulation.reset()
     simulation.step(ticks=1000)
     before = peak_bytes()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -30,3 +31,21 @@ def golden(recordings: Path) -> Path:
     if not (folder / "varied.csv").is_file():
         pytest.skip(f"no golden trajectories: expected {folder}; {DATA_INSTALL_LINE}")
     return folder
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., None]:
+    """Return a function that runs a command and checks its exit code, its one error, and every given part of it."""
+
+    def check(words: list[str], *parts: str, code: int = 2) -> None:
+        from qrsim import cli
+
+        assert cli.main(words) == code
+        printed = capsys.readouterr()
+        assert printed.err.count("error: ") == 1
+        assert "Traceback" not in printed.err
+        assert printed.out == ""
+        for part in parts:
+            assert part in printed.err
+
+    return check

@@ -18,7 +18,7 @@ def noisy(*, vehicle_more: bool = False, fleet_more: bool = False, without: tupl
 
     Its five vehicles, fleet pelicans, are the same whatever else is there; a second fleet comes before theirs.
     """
-    _, content = read_scenario("outdoor_patrol")
+    _, content = read_scenario("patrol_published")
     pelicans = content["fleets"]["pelicans"]
     for sensor in without:
         del pelicans["sensors"][sensor]

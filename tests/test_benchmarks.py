@@ -223,7 +223,7 @@ def test_the_table_names_the_machine(common, capsys):
 
 @pytest.mark.parametrize("count", [1, 7, 1000])
 def test_the_scaled_scenario_is_the_default_one_with_more_vehicles(count, common):
-    spec, default = load_scenario(common.patrol(count)).spec, load_scenario("outdoor_patrol").spec
+    spec, default = load_scenario(common.patrol(count)).spec, load_scenario("patrol_published").spec
     vehicles = spec.fleets["pelicans"].vehicles
     assert len(vehicles) == count
     assert len({tuple(vehicle.position_ned) for vehicle in vehicles}) == count

@@ -129,7 +129,8 @@ def __getattr__(name: str) -> Any:
     from qrsim.errors import did_you_mean, nearest
 
     # Python itself asks for names such as __path__; of these nobody has mistyped one.
-    hint = did_you_mean(name, __all__) if nearest(name, __all__) and not name.startswith("_") else ""
+    known = [*__all__, *_ROOMS]
+    hint = did_you_mean(name, known) if nearest(name, known) and not name.startswith("_") else ""
     raise AttributeError(f"module 'qrsim' has no attribute '{name}'{hint}")
 
 

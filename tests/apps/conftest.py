@@ -56,19 +56,3 @@ def flown(fly: Callable[..., Flight]) -> Flight:
 def flown_again(fly: Callable[..., Flight], flown: Flight) -> Flight:
     """The resolved scenario of ``flown`` with the same seed, as a table."""
     return fly(str(flown.folder / "scenario.yaml"), "--seed", str(SEED), "--no-figure")
-
-
-@pytest.fixture
-def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., None]:
-    """Return a function that runs a command and checks its exit code, its one error, and every given part of it."""
-
-    def check(words: list[str], *parts: str, code: int = 2) -> None:
-        assert cli.main(words) == code
-        printed = capsys.readouterr()
-        assert printed.err.count("error: ") == 1
-        assert "Traceback" not in printed.err
-        assert printed.out == ""
-        for part in parts:
-            assert part in printed.err
-
-    return check

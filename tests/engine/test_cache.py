@@ -153,7 +153,8 @@ class TestKept:
 
     def test_processes_at_the_same_time(self, place: Path) -> None:
         program = (
-            "import sys; from pathlib import Path; from qrsim.engine.llvm import Binary, cache\n"
+            "import sys; from pathlib import Path; from qrsim.engine import cache\n"
+            "from qrsim.engine.llvm import Binary\n"
             f"cache.folder = lambda: Path({str(place)!r})\n"
             "for i in range(200):\n"
             "    assert cache.kept((i % 7,), lambda: Binary(bytes([i % 7]) * 9000, 8)).code[0] == i % 7\n"

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from qrsim.engine import programs as once
 from qrsim.engine.llvm import UnsupportedError
+from qrsim.engine.programs import once
 from qrsim.errors import CompilerWarning
 
 

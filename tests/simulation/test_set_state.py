@@ -19,7 +19,7 @@ HEIGHT = 40.0
 @pytest.fixture(scope="module")
 def outdoors() -> Simulation:
     """Five vehicles with every kind of noise, which have flown for ten seconds."""
-    simulation = qrsim.load("outdoor_patrol", seed=3)
+    simulation = qrsim.load("patrol_published", seed=3)
     simulation.reset()
     simulation.step(ticks=BEFORE)
     return simulation

@@ -113,7 +113,7 @@ def test_seeds_that_differ_only_above_32_bits_differ() -> None:
 
 
 def simulate_drift(seed: int) -> Any:
-    simulation = qrsim.load("outdoor_patrol", seed=seed)
+    simulation = qrsim.load("patrol_published", seed=seed)
     simulation.reset()
     return simulation.state.fleets[0].sensors[1].drift[0]
 

@@ -44,7 +44,7 @@ def flown(world: Any, ticks: int) -> Any:
 
 def everything(vehicles: int) -> dict[str, Any]:
     """Return a scenario with the full turbulence, all sensors, an obstacle and a delay."""
-    content = qrsim.load_scenario("outdoor_patrol").spec.model_dump(mode="json")
+    content = qrsim.load_scenario("patrol_published").spec.model_dump(mode="json")
     content["world"]["turbulence"] = {"type": "dryden"}
     content["world"]["obstacles"] = [{"type": "box", "x_min": 400, "x_max": 410, "y_min": 0, "y_max": 9, "z_min": -50}]
     fleet = content["fleets"]["pelicans"]
@@ -58,7 +58,7 @@ def everything(vehicles: int) -> dict[str, Any]:
 def test_a_tick_is_that_of_xla(vehicles, caplog):
     """Every number of the state after 12 ticks, an epoch of the receivers among them, to a few roundings."""
     world = qrsim.load_scenario(everything(vehicles)).world()
-    with caplog.at_level(logging.DEBUG, "qrsim.engine.llvm"):
+    with caplog.at_level(logging.DEBUG, "qrsim.engine"):
         mine = flown(world, 12)
     assert not caplog.records
     theirs = XlaTicks(world)
@@ -163,7 +163,7 @@ class TestChoice:
             return jnp.broadcast_to(jnp.array([0.0, 0.0, 0.59, 0.0, 12.0]), (2, 5))
 
         world = noisy_pair().world()
-        with caplog.at_level(logging.DEBUG, "qrsim.engine.llvm"):
+        with caplog.at_level(logging.DEBUG, "qrsim.engine"):
             by_xla = rollout(world, sorting, ticks=40, worlds=2, seed=SEED)
         assert "compiled by XLA" in caplog.text
         np.testing.assert_allclose(

@@ -245,7 +245,7 @@ def test_policies_of_real_worlds_by_both_compilers(count, monkeypatch):
         zero = jnp.zeros(count)
         return jnp.stack([zero, zero, jnp.where(climbs, 0.7, 0.59), zero, zero + 12.0], axis=1)
 
-    world = qrsim.load_scenario(vehicles("outdoor_patrol", count)).world()
+    world = qrsim.load_scenario(vehicles("patrol_published", count)).world()
     found = by_both(monkeypatch, lambda: rollout(world, chooses_vehicles, ticks=5, seed=1)["position_ned"])
     np.testing.assert_allclose(*found, atol=2e-4)
 
@@ -273,7 +273,7 @@ class Wake:
 @pytest.mark.parametrize("count", [1, *(pytest.param(n, marks=pytest.mark.long) for n in COUNTS if n > 1)])
 def test_components_of_users_by_both_compilers(count, monkeypatch):
     world = replace(
-        qrsim.load_scenario(vehicles("outdoor_patrol", count)).world(), wind=Wake(strength=jnp.float32(4.0))
+        qrsim.load_scenario(vehicles("patrol_published", count)).world(), wind=Wake(strength=jnp.float32(4.0))
     )
 
     def fly() -> Any:
