@@ -8,6 +8,7 @@ import os
 import stat
 import subprocess
 import sys
+import time
 import warnings
 from pathlib import Path
 from typing import Any
@@ -221,6 +222,15 @@ class TestFolder:
         assert not any(path.exists() for path in left)
         assert all(path.exists() for path in others)
         assert len(list(place.iterdir())) == 3
+
+    @pytest.mark.parametrize(("minutes", "kept"), [(58, True), (62, False)])
+    def test_who_takes_longer_than_an_hour_has_been_killed(self, tmp_path: Path, minutes: int, kept: bool) -> None:
+        path = tmp_path / "tmpabcdefgh"
+        path.write_bytes(b"half")
+        then = time.time() - 60.0 * minutes
+        os.utime(path, (then, then))
+        folders.tidy(tmp_path)
+        assert path.exists() == kept
 
     def test_what_was_used_longest_ago_goes_first(self, tmp_path: Path) -> None:
         for age in range(10):

@@ -141,3 +141,15 @@ def test_a_scenario_that_is_too_large_or_a_device(odd: dict[str, Path], name: st
 def test_arguments_that_are_no_text(capsys: Any) -> None:
     assert main(["show", os.fsdecode(b"a\xff.yaml")]) == 2
     assert capsys.readouterr().err.splitlines() == [r"error: qrsim: the argument 'a\udcff.yaml' is no text in UTF-8"]
+
+
+@pytest.mark.parametrize(("size_mb", "read"), [(15.9, True), (16.1, False)])
+def test_a_text_has_sixteen_megabytes_at_most(size_mb: float, read: bool, tmp_path: Path) -> None:
+    path = tmp_path / "large.yaml"
+    with path.open("wb") as file:
+        file.truncate(round(size_mb * 2**20))
+    if read:
+        assert len(read_text(path)) == round(size_mb * 2**20)
+    else:
+        with pytest.raises(OSError, match="it has more than 16 MB"):
+            read_text(path)
