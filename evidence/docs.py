@@ -3,13 +3,15 @@
 A comment in front of a paragraph, a list or a table names where its numbers come from, in order::
 
     <!--ev control.steps
-    waypoint.north: rise_s overshoot_percent -
-    waypoint.east: rise_s overshoot_percent - -->
+    waypoint.height: rise_s overshoot_percent error_percent
+    waypoint {north east}: {}.rise_s {}.overshoot_percent
+       - -->
 
 The first line has a study and what all its paths begin with. Each line after it has a part of the path and a colon, if
 its items share one, and an item for every number of the text: the rest of a path, or ``-`` for a number that is not
-measured. The header and the first column of a table do not count, nor do code, targets of links and words with digits
-in them. A number may be rounded to any number of digits.
+measured; ``<`` before a path: the number is a bound of the measured one's magnitude. A line with words in braces stands
+for one line for each of them, and an indented line goes on with the one before. The header and the first column of a
+table do not count, nor do code, targets of links and words with digits in them. A number may be rounded to any digit.
 """
 
 from __future__ import annotations
@@ -80,15 +82,20 @@ def rounded(value: float, shown: str) -> str:
 
 def paths(marker: str) -> list[str]:
     """Return the items of a marker in order, each a whole path or UNMEASURED."""
-    first, *lines = marker.strip().splitlines()
+    first, *lines = re.sub(r"\n[ \t]+", " ", marker.strip()).splitlines()
     head, colon, rest = first.partition(":")
     if not colon and len(first.split()) > 1:
         head, rest = "", first
     found = []
     for line in [rest, *lines]:
-        prefix, colon, items = line.rpartition(":")
+        prefix, _, items = line.rpartition(":")
+        prefix, _, values = prefix.partition("{")
         parts = [part for part in (head.strip(), prefix.strip()) if part]
-        found += [item if item == UNMEASURED else ".".join([*parts, item]) for item in items.split()]
+        for value in values.rstrip(" }").split() or [""]:
+            for item in items.split():
+                below, path = ("<", item[1:]) if item.startswith("<") else ("", item)
+                whole = ".".join([*parts, path]).replace("{}", value)
+                found.append(item if item == UNMEASURED else below + whole)
     return found
 
 
@@ -127,14 +134,18 @@ def faults(text: str, source: str, evidence: Path) -> list[str]:
         for number in block:
             if number.path == UNMEASURED:
                 continue
-            where = f"{source}:{text.count(chr(10), 0, number.start) + 1}: {number.path}"
+            path = number.path.removeprefix("<")
+            where = f"{source}:{text.count(chr(10), 0, number.start) + 1}: {path}"
             try:
-                value = look_up(number.path, evidence)
+                value = look_up(path, evidence)
             except LookupError as error:
                 found.append(f"{where}: {error.args[0]}")
-            else:
-                if float(rounded(value, number.text)) != float(number.text):
-                    found.append(f"{where}: shows {number.text}, measured {value!r}")
+                continue
+            if path != number.path:
+                if not abs(value) < float(number.text):
+                    found.append(f"{where}: shows < {number.text}, measured {value!r}")
+            elif float(rounded(value, number.text)) != float(number.text):
+                found.append(f"{where}: shows {number.text}, measured {value!r}")
     if len(TAG.findall(text)) != len(MARKER.findall(text)):
         found.append(f"{source}: a marker is not closed")
     return found
@@ -145,7 +156,7 @@ def rewritten(text: str, evidence: Path) -> str:
     for _, block in list(marked(text))[::-1]:
         for start, shown, path in [] if isinstance(block, str) else block[::-1]:
             with contextlib.suppress(LookupError):
-                if path != UNMEASURED:
+                if path != UNMEASURED and not path.startswith("<"):
                     text = text[:start] + rounded(look_up(path, evidence), shown) + text[start + len(shown) :]
     return text
 

@@ -1,4 +1,4 @@
-"""How well the published constants reproduce the recorded flights, open loop (docs/models.md).
+"""How well the published constants reproduce the recorded flights, open loop (docs/models/vehicle.md).
 
 The computation is ``qrsim validate``'s.
 """

@@ -114,6 +114,18 @@ class TestChecker:
             "a.md:6: flight.mse.down: shows 1.548, measured 1.5465273"
         ]
 
+    def test_a_bound(self, folder: Path):
+        page = "<!--ev flight: <below <mse.down -->\nv < 2.6, < 1.6\n"
+        assert docs.faults(page, "a.md", folder) == []
+        assert docs.rewritten(page, folder) == page
+        assert docs.faults(page.replace("2.6", "2.4"), "a.md", folder) == [
+            "a.md:2: flight.below: shows < 2.4, measured -2.5"
+        ]
+
+    def test_a_line_with_braces_is_repeated(self):
+        marker = " wind.hold:\n a {low high}: {}.mean\n  -\nb"
+        assert docs.paths(marker) == ["wind.hold.a.low.mean", "-", "wind.hold.a.high.mean", "-", "wind.hold.b"]
+
     def test_numbers_are_written_as_they_were_shown(self, folder: Path):
         page = (
             "Of 3:\n\n<!--ev flight: mse.phi mse.down - count zero rate -->\n7e-3, 9.99, 160 s, 17, 0.00 and 98.0 %.\n"

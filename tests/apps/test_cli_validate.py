@@ -99,7 +99,7 @@ def test_a_part_passes_and_tells_its_numbers(quick: Callable[[str], Outcome], na
         assert "rows 1 to 350" in outcome.method
 
 
-def test_scores_are_those_of_the_specification(quick: Callable[[str], Outcome]):
+def test_scores_are_those_published(quick: Callable[[str], Outcome]):
     """Another constant, or another half second, and the score is another one."""
     checks = {check.name: check for name in ("thrust", "rotation") for check in quick(name).checks}
     assert checks["mean squared error of the thrust"].value == pytest.approx(0.9817, rel=5e-4)

@@ -35,7 +35,7 @@ from qrsim.models.vehicles.quadrotor import ProcessNoise, Quadrotor
 Array = np.ndarray[Any, Any]
 DT = 0.02
 QUICK = {"xla_cpu_use_fusion_emitters": False}
-HOVER = 0.59004353928  # the throttle that carries the weight: docs/models.md
+HOVER = 0.59004353928  # the throttle that carries the weight: docs/models/vehicle.md
 SETTLES = 0.74498  # of a tilt command
 
 

@@ -1,4 +1,4 @@
-"""The mapper against plumes that are made up here, by the formulas of docs/models.md written down once more."""
+"""The mapper against plumes that are made up here, by the formulas of docs/models/scene.md written down once more."""
 
 from __future__ import annotations
 

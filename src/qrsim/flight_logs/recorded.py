@@ -1,4 +1,4 @@
-"""The layouts of the public recordings: tables of numbers without a header (docs/models.md)."""
+"""The layouts of the public recordings: tables of numbers without a header (docs/models/vehicle.md)."""
 
 from __future__ import annotations
 

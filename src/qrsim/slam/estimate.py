@@ -30,7 +30,7 @@ from qrsim.slam.solve import DAMPINGS, Point, Solution, landmark_covariance, sol
 
 MOST_ITERATIONS = 100
 FIXED_BYTES = 200 * 2**20
-# Correlation time of the simulator's gauss_markov_2 errors, to 1/e [s]; see docs/models.md.
+# Correlation time of the simulator's gauss_markov_2 errors, to 1/e [s]; equation (G8) of docs/models/gnss.md.
 BIAS_TIME_CONSTANT = 44.3
 
 

@@ -17,7 +17,7 @@ from qrsim.validate.report import Finding, Outcome, Part, reference_check, share
 
 RECORDING = "thrust_rig.csv"
 START_N = 15.4
-# docs/models.md: held against recordings.
+# docs/models/vehicle.md: held against recordings.
 REFERENCE_MEAN_SQUARE, REFERENCE_VARIANCE = "0.9817", "73.9"
 
 

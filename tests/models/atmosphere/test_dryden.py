@@ -1,4 +1,4 @@
-"""Full Dryden turbulence: the step's matrices against matrix exponentials, and what they imply against [M].
+"""Full Dryden turbulence: the step's matrices against matrix exponentials, and what they imply against MIL-F-8785C.
 
 The component's step is linear, so its matrices are read off it by feeding it unit states and unit normals.
 """

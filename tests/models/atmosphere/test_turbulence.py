@@ -238,7 +238,7 @@ class TestAirspeed:
     """The speed shows in the decay: V = -L ln(a)/T."""
 
     CASES = (
-        # velocity over ground, mean wind, relative airspeed, [R]'s
+        # velocity over ground, mean wind, relative airspeed, the reference's
         ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5, 0.5),
         ((0.0, 0.0, 0.0), (-6.0, 8.0, 0.0), 10.0, 0.5),  # hovering in wind U sees U
         ((-6.0, 8.0, 0.0), (-6.0, 8.0, 0.0), 0.5, 10.5),  # drifting with the air

@@ -1,4 +1,4 @@
-"""Concentration sensor (docs/models.md: what tasks are about)."""
+"""Concentration sensor (docs/models/sensors.md)."""
 
 from __future__ import annotations
 

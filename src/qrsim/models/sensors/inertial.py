@@ -1,4 +1,4 @@
-"""Gyroscope and accelerometer (docs/models.md)."""
+"""Gyroscope and accelerometer (docs/models/sensors.md)."""
 
 from __future__ import annotations
 

@@ -1,0 +1,67 @@
+"""The pages of models name every component and files that exist; equations are numbered, links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from qrsim.scenarios import catalogue
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+PAGES = {page.stem: page.read_text("utf-8") for page in [DOCS / "control.md", *sorted((DOCS / "models").glob("*.md"))]}
+ALL_PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+
+
+def test_every_component_of_the_catalogue_is_named() -> None:
+    text = "\n".join([*PAGES.values(), (DOCS / "tasks.md").read_text("utf-8")])
+    kinds = [value for name, value in vars(catalogue).items() if name.isupper() and isinstance(value, dict)]
+    names = {name for kind in kinds for name in kind} - {"none", "given", "still", "calm"}
+    assert len(names) > 40
+    assert sorted(name for name in names if f"`{name}`" not in text and f": {name}`" not in text) == []
+
+
+@pytest.mark.parametrize("letter", "VAGNSEC")
+def test_equations_are_numbered_one_by_one(letter: str) -> None:
+    pages = [re.sub(r"\]\([^)]*\)", "]", text) for text in PAGES.values()]
+    # An equation begins a line, or stands in bold.
+    pattern = re.compile(rf"^(?:\*\*)?\({letter}(\d+)\)", re.MULTILINE)
+    (numbers,) = [found for text in pages if (found := [int(number) for number in pattern.findall(text)])]
+    assert numbers == list(range(1, len(numbers) + 1))
+    index = (DOCS / "models.md").read_text("utf-8")
+    assert f"({letter}1) to ({letter}{numbers[-1]})" in index
+
+
+def test_files_and_tests_exist() -> None:
+    missing = []
+    for page, text in PAGES.items():
+        for path in re.findall(r"`((?:tests|core|models|control|world|flight_logs|evidence)/[\w/.]*)`", text):
+            there = ROOT / path if path.startswith(("tests/", "evidence/")) else ROOT / "src" / "qrsim" / path
+            missing += [] if there.exists() else [f"{page}: {path}"]
+    assert missing == []
+
+
+def _anchors(page: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.+)$", page.read_text("utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.stem)
+def test_links_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"^```.*?^```$", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+    broken = []
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if target.startswith(("http://", "https://")):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        if not file.exists() or (anchor and anchor not in _anchors(file)):
+            broken.append(target)
+    assert broken == []
+
+
+def test_no_page_cites_what_a_reader_does_not_have() -> None:
+    for page in ALL_PAGES:
+        assert not re.search(r"\[R\]|\[S\]|models\.md section|\bspec\.md", page.read_text("utf-8")), page
