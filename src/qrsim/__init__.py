@@ -24,12 +24,15 @@ if TYPE_CHECKING:
         VelocitySetpoint,
         WaypointSetpoint,
     )
+    from qrsim.core.tree import parameter, quantity, record, setting
+    from qrsim.core.vectors import Euler, Vec3
     from qrsim.engine.settings import configure
     from qrsim.models.vehicles.quadrotor import Command
     from qrsim.runs import Run, open_run
     from qrsim.runs.recorder import fly
     from qrsim.scenarios.flying import rollout
     from qrsim.scenarios.making import make_scenario, make_world
+    from qrsim.scenarios.registry import register
     from qrsim.scenarios.scenario import Scenario, load_scenario
     from qrsim.simulation.rollout import Rollout
     from qrsim.simulation.simulation import Simulation
@@ -43,6 +46,7 @@ _LAZY = {
     "AttitudeSetpoint": "qrsim.control",
     "Command": "qrsim.models.vehicles.quadrotor",
     "Estimate": "qrsim.control",
+    "Euler": "qrsim.core.vectors",
     "Rollout": "qrsim.simulation.rollout",
     "Run": "qrsim.runs",
     "Scenario": "qrsim.scenarios.scenario",
@@ -51,6 +55,7 @@ _LAZY = {
     "VelocityHeightSetpoint": "qrsim.control",
     "VelocitySetpoint": "qrsim.control",
     "WaypointSetpoint": "qrsim.control",
+    "Vec3": "qrsim.core.vectors",
     "World": "qrsim.world.tick",
     "configure": "qrsim.engine.settings",
     "fly": "qrsim.runs.recorder",
@@ -58,7 +63,12 @@ _LAZY = {
     "make_scenario": "qrsim.scenarios.making",
     "make_world": "qrsim.scenarios.making",
     "open_run": "qrsim.runs",
+    "parameter": "qrsim.core.tree",
+    "quantity": "qrsim.core.tree",
+    "record": "qrsim.core.tree",
+    "register": "qrsim.scenarios.registry",
     "rollout": "qrsim.scenarios.flying",
+    "setting": "qrsim.core.tree",
 }
 
 # Rooms that are used as a library, imported on first use too.
@@ -69,11 +79,13 @@ __all__ = [
     "AttitudeSetpoint",
     "Command",
     "Estimate",
+    "Euler",
     "Rollout",
     "Run",
     "Scenario",
     "Simulation",
     "State",
+    "Vec3",
     "VelocityHeightSetpoint",
     "VelocitySetpoint",
     "WaypointSetpoint",
@@ -86,7 +98,12 @@ __all__ = [
     "make_scenario",
     "make_world",
     "open_run",
+    "parameter",
+    "quantity",
+    "record",
+    "register",
     "rollout",
+    "setting",
 ]
 
 

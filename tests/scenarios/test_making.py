@@ -225,5 +225,5 @@ class TestBadInput:
         class MyWind:
             speed: float = 3.0
 
-        with pytest.raises(UsageError, match=r"wind: MyWind is not in the catalogue; .* dataclasses.replace"):
+        with pytest.raises(UsageError, match=r"test_making.py: class MyWind is no record; write @qrsim.record"):
             make_scenario([[0, 0, -10]], wind=MyWind())

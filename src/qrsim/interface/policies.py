@@ -15,21 +15,17 @@ what it did before, as with sensors that have nothing to say. Both see readings 
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import inspect
-import sys
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import jax
 
 from qrsim.core.sameness import Itself, sameness
-from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean, nearest
-from qrsim.files.user_files import check_file
+from qrsim.errors import QrsimError, RunError, UsageError
+from qrsim.files.code import load_object
 
 
 @dataclass(frozen=True)
@@ -121,66 +117,9 @@ def _check_arguments(what: str, name: str, function: Any, arguments: list[str]) 
 
 
 def load_function(what: str, source: str, words: Sequence[str] = ()) -> Any:
-    """Return what ``module:name`` or ``file.py:name`` names; modules in the working folder are found too.
-
-    Args:
-        what: it is, for messages.
-        source: its name.
-        words: that would have been understood in its place.
+    """Return what ``module:name`` or ``file.py:name`` names, see ``qrsim.files.code``.
 
     Raises:
         UsageError: no such module, file or name in it, or it fails while it is imported.
     """
-    place, colon, name = source.rpartition(":")
-    if not colon or not place or not name:
-        built_in = nearest(source, words)
-        meant = f"; did you mean '{built_in}'?" if built_in else "".join(f", or '{word}'" for word in words)
-        example = "expected module:function or file.py:function, for example my_policy:hover"
-        raise UsageError(f"{what} {source}: {example}{meant}")
-    module = _import_file(what, Path(place)) if place.endswith(".py") else _import_module(what, place)
-    if not hasattr(module, name):
-        public = [other for other in vars(module) if not other.startswith("_")]
-        raise UsageError(f"{what} {source}: {place} has no '{name}'{did_you_mean(name, public)}")
-    return getattr(module, name)
-
-
-def _import_module(what: str, name: str) -> Any:
-    folder = str(Path.cwd())
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name == name.split(".")[0] or error.name == name:
-            near = [path.stem for path in Path.cwd().glob("*.py")]
-            raise UsageError(f"{what}: no module is called '{name}'{did_you_mean(name, near)}") from None
-        raise UsageError(f"{what} {name}: it imports '{error.name}', which is not there") from None
-    except Exception as error:
-        raise UsageError(f"{what} {name}: importing it failed: {type(error).__name__}: {error}") from error
-
-
-def _import_file(what: str, path: Path) -> Any:
-    if not path.is_file():
-        near = [str(other) for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
-        hint = did_you_mean(str(path), near)
-        raise UsageError(f"{what}: there is no file {path}{hint if 'mean' in hint else ''}")
-    try:
-        check_file(path)
-    except OSError as error:
-        raise UsageError(f"{what} {path}: cannot be read: {error.strerror}") from None
-    name = str(path.resolve())
-    # A file that holds both a policy and an estimator is one module.
-    if name in sys.modules:
-        return sys.modules[name]
-    specification = importlib.util.spec_from_file_location(name, path)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    # Dataclasses look for their own module there.
-    sys.modules[name] = module
-    try:
-        specification.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[name]
-        raise UsageError(f"{what} {path}: importing it failed: {type(error).__name__}: {error}") from error
-    return module
+    return load_object(what, source, words)

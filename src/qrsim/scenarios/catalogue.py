@@ -109,3 +109,28 @@ SENSORS: Catalogue = {
     "camera": Camera,
     "ideal_camera": IdealCamera,
 }
+# What a scenario cannot name, but a command or a rollout can.
+ESTIMATORS: Catalogue = {}
+METRICS: Catalogue = {}
+
+# Every kind of component that can come from outside, see docs/extending.md; obstacles are gathered by their shapes.
+KINDS: dict[str, Catalogue] = {
+    "sensor": SENSORS,
+    "vehicle": VEHICLES,
+    "wind": WINDS,
+    "turbulence": TURBULENCES,
+    "gust": GUSTS,
+    "sky": SKY_ERRORS,
+    "orbits": ORBITS,
+    "controller": CONTROLLERS,
+    "guidance": GUIDANCE,
+    "estimator": ESTIMATORS,
+    "battery": BATTERIES,
+    "area": AREAS,
+    "plume": PLUMES,
+    "terrain": TERRAINS,
+    "persons": PERSONS,
+    "placement": PLACEMENTS,
+    "task": TASKS,
+    "metric": METRICS,
+}

@@ -11,7 +11,9 @@ import numpy as np
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue
+from qrsim.scenarios.registry import name_of
 from qrsim.scenarios.scenario import Scenario, load_scenario
+from qrsim.scenarios.schema import SKY_KINDS
 from qrsim.world.tick import World
 
 SCENARIO_PARTS = ("name", "description", "duration", "time_step", "start_time", "site", "extends", "ranges", "task")
@@ -59,7 +61,7 @@ def make_scenario(
             name. With ``extends``, ``fleets`` says what is different in them, and may be left out.
 
     Raises:
-        UsageError: an unknown part, or an object that the catalogue does not have.
+        UsageError: an unknown part, or an object that is no component of its kind.
         ScenarioError: what the parts say is wrong; the message lists every fault.
     """
     extends = "extends" in parts
@@ -74,7 +76,7 @@ def make_scenario(
         if name not in known:
             raise UsageError(f"make_scenario: no part is called '{name}'{did_you_mean(name, known)}")
     content: dict[str, Any] = {"name": "experiment"}
-    content |= {name: _plain(parts[name], name) for name in SCENARIO_PARTS if name in parts}
+    content |= {name: _plain(parts[name], name, name) for name in SCENARIO_PARTS if name in parts}
     world = {name: _part(parts[name], name) for name in WORLD_PARTS if name in parts}
     if world:
         content["world"] = world
@@ -94,7 +96,7 @@ def make_world(
 ) -> World:
     """Return the World of parts given in Python; see ``make_scenario``.
 
-    A component of your own, which no catalogue has, goes in afterwards: ``dataclasses.replace(world, wind=MyWind())``.
+    A component of your own is given as an object, as the built-in ones are: ``wind=MyWind()`` (docs/extending.md).
 
     Raises:
         UsageError, ScenarioError: as ``make_scenario``.
@@ -122,7 +124,7 @@ def _fleet(name: str, fleet: Any, extends: bool) -> dict[str, Any]:
 
 def _sensors(name: str, sensors: Any) -> dict[str, Any]:
     if isinstance(sensors, Mapping):
-        return {sensor: _part(value, sensor) for sensor, value in sensors.items()}
+        return {sensor: _part(value, sensor, "sensor") for sensor, value in sensors.items()}
     if not isinstance(sensors, str) or sensors not in SENSORS:
         hint = did_you_mean(str(sensors), SENSORS)
         raise UsageError(f"make_scenario: fleets.{name}.sensors: {sensors!r} is neither a dict nor known{hint}")
@@ -136,14 +138,15 @@ def _vehicles(name: str, vehicles: Any) -> list[Any]:
     return [vehicle if isinstance(vehicle, Mapping) else {"position_ned": vehicle} for vehicle in plain]
 
 
-def _part(value: Any, name: str) -> Any:
+def _part(value: Any, name: str, kind: str = "") -> Any:
     """Return a component as YAML has it; those inside the sky may be named by their types too."""
     if name == "sky" and isinstance(value, Mapping):
         return {key: entry if key == "period" else _part(entry, f"sky.{key}") for key, entry in value.items()}
-    return {"type": value} if isinstance(value, str) else _plain(value, name)
+    kinds = {f"sky.{part}": other for other, part in SKY_KINDS.items()}
+    return {"type": value} if isinstance(value, str) else _plain(value, name, kind or kinds.get(name, name))
 
 
-def _plain(value: Any, name: str) -> Any:
+def _plain(value: Any, name: str, kind: str = "") -> Any:
     """Return a value as YAML has it: components as dicts, arrays as lists, numbers of NumPy as Python's."""
     if isinstance(value, Mapping):
         return {key: _plain(entry, f"{name}.{key}") for key, entry in value.items()}
@@ -156,10 +159,9 @@ def _plain(value: Any, name: str) -> Any:
             return {"type": _TYPES[type(value)], **content}
         if type(value).__module__.startswith("qrsim."):
             return content
-        raise UsageError(
-            f"make_scenario: {name}: {type(value).__name__} is not in the catalogue; make the world without it and put "
-            f"it in by dataclasses.replace"
-        )
+        if kind in catalogue.KINDS:
+            return {"type": name_of(kind, type(value)), **content}
+        raise UsageError(f"make_scenario: {name}: {type(value).__name__} is no part of a scenario")
     if isinstance(value, np.ndarray | np.generic) or hasattr(value, "__array__"):
         return np.asarray(value).tolist()
     if isinstance(value, list | tuple):

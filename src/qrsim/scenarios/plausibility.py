@@ -21,6 +21,7 @@ from qrsim.models.vehicles.quadrotor import (
     THROTTLE_RAW_PER_UNIT,
     Quadrotor,
 )
+from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
 # Below this there is next to nothing left to climb, to lean and to fight gusts with.
@@ -32,6 +33,8 @@ LEAST_DAMPING = 0.1
 BLOWN_AWAY, GUST_SIGMAS = 4.0 / 3.0, 2.0
 # What the published thrust law was identified for [V].
 IDENTIFIED_V = COMMAND_LIMITS["battery"]
+# Of a controller that names no voltage [V].
+FULL_V = 12.0
 PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 
 
@@ -39,10 +42,12 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield a sentence for each thing that cannot fly, its path first; ``scenario`` has no problems."""
     for name, fleet in scenario.fleets.items():
         path = f"fleets.{name}"
-        yield from _lift(path, fleet)
-        yield from _battery(path, fleet)
-        yield from _loops(path, fleet, scenario.time_step)
-        yield from _wind(path, fleet, scenario)
+        # Of a vehicle from outside the constants mean what they mean there.
+        if not is_outside("vehicle", fleet.vehicle.type):
+            yield from _lift(path, fleet)
+            yield from _battery(path, fleet)
+            yield from _loops(path, fleet, scenario.time_step)
+            yield from _wind(path, fleet, scenario)
         for sensor, spec in fleet.sensors.items():
             period = getattr(spec, "period", 0.0) or 0.0
             if period > scenario.duration:
@@ -68,7 +73,9 @@ def _worst(path: str, name: str, value: Any, score: Any) -> tuple[int, str]:
 
 def _voltages(fleet: FleetSpec) -> Any:
     """Return the voltage (n,) of each vehicle's full battery [V]."""
-    own = fleet.battery.voltage_full if fleet.battery.type == "lithium_polymer" else fleet.controller.battery
+    own = getattr(fleet.controller, "battery", FULL_V)
+    if fleet.battery.type == "lithium_polymer":
+        own = fleet.battery.voltage_full
     return np.broadcast_to(np.asarray(own, np.float64), (len(fleet.vehicles),))
 
 
@@ -215,6 +222,8 @@ def _wind(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
 def mean_wind(scenario: ScenarioSpec, heights: Any) -> Any:
     """Return the speed of the mean wind [m/s] at heights (n,) [m]; of a recorded one its largest."""
     wind = scenario.world.wind
+    if is_outside("wind", wind.type):
+        return np.zeros(len(heights))
     if wind.type == "series":
         try:
             _, air = read_wind(Path(wind.file), wind.max_gap)
@@ -231,6 +240,8 @@ def mean_wind(scenario: ScenarioSpec, heights: Any) -> Any:
 def gust_sigma(scenario: ScenarioSpec, heights: Any) -> Any:
     """Return the standard deviation [m/s] of the horizontal gusts at heights (n,) [m] (MIL-F-8785C, low altitude)."""
     turbulence = scenario.world.turbulence
+    if is_outside("turbulence", turbulence.type):
+        return np.zeros(len(heights))
     speed = getattr(turbulence, "speed_20ft", 0.0)
     if speed is None:
         speed = getattr(scenario.world.wind, "speed_20ft", 0.0)

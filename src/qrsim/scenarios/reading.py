@@ -17,6 +17,7 @@ from qrsim.files.yaml_text import DEEPEST, MOST_NODES
 from qrsim.files.yaml_text import dump_yaml as dump_yaml
 from qrsim.files.yaml_text import parse_yaml as parse_yaml
 from qrsim.scenarios.problems import component_types
+from qrsim.scenarios.providing import anchor_code
 from qrsim.scenarios.schema import ScenarioSpec
 
 
@@ -102,6 +103,7 @@ def _read_file(name: str, folder: Path) -> dict[str, Any]:
         raise UsageError(f"scenario file {path}: cannot be read: {error.strerror}") from None
     content = _as_mapping(parse_yaml(text, name), name)
     anchor_files(content, folder)
+    anchor_code(content, folder)
     return content
 
 

@@ -17,6 +17,7 @@ from qrsim.scenarios import build
 from qrsim.scenarios.places import in_ned
 from qrsim.scenarios.plausibility import plausibility_warnings
 from qrsim.scenarios.problems import describe
+from qrsim.scenarios.providing import anchor_code, provide_components
 from qrsim.scenarios.reading import (
     anchor_files,
     apply_override,
@@ -26,6 +27,7 @@ from qrsim.scenarios.reading import (
     read_scenario,
 )
 from qrsim.scenarios.schema import ScenarioSpec, json_schema
+from qrsim.scenarios.trial import trial_problems
 from qrsim.scenarios.vehicle_file import insert_vehicle_files
 from qrsim.world.tick import World
 
@@ -86,11 +88,13 @@ class Scenario:
 
 
 def _of_content(content: dict[str, Any]) -> Scenario:
+    # Another process has yet to load the components from outside.
+    provide_components(content, "scenario")
     return Scenario(ScenarioSpec.model_validate(content))
 
 
 def load_scenario(
-    source: str | Path | dict[str, Any], overrides: Iterable[str] = (), *, quiet: bool = False
+    source: str | Path | dict[str, Any], overrides: Iterable[str] = (), *, quiet: bool = False, local: bool = True
 ) -> Scenario:
     """Read and check a scenario; warn of what is allowed and cannot fly.
 
@@ -98,6 +102,7 @@ def load_scenario(
         source: a built-in name, the path of a YAML file, or the content as a dict.
         overrides: assignments such as "world.wind.speed_20ft=7", applied before the check.
         quiet: whether to leave out the warnings, where somebody has had them or many variants are tried.
+        local: whether the user of this machine wrote it; only then is code loaded that it names.
 
     Raises:
         UsageError: there is no such scenario.
@@ -113,13 +118,17 @@ def load_scenario(
     check_size(content, name)
     # Files named in Python or by an override are relative to the working folder.
     anchor_files(content, Path.cwd())
+    anchor_code(content, Path.cwd())
     insert_vehicle_files(content, name)
+    if local:
+        provide_components(content, name)
     try:
         spec = ScenarioSpec.model_validate(content)
     except ValidationError as error:
         raise ScenarioError(name, describe(error, ScenarioSpec, content)) from None
     spec, found, written = in_ned(spec)
     found = found or [_as_written(problem, written) for problem in build.problems(spec)]
+    found = found or list(trial_problems(spec))
     if found:
         raise ScenarioError(name, found)
     for words in () if quiet else plausibility_warnings(spec):

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_args, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -32,6 +32,10 @@ NAME = r"^[A-Za-z0-9_.-]+$"
 Position = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Corner = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 LONGEST_ROUTE, MOST_CORNERS = 2000, 1000
+# Kinds of components by where they stand: in the world, in its sky by another name, in a fleet.
+WORLD_KINDS = ("wind", "turbulence", "gust", "area", "plume", "terrain", "persons")
+SKY_KINDS = {"sky": "errors", "orbits": "orbits"}
+FLEET_KINDS = ("vehicle", "controller", "guidance", "battery")
 
 
 def _add_degrees(schema: dict[str, Any]) -> None:
@@ -403,6 +407,33 @@ class ScenarioSpec(Strict):
     fleets: dict[str, FleetSpec] = Field(description="fleets by name", min_length=1)
     ranges: list[RangeSpec] = Field([], description="numbers that every episode draws anew", max_length=1000)
     task: TaskSlot = Field({"type": "none"}, description="what is to be done, and its reward", validate_default=True)
+
+
+def refresh(kind: str) -> None:
+    """Take the components of a kind that the catalogue has by now into the schema."""
+    if kind not in _PLACES:
+        return
+    model, name, each = _PLACES[kind]
+    slot = _area_slot() if kind == "area" else _slot(known.KINDS[kind], each=each)
+    # The classes stay the same, because others have imported them; only what may stand in them is new.
+    field = model.model_fields[name]
+    if name == "sensors":
+        field.annotation = dict[str, slot]  # type: ignore[valid-type]
+    else:
+        field.annotation, field.discriminator = get_args(slot)[0], "type"
+    for part in (SkySpec, WorldSpec, FleetSpec, ScenarioSpec):
+        part.model_rebuild(force=True)
+
+
+# Where the components of a kind stand, and whether their numbers may be lists with one for each vehicle.
+_PLACES: dict[str, tuple[type[Strict], str, bool]] = {
+    **{kind: (WorldSpec, kind, False) for kind in WORLD_KINDS},
+    **{kind: (SkySpec, part, False) for kind, part in SKY_KINDS.items()},
+    **{kind: (FleetSpec, kind, True) for kind in FLEET_KINDS},
+    "placement": (FleetSpec, "placement", False),
+    "sensor": (FleetSpec, "sensors", True),
+    "task": (ScenarioSpec, "task", False),
+}
 
 
 def json_schema() -> dict[str, Any]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from qrsim.models.gnss.orbits import split_time
+from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import ScenarioSpec
 
 # Steps are counted in int32.
@@ -41,5 +43,10 @@ def timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
                 yield f"{path}: {sensor.period:g} s; allowed: up to {MOST_STEPS * dt:g} s, {MOST_STEPS} time steps"
             elif not is_multiple(sensor.period, dt):
                 yield f"{path}: {sensor.period:g} s is not a multiple of the time step {dt:g} s"
-            elif "gnss" in sensor.type and not is_multiple(sensor.period, sky):
+            elif "sky" in _reads(sensor.type) and not is_multiple(sensor.period, sky):
                 yield f"{path}: {sensor.period:g} s is not a multiple of world.sky.period, {sky:g} s"
+
+
+def _reads(sensor: str) -> tuple[str, ...]:
+    cls: Any = known.SENSORS[sensor]
+    return tuple(cls.reads)

@@ -11,6 +11,7 @@ import yaml
 
 from qrsim.control.controllers import OffboardController
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.scenarios.providing import outside_problems
 from qrsim.scenarios.reading import built_in_names, parse_yaml
 from qrsim.scenarios.scenario import Scenario, load_scenario
 
@@ -125,7 +126,7 @@ def uploaded(text: str) -> Scenario:
         problems = list(_upload_problems(content))
         if problems:
             raise ScenarioError("scenario", problems)
-        return load_scenario(content)
+        return load_scenario(content, local=False)
     except RecursionError:
         raise UsageError("scenario: nested too deeply") from None
 
@@ -157,6 +158,7 @@ def _upload_problems(content: Any) -> Iterator[str]:
             yield f"{path}: a scenario that a client sends can name no files"
         if isinstance(value, int) and value > LARGEST.get(key, value):
             yield f"{path}: {value}; allowed in a scenario that a client sends: up to {LARGEST[key]}"
+    yield from outside_problems(content)
     fleets = content.get("fleets")
     if not isinstance(fleets, Mapping):
         return

@@ -1,0 +1,147 @@
+"""Loads what a user names as ``module:name`` or ``file.py:name``: code that stands on this machine, and is run."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from qrsim.errors import UsageError, did_you_mean, nearest, shortened
+from qrsim.files.user_files import check_file
+
+# Modules of files have names of their own, so that a file hides no installed package.
+PREFIX = "qrsim_file_"
+
+
+def is_code(source: Any) -> bool:
+    """Return whether a text names code: a module or a file, a colon, and a name in it."""
+    place, colon, name = source.rpartition(":") if isinstance(source, str) else ("", "", "")
+    return bool(colon and place and name.isidentifier())
+
+
+def file_of(source: str) -> Path | None:
+    """Return the file of ``file.py:name``, None where a module is named."""
+    place = source.rpartition(":")[0]
+    return Path(place) if place.endswith(".py") else None
+
+
+def anchored(source: str, folder: Path) -> str:
+    """Return ``file.py:name`` with an absolute path, a relative one being relative to the folder; else the same."""
+    path = file_of(source)
+    if path is None:
+        return source
+    # Not resolved: a link is where the user says it is.
+    return f"{os.path.abspath(folder / path.expanduser())}:{source.rpartition(':')[2]}"
+
+
+def load_object(what: str, source: str, words: Sequence[str] = (), *, kind: str = "function") -> Any:
+    """Return what ``module:name`` or ``file.py:name`` names; modules in the working folder are found too.
+
+    A file that has changed since it was loaded is loaded anew.
+
+    Args:
+        what: it is, for messages.
+        source: its name.
+        words: that would have been understood in its place.
+        kind: of thing that is expected, for messages.
+
+    Raises:
+        UsageError: no such module, file or name in it, or it fails while it is imported.
+    """
+    place, colon, name = source.rpartition(":")
+    if not colon or not place or not name:
+        built_in = nearest(source, words)
+        meant = f"; did you mean '{built_in}'?" if built_in else "".join(f", or '{word}'" for word in words)
+        own = "my_policy:hover" if kind == "function" else "./laser.py:Laser"
+        example = f"expected module:{kind} or file.py:{kind}, for example {own}"
+        raise UsageError(f"{what} {source}: {example}{meant}")
+    module = _import_file(what, Path(place)) if place.endswith(".py") else _import_module(what, place)
+    if not hasattr(module, name):
+        own_names = (other for other in vars(module) if not other.startswith("_"))
+        public = [other for other in own_names if kind == "function" or isinstance(getattr(module, other), type)]
+        raise UsageError(f"{what} {source}: {place} has no '{name}'{did_you_mean(name, public)}")
+    return getattr(module, name)
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file's content, in hexadecimal digits."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def where_raised(error: BaseException, files: Sequence[str]) -> str:
+    """Return "FILE, line N" of the innermost line of some files that an error passed, "" where it passed none."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}, line {error.lineno}"
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if frame.filename in files:
+            return f"{frame.filename}, line {frame.lineno}"
+    return ""
+
+
+def in_one_line(error: BaseException) -> str:
+    """Return the type of an error and the first line of what it says."""
+    said = error.msg if isinstance(error, SyntaxError) else str(error)
+    first = said.strip().splitlines()[0] if said.strip() else ""
+    return f"{type(error).__name__}: {shortened(first, 400)}" if first else type(error).__name__
+
+
+def _import_module(what: str, name: str) -> ModuleType:
+    folder = str(Path.cwd())
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name == name.split(".")[0] or error.name == name:
+            near = [path.stem for path in Path.cwd().glob("*.py")]
+            raise UsageError(f"{what}: no module is called '{name}'{did_you_mean(name, near)}") from None
+        raise UsageError(f"{what} {name}: it imports '{error.name}', which is not there") from None
+    except (Exception, SystemExit) as error:
+        spec = importlib.util.find_spec(name) if "." not in name else None
+        raise UsageError(f"{what} {name}: {_failed(error, [spec.origin or ''] if spec else [])}") from error
+
+
+def _failed(error: BaseException, files: list[str]) -> str:
+    """Return why an import failed, with the line: of one of the files, or else the innermost of all."""
+    own = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
+    place = where_raised(error, files) or where_raised(error, [name for name in own if "importlib" not in name])
+    return f"importing it failed: {in_one_line(error)}" + (f" ({place})" if place else "")
+
+
+def _import_file(what: str, path: Path) -> ModuleType:
+    if not path.is_file():
+        near = [str(other) for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
+        hint = did_you_mean(str(path), near)
+        raise UsageError(f"{what}: there is no file {path}{hint if 'mean' in hint else ''}")
+    try:
+        check_file(path)
+        content = digest(path)
+    except OSError as error:
+        raise UsageError(f"{what} {path}: cannot be read: {error.strerror}") from None
+    # By its content: a saved state finds its records again where the file has been moved, and not in another version.
+    name = f"{PREFIX}{path.stem}_{content[:16]}"
+    here = str(path.resolve())
+    if name in sys.modules and getattr(sys.modules[name], "__file__", "") != here:
+        name += hashlib.sha256(here.encode()).hexdigest()[:8]
+    if name in sys.modules:
+        return sys.modules[name]
+    specification = importlib.util.spec_from_file_location(name, here)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    # Dataclasses look for their own module there.
+    sys.modules[name] = module
+    try:
+        # Not by the loader: it would take the compiled form of a version of the same second.
+        exec(compile(path.read_bytes(), here, "exec"), vars(module))
+    except (Exception, SystemExit) as error:
+        del sys.modules[name]
+        raise UsageError(f"{what} {path}: {_failed(error, [here])}") from error
+    return module

@@ -1,0 +1,225 @@
+"""Whether a class can be a component of a kind: a record whose parameters have units, with the methods that are called.
+
+What a contract (``contracts.py`` in each room) has a default for may be left out, also by a class that does not name
+the contract as its base class: it is then given the default.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import sys
+from collections.abc import Iterator
+from typing import Any, get_type_hints
+
+import jax
+
+from qrsim.control.contracts import Controller, Guidance
+from qrsim.core.tree import INFO, FieldInfo, field_info
+from qrsim.errors import nearest
+from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
+from qrsim.models.gnss.contracts import RangeErrors
+from qrsim.models.scene.contracts import Area
+from qrsim.models.sensors.contracts import SCENE, Sensor
+from qrsim.models.vehicles.contracts import AROUND, Battery, Vehicle
+from qrsim.scenarios import catalogue
+from qrsim.tasks.contracts import Task
+
+CONTRACTS: dict[str, type] = {
+    "sensor": Sensor,
+    "vehicle": Vehicle,
+    "wind": Wind,
+    "turbulence": Turbulence,
+    "gust": Gust,
+    "sky": RangeErrors,
+    "controller": Controller,
+    "guidance": Guidance,
+    "battery": Battery,
+    "area": Area,
+    "task": Task,
+}
+# What is called of kinds without a contract, with the arguments.
+CALLS: dict[str, dict[str, tuple[str, ...]]] = {
+    "estimator": {"init": ("reading",), "step": ("reading", "memory")},
+    "metric": {
+        "init": ("world", "state"),
+        "update": ("memory", "world", "state", "tick"),
+        "finish": ("memory", "world", "state"),
+    },
+}
+# Of these an object is made without arguments, and what it is made of is its own affair.
+PLAIN = ("estimator", "metric")
+# What may be named in ``reads``.
+READABLE = {"sensor": SCENE, "vehicle": AROUND}
+
+
+def conformity_problem(kind: str, component: Any) -> str | None:
+    """Return in one sentence what a class lacks to be a component of a kind, None where it lacks nothing."""
+    if not isinstance(component, type):
+        return f"expected a class, found {component!r:.100}"
+    checks = [_method_problems] if kind in PLAIN else [_record_problems, _field_problems, _method_problems]
+    for check in checks:
+        for problem in check(kind, component):
+            return f"{file_of_class(component)}: {problem}"
+    _complete(kind, component)
+    return None
+
+
+def file_of_class(component: type) -> str:
+    """Return the file in which a class is, its module where it is in none."""
+    return getattr(sys.modules.get(component.__module__), "__file__", None) or component.__module__
+
+
+def _record_problems(kind: str, component: type) -> Iterator[str]:
+    own = vars(component).get("__dataclass_params__")
+    if own is None or not own.frozen or not _is_tree(component):
+        yield f"class {component.__name__} is no record; write @qrsim.record above it"
+
+
+def _is_tree(component: type) -> bool:
+    """Return whether JAX looks into objects of a dataclass."""
+    item: Any = object.__new__(component)
+    for field in dataclasses.fields(component):
+        object.__setattr__(item, field.name, 0)
+    return not jax.tree_util.all_leaves([item])
+
+
+def _field_problems(kind: str, component: type, prefix: str = "") -> Iterator[str]:
+    name = component.__name__
+    try:
+        hints = get_type_hints(component)
+    except Exception as error:
+        yield f"class {name}: its annotations cannot be read: {error}"
+        return
+    for field in dataclasses.fields(component):
+        title, info = f"{name}.{prefix}{field.name}", field_info(field)
+        if INFO not in field.metadata:
+            yield f"{title} has no unit; expected {field.name}: ... = qrsim.parameter(default, unit=..., doc=...)"
+        elif field.name == "type":
+            yield f"{title}: 'type' is what a scenario names the component by; choose another name"
+        elif dataclasses.is_dataclass(field.default) and not isinstance(field.default, type):
+            yield from _field_problems(kind, type(field.default), f"{prefix}{field.name}.")
+        elif not info.unit and (not info.static or hints[field.name] is float):
+            yield f"{title} has no unit; expected unit='m' or the like, '1' for a plain number"
+        elif not info.doc:
+            yield f"{title} has no doc; expected one sentence that says what it is"
+        else:
+            yield from _default_problems(title, field, info, hints[field.name])
+
+
+def _default_problems(title: str, field: dataclasses.Field[Any], info: FieldInfo, hint: Any) -> Iterator[str]:
+    default = field.default
+    if field.default_factory is not dataclasses.MISSING:
+        yield f"{title}: a default_factory has no place in a schema; give a number as its default"
+    elif default is dataclasses.MISSING or (default is None and info.inherits):
+        return
+    elif not info.static and (isinstance(default, bool) or not isinstance(default, int | float)):
+        yield f"{title}: its default is {default!r:.60}; expected a number"
+    elif not info.static:
+        low, high, above = info.minimum, info.maximum, info.above
+        if (low is not None and default < low) or (high is not None and default > high):
+            yield f"{title}: its default {default:g} is out of its own bounds"
+        if above is not None and default <= above:
+            yield f"{title}: its default {default:g} is out of its own bounds"
+
+
+def _method_problems(kind: str, component: type) -> Iterator[str]:
+    yield from _attribute_problems(kind, component)
+    for name, positional, named in _calls(kind, component):
+        arguments = (*positional, *(f"{key}=..." for key in named))
+        method = getattr(component, name, None)
+        if not callable(method) or getattr(method, "__isabstractmethod__", False):
+            yield (
+                f"class {component.__name__} lacks the method {name}({', '.join(arguments)}) that a {kind} "
+                f"has{_meant(component, name)}"
+            )
+            continue
+        try:
+            signature = inspect.signature(method)
+        except (TypeError, ValueError):
+            continue
+        try:
+            if positional != ["..."]:
+                signature.bind(None, *positional, **dict.fromkeys(named))
+        except TypeError:
+            takes = f"({', '.join(str(part) for part in list(signature.parameters.values())[1:])})"
+            yield (
+                f"{component.__name__}.{name} takes {takes}; expected ({', '.join(arguments)}), with which a "
+                f"{kind} is called"
+            )
+
+
+def _attribute_problems(kind: str, component: type) -> Iterator[str]:
+    contract = CONTRACTS.get(kind)
+    fields = getattr(component, "__dataclass_fields__", {})
+    for name in getattr(contract, "__annotations__", {}):
+        if not hasattr(contract, name) and name not in fields and not hasattr(component, name):
+            yield (
+                f"class {component.__name__} lacks '{name}' that a {kind} has (see {contract.__module__})"
+                f"{_meant(component, name)}"
+            )
+    reads = getattr(component, "reads", ())
+    for name in reads if kind in READABLE else ():
+        if name not in READABLE[kind]:
+            match = nearest(name, READABLE[kind])
+            hint = f"did you mean '{match}'?" if match else f"allowed: {', '.join(READABLE[kind])}"
+            yield f"{component.__name__}.reads names '{name}', which a {kind} cannot read; {hint}"
+
+
+def _calls(kind: str, component: type) -> Iterator[tuple[str, list[str], list[str]]]:
+    """Yield the required methods of a kind: name, and what is handed in by place and by name; "..." is not known."""
+    contract = CONTRACTS.get(kind)
+    if contract is None:
+        for name, arguments in CALLS.get(kind, {}).items():
+            yield name, list(arguments), []
+        for name in () if kind in CALLS else _common(kind):
+            yield name, ["..."], []
+        return
+    for name, function in vars(contract).items():
+        if not inspect.isfunction(function) or name.startswith("_"):
+            continue
+        if not getattr(function, "__isabstractmethod__", False) and name not in vars(component):
+            continue
+        yield name, *_arguments(component, function)
+
+
+def _arguments(component: Any, function: Any) -> tuple[list[str], list[str]]:
+    """Return the names of what a method is called with by place and by name."""
+    positional: list[str] = []
+    named: list[str] = []
+    for part in list(inspect.signature(function).parameters.values())[1:]:
+        if part.kind is part.VAR_KEYWORD:
+            named += getattr(component, "reads", ())
+        elif part.kind is part.VAR_POSITIONAL:
+            continue
+        elif part.default is part.empty or (part.name == "around" and bool(getattr(component, "reads", ()))):
+            positional.append(part.name)
+        elif part.name == "others_ned" and getattr(component, "sees_others", False):
+            named.append(part.name)
+    return positional, named
+
+
+def _common(kind: str) -> list[str]:
+    """Return the public methods that all built-in components of a kind have."""
+    built_in = [known for known in catalogue.KINDS[kind].values() if known.__module__.startswith("qrsim.")]
+    methods = [{name for name in dir(known) if not name.startswith("_") and callable(getattr(known, name))}
+               for known in built_in]  # fmt: skip
+    return sorted(set.intersection(*methods)) if methods else []
+
+
+def _meant(component: type, name: str) -> str:
+    own = [known for known in vars(component) if not known.startswith("_")]
+    match = nearest(name, own)
+    return f"; did you mean that by '{match}'?" if match else ""
+
+
+def _complete(kind: str, component: type) -> None:
+    """Give a class the defaults of its contract that it has not."""
+    contract = CONTRACTS.get(kind)
+    if contract is None or contract in component.__mro__:
+        return
+    fields = getattr(component, "__dataclass_fields__", {})
+    for name, value in vars(contract).items():
+        required = getattr(value, "__isabstractmethod__", False)
+        if not name.startswith("_") and not required and name not in fields and not hasattr(component, name):
+            setattr(component, name, value)

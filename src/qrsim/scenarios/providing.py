@@ -1,0 +1,74 @@
+"""Takes in what a scenario names and the catalogue does not have, where each component of its content stands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.files import code
+from qrsim.scenarios import registry
+from qrsim.scenarios.schema import FLEET_KINDS, SKY_KINDS, WORLD_KINDS
+
+
+def places(content: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield path, kind and content of every component of a scenario that names its type."""
+    for path, kind, part in _parts(content):
+        if isinstance(part, dict) and isinstance(part.get("type"), str):
+            yield path, kind, part
+
+
+def _parts(content: Any) -> Iterator[tuple[str, str, Any]]:
+    world, fleets = _mapping(content, "world"), _mapping(content, "fleets")
+    for kind in WORLD_KINDS:
+        yield f"world.{kind}", kind, world.get(kind)
+    for kind, part in SKY_KINDS.items():
+        yield f"world.sky.{part}", kind, _mapping(world, "sky").get(part)
+    for name in fleets:
+        fleet = _mapping(fleets, name)
+        for kind in (*FLEET_KINDS, "placement"):
+            yield f"fleets.{name}.{kind}", kind, fleet.get(kind)
+        for sensor, part in _mapping(fleet, "sensors").items():
+            yield f"fleets.{name}.sensors.{sensor}", "sensor", part
+    yield "task", "task", _mapping(content, "").get("task")
+
+
+def _mapping(content: Any, key: Any) -> dict[Any, Any]:
+    found = content.get(key) if key and isinstance(content, dict) else content
+    return found if isinstance(found, dict) else {}
+
+
+def anchor_code(content: Any, folder: Path) -> None:
+    """Make ``type: ./file.py:Class`` absolute, in place: relative ones are relative to a folder."""
+    for _, _, part in places(content):
+        if code.is_code(part["type"]):
+            part["type"] = code.anchored(part["type"], folder)
+
+
+def provide_components(content: Any, source: str) -> None:
+    """Take in the components of a scenario that are not built in.
+
+    Raises:
+        ScenarioError: some cannot be loaded, or are no such components; all are listed.
+    """
+    problems = []
+    for path, kind, part in places(content):
+        try:
+            registry.provide(kind, part["type"])
+        except UsageError as error:
+            problems.append(f"{path}.type: {error}")
+    if problems:
+        raise ScenarioError(source, problems)
+
+
+def outside_problems(content: Any) -> Iterator[str]:
+    """Yield the components of a scenario that came over the network and may not name code of this machine."""
+    for path, kind, part in places(content):
+        name = part["type"]
+        if code.is_code(name) or ":" in name:
+            known = ", ".join(registry.built_in_names(kind))
+            yield f"{path}.type: a scenario that a client sends can name no code; known: {known}"
+        elif registry.is_outside(kind, name) and registry.outside_names(kind):
+            # What the operator has of his own is nothing that a client need know.
+            yield f"{path}.type: no such type '{name}'{did_you_mean(name, registry.built_in_names(kind))}"

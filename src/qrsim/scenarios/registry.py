@@ -1,0 +1,258 @@
+"""Components from outside: registered by a program, by an installed package, or named by a scenario as code.
+
+A class that is taken in is in the catalogue like every other, under the text by which a scenario names it, and the
+schema of scenarios is made anew. Nothing is looked for or loaded before a scenario names what is not built in.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.files import code
+from qrsim.scenarios import catalogue, schema
+from qrsim.scenarios.conformity import conformity_problem
+
+GROUP = "qrsim.components"
+_LOCK = threading.RLock()
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a component from outside comes from.
+
+    Attributes:
+        how: "registered", "package" or "scenario".
+        place: file and line, or distribution, version and object, or file and digest.
+        module: name of the module that holds the class.
+        file: its file, "" where it has none.
+        sha256: of the file when the class was taken in, "" where it has none.
+    """
+
+    how: str
+    place: str
+    module: str = ""
+    file: str = ""
+    sha256: str = ""
+
+
+_BUILT_IN = {kind: dict(group) for kind, group in catalogue.KINDS.items()}
+_ORIGINS: dict[tuple[str, str], Origin] = {}
+
+
+def register(kind: str, name: str, component: type) -> type:
+    """Make a class known by a name, so that scenarios can name it; return the class.
+
+    >>> qrsim.register("sensor", "laser", Laser)
+
+    Args:
+        kind: what it is: "sensor", "vehicle", "wind", ... (see docs/extending.md).
+        name: what a scenario calls it.
+        component: a record that has what its kind has.
+
+    Raises:
+        UsageError: no such kind, no name, another component has the name, or the class is no such component.
+    """
+    _check_kind(kind)
+    if not isinstance(name, str) or not name or code.is_code(name) or name != name.strip():
+        raise UsageError(f"register: {name!r} is no name of a component; expected for example 'laser'")
+    _check_class(kind, component, f"register: {kind} '{name}'")
+    origin = _origin("registered", component)
+    with _LOCK:
+        _refuse_second(kind, name, component, origin)
+        _take_in(kind, name, component, origin)
+    return component
+
+
+def provide(kind: str, name: str) -> bool:
+    """Take in what a scenario names and the catalogue does not have; return whether it has it now.
+
+    Args:
+        kind: what is expected.
+        name: a name, ``module:Class`` or ``file.py:Class`` with an absolute path.
+
+    Raises:
+        UsageError: it cannot be loaded, or is no such component.
+    """
+    group = catalogue.KINDS[kind]
+    if name in _BUILT_IN[kind]:
+        return True
+    with _LOCK:
+        if code.is_code(name):
+            known = _ORIGINS.get((kind, name))
+            # A file may have changed; a class that was given as an object has nothing to be loaded from.
+            if known is None or (known.how == "scenario" and code.file_of(name)):
+                _load(kind, name)
+        elif name not in group:
+            _load_entry_point(kind, name)
+    return name in group
+
+
+def outside_names(kind: str) -> list[str]:
+    """Return the names of the components of a kind that are not built in and known by now."""
+    return [name for name in catalogue.KINDS[kind] if name not in _BUILT_IN[kind]]
+
+
+def built_in_names(kind: str) -> list[str]:
+    """Return the names of the built-in components of a kind."""
+    return list(_BUILT_IN[kind])
+
+
+def any_outside() -> bool:
+    """Return whether any component has been taken in."""
+    return bool(_ORIGINS)
+
+
+def is_outside(kind: str, name: str) -> bool:
+    """Return whether a component is not built in."""
+    return name not in _BUILT_IN[kind]
+
+
+def origin_of(kind: str, name: str) -> Origin:
+    """Return where a component of the catalogue comes from."""
+    if not is_outside(kind, name):
+        return Origin("built in", catalogue.KINDS[kind][name].__module__)
+    return _ORIGINS[kind, name]
+
+
+def name_of(kind: str, component: type) -> str:
+    """Return the name of a class in the catalogue; one that is not there is taken in under its module and name.
+
+    Raises:
+        UsageError: it is no component of this kind.
+    """
+    for name, known in catalogue.KINDS[kind].items():
+        if known is component:
+            return name
+    name = f"{component.__module__}:{component.__qualname__}"
+    _check_class(kind, component, name)
+    with _LOCK:
+        _take_in(kind, name, component, _origin("object", component))
+    return name
+
+
+def packaged() -> Iterator[tuple[str, str, metadata.EntryPoint]]:
+    """Yield kind, name and entry point of all that installed packages offer, without loading any.
+
+    Raises:
+        UsageError: a package offers a kind that does not exist, a built-in name, or two the same.
+    """
+    seen: dict[tuple[str, str], str] = {}
+    for point in metadata.entry_points(group=GROUP):
+        kind, dot, name = point.name.partition(".")
+        place = _place_of(point)
+        if not dot or not name:
+            raise UsageError(
+                f"entry point '{point.name}' of {place}: expected KIND.NAME, for example sensor.laser, in {GROUP}"
+            )
+        _check_kind(kind, f"entry point '{point.name}' of {place}")
+        if name in _BUILT_IN[kind]:
+            raise UsageError(f"entry point '{point.name}' of {place}: '{name}' is the name of a built-in {kind}")
+        if seen.get((kind, name), place) != place:
+            raise UsageError(f"{kind} '{name}' is registered twice: by {seen[kind, name]} and by {place}")
+        seen[kind, name] = place
+        yield kind, name, point
+
+
+def components() -> list[dict[str, str]]:
+    """Return kind, name, class and origin of every component: built in, registered, offered by packages.
+
+    Raises:
+        UsageError: as ``packaged``.
+    """
+    rows = []
+    offered = {(kind, name): point for kind, name, point in packaged()}
+    for kind, group in catalogue.KINDS.items():
+        for name, component in group.items():
+            origin = origin_of(kind, name)
+            title = f"{component.__module__}:{component.__qualname__}"
+            rows.append({"kind": kind, "name": name, "class": title, "from": f"{origin.how}: {origin.place}"})
+        for (other, name), point in offered.items():
+            if other == kind and name not in group:
+                rows.append({"kind": kind, "name": name, "class": point.value, "from": f"package: {_place_of(point)}"})
+    return rows
+
+
+def _check_kind(kind: Any, what: str = "register") -> None:
+    if kind not in catalogue.KINDS:
+        raise UsageError(f"{what}: no kind of component is called {kind!r}{did_you_mean(str(kind), catalogue.KINDS)}")
+
+
+def _check_class(kind: str, component: Any, what: str) -> None:
+    problem = conformity_problem(kind, component)
+    if problem:
+        raise UsageError(f"{what}: {problem}")
+
+
+def _take_in(kind: str, name: str, component: type, origin: Origin) -> None:
+    catalogue.KINDS[kind][name] = component
+    _ORIGINS[kind, name] = origin
+    schema.refresh(kind)
+
+
+def _refuse_second(kind: str, name: str, component: type, origin: Origin) -> None:
+    if name in _BUILT_IN[kind]:
+        built_in = _BUILT_IN[kind][name]
+        raise UsageError(
+            f"register: {kind} '{name}' is registered twice: it is the built-in {built_in.__module__}:"
+            f"{built_in.__qualname__}, and {component.__qualname__} of {origin.place}; choose another name"
+        )
+    before = catalogue.KINDS[kind].get(name)
+    # A cell of a notebook is run again, a module is loaded again: the newer class counts.
+    if before is None or (before.__module__, before.__qualname__) == (component.__module__, component.__qualname__):
+        return
+    raise UsageError(
+        f"register: {kind} '{name}' is registered twice: {before.__qualname__} of {_ORIGINS[kind, name].place}, and "
+        f"{component.__qualname__} of {origin.place}"
+    )
+
+
+def _origin(how: str, component: type, place: str = "") -> Origin:
+    module = sys.modules.get(component.__module__)
+    file = getattr(module, "__file__", None) or ""
+    if not place:
+        try:
+            place = f"{inspect.getsourcefile(component)}, line {inspect.getsourcelines(component)[1]}"
+        except (OSError, TypeError):
+            place = component.__module__
+    content = code.digest(Path(file)) if file and Path(file).is_file() else ""
+    return Origin(how, place, component.__module__, file, content)
+
+
+def _load(kind: str, name: str) -> None:
+    """Load ``module:Class`` or ``file.py:Class`` and take it in."""
+    component = code.load_object(kind, name, kind="Class")
+    if catalogue.KINDS[kind].get(name) is component:
+        return
+    _check_class(kind, component, f"{kind} {name}")
+    _take_in(kind, name, component, _origin("scenario", component))
+
+
+def _load_entry_point(kind: str, name: str) -> None:
+    """Load what an installed package offers under a name, if one does."""
+    for other, offered, point in packaged():
+        if (other, offered) == (kind, name):
+            place = _place_of(point)
+            try:
+                component = point.load()
+            except Exception as error:
+                files = [getattr(sys.modules.get(point.module), "__file__", "") or ""]
+                where = code.where_raised(error, files)
+                raise UsageError(
+                    f"{kind} '{name}' of {place}: importing it failed: {code.in_one_line(error)}"
+                    + (f" ({where})" if where else "")
+                ) from error
+            _check_class(kind, component, f"{kind} '{name}' of {place}")
+            _take_in(kind, name, component, _origin("package", component, place))
+
+
+def _place_of(point: metadata.EntryPoint) -> str:
+    found = point.dist
+    return f"{found.metadata['Name']} {found.version} ({point.value})" if found else point.value
