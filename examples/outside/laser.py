@@ -1,7 +1,6 @@
 """A laser rangefinder under the vehicle, with noise, a farthest range and pulses that do not come back."""
 
 import jax.numpy as jnp
-
 import qrsim
 
 
@@ -21,10 +20,9 @@ class Laser:
 
     def init(self, draw, position_ned, attitude) -> tuple[None, LaserReading]:
         noise, a, b = draw.normals(3)
-        uniform = jnp.exp(-0.5 * (a * a + b * b))  # of two normals, between 0 and 1
         down = jnp.cos(attitude.roll) * jnp.cos(attitude.pitch)
         distance = -position_ned.z / down + self.noise_std * noise
-        lost = (uniform < self.dropouts) | (down <= 0.0) | (distance > self.range_max)
+        lost = (jnp.exp(-0.5 * (a * a + b * b)) < self.dropouts) | (down <= 0.0) | (distance > self.range_max)
         return None, LaserReading(jnp.where(lost, jnp.nan, distance))
 
     def step(self, state, draw, position_ned, attitude) -> tuple[None, LaserReading]:

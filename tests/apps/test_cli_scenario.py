@@ -33,6 +33,16 @@ def test_list_has_one_line_per_scenario(capsys):
     assert patrol.endswith(load_scenario("outdoor_patrol").spec.description)
 
 
+def test_list_of_components(capsys):
+    """Of every kind, built in and from outside; as JSON too."""
+    lines = printed(["list", "--components"], capsys).splitlines()
+    assert any(line.split()[:2] == ["sensor", "barometer"] and "built in" in line for line in lines)
+    rows = json.loads(printed(["list", "--components", "--json"], capsys))
+    assert len(rows) == len(lines)
+    assert {"kind": "task", "name": "search", "class": "qrsim.tasks.search:Search",
+            "from": "built in: qrsim.tasks.search"} in rows  # fmt: skip
+
+
 def test_list_as_json(capsys):
     rows = json.loads(printed(["list", "--json"], capsys))
     assert [row["name"] for row in rows] == built_in_names()

@@ -10,18 +10,24 @@ import tyro
 
 @dataclass(frozen=True)
 class List:
-    """List the scenarios that come with qrsim.
+    """List the scenarios that come with qrsim, or the components that a scenario can name.
 
     Example:
       qrsim list
       qrsim list --json
+      qrsim list --components
     """
 
+    components: bool = False
+    """List components of every kind instead: built in, and those that installed packages offer."""
     json: bool = False
-    """Print JSON: name, description, duration and number of vehicles."""
+    """Print JSON: name, description, duration and number of vehicles; of components kind, name, class and origin."""
 
     def run(self) -> None:
-        """Print one line per scenario."""
+        """Print one line per scenario or component."""
+        if self.components:
+            self._components()
+            return
         from qrsim.scenarios.scenario import built_in_names, load_scenario
 
         rows = []
@@ -40,6 +46,19 @@ class List:
         for row in rows:
             counts = f"{row['vehicles']:>3} vehicles  {row['duration_s']:>6g} s"
             print(f"{row['name']:<{width}}  {counts}  {row['description']}")
+
+    def _components(self) -> None:
+        from qrsim.scenarios.registry import components
+
+        rows = components()
+        if self.json:
+            import json
+
+            print(json.dumps(rows, indent=2))
+            return
+        kinds, names = (max(len(row[key]) for row in rows) for key in ("kind", "name"))
+        for row in rows:
+            print(f"{row['kind']:<{kinds}}  {row['name']:<{names}}  {row['from']}")
 
 
 @dataclass(frozen=True)

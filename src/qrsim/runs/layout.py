@@ -96,6 +96,7 @@ class RunInfo:
         every: stream -> N where only the ticks that N divides are kept; all are where a stream is not named.
         parts: stream -> Parquet parts that were on disk when this was written; a later part is valid too.
         versions: qrsim, python, jax and numpy.
+        components: those from outside that the scenario needs: path, kind, type, class, file and its sha256, from.
         platform: operating system and processor.
         command_line: as typed, quoted for a shell.
         started, ended: wall time, UTC, ISO 8601; ``ended`` is None while running.
@@ -112,6 +113,7 @@ class RunInfo:
     every: Mapping[str, int] = field(default_factory=dict)
     parts: Mapping[str, int] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+    components: tuple[Mapping[str, str], ...] = ()
     platform: str = ""
     command_line: str = ""
     started: str = ""
@@ -129,11 +131,12 @@ class RunInfo:
         vehicles: Sequence[str],
         every: Mapping[str, int] | None = None,
         command_line: Sequence[str] | None = None,
+        components: Sequence[Mapping[str, str]] = (),
     ) -> RunInfo:
         """Describe a run that starts now in this process.
 
         Args:
-            scenario, seed, precision, time_step, vehicles, every: see the class.
+            scenario, seed, precision, time_step, vehicles, every, components: see the class.
             command_line: words of the command; by default those of this process.
         """
         words = list(sys.argv if command_line is None else command_line)
@@ -151,6 +154,7 @@ class RunInfo:
                 "jax": installed_version("jax"),
                 "numpy": np.__version__,
             },
+            components=tuple(components),
             platform=platform.platform(),
             command_line=shlex.join(words),
             started=utc_now(),

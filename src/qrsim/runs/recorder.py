@@ -105,6 +105,7 @@ def fly(
     info = RunInfo.collect(
         scenario=scenario.name, seed=seed, precision=precision, time_step=scenario.spec.time_step,
         vehicles=simulation.vehicle_names, every=every, command_line=command_line,
+        components=scenario.outside,
     )  # fmt: skip
     make_parent(folder)
     simulation.reset()

@@ -8,7 +8,7 @@ from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.files import code
-from qrsim.scenarios import registry
+from qrsim.scenarios import catalogue, registry
 from qrsim.scenarios.schema import FLEET_KINDS, SKY_KINDS, WORLD_KINDS
 
 
@@ -60,6 +60,20 @@ def provide_components(content: Any, source: str) -> None:
             problems.append(f"{path}.type: {error}")
     if problems:
         raise ScenarioError(source, problems)
+
+
+def outside_components(content: Any) -> list[dict[str, str]]:
+    """Return what a run folder notes of the components of a checked scenario that are not built in."""
+    found = []
+    for path, kind, part in places(content):
+        name = part["type"]
+        # "fence" is a polygon whose corners are in a file.
+        if name in catalogue.KINDS[kind] and registry.is_outside(kind, name):
+            origin = registry.origin_of(kind, name)
+            title = f"{origin.module}:{catalogue.KINDS[kind][name].__qualname__}"
+            found.append({"path": path, "kind": kind, "type": name, "class": title, "file": origin.file,
+                          "sha256": origin.sha256, "from": f"{origin.how}: {origin.place}"})  # fmt: skip
+    return found
 
 
 def outside_problems(content: Any) -> Iterator[str]:

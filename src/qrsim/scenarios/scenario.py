@@ -17,7 +17,7 @@ from qrsim.scenarios import build
 from qrsim.scenarios.places import in_ned
 from qrsim.scenarios.plausibility import plausibility_warnings
 from qrsim.scenarios.problems import describe
-from qrsim.scenarios.providing import anchor_code, provide_components
+from qrsim.scenarios.providing import anchor_code, outside_components, provide_components
 from qrsim.scenarios.reading import (
     anchor_files,
     apply_override,
@@ -69,6 +69,11 @@ class Scenario:
         """Origin of the local frame."""
         site = self.spec.site
         return Site.from_degrees(site.latitude_deg, site.longitude_deg, site.height)
+
+    @property
+    def outside(self) -> list[dict[str, str]]:
+        """The components that are not built in: path, kind, type, class, file, sha256 of the file, from."""
+        return outside_components(self.spec.model_dump(mode="json"))
 
     def world(self, precision: str = "float32") -> World:
         """Return the World it describes, its numbers as arrays of ``precision`` (float32 or float64)."""

@@ -70,7 +70,7 @@ def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
     strange = {
         catalogue.KINDS[kind][part["type"]]: (path, kind)
         for path, kind, part in places(content)
-        if registry.is_outside(kind, part["type"])
+        if part["type"] in catalogue.KINDS[kind] and registry.is_outside(kind, part["type"])
     }
     if not strange:
         return

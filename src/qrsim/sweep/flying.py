@@ -24,7 +24,7 @@ class Job:
     """A batch as it goes to a worker.
 
     Attributes:
-        group: a ``Group``, pickled; most batches have the same, which is then unpacked once.
+        group: a ``Group``, see ``dumped``; most batches have the same, which is then unpacked once.
         numbers: value of each number that varies, (W,) each.
         seeds: (W,) of the episodes.
         metrics: names.
@@ -67,8 +67,22 @@ def fly(job: Job, threads: int = 1) -> dict[str, Array] | str:
 
 
 @lru_cache(maxsize=8)
-def _group(pickled: bytes) -> Any:
-    return pickle.loads(pickled)
+def _group(dumped: bytes) -> Any:
+    from qrsim.errors import UsageError
+    from qrsim.scenarios.providing import provide_components
+
+    content, pickled = pickle.loads(dumped)
+    # Classes from outside are in no module that a worker has yet.
+    provide_components(content, "scenario")
+    try:
+        return pickle.loads(pickled)
+    except (ImportError, AttributeError) as error:
+        raise UsageError(f"a worker has another file of a component from outside, or it was changed: {error}") from None
+
+
+def dumped(group: Any) -> bytes:
+    """Return a ``Group`` as bytes that another process can read."""
+    return pickle.dumps((group.content, pickle.dumps(group)))
 
 
 @lru_cache(maxsize=8)

@@ -19,6 +19,7 @@ from qrsim.files.user_files import read_text
 from qrsim.files.yaml_text import parse_yaml
 from qrsim.interface.policies import load_function
 from qrsim.scenarios.problems import describe
+from qrsim.scenarios.providing import anchor_code
 from qrsim.scenarios.reading import anchor_files, apply_override, read_scenario
 from qrsim.scenarios.schema import NAME, Finite
 from qrsim.sweep.metrics import METRICS
@@ -225,6 +226,7 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
     for override in overrides:
         apply_override(scenario, override)
     anchor_files(scenario, folder)
+    anchor_code(scenario, folder)
     code = {what: _code(what, name, folder) for what in ("policy", "estimator") if (name := getattr(spec, what))}
     updates = {what: named for what, (named, _) in code.items()}
     return Study(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from qrsim.errors import RunError
-from qrsim.sweep.flying import Job, fly
+from qrsim.sweep.flying import Job, dumped, fly
 from qrsim.sweep.plan import Batch, Plan
 from qrsim.sweep.store import Store
 
@@ -67,7 +66,7 @@ class Jobs:
 
     def __init__(self, plan: Plan, metrics: tuple[str, ...]):
         self._spec, self._code = plan.study.spec, tuple(plan.study.code.items())
-        self._groups = {key: pickle.dumps(group) for key, group in plan.groups.items()}
+        self._groups = {key: dumped(group) for key, group in plan.groups.items()}
         self._metrics = metrics
 
     def job(self, batch: Batch) -> Job:

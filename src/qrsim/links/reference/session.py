@@ -184,7 +184,7 @@ class Session:
         simulation = self.simulation
         info = RunInfo.collect(
             scenario=self.scenario.name, seed=simulation.seed, precision=simulation.precision,
-            time_step=self.time_step, vehicles=simulation.vehicle_names,
+            time_step=self.time_step, vehicles=simulation.vehicle_names, components=self.scenario.outside,
         )  # fmt: skip
         if self._recording is None:
             stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")

@@ -1,0 +1,114 @@
+"""The examples of docs/extending.md: each a file beside its scenario, flown as a user would."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import qrsim
+from qrsim import cli
+from qrsim.envs.single import SingleTask
+from qrsim.errors import UsageError
+from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation.simulation import Simulation
+from qrsim.sweep.flying import dumped
+from qrsim.sweep.groups import make_group
+
+EXAMPLES = Path(__file__).parents[1] / "examples" / "outside"
+LASER = EXAMPLES / "laser.yaml"
+
+
+@pytest.mark.parametrize(("name", "below"), [("laser", 30), ("climb", 35)])
+def test_they_are_short(name: str, below: int):
+    assert len((EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()) < below
+
+
+class TestLaser:
+    def test_what_it_reads(self):
+        """At 10 m, over level ground, with noise of 2 cm; a tenth of the pulses are lost: 99.9 % of 2000 draws."""
+        simulation = Simulation(
+            load_scenario(LASER, ["fleets.pelicans.sensors.laser.dropouts=0.1"]).world(), seed=1, name="laser"
+        )
+        simulation.reset()
+        ranges = np.concatenate([simulation.step(ticks=5).laser.range for _ in range(2000)])
+        assert 0.1 - 3.3 * 0.0067 < np.isnan(ranges).mean() < 0.1 + 3.3 * 0.0067
+        assert np.nanmean(ranges) == pytest.approx(10.0, abs=0.05)
+        assert np.nanstd(ranges) == pytest.approx(0.02, rel=0.15)
+
+    def test_a_run_folder(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+        """It says what it needs, and is read where that is no more."""
+        folder = tmp_path / "own"
+        folder.mkdir()
+        for name in ("laser.py", "laser.yaml"):
+            (folder / name).write_bytes((EXAMPLES / name).read_bytes())
+        run = tmp_path / "run"
+        assert cli.main(["run", str(folder / "laser.yaml"), "--duration", "1", "--out", str(run), "--no-figure"]) == 0
+        (needed,) = json.loads((run / "run.json").read_text())["components"]
+        file = folder / "laser.py"
+        assert needed["sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
+        assert needed | {"sha256": "", "class": "", "from": ""} == {
+            "path": "fleets.pelicans.sensors.laser", "kind": "sensor", "type": f"{file}:Laser", "file": str(file),
+            "sha256": "", "class": "", "from": "",
+        }  # fmt: skip
+        file.unlink()
+        found = qrsim.open_run(run)
+        assert found.info.components[0]["kind"] == "sensor"
+        column = next(c for c in found.describe("measurements") if c.name == "laser.range")
+        assert (column.unit, column.dtype) == ("m", "float32")
+        capsys.readouterr()
+        assert (
+            cli.main(["plot", str(run), "--out", str(tmp_path / "a.png"), "--panel", "measurements.laser.range"]) == 0
+        )
+        assert cli.main(["compare", str(run), str(run), "--out", str(tmp_path / "report")]) in (0, 1)
+
+    @pytest.mark.long
+    def test_a_rollout_and_a_saved_state(self):
+        flights = qrsim.rollout(str(LASER), ticks=50, worlds=2)
+        assert flights.metrics["reason"].tolist() == [[0], [0]]
+        one, two = (qrsim.load(LASER, seed=3) for _ in range(2))
+        one.reset()
+        one.step(ticks=10)
+        two.reset()
+        two.load(one.save())
+        np.testing.assert_array_equal(one.step(ticks=20).laser.range, two.step(ticks=20).laser.range)
+
+    @pytest.mark.long
+    def test_a_worker_of_a_sweep(self, tmp_path: Path):
+        """A process that has not loaded the file reads what it is handed."""
+        group = make_group(load_scenario(LASER).spec.model_dump(mode="json"), {}, [], "float32")
+        (tmp_path / "group").write_bytes(dumped(group))
+        program = (
+            "from pathlib import Path\nfrom qrsim.sweep.flying import _group\n"
+            f"world = _group(Path({str(tmp_path / 'group')!r}).read_bytes()).world\n"
+            "print(type(world.fleets[0].sensors[-1]).__name__)"
+        )
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
+        assert done.stdout.strip() == "Laser"
+        assert pickle.loads(pickle.dumps(load_scenario(LASER))) == load_scenario(LASER)
+
+
+class TestClimb:
+    def test_an_episode(self):
+        """Who climbs at half of what is missing is there in the end, and has paid for the way: 10 m at up to 2 m/s."""
+        task = SingleTask(str(EXAMPLES / "climb.yaml"))
+        seen, _ = task.reset(seed=1)
+        total, ended = 0.0, False
+        while not ended:
+            seen, reward, terminated, ended, _ = task.step(np.clip(seen[:1] * 0.5, -1.0, 1.0).astype(np.float32))
+            assert not terminated
+            total += reward
+        assert abs(seen[0]) < 0.5
+        assert -40.0 < total < -25.0
+
+    def test_it_is_checked_against_its_scenario(self):
+        with pytest.raises(UsageError, match=r"task.fleet: no fleet is called 'pelican'; did you mean 'pelicans'"):
+            load_scenario(EXAMPLES / "climb.yaml", ["task.fleet=pelican"])
+        with pytest.raises(UsageError, match=r"'attitude' does not take what the task .*climb.py:Climb' asks for"):
+            load_scenario(EXAMPLES / "climb.yaml", ["fleets.pelicans.controller=attitude"])
