@@ -37,8 +37,9 @@ def test_equations_are_numbered_one_by_one(letter: str) -> None:
 
 def test_files_and_tests_exist() -> None:
     missing = []
-    for page, text in PAGES.items():
-        for path in re.findall(r"`((?:tests|core|models|control|world|flight_logs|evidence)/[\w/.]*)`", text):
+    for page, text in {**PAGES, "architecture": (DOCS / "architecture.md").read_text("utf-8")}.items():
+        rooms = "tests|core|models|control|world|flight_logs|evidence|simulation|engine|links|interface|tasks"
+        for path in re.findall(rf"(?<!/)\b((?:{rooms})/[\w/]*\.py)", text):
             there = ROOT / path if path.startswith(("tests/", "evidence/")) else ROOT / "src" / "qrsim" / path
             missing += [] if there.exists() else [f"{page}: {path}"]
     assert missing == []
