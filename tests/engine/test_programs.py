@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import pytest
 
+from qrsim.engine import programs
 from qrsim.engine.llvm import UnsupportedError
-from qrsim.engine.programs import once
 from qrsim.errors import CompilerWarning
 
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """What was made, of a process that keeps three programs and has none."""
-    # The package has a function of this name.
-    module = sys.modules["qrsim.engine.programs"]
-    monkeypatch.setattr(module, "_MADE", {})
-    monkeypatch.setattr(module, "_TOLD", set())
-    monkeypatch.setattr(module, "MOST_MADE", 3)
+    monkeypatch.setattr(programs, "_MADE", {})
+    monkeypatch.setattr(programs, "_TOLD", set())
+    monkeypatch.setattr(programs, "MOST_MADE", 3)
     return []
 
 
@@ -28,7 +25,7 @@ def program(made: list[int], number: int) -> Any:
         made.append(number)
         return 10 * number
 
-    return once(("test", number), None, make, lambda binary: binary + 1)
+    return programs.compiled(("test", number), None, make, lambda binary: binary + 1)
 
 
 def test_it_is_made_once(made: list[int]):
@@ -52,7 +49,7 @@ def test_what_cannot_be_made_is_tried_once(made: list[int]):
         raise UnsupportedError("a test of what cannot be made")
 
     with pytest.warns(CompilerWarning, match="a test of what cannot be made"), pytest.raises(UnsupportedError):
-        once(("test", 0), None, fails, int)
+        programs.compiled(("test", 0), None, fails, int)
     with pytest.raises(UnsupportedError, match="a test of what cannot be made"):
-        once(("test", 0), None, fails, int)
+        programs.compiled(("test", 0), None, fails, int)
     assert made == [0]

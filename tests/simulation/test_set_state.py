@@ -8,6 +8,7 @@ import pytest
 
 import qrsim
 from qrsim.control import WaypointSetpoint
+from qrsim.simulation.one_world import OneWorld
 from qrsim.simulation.placing import checked_rows
 from qrsim.simulation.simulation import Simulation
 
@@ -108,12 +109,13 @@ def test_the_others_go_on_to_the_bit_and_the_draws_are_those_of_the_tick(outdoor
 
 
 @pytest.mark.long
-def test_machine_code_and_xla_place_alike(outdoors):
+def test_machine_code_and_xla_place_alike(outdoors, monkeypatch):
     layout, state = outdoors.packed
     given = checked_rows(elsewhere(outdoors), outdoors.vehicle_names, outdoors.dtype)
     before = [np.array(part) for part in state]
     native = layout.unpack(outdoors._ticks.place(layout, state, outdoors.tick, given))
-    other = layout.unpack(outdoors._ticks.instead.place(layout, state, outdoors.tick, given))
+    monkeypatch.setenv("QRSIM_COMPILER", "xla")
+    other = layout.unpack(OneWorld(outdoors.world).place(layout, state, outdoors.tick, given))
     for part, kept in zip(state, before, strict=True):
         np.testing.assert_array_equal(part, kept, "the state itself is left alone")
     for found, expected in zip(jax.tree.leaves(native.fleets), jax.tree.leaves(other.fleets), strict=True):

@@ -7,6 +7,7 @@ next to nothing. Inside a tick the tree stays a tree.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -17,6 +18,10 @@ import numpy as np
 from qrsim.core.structure import kinds
 
 Buffers = tuple[Any, Any]
+# Vectors are read whole where they begin at a multiple of this many bytes.
+ALIGNMENT = 64
+# A loop of machine code may read this many elements behind the last one.
+SPARE = 64
 
 
 class Packer:
@@ -101,7 +106,60 @@ def struct(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
     return jax.ShapeDtypeStruct(shape, dtype)  # type: ignore[no-untyped-call]
 
 
-class Glimpse:
+def layout_of_each(tree: Any) -> Packer:
+    """Return the layout of one world's part of a tree, each leaf (B, ...)."""
+    return Packer(jax.tree.map(lambda leaf: struct(np.shape(leaf)[1:], np.asarray(leaf).dtype), tree))
+
+
+def aligned(size: int, dtype: np.dtype[Any]) -> Any:
+    """Return an array of zeros (size,) that begins where a vector may, with room for one behind its end."""
+    raw = np.zeros(size * dtype.itemsize + ALIGNMENT + SPARE * 8, np.uint8)
+    begin = -raw.ctypes.data % ALIGNMENT
+    return raw[begin : begin + size * dtype.itemsize].view(dtype)
+
+
+def aligned_copy(buffers: Buffers) -> Buffers:
+    """Return a copy of two flat buffers that a program may overwrite."""
+    floats, integers = (aligned(part.size, np.dtype(part.dtype)) for part in buffers)
+    floats[...], integers[...] = buffers
+    return floats, integers
+
+
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """What all worlds of a program have in common.
+
+    Attributes:
+        tree: as it was given.
+        layout: of the tree.
+        buffers: its numbers on the host.
+    """
+
+    tree: Any
+    layout: Packer
+    buffers: Buffers
+
+    @classmethod
+    def of(cls, tree: Any) -> Shared:
+        """Return a tree of arrays, packed."""
+        host = jax.tree.map(np.asarray, tree)
+        layout = Packer(host)
+        return cls(tree, layout, layout.pack(host))
+
+    # Sent to the device once, not at every call.
+    @cached_property
+    def device_tree(self) -> Any:
+        """The tree as arrays of JAX."""
+        return jax.device_put(self.tree)
+
+    @cached_property
+    def device_buffers(self) -> Buffers:
+        """The two buffers as arrays of JAX."""
+        found: Buffers = jax.device_put(self.buffers)
+        return found
+
+
+class LazyTree:
     """A packed tree of which only what somebody looks at is unpacked.
 
     Args:
@@ -130,5 +188,5 @@ class Glimpse:
 
     def _opened(self, part: Any) -> Any:
         if isinstance(part, (tuple, *self._containers)):
-            return Glimpse(self._layout, self._buffers, part, self._containers)
+            return LazyTree(self._layout, self._buffers, part, self._containers)
         return jax.tree.map(lambda number: self._layout.leaf(self._buffers, number), part)

@@ -23,7 +23,7 @@ _KEEPING = threading.Lock()
 _TOLD: set[str] = set()
 
 
-def once(
+def compiled(
     key: tuple[Any, ...], what: tuple[Any, ...] | None, make: Callable[[], Any], load: Callable[[Any], Any]
 ) -> Any:
     """Return a program of this process; loaded from the user's cache, or made, where there is none yet.

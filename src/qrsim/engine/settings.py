@@ -8,6 +8,8 @@ from functools import lru_cache, wraps
 from typing import Any
 
 import jax
+import numpy as np
+from jax.sharding import Mesh
 
 from qrsim.engine.folders import private, tidy
 from qrsim.errors import UsageError
@@ -17,6 +19,8 @@ from qrsim.errors import UsageError
 FEW_VEHICLES = 64
 _QUICK_TO_COMPILE = {"xla_cpu_use_fusion_emitters": False}
 
+# The axis that is cut among devices.
+WORLDS = "worlds"
 COMPILERS = ("llvm", "xla")
 _chosen: dict[str, Any] = {"compiler": None, "threads": None}
 
@@ -66,6 +70,17 @@ def uses_llvm() -> bool:
     named = os.environ.get("QRSIM_COMPILER")
     asked = _chosen["compiler"] or (_checked_compiler(named, "QRSIM_COMPILER") if named else "llvm")
     return bool(asked == "llvm" and jax.default_backend() == "cpu")
+
+
+def chosen_compiler() -> str:
+    """Return which compiler is tried first, "llvm" or "xla"; raises UsageError as ``uses_llvm`` does."""
+    return "llvm" if uses_llvm() else "xla"
+
+
+def device_mesh() -> Mesh | None:
+    """Return all devices of JAX, which share the worlds of a rollout; None where there is one."""
+    devices = jax.devices()
+    return Mesh(np.array(devices), (WORLDS,)) if len(devices) > 1 else None
 
 
 def threads() -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
 from qrsim.errors import UsageError
-from qrsim.tasks.episodes import episodes, score
+from qrsim.tasks.episodes import Episodes, score
 from qrsim.world.tick import refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]
@@ -49,7 +49,7 @@ class Batch:
         self.size = int(size)
         self.dtype = np.dtype(precision)
         with self._precision():
-            self.episodes = episodes(self.functional.play, self.size, self.dtype)
+            self.episodes = Episodes(self.functional.play, self.size, self.dtype)
         self.seeds = np.zeros(self.size, np.int64)
         self.numbers = np.zeros(self.size, np.int64)
         self.seen: Any = None

@@ -13,7 +13,7 @@ import numpy as np
 
 from qrsim.control.setpoints import library
 from qrsim.core.vectors import Euler, Vec3, rotation
-from qrsim.engine.layout import Glimpse
+from qrsim.engine.layout import LazyTree
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading, SkyState
 from qrsim.models.scene.area import reason_text
@@ -226,14 +226,14 @@ class Reading:
         return self._whole()
 
     def _whole(self) -> State:
-        return self._state.whole() if isinstance(self._state, Glimpse) else self._state
+        return self._state.whole() if isinstance(self._state, LazyTree) else self._state
 
     @cached_property
     def _fleets(self) -> dict[str, FleetReading]:
         # Not before somebody asks: not every step of a loop is looked at.
         state = self._state
         # Between two ticks of a rollout there is only what is needed for the readings themselves.
-        pictured = isinstance(state, State | Glimpse)
+        pictured = isinstance(state, State | LazyTree)
         return {
             fleet.name: FleetReading(
                 fleet, state.fleets[i], partial(getattr, state, "sky"), self._tick, self._site,

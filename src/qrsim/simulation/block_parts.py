@@ -1,19 +1,18 @@
-"""One world of a rollout, from its start and from tick to tick, and how XLA compiles a block of them."""
+"""One world of a rollout, from its start and from tick to tick."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh
 
-from qrsim.engine.settings import quick_to_compile
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.metrics import FLIGHT_METRICS
@@ -24,7 +23,6 @@ from qrsim.world import tick as ticks_of
 from qrsim.world.tick import State, World, WorldKeys
 
 Array = np.ndarray[Any, Any]
-AXIS = "worlds"
 # What JAX raises where a program that is being compiled would have to know a number.
 NEEDS_VALUES = (
     jax.errors.ConcretizationTypeError,
@@ -195,42 +193,3 @@ def _finite(world: World, actions: tuple[Any, ...]) -> Any:
             fine = fine & jnp.isfinite(leaf)
         parts.append(fine)
     return jnp.concatenate(parts)
-
-
-def _advance(
-    setup: Setup, fixed: list[Any], own: list[Any], carry: Carry, tick: Any, count: Any, given: tuple[Any, Any]
-) -> Carry:
-    """Advance a block of worlds by ``count`` ticks; the tick is the same for all, so that slow sensors are skipped."""
-    one = jax.vmap(partial(tick_of_world, setup), in_axes=(None, 0, 0, None, 0))
-    return lax.fori_loop(jnp.int32(0), count, lambda i, now: one(fixed, own, now, tick + i, given), carry)
-
-
-class Programs(NamedTuple):
-    """The compiled parts of a rollout that do not depend on what is recorded."""
-
-    begin: Any
-    advance: Any
-
-
-@lru_cache(maxsize=8)
-def programs(setup: Setup, few: bool) -> Programs:
-    """Return the programs of ``Setup.compiled``, compiled when first called; ``few`` vehicles need other options."""
-    return Programs(
-        _compiled(jax.vmap(partial(begin_world, setup), (None, 0, 0)), "srr", setup.mesh, few),
-        _compiled(partial(_advance, setup), "srrssr", setup.mesh, few, donate_argnums=2),
-    )
-
-
-@lru_cache(maxsize=8)
-def recorder(record: Callable[[State], Any], mesh: Mesh | None, few: bool) -> Any:
-    """Return the program that records a block of states."""
-    return _compiled(jax.vmap(record), "r", mesh, few)
-
-
-def _compiled(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: Any) -> Any:
-    """Compile for all devices: of the arguments some are cut by world (r), the others the same for all (s)."""
-    if mesh is not None:
-        cut, same = PartitionSpec(AXIS), PartitionSpec()  # type: ignore[no-untyped-call]
-        specs = tuple(cut if kind == "r" else same for kind in arguments)
-        function = jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=cut, check_vma=False)
-    return jax.jit(function, compiler_options=quick_to_compile() if few else None, **more)

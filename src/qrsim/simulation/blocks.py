@@ -12,16 +12,15 @@ import jax
 import numpy as np
 
 from qrsim.core.noise import Key
-from qrsim.engine.cache import identity, kept
-from qrsim.engine.layout import Packer
-from qrsim.engine.llvm import layout_of
-from qrsim.engine.settings import FEW_VEHICLES, threads, uses_llvm
+from qrsim.engine.backend import state_bytes
+from qrsim.engine.layout import Packer, layout_of_each
+from qrsim.engine.settings import threads, uses_llvm
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.policies import UserFunction
 from qrsim.interface.readings import Reading
-from qrsim.simulation.block_parts import Carry, Setup, recorder
-from qrsim.simulation.many_worlds import Flight, traced_start
+from qrsim.simulation.block_parts import Carry, Setup
+from qrsim.simulation.many_worlds import Flight, begin_function
 from qrsim.world import tick as ticks_of
 from qrsim.world.tick import State, World
 
@@ -51,10 +50,6 @@ class Schedule:
         return sorted(found - {0})
 
 
-# Tracing a start only to see its size takes as long as a short flight.
-_BYTES: dict[Setup, int] = {}
-
-
 class Engine:
     """Flies block after block.
 
@@ -82,18 +77,9 @@ class Engine:
 
     def bytes_per_world(self) -> int:
         """Return the size of what a world takes from tick to tick."""
-        setup = self.setup.compiled
-        if setup not in _BYTES:
-            keys = jax.tree.map(lambda leaf: np.asarray(leaf)[None], ticks_of.keys_of(self.example, Key.root(0)))
-            layouts = Packer([np.asarray(leaf) for leaf in self.fixed]), layout_of((self.varied, keys))
-            what = ("bytes per world", setup.types, setup.varied, *map(identity, layouts))
-
-            def count() -> int:
-                _, shapes = traced_start(setup, *layouts)
-                return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(shapes))
-
-            _BYTES[setup] = kept(what, count) if setup.plain else count()
-        return _BYTES[setup]
+        keys = jax.tree.map(lambda leaf: np.asarray(leaf)[None], ticks_of.keys_of(self.example, Key.root(0)))
+        fixed = Packer([np.asarray(leaf) for leaf in self.fixed])
+        return state_bytes(begin_function(self.setup.compiled), fixed, layout_of_each((self.varied, keys)))
 
     def fly(self, rows: Array, seeds: Array, numbers: Array) -> tuple[dict[str, Array], Any]:
         """Fly the worlds ``rows`` (B,), and return their metrics and what was recorded of them."""
@@ -125,10 +111,8 @@ class Engine:
     def _keep(self, flight: Flight, tick: int, rows: Array, found: list[Any]) -> None:
         if self.record is None or tick % self.schedule.record_every:
             return
-        few = len(rows) * len(self.names) <= FEW_VEHICLES * self.devices
-        program = recorder(self.record, None if flight.is_native else self.setup.mesh, few)
-        state = flight.get(lambda carry: carry.state)
-        recorded = jax.tree.map(lambda leaf: np.asarray(leaf)[: len(rows)], program(state))
+        found_now = flight.map(self.record, lambda carry: carry.state)
+        recorded = jax.tree.map(lambda leaf: np.asarray(leaf)[: len(rows)], found_now)
         if self.sink is None:
             found.append(recorded)
         else:

@@ -13,17 +13,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh
 
 from qrsim.core.sameness import sameness
 from qrsim.core.structure import kinds
-from qrsim.engine.settings import use_compilation_cache
+from qrsim.engine.settings import device_mesh, use_compilation_cache
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.interface.policies import user_function
 from qrsim.models.scene.area import reason_text
 from qrsim.models.site import Site
-from qrsim.simulation.block_parts import AXIS, Setup
+from qrsim.simulation.block_parts import Setup
 from qrsim.simulation.blocks import Engine, Schedule
 from qrsim.world.tick import State, World
 
@@ -130,13 +129,11 @@ def setup_of(
 
     The arguments are those of ``rollout``.
     """
-    devices = jax.devices()
-    mesh = Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
     structure, fixed, varied, which_varied = _stack(list(several))
     metrics = FLIGHT_METRICS if metrics is None else metrics
     setup = Setup(
         user_function("policy", policy), user_function("estimator", estimator), metrics, sameness(metrics),
-        policy_ticks, site or Site(), structure, repr(structure), which_varied, mesh, tuple(kinds(structure)),
+        policy_ticks, site or Site(), structure, repr(structure), which_varied, device_mesh(), tuple(kinds(structure)),
     )  # fmt: skip
     return setup, fixed, varied
 

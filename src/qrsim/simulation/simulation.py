@@ -12,7 +12,7 @@ import numpy as np
 
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
-from qrsim.engine.layout import Buffers, Glimpse, Packer
+from qrsim.engine.layout import Buffers, LazyTree, Packer
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.actions import ActionChecker
@@ -20,7 +20,7 @@ from qrsim.interface.readings import Reading, Truth
 from qrsim.models.scene.area import reason_text
 from qrsim.models.site import Site
 from qrsim.simulation.alone import Alone, alone
-from qrsim.simulation.one_world import ticks as ticks_of
+from qrsim.simulation.one_world import OneWorld
 from qrsim.simulation.placing import checked_rows, refuse_misplaced
 from qrsim.simulation.snapshot import LARGEST_TICK, SavedState, fingerprint, write
 from qrsim.world.tick import FleetState, State, World, WorldKeys, keys_of, refuse_unplaced
@@ -59,9 +59,9 @@ class _Snapshot:
     def state(self) -> State:
         return self._layout.unpack(self._buffers)  # type: ignore[arg-type]
 
-    def glimpse(self, numbers: State) -> State:
+    def view(self, numbers: State) -> State:
         """Return what stands for the state as long as only parts of it are read."""
-        return Glimpse(self._layout, self._buffers, numbers, (State, FleetState))  # type: ignore
+        return LazyTree(self._layout, self._buffers, numbers, (State, FleetState))  # type: ignore
 
 
 class Simulation(Alone):
@@ -99,7 +99,7 @@ class Simulation(Alone):
         self.number = _checked_number(number)
         self._checker = ActionChecker(world, self.dtype)
         with self.precision_context():
-            self._ticks = ticks_of(world)
+            self._ticks = OneWorld(world)
         self._layout: Packer | None = None
         self._numbers: Any = None
         self._state: Buffers | None = None
@@ -117,7 +117,7 @@ class Simulation(Alone):
         if self._state is not None and self._layout is not None:
             self._numbers = self._layout.numbers()
             with self.precision_context():
-                self._state = self._ticks.adopt(self._layout, self._state)
+                self._state = self._ticks.adopt(self._state)
 
     @property
     def precision(self) -> str:
@@ -143,7 +143,7 @@ class Simulation(Alone):
             self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
             self._numbers = self._layout.numbers()
             self.tick, self._host = 0, None
-            placed = Glimpse(self._layout, self._state, self._numbers, (State,)).placed
+            placed = LazyTree(self._layout, self._state, self._numbers, (State,)).placed
             refuse_unplaced(self.world, placed)
         return self.reading
 
@@ -172,7 +172,7 @@ class Simulation(Alone):
         self._changes = True
         try:
             self._advance(command, ticks, estimate)
-            return Reading(self.world, self._snapshot().glimpse(self._numbers), self.tick, self.site)
+            return Reading(self.world, self._snapshot().view(self._numbers), self.tick, self.site)
         finally:
             self._changes = False
             self._lock.release()
@@ -289,7 +289,7 @@ class Simulation(Alone):
             assert own is not None
             buffers = saved.buffers(layout, own)
             saved.check_state(self.world, layout.unpack(buffers), keys)
-            self._state = self._ticks.adopt(layout, tuple(map(np.array, buffers)))  # type: ignore[arg-type]
+            self._state = self._ticks.adopt(buffers)
             self._layout, self._numbers = layout, layout.numbers()
             self.tick, self.seed, self.number, self._host = saved.tick, saved.seed, saved.number, None
         return self.reading
@@ -304,10 +304,19 @@ class Simulation(Alone):
         if Packer(world) != self._ticks.layout:
             raise UsageError("world: it differs in more than numbers from the one that flies; make another Simulation")
         with self.precision_context():
-            self.world, self._ticks = world, ticks_of(world)
+            self.world, self._ticks = world, OneWorld(world)
 
     def _fingerprint(self) -> str:
         return fingerprint(self._ticks.layout, self._ticks.parameters)
+
+    @property
+    def compiled_by(self) -> tuple[str, str]:
+        """Which compiler made the program of the last ticks, "llvm" (machine code by qrsim) or "xla"; and why the first
+        did not take them, "" where it did or was not asked.
+        """
+        self._running()
+        program = self._ticks.flown_by
+        return program.compiler, program.refused
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
@@ -338,13 +347,13 @@ class Simulation(Alone):
     def reading(self) -> Reading:
         """What the sensors say now."""
         with self._lock:
-            return Reading(self.world, self._snapshot().glimpse(self._numbers), self.tick, self.site)
+            return Reading(self.world, self._snapshot().view(self._numbers), self.tick, self.site)
 
     @property
     def truth(self) -> Truth:
         """What is really the case now, all fleets one after the other."""
         with self._lock:
-            return Truth(self._snapshot().glimpse(self._numbers))
+            return Truth(self._snapshot().view(self._numbers))
 
     @property
     def valid(self) -> np.ndarray[Any, np.dtype[np.bool_]]:

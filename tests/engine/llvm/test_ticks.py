@@ -17,8 +17,6 @@ from qrsim.engine import settings as configuration
 from qrsim.engine.llvm import Mode
 from qrsim.errors import UsageError
 from qrsim.models.scene.area import nearest_squared
-from qrsim.simulation import one_world as ticking
-from qrsim.simulation.one_world import NativeTicks, XlaTicks
 from qrsim.simulation.rollout import rollout
 from qrsim.simulation.simulation import Simulation
 
@@ -61,9 +59,8 @@ def test_a_tick_is_that_of_xla(vehicles, caplog):
     with caplog.at_level(logging.DEBUG, "qrsim.engine"):
         mine = flown(world, 12)
     assert not caplog.records
-    theirs = XlaTicks(world)
-    layout, state = theirs.reset(ticking.ticks_of.keys_of(world, qrsim.core.noise.Key.root(SEED, 0)))
-    expected = layout.unpack(theirs.advance(layout, state, 0, 12, ((None,), (None,))))
+    qrsim.configure(compiler="xla")
+    expected = flown(world, 12)
     named = jax.tree_util.tree_flatten_with_path(expected)[0]
     for (path, leaf), found in zip(named, jax.tree.leaves(mine), strict=True):
         name = jax.tree_util.keystr(path)
@@ -129,11 +126,18 @@ def test_set_points_of_another_kind_and_the_same_numbers():
 
 
 class TestChoice:
+    @staticmethod
+    def compiler() -> str:
+        simulation = Simulation(bare_pair().world(), seed=SEED)
+        simulation.reset()
+        simulation.step()
+        return simulation.compiled_by[0]
+
     def test_xla_where_it_is_asked_for(self, xla):
-        assert isinstance(ticking.ticks(bare_pair().world()), XlaTicks)
+        assert self.compiler() == "xla"
 
     def test_our_own_by_default(self):
-        assert isinstance(ticking.ticks(bare_pair().world()), NativeTicks)
+        assert self.compiler() == "llvm"
 
     def test_both_fly_the_same(self, xla):
         world = noisy_pair().world()

@@ -19,15 +19,15 @@ from qrsim.core.noise import Key
 from qrsim.core.tree import parameter, record, replace
 from qrsim.core.vectors import Vec3
 from qrsim.engine import settings as configuration
+from qrsim.engine.by_llvm import mode_of
 from qrsim.engine.llvm import Mode, UnsupportedError, tracing
 from qrsim.engine.programs import forget
 from qrsim.envs.functional import Functional
 from qrsim.errors import CompilerWarning
-from qrsim.simulation.one_world import mode_of
 from qrsim.simulation.rollout import rollout
 from qrsim.simulation.simulation import Simulation
 from qrsim.tasks import KeepSpot
-from qrsim.tasks.episodes import episodes
+from qrsim.tasks.episodes import Episodes
 
 COUNTS = (1, 2, 7, 16, 17, 144, 1000)
 
@@ -311,12 +311,12 @@ def test_tasks_of_users_by_both_compilers(count, monkeypatch):
     actions = np.random.default_rng(count).uniform(-0.2, 0.2, (3, 2, count, 5)).astype(np.float32)
 
     def fly() -> Any:
-        some = episodes(play, 2, np.dtype(np.float32))
+        some = Episodes(play, 2, np.dtype(np.float32))
         some.start(np.arange(2), play.keys(Key.roots(np.arange(2), np.zeros(2, np.int64))))
         steps = [some.step(action) for action in actions]
-        return [step.reward for step, _ in steps], [truth["position_ned"] for _, truth in steps], type(some).__name__
+        return [step.reward for step, _ in steps], [truth["position_ned"] for _, truth in steps], some.compiler
 
     mine, theirs = by_both(monkeypatch, fly)
-    assert {mine[2], theirs[2]} == {"NativeEpisodes", "XlaEpisodes"}
+    assert {mine[2], theirs[2]} == {"llvm", "xla"}
     np.testing.assert_allclose(mine[1], theirs[1], atol=2e-4)
     np.testing.assert_allclose(mine[0], theirs[0], atol=2e-4, rtol=2e-5)

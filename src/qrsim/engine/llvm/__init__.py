@@ -5,23 +5,21 @@ loops over vectors, written as LLVM's text and compiled by it. What a program do
 ``UnsupportedError``, and then XLA compiles it as before.
 """
 
-from qrsim.engine.llvm.lanes import Lanes, Together, layout_of
-from qrsim.engine.llvm.program import Binary, Input, Mode, Program, aligned, build
+from qrsim.engine.llvm.lanes import LaneProgram, Lanes
+from qrsim.engine.llvm.program import Binary, Input, Mode, Program, build
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.start import Start, build_start, trace_of
 
 __all__ = [
     "Binary",
     "Input",
+    "LaneProgram",
     "Lanes",
     "Mode",
     "Program",
     "Start",
-    "Together",
     "UnsupportedError",
-    "aligned",
     "build",
     "build_start",
-    "layout_of",
     "trace_of",
 ]

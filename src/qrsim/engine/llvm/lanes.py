@@ -10,18 +10,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.engine.layout import Buffers, Packer, struct
-from qrsim.engine.llvm.program import Mode, Program, aligned
+from qrsim.engine.layout import Buffers, Packer, aligned
+from qrsim.engine.llvm.program import Mode, Program
 
 Array = np.ndarray[Any, Any]
 # Fewer ticks than this are done before a thread has woken up.
 FEW_TICKS = 8
 _LINE = 64
-
-
-def layout_of(tree: Any) -> Packer:
-    """Return the layout of one world's part of a tree, each leaf (B, ...)."""
-    return Packer(jax.tree.map(lambda leaf: struct(np.shape(leaf)[1:], np.asarray(leaf).dtype), tree))
 
 
 class Lanes:
@@ -34,13 +29,25 @@ class Lanes:
     """
 
     def __init__(self, layout: Packer, count: int, mode: Mode):
-        self.layout, self.count, self._lanes = layout, count, mode.worlds
-        self.tiles = -(-count // self._lanes)
+        self._describe(layout, count, mode.worlds)
         self._buffers: list[Array] = []
         for size, dtype in zip(layout.sizes, (layout.dtype, np.dtype(np.int32)), strict=True):
             line = _LINE // dtype.itemsize
             row = -(-size * self._lanes // line) * line
             self._buffers.append(aligned(self.tiles * row, dtype).reshape(self.tiles, row))
+
+    @classmethod
+    def of_one(cls, layout: Packer, buffers: Buffers) -> Lanes:
+        """Return one world on its own, where two flat buffers lie that ``aligned`` made."""
+        found = cls.__new__(cls)
+        found._describe(layout, 1, 1)
+        found._buffers = [part.reshape(1, -1) for part in buffers]
+        return found
+
+    def _describe(self, layout: Packer, count: int, lanes: int) -> None:
+        self.layout, self.count, self._lanes = layout, count, lanes
+        self.tiles = -(-count // self._lanes)
+        self._is_flat = count == self._lanes == 1 and len(layout.is_float) > 0 and all(layout.is_float)
 
     def addresses(self, tile: int) -> list[int]:
         """Return where the buffers of a tile begin."""
@@ -48,8 +55,13 @@ class Lanes:
 
     def fill(self, tree: Any) -> None:
         """Take a tree, each leaf (B, ...)."""
+        leaves = jax.tree.leaves(tree)
+        if self._is_flat:
+            # A command for one world is handed over at every step, and this takes a third of the time of what follows.
+            np.concatenate([np.ravel(leaf) for leaf in leaves], out=self._buffers[0][0, : self.layout.sizes[0]])
+            return
         whole = self.tiles * self._lanes
-        for number, leaf in enumerate(jax.tree.leaves(tree)):
+        for number, leaf in enumerate(leaves):
             rows = self._stored(leaf)
             if whole != self.count:
                 # Lanes without a world of their own repeat the last one.
@@ -57,10 +69,10 @@ class Lanes:
             self._part(number)[...] = rows.reshape(self.tiles, self._lanes, -1).swapaxes(1, 2)
 
     def put(self, worlds: Array, tree: Any) -> None:
-        """Take a tree of some worlds, each leaf (len(worlds), ...)."""
+        """Take a tree of some worlds, the first len(worlds) rows of each leaf."""
         tile, lane = np.divmod(worlds, self._lanes)
         for number, leaf in enumerate(jax.tree.leaves(tree)):
-            self._part(number)[tile, :, lane] = self._stored(leaf)
+            self._part(number)[tile, :, lane] = self._stored(leaf)[: len(worlds)]
 
     def get(self, select: Callable[[Any], Any]) -> Any:
         """Return a part of the tree, each leaf (B, ...), copied."""
@@ -91,36 +103,52 @@ class Lanes:
         return rows.astype(dtype, copy=np.may_share_memory(rows, part))
 
 
-class Together:
-    """A program, what its worlds read, and their state.
+class LaneProgram:
+    """A program with what its worlds read, and the threads that share them out among themselves.
 
     Args:
         program: called with what all worlds share, what is each one's own, and the state.
         shared: values of what they share.
         own: of each world, read.
-        state: of each world, advanced.
-        workers: threads.
+        workers: threads, at most.
     """
 
-    def __init__(self, program: Program, shared: Buffers, own: Lanes, state: Lanes, workers: int):
-        self.own, self._program, self._workers = own, program, min(workers, state.tiles)
+    def __init__(self, program: Program, shared: Buffers, own: Lanes, workers: int):
+        self.own, self._program, self._workers = own, program, workers
         self._shared = program.buffers(0)
         for mine, values in zip(self._shared, shared, strict=True):
             mine[...] = values
-        self._scratches = [program.scratch() for _ in range(self._workers)]
-        first = [part.ctypes.data for part in self._shared]
-        self._addresses = [[*first, *own.addresses(tile), *state.addresses(tile)] for tile in range(state.tiles)]
-        # Addresses hold nothing alive.
-        self._state = state
+        self._scratches: list[Array] = []
+        # Addresses hold nothing alive, so the state that they are of is kept beside them.
+        self._state: Lanes | None = None
+        self._addresses: list[list[int]] = []
+        self._scratch = 0
 
-    def advance(self, tick: int, count: int) -> None:
-        """Run ``count`` ticks of all worlds."""
-        if self._workers == 1 or count * len(self._addresses) < FEW_TICKS:
+    def advance(self, state: Lanes, tick: int, count: int) -> None:
+        """Run ``count`` ticks of all worlds; their state is overwritten."""
+        if self._state is not state:
+            self._aim_at(state)
+        tiles = len(self._addresses)
+        if tiles == 1:
+            self._program(self._addresses[0], self._scratch, tick, count)
+            return
+        workers = len(self._scratches)
+        if workers == 1 or count * tiles < FEW_TICKS:
             self._run(0, self._addresses, tick, count)
             return
-        shares = [self._addresses[worker :: self._workers] for worker in range(self._workers)]
-        for done in [_pool(self._workers).submit(self._run, i, share, tick, count) for i, share in enumerate(shares)]:
+        shares = [self._addresses[worker::workers] for worker in range(workers)]
+        for done in [_pool(workers).submit(self._run, i, share, tick, count) for i, share in enumerate(shares)]:
             done.result()
+
+    def _aim_at(self, state: Lanes) -> None:
+        # To look an address up takes longer than to run a tick of a small world.
+        first = [part.ctypes.data for part in self._shared]
+        own = self.own.addresses
+        self._addresses = [[*first, *own(tile), *state.addresses(tile)] for tile in range(state.tiles)]
+        while len(self._scratches) < min(self._workers, state.tiles):
+            self._scratches.append(self._program.scratch())
+        self._scratch = self._scratches[0].ctypes.data
+        self._state = state
 
     def _run(self, worker: int, tiles: Sequence[list[int]], tick: int, count: int) -> None:
         scratch = self._scratches[worker].ctypes.data

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from qrsim.engine.layout import Buffers, Packer, struct
+from qrsim.engine.layout import SPARE, Buffers, Packer, aligned, struct
 from qrsim.engine.llvm.compiler import Loaded, machine_code, machine_triple
 from qrsim.engine.llvm.emit import Emitter
 from qrsim.engine.llvm.graph import Access, Graph, Node, Shape, View, squeezed
@@ -23,8 +23,6 @@ from qrsim.engine.llvm.writing import Place, Writer
 
 # What lies in a buffer of integers.
 _WHOLE = ("int32", "uint32", "bool")
-# A loop may read this many elements behind the last one.
-SPARE = 64
 
 
 @dataclass(frozen=True)
@@ -120,13 +118,6 @@ class Program:
     def __call__(self, addresses: Sequence[int], scratch: int, tick: int, count: int) -> None:
         """Advance the state by ``count`` ticks, from addresses of the buffers of all inputs in order."""
         self._call(*addresses, scratch, tick, count)
-
-
-def aligned(size: int, dtype: np.dtype[Any]) -> Any:
-    """Return an array of zeros (size,) that begins where a vector may, with room for one behind its end."""
-    raw = np.zeros(size * dtype.itemsize + 64 + SPARE * 8, np.uint8)
-    begin = -raw.ctypes.data % 64
-    return raw[begin : begin + size * dtype.itemsize].view(dtype)
 
 
 class _Writer:

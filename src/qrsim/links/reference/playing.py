@@ -21,7 +21,7 @@ from qrsim.links.reference.protocol.qrsim_pb2 import Act, Arrayd, Outcome
 from qrsim.links.reference.readout import States
 from qrsim.links.reference.session import Wishes
 from qrsim.tasks import Play
-from qrsim.tasks.episodes import episodes, score
+from qrsim.tasks.episodes import Episodes, score
 from qrsim.world.tick import refuse_unplaced
 
 Array = np.ndarray[Any, Any]
@@ -86,7 +86,7 @@ class Playing:
         # Of every number one array, so that all scenarios of a structure share a program.
         self.play = Play(cast(task, PRECISION), world, self.scenario.steps)
         # Alone, as an environment computes it, so that it is the same episode to the bit.
-        self._episodes = episodes(self.play, 1, PRECISION)
+        self._episodes = Episodes(self.play, 1, PRECISION)
         self.pacer = Pacer(self._wishes.realtime, 0.0)
         self.seed = self._seeds.next()
         self._start()

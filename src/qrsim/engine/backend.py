@@ -1,0 +1,260 @@
+"""Where programs come from: one way to ask for one, whichever compiler makes it.
+
+Whoever computes worlds writes pure functions of one world (``Function``) and asks for a ``Program`` of them. Machine
+code by the package's own generator is the first choice on a processor; what that refuses, and every other device, is
+XLA's. Nobody outside this room knows which of the two it is, except to tell the user.
+
+Two forms of a state go with it. That of one world is two flat buffers on the host, so that a step of a small world
+costs no more than its arithmetic. Those of many worlds are a ``States``, which each compiler lays out as it likes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import jax
+import numpy as np
+
+from qrsim.engine import by_llvm, by_xla
+from qrsim.engine.by_llvm import state_bytes
+from qrsim.engine.functions import Extent, Function
+from qrsim.engine.layout import Buffers, Packer, Shared, layout_of_each
+from qrsim.engine.llvm import UnsupportedError
+from qrsim.engine.settings import chosen_compiler
+
+__all__ = ["Extent", "Function", "Program", "Specialised", "States", "Worlds", "compile", "state_bytes"]
+
+Tree = Any
+IntArray = np.ndarray[Any, np.dtype[np.int_]]
+
+
+class States(Protocol):
+    """The states of B worlds, as a compiler wants them to lie."""
+
+    def get(self, select: Callable[[Tree], Tree]) -> Tree:
+        """Return a part of the tree of states, each leaf (B, ...)."""
+
+    def put(self, worlds: IntArray, tree: Tree) -> None:
+        """Take the first len(worlds) rows of a tree of states."""
+
+
+class Program(Protocol):
+    """A compiled function, bound to what all of its worlds share."""
+
+    @property
+    def compiler(self) -> str:
+        """Which made it, "llvm" or "xla"."""
+
+    @property
+    def refused(self) -> str:
+        """Why it is XLA's although machine code was wanted, "" where it is as wanted."""
+
+    @property
+    def layout(self) -> Packer | None:
+        """Of the state of one world, known once it has started; None where the compiler keeps that for itself."""
+
+    @property
+    def part(self) -> int | None:
+        """So many worlds are started in one call; None: any number."""
+
+    def give(self, leaves: Sequence[object]) -> None:
+        """Take what each world has for itself, until something else is given; to be called before all else."""
+
+    def start(self) -> Any:
+        """Return a first state, or those of as many worlds as something was given."""
+
+    def hold(self, tree: Tree) -> Any:
+        """Return a state, or those of all worlds (B, ...), as the program takes it."""
+
+    def run(self, state: Any, tick: int, count: int) -> Any:
+        """Advance by ``count`` ticks and return the state; the one before is overwritten or used up."""
+
+    def record(self, state: Buffers, tick: int, count: int, capacity: int) -> tuple[Buffers, Buffers]:
+        """Advance one world, and return its state and those of all ticks, each buffer (count, ...).
+
+        Args:
+            state, tick, count: see ``run``.
+            capacity: the most ticks, by which XLA compiles.
+        """
+
+
+def compile(
+    function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent, compiler: str
+) -> Program:
+    """Return a program of a function, made at most once in a process, and loaded from the user's cache if it is there.
+
+    Args:
+        function: of one world; what goes wrong inside it is raised as it is.
+        shared: what all worlds have in common.
+        own: layout of what each world has for itself.
+        state: layout of the state that is advanced; None: the function makes a first one.
+        extent: how many worlds.
+        compiler: "llvm", with XLA for what that refuses, after one CompilerWarning; or "xla".
+    """
+    refused = ""
+    if compiler == "llvm":
+        try:
+            return by_llvm.make(function, shared, own, state, extent)
+        except UnsupportedError as why:
+            refused = str(why)
+    return by_xla.make(function, shared, own, state, extent, refused)
+
+
+class Specialised:
+    """The programs of one function: one for each kind of what its worlds are given.
+
+    A kind is a structure with shapes and types: set-points of another sort, or none, make another program.
+
+    Args:
+        function: of one world; what it has for itself is a pair (``constant``, what is given).
+        shared: what all worlds have in common.
+        extent: how many worlds.
+        compiler: that is tried.
+        constant: what each world has for itself and never changes.
+    """
+
+    def __init__(self, function: Function, shared: Shared, extent: Extent, compiler: str, constant: Tree = ()):
+        self.function, self.shared, self.extent, self.compiler = function, shared, extent, compiler
+        self._constant = constant
+        self._made: dict[tuple[Packer | None, Packer], Program] = {}
+        self._last: tuple[Packer | None, object, Program] | None = None
+
+    def program(self, given: Tree, state: Packer | None = None) -> Program:
+        """Return the program of a kind, with what was given."""
+        leaves, structure = jax.tree.flatten(given)
+        # On the host, where what a user gave may be numbers of Python.
+        leaves = [np.asarray(leaf) for leaf in leaves]
+        # As text, because to JAX two structures are equal whose records differ in nothing but their type. Compared with
+        # the last kind first, because to make a layout takes as long as a tick.
+        kind = repr(structure), [(leaf.shape, leaf.dtype) for leaf in leaves]
+        if self._last is not None and self._last[0] is state and self._last[1] == kind:
+            if leaves:
+                self._last[2].give([*jax.tree.leaves(self._constant), *leaves])
+            return self._last[2]
+        program = self._of(jax.tree.unflatten(structure, leaves), state)
+        program.give([*jax.tree.leaves(self._constant), *leaves])
+        self._last = state, kind, program
+        return program
+
+    @property
+    def last(self) -> Program:
+        """The program that was asked for last."""
+        assert self._last is not None
+        return self._last[2]
+
+    def become_xla(self) -> None:
+        """Make no machine code from here on."""
+        if self.compiler != "xla":
+            self.compiler, self._last = "xla", None
+            self._made.clear()
+
+    def _of(self, given: Tree, state: Packer | None) -> Program:
+        own = (self._constant, given)
+        layout = Packer(own) if self.extent.worlds is None else layout_of_each(own)
+        key = state, layout
+        if key not in self._made:
+            self._made[key] = compile(self.function, self.shared, layout, state, self.extent, self.compiler)
+        return self._made[key]
+
+
+class Worlds:
+    """Many worlds side by side, between two ticks.
+
+    Args:
+        start: makes the first state of one, of what all share and a pair (``constant``, what the start is given).
+        tick: makes the next one, of the same with what the ticks are given.
+        shared: what all have in common.
+        extent: how many.
+        constant: what each has for itself, leaves (B, ...).
+
+    Attributes:
+        refused: why they are XLA's although machine code was wanted, "" where they are not.
+    """
+
+    def __init__(self, start: Function, tick: Function, shared: Tree, extent: Extent, constant: Tree = ()):
+        packed, compiler = Shared.of(shared), chosen_compiler()
+        self._start = Specialised(start, packed, extent, compiler, constant)
+        self._tick = Specialised(tick, packed, extent, compiler, constant)
+        self._extent, self.refused = extent, ""
+        self._layout: Packer | None = None
+        self._states: States | None = None
+
+    @property
+    def compiler(self) -> str:
+        """Which compiler flies them."""
+        return self._tick.compiler
+
+    @property
+    def started(self) -> bool:
+        """Whether any of them has."""
+        return self._states is not None
+
+    def prepare(self, begins: Tree, given: Tree) -> None:
+        """Compile both functions, for examples of what they are given, (1, ...), so that one compiler has both."""
+        self._layout = self._program(self._start, begins).layout
+        self._program(self._tick, given, self._layout)
+
+    def _program(self, function: Specialised, given: Tree, state: Packer | None = None) -> Program:
+        program = function.program(given, state)
+        if program.refused and not self.refused:
+            # From here on all is XLA's: what starts again must start as before, to the last bit.
+            self.refused = program.refused
+            self._start.become_xla()
+            self._tick.become_xla()
+        return program
+
+    def begin(self, given: Tree) -> None:
+        """Start all of them, by what is given, each leaf (B, ...)."""
+        program = self._program(self._start, given)
+        self._layout, self._states = program.layout, program.start()
+
+    def begin_some(self, rows: IntArray, given: Tree, select: Callable[[Tree], Tree]) -> Tree:
+        """Start some of worlds that have nothing constant, and return a part of their states (b, ...), copied.
+
+        Args:
+            rows: (b,) which.
+            given: to each of them, leaves (b, ...).
+            select: of a state, the part.
+        """
+        program = self._program(self._start, given)
+        self._layout = program.layout
+        if program.part is None:
+            return self._keep(program, rows, select)
+        parts: list[Tree] = []
+        for first in range(0, len(rows), program.part):
+            # Parts are of one length, so that they share a program; the last one is filled up with its last world.
+            filled = np.minimum(np.arange(first, first + program.part), len(rows) - 1)
+            self._program(self._start, jax.tree.map(lambda leaf, which=filled: leaf[which], given))
+            parts.append(self._keep(program, rows[first : first + program.part], select))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+    def _keep(self, program: Program, rows: IntArray, select: Callable[[Tree], Tree]) -> Tree:
+        """Start what was given to a program, of which the first worlds are ``rows``."""
+        some: States = program.start()
+        tree = some.get(lambda tree: tree)
+        if self._states is None:
+            count = self._extent.worlds
+            zeros = jax.tree.map(lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), tree)
+            self._states = program.hold(zeros)
+        self._states.put(rows, tree)
+        return jax.tree.map(lambda leaf: np.array(leaf[: len(rows)]), select(tree))
+
+    def restore(self, tree: Tree) -> None:
+        """Take the states of all of them, each leaf (B, ...), after ``prepare``."""
+        self._states = self._start.last.hold(tree)
+
+    def advance(self, tick: int, count: int, given: Tree) -> None:
+        """Run ``count`` ticks, given leaves (B, ...)."""
+        program = self._program(self._tick, given, self._layout)
+        self._states = program.run(self._states, tick, count)
+
+    def get(self, select: Callable[[Tree], Tree]) -> Tree:
+        """Return a part of their states, each leaf (B, ...); it is used up by the next tick."""
+        assert self._states is not None
+        return self._states.get(select)
+
+    def map(self, function: Callable[[Tree], Tree], select: Callable[[Tree], Tree]) -> Tree:
+        """Return what a function of JAX makes of a part of each state, each leaf (B, ...)."""
+        mesh = self._extent.mesh if self.compiler == "xla" else None
+        return by_xla.mapped(function, mesh, self._extent.few)(self.get(select))

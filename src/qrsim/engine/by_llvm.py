@@ -1,0 +1,160 @@
+"""Programs by the package's own code generator, for processors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from qrsim.engine.cache import identity, kept
+from qrsim.engine.functions import Extent, Function
+from qrsim.engine.layout import Buffers, Packer, Shared, aligned, aligned_copy
+from qrsim.engine.llvm import Binary, Input, LaneProgram, Lanes, Mode, Program, Start, build, build_start, trace_of
+from qrsim.engine.programs import compiled
+from qrsim.engine.settings import threads
+
+# What was traced last, because how large a state is, is asked before its start is compiled.
+_TRACED: dict[Any, tuple[Any, Any]] = {}
+_BYTES: dict[Any, int] = {}
+# Bytes of a vector.
+_VECTOR = 64
+
+
+def mode_of(vehicles: int, dtype: np.dtype[Any]) -> Mode:
+    """Return how a world on its own is computed: side by side its vehicles, or a single one's draws and satellites."""
+    most = _VECTOR // dtype.itemsize
+    return Mode(most // 2 if 1 < vehicles <= most // 2 else most, side_by_side=False)
+
+
+def mode_of_many(count: int, vehicles: int, dtype: np.dtype[Any]) -> Mode:
+    """Return how ``count`` worlds are computed: side by side where there are enough, or vehicles too few."""
+    lanes = _VECTOR // dtype.itemsize
+    alone = count == 1 or (vehicles > lanes and count < lanes)
+    return mode_of(vehicles, dtype) if alone else Mode(lanes, side_by_side=True)
+
+
+def make(function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent) -> LlvmProgram:
+    """Return a program, from this process, the user's cache, or made now; see ``qrsim.engine.backend.compile``.
+
+    Raises:
+        UnsupportedError: the code generator does not take the function.
+    """
+    mode = mode_of_many(extent.worlds or 1, extent.vehicles, extent.dtype)
+    layouts = [shared.layout, own] if state is None else [shared.layout, own, state]
+    inputs = tuple(Input(layout, own=i > 0) for i, layout in enumerate(layouts))
+    text = None
+    if function.text is not None:
+        text = (function.name, *function.text, *map(identity, layouts), mode)
+
+    def made() -> Start | Binary:
+        if state is not None:
+            return build(function.call, inputs, mode)
+        return build_start(_traced(function, shared.layout, own), inputs, mode)
+
+    def load(found: Start | Binary) -> tuple[Packer, Program]:
+        layout, binary = (found.layout, found.binary) if isinstance(found, Start) else (layouts[-1], found)
+        every = inputs if state is not None else (*inputs, Input(layout, own=True))
+        return layout, Program(binary, every, mode)
+
+    layout, program = compiled((function.name, function.of, *layouts, mode), text, made, load)
+    return LlvmProgram(program, shared, own, layout, extent)
+
+
+def _traced(function: Function, shared: Packer, own: Packer) -> tuple[Any, Any]:
+    found = _TRACED.pop((function, identity(shared), identity(own)), None)
+    return found or trace_of(function.call, (Input(shared, own=False), Input(own, own=True)))
+
+
+# Kept, because to trace a start only to see its size takes as long as a short flight.
+def state_bytes(function: Function, shared: Packer, own: Packer) -> int:
+    """Return the size of the state of one world, without compiling its start.
+
+    Args:
+        function: that makes a first state.
+        shared, own: layouts of what it reads.
+    """
+    if function not in _BYTES:
+        key = function, identity(shared), identity(own)
+
+        def count() -> int:
+            _TRACED.clear()
+            _TRACED[key] = _traced(function, shared, own)
+            return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(_TRACED[key][1]))
+
+        text = None if function.text is None else ("bytes per world", *function.text, *key[1:])
+        _BYTES[function] = count() if text is None else kept(text, count)
+    return _BYTES[function]
+
+
+class LlvmProgram:
+    """A program of one world, its state two flat buffers, or of many, theirs ``Lanes``; see ``backend.Program``.
+
+    Args:
+        program: the machine code.
+        shared: what all worlds have in common.
+        own, layout: of what each has for itself, and of its state.
+        extent: how many.
+    """
+
+    compiler, refused = "llvm", ""
+    part = None
+
+    def __init__(self, program: Program, shared: Shared, own: Packer, layout: Packer, extent: Extent):
+        self.layout, self._own_layout, self._extent = layout, own, extent
+        self._make = partial(LaneProgram, program, shared.buffers, workers=threads())
+        self._mode = program.mode
+        self._program: LaneProgram | None = None
+        # The state that was advanced last, and the same as lanes.
+        self._last: tuple[Any, Lanes | None] = (None, None)
+
+    def give(self, leaves: Sequence[Any]) -> None:
+        """Take what each world has for itself."""
+        if self._extent.worlds is None:
+            leaves = [leaf[None] for leaf in leaves]
+        count = len(leaves[0]) if leaves else self._extent.worlds or 1
+        if self._program is None or self._program.own.count != count:
+            self._program = self._make(own=Lanes(self._own_layout, count, self._mode))
+        self._program.own.fill(leaves)
+
+    def start(self) -> Any:
+        """Return the first state of as many worlds as something was given."""
+        assert self._program is not None
+        count = self._program.own.count
+        if self._extent.worlds is not None:
+            state = Lanes(self.layout, count, self._mode)
+            self._program.advance(state, 0, 1)
+            # Many a start is of a few worlds of many, and its memory is not needed again.
+            self._program = None
+            return state
+        floats, integers = (
+            aligned(size, dtype)
+            for size, dtype in zip(self.layout.sizes, (self.layout.dtype, np.dtype(np.int32)), strict=True)
+        )
+        return self.run((floats, integers), 0, 1)
+
+    def hold(self, tree: Any) -> Lanes | Buffers:
+        """Return a state, or states (B, ...), as they are kept here."""
+        if self._extent.worlds is None:
+            return aligned_copy(self.layout.pack(tree))
+        states = Lanes(self.layout, self._extent.worlds, self._mode)
+        states.fill(tree)
+        return states
+
+    def run(self, state: Any, tick: int, count: int) -> Any:
+        """Advance a state in place by ``count`` ticks, and return it."""
+        if self._last[0] is not state:
+            self._last = state, state if isinstance(state, Lanes) else Lanes.of_one(self.layout, state)
+        self._program.advance(self._last[1], tick, count)  # type: ignore[union-attr, arg-type]
+        return state
+
+    def record(self, state: Any, tick: int, count: int, capacity: int) -> tuple[Any, Buffers]:
+        """Advance one world, and return it and the states of all ticks, each buffer (count, ...)."""
+        floats, integers = rows = tuple(np.empty((count, part.size), part.dtype) for part in state)
+        for i in range(count):
+            self.run(state, tick + i, 1)
+            for rows_of, part in zip(rows, state, strict=True):
+                rows_of[i] = part
+        return state, (floats, integers)

@@ -1,0 +1,235 @@
+"""Programs by XLA: for other devices, and for what the package's own code generator does not take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.sharding import Mesh, PartitionSpec
+
+from qrsim.engine.functions import Extent, Function
+from qrsim.engine.layout import Buffers, Packer, Shared, aligned_copy
+from qrsim.engine.settings import WORLDS, quick_to_compile
+
+Array = np.ndarray[Any, Any]
+_Layouts = tuple[Packer, Packer]
+# So many functions keep what was compiled of them; there are a start and a tick for each kind of worlds.
+KEPT = 16
+# Rows are started a sixteenth of a batch in a call: a large part would be wasted on few, a small one take long.
+PARTS = 16
+
+
+def make(
+    function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent, refused: str
+) -> XlaProgram | XlaWorldsProgram:
+    """Return a program; JAX compiles it when it is first called. See ``qrsim.engine.backend.compile``."""
+    if extent.worlds is None:
+        return XlaProgram(function, shared, own, state, extent, refused)
+    return XlaWorldsProgram(function, shared, own, extent, refused)
+
+
+def _jit(function: Callable[..., Any], few: bool, **options: Any) -> Any:
+    return jax.jit(function, compiler_options=quick_to_compile() if few else None, **options)
+
+
+# ---- one world, its parameters and state flat: to hand JAX a hundred small arrays takes longer than a tick ----
+
+
+@lru_cache(maxsize=KEPT)
+def _first(function: Function, few: bool) -> Any:
+    def first(layout: Packer, shared: Buffers, own: Any) -> Any:
+        return function.call(layout.unpack(shared), own)
+
+    return _jit(first, few, static_argnums=0)
+
+
+@lru_cache(maxsize=KEPT)
+def _advance(function: Function, few: bool) -> Any:
+    def advance(
+        layouts: tuple[Packer, Packer], shared: Buffers, own: Any, state: Buffers, tick: Any, count: Any
+    ) -> Any:
+        common = layouts[0].unpack(shared)
+
+        def body(i: Any, current: Any) -> Any:
+            return function.call(common, own, current, tick + i)
+
+        return layouts[1].pack(lax.fori_loop(jnp.int32(0), count, body, layouts[1].unpack(state)))
+
+    return _jit(advance, few, static_argnums=0)
+
+
+@lru_cache(maxsize=KEPT)
+def _record(function: Function, few: bool, capacity: int) -> Any:
+    def record(layouts: _Layouts, shared: Buffers, own: Any, state: Buffers, tick: Any, count: Any) -> Any:
+        """Run ``count`` <= capacity ticks; return the packed state and every packed state on the way."""
+        common, layout = layouts[0].unpack(shared), layouts[1]
+        rows = tuple(jnp.zeros((capacity, buffer.shape[0]), buffer.dtype) for buffer in state)
+
+        def body(i: Any, carry: tuple[Any, Buffers]) -> tuple[Any, Any]:
+            current = function.call(common, own, carry[0], tick + i)
+            packed = layout.pack(current)
+            return current, tuple(
+                lax.dynamic_update_index_in_dim(rows_of, part, i, 0)
+                for rows_of, part in zip(carry[1], packed, strict=True)
+            )
+
+        final, kept_rows = lax.fori_loop(jnp.int32(0), count, body, (layout.unpack(state), rows))
+        return layout.pack(final), kept_rows
+
+    return _jit(record, few, static_argnums=0)
+
+
+class XlaProgram:
+    """A program of one world, its state two flat buffers; see ``backend.Program``."""
+
+    compiler = "xla"
+    part = None
+
+    def __init__(
+        self, function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent, refused: str
+    ):
+        self.refused, self._function, self._shared, self._few = refused, function, shared, extent.few
+        self._structure = own.structure
+        self._own: Any = None
+        self._layout = state
+
+    @property
+    def layout(self) -> Packer:
+        """The layout of the state, known once it has started."""
+        assert self._layout is not None
+        return self._layout
+
+    def give(self, leaves: Sequence[Any]) -> None:
+        """Take what the world has for itself."""
+        self._own = jax.tree.unflatten(self._structure, leaves)
+
+    def start(self) -> Buffers:
+        """Return the first state."""
+        shared = self._shared
+        found = _first(self._function, self._few)(shared.layout, shared.device_buffers, self._own)
+        # Packed on the host, because a program for it would cost more to compile than it ever saves.
+        state = jax.tree.map(np.asarray, found)
+        self._layout = Packer(state)
+        return aligned_copy(self.layout.pack(state))
+
+    def run(self, state: Buffers, tick: int, count: int) -> Buffers:
+        """Return a state ``count`` ticks later."""
+        return aligned_copy(self._call(_advance(self._function, self._few), state, tick, count))
+
+    def record(self, state: Buffers, tick: int, count: int, capacity: int) -> tuple[Buffers, Buffers]:
+        """Return a state ``count`` ticks later, and those of all ticks, each buffer (count, ...)."""
+        after, rows = self._call(_record(self._function, self._few, capacity), state, tick, count)
+        floats, integers = (np.asarray(part)[:count] for part in rows)
+        return aligned_copy(after), (floats, integers)
+
+    def hold(self, tree: Any) -> Buffers:
+        """Return a state as it is kept here."""
+        return aligned_copy(self.layout.pack(tree))
+
+    def _call(self, program: Any, state: Buffers, tick: int, count: int) -> Any:
+        layouts = self._shared.layout, self.layout
+        return program(layouts, self._shared.device_buffers, self._own, state, np.int32(tick), np.int32(count))
+
+
+# ---- many worlds, as trees whose leaves have the worlds as first axis ----
+
+
+@lru_cache(maxsize=KEPT)
+def _first_of_many(function: Function, few: bool, mesh: Mesh | None) -> Any:
+    return _over_devices(jax.vmap(function.call, (None, 0)), "sr", mesh, few)
+
+
+@lru_cache(maxsize=KEPT)
+def _advance_many(function: Function, few: bool, mesh: Mesh | None) -> Any:
+    one = jax.vmap(function.call, in_axes=(None, 0, 0, None))
+
+    def advance(shared: Any, own: Any, states: Any, tick: Any, count: Any) -> Any:
+        # The tick is the same for all, so that slow sensors are really skipped.
+        return lax.fori_loop(jnp.int32(0), count, lambda i, now: one(shared, own, now, tick + i), states)
+
+    return _over_devices(advance, "srrss", mesh, few, donate_argnums=2)
+
+
+@lru_cache(maxsize=KEPT)
+def mapped(function: Callable[[Any], Any], mesh: Mesh | None, few: bool) -> Any:
+    """Return a function of one state, compiled for the states (B, ...) of many worlds."""
+    return _over_devices(jax.vmap(function), "r", mesh, few)
+
+
+def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: Any) -> Any:
+    """Compile for all devices: of the arguments some are cut by world (r), the others the same for all (s)."""
+    if mesh is not None:
+        cut, same = PartitionSpec(WORLDS), PartitionSpec()  # type: ignore[no-untyped-call]
+        specs = tuple(cut if kind == "r" else same for kind in arguments)
+        function = jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=cut, check_vma=False)
+    return _jit(function, few, **more)
+
+
+@lru_cache(maxsize=1)
+def _replace_rows() -> Any:
+    def put(whole: Any, part: Any, rows: Any) -> Any:
+        return jax.tree.map(lambda every, new: every.at[rows].set(new, mode="drop"), whole, part)
+
+    return jax.jit(put, donate_argnums=0)
+
+
+class Arrays:
+    """States of B worlds as a tree of JAX's arrays, each leaf (B, ...)."""
+
+    def __init__(self, tree: Any):
+        self.tree = tree
+
+    def get(self, select: Callable[[Any], Any]) -> Any:
+        """Return a part of the tree."""
+        return select(self.tree)
+
+    def put(self, worlds: Array, tree: Any) -> None:
+        """Take a tree of some worlds, the first len(worlds) rows of each leaf."""
+        count, rows = (len(jax.tree.leaves(part)[0]) for part in (self.tree, tree))
+        # What goes beyond the end is dropped, so that parts of one length share a program.
+        target = np.concatenate([worlds, np.full(rows - len(worlds), count)])
+        self.tree = _replace_rows()(self.tree, tree, target)
+
+
+class XlaWorldsProgram:
+    """A program of many worlds, their states ``Arrays``; see ``backend.Program``."""
+
+    compiler = "xla"
+    # JAX knows the layout from the states themselves.
+    layout = None
+
+    def __init__(self, function: Function, shared: Shared, own: Packer, extent: Extent, refused: str):
+        assert extent.worlds is not None
+        self.refused, self._function, self._shared, self._extent = refused, function, shared, extent
+        self._structure = own.structure
+        self._own: Any = None
+        self.part = max(1, extent.worlds // PARTS)
+
+    def give(self, leaves: Sequence[Any]) -> None:
+        """Take what each world has for itself, leaves (B, ...)."""
+        self._own = jax.tree.unflatten(self._structure, leaves)
+
+    def start(self) -> Arrays:
+        """Return the first states of as many worlds as something was given."""
+        program = _first_of_many(self._function, self._extent.few, self._extent.mesh)
+        return Arrays(program(self._shared.device_tree, self._own))
+
+    def run(self, state: Any, tick: int, count: int) -> Arrays:
+        """Return states ``count`` ticks later; those before are used up."""
+        # Where machine code made the start, the states lie in its own order.
+        before = state.get(lambda tree: tree)
+        program = _advance_many(self._function, self._extent.few, self._extent.mesh)
+        return Arrays(program(self._shared.device_tree, self._own, before, np.int32(tick), np.int32(count)))
+
+    def hold(self, tree: Any) -> Arrays:
+        """Return states (B, ...) as they are kept here."""
+        return Arrays(jax.device_put(tree))
+
+    def record(self, state: Any, tick: int, count: int, capacity: int) -> Any:
+        """Refuse: only one world is recorded tick by tick."""
+        raise TypeError("many worlds are not recorded tick by tick")
