@@ -27,6 +27,8 @@ from tests.interrupting import INTERRUPTIBLE
 
 from qrsim import cli
 from qrsim.apps.run import command
+from qrsim.engine import programs
+from qrsim.engine.llvm import program
 from qrsim.runs import open_run, recorder
 from qrsim.runs import writer as writer_module
 from qrsim.runs.summary import summarise
@@ -284,6 +286,31 @@ def test_overrides_are_in_the_resolved_scenario(fly):
     assert resolved["world"]["wind"]["speed_20ft"] == 0.0
     assert resolved["site"]["height"] == 12.5
     assert not vector(flight.folder, "wind", "mean_ned").any()
+
+
+def test_the_run_folder_says_which_compiler_flew(flown):
+    info = open_run(flown.folder).info
+    assert (info.compiler, info.compiler_refused) == ("llvm", "")
+
+
+def test_the_run_folder_says_why_it_was_xla(fly, monkeypatch):
+    """Where machine code fails, and where XLA was asked for."""
+
+    def fails(text):
+        raise RuntimeError("a fault for a test")
+
+    monkeypatch.setenv("QRSIM_COMPILATION_CACHE", "off")
+    monkeypatch.setattr(program, "machine_code", fails)
+    programs.forget()
+    refused = fly("hover", "--duration", "0.02", "--no-figure")
+    assert refused.complaints.count("a fault for a test") == 1
+    monkeypatch.setenv("QRSIM_COMPILER", "xla")
+    wanted = fly("hover", "--duration", "0.02", "--no-figure")
+    programs.forget()
+    written = [json.loads((flight.folder / "run.json").read_text()) for flight in (refused, wanted)]
+    assert [run["compiler"] for run in written] == ["xla", "xla"]
+    assert "an error of the code generator itself (RuntimeError: a fault for a test)" in written[0]["compiler_refused"]
+    assert written[1]["compiler_refused"] == ""
 
 
 def test_without_out_the_folders_are_numbered(tmp_path, monkeypatch, capsys):

@@ -116,7 +116,7 @@ class Specialised:
 
     def __init__(self, function: Function, shared: Shared, extent: Extent, compiler: str, constant: Tree = ()):
         self.function, self.shared, self.extent, self.compiler = function, shared, extent, compiler
-        self._constant = constant
+        self._constant, self._constant_leaves = constant, jax.tree.leaves(constant)
         self._made: dict[tuple[Packer | None, Packer], Program] = {}
         self._last: tuple[Packer | None, object, Program] | None = None
 
@@ -130,10 +130,10 @@ class Specialised:
         kind = repr(structure), [(leaf.shape, leaf.dtype) for leaf in leaves]
         if self._last is not None and self._last[0] is state and self._last[1] == kind:
             if leaves:
-                self._last[2].give([*jax.tree.leaves(self._constant), *leaves])
+                self._last[2].give([*self._constant_leaves, *leaves])
             return self._last[2]
         program = self._of(jax.tree.unflatten(structure, leaves), state)
-        program.give([*jax.tree.leaves(self._constant), *leaves])
+        program.give([*self._constant_leaves, *leaves])
         self._last = state, kind, program
         return program
 

@@ -112,12 +112,13 @@ class LlvmProgram:
 
     def give(self, leaves: Sequence[Any]) -> None:
         """Take what each world has for itself."""
-        if self._extent.worlds is None:
-            leaves = [leaf[None] for leaf in leaves]
-        count = len(leaves[0]) if leaves else self._extent.worlds or 1
+        worlds = self._extent.worlds
+        count = 1 if worlds is None else len(leaves[0]) if leaves else worlds
         if self._program is None or self._program.own.count != count:
             self._program = self._make(own=Lanes(self._own_layout, count, self._mode))
-        self._program.own.fill(leaves)
+        own = self._program.own
+        # Where they lie flat, one world more or less makes no difference.
+        own.fill_leaves(leaves if own.is_flat or worlds is not None else [leaf[None] for leaf in leaves])
 
     def start(self) -> Any:
         """Return the first state of as many worlds as something was given."""

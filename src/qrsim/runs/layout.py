@@ -101,6 +101,8 @@ class RunInfo:
         command_line: as typed, quoted for a shell.
         started, ended: wall time, UTC, ISO 8601; ``ended`` is None while running.
         message: why the run failed or was interrupted, "" otherwise.
+        compiler: what made the program that flew, "llvm" (machine code by qrsim itself) or "xla"; "" where nobody said.
+        compiler_refused: why it was XLA although machine code was wanted, "" otherwise.
     """
 
     scenario: str
@@ -119,6 +121,8 @@ class RunInfo:
     started: str = ""
     ended: str | None = None
     message: str = ""
+    compiler: str = ""
+    compiler_refused: str = ""
 
     @classmethod
     def collect(

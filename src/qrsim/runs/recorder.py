@@ -6,7 +6,7 @@ import gc
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -117,6 +117,8 @@ def fly(
     # The first tick alone, so that compiling does not count as flying.
     first = _record(simulation, 1, pilot)
     start_up, first_tick = time.perf_counter() - begun, time.time()
+    compiler, refused = simulation.compiled_by
+    info = replace(info, compiler=compiler, compiler_refused=refused)
     gc.enable()
     with RunWriter.create(folder, info=info, scenario_yaml=scenario.to_yaml(), columns=wanted) as writer:
 

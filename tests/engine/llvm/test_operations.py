@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -10,12 +12,20 @@ import numpy as np
 import pytest
 from jax import lax
 
+from qrsim.engine import llvm as code_generator
 from qrsim.engine.layout import Packer
 from qrsim.engine.llvm import Input, Mode, Program, UnsupportedError, build
 
 SIZES = (1, 3, 8, 16, 21)
 MODES = (Mode(1, False), Mode(8, False), Mode(16, False), Mode(16, True))
 IDS = [f"{'worlds' if mode.side_by_side else 'elements'}{mode.lanes}" for mode in MODES]
+
+
+def test_the_example_of_its_page_runs() -> None:
+    """It ends with a check of its own."""
+    page = Path(code_generator.__file__).with_name("README.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    exec(example, {})
 
 
 def run(function: Any, state: Any, mode: Mode, shared: Any = (), ticks: int = 1, first: int = 0) -> list[Any]:

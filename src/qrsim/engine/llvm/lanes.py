@@ -47,7 +47,8 @@ class Lanes:
     def _describe(self, layout: Packer, count: int, lanes: int) -> None:
         self.layout, self.count, self._lanes = layout, count, lanes
         self.tiles = -(-count // self._lanes)
-        self._is_flat = count == self._lanes == 1 and len(layout.is_float) > 0 and all(layout.is_float)
+        # Whether the leaves lie one behind the other, so that one call of NumPy copies them.
+        self.is_flat = count == self._lanes == 1 and len(layout.is_float) > 0 and all(layout.is_float)
 
     def addresses(self, tile: int) -> list[int]:
         """Return where the buffers of a tile begin."""
@@ -55,10 +56,13 @@ class Lanes:
 
     def fill(self, tree: Any) -> None:
         """Take a tree, each leaf (B, ...)."""
-        leaves = jax.tree.leaves(tree)
-        if self._is_flat:
-            # A command for one world is handed over at every step, and this takes a third of the time of what follows.
-            np.concatenate([np.ravel(leaf) for leaf in leaves], out=self._buffers[0][0, : self.layout.sizes[0]])
+        self.fill_leaves(jax.tree.leaves(tree))
+
+    def fill_leaves(self, leaves: Sequence[Array]) -> None:
+        """Take the leaves of a tree, each (B, ...)."""
+        if self.is_flat:
+            # A command for one world is handed over at every step, where this counts.
+            np.concatenate([leaf.ravel() for leaf in leaves], out=self._buffers[0][0, : self.layout.sizes[0]])
             return
         whole = self.tiles * self._lanes
         for number, leaf in enumerate(leaves):

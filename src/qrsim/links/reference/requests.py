@@ -32,7 +32,7 @@ async def init(connection: Connection, message: Message) -> bool:
     """Start a task."""
     server, request = connection.server, message.init
     realtime = server.options.realtime or float(request.realTime)
-    wishes = await server.aside(lambda: _wishes(connection, request.task, realtime=realtime))
+    wishes = await server.run_in_thread(lambda: _wishes(connection, request.task, realtime=realtime))
     session = await server.open(connection, lambda number: Session(number, wishes, server.options.view))
     connection.send_frame(session.states.frame(connection.reasons))
     connection.send(Message(type=Message.TASKINFO, taskInfo=_info(session)))
@@ -160,7 +160,7 @@ async def open_session(connection: Connection, message: Message) -> bool:
     server, request = connection.server, message.open
     factor = checked_factor(request.realtime if request.HasField("realtime") else server.options.realtime or 0.0)
     chosen = _chosen(connection, request)
-    wishes = await server.aside(lambda: _wishes(connection, **chosen, realtime=factor, events=request.events))
+    wishes = await server.run_in_thread(lambda: _wishes(connection, **chosen, realtime=factor, events=request.events))
     session = await server.open(connection, lambda number: Session(number, wishes, server.options.view))
     _send_session(connection, session)
     return True
@@ -258,7 +258,7 @@ async def play(connection: Connection, message: Message) -> bool:
     server, request = connection.server, message.play
     if request.HasField("task") or request.HasField("scenario") or not isinstance(connection.session, Playing):
         chosen = _chosen(connection, request)
-        wishes = await server.aside(lambda: _wishes_to_play(connection, chosen))
+        wishes = await server.run_in_thread(lambda: _wishes_to_play(connection, chosen))
         session = await server.open(connection, lambda number: Playing(number, wishes))
     else:
         session, seed = connection.session, _seed(request)

@@ -267,7 +267,7 @@ class Server:
             self.sessions.pop(session.number, None)
         self.say(f"session {session.number} ended{why}: {session.summary()}")
 
-    async def aside(self, work: Callable[[], T]) -> T:
+    async def run_in_thread(self, work: Callable[[], T]) -> T:
         """Do something slow that belongs to no session."""
         return await asyncio.get_running_loop().run_in_executor(self._others, work)
 
