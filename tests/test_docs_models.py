@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import re
 from pathlib import Path
 
 import pytest
+from evidence import docs
 
+from qrsim.models.gnss.receivers import Sky
+from qrsim.models.scene.area import StateLimits
 from qrsim.scenarios import catalogue
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,6 +38,49 @@ def test_equations_are_numbered_one_by_one(letter: str) -> None:
     assert numbers == list(range(1, len(numbers) + 1))
     index = (DOCS / "models.md").read_text("utf-8")
     assert f"({letter}1) to ({letter}{numbers[-1]})" in index
+
+
+def _defaults() -> dict[str, set[float]]:
+    """Return the numbers that fields of components have by default, by the name of the field."""
+    kinds = [value for value in vars(catalogue).values() if isinstance(value, dict)]
+    found: dict[str, set[float]] = {}
+    for record in [*(record for kind in kinds for record in kind.values()), Sky, StateLimits]:
+        for field in dataclasses.fields(record) if dataclasses.is_dataclass(record) else ():
+            if isinstance(field.default, int | float):
+                found.setdefault(field.name, set()).add(float(field.default))
+    return found
+
+
+def _stated() -> list[tuple[str, str, str]]:
+    """Return page, parameter and number of the tables of parameters and of constants."""
+    stated = []
+    for page, text in PAGES.items():
+        for header, body in re.findall(
+            r"^(\| (?:parameter|constant) \|.*)\n\|[-|]+\n((?:\|.*\n)+)", text, re.MULTILINE
+        ):
+            place = header.split("|").index(" parameter ")
+            for row in body.splitlines():
+                cells = row.split("|")
+                names = re.findall(r"`(\w+)`", cells[place])
+                value = re.sub(r" to ", ", ", cells[2]).split(";")[0]
+                numbers = [match[0] for part in value.split(", ") if (match := docs.NUMBER.match(part.strip()))]
+                if len(names) == len(numbers):
+                    stated += [(page, name, number) for name, number in zip(names, numbers, strict=True)]
+    return stated
+
+
+def test_defaults_are_those_of_the_components() -> None:
+    defaults, stated = _defaults(), _stated()
+    assert len(stated) > 60
+    wrong = []
+    for page, name, number in stated:
+        if name == "collision_distance":
+            continue  # the world's own
+        scale = math.pi / 180.0 if (page, name) == ("vehicle", "rate_max") else 1.0  # shown in degrees
+        known = {value / scale for value in defaults.get(name, ())}
+        if not any(float(docs.rounded(value, number)) == float(number) for value in known):
+            wrong.append(f"{page}: {name} is {number}; the default is {sorted(known) or 'none'}")
+    assert wrong == []
 
 
 def test_files_and_tests_exist() -> None:
