@@ -1,4 +1,4 @@
-"""The last choice: among the laws of the Pareto fronts, by flights far longer than those that they evolved in.
+"""Final selection among the laws of the Pareto fronts, by flights far longer than in evolution.
 
 An error of 0.3 s says little of what adds up over seconds (the gain of a yaw rate, an offset). The constants of each
 law of a front are therefore fitted once more, with trims, to windows of 3 s in the first part of the training rows, and
@@ -34,7 +34,7 @@ HOPELESS = 3.0
 
 @dataclass
 class Choice:
-    """What is chosen, which changes as law after law is.
+    """The present selection, updated law by law.
 
     Attributes:
         laws: by name.
@@ -46,7 +46,7 @@ class Choice:
 
 
 def choose(log: FlightLog, populations: Mapping[str, Population], windows: int, mass: float, train: float) -> Choice:
-    """Return the laws that fly best over seconds, with constants and trims fitted on the first share of the rows.
+    """Choose the laws that fly best over seconds; constants and trims are fitted on the first share of rows.
 
     Args:
         log: what was read.
@@ -88,13 +88,13 @@ def choose(log: FlightLog, populations: Mapping[str, Population], windows: int, 
 
 
 def long_windows(log: FlightLog, first: float, last: float, length_s: float) -> Flight:
-    """Return windows that cover a share of a log once; they overlap where it is too short for FEWEST_WINDOWS."""
+    """Cut a share of a log into windows; they overlap if it is too short for FEWEST_WINDOWS."""
     steps = round(length_s / log.dt)
     return windows_of(log, first, last, steps, max(FEWEST_WINDOWS, math.ceil((last - first) * len(log.time) / steps)))
 
 
 def left_by(choice: Choice, flight: Flight, mass: float) -> Floats:
-    """Return what the laws leave of each channel (C,): its root mean square."""
+    """Return the root mean square residual (C,) of each channel under the laws."""
     rules = {name: rule_of(each.tree, name) for name, each in choice.laws.items()}
     constants = {name: each.constants[:, None] for name, each in choice.laws.items()}
     found = fly(flight, rules, constants, mass, choice.trims)[:, :, 0]
@@ -148,7 +148,7 @@ def refined(
     mass: float,
     trimmed: bool = True,
 ) -> tuple[Proposal, dict[str, float]]:
-    """Return a law with its constants, and the trims that go into it, fitted to windows with the laws chosen so far."""
+    """Refit a law's constants and trims to windows flown with the laws chosen so far."""
     names = TRIMS.get(law, ()) if trimmed else ()
     partners = {name: choice.laws[name] for name in partners_of(law, choice.laws)}
     none = dict.fromkeys(TRIMS.get(law, ()), 0.0)

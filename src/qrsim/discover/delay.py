@@ -1,4 +1,4 @@
-"""By how much commands act late in a log: first from polynomials, before any law is known, then with the laws."""
+"""Delay of commands in a log: first from polynomials, before any law is known, then with the laws."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ REACH, TOLERANCE = 3.0, 0.05
 
 
 def rough_delay(log: FlightLog, train: float, given: Collection[str] = ()) -> float:
-    """Return the delay [s], in whole steps of the log, whose commands explain best how rates and thrust change.
+    """Estimate the delay [s], in whole steps of the log, that best explains changes of rates and thrust.
 
     No law need be known: what counts is what polynomials of second degree in the inputs of each law leave, of the
     slopes of the rates, and of thrust in flight, because its limited slope would look like delay.
@@ -80,7 +80,7 @@ def refined_delay(
     first: float,
     given: Collection[str] = (),
 ) -> float:
-    """Return the delay [s] with which laws, their constants fitted to it, fly windows of some seconds best.
+    """Estimate the delay [s] with which refitted laws best fly windows of some seconds.
 
     Args:
         log: what was read.

@@ -40,7 +40,7 @@ MASS = 1.68
 
 @dataclass(frozen=True)
 class Law:
-    """One law that was found.
+    """One discovered law.
 
     Attributes:
         name: of the law.
@@ -56,7 +56,7 @@ class Law:
 
     @property
     def terms(self) -> dict[tuple[int, ...], float] | None:
-        """The coefficients by powers of the leaves, None where it is no polynomial."""
+        """The coefficients by powers of the leaves, None if it is not a polynomial."""
         return monomials(self.expression, self.name)
 
     @property
@@ -67,7 +67,7 @@ class Law:
 
 @dataclass(frozen=True)
 class Discovery:
-    """What was found.
+    """The discovered laws and their scores.
 
     Attributes:
         laws: by name.
@@ -91,7 +91,7 @@ class Discovery:
     held: dict[str, str]
 
     def vehicle(self, mass: float) -> dict[str, Any]:
-        """Return the vehicle as scenarios write it."""
+        """Return the vehicle in the form of scenario files."""
         laws = {name: law for name, law in self.laws.items() if name not in self.held}
         texts = {f"{name}_law": str(law.expression) for name, law in laws.items() if name != "drag"}
         content: dict[str, Any] = {"type": "expression", "mass": mass, **texts}
@@ -155,7 +155,7 @@ def discover(
 
 
 def not_shown(log: FlightLog, train: float) -> dict[str, str]:
-    """Return the laws of which the first share ``train`` of a log says nothing, with the reason.
+    """Return the laws that the first share ``train`` of a log does not excite, with the reason.
 
     Raises:
         UsageError: it says nothing of any; how much each signal moves.
@@ -254,11 +254,11 @@ PUBLISHED_TERMS: dict[str, tuple[tuple[int, ...], ...]] = {
 
 
 def is_published(law: Law) -> bool:
-    """Return whether a law has the published structure, or is algebraically equal to one that has."""
+    """Return whether a law is algebraically equal to one of the published structure."""
     terms = law.terms
     return terms is not None and set(terms) == set(PUBLISHED_TERMS[law.name])
 
 
 def constants_of(law: Law) -> int:
-    """Return the number of constants of a law as it was found."""
+    """Return the number of constants of a law as discovered."""
     return count_constants(law.chosen.tree)

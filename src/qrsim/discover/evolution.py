@@ -1,4 +1,4 @@
-"""Co-evolution: a population of trees for each law, each tree judged in flight together with partners of the others.
+"""Co-evolution: a population of trees for each law; each tree is scored in flight with partners of the others.
 
 Fitness is the error after flying many windows, against the number of nodes; parents are selected by NSGA-II. The
 constants of every proposal are refined by Gauss-Newton with Levenberg's damping on that same error, its partners held.
@@ -78,7 +78,7 @@ class Population:
     given: bool = False
 
     def pareto(self) -> list[Proposal]:
-        """Return the front, smallest first."""
+        """Return the Pareto front, smallest first."""
         best: list[Proposal] = []
         for size in sorted(self.front):
             if not best or self.front[size].error < best[-1].error * (1.0 - 1e-9):
@@ -92,7 +92,7 @@ class Population:
 
 
 class Evolution:
-    """The populations of all laws that act in a flight; those that are given do not evolve."""
+    """The populations of all laws of a flight; given laws do not evolve."""
 
     def __init__(self, flight: Flight, mass: float, size: int, seed: int, given: Mapping[str, Proposal] | None = None):
         self.flight, self.mass, self.size = flight, mass, size
@@ -229,7 +229,7 @@ def errors_of(
     mass: float,
     trims: Mapping[str, float],
 ) -> Callable[[Floats, Mapping[str, Floats]], Floats]:
-    """Return (constants (K, B), trims (B,)) -> errors (B, C, H, n) of what a law shows in, over the channels' noise.
+    """Return (constants (K, B), trims (B,)) -> errors (B, C, H, n) of what a law shows in, in units of the channels' noise.
 
     Args:
         law, proposal: what is tried.
@@ -264,7 +264,7 @@ def _part(flight: Flight, law: str) -> Flight:
 
 
 def partners_of(law: str, laws: Iterable[str]) -> set[str]:
-    """Return which of the laws fly with one."""
+    """Return the laws that fly with a law."""
     together = TOGETHER[law] & set(laws)
     return set() if law == "thrust" and "drag" not in together else together
 
@@ -285,7 +285,7 @@ SHOWS = {
 
 
 def fitted(residual: Callable[[Floats], Floats], start: Floats, steps: int) -> tuple[Floats, float]:
-    """Return constants after some steps of Levenberg and Marquardt, and the mean square that is left.
+    """Fit constants by some Levenberg-Marquardt steps; also return the remaining mean square.
 
     Args:
         residual: (K, B) -> (B, N).
@@ -328,7 +328,7 @@ def _mean_square(values: Floats) -> float:
 
 
 def slopes(flight: Flight, law: str) -> tuple[list[Floats], Floats]:
-    """Return a law's leaves, (N,) each, and what it has to give, (N,), from differences of the record."""
+    """Return a law's leaves, (N,) each, and its target values (N,), from differences of the record."""
     place = {name: i for i, name in enumerate(flight.names)}
     middle = slice(2, -2)
 

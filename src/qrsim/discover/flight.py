@@ -47,7 +47,7 @@ SMOOTHED = 4
 
 @dataclass(frozen=True)
 class Flight:
-    """A log as windows.
+    """A log cut into windows.
 
     Attributes:
         names: the measured channels.
@@ -65,7 +65,7 @@ class Flight:
 
     @property
     def laws(self) -> tuple[str, ...]:
-        """The laws that its channels show."""
+        """The laws that its channels depend on."""
         return tuple(law for law in LEAVES if SHOWN_BY[law] in self.names)
 
 
@@ -88,7 +88,7 @@ def channels_of(log: FlightLog) -> tuple[str, ...]:
 
 
 def windows_of(log: FlightLog, first: float, last: float, steps: int, most: int) -> Flight:
-    """Return windows of ``steps`` steps, at most ``most`` of them, evenly spread over a share of a log's rows.
+    """Cut windows of ``steps`` steps, at most ``most``, evenly spread over a share of a log's rows.
 
     Raises:
         UsageError: no window without a gap.
@@ -148,7 +148,7 @@ def fly(
     mass: float,
     trims: Mapping[str, Floats | float] | None = None,
 ) -> Floats:
-    """Return the channels (C, H, B, n) of B sets of constants flown through all windows by Heun's rule.
+    """Fly B sets of constants through all windows by Heun's rule; channels (C, H, B, n).
 
     Args:
         flight: windows.

@@ -1,4 +1,4 @@
-"""The picture: Pareto fronts, and the held-out part flown by the laws."""
+"""The figure: Pareto fronts, and the held-out part flown by the laws."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from qrsim.runs.picture import new_figure
 
 
 def draw(found: Discovery) -> Any:
-    """Return the figure."""
+    """Draw the figure."""
     rows = len(found.names)
     figure = new_figure(12.0, 1.8 * rows + 1.0)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1, 2))

@@ -1,4 +1,4 @@
-"""Expression trees with constants to be fitted; DEAP's trees, this file's meaning of them."""
+"""Expression trees with constants to fit: DEAP's trees, evaluated here."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def gp() -> Any:
-    """Return DEAP's genetic programming."""
+    """Import DEAP's genetic programming."""
     return extras.load("identify", "discovering laws", "deap.gp")
 
 
 @functools.cache
 def primitives(law: str) -> Any:
-    """Return what the trees of a law are made of: + - * /, its leaves, constants."""
+    """Return the primitives of a law's trees: + - * /, its leaves, constants."""
     known = gp().PrimitiveSet(law, 0, prefix="")
     for name in _SIGNS:
         known.addPrimitive(getattr(operator, "truediv" if name == "div" else name), 2, name=name)
@@ -37,7 +37,7 @@ def primitives(law: str) -> Any:
 
 
 def text_of(tree: Any, constants: Any = None) -> str:
-    """Return a tree as an expression in brackets; constants are c0, c1, ... or, where given, their values."""
+    """Write a tree as a bracketed expression; constants are c0, c1, ... or the given values."""
     words: list[str] = []
     count = 0
     for node in reversed(tree):
@@ -58,7 +58,7 @@ def text_of(tree: Any, constants: Any = None) -> str:
 
 
 def count_constants(tree: Any) -> int:
-    """Return how many constants a tree has."""
+    """Count the constants of a tree."""
     return sum(node.name == CONSTANT for node in tree)
 
 
@@ -71,18 +71,18 @@ def _compiled(text: str, constants: int, law: str) -> Rule:
 
 
 def rule_of(tree: Any, law: str) -> Rule:
-    """Return a tree as a function of its constants and leaves."""
+    """Compile a tree to a function of its constants and leaves."""
     return _compiled(text_of(tree), count_constants(tree), law)
 
 
 def made(law: str) -> Any:
-    """Return a random tree."""
+    """Make a random tree."""
     library = gp()
     return library.PrimitiveTree(library.genHalfAndHalf(primitives(law), 1, 3))
 
 
 def varied(first: Any, second: Any, law: str) -> Any:
-    """Return a child of two trees by crossing and changing; it is never larger than allowed."""
+    """Make a child of two trees by crossover and mutation, within the size limit."""
     library = gp()
     known = primitives(law)
     for _ in range(8):
@@ -109,13 +109,13 @@ def varied(first: Any, second: Any, law: str) -> Any:
 
 
 def symbolic(tree: Any, constants: Floats) -> Any:
-    """Return a tree with its constants as a SymPy expression, multiplied out where it is a polynomial."""
+    """Convert a tree with its constants to a SymPy expression, expanded if it is a polynomial."""
     sympy = extras.load("identify", "printing laws", "sympy")
     return sympy.expand(sympy.sympify(text_of(tree, constants)))
 
 
 def monomials(expression: Any, law: str) -> dict[tuple[int, ...], float] | None:
-    """Return the coefficients of a polynomial in a law's leaves by their powers, None where it is none."""
+    """Return the coefficients of a polynomial in a law's leaves by their powers, None for other expressions."""
     sympy = extras.load("identify", "printing laws", "sympy")
     try:
         terms = sympy.Poly(sympy.cancel(expression), *(sympy.Symbol(leaf) for leaf in LEAVES[law]))
@@ -125,7 +125,7 @@ def monomials(expression: Any, law: str) -> dict[tuple[int, ...], float] | None:
 
 
 def polynomial_tree(powers: list[tuple[int, ...]], law: str) -> Any:
-    """Return the tree that adds up terms, each a constant times powers of the leaves."""
+    """Build the sum of terms, each a constant times powers of the leaves, as a tree."""
     library = gp()
     known = primitives(law)
     add, times = known.mapping["add"], known.mapping["mul"]
@@ -144,11 +144,11 @@ def polynomial_tree(powers: list[tuple[int, ...]], law: str) -> Any:
 
 
 def shown(expression: Any, digits: int = 6) -> str:
-    """Return an expression as text with rounded numbers."""
+    """Format an expression with rounded numbers."""
     sympy = extras.load("identify", "printing laws", "sympy")
     return str(expression.xreplace({n: sympy.Float(n, digits) for n in expression.atoms(sympy.Float)}))
 
 
 def randomly(count: int) -> Floats:
-    """Return constants to start a fit from."""
+    """Draw random initial constants for a fit."""
     return np.array([random.uniform(-1.0, 1.0) for _ in range(count)])

@@ -1,4 +1,4 @@
-"""What can be estimated: the vehicle's constants, and what belongs to a log rather than to the vehicle."""
+"""Quantities to estimate: the vehicle's constants, and the nuisance parameters of each log."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ THROUGH_ZERO = {"cth0": 50.0, "cth1": 0.05}
 
 @dataclass(frozen=True)
 class Nuisance:
-    """Something of one log that is estimated on its training part only.
+    """A parameter of one log, estimated on its training part only.
 
     Attributes:
         unit, doc: what it is.
@@ -59,7 +59,7 @@ FOR_THRUST = ("throttle", "battery")
 
 
 def channels_of(log: FlightLog) -> tuple[str, ...]:
-    """Return the measured signals of a log that the fit compares with.
+    """Return the measured signals of a log that the fit uses.
 
     Raises:
         UsageError: the log holds neither a rotation nor a thrust that can be simulated.
@@ -79,12 +79,12 @@ def channels_of(log: FlightLog) -> tuple[str, ...]:
 
 
 def lacking(log: FlightLog) -> tuple[str, ...]:
-    """Return what a log with a thrust has not that a thrust needs; it is then used for its rotation alone."""
+    """Return the signals that a log lacks for a fit of thrust; it is then used for rotation alone."""
     return tuple(name for name in FOR_THRUST if "thrust" in log.signals and name not in log.signals)
 
 
 def constants_in(channels: Iterable[str], separate: bool) -> tuple[str, ...]:
-    """Return the constants that such measured signals depend on."""
+    """Return the constants that the measured signals depend on."""
     channels = set(channels)
     found: tuple[str, ...] = ()
     if "roll" in channels:
@@ -97,7 +97,7 @@ def constants_in(channels: Iterable[str], separate: bool) -> tuple[str, ...]:
 
 
 def nuisances_in(channels: Iterable[str]) -> tuple[str, ...]:
-    """Return what is estimated besides for a log with such measured signals."""
+    """Return the nuisance parameters of a log with such measured signals."""
     channels = set(channels)
     return (
         ("delay",)
@@ -116,7 +116,7 @@ def needed_for(constant: str) -> tuple[str, ...]:
 
 
 def aspects_of(constant: str, separate: bool) -> tuple[str, ...]:
-    """Return the aspects of a flight (flight_logs.excitation) of which any one shows a constant."""
+    """Return the aspects of a flight (flight_logs.excitation), any one of which excites a constant."""
     if constant in PITCH:
         return ("pitch",)
     if constant in ROLL:
@@ -129,7 +129,7 @@ def aspects_of(constant: str, separate: bool) -> tuple[str, ...]:
 
 
 def check_names(names: Iterable[str], separate: bool) -> None:
-    """Refuse the name of something that is no constant.
+    """Refuse names that are not constants.
 
     Raises:
         UsageError: names the nearest one.

@@ -43,7 +43,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class Question:
-    """What is to be estimated.
+    """The estimation problem.
 
     Attributes:
         constants: names, in the order of the result.
@@ -68,7 +68,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Answer:
-    """What was found.
+    """The estimates.
 
     Attributes:
         values: every constant of the vehicle by name.
@@ -190,12 +190,12 @@ class _Sum:
 
 
 def width_of(name: str, question: Question) -> float:
-    """Return the standard deviation of the prior that a constant has unless another is given: all of its start."""
+    """Return the default standard deviation of a constant's prior: the magnitude of its start."""
     return max(abs(question.start[name]), SMALLEST_WIDTH.get(name, 0.0))
 
 
 def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lambda text: None) -> Answer:
-    """Estimate; a constant that the logs do not determine is held by its prior, whose width the others' intervals feel.
+    """Estimate all constants; the prior holds those the logs do not determine, and widens the others' intervals.
 
     Raises:
         UsageError: no constant at all shows in the logs.

@@ -39,7 +39,7 @@ def identify(
     train: float = TRAIN,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Result:
-    """Fit the first share ``train`` of each log and score the rest, whose only say is to reject.
+    """Fit the first share ``train`` of each log and score the rest, which can only reject constants.
 
     Args:
         logs: what was read.

@@ -1,4 +1,4 @@
-"""Confidence intervals that hold although residuals are correlated: the jackknife over blocks of time.
+"""Confidence intervals that allow for correlated residuals: the jackknife over blocks of time.
 
 Each block of windows is left out in turn, and how far the estimate then moves (one Gauss-Newton step, with the
 curvature of what is left) gives its covariance: (m - 1)/m times the sum of squares over m blocks (Efron and Tibshirani,
@@ -37,7 +37,7 @@ LOST = 0.01
 
 @dataclass(frozen=True)
 class Covariance:
-    """Of an estimate.
+    """Covariance of an estimate.
 
     Attributes:
         names: of its K components.
@@ -66,7 +66,7 @@ class Covariance:
 
     @property
     def quantile(self) -> Floats:
-        """How many standard errors the 95 % interval reaches to either side, (K,)."""
+        """Half-width of the 95 % interval in standard errors, (K,)."""
         return np.asarray(stats.t.ppf(0.5 + CONFIDENCE / 2.0, self.freedom))
 
     def interval(self, name: str) -> tuple[float, float]:
@@ -85,7 +85,7 @@ def covariance(
     prior: Floats,
     robust: bool,
 ) -> Covariance:
-    """Return the covariance of a least-squares estimate.
+    """Compute the covariance of a least-squares estimate.
 
     Args:
         names: of the K unknowns.
@@ -123,7 +123,7 @@ def covariance(
 
 
 def inverse_of(matrix: Floats) -> tuple[Any, Any]:
-    """Return the inverse of a curvature (K, K), and which components lie in directions in which it has none.
+    """Invert a curvature (K, K); also return which components lie in its null directions.
 
     In those directions the inverse is 0 (Moore and Penrose), after scaling the diagonal to 1.
     """

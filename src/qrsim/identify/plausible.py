@@ -1,4 +1,4 @@
-"""What no vehicle that flies can have: ranges of what constants mean together, far wider than vehicles differ.
+"""Plausibility limits: wide ranges of the quantities that constants imply together.
 
 Multirotors from 30 g to 100 kg have attitude loops of 2 to 40 rad/s that are damped by 0.3 to 2, angles within 30 % of
 what is asked for, and full throttle that lifts 1.3 to 8 times the weight.
@@ -19,7 +19,7 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Meaning:
-    """What some constants mean together.
+    """A physical quantity that several constants imply together.
 
     Attributes:
         constants: that it depends on.
@@ -36,7 +36,7 @@ class Meaning:
 
 
 def thrust(values: Values, throttle: float) -> float:
-    """Return the thrust [N] that a throttle (0 to 1) asks for."""
+    """Return the steady thrust [N] at a throttle (0 to 1)."""
     raw = throttle * THROTTLE_RAW_PER_UNIT
     return values["cth0"] + raw * (values["cth1"] + raw * values["cth2"])
 
@@ -88,7 +88,7 @@ MEANINGS: tuple[Meaning, ...] = (
 
 
 def implausible(values: Values, fitted: tuple[str, ...]) -> dict[str, str]:
-    """Return, by constant, what no vehicle that flies can have, with the number and what is believed.
+    """Return the implausible constants, each with a sentence: the quantity, its value and its limits.
 
     Args:
         values: every constant by name; those of pitch only if it has its own.

@@ -1,4 +1,4 @@
-"""Multiple shooting: a log cut into windows, each flown from a start of its own that is estimated with the rest.
+"""Multiple shooting: a log cut into windows, each simulated from its own initial state, estimated jointly.
 
 The start of a window matters to that window alone. It is therefore found inside (a few Gauss-Newton steps, weighted by
 the same robust loss), and what is left to the outer solver are the constants and the few nuisances of each log. At
@@ -46,7 +46,7 @@ FIRST_GUST, FIRST_DRIFT, SMALLEST_GUST = 0.5, 0.2, 0.01
 
 @dataclass(frozen=True)
 class Piece:
-    """Rows of a log that belong together: the part to fit, or the part to score.
+    """The part of a log to fit, or the part to score.
 
     Attributes:
         log: where they are from.
@@ -77,7 +77,7 @@ class Piece:
 
     @property
     def places(self) -> tuple[int, ...]:
-        """Of the measured channels among all."""
+        """Indices of the measured channels among all."""
         return tuple(PLACE[name] for name in self.channels)
 
     @property
@@ -91,7 +91,7 @@ class Piece:
         return self.measured[self.windows]
 
     def starts(self) -> Floats:
-        """Return (n, 16) channels at the first row of each window, as measured, gust and drift; 0 for what is not."""
+        """Return (n, 16) measured channels, gust and drift at the first row of each window; 0 if not measured."""
         starts = np.zeros((self.windows.shape[1], DRIFT[-1] + 1))
         starts[:, list(self.places)] = self.measured[self.windows[0]]
         return starts
@@ -159,7 +159,7 @@ def _runs(good: np.ndarray[Any, Any]) -> list[tuple[int, int]]:
 
 
 class Misfit(NamedTuple):
-    """What a piece's simulation differs by from the record, and the derivatives by K unknowns.
+    """Residuals of a piece's simulation, and their derivatives by K unknowns.
 
     Attributes:
         residual: simulated minus recorded over the noise, (W, n, C); 0 where a row does not count.
@@ -175,7 +175,7 @@ class Misfit(NamedTuple):
 
 
 class Shooting:
-    """One piece with the starts of its windows, which are remembered from one evaluation to the next."""
+    """One piece with the initial states of its windows, kept between evaluations."""
 
     def __init__(self, piece: Piece, vehicle: Quadrotor, robust: bool = True):
         self.piece = piece
@@ -188,7 +188,7 @@ class Shooting:
         self._gust_variance = np.zeros(len(piece.gusts))
 
     def misfit(self, values: Mapping[str, float], noise: Mapping[str, float]) -> Misfit:
-        """Return residuals and their derivatives by ``values``, with the starts at their optimum.
+        """Compute residuals and their derivatives by ``values``, with the initial states at their optimum.
 
         Args:
             values: of the unknowns by name.
@@ -226,7 +226,7 @@ class Shooting:
         return Misfit(residual, by_value, self._gusts() / self.gust, follows[:, own:] / self.gust[:, None])
 
     def learn_gust(self) -> None:
-        """Set the gusts' standard deviations, horizontal and vertical, to what the last misfit says (a step of EM)."""
+        """Update the gusts' standard deviations, horizontal and vertical, from the last misfit (an EM step)."""
         if len(self.gust):
             variance = np.square(self._gusts()).mean(axis=0) + self._gust_variance
             north, east, down = variance.reshape(2, 3).T
@@ -237,7 +237,7 @@ class Shooting:
         return self.starts[:, list(self.piece.gusts)]
 
     def simulated(self, values: Mapping[str, float]) -> Floats:
-        """Return the channels (W, n, C) from the starts as they are."""
+        """Simulate the channels (W, n, C) from the present initial states."""
         with jax.enable_x64(True):
             return np.asarray(predict(self.piece.places, **self._arguments(values)))
 
@@ -276,5 +276,5 @@ class Shooting:
 
 
 def weights(residual: Floats, robust: bool) -> Floats:
-    """Return what a residual counts under the robust loss, scipy's soft_l1 at ROBUST_AT: 1 where it is small."""
+    """Return the weights of residuals under the robust loss, scipy's soft_l1 at ROBUST_AT: 1 for small ones."""
     return 1.0 / np.sqrt(1.0 + np.square(residual / ROBUST_AT)) if robust else np.ones_like(residual)

@@ -1,4 +1,4 @@
-"""What is written: the vehicle for scenarios, the numbers, the report."""
+"""Result of an identification: the vehicle for scenarios and the numbers."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Result:
     excitations: Sequence[Excitation]
 
     def constants(self) -> dict[str, dict[str, Any]]:
-        """Return each constant that was identified with its interval."""
+        """Return each identified constant with its interval."""
         found = {}
         for name in (name for name, verdict in self.verdicts.items() if verdict.status == "identified"):
             low, high = self.answer.covariance.interval(name)
@@ -55,7 +55,7 @@ class Result:
         return found
 
     def other_verdicts(self) -> dict[str, list[str]]:
-        """Return the constants that were not identified by what is said of them."""
+        """Return the constants that were not identified, by verdict."""
         found: dict[str, list[str]] = {}
         for name, verdict in self.verdicts.items():
             if verdict.status == "fitted":
@@ -97,7 +97,7 @@ class Result:
         }
 
     def channels(self, i: int) -> dict[str, dict[str, Any]]:
-        """Return, of each signal of a log, how much it moves, and whether it is one that constants were identified by.
+        """Return each signal's movement in a log, and whether constants were identified by it.
 
         ``identified`` is for measured signals alone: an aspect that the log shows has a constant that was identified.
         """
@@ -129,7 +129,7 @@ class Result:
         return found
 
     def vehicle(self) -> dict[str, Any]:
-        """Return the vehicle as scenarios write it."""
+        """Return the vehicle in the form of scenario files."""
         kind = "quadrotor" if self.question.separate else "pelican"
         return {"type": kind, **{name: float(value) for name, value in self.answer.values.items()}}
 
@@ -145,7 +145,7 @@ class Result:
 
 
 def rounded(item: Any) -> Any:
-    """Return a tree with its numbers to 6 digits, for reading."""
+    """Round the numbers of a tree to 6 digits, for reading."""
     if isinstance(item, Mapping):
         return {key: rounded(value) for key, value in item.items()}
     if isinstance(item, list | tuple):
@@ -154,7 +154,7 @@ def rounded(item: Any) -> Any:
 
 
 def write_text(path: Path, content: str | bytes) -> None:
-    """Write a file at once.
+    """Write a file atomically.
 
     Raises:
         RunError: it cannot be written.

@@ -1,4 +1,4 @@
-"""How well constants predict what they were not fitted to, and whether what is left looks like noise."""
+"""Scores on held-out data: prediction errors, and whiteness of the residuals."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ HORIZON_S = 5.0
 
 
 def open_loop(piece: Piece, values: Mapping[str, float], nuisances: Mapping[str, float], separate: bool) -> Floats:
-    """Return the channels (W, n, C) of a piece from its first rows as recorded, without looking at it again."""
+    """Simulate the channels (W, n, C) of a piece open loop from its recorded first rows."""
     shooting = Shooting(piece, vehicle_of(dict(values), separate))
     return shooting.simulated(nuisances)
 
 
 def mean_square(piece: Piece, simulated: Floats) -> dict[str, float]:
-    """Return the mean squared error of each channel; infinite where a simulation has left what numbers can hold."""
+    """Return the mean squared error of each channel; infinite if a simulation diverged."""
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.square(simulated - piece.recorded)[piece.used].mean(axis=0)
     return dict(zip(piece.channels, np.nan_to_num(error, nan=np.inf, posinf=np.inf).tolist(), strict=True))
@@ -68,7 +68,7 @@ def score(
 
 
 def lower(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
-    """Return by how many per cent each error became smaller; errors that are 0 or infinite have no such number."""
+    """Return the reduction of each error [%]; none for errors that are 0 or infinite."""
     names = [name for name in before if before[name] > 0.0 and math.isfinite(before[name] + after[name])]
     return {name: 100.0 * (1.0 - after[name] / before[name]) for name in names}
 
@@ -97,7 +97,7 @@ def _horizon(
 
 
 def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
-    """Return, of each channel's residuals (W, n, C), how they differ from white noise.
+    """Test each channel's residuals (W, n, C) for whiteness.
 
     ``lag_1``: autocorrelation of neighbouring rows; ``correlated_s``: time over which the autocorrelation falls to
     1/e; ``ljung_box_p``: probability of so much correlation within 20 rows in white noise; ``input``: largest

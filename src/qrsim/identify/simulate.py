@@ -24,7 +24,7 @@ DRIFT = tuple(range(_WIDTH + 3, _WIDTH + 6))
 
 
 def delayed(commands: Array, delay: Array, dt: float) -> Array:
-    """Return commands (T, 5) that act ``delay`` [s] late, as the mean over each step of what is held during it."""
+    """Delay commands (T, 5) by ``delay`` [s]: the mean over each step of the command held during it."""
     steps = jnp.maximum(delay, 0.0) / dt
     whole = jnp.floor(steps)
     part = steps - whole
@@ -34,7 +34,7 @@ def delayed(commands: Array, delay: Array, dt: float) -> Array:
 
 
 def thrust_history(vehicle: Quadrotor, throttle: Array, battery: Array, first: Array | None, dt: float) -> Array:
-    """Return the thrust (T,) [N] before each row of throttle and battery (T,), by the vehicle's own equation.
+    """Simulate the thrust (T,) [N] before each row of throttle and battery (T,), by the vehicle's own equation.
 
     Without a first value it starts where the first row's command would settle.
     """
@@ -52,7 +52,7 @@ def thrust_history(vehicle: Quadrotor, throttle: Array, battery: Array, first: A
 
 
 def fly(vehicle: Quadrotor, start: Array, commands: Array, wind_ned: Vec3, drift_ned: Vec3, dt: float) -> Array:
-    """Return the channels (W, n, 10) of n vehicles at each row.
+    """Simulate the channels (W, n, 10) of n vehicles at each row.
 
     Args:
         vehicle: parameters.
@@ -91,7 +91,7 @@ def channels(
     windows: Array,
     dt: float,
 ) -> Array:
-    """Return the channels (W, n, 10) of n windows of one log.
+    """Simulate the channels (W, n, 10) of n windows of one log.
 
     Args:
         names: of the unknowns.
@@ -121,7 +121,7 @@ def channels(
 
 @partial(jax.jit, static_argnames=("names", "places", "thrust_measured", "dt"))
 def predict(places: tuple[int, ...], **arguments: Any) -> Array:
-    """Return the measured channels (W, n, C), those at ``places``; the rest is of ``channels``."""
+    """Simulate the measured channels (W, n, C), those at ``places``; other arguments as ``channels``."""
     return channels(**arguments)[:, :, jnp.array(places)]
 
 
@@ -129,7 +129,7 @@ def predict(places: tuple[int, ...], **arguments: Any) -> Array:
 def linearised(
     places: tuple[int, ...], free: tuple[int, ...], unknowns: Array, starts: Array, **rest: Any
 ) -> tuple[Array, Array, Array]:
-    """Return channels (W, n, C) and their derivatives by unknowns (W, n, C, K) and by what is free in a start, S.
+    """Return channels (W, n, C), their derivatives by unknowns (W, n, C, K) and by the S free initial values.
 
     A window depends on its own start alone, so one direction moves the starts of all windows together.
 

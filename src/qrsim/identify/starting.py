@@ -1,4 +1,4 @@
-"""Where the search begins: the published constants, or a vehicle written before."""
+"""Starting values: the published constants, or a vehicle identified before."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is written of each constant: identified, fitted though its own value is not known, or held at its start.
+"""Verdict on each constant: identified, fitted but not determined alone, or held at its start.
 
 Before the fit those are held whose motion the logs do not show. After it those that no fit determined, that ended at a
 bound or so far from their start that their prior cannot be said to hold them, or that no vehicle can have; and where
@@ -29,7 +29,7 @@ HARDLY_WORSE = 0.01
 
 @dataclass(frozen=True)
 class Verdict:
-    """On one constant.
+    """Verdict on one constant.
 
     Attributes:
         status: identified; fitted, but its own value is not known; held at its start.
@@ -41,12 +41,12 @@ class Verdict:
 
 
 def channels_in(aspect: str) -> tuple[str, ...]:
-    """Return the measured channels that are to be predicted better for an aspect to count as identified."""
+    """Return the measured channels that must improve for an aspect to count as identified."""
     return ("yaw", *ASPECTS[aspect].channels) if aspect == "yaw" else ASPECTS[aspect].channels
 
 
 def not_shown(names: Sequence[str], separate: bool, excitations: Sequence[Excitation]) -> dict[str, str]:
-    """Return the constants that no log shows, with the reason."""
+    """Return the constants that no log excites, with the reason."""
     held = {}
     for name in names:
         aspects = aspects_of(name, separate)
@@ -82,7 +82,7 @@ def objections(answer: Answer, question: Question) -> dict[str, str]:
 def worse(
     answer: Answer, question: Question, excitations: Sequence[Excitation], scores: Sequence[Mapping[str, Any]]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the fitted constants of aspects whose held-out channels are not all predicted better than by the start.
+    """Return the fitted constants of aspects with a held-out channel predicted no better than by the start.
 
     Returns:
         Those to hold, and those of aspects that are better in the mean while the worst channel is hardly worse: such
@@ -127,7 +127,7 @@ def _no_better(ratios: Mapping[str, float]) -> str:
 def verdicts_of(
     answer: Answer, question: Question, held: Mapping[str, str], doubtful: Mapping[str, str]
 ) -> dict[str, Verdict]:
-    """Return the verdict on every constant of the vehicle; ``doubtful`` are kept, but not called identified."""
+    """Return the verdict on every constant of the vehicle; ``doubtful`` ones are kept but not called identified."""
     found = {}
     for name in CONSTANTS:
         if name in PITCH and not question.separate:
@@ -148,7 +148,7 @@ def verdicts_of(
 
 
 def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation], held: Mapping[str, str]) -> None:
-    """Refuse logs that show no constant.
+    """Refuse logs that excite no constant.
 
     Raises:
         UsageError: says for each log whether it stood on the ground, and how much each of its signals moves.
@@ -164,7 +164,7 @@ def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation
 
 
 def refuse_useless(logs: Sequence[FlightLog], held: Mapping[str, str]) -> None:
-    """Say that no fit was any good.
+    """Refuse a fit with no usable constant.
 
     Raises:
         RunError: with the reason for each constant.

@@ -1,4 +1,4 @@
-"""In what the logs of two runs differ: vehicles, streams, ticks, and every quantity at the ticks that both have.
+"""Differences of the logs of two runs: vehicles, streams, ticks, and every quantity at common ticks.
 
 Ticks are matched by their time, so that logs of different decimation or step can be compared too; a value that is not
 a number equals another that is not. The logs are read part by part.
@@ -34,7 +34,7 @@ class Moment:
 
 @dataclass(frozen=True)
 class Difference:
-    """How a quantity differs.
+    """Difference of one quantity between two runs.
 
     Attributes:
         quantity: stream and column.
@@ -58,7 +58,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class StreamComparison:
-    """A stream that both runs have.
+    """Comparison of a stream that both runs have.
 
     Attributes:
         stream: its name.
@@ -88,7 +88,7 @@ class StreamComparison:
 
 @dataclass(frozen=True)
 class EventComparison:
-    """How many events both runs have, and those that only the first, only the second has."""
+    """Number of events in both runs, and the events in only one of them."""
 
     equal: int
     only: tuple[tuple[Event, ...], tuple[Event, ...]]
@@ -117,12 +117,12 @@ class Comparison:
 
     @property
     def differences(self) -> list[Difference]:
-        """All quantities that differ, what differs first in front, then what differs most."""
+        """All quantities that differ: by time of first difference, then by size."""
         return _sorted([item for stream in self.streams for item in stream.differences])
 
     @property
     def same(self) -> bool:
-        """Whether the logs differ by nothing more than the tolerance; settings do not count."""
+        """Whether all differences of the logs are within the tolerance; settings do not count."""
         missing = any(self.vehicles_only) or any(self.streams_only)
         other_events = self.events is not None and any(self.events.only)
         return not missing and not other_events and all(stream.same for stream in self.streams)
@@ -134,7 +134,7 @@ class Comparison:
 
 
 def compare_runs(first: Run, second: Run, tolerance: float = 0.0, streams: Sequence[str] = ()) -> Comparison:
-    """Return the differences of two runs.
+    """Compare two runs.
 
     Args:
         first, second: the runs.

@@ -1,4 +1,4 @@
-"""The picture of two runs: the plan of both, and how far apart each vehicle is in them."""
+"""The figure of two runs: both plan views, and the distance of each vehicle between them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class _Data:
 
 
 def draw_comparison(first: Run, second: Run) -> Figure:
-    """Return the figure of two runs (needs no display).
+    """Draw the figure of two runs (needs no display).
 
     Raises:
         RunError: they have no vehicle or no tick of the truth in common, or a log is damaged.

@@ -1,4 +1,4 @@
-"""What ``qrsim compare`` says, for people and for scripts."""
+"""Output of ``qrsim compare``, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RUNS = "AB"
 
 
 def print_report(first: Run, second: Run, found: Comparison) -> None:
-    """Print what differs, and at the end whether anything does."""
+    """Print the differences, then the verdict."""
     for letter, run in zip(RUNS, (first, second), strict=True):
         count = f"{len(run.vehicles)} vehicle{'s' if len(run.vehicles) > 1 else ''}"
         print(f"{letter}: {run.folder}  ({run.info.scenario}, seed {run.info.seed}, {count})")
@@ -137,7 +137,7 @@ def _verdict(found: Comparison) -> str:
 
 
 def to_json(first: Run, second: Run, found: Comparison) -> dict[str, Any]:
-    """Return the result for scripts; what is not finite is None."""
+    """Return the result as plain values for JSON; non-finite numbers are None."""
     events = found.events
     return {
         "runs": [str(first.folder), str(second.folder)],

@@ -1,4 +1,4 @@
-"""A folder of run folders: the episodes that one session of a server flew, one after the other."""
+"""A folder of run folders: the episodes of one server session, in order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def episode_name(number: int) -> str:
 
 
 class EpisodesWriter:
-    """Names the run folders of episodes, and keeps a list of them; not for use from several threads."""
+    """Names the run folders of episodes, and keeps a list of them; not thread-safe."""
 
     def __init__(self, folder: Path, content: dict[str, Any]):
         """Use ``EpisodesWriter.create``."""
@@ -40,7 +40,7 @@ class EpisodesWriter:
         return cls(folder, {"format": FORMAT, "scenario": scenario, "started": utc_now(), "episodes": []})
 
     def begin(self, seed: int) -> Path:
-        """Add the next episode to the list, and return where its run folder is to be made.
+        """Add the next episode to the list, and return the path for its run folder.
 
         Raises:
             RunError: the list cannot be written.
@@ -59,24 +59,24 @@ class EpisodesWriter:
 
 
 def episode_folders(folder: Path) -> list[Path]:
-    """Return the run folders of the episodes in a folder, in their order; also of one whose list is behind."""
+    """Return the run folders of the episodes in a folder, in order, even if its list is incomplete."""
     found = [(re.fullmatch(r"episode-(\d{4,})", path.name), path) for path in folder.iterdir()]
     numbered = sorted((int(match[1]), path) for match, path in found if match and (path / RUN_FILE).is_file())
     return [path for _, path in numbered]
 
 
 def holds_episodes(folder: Path) -> bool:
-    """Return whether a folder is one of episodes."""
+    """Return whether a folder holds episodes."""
     return (folder / EPISODES_FILE).is_file()
 
 
 def named(folders: list[Path]) -> str:
-    """Return the names of some of the folders, for people."""
+    """List the names of the first folders, for messages."""
     return ", ".join(str(path) for path in folders[:_MOST_NAMED]) + (", ..." if len(folders) > _MOST_NAMED else "")
 
 
 def which_one(folder: Path, folders: list[Path]) -> UsageError:
-    """Return the error of who wants one run where there are several, or none."""
+    """Return the error for a folder with several runs or none where one is needed."""
     if not folders:
         return UsageError(f"{folder} holds no episodes")
     return UsageError(f"{folder} holds {len(folders)} episodes, each a run folder: take one of {named(folders)}")

@@ -1,4 +1,4 @@
-"""The picture of a run: plan view, height, GNSS error and wind."""
+"""The figure of a run: plan view, height, GNSS error and wind."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class _Data:
 
 
 def draw_run(run: Run) -> Figure:
-    """Return the figure of a run (needs no display).
+    """Draw the figure of a run (needs no display).
 
     Raises:
         RunError: nothing was recorded yet, or a part of the log is damaged.

@@ -1,4 +1,4 @@
-"""What a run folder consists of: shared by its writer and its reader."""
+"""Layout of a run folder, shared by its writer and its reader."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Event:
 
 @dataclass(frozen=True)
 class RunInfo:
-    """What was run, on what, and how far it got: the content of ``run.json``.
+    """Scenario, machine, versions and progress of a run: the content of ``run.json``.
 
     Attributes:
         scenario: name of the scenario.
@@ -137,7 +137,7 @@ class RunInfo:
         command_line: Sequence[str] | None = None,
         components: Sequence[Mapping[str, str]] = (),
     ) -> RunInfo:
-        """Describe a run that starts now in this process.
+        """Collect the facts of a run that starts now in this process.
 
         Args:
             scenario, seed, precision, time_step, vehicles, every, components: see the class.
@@ -165,14 +165,14 @@ class RunInfo:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields by name, without copying, in the order a person wants to read them."""
+        """Return the fields by name, without copying, in reading order."""
         first = ("state", "message", "scenario", "seed", "ticks", "time_step", "every")
         names = [*first, *(item.name for item in fields(self) if item.name not in first)]
         return {"format": FORMAT, **{name: getattr(self, name) for name in names}}
 
 
 def installed_version(package: str) -> str:
-    """Return the version of an installed distribution, "unknown" where there is none (it is not imported)."""
+    """Return the version of an installed distribution without importing it, "unknown" if it has none."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -252,6 +252,6 @@ def column_of(item: pa.Field) -> Column:
 
 
 def numpy_dtype(kind: pa.DataType) -> np.dtype[Any]:
-    """Return NumPy's name of the type of a column of numbers (Arrow's own way to it needs pandas in some versions)."""
+    """Return NumPy's name for an Arrow type of numbers (Arrow's own conversion needs pandas in some versions)."""
     found: np.dtype[Any] = pa.array([], kind).to_numpy(zero_copy_only=False).dtype
     return found

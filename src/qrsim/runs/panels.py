@@ -1,4 +1,4 @@
-"""Pictures of any logged quantities over time, one panel below the other."""
+"""Plots of any logged quantities over time, one panel below the other."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ DIRECTIONS = {"x": "north", "y": "east", "z": "down"}
 
 @dataclass(frozen=True)
 class Panel:
-    """Quantities of one unit that share an axis; ``text`` is how they were asked for."""
+    """Quantities of one unit that share an axis; ``text`` is the user's request."""
 
     text: str
     quantities: tuple[Quantity, ...]
 
     @property
     def label(self) -> str:
-        """What the axis shows, with its unit: the end of the names that all have, or the vector that all are of."""
+        """Label of the axis with its unit: the common ending of the names, or their common vector."""
         names = [item.column.name.split(".") for item in self.quantities]
         ends = {".".join(name[-2:]) for name in names}
         vectors = {name[-2] if len(name) > 1 else "" for name in names}
@@ -65,7 +65,7 @@ class _Data:
 
 
 def parse_panel(run: Run, text: str) -> Panel:
-    """Return the panel of a text such as "measurements.gnss.position_ned.x, truth.position_ned.x".
+    """Parse a panel from a text such as "measurements.gnss.position_ned.x, truth.position_ned.x".
 
     Raises:
         UsageError: unknown or repeated quantities, too many, or different units.
@@ -93,7 +93,7 @@ def draw_panels(
     start: float | None = None,
     end: float | None = None,
 ) -> Figure:
-    """Return a figure with one panel for each text (needs no display).
+    """Draw a figure with one panel for each text (needs no display).
 
     Args:
         run: the run.

@@ -26,7 +26,7 @@ def _first_line(error: BaseException) -> str:
 
 @dataclass
 class StreamParts:
-    """The parts of one stream that were there when the run was opened.
+    """The parts of one stream as of the opening of the run.
 
     Attributes:
         stream: its name.
@@ -48,7 +48,7 @@ class StreamParts:
         return tuple(column_of(item) for item in self._schema)
 
     def column(self, name: str) -> Column:
-        """Return one column's description. Raises UsageError where there is none of this name."""
+        """Return one column's description. Raises UsageError for an unknown name."""
         for column in self.columns:
             if column.name == name:
                 return column
@@ -65,7 +65,7 @@ class StreamParts:
         return pa.concat_tables(self.tables(names))
 
     def tables(self, names: Sequence[str] | None = None) -> Iterator[pa.Table]:
-        """Return the parts one after the other, each read when its turn comes; raises as ``table``."""
+        """Yield the parts one by one, each read on demand; raises as ``table``."""
         chosen = [column.name for column in self.columns] if names is None else [self.column(n).name for n in names]
         return (self._read(number, self._schema, chosen) for number in self._usable)
 

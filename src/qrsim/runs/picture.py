@@ -1,4 +1,4 @@
-"""What all pictures of runs share: files, colours, titles and the axis of time."""
+"""Shared by all figures of runs: files, colours, titles and the time axis."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _ENDED = {
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of so many inches that needs no display."""
+    """Return an empty figure of a size in inches; it needs no display."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def save_picture(draw: Callable[[], Figure], path: Path) -> None:
-    """Draw into a file, after a check that its format can be drawn.
+    """Draw into a file; its format is checked first.
 
     Raises:
         UsageError: the ending of the name is none that can be drawn.
@@ -55,13 +55,13 @@ def save_picture(draw: Callable[[], Figure], path: Path) -> None:
 
 
 def colours_of(count: int) -> Floats:
-    """Return (count, 4) one colour per vehicle, neighbours told apart easily while they are few."""
+    """Return colours (count, 4), one per vehicle; neighbours differ clearly while vehicles are few."""
     numbers = np.arange(count)
     return mpl.colormaps["tab10"](numbers) if count <= MOST_NAMED else mpl.colormaps["turbo"](numbers / count)
 
 
 def title_of(run: Run, vehicles: Sequence[str], stopped: int, end: float, mark: str = " (X)") -> str:
-    """Return what was flown, which vehicles are drawn, how many stopped, and how the run ended at ``end`` [s]."""
+    """Return the title: scenario, vehicles drawn, number stopped, and how the run ended at ``end`` [s]."""
     who = f"{len(vehicles)} vehicle{'s' if len(vehicles) > 1 else ''}"
     if len(vehicles) == 1 < len(run.vehicles):
         who = vehicles[0]
@@ -71,7 +71,7 @@ def title_of(run: Run, vehicles: Sequence[str], stopped: int, end: float, mark: 
 
 
 def name_vehicles(figure: Figure, handles: Sequence[Any], names: Sequence[str]) -> None:
-    """Put the vehicles' names below the panels."""
+    """Add a legend of the vehicles' names below the panels."""
     columns = math.ceil(len(names) / 2) if sum(map(len, names)) > 100 else len(names)
     figure.legend(handles, names, loc="outside lower center", ncols=columns, fontsize=9)
 
@@ -88,12 +88,12 @@ def spread(axes: Any, time: Floats, values: Floats, colour: Any, style: Any = "-
 
 
 def time_limits(axes: Any, first: float, last: float) -> None:
-    """Show the same span in every panel, and some span where there is a single tick."""
+    """Set the same time span in every panel; a single tick gets a small span."""
     axes.set_xlim(first, max(last, first + 1e-3))
 
 
 def from_zero(axes: Any) -> None:
-    """Let the vertical axis begin at 0: a little below, so that a line along it is seen."""
+    """Start the vertical axis just below 0, so that a line at 0 stays visible."""
     # Not the digits of nothing where all is zero.
     largest = axes.dataLim.y1 if np.isfinite(axes.dataLim.y1) and axes.dataLim.y1 > 1e-6 else 1.0
     axes.set_ylim(-0.02 * largest, 1.05 * largest)

@@ -28,7 +28,7 @@ MOST_PARTS = 10_000_000
 
 
 def open_run(path: Path | str, *, skip_damaged: bool = False) -> Run:
-    """Open a run folder for reading, as it is at this moment; open it again to see what came since.
+    """Open a run folder for reading, as it is now; reopen it to see newer data.
 
     Args:
         path: the run folder; or a folder of the episodes of a server's session, which is the run of its episode where
@@ -81,7 +81,7 @@ class Run:
 
     @cached_property
     def scenario(self) -> Any:
-        """The resolved scenario, a dict. Raises RunError where the file is no YAML."""
+        """The resolved scenario, a dict. Raises RunError if the file is not YAML."""
         source = self.folder / SCENARIO_FILE
         try:
             return parse_yaml(self.scenario_yaml, str(source))
@@ -90,12 +90,12 @@ class Run:
 
     @property
     def episodes(self) -> tuple[Run, ...]:
-        """The runs in the folder of a server's session, in the order in which they were flown; else this one alone."""
+        """The runs in the folder of a server session, in order; for a single run, itself."""
         return (self,)
 
     @property
     def streams(self) -> tuple[str, ...]:
-        """Names of what was recorded, "events" included."""
+        """Names of the recorded streams, "events" included."""
         return tuple(self._parts)
 
     @property
@@ -104,7 +104,7 @@ class Run:
         return self.info.vehicles
 
     def __getitem__(self, stream: str) -> Stream:
-        """Return a stream as (T, n) arrays; it keeps no column in memory. Raises UsageError on an unknown name."""
+        """Return a stream as (T, n) arrays, read on demand. Raises UsageError for an unknown name."""
         if stream == EVENTS:
             raise UsageError("events are not one per vehicle and tick: use run.events or run.table('events')")
         if stream not in self._streams:
@@ -131,7 +131,7 @@ class Run:
         return self._stream_parts(stream).table(columns)
 
     def batches(self, stream: str, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
-        """Return the rows of ``table`` piece by piece, for logs that do not fit into memory; raises as table."""
+        """Yield the rows of ``table`` in batches, for logs larger than memory; raises as table."""
         return self._stream_parts(stream).tables(columns)
 
     def describe(self, stream: str) -> tuple[Column, ...]:
@@ -220,11 +220,11 @@ class Stream:
         return self._grid[1]
 
     def columns(self) -> tuple[str, ...]:
-        """Return the names that can be indexed with."""
+        """Return the names of the columns."""
         return tuple(column.name for column in self._parts.columns[len(INDEX) :])
 
     def column(self, name: str) -> Column:
-        """Return unit, meaning and type of a column. Raises UsageError where there is none of this name."""
+        """Return unit, meaning and type of a column. Raises UsageError for an unknown name."""
         return self._parts.column(name)
 
     def __getitem__(self, name: str) -> npt.NDArray[Any]:
@@ -244,7 +244,7 @@ class Stream:
         return {name: table[name].to_numpy().reshape(shape) for name in names}
 
     def batches(self, names: Sequence[str] | None = None) -> Iterator[Batch]:
-        """Return the ticks of ``arrays`` piece by piece, for logs that do not fit into memory; raises as ``arrays``."""
+        """Yield the ticks of ``arrays`` in batches, for logs larger than memory; raises as ``arrays``."""
         names = self._known(names)
         for table in self._parts.tables([*(column.name for column in INDEX), *names]):
             if not table.num_rows:

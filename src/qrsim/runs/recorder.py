@@ -26,7 +26,7 @@ REALTIME_CHUNK_S = 0.1
 
 @dataclass(frozen=True)
 class Pace:
-    """How a recording went.
+    """Ticks and wall time of a recording.
 
     Attributes:
         simulated_s: simulated time.
@@ -51,19 +51,19 @@ class Pace:
 
 
 class Watcher(Protocol):
-    """Who looks on while a simulation flies, and may hold it up: a page (see ``qrsim.view.live``)."""
+    """Observer of a simulation in flight, which may pace it: a page (see ``qrsim.view.live``)."""
 
     def begin(self, simulation: Simulation, title: str) -> None:
-        """See a simulation at its start."""
+        """Receive a simulation at its start."""
 
     def offer(self, history: History) -> None:
-        """See what was flown."""
+        """Receive the states flown since the last call."""
 
     def changes(self, simulation: Simulation) -> Iterable[dict[str, Any]]:
-        """Make the changes that were asked for since, and return them as events."""
+        """Apply the changes requested since the last call, and return them as events."""
 
     def wait(self, ticks: int) -> int:
-        """Wait until it is time, and return how many of the ticks may be flown."""
+        """Wait until ticks are due, and return their number."""
 
 
 def fly(
@@ -153,7 +153,7 @@ def _record(simulation: Simulation, ticks: int, pilot: Pilot | None) -> History:
 
 
 def make_parent(folder: Path) -> None:
-    """Make the folder that the run folder goes into, before anything is compiled.
+    """Create the parent of the run folder, before anything is compiled.
 
     Raises:
         RunError: it cannot be made or written to.

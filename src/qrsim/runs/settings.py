@@ -1,4 +1,4 @@
-"""In what the settings of two runs differ: seed, versions, and the scenario value by value."""
+"""Differences of the settings of two runs: seed, versions, and the scenario value by value."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ INFO = ("seed", "precision", "every", "state", "ticks", "versions", "platform")
 
 @dataclass(frozen=True)
 class Setting:
-    """A value that two runs do not share: its path, and what each run has, ``ABSENT`` where that is nothing."""
+    """A value that differs between two runs: its path, and each run's value or ``ABSENT``."""
 
     path: str
     values: tuple[Any, Any]
 
 
 def setting_differences(first: Run, second: Run) -> list[Setting]:
-    """Return what differs in run.json and in the resolved scenario; that of the scenario begins with "scenario.".
+    """Return the differences in run.json and in the resolved scenario; scenario paths begin with "scenario.".
 
     Raises:
         RunError: a scenario.yaml is no YAML.

@@ -1,4 +1,4 @@
-"""From a History to the streams of a run folder: which columns there are, and their values."""
+"""From a History to the streams of a run folder: columns and values."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _tree(stream: str, names: tuple[str, ...], state: FleetState) -> list[tuple[
 
 
 def columns(world: World, history: History) -> dict[str, list[Column]]:
-    """Return the columns of every stream; a quantity that only some fleets have is one column for all."""
+    """Return the columns of every stream; a quantity of only some fleets is one column for all."""
     found: dict[str, dict[str, Column]] = {stream: {} for stream in STREAMS}
     for stream in STREAMS:
         for fleet, state in zip(world.fleets, history.state.fleets, strict=True):
@@ -60,7 +60,7 @@ def columns(world: World, history: History) -> dict[str, list[Column]]:
 
 
 def values(world: World, history: History, wanted: dict[str, list[Column]]) -> dict[str, Values]:
-    """Return (T, n) arrays for every column of every stream; NaN where a fleet lacks the quantity."""
+    """Return arrays (T, n) for every column of every stream; NaN where a fleet lacks the quantity."""
     result: dict[str, Values] = {}
     for stream in STREAMS:
         parts = []
@@ -78,7 +78,7 @@ def _absent(shape: tuple[int, int], column: Column) -> np.ndarray[Any, Any]:
 
 
 class EventFinder:
-    """Notices what happens once: a vehicle becomes invalid, reaches a waypoint, loses a sensor, and the like."""
+    """Detects events: a vehicle becomes invalid, reaches a waypoint, loses a sensor, and the like."""
 
     def __init__(self, simulation: Simulation):
         self.world = simulation.world

@@ -1,4 +1,4 @@
-"""What happened in a run, per vehicle, from its log."""
+"""Summary of a run, per vehicle, from its log."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NOT_A_STOP = (
 
 @dataclass(frozen=True)
 class VehicleSummary:
-    """One vehicle's run; NaN where a quantity was not recorded.
+    """Summary of one vehicle; NaN where a quantity was not recorded.
 
     Each number is of the ticks at which all streams that it needs were logged.
 
@@ -64,7 +64,7 @@ class VehicleSummary:
 
 
 def common_rows(run: Run, *streams: str) -> list[Rows]:
-    """Return, for each of the named streams, its rows (T,) at the ticks that all of them have.
+    """Return the rows (T,) of each named stream at the ticks common to all.
 
     Streams of different decimation have different ticks. Where a disk ran full or the process was killed, some streams
     are longer than others: the rows end where the first of all ends.
@@ -77,13 +77,13 @@ def common_rows(run: Run, *streams: str) -> list[Rows]:
 
 
 def vectors(stream: Stream, name: str, rows: Rows | slice = slice(None)) -> Floats:
-    """Return (T, n, 3) of a quantity recorded as NAME.x, NAME.y, NAME.z, at some rows or all."""
+    """Return the vectors (T, n, 3) of a quantity recorded as NAME.x, NAME.y, NAME.z, at some rows or all."""
     arrays = stream.arrays([f"{name}.{axis}" for axis in "xyz"])
     return np.stack([np.asarray(array, np.float64)[rows] for array in arrays.values()], axis=-1)
 
 
 def waypoints_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
-    """Return (T, n, 3) the waypoint each vehicle was asked to fly to [m], NaN where it was asked for something else."""
+    """Return the waypoint (T, n, 3) [m] that each vehicle was sent to, NaN under other commands."""
     commands = run["commands"]
     if "setpoint.position_ned.x" in commands:
         return vectors(commands, "setpoint.position_ned", rows)
@@ -91,7 +91,7 @@ def waypoints_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
 
 
 def stops_of(run: Run) -> dict[int, Event]:
-    """Return index of a vehicle -> the event that ended its flight."""
+    """Return the event that ended each stopped vehicle's flight, by index of the vehicle."""
     stops = [event for event in run.events if event.kind not in NOT_A_STOP and event.vehicle is not None]
     return {run.vehicles.index(str(event.vehicle)): event for event in reversed(stops)}
 

@@ -1,4 +1,4 @@
-"""Write a run folder so that a crash, a kill or a full disk never costs more than the last flush."""
+"""Writes a run folder; a crash, a kill or a full disk loses at most the data since the last flush."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _NO_SPACE = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 
 def write_atomically(path: Path, data: Any) -> None:
-    """Put bytes at a path such that the path never holds a part of them.
+    """Write bytes to a path atomically.
 
     The temporary name starts with a dot, so other tools that read a folder of Parquet files ignore it too.
 
@@ -173,7 +173,7 @@ class _EventRows(_Buffer):
 
 
 class RunWriter:
-    """Records one run; not for use from several threads.
+    """Records one run; not thread-safe.
 
     As a context manager it ends the run by itself: "finished", "interrupted" on Ctrl-C, "failed" on any
     other exception. What was buffered is written in all three cases.
@@ -205,7 +205,7 @@ class RunWriter:
         flush_rows: int = 200_000,
         flush_seconds: float = 2.0,
     ) -> RunWriter:
-        """Make a new run folder, and its parents where they are missing.
+        """Create a run folder, with its parents.
 
         Every stream gets an empty first part, so that its columns are known however early the run ends.
 
@@ -298,7 +298,7 @@ class RunWriter:
 
     @contextlib.contextmanager
     def together(self) -> Iterator[None]:
-        """Put off what is due to be written until the block ends, so that all streams reach the same tick on disk.
+        """Delay due writes until the block ends, so that all streams reach the same tick on disk.
 
         Raises as ``append``, when the block ends.
         """

@@ -36,7 +36,7 @@ BIAS_TIME_CONSTANT = 44.3
 
 @dataclass(frozen=True)
 class Slam:
-    """The estimate of a flight.
+    """The smoothed estimate of a flight.
 
     Attributes:
         graph, states, prior: what was asked for.
@@ -74,7 +74,7 @@ class Slam:
 
     @property
     def problems(self) -> list[str]:
-        """What is wrong with the result, one sentence each: landmarks that are not determined, no convergence."""
+        """Problems of the result, one sentence each: landmarks that are not determined, no convergence."""
         found = []
         for i in np.flatnonzero(~self.determined):
             count = int(self.ranging.per_landmark[i])
@@ -93,13 +93,13 @@ class Slam:
 
     @property
     def landmark_rmse_m(self) -> float:
-        """Root mean square distance of the determined landmarks from the truth [m]; NaN where it is not known."""
+        """Root mean square distance of the determined landmarks from the truth [m]; NaN if the truth is unknown."""
         return self.score(landmarks_ned=self.landmarks_ned).get("landmark_rmse_m", float("nan"))
 
     def score(
         self, position_ned: npt.ArrayLike | None = None, landmarks_ned: npt.ArrayLike | None = None
     ) -> dict[str, float]:
-        """Return the errors of another estimate of the same flight, counted as this one's are.
+        """Score another estimate of the same flight by this one's error measures.
 
         Args:
             position_ned: (T + 1, 3) [m].
@@ -124,7 +124,7 @@ class Slam:
 
 
 def rms_distance(places: Floats, others: Floats) -> float:
-    """Return the root mean square distance between two rows of places (N, 3) [m]; NaN where there are none."""
+    """Return the root mean square distance between two sets of positions (N, 3) [m]; NaN if they are empty."""
     if not len(places):
         return float("nan")
     return float(np.sqrt(np.mean(np.sum(np.square(places - others), axis=-1))))
@@ -151,7 +151,7 @@ def from_run(
     damping: Literal["metres", "diagonal"] = "metres",
     keep: tuple[int, ...] = (),
 ) -> Slam:
-    """Smooth the trajectory of a recorded flight and find landmarks by ranges to them; see docs/slam.md.
+    """Smooth the trajectory of a recorded flight and estimate landmarks from ranges; see docs/slam.md.
 
     Args:
         run: a run folder, or what ``qrsim.open_run`` returned.
@@ -215,7 +215,7 @@ def estimate(
     damping: str = "metres",
     keep: tuple[int, ...] = (),
 ) -> Slam:
-    """Return the estimate of a flight; arguments and errors as ``slam``."""
+    """Estimate a flight; arguments and errors as ``slam``."""
     prior = prior or ("start" if graph == "paper" else "estimate")
     options = {
         "graph": (graph, GRAPHS),
@@ -318,12 +318,12 @@ def _check_numbers(**numbers: float | None) -> None:
 
 
 def state_size(states: str, bias: bool) -> int:
-    """Return how many numbers are unknown at each time."""
+    """Return the number of unknowns per state."""
     return (SIZE if states == "full" else len(POSE)) + 2 * bias
 
 
 def bytes_needed(states: int, size: int, landmarks: int) -> int:
-    """Return how much memory a problem takes at most: ``states`` times of ``size`` numbers, and the landmarks.
+    """Return the peak memory [bytes] of a problem with ``states`` states of ``size`` numbers, and landmarks.
 
     Each state has its blocks of Jacobians and of the matrix, its rows of what the landmarks are eliminated with, and
     its ranges. The factors are above those of measured problems (docs/slam.md); compiled programs take FIXED_BYTES.
@@ -333,7 +333,7 @@ def bytes_needed(states: int, size: int, landmarks: int) -> int:
 
 
 def available_bytes() -> int:
-    """Return how much memory is free, or all there is where the system does not say."""
+    """Return the free memory [bytes], or the total if the system does not report it."""
     try:
         with open("/proc/meminfo", encoding="utf-8") as file:
             for line in file:
@@ -350,7 +350,7 @@ SMALLER = "take a longer state_period, states poses, or fewer landmarks"
 def check_memory(
     states: int, size: int, landmarks: int, available: int, flights: int = 0, smaller: str = SMALLER
 ) -> None:
-    """Refuse a problem that does not fit beside the bytes of the flights, before it starts; raises RunError."""
+    """Refuse a problem that does not fit into memory beside the flights; raises RunError."""
     needed = bytes_needed(states, size, landmarks) + flights
     if needed > available:
         raise RunError(

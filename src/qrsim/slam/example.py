@@ -1,4 +1,4 @@
-"""The example of Symington et al., IROS 2014: one Pelican between random waypoints, only GNSS in error.
+"""The example of Symington et al., IROS 2014: one Pelican between random waypoints; only GNSS has errors.
 
 A flight belongs to a seed: waypoints, landmarks, guesses and the noise of the ranges are the same in all its flights,
 which differ in the errors of the GNSS receiver that the vehicle flies with.
@@ -36,7 +36,7 @@ CENTRE = np.zeros(2)
 
 @record
 class CorrelatedGnss:
-    """A receiver with an Ornstein-Uhlenbeck error north and east; white where its time constant is far below a period.
+    """A receiver with Ornstein-Uhlenbeck errors north and east; white for time constants far below a period.
 
     Down and the velocity are true: the published white noise is in latitude and longitude only.
     """
@@ -50,7 +50,7 @@ class CorrelatedGnss:
     def init(
         self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: Any
     ) -> tuple[tuple[Array, Array], GnssReading]:
-        """Return stationary first errors and the first fix."""
+        """Draw stationary initial errors, and report the first fix."""
         north, east = draw.normals(2)
         return self._read((self.std_north * north, self.std_east * east), position_ned, velocity_ned)
 
@@ -91,13 +91,13 @@ def _record(state: State) -> dict[str, Array]:
 
 
 def base_world(precision: str = "float32", **overrides: Any) -> World:
-    """Return the world of the example; overrides are assignments of scenario values, dots as double underscores."""
+    """Return the world of the example; overrides assign scenario values, with double underscores for dots."""
     assignments = [f"{name.replace('__', '.')}={value}" for name, value in overrides.items()]
     return load_scenario(SCENARIO, assignments).world(precision)
 
 
 def world_of(base: World, seed: int) -> World:
-    """Return the world with the waypoints of a seed, the vehicle starting at the first of them."""
+    """Return the world with the waypoints of a seed; the vehicle starts at the first one."""
     places = ranging.draw_landmarks(seed, ranging.WAYPOINTS, ROUTE, CENTRE, ranging.SIDE)
     fleet = base.fleets[0]
     dtype = fleet.start.position_ned.x.dtype
@@ -126,7 +126,7 @@ def with_correlated(world: World, std: npt.ArrayLike, time_constant: float) -> W
 def coloured_flights(
     seeds: Sequence[int], duration: float = DURATION, state_period: float = STATE_PERIOD, base: World | None = None
 ) -> list[Flight]:
-    """Return a flight of each seed with the simulator's own sky and receiver."""
+    """Fly each seed with the simulator's own sky and receiver."""
     base = base_world() if base is None else base
     return _flown("coloured", [world_of(base, seed) for seed in seeds], seeds, duration, state_period)
 
@@ -139,7 +139,7 @@ def correlated_flights(
     state_period: float = STATE_PERIOD,
     base: World | None = None,
 ) -> list[Flight]:
-    """Return a flight of each seed with errors of another correlation time, white by default.
+    """Fly each seed with errors of another correlation time, white by default.
 
     The deviations are the root mean square errors, north and east, of the coloured flight of the same seed.
     """
@@ -183,6 +183,6 @@ def _flight(name: str, world: World, seed: int, recorded: dict[str, Floats], tic
 
 
 def ranging_of(flight: Flight, seed: int, std: float = ranging.RANGE_STD) -> Ranging:
-    """Return the ranges of a flight to the landmarks of its seed, which all its flights share."""
+    """Measure ranges of a flight to the landmarks of its seed, the same for all flights of the seed."""
     landmarks, guesses = ranging.landmarks_of(seed, CENTRE), ranging.guesses_of(seed, CENTRE)
     return ranging.measure_ranges(flight.truth[:, :3], landmarks, guesses, seed, std, ranging.RANGE_LIMIT)

@@ -1,4 +1,4 @@
-"""Pictures of a study: trajectories and landmarks, Allan deviations, errors over seeds and correlation times."""
+"""Figures of a study: trajectories and landmarks, Allan deviations, errors over seeds and correlation times."""
 
 from __future__ import annotations
 

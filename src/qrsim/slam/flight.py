@@ -1,4 +1,4 @@
-"""What a flight leaves behind for an estimator that smooths it: states at a slower rate, and all commands between."""
+"""A flight as input of a smoother: states at a reduced rate, and all commands between them."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Flight:
 
 @dataclass(frozen=True)
 class Believed:
-    """What the sensors said at ticks 0 to N, each (N + 1, 3): the vehicle's own estimate."""
+    """The vehicle's own estimate from its sensors at ticks 0 to N, each (N + 1, 3)."""
 
     position_ned: Floats
     velocity_ned: Floats
@@ -109,7 +109,7 @@ def make_flight(
     air_ned: Floats,
     fixes: tuple[np.ndarray[Any, np.dtype[np.int64]], Floats],
 ) -> Flight:
-    """Return a flight from what was recorded at ticks 0 to N, cut to a whole number of states.
+    """Build a flight from records at ticks 0 to N, cut to a whole number of states.
 
     Args:
         name, time_step, ticks: see Flight.
@@ -152,19 +152,19 @@ def _filled(values: Floats, name: str) -> Floats:
 
 
 def to_body(attitude: Floats, velocity_ned: Floats) -> Floats:
-    """Return velocities (T, 3) in body axes."""
+    """Rotate velocities (T, 3) into body axes."""
     with jax.enable_x64(True):
         turned = rotation(Euler(*map(jnp.asarray, attitude.T))).to_body(Vec3.of(jnp.asarray(velocity_ned)))
         return np.asarray(turned.stack())
 
 
 def unpacked(x: Array) -> QuadrotorState:
-    """Return a state vector (13,) as the model takes it."""
+    """Convert a state vector (13,) to the model's state."""
     return QuadrotorState(Vec3.of(x[POSITION]), Euler(*x[ATTITUDE]), Vec3.of(x[VELOCITY]), Vec3.of(x[RATES]), x[THRUST])
 
 
 def advance(vehicle: Quadrotor, x: Array, commands: Array, air_ned: Array, normals: Array, time_step: float) -> Array:
-    """Return the state (13,) after K ticks of the simulator's own model.
+    """Advance the state (13,) by K ticks of the simulator's own model.
 
     Args:
         vehicle: its model.
@@ -197,7 +197,7 @@ def _reckon(vehicle: Quadrotor, start: Array, commands: Array, air_ned: Array, t
 
 
 def dead_reckon(vehicle: Quadrotor, start: Floats, commands: Floats, air_ned: Floats, time_step: float) -> Floats:
-    """Return the states (T + 1, 13) that the model says the commands (T, K, 5) lead to, without any noise."""
+    """Predict the states (T + 1, 13) from the commands (T, K, 5) by the model alone, without noise."""
     with jax.enable_x64(True):
         after = _reckon(vehicle, jnp.asarray(start), jnp.asarray(commands), jnp.asarray(air_ned), time_step)
         return np.concatenate([start[None], np.asarray(after)])

@@ -41,7 +41,7 @@ ESTIMATE_STD = np.array([100.0, 100.0, 0.5] + [0.01] * 3 + [0.5] * 3 + [0.05] * 
 
 @record
 class Graph:
-    """All numbers of a problem; T + 1 states of D numbers, L landmarks."""
+    """Data of a problem: T + 1 states of D numbers, L landmarks."""
 
     vehicle: Any = quantity(doc="vehicle model, float64")
     commands: Array = quantity(doc="(T, K, 5) commands as flown")
@@ -67,7 +67,7 @@ class Graph:
 
     @property
     def size(self) -> int:
-        """D."""
+        """Numbers per state, D."""
         return self.base + 2 * self.bias
 
 
@@ -85,7 +85,7 @@ class Normal:
 
 
 def predict(graph: Graph, x: Array, commands: Array, air_ned: Array, nominal: Array, normals: Array) -> Array:
-    """Return the state (D,) that follows x (D,).
+    """Predict the state (D,) that follows x (D,).
 
     Args:
         graph: for the model and which states there are.
@@ -206,7 +206,7 @@ def _normal(graph: Graph, slopes: _Slopes) -> Normal:
 
 
 def linearise(graph: Graph, x: Array, landmarks: Array) -> Normal:
-    """Return the normal equations at states x (T + 1, D) and landmarks (L, 3).
+    """Linearise at states x (T + 1, D) and landmarks (L, 3): the normal equations.
 
     In two programs: in one, XLA computes the Jacobians anew inside each product that they are part of.
     """
@@ -265,7 +265,7 @@ def make_graph(
     fix_std: float,
     bias_time_constant: float | None,
 ) -> tuple[Graph, Floats]:
-    """Return a graph and the states (T + 1, D) that it starts from: the vehicle's own estimate.
+    """Build a graph and its initial states (T + 1, D): the vehicle's own estimate.
 
     Args:
         flight, ranging: what was flown and measured.

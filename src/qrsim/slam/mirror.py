@@ -1,4 +1,4 @@
-"""Reflections: ranges from places on a plane say as much about a landmark as about its mirror image."""
+"""Mirror ambiguity: ranges from positions on a plane cannot tell a landmark from its mirror image."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STEPS = 30
 
 @dataclass(frozen=True)
 class Mirrors:
-    """The reflection of each landmark in the plane that fits the places from which it was ranged best.
+    """The reflection of each landmark in the plane fitted to the positions from which it was ranged.
 
     Attributes:
         places_ned: (L, 3) after a fit of its own to the ranges [m]; NaN where a landmark has too few.
@@ -36,7 +36,7 @@ class Mirrors:
 
 
 def mirrors(point: Point, ranging: Ranging) -> Mirrors:
-    """Return the reflections of the landmarks of a solution, the trajectory held."""
+    """Reflect the landmarks of a solution, with the trajectory fixed."""
     count = len(point.landmarks)
     places, excess = np.full((count, 3), np.nan), np.full(count, np.nan)
     apart = np.zeros(count, bool)

@@ -44,30 +44,30 @@ class Ranging:
 
 
 def generator(seed: int, purpose: int) -> np.random.Generator:
-    """Return the random numbers of a seed for one purpose."""
+    """Return the random generator of a seed for one purpose."""
     return np.random.default_rng((seed, purpose))
 
 
 def draw_landmarks(seed: int, purpose: int, count: int, centre: Floats, side: float) -> Floats:
-    """Return places (count, 3) on the ground, uniform over a square of ``side`` [m] about a centre (2,)."""
+    """Draw positions (count, 3) on the ground, uniform over a square of ``side`` [m] about a centre (2,)."""
     horizontal = centre + side * (generator(seed, purpose).random((count, 2)) - 0.5)
     return np.concatenate([horizontal, np.zeros((count, 1))], axis=1)
 
 
 def landmarks_of(seed: int, centre: Floats) -> Floats:
-    """Return the true places (L, 3) that a seed draws about a centre (2,)."""
+    """Draw the true landmarks (L, 3) of a seed about a centre (2,)."""
     return draw_landmarks(seed, PLACES, LANDMARKS, centre, SIDE)
 
 
 def guesses_of(seed: int, centre: Floats, count: int = LANDMARKS) -> Floats:
-    """Return where a seed begins to look for landmarks (L, 3) about a centre (2,)."""
+    """Draw the initial guesses (L, 3) of a seed's landmarks about a centre (2,)."""
     return draw_landmarks(seed, GUESSES, count, centre, SIDE)
 
 
 def measure_ranges(
     position_ned: Floats, landmarks_ned: Floats, guess_ned: Floats, seed: int, std: float, limit: float
 ) -> Ranging:
-    """Return ranges from positions (T + 1, 3) to the landmarks (L, 3) within ``limit`` [m], with white noise.
+    """Measure ranges from positions (T + 1, 3) to landmarks (L, 3) within ``limit`` [m], with white noise.
 
     Raises:
         UsageError: no landmark is ever within the limit.
@@ -83,7 +83,7 @@ def measure_ranges(
 def given_ranges(
     rows: npt.ArrayLike, time: Floats, count: int, std: float, guess_ned: Floats, true_ned: Floats | None
 ) -> Ranging:
-    """Return a user's ranges, rows (R, 3) of time [s], number of the landmark from 0, and range [m].
+    """Check a user's ranges: rows (R, 3) of time [s], index of the landmark from 0, and range [m].
 
     Raises:
         UsageError: a row that is not finite, a range that is negative, a landmark that is not there, or a time without

@@ -1,4 +1,4 @@
-"""A Flight out of a run folder."""
+"""Reads a Flight from a run folder."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TRUE_STATE = (
 
 
 def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_noise: float | None) -> Flight:
-    """Return the flight of one vehicle of a run.
+    """Read the flight of one vehicle of a run.
 
     Args:
         run: the run folder, with truth, measurements and commands of every tick.

@@ -1,4 +1,4 @@
-"""Levenberg and Marquardt on the sparse normal equations of a chain of states with a border of landmarks.
+"""Levenberg-Marquardt on the sparse normal equations of a chain of states bordered by landmarks.
 
 The states alone make a block-tridiagonal matrix, factorised in band form (LAPACK's pbtrf through SciPy); the landmarks
 are eliminated by their Schur complement. Memory and time are linear in the number of states.
@@ -28,7 +28,7 @@ DAMPINGS = {"metres": 1e-3, "diagonal": 1e-4}
 
 @dataclass(frozen=True)
 class Point:
-    """Where the iterations are.
+    """An iterate of the optimisation.
 
     Attributes:
         x: (T + 1, D) states.
@@ -43,7 +43,7 @@ class Point:
 
 @dataclass
 class Solution:
-    """What came of the iterations.
+    """Result of the optimisation.
 
     Attributes:
         point: the last point.
@@ -62,7 +62,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class Damping:
-    """What is added to the diagonal of the normal equations: states (T + 1, D) and landmarks (L, 3)."""
+    """Terms added to the diagonal of the normal equations: states (T + 1, D) and landmarks (L, 3)."""
 
     states: Floats
     landmarks: Floats
@@ -120,7 +120,7 @@ def reduce(normal: Normal, damping: Damping) -> tuple[Floats, Floats, Floats, Fl
 
 
 def step(normal: Normal, damping: Damping) -> tuple[Floats, Floats]:
-    """Return the damped Gauss-Newton step of the states (T + 1, D) and the landmarks (L, 3); raises LinAlgError."""
+    """Compute the damped Gauss-Newton step of states (T + 1, D) and landmarks (L, 3); raises LinAlgError."""
     schur, wanted, free, bound = reduce(normal, damping)
     landmarks: Any = np.linalg.solve(schur, wanted)
     return free - bound @ landmarks, landmarks.reshape(-1, 3)
@@ -141,7 +141,7 @@ def solve(
     keep: tuple[int, ...] = (),
     damping: str = "metres",
 ) -> Solution:
-    """Minimise the cost from states x (T + 1, D) and landmarks (L, 3), in at most so many iterations.
+    """Minimise the cost from states x (T + 1, D) and landmarks (L, 3), in at most ``iterations`` iterations.
 
     Args:
         graph: the problem.
@@ -194,7 +194,7 @@ def _minimise(
 
 
 def landmark_covariance(graph: Graph, point: Point) -> Floats:
-    """Return the covariance (L, 3, 3) [m^2] of each landmark, all else uncertain too; huge where none is determined."""
+    """Return the marginal covariance (L, 3, 3) [m^2] of each landmark; huge for undetermined ones."""
     with jax.enable_x64(True):
         normal = linearise(graph, jnp.asarray(point.x), jnp.asarray(point.landmarks))
         schur, *_ = reduce(normal, Damping.of(normal, "metres", 0.0))

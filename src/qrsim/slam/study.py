@@ -84,7 +84,7 @@ class Arm:
 
 @dataclass
 class Study:
-    """All that was flown and solved; flights and arms have one entry for each seed.
+    """Flights and solutions of a study; flights and arms have one entry for each seed.
 
     Attributes:
         graph: paper or gnss.
@@ -146,7 +146,7 @@ def fly(
     seeds: Sequence[int], noises: Sequence[str] = NOISES, duration: float = example.DURATION,
     state_period: float = example.STATE_PERIOD,
 ) -> dict[str, list[Flight]]:  # fmt: skip
-    """Return the flights of each noise; white ones need coloured ones, which say how large it is.
+    """Fly all seeds with each noise; white noise takes its size from the coloured flights.
 
     Raises:
         UsageError: an unknown noise.
@@ -216,7 +216,7 @@ def _solved(flight: Flight, ranging: Any, bias: float | None, **options: Any) ->
 
 
 def interval(values: Floats) -> dict[str, float]:
-    """Return the mean with its Student t interval; the mean alone of one value, and nothing of none."""
+    """Return the mean with its Student t interval; the mean alone for one value, nothing for none."""
     known = values[np.isfinite(values)]
     if not len(known):
         return {}
@@ -228,7 +228,7 @@ def interval(values: Floats) -> dict[str, float]:
 
 
 def paired(one: Floats, other: Floats) -> dict[str, float]:
-    """Return the mean of ``other - one`` over the pairs, its Student t interval, and p of Wilcoxon's signed ranks."""
+    """Return the mean of ``other - one`` over the pairs, its Student t interval, and Wilcoxon's signed-rank p."""
     both = np.isfinite(one) & np.isfinite(other)
     difference = other[both] - one[both]
     found = interval(difference)
@@ -239,7 +239,7 @@ def paired(one: Floats, other: Floats) -> dict[str, float]:
 
 
 def recovered(white: Floats, coloured: Floats, remedied: Floats) -> dict[str, float]:
-    """Return which part of the loss from white to coloured errors the remedy recovers, of means over the seeds.
+    """Return the share of the loss from white to coloured errors that the remedy recovers, of means over seeds.
 
     The interval is a percentile bootstrap over seeds.
     """

@@ -1,1 +1,1 @@
-"""Studies: many conditions on all cores or a cluster, and what comes of them."""
+"""Studies: many conditions flown on all cores or a cluster, and their analysis."""

@@ -1,4 +1,4 @@
-"""What results say: responses with bands, maps, the boundary of failure, Sobol indices, the worst episodes."""
+"""Analysis of results: responses with bands, maps, the boundary of failure, Sobol indices, the worst episodes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SURE = 0.05
 
 @dataclass(frozen=True)
 class Response:
-    """A metric against one parameter, the mean over all others; (L,) each, NaN where there is nothing.
+    """A metric against one parameter, averaged over all others; (L,) each, NaN for a level without episodes.
 
     Attributes:
         parameter: which.
@@ -35,7 +35,7 @@ class Response:
 
 
 def response(results: Results, parameter: Parameter, values: Array) -> Response:
-    """Return the response of values (E,).
+    """Compute the response of values (E,).
 
     At each level the means of the seeds (of sampled points: of the points) are what is independent; their Student t
     interval is the band. All points of a study share their seeds, so that episodes are not independent.
@@ -66,7 +66,7 @@ def _mean(values: Array, groups: Array) -> tuple[float, float, float]:
 
 
 def heat_map(one: Parameter, other: Parameter, values: Array) -> Array:
-    """Return the mean of values (E,) at each pair of levels (L1, L2), NaN where there is nothing."""
+    """Compute the mean of values (E,) at each pair of levels (L1, L2), NaN for a pair without episodes."""
     fine = np.isfinite(values)
     cell = one.level[fine] * len(other.levels) + other.level[fine]
     size = len(one.levels) * len(other.levels)
@@ -78,7 +78,7 @@ def heat_map(one: Parameter, other: Parameter, values: Array) -> Array:
 
 @dataclass(frozen=True)
 class Boundary:
-    """Where an episode is as likely to fail as not, by logistic regression.
+    """The boundary at which half of the episodes fail, by logistic regression.
 
     Attributes:
         parameters: the numbers that it depends on.
@@ -100,7 +100,7 @@ class Boundary:
         return _logistic(self._terms(values) @ self.coefficients)
 
     def band(self, values: Array) -> tuple[Array, Array] | None:
-        """Return the interval of the probability at such values, None where there are too few seeds."""
+        """Return the interval of the probability at such values, None with too few seeds."""
         if not len(self.resampled):
             return None
         found = _logistic(self._terms(values) @ self.resampled.T)
@@ -111,7 +111,7 @@ class Boundary:
         return terms((values - self.middle) / self.scale, self.squares)
 
     def crossing(self, number: int) -> tuple[float, float, float] | None:
-        """Return where one parameter makes half of the episodes fail, with its interval, the others at their middle.
+        """Return the value of one parameter at which half of the episodes fail, with its interval, the others mid-range.
 
         None where it does not within the values that were flown.
         """
@@ -133,7 +133,7 @@ class Boundary:
         return tuple(parameter.uneven(np.array([at, low, high])).tolist())
 
     def line(self, number: int, count: int) -> Array:
-        """Return values (count, d) along one parameter, the others at their middle."""
+        """Return values (count, d) along one parameter, the others mid-range."""
         line = np.tile(self.middle, (count, 1))
         middle, scale = float(self.middle[number]), float(self.scale[number])
         line[:, number] = np.linspace(middle - scale, middle + scale, count)
@@ -172,7 +172,7 @@ def _logistic(score: Array) -> Array:
 
 
 def boundary(results: Results) -> Boundary | str:
-    """Return the boundary of failure, or why there is none."""
+    """Fit the boundary of failure; return a reason if there is none."""
     parameters = tuple(p for p in results.parameters.values() if p.numeric and np.ptp(p.values) > 0)
     failed = results.failed
     if not parameters:
@@ -251,7 +251,7 @@ class Sensitivity:
 
 
 def sensitivity(results: Results, values: Array) -> Sensitivity | str:
-    """Return Sobol indices by SALib, or why there are none."""
+    """Compute Sobol indices by SALib; return a reason if there are none."""
     sampling = results.spec.sampling
     if sampling is None or sampling.type != "saltelli":
         return "they need 'sampling: {type: saltelli, ...}'"
@@ -275,7 +275,7 @@ def sensitivity(results: Results, values: Array) -> Sensitivity | str:
 
 
 def worst(results: Results, metric: str, count: int) -> list[int]:
-    """Return the numbers of the worst episodes, failed ones without a value last."""
+    """Return the indices of the worst episodes, failed ones without a value last."""
     values = results.metric(metric)
     badness = -values if METRICS[metric].low_is_bad else values
     order = np.argsort(np.where(np.isfinite(badness), -badness, np.inf), kind="stable")

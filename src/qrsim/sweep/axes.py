@@ -1,4 +1,4 @@
-"""What varies in a study, as axes: of values, or of a range that is sampled."""
+"""Axes of a study: listed values, or a sampled range."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Axis:
 
     @property
     def numeric(self) -> bool:
-        """Whether all that it goes through are numbers that a vehicle or its world could have."""
+        """Whether all its values are numbers; a number of vehicles changes the structure and does not count."""
         if self.path.endswith(COUNT):
             return False
         return self.values is None or all(
@@ -47,7 +47,7 @@ class Axis:
 
     @property
     def labels(self) -> Array:
-        """Return the values as a coordinate: numbers, or texts where any is none."""
+        """Return the values as a coordinate: numbers, or texts if any value is not a number."""
         assert self.values is not None
         if all(isinstance(value, int | float) and not isinstance(value, bool) for value in self.values):
             return np.array(self.values, np.float64)
@@ -88,7 +88,7 @@ def apply(content: Content, path: str, value: Any) -> None:
 
 
 def override(content: Content, path: str, value: Any) -> str:
-    """Return what ``qrsim run --set`` takes to set a value.
+    """Return the argument of ``qrsim run --set`` that sets a value.
 
     Raises:
         UsageError: a fleet has not so many vehicles.

@@ -1,4 +1,4 @@
-"""Workers: those of a cluster of this machine's cores, made for the occasion, or of any Dask scheduler."""
+"""Dask workers: of a temporary cluster on this machine's cores, or of any Dask scheduler."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WAIT_S = 10.0
 
 @contextmanager
 def workers_of(scheduler: str | None, workers: int) -> Iterator[Any]:
-    """Yield a Dask client with workers that have the same versions.
+    """Yield a Dask client whose workers have this process's versions.
 
     Args:
         scheduler: address of a scheduler; None: a cluster of processes of this machine.
@@ -63,7 +63,7 @@ def _reason(error: Exception) -> str:
 
 
 def check_workers(client: Any, address: str) -> None:
-    """Refuse a scheduler whose workers would give other numbers.
+    """Refuse a scheduler whose workers have other versions and could give other numbers.
 
     Raises:
         RunError: there is no worker, or one has no qrsim or other versions; the message says which.

@@ -1,4 +1,4 @@
-"""Pictures of results."""
+"""Figures of results."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def _scale(axes: Any, one: Parameter, other: Parameter | None = None) -> None:
 
 
 def draw_boundary(results: Results, found: Boundary, pair: tuple[Parameter, Parameter] | None) -> Figure:
-    """Draw how often episodes failed, and where the fit says that half of them do."""
+    """Draw the share of failed episodes, and the fitted line at which half of them fail."""
     numbers = {parameter.name: i for i, parameter in enumerate(found.parameters)}
     if pair is None or any(parameter.name not in numbers for parameter in pair):
         return _failure_curves(results, found)
@@ -154,7 +154,7 @@ def _failure_curves(results: Results, found: Boundary) -> Figure:
 
 
 def failure_parts(parameter: Parameter, failed: Array) -> tuple[Array, Array, Array]:
-    """Return the exact interval of the part that failed and that part, low, middle, high, at each level (L,)."""
+    """Return low end, share and high end of the failed share at each level (L,), with its exact interval."""
     from scipy.stats import binomtest
 
     found = np.full((3, len(parameter.levels)), np.nan)

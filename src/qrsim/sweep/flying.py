@@ -1,4 +1,4 @@
-"""What a worker does: fly a batch."""
+"""The work of a worker: flying a batch."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ALONE = threading.Lock()
 
 @dataclass(frozen=True)
 class Job:
-    """A batch as it goes to a worker.
+    """A batch in the form sent to a worker.
 
     Attributes:
         group: a ``Group``, see ``dumped``; most batches have the same, which is then unpacked once.
@@ -45,7 +45,7 @@ class Job:
 
 
 def fly(job: Job, threads: int = 1) -> dict[str, Array] | str:
-    """Return the metrics (W,) of a batch, or why it cannot be flown."""
+    """Fly a batch and return its metrics (W,), or the reason it cannot be flown."""
     from qrsim.engine.settings import configure
 
     with _ALONE:
@@ -81,7 +81,7 @@ def _group(dumped: bytes) -> Any:
 
 
 def dumped(group: Any) -> bytes:
-    """Return a ``Group`` as bytes that another process can read."""
+    """Serialise a ``Group`` to bytes for another process."""
     return pickle.dumps((group.content, pickle.dumps(group)))
 
 

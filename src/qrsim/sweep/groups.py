@@ -1,4 +1,4 @@
-"""Conditions that differ in numbers only: one compiled program, and where in its World the numbers are."""
+"""Conditions that differ in numbers only: one compiled program, and the places of those numbers in its World."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = np.ndarray[Any, Any]
 
 @dataclass(frozen=True)
 class Place:
-    """Where the World has a number of the scenario.
+    """Place of a scenario's number in the World.
 
     Attributes:
         path: of the number.
@@ -36,7 +36,7 @@ class Place:
     parts: tuple[tuple[int, Array], ...]
 
     def values(self, given: Array) -> Array:
-        """Return given values as the World has them, double precision."""
+        """Convert scenario values to the World's units, in double precision."""
         return np.array([math.radians(value) for value in given]) if self.in_degrees else np.asarray(given, np.float64)
 
 
@@ -71,7 +71,7 @@ class Group:
         return [np.asarray(leaf) for leaf in leaves], structure
 
     def varied(self, numbers: Mapping[str, Array]) -> tuple[Any, list[Array], list[Array], tuple[bool, ...]]:
-        """Return structure, leaves that all share, leaves (W, ...) that differ, and which is which."""
+        """Return structure, shared leaves, varied leaves (W, ...), and the flags that tell them apart."""
         assert self.places is not None
         leaves, structure = self._leaves
         own: dict[int, Array] = {}
@@ -100,7 +100,7 @@ class Group:
 
 
 def scenario_at(content: Content, values: Mapping[str, Any]) -> Scenario:
-    """Return the scenario of some content with values set.
+    """Return the scenario of the given content with values set.
 
     Raises:
         UsageError, ScenarioError: it cannot be.
@@ -112,7 +112,7 @@ def scenario_at(content: Content, values: Mapping[str, Any]) -> Scenario:
 
 
 def faults(content: Content, values: Mapping[str, Any]) -> list[str]:
-    """Return what is wrong with a point, one sentence each."""
+    """Return the faults of a point, one sentence each."""
     try:
         scenario_at(content, values)
     except ScenarioError as error:
@@ -124,7 +124,7 @@ def faults(content: Content, values: Mapping[str, Any]) -> list[str]:
 
 
 def same_structure(one: Scenario, other: Scenario, precision: str) -> bool:
-    """Return whether two scenarios are flown by one program."""
+    """Return whether one compiled program flies both scenarios."""
     if one.ticks != other.ticks:
         return False
     (mine, structure), (theirs, another) = (jax.tree.flatten(item.world(precision)) for item in (one, other))
@@ -135,7 +135,7 @@ def same_structure(one: Scenario, other: Scenario, precision: str) -> bool:
 
 
 def make_group(content: Content, choices: Mapping[str, Any], numbers: Iterable[Axis], precision: str) -> Group:
-    """Return the group of some choices; the numbers of ``numbers`` vary in it.
+    """Build the group of some structural choices; the numbers in ``numbers`` vary in it.
 
     Raises:
         ScenarioError: the scenario with these choices is wrong.

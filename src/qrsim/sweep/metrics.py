@@ -1,4 +1,4 @@
-"""What is kept of an episode: one number of each metric, from those of its vehicles."""
+"""Metrics of an episode: one number each, from those of its vehicles."""
 
 from __future__ import annotations
 
@@ -96,5 +96,5 @@ METRICS: dict[str, Metric] = {
 
 
 def of_episodes(names: tuple[str, ...], found: Found) -> dict[str, Array]:
-    """Return metrics (W,) of episodes by name, single precision, from those of all vehicles (W, n, ...)."""
+    """Compute metrics (W,) of episodes by name, single precision, from those of all vehicles (W, n, ...)."""
     return {name: np.asarray(METRICS[name].of(found), np.float32) for name in names}

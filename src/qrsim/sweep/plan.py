@@ -1,4 +1,4 @@
-"""A study cut into batches, each a block of its Dataset; nothing is computed before it is asked for."""
+"""A study cut into batches, each a block of its Dataset, computed on demand."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Batch:
 
 
 class Plan:
-    """Which episodes a study has, by ranges of their numbers.
+    """The episodes of a study, by ranges of their indices.
 
     Args:
         study: what is studied.
@@ -134,7 +134,7 @@ class Plan:
         return math.prod(self.grid)
 
     def region(self, index: int) -> tuple[slice, ...]:
-        """Return where in the Dataset a batch belongs."""
+        """Return the region of the Dataset that a batch fills."""
         corner = np.unravel_index(index, self.grid)
         return tuple(
             slice(int(at) * step, min(size, (int(at) + 1) * step))
@@ -182,7 +182,7 @@ class Plan:
         return {axis.path: axis.scaled(unit[:, i]) for i, axis in enumerate(self.sampled)}
 
     def values_at(self, position: tuple[int, ...]) -> dict[str, Any]:
-        """Return the value of each parameter at a place of the Dataset, as the study says it."""
+        """Return the value of each parameter at an index of the Dataset, in the study's terms."""
         found: dict[str, Any] = {}
         for dimension, axis in enumerate(self.crossed):
             assert axis.values is not None
@@ -196,7 +196,7 @@ class Plan:
 
 
 def choices(axes: tuple[Axis, ...], listed: bool) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
-    """Yield every combination of values of structural axes, with its indices; those of a list go together."""
+    """Yield every combination of structural axes with its indices; axes listed together vary together."""
     lengths = [len(axis.values or ()) for axis in axes]
     indices = ((i,) * len(axes) for i in range(lengths[0])) if listed and axes else product(*map(range, lengths))
     for chosen in indices:

@@ -1,4 +1,4 @@
-"""Episodes of a task that its baseline flies, one after the other, as ``qrsim run --policy baseline`` does."""
+"""Flies episodes of a task with its baseline, one by one, as ``qrsim run --policy baseline`` does."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = np.ndarray[Any, Any]
 
 
 def play(group: Group, job: Job) -> dict[str, Array]:
-    """Return the metrics of all vehicles (W, n, ...) of a batch, and those of its task (W,).
+    """Fly a batch with the baseline; return metrics of all vehicles (W, n, ...) and of the task (W,).
 
     Raises:
         UsageError: the scenario has no task, or its task has no baseline.

@@ -1,4 +1,4 @@
-"""From a study to its plan: every value is checked, and every structure found, before anything is flown."""
+"""From a study to its plan: every value and every structure is checked before anything is flown."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MOST_TRIED, TRIED = 100, 8
 
 
 def plan_of(study: Study) -> Plan:
-    """Return the plan of a study.
+    """Check a study and plan it.
 
     Raises:
         ScenarioError: paths are unknown or values are not allowed; the message lists them.

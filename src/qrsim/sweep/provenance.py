@@ -1,4 +1,4 @@
-"""Which programs a result depends on: to compare a client with its workers, and a store with what would go on in it."""
+"""Versions that results depend on: compared between client and workers, and between a store and its continuation."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ WITHOUT = ("/view", "/logs", "/flight_logs", "/protocol")
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of all that numbers depend on, and a digest of this package's own source."""
+    """Return the versions of all libraries that affect numbers, and a digest of this package's source."""
     found = {name: metadata.version(name) for name in PACKAGES}
     return {**found, "python": ".".join(platform.python_version_tuple()[:2]), "qrsim source": _source()}
 
 
 def network_versions() -> dict[str, str]:
-    """Return ``versions``, and those of what carries tasks and results."""
+    """Return ``versions``, and those of the libraries that carry tasks and results."""
     return {**versions(), **{name: metadata.version(name) for name in NETWORK}}
 
 
@@ -44,7 +44,7 @@ def _source() -> str:
 
 
 def differences(mine: dict[str, str], theirs: dict[str, str]) -> list[str]:
-    """Return what differs, as "name: mine, theirs"."""
+    """Return the differences, each as "name: mine, theirs"."""
     return [
         f"{name}: {mine.get(name, 'none')} here, {theirs.get(name, 'none')} there"
         for name in {**mine, **theirs}

@@ -1,4 +1,4 @@
-"""What ``qrsim sweep-report`` finds in a store, writes and says."""
+"""Report of a store, for ``qrsim sweep-report``: analysis, files and text."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SCENARIO = "scenario.yaml"
 
 @dataclass(frozen=True)
 class Report:
-    """What was found.
+    """Analysis of a store.
 
     Attributes:
         results: of the store.
@@ -50,7 +50,7 @@ class Report:
 
 
 def find(path: Path, metric: str | None, pair: list[str]) -> Report:
-    """Return what a store says.
+    """Analyse a store.
 
     Args:
         path: of the store.
@@ -91,7 +91,7 @@ def _pair(results: Results, names: list[str]) -> tuple[Parameter, Parameter] | N
 
 
 def replay(results: Results, episode: int, folder: Path) -> str:
-    """Return the command that flies an episode again, recorded, for the viewer."""
+    """Return the command that flies an episode again and records it."""
     values = results.values_at(episode)
     source, changes = results.source, dict(results.spec.set)
     name, counts = _scenario_name(values)
@@ -154,7 +154,7 @@ def write(report: Report, folder: Path) -> list[Path]:
 
 
 def to_json(report: Report, folder: Path) -> dict[str, Any]:
-    """Return the tables; what is not finite is None."""
+    """Return the tables as plain values; non-finite numbers are None."""
     results, boundary, indices = report.results, report.boundary, report.sensitivity
     found: dict[str, Any] = {**results.summary(), "metric": report.metric}
     found["responses"] = {

@@ -1,4 +1,4 @@
-"""A store as it is read: parameters and metrics of the episodes that are in it, whatever its dimensions."""
+"""A store as read: parameters and metrics of its episodes, for any dimensions."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ class Parameter:
     log: bool
 
     def even(self, values: Array) -> Array:
-        """Return values on the scale on which they are evenly spread."""
+        """Map values to the scale on which they are evenly spaced."""
         return np.log(values) if self.log else values
 
     def uneven(self, values: Array) -> Array:
-        """Undo ``even``."""
+        """Invert ``even``."""
         return np.exp(values) if self.log else values
 
     @property
@@ -112,12 +112,12 @@ class Results:
 
     @cached_property
     def positions(self) -> Array:
-        """Place of each episode in the Dataset (E,), as one number."""
+        """Flat index (E,) of each episode in the Dataset."""
         return np.flatnonzero(self.flown)
 
     @cached_property
     def points(self) -> Array:
-        """Number of the point of each episode (E,)."""
+        """Index (E,) of each episode's point."""
         return self.positions // self.dataset.sizes["seed"]
 
     def metric(self, name: str) -> Array:
@@ -147,7 +147,7 @@ class Results:
 
     @property
     def failure(self) -> str:
-        """What counts as a failure, in words."""
+        """Definition of a failure, in words."""
         failure = self.spec.failure
         limit, word = (failure.above, ">") if failure.above is not None else (failure.below, "<")
         unit = self.unit(failure.metric)
@@ -162,7 +162,7 @@ class Results:
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
-        """What varies, by name, in the order of the study."""
+        """Varied parameters, by name, in the order of the study."""
         names = [item.name or path for path, item in self.spec.vary.items()]
         return {name: self._parameter(name) for name in names}
 
@@ -195,7 +195,7 @@ class Results:
         return np.unravel_index(self.positions, flown.shape)[axis]
 
     def values_at(self, episode: int) -> dict[str, Any]:
-        """Return path and value of each parameter of an episode, as a scenario takes them."""
+        """Return path and value of each parameter of an episode, in the scenario's terms."""
         found: dict[str, Any] = {}
         for path, item in self.spec.vary.items():
             index = int(self._spread_index(item.name or path)[episode])
@@ -206,7 +206,7 @@ class Results:
         return found
 
     def summary(self) -> Mapping[str, Any]:
-        """Return how much is there."""
+        """Return the number of episodes planned and stored, with the study's name."""
         return {
             "study": self.spec.name,
             "episodes": self.episodes,

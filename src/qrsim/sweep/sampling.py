@@ -1,4 +1,4 @@
-"""Points of a sample in the unit cube, computed by ranges of their numbers (scipy.stats.qmc)."""
+"""Points of a sample in the unit cube, computed by ranges of their indices (scipy.stats.qmc)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where results are kept: an xarray Dataset in Zarr, a chunk of each variable for each batch.
+"""Store of results: an xarray Dataset in Zarr, one chunk of each variable per batch.
 
 A batch is in the store when ``flown`` says so of its episodes, and that is written last; every file appears whole or
 not at all. So whatever ends the process, what is there can be read, and what is missing is known.
@@ -34,7 +34,7 @@ MOST_DIFFERENCES = 8
 
 
 class Store:
-    """The results of a study on disk, for one process that writes.
+    """The results of a study on disk, with one writing process.
 
     Args:
         path: of the folder.
@@ -64,7 +64,7 @@ class Store:
             raise RunError(f"{path}: the store cannot be written: {error.strerror or error}") from None
 
     def close(self) -> None:
-        """Let others write."""
+        """Release the store for other writers."""
         self._open.close()
 
     def _lock(self) -> None:
@@ -152,7 +152,7 @@ class Store:
         return found
 
     def write(self, batch: Batch, results: Mapping[str, Array]) -> None:
-        """Keep the results (W,) of a batch.
+        """Write the results (W,) of a batch.
 
         Raises:
             RunError: they cannot be written; what was kept before stays.

@@ -1,4 +1,4 @@
-"""A study as it is written: its schema, its source, and what tells it from another."""
+"""A study file: schema, source and digest."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ Content = dict[str, Any]
 
 
 class Part(BaseModel):
-    """Base of every part of a study: nothing unknown, nothing coerced."""
+    """Base of every part of a study: unknown keys are refused, nothing is coerced."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class VarySpec(Part):
-    """What a parameter goes through: given values, so many between two, or a range that the sampling covers."""
+    """Values of a parameter: a list, a number of steps between two ends, or a sampled range."""
 
     values: list[Any] | None = Field(
         None, description="the values, numbers or whatever may stand there", min_length=1, max_length=MOST_VALUES
@@ -68,7 +68,7 @@ class VarySpec(Part):
 
 
 class SamplingSpec(Part):
-    """How the parameters that have a range are sampled together."""
+    """Joint sampling of the parameters that have a range."""
 
     type: Literal["list", "latin_hypercube", "sobol", "saltelli"] = Field(
         description="list: the values of all parameters one by one; saltelli: what Sobol indices are computed from"
@@ -102,7 +102,7 @@ class FailureSpec(Part):
 
 
 class StudySpec(Part):
-    """A study: a scenario, who flies, what varies, and what is kept of each episode."""
+    """A study: a scenario, a policy, the varied parameters, and the metrics to keep."""
 
     name: str = Field(description="short name, used for stores", pattern=NAME, max_length=100)
     description: str = Field("", description="one or two sentences")
@@ -170,7 +170,7 @@ class Study:
 
     @property
     def settings(self) -> Content:
-        """What the results depend on; two studies of equal settings are the same study."""
+        """Settings that the results depend on; two studies of equal settings are the same study."""
         spec = self.spec.model_dump(mode="json", exclude={"description", "failure", "scenario", "set"})
         # A default that is filled in later changes nothing.
         spec["metrics"] = sorted({*self.spec.metrics, self.spec.failure.metric})
@@ -180,7 +180,7 @@ class Study:
 
     @property
     def digest(self) -> str:
-        """What tells the study from others, in hexadecimal."""
+        """Digest of the settings, in hexadecimal."""
         text = json.dumps(self.settings, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -236,7 +236,7 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
 
 
 def assignment(path: str, value: Any) -> str:
-    """Return what ``--set`` takes to set a value."""
+    """Return the argument of ``--set`` that sets a value."""
     return f"{path}={json.dumps(value)}"
 
 
@@ -306,7 +306,7 @@ def _code(what: str, name: str, folder: Path) -> tuple[str, str]:
 
 
 def digest_of(what: str, name: str) -> str:
-    """Return a digest of the file that a user's function is in, "" where it is in none.
+    """Return a digest of the file that defines a user's function, "" if there is none.
 
     Raises:
         UsageError: there is no such function.

@@ -1,4 +1,4 @@
-"""Flies what is missing of a study, batch by batch, on whatever workers there are."""
+"""Flies the missing batches of a study on the available workers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ AHEAD = 2
 
 
 def sweep(plan: Plan, store: Store, client: Any, progress: Callable[[Batch], None] = lambda batch: None) -> None:
-    """Fly the batches that are not in the store, and keep each as soon as it is there.
+    """Fly the batches that are not in the store, and write each as soon as it is done.
 
     Args:
         plan: of the study.
@@ -62,7 +62,7 @@ def _threads(client: Any) -> int:
 
 
 class Jobs:
-    """Makes jobs of batches."""
+    """Turns batches into jobs."""
 
     def __init__(self, plan: Plan, metrics: tuple[str, ...]):
         self._spec, self._code = plan.study.spec, tuple(plan.study.code.items())
@@ -70,7 +70,7 @@ class Jobs:
         self._metrics = metrics
 
     def job(self, batch: Batch) -> Job:
-        """Return a batch as it goes to a worker."""
+        """Return a batch in the form sent to a worker."""
         spec = self._spec
         return Job(
             self._groups[batch.group], batch.numbers, batch.seeds, self._metrics, spec.policy, spec.estimator,

@@ -1,4 +1,4 @@
-"""A browser without a window, told what to do over its DevTools protocol; for pictures of the page."""
+"""A headless browser, driven over its DevTools protocol; it takes pictures of the page."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ PATIENCE_S = 60.0
 
 
 def find_browser() -> str | None:
-    """Return the path of a browser that can draw without a window, None where there is none."""
+    """Return the path of a browser that runs headless, None if none is installed."""
     return next((path for path in map(shutil.which, NAMES) if path), None)
 
 
 class Browser:
-    """One page in a browser of its own; a context manager.
+    """One page in its own headless browser; a context manager.
 
     Args:
         width, height: of the page [pixels].
@@ -108,7 +108,7 @@ class Browser:
         self.call("Page.enable")
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Ask for something of the DevTools protocol and return the answer.
+        """Call a method of the DevTools protocol and return its result.
 
         Raises:
             RunError: it was refused, or the browser is gone.
@@ -162,12 +162,12 @@ class Browser:
         self.call("Page.navigate", url=url)
 
     def evaluate(self, expression: str) -> Any:
-        """Return the value of JavaScript in the page."""
+        """Evaluate JavaScript in the page and return its value."""
         found = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         return found["result"].get("value")
 
     def picture(self) -> bytes:
-        """Return what the page shows, as PNG."""
+        """Take a screenshot of the page, as PNG."""
         deadline = time.monotonic() + PATIENCE_S
         while True:
             try:
@@ -179,7 +179,7 @@ class Browser:
                 time.sleep(0.1)
 
     def click(self, x: float, y: float) -> None:
-        """Press and release the left button at a place [pixels]."""
+        """Click with the left button at a position [pixels]."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             button: dict[str, Any] = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)

@@ -1,4 +1,4 @@
-"""What cameras show: where on the ground each window of a picture lies, and what the classifier says of it."""
+"""Camera footprints: the ground patch of each window of a picture, and the classifier's ratio for it."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ EDGE_COLOUR = (40, 40, 40)
 
 
 class Cameras(Contents):
-    """Footprints of the last pictures, coloured by the ratio of each window: red speaks for a person, blue against."""
+    """Footprints of the last pictures, coloured by each window's ratio: red for a person, blue against."""
 
     title = "camera pictures"
     every = 5
 
     def begin(self) -> None:
-        """Nothing has been seen yet."""
+        """Start without pictures."""
         first = np.cumsum([0, *(fleet.size for fleet in self.world.fleets)])
         self._owners = [
             (int(first[number]) + i, number, index, i)
@@ -54,7 +54,7 @@ class Cameras(Contents):
         )
 
     def look(self, beside: Beside, time: float) -> None:
-        """Draw the pictures that are not drawn yet."""
+        """Draw new pictures."""
         owners = [owner for owner in self._owners if owner[1:3] in beside.cameras]
         chosen = [owner for owner in owners if owner[0] == self.stage.chosen] or owners[:MOST_SHOWN]
         shown = []
@@ -142,7 +142,7 @@ def _edges(where: Floats, picture: Any, z: float) -> Floats:
 
 
 def camera_places(world: World) -> list[tuple[int, int]]:
-    """Return the numbers of fleet and sensor of each camera of a world."""
+    """Return (fleet index, sensor index) of each camera of a world."""
     return [
         (number, index)
         for number, fleet in enumerate(world.fleets)
@@ -152,5 +152,5 @@ def camera_places(world: World) -> list[tuple[int, int]]:
 
 
 def camera_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layer of the cameras, where there are any."""
+    """Return the layer of the cameras, if there are any."""
     return [Cameras(stage, world)] if camera_places(world) else []

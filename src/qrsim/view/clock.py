@@ -1,4 +1,4 @@
-"""Play, pause, step and speed: how fast simulated time goes, asked by one thread and changed by others."""
+"""Play, pause, step and speed of simulated time: read by one thread, changed by others."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LONGEST_S = 0.25
 
 
 class Clock:
-    """Says how much simulated time has to pass.
+    """Paces simulated time against wall time.
 
     Args:
         speed: simulated seconds per second; infinite: as fast as can be.
@@ -54,7 +54,7 @@ class Clock:
 
     @property
     def playing(self) -> bool:
-        """Whether time passes."""
+        """Whether the simulation plays (not paused)."""
         return self._playing
 
     @playing.setter
@@ -64,20 +64,20 @@ class Clock:
             self._changed.notify_all()
 
     def step(self) -> None:
-        """Let one time step pass, and then stop."""
+        """Advance by one time step, then pause."""
         with self._changed:
             self._playing = False
             self._steps += 1
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Let nobody wait any more: time passes as fast as can be."""
+        """Release all waiting threads; time then runs as fast as possible."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def wait(self, step_s: float, most: int) -> int:
-        """Wait until simulated time has to pass, and return how many time steps.
+        """Wait until time steps are due, and return their number.
 
         What is too slow for the speed falls behind; it does not hurry after it later.
 
@@ -117,7 +117,7 @@ class Clock:
 
 
 def checked_speed(speed: float) -> float:
-    """Return a speed.
+    """Check a speed and return it.
 
     Raises:
         UsageError: it is out of range.

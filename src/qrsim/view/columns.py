@@ -58,6 +58,6 @@ class Columns:
 
 
 def vector(run: Run, stream: str, name: str, parts: tuple[str, ...]) -> tuple[str, ...] | None:
-    """Return the columns of a vector; None where one was not recorded."""
+    """Return the columns of a vector, None if one of them was not recorded."""
     columns = tuple(f"{name}.{part}" for part in parts)
     return columns if stream in run and all(column in run[stream] for column in columns) else None

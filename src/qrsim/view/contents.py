@@ -1,4 +1,4 @@
-"""What is in a world beside vehicles: cover of the ground, persons, a plume."""
+"""Contents of a world besides vehicles: ground cover, persons, plume."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PLACES, DRAWN, FAINTEST = 20_000, 1500, 0.01
 
 
 class Contents(Layer):
-    """Base of layers of what there is beside vehicles; where that is not known nothing is drawn."""
+    """Base of the layers of contents; unknown contents are not drawn."""
 
     every = 10
 
@@ -30,7 +30,7 @@ class Contents(Layer):
         super().__init__(stage)
 
     def draw(self, frame: Frame) -> None:
-        """Draw what there is."""
+        """Draw the contents, if known."""
         if frame.beside is not None:
             self.look(frame.beside, frame.time)
 
@@ -39,7 +39,7 @@ class Contents(Layer):
 
 
 class Cover(Contents):
-    """Classes of the ground, drawn once."""
+    """Ground cover classes, drawn once."""
 
     title = "terrain"
 
@@ -48,7 +48,7 @@ class Cover(Contents):
         self._drawn = False
 
     def look(self, beside: Beside, time: float) -> None:
-        """Make a plate for every cell that is not clear."""
+        """Add a plate for every cell that is not clear ground."""
         if self._drawn:
             return
         self._drawn = True
@@ -69,7 +69,7 @@ class Cover(Contents):
 
 
 class Persons(Contents):
-    """A pin where each person is, orange before it is found and green after."""
+    """A pin at each person: orange until found, then green."""
 
     title = "persons"
 
@@ -78,7 +78,7 @@ class Persons(Contents):
         self._handle: Any = None
 
     def look(self, beside: Beside, time: float) -> None:
-        """Colour who is found."""
+        """Colour the pins of persons that have been found."""
         persons = beside.contents.persons
         there, found = np.asarray(persons.there), np.asarray(persons.found_tick) >= 0
         colours = np.where(found[:, None], FOUND_COLOUR, MISSING_COLOUR).astype(np.uint8)
@@ -96,13 +96,13 @@ class Persons(Contents):
 
 
 class Plume(Contents):
-    """A plume as translucent points, where it is strongest of many places in the area."""
+    """A plume as translucent points at the highest of many sampled concentrations."""
 
     title = "plume"
     every = 30
 
     def begin(self) -> None:
-        """Choose the places."""
+        """Sample the points."""
         area, rng = self.world.area, np.random.default_rng(1)
         low, high = ([float(getattr(area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max"))
         self._dtype = np.asarray(self.world.fleets[0].start.position_ned.x).dtype
@@ -116,7 +116,7 @@ class Plume(Contents):
         )  # fmt: skip
 
     def look(self, beside: Beside, time: float) -> None:
-        """Ask for the concentration, and draw the strongest."""
+        """Evaluate the concentration and draw the strongest points."""
         tick = np.int32(round(time / self.world.time_step))
         with jax.enable_x64(self._dtype == np.float64):
             found = np.asarray(self._ask(beside.world, beside.drawn, beside.contents, tick, self._places))
@@ -137,7 +137,7 @@ def _concentration(world: World, drawn: Any, contents: Any, tick: Any, places: A
 
 
 def contents_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layers of what there is in a world, in an area that is a box."""
+    """Return the layers of a world's contents; the area is a box."""
     contents = getattr(world, "contents", None)
     if contents is None or not hasattr(world.area, "x_min"):
         return []

@@ -19,7 +19,7 @@ FASTEST_HZ, MOST_POSES = 20.0, 1_500_000
 
 
 def export(recording: Recording, folder: Path) -> Path:
-    """Write a page that plays the run, and return where it is.
+    """Write a page that plays the run, and return its path.
 
     Raises:
         UsageError: there is something in the folder already.
@@ -37,7 +37,7 @@ def export(recording: Recording, folder: Path) -> Path:
 
 
 def times_of(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return the times [s] of the pictures of a film."""
+    """Return the times [s] of the frames of a film."""
     most = max(2, MOST_POSES // recording.cast.size)
     count = min(most, int(recording.end * FASTEST_HZ) + 1, len(recording.time))
     return np.linspace(float(recording.time[0]), recording.end, max(1, count))

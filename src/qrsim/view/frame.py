@@ -1,4 +1,4 @@
-"""One instant of a world as the page draws it, from a State; and what does not change, from a World."""
+"""One instant of a world as the page draws it (from a State), and its constant parts (from a World)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Floats = np.ndarray[Any, Any]
 
 @dataclass(frozen=True)
 class Beside:
-    """What there is beside vehicles, and what their cameras saw of it.
+    """Contents of the world besides vehicles, and the cameras' pictures of them.
 
     Attributes:
         world: as it is now.
@@ -37,7 +37,7 @@ class Beside:
 
 @dataclass(frozen=True)
 class Frame:
-    """What all n vehicles do at one time; NaN where something is not known.
+    """State of all n vehicles at one time; NaN where a quantity is unknown.
 
     Attributes:
         time: simulated time [s].
@@ -65,7 +65,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Cast:
-    """Who is in the scene.
+    """Vehicles and other constant parts of a scene.
 
     Attributes:
         names: (n,) of the vehicles.
@@ -86,7 +86,7 @@ class Cast:
 
     @property
     def extent(self) -> float:
-        """How far apart things are [m]: the diagonal of a box around them all and the ground below."""
+        """Diagonal [m] of the box around everything in the scene and the ground below."""
         corners = np.vstack([self._seen, self._seen * [1.0, 1.0, 0.0]])
         return max(10.0, float(np.linalg.norm(np.ptp(corners, axis=0))))
 
@@ -96,13 +96,13 @@ class Cast:
 
     @property
     def centre(self) -> Floats:
-        """(3,) the middle of all that is to be seen [m]."""
+        """Centre (3,) of everything in the scene [m]."""
         middle: Floats = 0.5 * (self._seen.min(axis=0) + self._seen.max(axis=0))
         return middle
 
 
 def cast_of(world: World, start_ned: Floats) -> Cast:
-    """Return who is in a world, for positions (n, 3) [m] of the vehicles at first."""
+    """Return the cast of a world whose vehicles start at positions (n, 3) [m]."""
     return Cast(
         tuple(name for fleet in world.fleets for name in fleet.vehicle_names),
         np.repeat(np.arange(len(world.fleets)), [fleet.size for fleet in world.fleets]),

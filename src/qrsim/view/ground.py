@@ -1,4 +1,4 @@
-"""What does not move: ground with grid and north arrow, the area's outline, obstacles."""
+"""Static scenery: ground with grid and north arrow, the area's outline, obstacles."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Ground(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Make plane, grid and arrow; below all starts and the area, and some more."""
+        """Add plane, grid and arrow; they reach beyond all starts and the area."""
         found, extent = corners_of(self._area), self.stage.cast.extent
         edge = 0.0 if found is None else float(np.abs(found[0]).max())
         reach = max(float(np.abs(self.stage.cast.start_ned[:, :2]).max()), edge) + extent
@@ -48,7 +48,7 @@ class Ground(Layer):
 
 
 class Area(Layer):
-    """Where vehicles may be."""
+    """Outline of the flight area."""
 
     title = "area"
 
@@ -76,7 +76,7 @@ class Obstacles(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Make one instance of a box and of a cylinder for each."""
+        """Add a box or a cylinder for each obstacle."""
         boxes, cylinders = self._obstacles.boxes, self._obstacles.cylinders
         low = np.stack([boxes.x_min, boxes.y_min, boxes.z_min], axis=1)
         high = np.stack([boxes.x_max, boxes.y_max, boxes.z_max], axis=1)
@@ -101,7 +101,7 @@ def grid_cell(extent: float) -> float:
 
 
 def corners_of(area: Any) -> tuple[Floats, float, float] | None:
-    """Return corners (V, 2) north and east, ceiling and floor [m] of an area; None where its shape is not known."""
+    """Return corners (V, 2) north and east, ceiling and floor [m] of an area; None for an unknown shape."""
     if isinstance(area, PolygonArea):
         return np.stack([area.north, area.east], axis=1), float(area.z_min), float(area.z_max)
     if isinstance(area, BoxArea):

@@ -1,4 +1,4 @@
-"""What the page draws, one class for everything that is shown or hidden together."""
+"""Layers of the page: one class for each group of things that is shown or hidden together."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ARROW_SPANS = 0.3
 
 @dataclass
 class Stage:
-    """Where layers draw.
+    """The drawing surface of the layers.
 
     Attributes:
         scene: of the page.
@@ -43,19 +43,19 @@ class Stage:
 
     @property
     def lift(self) -> float:
-        """How far apart things that lie on the ground are drawn [m], so that a browser can tell which is above."""
+        """Height step [m] between things drawn on the ground, so that a browser can order them."""
         return max(0.1, self.cast.extent / 800.0)
 
     @property
     def colours(self) -> Floats:
-        """(n, 3) of the vehicles: their own while they are few, else those of their fleets."""
+        """Colours (n, 3) of the vehicles: one each while they are few, else one per fleet."""
         few = self.cast.size <= len(shapes.PALETTE)
         numbers = np.arange(self.cast.size) if few else self.cast.fleets
         return shapes.PALETTE[numbers % len(shapes.PALETTE)]
 
 
 class Layer:
-    """Base of what is drawn; its nodes are children of ``root``.
+    """Base of all layers; its nodes are children of ``root``.
 
     Attributes:
         title: what the page calls it.
@@ -74,13 +74,13 @@ class Layer:
         self.begin()
 
     def begin(self) -> None:
-        """Make the nodes."""
+        """Add the nodes."""
 
     def draw(self, frame: Frame) -> None:
-        """Move them."""
+        """Update the nodes."""
 
     def batch(self, name: str, mesh: shapes.Mesh, colours: Any, **options: Any) -> Any:
-        """Return one instance of a mesh for each vehicle, at its start."""
+        """Add one instance of a mesh for each vehicle, at its start."""
         count = self.stage.cast.size
         return self.stage.scene.add_batched_meshes_simple(
             f"{self.path}/{name}",
@@ -119,7 +119,7 @@ class Vehicles(Layer):
 
 
 class Poles(Layer):
-    """Upright lines from the vehicles to the ground, which show where they are."""
+    """Vertical lines from the vehicles to the ground."""
 
     title = "poles"
     every = 3
@@ -129,7 +129,7 @@ class Poles(Layer):
         self._handle = self.batch("poles", shapes.box((-0.5, -0.5, 0.0), (0.5, 0.5, 1.0)), POLE_COLOUR, opacity=0.35)
 
     def draw(self, frame: Frame) -> None:
-        """Let them reach from the vehicles down to height 0."""
+        """Stretch them from the vehicles down to height 0."""
         top = _finite(frame.position_ned, self.stage.cast.start_ned)
         wide = np.full(len(top), 0.03 * self.stage.span)
         self._handle.batched_positions = top
@@ -137,7 +137,7 @@ class Poles(Layer):
 
 
 class Ghosts(Layer):
-    """Where GNSS says that the vehicles are."""
+    """GNSS positions of the vehicles."""
 
     title = "GNSS positions"
     every = 3
@@ -148,7 +148,7 @@ class Ghosts(Layer):
         self._handle = self.batch("bodies", shapes.quadrotor(), GHOST_COLOUR, opacity=0.4)
 
     def draw(self, frame: Frame) -> None:
-        """Move them; where there is no fix there is no ghost."""
+        """Move them; a vehicle without a fix has no ghost."""
         fixed = np.isfinite(frame.ghost_ned).all(axis=1)
         self._handle.batched_positions = _finite(frame.ghost_ned, frame.position_ned)
         self._handle.batched_wxyzs = np.nan_to_num(quaternion_of(frame.attitude)).astype(np.float32)
@@ -166,14 +166,14 @@ class Wind(Layer):
         self._handle = self.batch("arrows", shapes.arrow(), np.tile(shapes.PALETTE[0], (self.stage.cast.size, 1)))
 
     def draw(self, frame: Frame) -> None:
-        """Turn the arrows along the moving air."""
+        """Turn the arrows downwind."""
         _point(self._handle, _finite(frame.position_ned, self.stage.cast.start_ned), frame.wind_ned, self.stage.span)
         speed = np.linalg.norm(np.nan_to_num(frame.wind_ned), axis=1)
         self._handle.batched_colors = shapes.speed_colours(speed, STRONG_WIND)
 
 
 class Gusts(Layer):
-    """The gusts at each vehicle, from the tip of the mean wind: both together are the wind that it feels."""
+    """The gust at each vehicle, from the tip of the mean wind; their sum is the wind at the vehicle."""
 
     title = "gusts"
     every = 3
@@ -190,13 +190,13 @@ class Gusts(Layer):
 
 
 class Names(Layer):
-    """Names of the vehicles while they are few, and why those that have stopped did."""
+    """Names of the vehicles while they are few, and why each stopped one stopped."""
 
     title = "names and reasons"
     every = 2
 
     def begin(self) -> None:
-        """Nothing is labelled at first."""
+        """Start without labels."""
         self._labels: dict[int, Any] = {}
 
     def draw(self, frame: Frame) -> None:

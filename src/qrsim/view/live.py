@@ -1,4 +1,4 @@
-"""A page of a simulation that runs: it gets what there is to see, and never keeps the simulation waiting."""
+"""A page of a running simulation; it never makes the simulation wait."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class LiveView:
         self._kept: int | None = None
 
     def begin(self, simulation: Simulation, heading: str) -> None:
-        """Show another world from here on; one that was shown before goes."""
+        """Show another world in place of the present one."""
         self._end_drawing()
         self._server.gui.reset()
         self._server.scene.reset()
@@ -90,15 +90,15 @@ class LiveView:
         self._thread.start()
 
     def wait(self, most: int) -> int:
-        """Return how many ticks, up to ``most``, to fly next; waits while the page is paused or ahead of its speed."""
+        """Return the number of ticks to fly next, at most ``most``; waits while paused or ahead of the page's speed."""
         return most if self.clock is None else self.clock.wait(self._step_s, most)
 
     def offer(self, history: History) -> None:
-        """Offer some states to be drawn; costs the caller next to nothing."""
+        """Offer states for drawing; does not block."""
         self._offer(lambda row: (_row(history.state, row), int(history.ticks[row])), len(history.ticks))
 
     def show(self, simulation: Simulation) -> None:
-        """Offer the present state of a simulation; its copy takes the caller some microseconds."""
+        """Offer the present state of a simulation for drawing; copying it takes some microseconds."""
         layout, buffers = simulation.packed
         copies, tick = tuple(np.array(buffer) for buffer in buffers), simulation.tick
         self._offer(lambda _: (layout.unpack(copies), tick), 1)  # type: ignore[arg-type]
@@ -109,7 +109,7 @@ class LiveView:
             self._there.notify()
 
     def changes(self, simulation: Simulation) -> list[dict[str, Any]]:
-        """Make the changes that the page asks for, and return them as events of a run."""
+        """Apply the changes made on the page, and return them as events of a run."""
         wished, self._wished = self._wished, None
         if wished is None:
             return []
@@ -118,7 +118,7 @@ class LiveView:
         return events
 
     def close(self) -> None:
-        """Draw what is still to be drawn, and take the page off."""
+        """Draw the last offered states, then close the page."""
         if self.clock is not None:
             self.clock.close()
         self._end_drawing()

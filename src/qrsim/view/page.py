@@ -27,7 +27,7 @@ PLOTS = 2
 
 
 class Page:
-    """What a browser shows of one world.
+    """The page of one world.
 
     Args:
         server: that it is on.
@@ -62,7 +62,7 @@ class Page:
 
     @property
     def chosen(self) -> int | None:
-        """Number of the vehicle that is plotted; None: nobody."""
+        """Index of the plotted vehicle, None if there is none."""
         return self.scene.stage.chosen
 
     # ---- the panel ----
@@ -121,7 +121,7 @@ class Page:
                 gui.add_markdown("Camera pictures: red speaks for a person, blue against.")
 
     def add_plots(self, quantities: list[str]) -> None:
-        """Offer plots of what the chosen vehicle measures, against the truth."""
+        """Add plots of the chosen vehicle's measurements against the truth."""
         gui = self.server.gui
         series = ({"label": "t"}, {"label": "measured", "stroke": "#d62728"}, {"label": "true", "stroke": "#1f77b4"})
         with self._vehicle_folder:
@@ -144,7 +144,7 @@ class Page:
         self.scene.show(title, event.target.value)
 
     def choose(self, vehicle: int | None) -> None:
-        """Plot a vehicle, and follow it where that is switched on."""
+        """Plot a vehicle, and follow it if following is switched on."""
         self.scene.choose(vehicle)
         name = NOBODY if vehicle is None else self.scene.cast.names[vehicle]
         if self._who.value != name:

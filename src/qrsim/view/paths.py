@@ -1,4 +1,4 @@
-"""Where vehicles came from: the last minute of their true and of their estimated paths."""
+"""The last minute of the vehicles' true and estimated paths."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Paths(Layer):
     thickness = 3.0
 
     def begin(self) -> None:
-        """Let all paths begin at the start."""
+        """Begin all paths at the start."""
         cast = self.stage.cast
         self._count = int(np.clip(SEGMENTS // cast.size, FEWEST, MOST))
         self._points = np.repeat(cast.start_ned[None].astype(np.float32), self._count + 1, axis=0)
@@ -36,7 +36,7 @@ class Paths(Layer):
         )
 
     def note(self, frame: Frame) -> None:
-        """Remember a frame; one of an earlier time begins the paths anew."""
+        """Append a frame; an earlier time restarts the paths."""
         position = self.position(frame)
         if frame.time < self._time[-1] or not self._begun:
             self._begun = True
@@ -47,19 +47,19 @@ class Paths(Layer):
         self._points[-1], self._time[-1] = np.where(np.isfinite(position), position, self._points[-1]), frame.time
 
     def remember(self, time: Floats, points: Floats) -> None:
-        """Take the paths from a recording: times (K,) [s] and positions (K, n, 3) [m], as many as ``sample`` says."""
+        """Set the paths from a recording: times (K,) [s] of ``sample`` and positions (K, n, 3) [m]."""
         self._time[:], self._points[:], self._begun = time, points, True
 
     def sample(self, time: float) -> Floats:
-        """Return the times [s] at which the paths that end at a time have their corners."""
+        """Return the times [s] of the corners of paths that end at a time."""
         return np.linspace(max(0.0, time - LENGTH_S), time, self._count + 1)
 
     def position(self, frame: Frame) -> Floats:
-        """Return what is drawn of a frame (n, 3) [m]."""
+        """Return the positions (n, 3) [m] to draw of a frame."""
         return frame.position_ned
 
     def draw(self, frame: Frame) -> None:
-        """Draw what was remembered."""
+        """Draw the paths."""
         self._handle.points = self._segments()
 
     def _segments(self) -> Floats:
@@ -70,7 +70,7 @@ class Paths(Layer):
 
 
 class EstimatedPaths(Paths):
-    """Where the controllers believed each vehicle to be."""
+    """The paths by the vehicles' own position estimates."""
 
     title = "estimated paths"
     most = MANY

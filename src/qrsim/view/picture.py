@@ -1,4 +1,4 @@
-"""Pictures of a page, drawn by a browser without a window."""
+"""Pictures of a page, taken by a headless browser."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SCENE_ONLY = """
 
 
 def check_name(path: Path) -> None:
-    """Raise a UsageError where a picture of this name cannot be written."""
+    """Raise UsageError if a picture of this name cannot be written."""
     if path.suffix.lower() != ".png":
         raise UsageError(f"--screenshot {path}: the name has to end in .png")
     if not path.parent.is_dir():
@@ -32,7 +32,7 @@ def check_name(path: Path) -> None:
 
 
 def photograph(server: ViserServer, caption: str) -> bytes:
-    """Return the scene as PNG, with a line above.
+    """Take a picture of the scene, as PNG with a title line.
 
     Raises:
         RunError: there is no browser, or it draws nothing.

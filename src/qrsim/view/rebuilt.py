@@ -1,4 +1,4 @@
-"""What there was beside the vehicles of a recorded run, which logs do not have.
+"""Contents of a recorded world besides vehicles, which logs do not hold: computed again.
 
 Cover of the ground, persons, sources and puffs are drawn from the seed alone, so they are drawn again; who was found
 when, and which wind was asked for, the events say; where pictures were taken, the measurements do, and what they show
@@ -35,7 +35,7 @@ Floats = np.ndarray[Any, Any]
 
 
 class Rebuilt:
-    """What there was at any time.
+    """Contents of a recorded world at any time.
 
     Args:
         run: what was recorded.
@@ -64,7 +64,7 @@ class Rebuilt:
         return jax.enable_x64(self._wide)
 
     def at(self, time: float) -> Beside:
-        """Return what there was at a time [s]."""
+        """Return the contents at a time [s]."""
         tick = round(time / self._world.time_step)
         contents = self._start
         if contents.persons is not None:
@@ -94,7 +94,7 @@ class Rebuilt:
 
 
 def rebuilt(run: Run, world: World | None) -> Rebuilt | None:
-    """Return what there was beside the vehicles of a run; None where nothing was, or its world is not known."""
+    """Rebuild the contents of a run's world; None if it had none or is unknown."""
     if world is None:
         return None
     parts = any(hasattr(part, "init") for part in vars(world.contents).values())

@@ -22,7 +22,7 @@ PLOT_S = 60.0
 
 
 class Recording:
-    """What was recorded, at any time.
+    """A recorded run, readable at any time.
 
     Raises:
         RunError: there is no flight in it, or it is damaged.
@@ -62,7 +62,7 @@ class Recording:
 
     @property
     def heading(self) -> str:
-        """What was flown, in a line."""
+        """Title line: the scenario of the run."""
         info, count = self.run.info, len(self.run.vehicles)
         return f"{info.scenario}, seed {info.seed}, {count} vehicle{'s' if count != 1 else ''}"
 
@@ -83,7 +83,7 @@ class Recording:
         return None, Cast(self.run.vehicles, np.zeros(count, int), np.nan_to_num(start).astype(np.float64))
 
     def frame(self, time: float) -> Frame:
-        """Return what was the case at a time [s]."""
+        """Return the frame at a time [s]."""
         row = max(0, int(np.searchsorted(self.time, time + 1e-6, side="right")) - 1)
         now = float(self.time[row])
         valid = self._truth.at("valid", now)[..., 0]
@@ -105,7 +105,7 @@ class Recording:
         return self._truth.at("position", times)
 
     def estimates(self, times: Floats) -> Floats:
-        """Return where the sensors put the vehicles (K, n, 3) at times (K,) [s]: horizontal GNSS and the barometer."""
+        """Return measured positions (K, n, 3) at times (K,) [s]: horizontal from GNSS, vertical from the barometer."""
         return self._estimate(times)
 
     def _estimate(self, times: Any) -> Floats:
@@ -118,7 +118,7 @@ class Recording:
 
     @property
     def quantities(self) -> list[str]:
-        """What was measured, by name."""
+        """Measured quantities, by name."""
         return list(self.run["measurements"].columns()) if "measurements" in self.run else []
 
     def plotted(self, vehicle: int, quantity: str, time: float) -> tuple[Floats, Floats, Floats]:

@@ -62,7 +62,7 @@ class Replay:
             self._slider.value = self.time
 
     def run(self, stop: threading.Event) -> None:
-        """Play until ``stop`` is set and the clock is closed; after the end, play begins anew."""
+        """Play until ``stop`` is set and the clock is closed; restart at the end."""
         times = self.recording.time
         step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
         most = math.ceil(2.0 * SPEEDS[-2] * FRAME_S / step)
@@ -80,7 +80,7 @@ class Replay:
 
 
 def remember_paths(scene: Scene, recording: Recording, time: float) -> None:
-    """Let the paths of a scene end at a time [s]."""
+    """Redraw the paths of a scene so that they end at a time [s]."""
     for paths, read in zip(scene.paths, (recording.positions, recording.estimates), strict=True):
         if paths.root.visible:
             times = paths.sample(time)

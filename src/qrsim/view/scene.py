@@ -1,4 +1,4 @@
-"""The scene of a page: its layers, the camera, and whom it follows."""
+"""The scene of a page: its layers, and the camera with the vehicle it follows."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Scene:
         self._server.initial_camera.near, self._server.initial_camera.far = 0.1, max(1000.0, 20.0 * self.cast.extent)
 
     def look(self, at: Floats, distance: float, from_ned: tuple[float, float, float] = SOUTH) -> None:
-        """Let pages begin with a view of a place (3,), from a distance [m] and a direction."""
+        """Set the initial view: a target (3,), a distance [m] and a direction."""
         camera = self._server.initial_camera
         camera.up = (0.0, 0.0, -1.0)
         camera.look_at = tuple(at)
@@ -96,7 +96,7 @@ class Scene:
             self._count += 1
 
     def show(self, title: str, visible: bool) -> None:
-        """Show or hide a layer; what is hidden is not drawn."""
+        """Show or hide a layer; hidden layers are not drawn."""
         layer = self.layers[title]
         with self._lock:
             layer.root.visible = visible
@@ -104,13 +104,13 @@ class Scene:
                 layer.draw(self.frame)
 
     def resize(self, span: float) -> None:
-        """Draw vehicles and arrows larger or smaller."""
+        """Scale vehicles and arrows."""
         self.stage.span = span
         if self.frame is not None:
             self.draw(self.frame, everything=True)
 
     def choose(self, vehicle: int | None) -> None:
-        """Show of one vehicle what cannot be shown of all, or of nobody."""
+        """Choose the vehicle of single-vehicle layers, or none."""
         with self._lock:
             self.stage.chosen = vehicle
             for layer in self.layers.values():
@@ -118,7 +118,7 @@ class Scene:
                     layer.draw(self.frame)
 
     def nearest(self, origin: Any, direction: Any) -> int | None:
-        """Return the vehicle that is nearest to a ray from the camera, seen from there."""
+        """Return the vehicle at the smallest angle from a ray of the camera."""
         if self.frame is None:
             return None
         away = self.frame.position_ned + np.asarray(self._root.position) - np.asarray(origin)
@@ -128,7 +128,7 @@ class Scene:
         return int(np.argmin(np.nan_to_num(angle, nan=np.inf)))
 
     def follow(self, vehicle: int | None) -> None:
-        """Keep a vehicle in the middle, or let the world stand still; what is looked at changes smoothly."""
+        """Follow a vehicle with the camera, or stop following; the target moves smoothly."""
         before, after = np.array(self._root.position), np.zeros(3)
         with self._lock:
             self.followed = vehicle

@@ -1,4 +1,4 @@
-"""The web server of a page: on this machine only, at a free port, and silent."""
+"""The web server of a page: loopback only, at a free port, silent."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ LOOPBACK, PORT = "127.0.0.1", 8080
 
 
 def require_viser() -> None:
-    """Raise a MissingExtraError that says how to install what the page needs, where it is absent."""
+    """Raise MissingExtraError with the install command if the page's packages are missing."""
     require("view", "the 3-D page")
 
 
 def start_server(port: int = PORT, label: str = "qrsim") -> ViserServer:
-    """Start a server that only this machine can reach; where its port is taken, the next free one is used.
+    """Start a server on the loopback interface; if its port is taken, use the next free one.
 
     Args:
         port: to listen on; 0: any that is free.
@@ -54,7 +54,7 @@ def start_server(port: int = PORT, label: str = "qrsim") -> ViserServer:
 
 
 class Delivery:
-    """Counts the frames that browsers missed: what a browser has not fetched when the next frame comes is replaced.
+    """Counts dropped frames: a frame that a browser has not fetched is replaced by the next one.
 
     Attributes:
         missed: frames, over all browsers.
@@ -67,13 +67,13 @@ class Delivery:
         self.missed = 0
 
     def sent(self) -> None:
-        """Note that a frame was drawn."""
+        """Count a drawn frame."""
         self.missed += sum(cursor < self._last for cursor in list(self._buffer.generator_cursors.values()))
         self._last = self._buffer.message_counter - 1
 
 
 def free_port(port: int) -> int:
-    """Return a port, or where it is taken the next one that is free; 0 stays 0."""
+    """Return the port, or the next free one if it is taken; 0 stays 0."""
     import errno
     import socket
 

@@ -31,7 +31,7 @@ _CUBE_FACES = np.array(
 
 
 def merged(*meshes: Mesh) -> Mesh:
-    """Return several meshes as one."""
+    """Merge meshes into one."""
     firsts = np.cumsum([0, *(len(corners) for corners, _ in meshes)])
     faces = [triangles + first for (_, triangles), first in zip(meshes, firsts[:-1], strict=True)]
     return np.concatenate([corners for corners, _ in meshes]), np.concatenate(faces)
@@ -74,7 +74,7 @@ def cone(x_min: float, x_max: float, radius: float, corners: int = 8) -> Mesh:
 
 
 def quadrotor() -> Mesh:
-    """Return a quadrotor of span 1 in body axes (x ahead, y right, z down), with a beak where it looks to."""
+    """Return a quadrotor of span 1 in body axes (x ahead, y right, z down), with a beak at its nose."""
     reach, rotor, high = 0.34, 0.16, -0.06
     rotors = [disc(x, y, high, rotor) for x, y in ((reach, 0.0), (-reach, 0.0), (0.0, reach), (0.0, -reach))]
     arms = [box((-reach, -0.02, -0.04), (reach, 0.02, 0.0)), box((-0.02, -reach, -0.04), (0.02, reach, 0.0))]
@@ -105,12 +105,12 @@ def along(direction: Floats) -> Floats:
 
 
 def speed_colours(speed: Floats, strongest: float) -> Floats:
-    """Return (n, 3) colours of speeds (n,), the last one from ``strongest`` on."""
+    """Return colours (n, 3) of speeds (n,), saturated from ``strongest`` on."""
     return _colours(SPEED_COLOURS, speed / strongest)
 
 
 def ratio_colours(ratio: Floats, strongest: float) -> Floats:
-    """Return (n, 3) colours of logarithmic ratios (n,), from that of minus ``strongest`` to that of it."""
+    """Return colours (n, 3) of logarithmic ratios (n,), saturated beyond -/+ ``strongest``."""
     return _colours(RATIO_COLOURS, 0.5 + 0.5 * ratio / strongest)
 
 

@@ -21,7 +21,7 @@ SPEED, BEARING = "world.wind.speed_20ft", "world.wind.wind_from_deg"
 
 @dataclass(frozen=True)
 class Wind:
-    """A mean wind.
+    """Speed and direction of a mean wind.
 
     Attributes:
         speed: 20 ft above the ground [m/s].
@@ -35,7 +35,7 @@ class Wind:
 
 
 def wind_of(world: World) -> Wind | None:
-    """Return the mean wind of a world; None where it is of a kind that has no one speed and direction."""
+    """Return the mean wind of a world; None for a wind model without one speed and direction."""
     wind = world.wind
     # What every episode draws anew would win over any change.
     drawn = any(path[:1] == ("wind",) for item in getattr(world, "ranges", ()) for path in item.paths)
@@ -48,7 +48,7 @@ def wind_of(world: World) -> Wind | None:
 
 
 def change_wind(simulation: Simulation, wind: Wind) -> list[dict[str, Any]]:
-    """Let another wind blow from the next tick on; return that as events of a run."""
+    """Change the wind from the next tick on; return the change as events of a run."""
     asked = {SPEED: wind.speed, BEARING: wind.from_deg}
     simulation.change_world(with_wind(simulation.world, asked))
     where = {"time": simulation.time, "tick": simulation.tick, "vehicle": None, "kind": WIND_CHANGED}
@@ -60,7 +60,7 @@ def change_wind(simulation: Simulation, wind: Wind) -> list[dict[str, Any]]:
 
 
 def with_wind(world: World, asked: Mapping[Any, Any]) -> World:
-    """Return a world with the wind that was asked for, by the fields of the events."""
+    """Return a world with the wind set by the fields of recorded events."""
     dtype = np.asarray(world.wind.speed_20ft).dtype
     speed, bearing = np.asarray(asked[SPEED], dtype), np.asarray(math.radians(asked[BEARING]), dtype)
     return replace(world, wind=replace(world.wind, speed_20ft=speed, wind_from_rad=bearing))

@@ -1,4 +1,4 @@
-"""What a measured quantity should have been: pairs for plots, by the names of the logs' columns."""
+"""True values of measured quantities, by the names of the logs' columns; for plots."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ AXES, ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
 
 
 def true_values(quantity: str, truth: Mapping[str, Floats]) -> Floats:
-    """Return the truth about a measured quantity, each (K,); NaN where there is none, as for a number of satellites.
+    """Return the true values (K,) of a measured quantity; NaN if it has none, as a number of satellites.
 
     Args:
         quantity: SENSOR.FIELD or SENSOR.FIELD.AXIS.

@@ -1,4 +1,4 @@
-"""JSON schemas of the messages in an MCAP file; those called foxglove.* are known to Foxglove's panels by name.
+"""JSON schemas of the messages in an MCAP file; Foxglove's panels know those called foxglove.* by name.
 
 Written from the published descriptions of Foxglove's message schemas, with the properties that are used here.
 """

@@ -1,4 +1,4 @@
-"""What every format needs: targets that are never half written, and streams that can be read."""
+"""Shared by all formats: atomic writing of targets, and checks that streams are readable."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Written:
 
 
 def check_target(path: Path, force: bool) -> None:
-    """Refuse a target that would cost the user a file.
+    """Refuse a target that would overwrite a user's file.
 
     Raises:
         UsageError: it is a folder, or exists and may not be overwritten.
@@ -41,7 +41,7 @@ def check_target(path: Path, force: bool) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Yield a file that takes the place of ``path`` when the block ends well; otherwise nothing is left of it.
+    """Yield a temporary file that replaces ``path`` when the block succeeds and is deleted when it fails.
 
     Raises:
         RunError: it cannot be written.
@@ -61,7 +61,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def is_readable(run: Run, stream: str) -> bool:
-    """Return whether the run has a stream with a part that can be read; warns where all parts are damaged."""
+    """Return whether any part of a stream of the run is readable; warn if all parts are damaged."""
     if stream not in run:
         return False
     try:
@@ -73,7 +73,7 @@ def is_readable(run: Run, stream: str) -> bool:
 
 
 def readable_streams(run: Run, only: str | None) -> list[str]:
-    """Return the names of the streams that can be read, or just ``only``.
+    """Return the names of the readable streams, or just ``only``.
 
     Raises:
         UsageError: there is no stream ``only``.

@@ -47,7 +47,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Track:
-    """Where a vehicle was, or where a receiver said it was.
+    """The path of a vehicle: true, or as a GNSS receiver reported it.
 
     Attributes:
         vehicle: its name.
@@ -63,7 +63,7 @@ class Track:
 
     @property
     def kind(self) -> str:
-        """What stands in the files: "true" or "gnss"."""
+        """Source of the track in the files: "true" or "gnss"."""
         return "true" if self.sensor is None else "gnss"
 
     @property
@@ -88,7 +88,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Tracks:
-    """What geojson, gpx and kml show: tracks, the true one of each vehicle first, and events in order of time."""
+    """Content of geojson, gpx and kml: tracks, the true one of each vehicle first, and events in order of time."""
 
     name: str
     tracks: list[Track]
@@ -144,7 +144,7 @@ def position_sensors(run: Run) -> list[str]:
 def read_samples(
     run: Run, stream: str, columns: Sequence[str], wanted: Callable[[npt.NDArray[np.int64]], npt.NDArray[np.bool_]]
 ) -> Iterator[Samples]:
-    """Yield the rows of a stream part by part; ``wanted`` says of ticks (R,) which are kept."""
+    """Yield the rows of a stream part by part; ``wanted`` maps ticks (R,) to those to keep."""
     names = pa.array(run.vehicles, pa.string())
     for table in run.batches(stream, ["time", "tick", "vehicle", *columns]):
         kept = table.filter(pa.array(wanted(table["tick"].to_numpy())))
@@ -161,7 +161,7 @@ def read_samples(
 
 
 def is_fresh(values: Floats, last: Floats) -> npt.NDArray[np.bool_]:
-    """Return at which of (T, 3) reports there is one that differs from that before; ``last`` (3,) is before them."""
+    """Return which of the reports (T, 3) differ from the one before; ``last`` (3,) precedes the first."""
     before = np.concatenate([last[None], values[:-1]])
     return np.asarray(np.isfinite(values).all(axis=1) & (values != before).any(axis=1))
 
