@@ -111,7 +111,7 @@ class Boundary:
         return terms((values - self.middle) / self.scale, self.squares)
 
     def crossing(self, number: int) -> tuple[float, float, float] | None:
-        """Return the value of one parameter at which half of the episodes fail, with its interval, the others mid-range.
+        """Return the value of one parameter at which half of the episodes fail, with its interval, others mid-range.
 
         None where it does not within the values that were flown.
         """
