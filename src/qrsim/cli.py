@@ -56,7 +56,7 @@ _TYRO_CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
 
 
 class Command(Protocol):
-    """What every subcommand is."""
+    """A subcommand."""
 
     def run(self) -> int | None:
         """Do the work; return the exit code, None for 0."""
@@ -141,8 +141,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         _discard_output()
         return 141
     except Exception as error:
-        if asked := interruptions.asked():  # a library has made another exception of it
-            return _interrupted(asked)
+        if received := interruptions.received():  # a library has made another exception of it
+            return _interrupted(received)
         if isinstance(error, OSError) and error.errno in _NAMES and isinstance(error.filename, str):
             _print_error(f"{shortened(error.filename, 100)}: {error.strerror}")
             return 2

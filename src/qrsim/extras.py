@@ -1,4 +1,4 @@
-"""What only some commands need, installed by name: ``pip install 'qrsim[NAME]'``."""
+"""Optional dependencies, installed by name: ``pip install 'qrsim[NAME]'``."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ EXTRAS: dict[str, tuple[str, ...]] = {
 
 
 class MissingExtraError(UsageError):
-    """Something was asked for that needs packages which are not installed; says how to install them."""
+    """A feature needs packages that are not installed; the message says how to install them."""
 
 
 def require(extra: str, purpose: str, *modules: str) -> None:
-    """Refuse to begin where a module of an extra is missing.
+    """Raise an error if a module of an extra is missing.
 
     Args:
         extra: a key of EXTRAS.

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: both end a command in order, and neither is ever lost.
+"""Ctrl-C and SIGTERM: both end a command in an orderly way, and neither is lost.
 
 A signal becomes an exception in the middle of whatever the program does. Where that is a callback of the garbage
 collector (JAX has one), a destructor or a callback of a library in C, the exception is dropped and the program goes on.
@@ -32,7 +32,7 @@ _state: dict[str, Any] = {"number": None, "listening": False, "since": None, "wa
 
 
 class Interruption(KeyboardInterrupt):
-    """The user, or the system, wants the program to end.
+    """Request by the user or the system to end the program.
 
     Attributes:
         number: of the signal.
@@ -49,23 +49,23 @@ class Interruption(KeyboardInterrupt):
 
 
 def word(error: BaseException) -> str:
-    """Return what has happened: "interrupted" by Ctrl-C, "terminated" by SIGTERM."""
+    """Return the verb for messages: "interrupted" for Ctrl-C, "terminated" for SIGTERM."""
     return WORDS[getattr(error, "number", signal.SIGINT)]
 
 
 def exit_code(error: BaseException) -> int:
-    """Return the exit code of a program that ended because of it: 130 or 143."""
+    """Return the exit code of a program that it ended: 130 or 143."""
     return 128 + int(getattr(error, "number", signal.SIGINT))
 
 
-def asked() -> Interruption | None:
-    """Return an Interruption by the last signal since ``heard`` began, None where none came."""
+def received() -> Interruption | None:
+    """Return the Interruption of the last signal since ``heard`` began, None if there was none."""
     return None if _state["number"] is None else Interruption(_state["number"])
 
 
 @contextlib.contextmanager
 def heard() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM raise an Interruption in this context, in the main thread; what is ignored stays so."""
+    """Make Ctrl-C and SIGTERM raise an Interruption in this context, in the main thread; ignored signals stay so."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -90,7 +90,7 @@ def heard() -> Iterator[None]:
 
 @contextlib.contextmanager
 def calling(do: Callable[[], None]) -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM call something in place of raising; an Interruption is raised at the end if one came."""
+    """Make Ctrl-C and SIGTERM call a function; an Interruption is raised at the end if a signal came."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -111,7 +111,7 @@ def calling(do: Callable[[], None]) -> Iterator[None]:
 
 
 def leave_at_once() -> None:
-    """Until ``heard`` begins, let both end the program without a word of where it was: it has done nothing yet."""
+    """Make both signals exit at once, without a traceback, until ``heard`` begins: no work has been done yet."""
 
     def leave(number: int, frame: FrameType | None) -> None:
         with contextlib.suppress(OSError):

@@ -44,7 +44,7 @@ class Compare:
     """Print the result as JSON."""
 
     def run(self) -> int:
-        """Compare, tell, draw."""
+        """Compare, print, draw."""
         if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
             raise UsageError(f"--tolerance {self.tolerance:g}: expected a number from 0")
         from qrsim.runs import open_run

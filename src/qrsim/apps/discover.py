@@ -53,7 +53,7 @@ class Discover:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, read, evolve, write, say."""
+        """Check, read, evolve, write, print."""
         self._check()
         from qrsim.discover.discovery import discover
         from qrsim.discover.picture import draw

@@ -57,7 +57,7 @@ class Export:
     """Print what was written as JSON."""
 
     def run(self) -> None:
-        """Check, write, and say what was written."""
+        """Check, write, and print the files written."""
         from qrsim.runs import open_run
         from qrsim.runs.layout import LARGEST_EVERY
 

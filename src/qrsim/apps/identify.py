@@ -77,7 +77,7 @@ class Identify:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, read, fit, write, say."""
+        """Check, read, fit, write, print."""
         self._check()
         from qrsim.flight_logs import read_log
         from qrsim.identify.constants import lacking

@@ -61,7 +61,7 @@ class Plot:
     """Print the quantities, or where the picture is, as JSON."""
 
     def run(self) -> None:
-        """Check, draw, and say where the picture is."""
+        """Check, draw, and print the path of the picture."""
         self._check()
         from qrsim.runs import open_run
 

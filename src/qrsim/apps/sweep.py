@@ -60,7 +60,7 @@ class Sweep:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, fly what is missing, say where it is."""
+        """Check, fly what is missing, print the path of the store."""
         study = self._study()
         from qrsim.extras import require
 

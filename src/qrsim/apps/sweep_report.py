@@ -43,7 +43,7 @@ class SweepReport:
     """Print the tables as JSON."""
 
     def run(self) -> None:
-        """Find, write, tell."""
+        """Analyse, write, print."""
         from qrsim.extras import require
 
         require("sweep", "qrsim sweep-report")

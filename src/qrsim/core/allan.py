@@ -1,4 +1,4 @@
-"""Allan deviation: how much averages over neighbouring windows differ. For tools and tests, in float64 NumPy."""
+"""Allan deviation: the spread of averages over neighbouring windows. For tools and tests, in float64 NumPy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SERIES_BELOW = 0.1
 def overlapping_allan_deviation(
     values: npt.ArrayLike, sample_period: float, lengths: npt.ArrayLike | None = None
 ) -> tuple[Float64, Float64]:
-    """Return window lengths (K,) [s] and the overlapping Allan deviation (K, ...) in the unit of the values.
+    """Compute the overlapping Allan deviation (K, ...) in the unit of the values, and window lengths (K,) [s].
 
     The root of half the mean squared difference of the averages over two neighbouring windows, over all pairs of
     windows that fit into the record (IEEE Std 1139-2008, annex B, with the values as frequency).

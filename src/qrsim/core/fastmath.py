@@ -27,12 +27,12 @@ Rounding = Callable[[Array], Array]
 
 
 def freely(product: Array) -> Array:
-    """Leave it to the compiler whether a product is rounded before it is added to something."""
+    """Let the compiler decide whether a product is rounded before an addition."""
     return product
 
 
 def rounded(product: Array) -> Array:
-    """Make the compiler round a product, of magnitude below 1e30, before it is added to something.
+    """Make the compiler round a product, of magnitude below 1e30, before an addition.
 
     XLA contracts a * b + c to one rounding where it happens to see both operations together, so the last bit of a
     result depends on the program around it. An operation between the two, which the compiler cannot know to be
@@ -151,5 +151,5 @@ def power(x: Array, exponent: float) -> Array:
 
 
 def wrap_angle(x: Array) -> Array:
-    """Return the angle x [rad], any shape, brought into [-pi, pi]."""
+    """Wrap the angle x [rad], any shape, into [-pi, pi]."""
     return x - 2.0 * math.pi * jnp.round(x * (0.5 / math.pi))

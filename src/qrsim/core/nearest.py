@@ -11,7 +11,7 @@ from qrsim.core.primitives import primitive_of
 
 
 def by_all_pairs(x: Array, y: Array, z: Array, reach: Array) -> Array:
-    """Return what ``nearest_squared`` does, from the distances of all pairs."""
+    """Compute ``nearest_squared`` from the distances of all pairs."""
     dx, dy, dz = x[:, None] - x[None, :], y[:, None] - y[None, :], z[:, None] - z[None, :]
     squared = dx * dx + dy * dy + dz * dz
     index = jnp.arange(x.shape[0])
@@ -27,7 +27,7 @@ nearest_squared_p = primitive_of("nearest_squared", by_all_pairs)
 
 
 def nearest_squared(x: Array, y: Array, z: Array, reach: Array) -> Array:
-    """Return the squared distance (n,) [m^2] of each point from the nearest other one, right wherever it is in reach.
+    """Return the squared distance (n,) [m^2] of each point to the nearest other one, exact within reach.
 
     Args:
         x, y, z: coordinates (n,) [m]; a point with a NaN is far from all others.

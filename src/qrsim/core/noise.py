@@ -163,7 +163,7 @@ class Stream:
 
 @record
 class Draw:
-    """A stream at a tick, in the run's precision, drawn when asked."""
+    """A stream at a tick, in the run's precision, drawn on demand."""
 
     stream: Stream = quantity()
     tick: Array = quantity(doc="() uint32")
@@ -184,7 +184,7 @@ class Draw:
 
 
 class Noise(Protocol):
-    """What a component is handed for its randomness: a Draw or a Drawn."""
+    """Source of a component's randomness: a Draw or a Drawn."""
 
     def normals(self, count: int) -> tuple[Array, ...]:
         """Return ``count`` arrays of shape (n,) of independent standard normals."""

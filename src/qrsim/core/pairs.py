@@ -1,4 +1,4 @@
-"""Numbers in two parts: what one floating-point number holds, and what it leaves out.
+"""Numbers in two parts: a floating-point number and its rounding error.
 
 At 49 km from the origin single precision knows places 4 mm apart, while a slow vehicle moves less than half a
 millimetre in a tick. The second part holds what the first one leaves out.
@@ -17,7 +17,7 @@ Floats = np.ndarray[Any, Any]
 
 
 def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return a + b as rounded, and what the rounding left out; together they are the sum exactly if |a| >= |b|.
+    """Return the rounded sum a + b and its rounding error; together they are exact if |a| >= |b|.
 
     Else they are the sum up to a rounding of b, which is a small number here. Dekker, "A floating-point technique for
     extending the available precision", Numer. Math. 18, 1971.
@@ -27,20 +27,20 @@ def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def added(high: Vec3, change: Vec3) -> tuple[Vec3, Vec3]:
-    """Return the two parts of a vector and a change of it; ``change`` has the second part of the vector in it."""
+    """Add a change to a vector in two parts; ``change`` includes the vector's second part."""
     parts = [two_sum(getattr(high, axis), getattr(change, axis)) for axis in "xyz"]
     return Vec3(*(total for total, _ in parts)), Vec3(*(rest for _, rest in parts))
 
 
 def parts_of(values: Floats, dtype: Any) -> tuple[Floats, Floats]:
-    """Return two arrays of a type that together are an array in double precision."""
+    """Split an array in double precision into two arrays of a type."""
     with np.errstate(invalid="ignore", over="ignore"):
         high = np.asarray(values, dtype)
         return high, np.asarray(values - high.astype(np.float64), dtype)
 
 
 def joined(high: Any, low: Any) -> Any:
-    """Return arrays, or records of them, with their second parts added, in double precision; None: there are none."""
+    """Join arrays, or records of them, with their second parts (None: there are none), in double precision."""
     if low is None:
         return high
     if isinstance(high, Vec3):

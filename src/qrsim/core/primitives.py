@@ -1,4 +1,4 @@
-"""Operations of our own in JAX's programs, so that a compiler knows them by what they are and not by how they look.
+"""Own primitives in JAX's programs, which a compiler recognises by name.
 
 Each is a JAX primitive: it can be jitted, batched and differentiated like any other, XLA gets it as the operations of
 one function, and our own code generator (``qrsim.engine.llvm``) recognises the primitive itself.
@@ -15,7 +15,7 @@ from jax.interpreters import ad, batching, mlir
 
 
 def primitive_of(name: str, function: Callable[..., Any], elementwise: bool = False) -> Any:
-    """Return a primitive of one result that XLA computes by a function, and that is differentiated through it.
+    """Make a primitive of one result that XLA lowers, and JAX differentiates, through a function.
 
     Args:
         name: of the primitive, for whoever prints a program.

@@ -1,4 +1,4 @@
-"""Whether an object of a user's is what it was when a program was made of it."""
+"""Detects changes of users' objects since a program was compiled from them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CODE = (
 
 
 class Itself:
-    """An object as a key: equal to itself only, and kept, so that no other one gets its place in memory.
+    """An object as a key: equal to itself only, and kept alive, so that its id is not reused.
 
     Args:
         kept: the object.
@@ -39,7 +39,7 @@ class Itself:
 
 
 def sameness(given: Any, depth: int = DEPTH) -> Hashable:
-    """Return a key that differs where an object is another, or has other attributes than it had.
+    """Return a key that changes with the identity of an object and with its attributes.
 
     A program has the attributes of a policy as constants. Functions and classes are told by their identity: as with
     ``jax.jit``, what they close over is not looked at.

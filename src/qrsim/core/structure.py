@@ -1,4 +1,4 @@
-"""Structures of trees as plain data, for files: what can be said in JSON, and nothing that is run when it is read."""
+"""Structures of trees as plain data, for files: JSON values only, and reading runs no code."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def name_of(kind: type) -> str:
 
 
 def to_plain(structure: Any) -> Any:
-    """Return a structure as lists, dicts and plain values.
+    """Convert a structure to lists, dicts and plain values.
 
     Raises:
         TypeError: it has a part that another process could not find by name.
@@ -53,7 +53,7 @@ def to_plain(structure: Any) -> Any:
 
 
 def from_plain(plain: Any, leaves: Iterator[Any]) -> Any:
-    """Return the tree of what ``to_plain`` returned, with leaves in their order.
+    """Rebuild a tree from the result of ``to_plain`` and its leaves in order.
 
     Raises:
         ValueError: it is nothing that ``to_plain`` returns here, or there are too few leaves.

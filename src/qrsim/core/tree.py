@@ -1,4 +1,4 @@
-"""Frozen records that are JAX PyTrees and know the unit, bounds and meaning of their fields.
+"""Frozen records that are JAX PyTrees and carry the unit, bounds and meaning of their fields.
 
 A component (a wind, a sensor, a vehicle) is a record whose fields are its parameters; a state or a
 reading is a record whose fields are quantities. The scenario schema and the logs are generated from
@@ -21,7 +21,7 @@ INFO = "qrsim"
 
 @dataclasses.dataclass(frozen=True)
 class FieldInfo:
-    """What is known about one field of a record.
+    """Metadata of one field of a record.
 
     Attributes:
         unit: SI unit, "" where there is none.
@@ -51,7 +51,7 @@ def parameter(
     above: float | None = None,
     inherits: str | None = None,
 ) -> Any:
-    """Declare a number of a component: a leaf, so that changing it compiles nothing anew."""
+    """Declare a number of a component: a leaf, so that changing it does not recompile."""
     info = FieldInfo(unit, doc, minimum, maximum, above, False, inherits)
     return dataclasses.field(default=default, metadata={INFO: info})
 
@@ -85,7 +85,7 @@ def record(cls: type[T]) -> type[T]:
 
 
 def field_info(field: dataclasses.Field[Any]) -> FieldInfo:
-    """Return the metadata of a field, empty where none was given."""
+    """Return the metadata of a field, empty if none was given."""
     return field.metadata.get(INFO, FieldInfo())
 
 
@@ -95,7 +95,7 @@ def replace(item: T, **changes: Any) -> T:
 
 
 def cast(item: T, dtype: Any) -> T:
-    """Return the tree with every floating-point leaf (Python floats included) as an array of ``dtype``."""
+    """Convert every floating-point leaf of a tree (Python floats included) to an array of ``dtype``."""
 
     def convert(leaf: Any) -> Any:
         array = np.asarray(leaf)

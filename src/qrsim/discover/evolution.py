@@ -229,7 +229,7 @@ def errors_of(
     mass: float,
     trims: Mapping[str, float],
 ) -> Callable[[Floats, Mapping[str, Floats]], Floats]:
-    """Return (constants (K, B), trims (B,)) -> errors (B, C, H, n) of the channels a law acts on, in units of their noise.
+    """Return (constants (K, B), trims (B,)) -> errors (B, C, H, n) of the law's channels, in units of their noise.
 
     Args:
         law, proposal: what is tried.

@@ -42,12 +42,12 @@ __all__ = ["SEVERAL", "SINGLE", "Functional", "gymnasium_id", "parallel_env", "r
 
 
 def gymnasium_id(scenario: str) -> str:
-    """Return the name that a scenario has in Gymnasium."""
+    """Return the Gymnasium id of a scenario."""
     return f"qrsim/{scenario.replace('/', '_')}-v0"
 
 
 def register() -> None:
-    """Make the environments with one vehicle known to Gymnasium, where it is installed."""
+    """Register the environments with one vehicle in Gymnasium, if it is installed."""
     try:
         import gymnasium
     except ModuleNotFoundError:

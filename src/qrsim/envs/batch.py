@@ -59,7 +59,7 @@ class Batch:
         return jax.enable_x64(self.dtype == np.float64)
 
     def reset(self, seeds: FloatArray, rows: FloatArray | None = None) -> None:
-        """Start the episodes ``rows`` (all where None) of new seeds, one for each of them.
+        """Reset the episodes ``rows`` (None: all) with new seeds, one each.
 
         Raises:
             UsageError: a seed is no integer from 0 to 2**63 - 1.
@@ -73,7 +73,7 @@ class Batch:
         self._start(which)
 
     def again(self, rows: FloatArray) -> None:
-        """Start the next episode of the seeds of ``rows``."""
+        """Start the next episode of each of ``rows``, in its seed's series."""
         self.numbers[rows] += 1
         self._start(rows)
 
@@ -102,7 +102,7 @@ class Batch:
         return step.reward, step.terminated, step.truncated  # type: ignore[return-value]
 
     def checked(self, action: Any, who: str) -> FloatArray:
-        """Return actions (B, n, A) that are fit to be flown."""
+        """Check actions and return them as (B, n, A)."""
         axes, agents = self.functional.play.task.axes, self.functional.agents
         shape = (self.size, len(agents), len(axes))
         try:
@@ -125,7 +125,7 @@ class Batch:
         return array
 
     def score(self, row: int, answer: Any) -> FloatArray:
-        """Return the score (n,) of what the agents of an episode hand in, (n, ...).
+        """Score the answers (n, ...) of the agents of an episode; (n,).
 
         Raises:
             UsageError: another shape, or something that is not finite.

@@ -1,4 +1,4 @@
-"""Tasks as pure functions of JAX: to be compiled, mapped over seeds and differentiated by whoever plays."""
+"""Tasks as pure functions of JAX: can be compiled, mapped over seeds and differentiated."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Functional:
         return self.play.keys(Key.roots(seeds, np.broadcast_to(np.asarray(numbers, np.int64), seeds.shape)))
 
     def reset(self, seed: Any) -> tuple[Episode, Any]:
-        """Return an episode at its start, and what the agents see, (n, O) or a dict of arrays (n, ...).
+        """Start an episode; return it and the observations, (n, O) or a dict of arrays (n, ...).
 
         Args:
             seed: () or, for one of 64 bits, its low and high words (2,) uint32; or one of ``keys``.
@@ -79,11 +79,11 @@ class Functional:
         return self.play.reset(seed)
 
     def step(self, episode: Episode, action: Array) -> tuple[Episode, Step]:
-        """Advance an episode by the actions (n, A); where it has ended, what comes has no meaning."""
+        """Advance an episode by the actions (n, A); results after its end have no meaning."""
         return self.play.step(episode, action)
 
     def score(self, episode: Episode, answer: Array) -> Array:
-        """Return the score (n,) of what each agent hands in, (n, L) or (n, L, K); see the task.
+        """Score the agents' answers, (n, L) or (n, L, K), (n,); see the task.
 
         Raises:
             UsageError: nothing can be handed in.
@@ -94,5 +94,5 @@ class Functional:
         return score
 
     def truth(self, episode: Episode) -> dict[str, Array]:
-        """Return what is really the case of the agents (n,), which they do not see."""
+        """Return the ground truth of the agents (n,), which they do not observe."""
         return self.play.truth(episode)

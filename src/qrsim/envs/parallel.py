@@ -52,11 +52,11 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         self._seeded = False
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """Return what an agent can see."""
+        """Return the observation space of an agent."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Return what an agent can do."""
+        """Return the action space of an agent."""
         return self.action_spaces[agent]
 
     def reset(

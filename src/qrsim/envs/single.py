@@ -40,7 +40,7 @@ def refuse_drawing(render_mode: str | None) -> None:
 
 
 def shaped(batch: Batch, flight: Any, who: str, *lead: int) -> np.ndarray[Any, Any]:
-    """Return the flight's part of actions as an array (*lead, A).
+    """Check the flight part of actions, and return it as an array (*lead, A).
 
     Raises:
         UsageError: it has another shape.
@@ -54,7 +54,7 @@ def shaped(batch: Batch, flight: Any, who: str, *lead: int) -> np.ndarray[Any, A
 
 
 def split_answer(batch: Batch, action: Any, who: str) -> tuple[Any, Any]:
-    """Return the flight's part of an action, and what is handed in, None where a task asks for nothing.
+    """Split an action into its flight part and the answer, None for a task without answers.
 
     Raises:
         UsageError: a part is missing.
@@ -101,7 +101,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         self._seeded = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode; return what is seen, and what is really the case."""
+        """Start an episode; return the observation and the info with the ground truth."""
         super().reset(seed=seed)
         if seed is None and self._seeded:
             self.batch.again(np.zeros(1, np.int64))

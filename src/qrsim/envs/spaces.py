@@ -1,4 +1,4 @@
-"""Gymnasium's spaces of what agents do and see."""
+"""Gymnasium's spaces of actions and observations."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SAMPLES, VELOCITY = "samples", "velocity"
 
 
 def action_space(batch: Batch) -> spaces.Space[Any]:
-    """Return the space of one agent: numbers in [-1, 1]; with what is handed in where a task asks for that."""
+    """Return the action space of one agent: numbers in [-1, 1], and the answer for tasks that have one."""
     play = batch.functional.play
     flight = spaces.Box(-1.0, 1.0, (len(play.task.axes),), batch.dtype.type)
     if not hasattr(play.task, "answer_shape"):
@@ -23,7 +23,7 @@ def action_space(batch: Batch) -> spaces.Space[Any]:
 
 
 def observation_space(seen: Any) -> spaces.Space[Any]:
-    """Return the space of what one agent sees, from arrays (B, n, ...) of what all see."""
+    """Return the observation space of one agent, from the observations (B, n, ...) of all."""
     if isinstance(seen, dict):
         return spaces.Dict({name: observation_space(part) for name, part in seen.items()})
     if np.issubdtype(seen.dtype, np.integer):

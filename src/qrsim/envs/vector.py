@@ -20,7 +20,7 @@ Array = np.ndarray[Any, Any]
 
 
 class VectorTask(VectorEnv[Any, Any, Any]):
-    """Many episodes of a task with one vehicle; one that ends is followed by the next in the same step.
+    """Many episodes of a task with one vehicle; an episode that ends is restarted in the same step.
 
     Environment i of a seed s is that of ``SingleTask`` with the seed s + i. What was seen last of an episode that has
     ended, and what was really the case, is in ``infos["final_obs"]`` and ``infos["final_info"]``.

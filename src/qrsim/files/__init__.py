@@ -1,1 +1,1 @@
-"""What a user names: opened safely, YAML read with limits."""
+"""Users' files: opened safely, YAML read with limits."""

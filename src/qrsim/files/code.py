@@ -1,4 +1,4 @@
-"""Loads what a user names as ``module:name`` or ``file.py:name``: code that stands on this machine, and is run."""
+"""Loads users' code, named ``module:name`` or ``file.py:name``; it runs local code."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ PREFIX = "qrsim_file_"
 
 
 def is_code(source: Any) -> bool:
-    """Return whether a text names code: a module or a file, a colon, and a name in it."""
+    """Return whether a text names code: a module or file, a colon, and a name in it."""
     place, colon, name = source.rpartition(":") if isinstance(source, str) else ("", "", "")
     return bool(colon and place and name.isidentifier())
 
 
 def file_of(source: str) -> Path | None:
-    """Return the file of ``file.py:name``, None where a module is named."""
+    """Return the file of ``file.py:name``, None for a module."""
     place = source.rpartition(":")[0]
     return Path(place) if place.endswith(".py") else None
 
 
 def anchored(source: str, folder: Path) -> str:
-    """Return ``file.py:name`` with an absolute path, a relative one being relative to the folder; else the same."""
+    """Make the path of ``file.py:name`` absolute, relative to the folder; a module stays the same."""
     path = file_of(source)
     if path is None:
         return source
@@ -42,7 +42,7 @@ def anchored(source: str, folder: Path) -> str:
 
 
 def load_object(what: str, source: str, words: Sequence[str] = (), *, kind: str = "function") -> Any:
-    """Return what ``module:name`` or ``file.py:name`` names; modules in the working folder are found too.
+    """Load the object ``module:name`` or ``file.py:name``; modules in the working folder are found too.
 
     A file that has changed since it was loaded is loaded anew.
 
@@ -76,7 +76,7 @@ def digest(path: Path) -> str:
 
 
 def where_raised(error: BaseException, files: Sequence[str]) -> str:
-    """Return "FILE, line N" of the innermost line of some files that an error passed, "" where it passed none."""
+    """Return "FILE, line N" of the innermost traceback line in the given files, "" if there is none."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}, line {error.lineno}"
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
@@ -86,7 +86,7 @@ def where_raised(error: BaseException, files: Sequence[str]) -> str:
 
 
 def in_one_line(error: BaseException) -> str:
-    """Return the type of an error and the first line of what it says."""
+    """Return the type of an error and the first line of its message."""
     said = error.msg if isinstance(error, SyntaxError) else str(error)
     first = said.strip().splitlines()[0] if said.strip() else ""
     return f"{type(error).__name__}: {shortened(first, 400)}" if first else type(error).__name__

@@ -1,4 +1,4 @@
-"""The public recordings that validation and tests read: where they lie, whether they are intact, fetching them.
+"""The public recordings that validation and tests read: location, integrity, download.
 
 They were released with the reference implementation of Symington, De Nardi, Julier, Hailes, "Simulating Quadrotor
 UAVs in Outdoor Scenarios", IROS 2014 (University College London, Modified BSD licence); the orbit file is a product
@@ -32,7 +32,7 @@ class Recording:
 
     @property
     def url(self) -> str:
-        """Where it is fetched from."""
+        """Address to fetch it from."""
         return UPSTREAM + self.source
 
 
@@ -64,7 +64,7 @@ Condition = Literal["good", "altered", "missing"]
 
 @dataclass(frozen=True)
 class FileStatus:
-    """What stands in a folder under the name of a recording; ``sha256_found`` is None where nothing does."""
+    """State of a recording's file in a folder; ``sha256_found`` is None if the file is missing."""
 
     name: str
     path: Path
@@ -80,7 +80,7 @@ class FileStatus:
 
 
 def data_folder() -> Path:
-    """Return the folder of recordings: QRSIM_DATA_DIR where set, else a folder in the user's cache."""
+    """Return the folder of recordings: QRSIM_DATA_DIR if set, else a folder in the user's cache."""
     chosen = os.environ.get(FOLDER_VARIABLE)
     if chosen:
         return Path(chosen).expanduser().absolute()
@@ -128,7 +128,7 @@ def data_file(name: str) -> Path:
 
 
 def fetch_file(name: str, folder: Path, progress_bar: Any = None) -> Path:
-    """Fetch one recording; a good file that is there already is kept, an altered one is replaced.
+    """Fetch one recording; a good file is kept, an altered one is replaced.
 
     Args:
         name: a key of RECORDINGS.
@@ -165,7 +165,7 @@ def _reason(error: Exception) -> str:
 
 
 def fetch_by_hand(names: list[str], folder: Path) -> str:
-    """Return what to do where the network is closed."""
+    """Explain how to get a recording without network access."""
     rows = [f"  {RECORDINGS[name].url}\n    as {folder / name}" for name in names]
     check = f"then check with: {FOLDER_VARIABLE}={shlex.quote(str(folder))} qrsim data where"
     return "\n".join(["by hand, on a machine with network access, save", *rows, check])

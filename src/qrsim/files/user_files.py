@@ -1,4 +1,4 @@
-"""Opening the files that a user names: only regular ones, of a size that is believed, and never a wait."""
+"""Opens users' files: regular files only, up to a size limit, and never blocking."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ def open_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> BinaryI
 
 
 def open_text(path: str | os.PathLike[str], most: int = LARGEST_DATA, errors: str = "strict") -> io.TextIOWrapper:
-    """Open a regular file of UTF-8 text, whose first character may be a byte order mark, for ``csv``; as open_file."""
+    """Open a regular UTF-8 file for ``csv``, with or without a byte order mark; raises as ``open_file``."""
     return io.TextIOWrapper(open_file(path, most), encoding="utf-8-sig", errors=errors, newline="")
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> bytes:
-    """Return the content of a regular file; raises as ``open_file``."""
+    """Read a regular file; raises as ``open_file``."""
     with open_file(path, most) as file:
         content = file.read(most + 1)
     # Files of /proc have no size before they are read.
@@ -72,7 +72,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> bytes:
 
 
 def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
-    """Return the content of a regular file of UTF-8 text, without a byte order mark.
+    """Read a regular UTF-8 file, without its byte order mark.
 
     Raises:
         OSError: as ``open_file``, and where it is no UTF-8 text; the strerror says where.
@@ -87,7 +87,7 @@ def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
 
 
 def check_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> Path:
-    """Return the path of a regular file, for libraries that open it themselves; raises as ``open_file``."""
+    """Check a regular file that a library will open, and return its path; raises as ``open_file``."""
     open_file(path, most).close()
     return Path(path).expanduser()
 

@@ -1,4 +1,4 @@
-"""YAML 1.2 (https://yaml.org/spec/1.2.2, the core schema) with limits: text from anybody, no surprises.
+"""YAML 1.2 (https://yaml.org/spec/1.2.2, the core schema) with limits, safe for text from anybody.
 
 ``045`` is 45, ``yes`` and ``1:30`` are texts, a date is a text. The values are built from the parser's events and not
 by PyYAML's constructors, which follow YAML 1.1, recurse, and expand aliases without end.
@@ -39,7 +39,7 @@ class _FaultError(Exception):
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Return the values of YAML text: dicts with text as keys, lists, texts, numbers, booleans, None.
+    """Parse YAML text to dicts with string keys, lists, strings, numbers, booleans and None.
 
     Raises:
         ScenarioError: it is no YAML, has a key twice, a tag beyond those of the core schema, or is beyond the limits;
@@ -254,5 +254,5 @@ for _first in "-+.0123456789":
 
 
 def dump_yaml(content: Any) -> str:
-    """Return YAML text that ``parse_yaml`` reads back as it was."""
+    """Write a value as YAML text that ``parse_yaml`` reads back unchanged."""
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)

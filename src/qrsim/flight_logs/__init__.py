@@ -1,4 +1,4 @@
-"""Reading the flight logs of others: autopilots, test rigs, plain tables; see docs/identify.md."""
+"""Readers of flight logs: autopilots, test rigs, plain tables; see docs/identify.md."""
 
 from qrsim.flight_logs.reading import read_log
 from qrsim.flight_logs.signals import SIGNALS, FlightLog

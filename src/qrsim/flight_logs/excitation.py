@@ -1,4 +1,4 @@
-"""How much a log moves: each signal against its noise, whether measurements follow commands, and what stands still.
+"""Excitation of a log: each signal against its noise, correlation with commands, and times at rest.
 
 A law can be fitted only to motion that a command caused and that is larger than the noise. Noise is what fourth
 differences leave, which no motion of a vehicle does within five rows; because autopilots log what filters have
@@ -47,7 +47,7 @@ STILL_S = 1.0
 
 @dataclass(frozen=True)
 class Movement:
-    """How much a signal moves.
+    """Movement of a signal.
 
     Attributes:
         std: standard deviation, in the signal's unit.
@@ -66,18 +66,18 @@ class Movement:
 
     @property
     def moves(self) -> bool:
-        """Whether it moves by more than its noise."""
+        """Whether the signal moves by more than its noise."""
         return self.ratio >= MOVES
 
     @property
     def frozen(self) -> bool:
-        """Whether all samples are the same, so that nothing was measured."""
+        """Whether all samples are equal, so that nothing was measured."""
         return self.std == 0.0
 
 
 @dataclass(frozen=True)
 class Aspect:
-    """One way in which a vehicle answers.
+    """One kind of response of a vehicle.
 
     Attributes:
         command: which is to move.
@@ -105,7 +105,7 @@ TURNING = ("roll", "pitch", "roll_rate", "pitch_rate", "yaw_rate", "thrust")
 
 @dataclass(frozen=True)
 class Excitation:
-    """What part of a log shows.
+    """Excitation of a part of a log.
 
     Attributes:
         movements: of each signal by name.
@@ -166,7 +166,7 @@ def _movement(name: str, values: Floats, rate_hz: float) -> Movement:
 
 
 def noise_of(values: Floats) -> float:
-    """Return the standard deviation of white noise on a smooth signal (T,), NaN within gaps: of fourth differences."""
+    """Estimate white noise on a smooth signal (T,), NaN within gaps: its standard deviation, by fourth differences."""
     left = np.diff(values, n=4)
     left = left[np.isfinite(left)]
     # 70 is the sum of the squares of 1, 4, 6, 4, 1; 0.6745 is the median magnitude of a standard normal.
@@ -174,7 +174,7 @@ def noise_of(values: Floats) -> float:
 
 
 def follow(command: Floats, measured: Floats, dt: float) -> float:
-    """Return the largest correlation of what was measured (T,) with what was asked for up to LONGEST_DELAY_S before."""
+    """Return the largest correlation of a measurement (T,) with its command up to LONGEST_DELAY_S before."""
     kernel = np.ones(SMOOTHED_ROWS) / SMOOTHED_ROWS
     # A gap spreads to the rows beside it, which then count for nothing.
     asked, found = np.convolve(command, kernel, "same"), np.convolve(measured, kernel, "same")
@@ -185,7 +185,7 @@ def follow(command: Floats, measured: Floats, dt: float) -> float:
 
 
 def correlation(first: Floats, second: Floats) -> float:
-    """Return the correlation of two signals (T,) over the rows in which both are numbers; 0 where one is constant."""
+    """Return the correlation of two signals (T,) over rows without NaN; 0 if one is constant."""
     good = np.isfinite(first) & np.isfinite(second)
     if good.sum() < 3:
         return 0.0
@@ -244,7 +244,7 @@ def _lift(part: Mapping[str, Floats], movements: Mapping[str, Movement], dt: flo
 
 
 def told(name: str, movement: Movement) -> str:
-    """Return how much a signal moves, in words."""
+    """Describe how much a signal moves, in words."""
     if movement.frozen:
         return f"{name} is constant"
     unit = "" if SIGNALS[name].unit == "1" else f" {SIGNALS[name].unit}"
@@ -252,13 +252,13 @@ def told(name: str, movement: Movement) -> str:
 
 
 def described(log: FlightLog, excitation: Excitation) -> list[str]:
-    """Return why a log is refused that shows nothing, and how much each of its signals moves, line by line."""
+    """Explain why an unexcited log is refused, with the movement of each signal, line by line."""
     lines = [f"  {told(name, movement)}" for name, movement in excitation.movements.items()]
     return [f"{log.source}: refused, and nothing is written: {nature(excitation)}", *lines]
 
 
 def nature(excitation: Excitation) -> str:
-    """Return in words what kind of log shows nothing."""
+    """Describe the kind of an unexcited log, in words."""
     moving = [name for name in TURNING if name in excitation.movements and excitation.movements[name].moves]
     asked = [name for name in COMMANDED if name in excitation.movements and excitation.movements[name].moves]
     if excitation.still >= ON_THE_GROUND or not moving:
@@ -271,7 +271,7 @@ def nature(excitation: Excitation) -> str:
 
 
 def without_ground(log: FlightLog) -> FlightLog:
-    """Return a log without the time in which it stands on the ground, unless that is all of it.
+    """Remove the time on the ground from a log, unless that is all of it.
 
     No law of flight describes it. It is cut off at both ends, so that shares of the rows are shares of the flight; in
     between there are gaps. How long it is stands in the notes.
@@ -289,7 +289,7 @@ def without_ground(log: FlightLog) -> FlightLog:
 
 
 def without_frozen(log: FlightLog) -> FlightLog:
-    """Return a log without the rows in which a signal that moves elsewhere stays the same to the last digit.
+    """Remove the rows in which a signal that moves elsewhere is frozen to the last digit.
 
     No sensor of motion does so for FROZEN_S: its driver or the logger hung. What was left out is in the notes. A thrust
     may be 0 for long.
@@ -313,7 +313,7 @@ def without_frozen(log: FlightLog) -> FlightLog:
 
 
 def standing_still(log: FlightLog) -> Rows:
-    """Return which rows (T,) are of a time in which no measured signal moves beyond its floor and throttle is low.
+    """Return the rows (T,) of times at rest: no measured signal moves beyond its floor, and throttle is low.
 
     Throttle is low if it is below half of what it usually is while something moves. Where attitude, vertical velocity
     or throttle are not logged, a time on the ground cannot be told from quiet flight, and there are no such rows unless

@@ -1,4 +1,4 @@
-"""From samples as they were logged to one regular grid: order, duplicates, gaps, units."""
+"""Resamples logged signals to one regular grid: order, duplicates, gaps, units."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SHORTEST_S, LONGEST_S = 4.0, 36_000.0
 
 
 def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str], dt: float = DT) -> FlightLog:
-    """Bring all signals to the time that they have in common, sampled every ``dt`` [s].
+    """Resample all signals over their common time, every ``dt`` [s].
 
     Measured signals are interpolated linearly and commands held; gaps become NaN. Everything that was changed is in
     the log's notes.

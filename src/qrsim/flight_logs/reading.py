@@ -1,4 +1,4 @@
-"""Which reader a file needs."""
+"""Choice of the reader of a file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FORMATS = "PX4 ULog (.ulg), ArduPilot DataFlash (.bin), CSV with names and units
 
 
 def read_log(path: Path) -> FlightLog:
-    """Read a flight log; its format is told by its content.
+    """Read a flight log; its content decides the format.
 
     Raises:
         UsageError: no such file, empty, no format that is known, or what the reader of the format finds wrong.

@@ -62,7 +62,7 @@ LAYOUTS: dict[int, tuple[str, Callable[[Floats], dict[str, Floats]]]] = {
 
 
 def read_recording(path: Path) -> FlightLog:
-    """Read a table of numbers in the layout of one of the public recordings, told by its number of columns.
+    """Read a table of numbers in the layout of a public recording; the number of columns decides which.
 
     The state after a row's command belongs to that row, so the commands are moved one row back: here a command acts
     from its row to the next.

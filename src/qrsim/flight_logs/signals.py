@@ -1,4 +1,4 @@
-"""What a flight log can hold: signals by name, each in one SI unit."""
+"""Signals of flight logs, by name, each in one SI unit."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class FlightLog:
             )
 
     def delayed(self, delay: float) -> FlightLog:
-        """Return the log with commands that act late, each the mean over its step of what is held during it.
+        """Return the log with delayed commands, each the mean over its step of the command held during it.
 
         Args:
             delay: [s], at least 0; before the log's first row its first commands are held.

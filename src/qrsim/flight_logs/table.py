@@ -39,7 +39,7 @@ _COLUMN = re.compile(r"^\s*([A-Za-z_]\w*)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 
 
 def read_table(path: Path) -> FlightLog:
-    """Read a CSV whose header names columns as 'roll [deg]'; columns of other names are left out and said.
+    """Read a CSV whose header names columns as 'roll [deg]'; it notes the columns that it ignores.
 
     Raises:
         UsageError: no time, a column without a unit or with an unknown one, twice the same, a row of wrong length.

@@ -38,7 +38,7 @@ TOPICS = tuple(dict.fromkeys(("vehicle_attitude", *(topic for _, topic, _, _ in 
 
 
 def read_ulog(path: Path) -> FlightLog:
-    """Read a PX4 log; one that was cut off is read up to the cut, and that is said.
+    """Read a PX4 log; a truncated one is read up to the cut, with a note.
 
     Raises:
         UsageError: no ULog, or none of the topics.

@@ -36,7 +36,7 @@ def score(
     log: FlightLog,
     share: tuple[float, float],
     start: Mapping[str, float],
-    found: Mapping[str, float],
+    identified: Mapping[str, float],
     nuisances: Mapping[str, float],
     separate: bool,
 ) -> dict[str, Any]:
@@ -48,13 +48,13 @@ def score(
         log: what was read.
         share: first and last share of its rows.
         start: the constants before.
-        found: those identified.
+        identified: the constants after.
         nuisances: of this log, from its training part.
         separate: pitch has constants of its own.
     """
     piece = cut(log, math.inf, *share)
     bare = {"delay": nuisances["delay"]}
-    cases = {"start": (start, bare), "start_with_nuisances": (start, nuisances), "identified": (found, nuisances)}
+    cases = {"start": (start, bare), "start_with_nuisances": (start, nuisances), "identified": (identified, nuisances)}
     runs = {name: open_loop(piece, values, own, separate) for name, (values, own) in cases.items()}
     result: dict[str, Any] = {
         "rows": int(piece.used.sum()),

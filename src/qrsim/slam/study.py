@@ -306,27 +306,27 @@ def allan_slope(errors: Sequence[Floats], period: float) -> dict[str, float]:
     return found
 
 
-def numbers(found: Study) -> dict[str, Any]:
+def numbers(flown: Study) -> dict[str, Any]:
     """Return all numbers of a study as plain dicts."""
-    result: dict[str, Any] = {"seeds": len(found.seeds), "confidence": CONFIDENCE, "errors": {}, "paired": {}}
-    measures = {"trajectory_m": found.trajectory_errors, "landmarks_m": found.landmark_errors}
-    for noise, arm in found.arms:
+    result: dict[str, Any] = {"seeds": len(flown.seeds), "confidence": CONFIDENCE, "errors": {}, "paired": {}}
+    measures = {"trajectory_m": flown.trajectory_errors, "landmarks_m": flown.landmark_errors}
+    for noise, arm in flown.arms:
         result["errors"].setdefault(noise, {})[arm] = {
             **{name: interval(measure(noise, arm)) for name, measure in measures.items()},
-            "iterations": float(np.mean(found.arms[noise, arm].iterations)),
-            "not_converged": sum(not done for done in found.arms[noise, arm].converged),
+            "iterations": float(np.mean(flown.arms[noise, arm].iterations)),
+            "not_converged": sum(not done for done in flown.arms[noise, arm].converged),
         }
-    total = sum(len(places) for places in found.landmarks_ned)
-    everywhere = [np.all([arm.determined[i] for arm in found.arms.values()], axis=0) for i in range(len(found.seeds))]
+    total = sum(len(places) for places in flown.landmarks_ned)
+    everywhere = [np.all([arm.determined[i] for arm in flown.arms.values()], axis=0) for i in range(len(flown.seeds))]
     result["landmarks"] = {"all": total, "determined": int(np.sum([np.sum(each) for each in everywhere]))}
-    if len(found.seeds) > 1:
-        for arm in ARMS[found.graph]:
+    if len(flown.seeds) > 1:
+        for arm in ARMS[flown.graph]:
             pair = [(noise, arm) for noise in NOISES]
-            if all(key in found.arms for key in pair):
+            if all(key in flown.arms for key in pair):
                 result["paired"][arm] = {name: paired(*(m(*key) for key in pair)) for name, m in measures.items()}
-        if {("white", "plain"), ("coloured", "bias")} <= set(found.arms):
+        if {("white", "plain"), ("coloured", "bias")} <= set(flown.arms):
             result["remedy"] = _remedy(measures)
-    result["fixes"] = {noise: _of_fixes(flown) for noise, flown in found.flights.items()}
+    result["fixes"] = {noise: _of_fixes(flown) for noise, flown in flown.flights.items()}
     return result
 
 

@@ -1,1 +1,1 @@
-"""The models against recordings and closed forms."""
+"""Validation of the models against recordings and closed forms."""

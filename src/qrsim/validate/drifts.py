@@ -1,4 +1,4 @@
-"""The slow errors of barometer and attitude estimate: Ornstein-Uhlenbeck processes, recovered from their readings."""
+"""Slow errors of barometer and attitude estimate: Ornstein-Uhlenbeck parameters recovered from readings."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LAGS, LONGEST = (0.5, 1.0), 1.5
 
 
 class Process(NamedTuple):
-    """A sensor's error and what it should be.
+    """A sensor's error process and its expected parameters.
 
     Attributes:
         title: in words.
@@ -78,7 +78,7 @@ def _read(sensor: str, model: Any, seconds: int, vehicles: int) -> tuple[jax.Arr
 
 
 def read(sensor: str, model: Any, title: str, std: float, time_constant: float, unit: str, vehicles: int) -> Process:
-    """Return the errors of a sensor of many vehicles at rest, over a few of its time constants, in float32."""
+    """Simulate the errors of a sensor of many vehicles at rest, over a few of its time constants, in float32."""
     rows, squares = _read(sensor, cast(model, np.float32), round(2.0 * time_constant), vehicles)
     errors = np.asarray(rows, np.float64)
     return Process(
@@ -87,7 +87,7 @@ def read(sensor: str, model: Any, title: str, std: float, time_constant: float, 
 
 
 def processes(vehicles: int) -> dict[str, Process]:
-    """Return both sensors with their defaults; the three angles of an attitude are as good as three vehicles."""
+    """Return both sensors with their defaults; the three angles of an attitude count as three vehicles."""
     barometer, attitude = Barometer(), AttitudeEstimator()
     return {
         "barometer": read(
@@ -112,7 +112,7 @@ def processes(vehicles: int) -> dict[str, Process]:
 
 
 def autocovariance(errors: Table, lag: int) -> Values:
-    """Return the mean product (n,) of errors (T, n) a lag apart, for each process; its mean is known to be zero."""
+    """Compute the mean product (n,) of errors (T, n) a lag apart; their mean is known to be zero."""
     return np.asarray(np.mean(errors[lag:] * errors[: len(errors) - lag], axis=0))
 
 

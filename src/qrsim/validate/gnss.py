@@ -1,4 +1,4 @@
-"""GNSS: a recorded receiver that stood still, against two hundred simulated ones."""
+"""GNSS: a recorded stationary receiver against two hundred simulated ones."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Simulated(NamedTuple):
 
 
 def simulate(name: str, orbits: Path, record: Recorded, seeds: int) -> tuple[Simulated, tuple[int, int]]:
-    """Return simulated receivers under one error model, and how many satellites they used."""
+    """Simulate receivers under one error model; also return their numbers of satellites."""
     errors = MODELS[name][0]
     every = round(record.period / PERIOD)
     sky = sky_over(orbits, record.site, START, ROWS * record.period, errors)

@@ -57,7 +57,7 @@ def _fly(turbulence: Any, wind: LogShear, height: jax.Array, key: Key, steps: in
 
 
 def our_gusts(kind: str, seconds: float, vehicles: int, seed: int) -> Floats:
-    """Return gusts (T, vehicles, 3) in NED [m/s] every 0.2 s, of 'dryden' or 'dryden_first_order', in float32."""
+    """Simulate gusts (T, vehicles, 3) in NED [m/s] every 0.2 s, of 'dryden' or 'dryden_first_order', in float32."""
     makers = {"dryden": Dryden, "dryden_first_order": DrydenFirstOrder}
     bearing = math.radians(FROM_DEG)
     turbulence = cast(makers[kind](SPEED, bearing), np.float32)
@@ -68,7 +68,7 @@ def our_gusts(kind: str, seconds: float, vehicles: int, seed: int) -> Floats:
 
 
 def jsbsim_gusts(kind: int, seconds: float, seed: int) -> Floats:
-    """Return gusts (T, 3) in NED [m/s] every 0.2 s of JSBSim's turbulence, once it has settled.
+    """Simulate gusts (T, 3) in NED [m/s] every 0.2 s of JSBSim's turbulence, once it has settled.
 
     Raises:
         RunError: no jsbsim.
@@ -80,14 +80,14 @@ def jsbsim_gusts(kind: int, seconds: float, seed: int) -> Floats:
 
 
 def in_ned(along_across_down: Floats) -> Floats:
-    """Return gusts (..., 3) of the wind's axes in NED."""
+    """Rotate gusts (..., 3) from the wind's axes into NED."""
     sine, cosine = math.sin(math.radians(FROM_DEG)), math.cos(math.radians(FROM_DEG))
     turn = np.array([[-cosine, sine, 0.0], [-sine, -cosine, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(along_across_down @ turn.T)
 
 
 def in_wind_axes(gusts_ned: Floats) -> Floats:
-    """Return gusts (..., 3) of NED in the wind's axes."""
+    """Rotate gusts (..., 3) from NED into the wind's axes."""
     sine, cosine = math.sin(math.radians(FROM_DEG)), math.cos(math.radians(FROM_DEG))
     turn = np.array([[-cosine, sine, 0.0], [-sine, -cosine, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(gusts_ned @ turn)
@@ -101,7 +101,7 @@ def autocorrelation(kind: str, lag: float) -> Floats:
 
 
 def statistics(kind: str, gusts_ned: Floats) -> dict[str, Any]:
-    """Return variances and autocovariances of the gusts of many vehicles (T, n, 3), against their closed forms."""
+    """Compare variances and autocovariances of the gusts of many vehicles (T, n, 3) with their closed forms."""
     gusts, sigma = in_wind_axes(gusts_ned) / scales(CASE)[1], autocorrelation(kind, LAG_S)
     lag = round(LAG_S / (DT * EVERY))
     results: dict[str, Any] = {}

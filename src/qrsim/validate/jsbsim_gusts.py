@@ -1,4 +1,4 @@
-"""JSBSim's turbulence, an independent implementation: its series, and what its recursions have exactly.
+"""JSBSim's turbulence, an independent implementation: its series, and the exact densities of its recursions.
 
 JSBSim has two models of the Dryden spectra, both after Yeager, NASA CR-1998-206937:
 
@@ -49,12 +49,12 @@ BODY = f"""<?xml version="1.0"?>
 
 
 def is_installed() -> bool:
-    """Return whether there is a JSBSim to compare with."""
+    """Return whether JSBSim is installed."""
     return importlib.util.find_spec("jsbsim") is not None
 
 
 def jsbsim_series(case: Case, kind: int, steps: int, seed: int) -> Floats:
-    """Return (5, steps) of u, v, w [m/s], q, r [rad/s] of JSBSim's turbulence, at the body's fixed height and speed.
+    """Simulate u, v, w [m/s], q, r [rad/s] (5, steps) of JSBSim's turbulence at a fixed height and speed.
 
     Raises:
         RunError: no jsbsim, or it does not hold the body.
@@ -131,7 +131,7 @@ def _recursions(case: Case, kind: int) -> list[Filter]:
 
 
 def jsbsim_theory(case: Case, kind: int, omega: Floats) -> Floats:
-    """Return the densities (5, k) that JSBSim's recursions have, driven by independent standard normals."""
+    """Return the exact densities (5, k) of JSBSim's recursions, driven by independent standard normals."""
     unit = np.exp(-1j * omega * DT)
     power = [
         np.square(np.abs(np.polyval(top[::-1], unit) / np.polyval(bottom[::-1], unit)))

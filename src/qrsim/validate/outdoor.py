@@ -1,4 +1,4 @@
-"""The outdoor flight: driving the model with its commands, in still air and in wind, at once or piece by piece."""
+"""The outdoor flight: the model under its commands, in still air and in wind, in one run or in pieces."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def velocity_match(flight: Outdoor) -> Match:
 
 
 def reference_specific_force(vehicle: Quadrotor, before: Table, commands: Table) -> Table:
-    """Return what the reference implementation calls specific force, (T, 3) [m/s^2], in float64.
+    """Return the reference implementation's specific force (T, 3) [m/s^2], in float64.
 
     It takes gravity from the rate of change of the body velocity, and so leaves a false -omega x v; the mean of
     the two stages of Heun's rule, as for the model's own.
@@ -93,7 +93,7 @@ def reference_specific_force(vehicle: Quadrotor, before: Table, commands: Table)
 
 
 def specific_force_errors(flight: Outdoor) -> dict[str, dict[str, float]]:
-    """Return the mean squared errors of the specific force [(m/s^2)^2], this model's form and the reference's."""
+    """Compute the mean squared errors of the specific force [(m/s^2)^2]: this model's form and the reference's."""
     before = np.concatenate([flight.start[None], flight.states[:-1, :13]])
     reference = reference_specific_force(Quadrotor(), before, flight.commands)
     axes = ("x", "y", "z")
@@ -138,7 +138,7 @@ def fly_in_wind(start: Table, commands: Table, wind_ned: Table) -> tuple[Table, 
 
 
 def fit_wind(still: Table, response: Table, recorded: Table) -> Table:
-    """Return the constant horizontal wind (2,) [m/s] north and east that fits recorded velocities best.
+    """Fit the constant horizontal wind (2,) [m/s], north and east, to recorded velocities.
 
     Attitude and thrust do not depend on the wind, and the rest of the model is linear in velocity and wind, so that
     the velocity is exactly the one in still air plus a response to each component: linear least squares.
@@ -153,7 +153,7 @@ def fit_wind(still: Table, response: Table, recorded: Table) -> Table:
 
 
 def fly_pieces(flight: Outdoor, wind_ned: Table, steps: int, spacing: int) -> tuple[Table, Table]:
-    """Start again from the record every ``spacing`` rows, and fly ``steps`` rows without looking at it.
+    """Restart from the record every ``spacing`` rows, and fly ``steps`` rows open loop.
 
     Returns:
         Velocities (steps, n, 3) [m/s] simulated, and recorded.

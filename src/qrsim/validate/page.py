@@ -1,4 +1,4 @@
-"""The report as one HTML page: style and pictures are inside, nothing is fetched."""
+"""The report as one HTML page: style and pictures are embedded, nothing is fetched."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SOURCE = (
 
 
 def write_page(results: Sequence[Result], about: Mapping[str, Any]) -> str:
-    """Return the page.
+    """Write the page as text.
 
     Args:
         results: in the order they are shown.
@@ -48,7 +48,7 @@ def write_page(results: Sequence[Result], about: Mapping[str, Any]) -> str:
 
 
 def number(value: float) -> str:
-    """Return a number with four significant digits."""
+    """Format a number with four significant digits."""
     return f"{value:.4g}".replace("e-0", "e-").replace("-", "\N{MINUS SIGN}")
 
 

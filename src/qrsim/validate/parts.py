@@ -1,4 +1,4 @@
-"""The parts of the validation, and running some of them."""
+"""The parts of the validation, and a runner for them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PARTS: dict[str, Part] = {
 
 @dataclass(frozen=True)
 class Result:
-    """A part, and what it found or why it was skipped."""
+    """A part with its outcome, or the reason it was skipped."""
 
     part: Part
     outcome: Outcome | None
@@ -42,7 +42,7 @@ class Result:
 
 
 def choose(names: Sequence[str]) -> list[Part]:
-    """Return the parts of these names, each once and in the report's order; all where there is none.
+    """Return the named parts, each once and in the report's order; all if no name is given.
 
     Raises:
         UsageError: a name that no part has.
@@ -54,7 +54,7 @@ def choose(names: Sequence[str]) -> list[Part]:
 
 
 def find_recordings(parts: Sequence[Part]) -> dict[str, Path]:
-    """Return the paths of the recordings that are there, by name; missing ones are left out.
+    """Return the paths of the available recordings, by name.
 
     Raises:
         RunError: a recording was altered or cut off, or cannot be read.

@@ -16,7 +16,7 @@ DPI = 90
 
 
 def picture(figure: Figure, caption: str) -> Picture:
-    """Return a figure as the PNG of a report."""
+    """Render a figure as a PNG for the report."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=DPI, format="png")
     return Picture(buffer.getvalue(), caption)

@@ -1,4 +1,4 @@
-"""A receiver standing still: the recorded one, and many simulated ones."""
+"""A stationary receiver: the recorded one, and many simulated ones."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Recorded(NamedTuple):
 
 
 def recorded_receiver(path: Path) -> Recorded:
-    """Read the recording of a receiver that stood still."""
+    """Read the recording of a stationary receiver."""
     rows = read_table(path, 14)
     latitude, longitude, height = np.radians(rows[:, 3] * 1e-7), np.radians(rows[:, 4] * 1e-7), rows[:, 5] * 1e-3
     site = Site(*(float(np.median(column)) for column in (latitude, longitude, height)))
@@ -57,7 +57,7 @@ def recorded_receiver(path: Path) -> Recorded:
 
 
 def sky_over(path: Path, site: Site, start: Any, duration_s: float, errors: Any) -> Sky:
-    """Return the sky of an SP3 file over a site from a time on, in single precision as flights have it."""
+    """Load the sky of an SP3 file over a site from a time on, in single precision as in flights."""
     ephemeris = Sp3Ephemeris(str(path))
     orbits = ephemeris.at(site, gps_seconds_from_utc(start), LIKE, duration_s)
     return Sky(orbits, cast(errors, LIKE), jnp.asarray(ephemeris.satellite_ids), PERIOD)
@@ -91,7 +91,7 @@ def _fixes(sky: Sky, receiver: GnssReceiver, ticks: int, seeds: int) -> tuple[ja
 
 
 def simulated_receivers(sky: Sky, rows: int, every: int, seeds: int) -> tuple[Table, tuple[int, int]]:
-    """Return what simulated receivers at the origin report: position errors (rows, seeds, 3) [m], satellites used.
+    """Simulate receivers at the origin: position errors (rows, seeds, 3) [m] and numbers of satellites used.
 
     Args:
         sky: shared by nobody: each seed has one of its own with the same geometry.

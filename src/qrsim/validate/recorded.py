@@ -1,4 +1,4 @@
-"""Reading the recorded flights, and what their columns leave out."""
+"""Reads the recorded flights, and converts their columns."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FETCH = "run 'qrsim data fetch' and set QRSIM_DATA_DIR to the folder it prints"
 
 
 class Match(NamedTuple):
-    """A simulation beside the recording that it is compared with, row by row.
+    """A simulation and its recording, row by row.
 
     Attributes:
         time: (T,) since the first row [s].
@@ -45,7 +45,7 @@ class Match(NamedTuple):
         return mean_square(self.residual, self.names)
 
     def explained(self) -> dict[str, float]:
-        """Return what share of each record's variance the simulation explains: 1 - mean squared error/variance."""
+        """Return the share of each record's variance that the simulation explains: 1 - mean squared error/variance."""
         variance = np.var(self.recorded, axis=0)
         return {name: 1.0 - error / float(variance[i]) for i, (name, error) in enumerate(self.mean_square().items())}
 
@@ -76,13 +76,13 @@ def read_table(path: Path, columns: int) -> Table:
 
 
 def command_rows(pitch: Table, roll: Table, throttle: Table, yaw: Table, battery: Table) -> Table:
-    """Return (T, 5) SI commands from raw columns of shape (T,)."""
+    """Convert raw columns of shape (T,) to SI commands (T, 5)."""
     columns: Any = raw_to_command(pitch, roll, throttle, yaw, battery)  # type: ignore[arg-type]
     return np.stack([columns.pitch, columns.roll, columns.throttle, columns.yaw_rate, columns.battery], axis=1)
 
 
 def state_of(states: Table) -> QuadrotorState:
-    """Return rows of shape (T, 13) as a state whose arrays have shape (T,)."""
+    """Convert rows (T, 13) to a state whose arrays have shape (T,)."""
     columns = [jnp.asarray(states[:, i]) for i in range(13)]
     return QuadrotorState(
         Vec3(*columns[:3]), Euler(*columns[3:6]), Vec3(*columns[6:9]), Vec3(*columns[9:12]), columns[12]

@@ -1,4 +1,4 @@
-"""What a part of the validation hands back: checks that can fail, findings that cannot, pictures and numbers."""
+"""Outcome of a part of the validation: checks that can fail, findings that cannot, pictures and numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FITS, FITS_IN_PART = 0.9, 0.5
 
 @dataclass(frozen=True)
 class Check:
-    """A number that has to lie within a tolerance of what is expected; the exit code hangs on it.
+    """A number that must lie within a tolerance of its expectation; it decides the exit code.
 
     Attributes:
         name: what was measured.
@@ -32,11 +32,11 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the value is within the tolerance; one that is not a number is not."""
+        """Whether the value is within the tolerance; NaN is not."""
         return abs(self.value - self.expected) <= self.tolerance
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields and the outcome; a value that is not finite becomes null."""
+        """Return the fields and the outcome; a non-finite value becomes null."""
         value = self.value if math.isfinite(self.value) else None
         return {
             "name": self.name,
@@ -51,7 +51,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Finding:
-    """How well a model describes what was recorded. It is told, and fails nothing.
+    """A measure of how well a model describes a recording. It is reported and cannot fail.
 
     Attributes:
         name: what was compared.
@@ -72,7 +72,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG with what there is to see in it."""
+    """A PNG with its caption."""
 
     png: bytes
     caption: str
@@ -80,7 +80,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a part found.
+    """Outcome of a part.
 
     Attributes:
         method: how the numbers came about, a paragraph.
@@ -100,7 +100,7 @@ class Outcome:
 
     @property
     def passed(self) -> bool:
-        """Whether every check did."""
+        """Whether every check passed."""
         return all(check.passed for check in self.checks)
 
 
@@ -140,5 +140,5 @@ def reference_check(name: str, value: float, reference: str, unit: str) -> Check
 
 
 def worst(checks: Iterable[Check]) -> Check:
-    """Return the check that is nearest to its bound, or farthest beyond it."""
+    """Return the check with the largest share of its tolerance used."""
     return max(checks, key=lambda check: abs(check.value - check.expected) / check.tolerance)

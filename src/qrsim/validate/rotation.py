@@ -22,7 +22,7 @@ REFERENCE = ("6.563e-4", "8.355e-4", "1.755e-2", "2.478e-2", "1.872e-2", "2.867e
 
 
 def rotation_match(path: Path, precision: str = "float64") -> Match:
-    """Return angles [rad] and rates [rad/s] of the rig and of the model driven by the same commands."""
+    """Compare angles [rad] and rates [rad/s] of the rig with the model driven by the same commands."""
     rows = read_table(path, 11)
     pitch, roll, yaw, q, p, r = rows[:, 1:7].T
     constant = np.ones(len(rows))

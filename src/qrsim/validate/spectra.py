@@ -1,4 +1,4 @@
-"""Gusts held against the closed forms of MIL-F-8785C: this project's series, densities, and how to compare them."""
+"""Gusts against the closed forms of MIL-F-8785C: this project's series, densities, and their comparison."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _simulate(turbulence: Dryden, steps: int, key: Key, height: jax.Array, airsp
 
 
 def our_series(case: Case, steps: int, seed: int) -> Floats:
-    """Return (5, VEHICLES, steps / VEHICLES) of the same quantities from this project's component, in float32."""
+    """Simulate the same quantities (5, VEHICLES, steps / VEHICLES) by this project's component, in float32."""
     # With the wind from the south, wind axes are north, east and down.
     turbulence = cast(Dryden(case.speed_20ft, math.pi, SPAN, SEVERITY), np.float32)  # type: ignore[arg-type]
     like = np.ones(VEHICLES, np.float32)
@@ -92,7 +92,7 @@ def closed_form(case: Case, omega: Floats) -> Floats:
 
 
 def sampled_closed_form(case: Case, omega: Floats) -> Floats:
-    """Return the densities (5, k) of samples of the closed form every DT: the sum over aliases, far ones integrated."""
+    """Return the densities (5, k) of the closed form sampled every DT: a sum over aliases, far ones integrated."""
     images, folded = 20, 2.0 * math.pi / DT
     total = sum(closed_form(case, omega + folded * image) for image in range(-images, images + 1))
     edge = folded * (images + 0.5)
@@ -100,14 +100,14 @@ def sampled_closed_form(case: Case, omega: Floats) -> Floats:
 
 
 def welch(series: Floats) -> tuple[Floats, Floats]:
-    """Return frequencies [rad/s] and two-sided densities (5, k) of series (5, ..., steps), without the mean's bin."""
+    """Estimate two-sided densities (5, k) of series (5, ..., steps), and their frequencies [rad/s]; no zero bin."""
     frequency, density = signal.welch(series, 1.0 / DT, nperseg=min(SEGMENT, series.shape[-1]), detrend=False, axis=-1)
     density = density.reshape(len(COMPONENTS), -1, frequency.size).mean(axis=1) / 2.0
     return 2.0 * math.pi * frequency[1:-1], density[:, 1:-1]
 
 
 def band_levels(omega: Floats, density: Floats) -> Floats:
-    """Return mean densities (5, BANDS) over third octaves up to omega T = 1."""
+    """Average densities over third octaves up to omega T = 1, (5, BANDS)."""
     edges = LOWEST_OMEGA * 10.0 ** (0.1 * np.arange(BANDS + 1))
     inside = [(omega >= low) & (omega < high) for low, high in itertools.pairwise(edges)]
     return np.stack([density[:, band].mean(axis=1) for band in inside], axis=1)

@@ -22,7 +22,7 @@ REFERENCE_MEAN_SQUARE, REFERENCE_VARIANCE = "0.9817", "73.9"
 
 
 def thrust_match(path: Path, precision: str = "float64") -> Match:
-    """Return thrust [N] of the rig and of the model driven by the same raw throttle and battery voltage."""
+    """Compare thrust [N] of the rig with the model driven by the same raw throttle and battery voltage."""
     rows = read_table(path, 4)
     with jax.enable_x64(precision == "float64"):
         vehicle = cast(Quadrotor(), precision)

@@ -1,4 +1,4 @@
-"""The translation match: what the outdoor flight says about velocity and position, and what it cannot say."""
+"""The translation match: velocity and position of the outdoor flight, and the limits of that comparison."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PIECE_SPACING = 250
 
 
 class Windy(NamedTuple):
-    """Runs of the whole flight.
+    """Simulations of the whole flight in winds.
 
     Attributes:
         wind: (2,) fitted to all rows [m/s], north and east components of the moving air.
@@ -49,7 +49,7 @@ class Windy(NamedTuple):
 
 
 def fly_winds(flight: Outdoor) -> Windy:
-    """Return the flight in still air, in the best constant wind, and in that of the first half."""
+    """Fly in still air, in the best constant wind, and in the best wind of the first half."""
     steps = len(flight.commands)
 
     def fly(winds: Table) -> tuple[Table, Table]:
@@ -74,7 +74,7 @@ def fly_winds(flight: Outdoor) -> Windy:
 
 
 def horizons(flight: Outdoor, wind: Table) -> dict[str, dict[str, float]]:
-    """Return the root mean square error [m/s] of the horizontal velocity after so many seconds without the record."""
+    """Compute the rms error [m/s] of the horizontal velocity after given seconds of open-loop flight."""
     steps = round(max(HORIZONS_S) / DT)
     found: dict[str, dict[str, float]] = {}
     for name, wind_ned in (("still_air", np.zeros(3)), ("fitted_wind", np.array([*wind, 0.0]))):
@@ -95,7 +95,7 @@ def _rms(difference: Table) -> float:
 
 
 def consistency(flight: Outdoor) -> dict[str, float]:
-    """Return how well the record's velocity agrees with the derivative of its position."""
+    """Compare the record's velocity with the derivative of its position."""
     position, velocity = flight.recorded[:, :3], flight.recorded[:, 6:9]
     derivative = np.gradient(position, DT, axis=0)
     result = {

@@ -54,7 +54,7 @@ COMPONENTS_IN_WORDS = dict(
 def study_case(
     case: Case, steps: int, seed: int, sources: Sequence[str]
 ) -> tuple[dict[str, Any], dict[str, Floats], dict[str, Floats]]:
-    """Return the statistics, series and levels over the closed form of some of 'ours' and JSBSim's TYPES in one case.
+    """Compute statistics, series and levels over the closed form, of 'ours' and JSBSim's TYPES, in one case.
 
     Raises:
         RunError: no jsbsim where it is asked for.

@@ -1,1 +1,1 @@
-"""Checking a plan over many seeds before it is flown."""
+"""Checks a plan over many seeds before the flight."""

@@ -1,4 +1,4 @@
-"""What can go wrong in a flight, how often it did over many seeds, and the worst moments."""
+"""Failures of a flight: their frequency over many seeds, and the worst moments."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Moment:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How often something went wrong.
+    """Frequency of one kind of failure.
 
     Attributes:
         name: what.
@@ -75,7 +75,7 @@ class Outcome:
 
 
 def outcomes(flown: Rollout) -> list[Outcome]:
-    """Return every outcome, last that of any of them."""
+    """Count every kind of failure, and last any of them."""
     kinds = np.array([kind for kind, _ in REASONS])[flown["reason"]]
     stopped, places = flown["stopped_at_s"], flown["position_ned"]
     times = {name: np.where(kinds == kind, stopped, np.nan) for name, kind in KINDS.items()}
@@ -112,7 +112,7 @@ def _moment(flown: Rollout, world: int, vehicle: int, times: Any, places: Any, v
 
 
 def margins(flown: Rollout) -> dict[str, tuple[Moment, str]]:
-    """Return the worst moment over all runs of each of MARGINS with its unit; one that was never seen is left out."""
+    """Return the worst moment of each of MARGINS over all runs, with its unit; margins never seen are omitted."""
     found = {}
     for name, (metric, smallest, unit) in MARGINS.items():
         values = flown[f"{metric}_{unit.replace('/', '_')}"]

@@ -1,4 +1,4 @@
-"""Where the runs of a check went wrong, from above and over time."""
+"""Figure of the failures of a check, in plan view and over time."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _plan(axes: Any, scenario: Scenario, flown: Rollout) -> None:
 
 
 def outline(area: Any) -> list[list[float]]:
-    """Return the corners (north, east) [m] of an area as a scenario has it."""
+    """Return the corners (north, east) [m] of a scenario's area."""
     if hasattr(area, "corners_ned"):
         return [list(corner) for corner in area.corners_ned]
     return [[area.x_min, area.y_min], [area.x_max, area.y_min], [area.x_max, area.y_max], [area.x_min, area.y_max]]

@@ -23,7 +23,7 @@ def to_si(values: np.ndarray[Any, Any], units: Units) -> np.ndarray[Any, Any]:
 
 
 def limits_in(units: Units) -> np.ndarray[Any, Any]:
-    """Return the (5, 2) lowest and highest commands in the given units."""
+    """Return the lowest and highest commands (5, 2) in the given units."""
     scale = to_si(np.ones((1, 5)), units)[0]
     return np.sort(_LIMITS / scale[:, None], axis=1)
 
@@ -31,7 +31,7 @@ def limits_in(units: Units) -> np.ndarray[Any, Any]:
 def si_within_limits(
     table: CommandTable, units: Units, clip: bool
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Return the commands in SI, (T, 5), and a bool per row, (T,), that says whether it was clipped.
+    """Convert commands to SI, (T, 5), clipped to the limits; also return whether each row was clipped, (T,).
 
     Raises:
         UsageError: a command is out of its range and ``clip`` is off; names the first one's line and column.

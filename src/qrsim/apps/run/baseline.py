@@ -9,7 +9,7 @@ from qrsim.scenarios.scenario import Scenario
 
 
 def baseline_policy(scenario: Scenario, seed: int, precision: str) -> tuple[Any, int]:
-    """Return the baseline of a scenario's task, and the ticks between two times that it is asked.
+    """Return the baseline of a scenario's task, and its period in ticks.
 
     Raises:
         UsageError: the scenario has no task, or its task has no baseline.

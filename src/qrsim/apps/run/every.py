@@ -10,7 +10,7 @@ from qrsim.runs.streams import STREAMS
 
 
 def parse_every(words: Sequence[str]) -> dict[str, int]:
-    """Return stream -> N for words "N" (all streams that have no word of their own) and "STREAM=N", in any order.
+    """Parse "STREAM=N" and "N" (all other streams), in any order, to stream -> N.
 
     Raises:
         UsageError: a word is of neither form, says the same twice, names no stream, or N is not an integer from 1.
