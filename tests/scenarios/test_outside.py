@@ -378,3 +378,25 @@ class TestOverTheNetwork:
         with pytest.raises(ScenarioError) as caught:
             uploaded(dump_yaml(content))
         assert sum("can name no code" in problem for problem in caught.value.problems) == 16
+
+
+class TestSensorsOfOnesOwn:
+    def test_faults_and_feeds_know_what_step_says(self, tmp_path: Path):
+        named = f"{written(tmp_path)}:Gauge"
+        content = with_gauge(named)
+        content["fleets"]["pelicans"]["faults"] = [
+            {"sensor": "gauge", "kind": "biased", "start": 1.0, "field": "height", "bias": 1.0}
+        ]
+        assert complaint(content) == (
+            "fleets.pelicans.faults.0.field: the sensor does not report 'height'; did you mean 'height_agl'?"
+        )
+        content["fleets"]["pelicans"]["faults"][0]["field"] = "height_agl"
+        load_scenario(content)
+        written(tmp_path, SENSOR.replace(" -> tuple[None, HeightReading]", ""))
+        assert complaint(content) == (
+            "fleets.pelicans.faults.0.sensor: Gauge.step does not say what it reports; expected '-> tuple[State, "
+            "Reading]'"
+        )
+        # A period need not be one of the sky where its path has "gnss" in it and it does not look at the sky.
+        other = written(tmp_path, name="gnss_gauge.py")
+        load_scenario(with_gauge(f"{other}:Gauge", period=0.06))

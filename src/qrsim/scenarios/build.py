@@ -22,8 +22,9 @@ from qrsim.models.site import Site, gps_seconds_from_utc, utc_from_gps_seconds
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
-from qrsim.scenarios.faults import fault_problems, faults, vehicle_names
+from qrsim.scenarios.faults import fault_problems, faults, reading_fields, vehicle_names
 from qrsim.scenarios.ranges import range_problems, ranges_of
+from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
 from qrsim.scenarios.task import task_problems
 from qrsim.scenarios.timing import timing_problems
@@ -212,8 +213,12 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
     if fleet.controller.feed != "measurements":
         return
     types = {sensor.type for sensor in fleet.sensors.values()}
+    own = [reading_fields(kind) for kind in types if is_outside("sensor", kind)]
+    given = {name.partition(".")[0] for names in own for name in names}
+    if not all(own):
+        return  # what a sensor from outside reports is seen when it is traced
     for quantity, suggestion in NEEDED.items():
-        if not types & PROVIDED[quantity]:
+        if not types & PROVIDED[quantity] and quantity not in given:
             yield (
                 f"fleets.{name}.sensors: the controller is fed with measurements, but no sensor gives {quantity}; "
                 f"add one of type {suggestion}, or set fleets.{name}.controller.feed to truth"

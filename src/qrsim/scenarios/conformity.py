@@ -134,19 +134,27 @@ def _method_problems(kind: str, component: type) -> Iterator[str]:
                 f"has{_meant(component, name)}"
             )
             continue
+        # What belongs to the class is called without an object.
+        free = isinstance(inspect.getattr_static(component, name), staticmethod | classmethod)
+        owner = () if free else (None,)
         try:
             signature = inspect.signature(method)
         except (TypeError, ValueError):
             continue
         try:
             if positional != ["..."]:
-                signature.bind(None, *positional, **dict.fromkeys(named))
+                signature.bind(*owner, *positional, **dict.fromkeys(named))
         except TypeError:
-            takes = f"({', '.join(str(part) for part in list(signature.parameters.values())[1:])})"
+            takes = f"({', '.join(map(_shown, list(signature.parameters.values())[len(owner) :]))})"
             yield (
                 f"{component.__name__}.{name} takes {takes}; expected ({', '.join(arguments)}), with which a "
                 f"{kind} is called"
             )
+
+
+def _shown(part: inspect.Parameter) -> str:
+    stars = "*" if part.kind is part.VAR_POSITIONAL else "**" if part.kind is part.VAR_KEYWORD else ""
+    return f"{stars}{part.name}" + ("" if part.default is part.empty else "=...")
 
 
 def _attribute_problems(kind: str, component: type) -> Iterator[str]:

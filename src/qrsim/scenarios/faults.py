@@ -57,10 +57,12 @@ def _number(value: float | None) -> Any:
 
 
 def reading_fields(sensor_type: str) -> list[str]:
-    """Return the dotted names of what a type of sensor reports."""
+    """Return the dotted names of what a type of sensor reports; none of one from outside whose step does not say it."""
     sensor: Any = known.SENSORS[sensor_type]
-    step = typing.get_type_hints(sensor.step)["return"]
-    reading = typing.get_args(step)[1]
+    pair = typing.get_args(typing.get_type_hints(sensor.step).get("return"))
+    if len(pair) != 2 or not dataclasses.is_dataclass(pair[1]):
+        return []
+    reading = pair[1]
     found: list[str] = []
     for name, hint in typing.get_type_hints(reading).items():
         if hint in (Vec3, Euler):
@@ -106,6 +108,10 @@ def _problems(path: str, fault: FaultSpec, fleet: FleetSpec, names: tuple[str, .
                 yield f"{path}.{extra}: only for kind 'biased', not '{fault.kind}'"
         return
     fields = reading_fields(fleet.sensors[fault.sensor].type)
+    if not fields:
+        sensor = known.SENSORS[fleet.sensors[fault.sensor].type].__name__
+        yield f"{path}.sensor: {sensor}.step does not say what it reports; expected '-> tuple[State, Reading]'"
+        return
     if fault.bias is None:
         yield f"{path}.bias: missing; kind 'biased' needs it"
     if fault.field is None:

@@ -231,7 +231,7 @@ def _load(kind: str, name: str) -> None:
     component = code.load_object(kind, name, kind="Class")
     if catalogue.KINDS[kind].get(name) is component:
         return
-    _check_class(kind, component, f"{kind} {name}")
+    _check_class(kind, component, kind if isinstance(component, type) else f"{kind} {name}")
     _take_in(kind, name, component, _origin("scenario", component))
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from qrsim.errors import did_you_mean
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.timing import is_multiple
 
@@ -53,6 +54,6 @@ def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
         if name not in fleet.sensors:
             hint = did_you_mean(name, fleet.sensors)
             yield f"task.{field}: no sensor of fleet '{task.fleet}' is called '{name}'{hint}"
-        elif fleet.sensors[name].type not in types:
+        elif fleet.sensors[name].type not in types and not is_outside("task", task.type):
             found = fleet.sensors[name].type
             yield f"task.{field}: '{name}' is a sensor of type '{found}'; allowed: {', '.join(types)}"

@@ -7,6 +7,7 @@ its methods return, so that a fault is named where it is and not where it is fou
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import threading
 from collections.abc import Callable, Iterator
 from functools import lru_cache, wraps
@@ -141,8 +142,13 @@ def _watched(component: type, kind: str) -> type:
     names = [name for name in vars(contract or component) if not name.startswith("_")]
     methods = {name: getattr(component, name) for name in names if callable(getattr(component, name, None))}
     found = {name: _looked_at(component, kind, name, method) for name, method in methods.items()
-             if hasattr(method, "__code__")}  # fmt: skip
+             if hasattr(method, "__code__") and not _free(component, name)}  # fmt: skip
     return record(type(component.__name__, (component,), {**found, "_watched": component, "__module__": __name__}))
+
+
+def _free(component: type, name: str) -> bool:
+    """Return whether a method is called without an object."""
+    return isinstance(inspect.getattr_static(component, name), staticmethod | classmethod)
 
 
 def _looked_at(component: type, kind: str, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
