@@ -23,6 +23,12 @@ def test_documented_numbers_are_the_measured_ones():
     assert not problems, "\n".join(problems)
 
 
+def test_evidence_is_of_files_that_were_committed():
+    files = sorted((ROOT / "docs" / "evidence").glob("*.json"))
+    assert len(files) > 10
+    assert [file.name for file in files if runner.DIRTY in file.read_text(encoding="utf-8")] == []
+
+
 def test_most_pages_with_measurements_are_marked():
     marked = {page.name for page in docs.pages(ROOT) if list(docs.marked(page.read_text(encoding="utf-8")))}
     assert marked >= {"README.md", "control.md", "identify.md", "performance.md", "slam.md", "tasks.md", "view.md"}
