@@ -1,1 +1,1 @@
-"""To other software."""
+"""Links to other software."""

@@ -1,4 +1,4 @@
-"""What a session of a simulation asks of a link to other software (reference/ and those to come)."""
+"""Protocol of links to other software, as sessions use them (reference/ and others)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Pace = Literal["owner", "barrier", "free"]
 
 @dataclass(frozen=True)
 class Stamp:
-    """When what is sent was true, and when it was sent.
+    """Time of validity and time of sending of a message.
 
     Attributes:
         tick: of the state.
@@ -45,7 +45,7 @@ class Order:
 
 @runtime_checkable
 class Link(Protocol):
-    """A controller or a watcher outside, connected to a session.
+    """A connected external controller or watcher of a session.
 
     Attributes:
         kind: name of the protocol.
@@ -57,20 +57,20 @@ class Link(Protocol):
 
     @abstractmethod
     def claims(self) -> tuple[str, ...]:
-        """Return the names of the vehicles that it alone commands; the others fly their scenario's guidance."""
+        """Return the names of the vehicles that it commands alone; the others fly their scenario's guidance."""
 
     @abstractmethod
     def refused(self, vehicle: str, holder: str) -> None:
-        """Be told that a claimed vehicle belongs to another."""
+        """Receive notice that a claimed vehicle belongs to another link."""
 
     @abstractmethod
     def orders(self) -> list[Order]:
-        """Return what has come in since the last call, oldest first; empty where nothing has."""
+        """Return the orders received since the last call, oldest first; empty if there are none."""
 
     @abstractmethod
     def publish(self, reading: Any, stamp: Stamp) -> None:
-        """Send what its vehicles see (interface/readings.py); must not wait for a slow receiver."""
+        """Send its vehicles' readings (interface/readings.py); must not block on a slow receiver."""
 
     @abstractmethod
     def close(self) -> None:
-        """End the connection, which frees its claims."""
+        """Close the connection and release its claims."""

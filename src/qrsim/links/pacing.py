@@ -15,7 +15,7 @@ SLOWEST, FASTEST = 1e-3, 1e3
 
 
 def checked_factor(factor: float) -> float:
-    """Return a real-time factor; 0 means lock-step.
+    """Check a real-time factor and return it; 0 means lock-step.
 
     Raises:
         UsageError: it is out of range.
@@ -26,7 +26,7 @@ def checked_factor(factor: float) -> float:
 
 
 class Pacer:
-    """Says when the state of a simulated time is due.
+    """Schedules the states of simulated times on the wall clock.
 
     A STEP is late (an overrun) where its state is ready only after that: because the simulation was slower than its
     pace, or because the client asked late.
@@ -46,7 +46,7 @@ class Pacer:
         self.worst_delay = 0.0
 
     def wait_s(self, simulated: float) -> float:
-        """Count a step that ends at a simulated time [s], and return how long its reply has to wait [s]."""
+        """Count a step that ends at a simulated time [s], and return the delay of its reply [s]."""
         self.steps += 1
         self._last = simulated
         if not self.factor:
@@ -62,13 +62,13 @@ class Pacer:
         return 0.0
 
     def restarted(self) -> None:
-        """Note that the simulated time is 0 again."""
+        """Restart the simulated time at 0."""
         self._begin = (self._begin[0] - self._last, self._begin[1])
         self._anchor = (0.0, self._clock())
         self._last = 0.0
 
     def report(self) -> Pacing:
-        """Return how it went."""
+        """Return the statistics of the pace."""
         return Pacing(
             factor=self.factor,
             steps=self.steps,

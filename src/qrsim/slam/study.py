@@ -326,7 +326,7 @@ def numbers(flown: Study) -> dict[str, Any]:
                 result["paired"][arm] = {name: paired(*(m(*key) for key in pair)) for name, m in measures.items()}
         if {("white", "plain"), ("coloured", "bias")} <= set(flown.arms):
             result["remedy"] = _remedy(measures)
-    result["fixes"] = {noise: _of_fixes(flown) for noise, flown in flown.flights.items()}
+    result["fixes"] = {noise: _of_fixes(flights) for noise, flights in flown.flights.items()}
     return result
 
 

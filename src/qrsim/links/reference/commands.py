@@ -1,4 +1,4 @@
-"""The vectors of a STEP as the simulation takes them, in arrays that are made once."""
+"""Commands of STEP messages as arrays for the simulation, allocated once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WIDTHS = {Step.WP: 4, Step.CTRL: 5, Step.VEL: 3}
 
 
 def rows_of(given: Sequence[Arrayd], widths: Sequence[int], what: str, names: Sequence[str]) -> list[list[float]]:
-    """Return the vectors of a message, one for each vehicle.
+    """Return the vectors of a message, one row per vehicle.
 
     Args:
         given: the vectors.
@@ -62,7 +62,7 @@ class _Known:
 
 
 class Commands:
-    """Makes commands of STEPs; one is valid until the next one of its kind is made.
+    """Converts STEPs to commands; a command is valid until the next one of its kind.
 
     A client sends many STEPs that differ in the numbers of their vectors alone. Those are not parsed again.
 
@@ -86,7 +86,7 @@ class Commands:
         self._last: bytes = b""
 
     def of(self, request: Step) -> Any:
-        """Return the command of a STEP as ``Simulation.step`` takes it.
+        """Convert a STEP to a command for ``Simulation.step``.
 
         Raises:
             UsageError: the number of vectors or of their entries is wrong.
@@ -99,7 +99,7 @@ class Commands:
         return command
 
     def learn(self, payload: bytes, request: Step, ticks: int) -> None:
-        """Know STEPs from now on that differ from this one in the numbers of their vectors alone.
+        """Learn the layout of a STEP: later ones that differ only in numbers are not parsed.
 
         Args:
             payload: the message as it came.
@@ -117,7 +117,7 @@ class Commands:
         self._last = begin
 
     def known(self, payload: bytes) -> tuple[Any, int] | None:
-        """Return the command and the ticks of a STEP, None where it has to be parsed."""
+        """Return the command and the ticks of a STEP of a learnt layout, else None."""
         known = self._known.get(len(payload))
         if known is None or not payload.startswith(known.begin):
             return None

@@ -33,7 +33,7 @@ KEEPALIVE = {"TCP_KEEPIDLE": 20, "TCP_KEEPINTVL": 10, "TCP_KEEPCNT": 3}
 
 
 class Connection(asyncio.Protocol):
-    """A client, from its first byte to its last.
+    """The connection of one client.
 
     Attributes:
         server: whose client it is.
@@ -62,7 +62,7 @@ class Connection(asyncio.Protocol):
     # ---- called by asyncio ----
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begin to serve."""
+        """Begin serving the client."""
         self.transport = cast("asyncio.Transport", transport)
         self.transport.set_write_buffer_limits(high=MOST_WAITING)
         found = self._socket = transport.get_extra_info("socket")
@@ -74,7 +74,7 @@ class Connection(asyncio.Protocol):
         self.finished = asyncio.get_running_loop().create_task(self._serve(refused))
 
     def data_received(self, data: bytes) -> None:
-        """Take what arrives; where it is more than one request, let the rest wait in the network."""
+        """Receive bytes; after one whole request, further ones wait in the network."""
         if self._discard:
             return
         self._deframer.feed(data)
@@ -97,28 +97,28 @@ class Connection(asyncio.Protocol):
                 self._socket.setsockopt(socket.IPPROTO_TCP, QUICKACK, 1)
 
     def eof_received(self) -> bool:
-        """Let what was asked before be answered, but without long steps and pauses."""
+        """Answer pending requests, without long steps and pauses."""
         self.leaving.set()
         self._wake()
         return True
 
     def pause_writing(self) -> None:
-        """Wait with the next request."""
+        """Hold the next request."""
         self._can_write.clear()
 
     def resume_writing(self) -> None:
-        """Go on."""
+        """Continue with the next request."""
         self._can_write.set()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the client."""
+        """Drop the client."""
         self.leaving.set()
         self.gone.set()
         self._can_write.set()
         self._wake()
 
     def gone_soon(self) -> None:
-        """Let the request that is being answered be the last one."""
+        """Close after the present request."""
         self.leaving.set()
         self.gone.set()
         self._can_write.set()
@@ -135,22 +135,22 @@ class Connection(asyncio.Protocol):
         self.send_frame(frame(message.SerializeToString()))
 
     def send_frame(self, content: bytes) -> None:
-        """Send a message that has its length message already, in one write with those that are held back."""
+        """Send a framed message, in one write with the held ones."""
         self.hold_frame(content)
         self.send_held()
 
     def hold_frame(self, content: bytes) -> None:
-        """Send a message with the next one, or before this connection waits for anything."""
+        """Hold a framed message for the next write, or until this connection waits."""
         self._held.append(content)
 
     def send_held(self) -> None:
-        """Send what is held back."""
+        """Send the held messages."""
         if self._held and not (self.gone.is_set() or self.transport.is_closing()):
             self.transport.write(b"".join(self._held))
         self._held.clear()
 
     def acknowledge(self, error: str | None = None, note: str = "") -> None:
-        """Send an ACK, an error if there is one to tell."""
+        """Send an ACK, or an error if a text is given."""
         text = note if error is None else error
         if len(text) > LONGEST_TEXT:
             text = f"{text[:LONGEST_TEXT]} ..."
@@ -159,11 +159,11 @@ class Connection(asyncio.Protocol):
 
     @property
     def backlog(self) -> int:
-        """Bytes that wait to be sent."""
+        """Number of bytes waiting to be sent."""
         return self.transport.get_write_buffer_size()
 
     def any_session(self) -> Session | Playing:
-        """Return the session.
+        """Return the session, of either kind.
 
         Raises:
             UsageError: there is none.
@@ -173,7 +173,7 @@ class Connection(asyncio.Protocol):
         return self.session
 
     def required_session(self) -> Session:
-        """Return the session, of a simulation.
+        """Return the session of a simulation.
 
         Raises:
             UsageError: there is none, or it plays a task.
@@ -184,7 +184,7 @@ class Connection(asyncio.Protocol):
         return session
 
     def required_playing(self) -> Playing:
-        """Return the session, of a task.
+        """Return the session of a task's episodes.
 
         Raises:
             UsageError: there is none, or it plays no task.
@@ -196,12 +196,12 @@ class Connection(asyncio.Protocol):
         return self.session
 
     def idle_s(self) -> float:
-        """Return for how long the client has asked for nothing, or has not taken what it asked for [s]."""
+        """Return the time [s] since the client last sent a request or read a reply."""
         since = self._waits_since
         return 0.0 if since is None else asyncio.get_running_loop().time() - since
 
     async def pause(self, seconds: float) -> None:
-        """Wait, but not for a client that leaves."""
+        """Wait, but stop if the client leaves."""
         self.send_held()
         loop = asyncio.get_running_loop()
         end = loop.time() + seconds

@@ -1,4 +1,4 @@
-"""One client's episodes of a task; the methods are called one at a time, from whichever thread."""
+"""One client's episodes of a task; methods are called one at a time, from any thread."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ROUNDING = 1e-5
 
 
 class Playing:
-    """Episodes of a task. ``begin`` comes first, in the thread that may compile.
+    """Session of a task's episodes. Call ``begin`` first, in the compiling thread.
 
     Attributes:
         number: id of the session.
@@ -56,7 +56,7 @@ class Playing:
 
     @property
     def vehicle_names(self) -> tuple[str, ...]:
-        """Name of each vehicle of the world, also of those that nobody commands."""
+        """Name of each vehicle of the world, including those without a commander."""
         return tuple(name for fleet in self.play.world.fleets for name in fleet.vehicle_names)
 
     @property
@@ -71,7 +71,7 @@ class Playing:
 
     @property
     def answer_shape(self) -> tuple[int, ...]:
-        """Shape of what an agent hands in with its last action; () where it hands nothing in."""
+        """Shape of an agent's answer with its last action; () for a task without answers."""
         found: Any = getattr(self.play.task, "answer_shape", None)
         return () if found is None else tuple(found(self.play.world))
 
@@ -92,7 +92,7 @@ class Playing:
         self._start()
 
     def restart(self, seed: int | None) -> None:
-        """Start the first episode of another seed, or the next one of the same, unless every episode is the same.
+        """Start the first episode of a new seed, or the next one of the same series.
 
         Raises:
             RunError: a fleet found no place.
@@ -169,16 +169,16 @@ class Playing:
     # ---- what is told ----
 
     def observation(self) -> list[pb.Values]:
-        """Return what the agents see."""
+        """Return the observations of the agents."""
         return _values(self._seen if isinstance(self._seen, dict) else {"": self._seen})
 
     def info(self) -> list[pb.Values]:
-        """Return what is really the case."""
+        """Return the ground truth."""
         return _values(self._truth)
 
     @property
     def states(self) -> States:
-        """The STATE messages, for those who watch."""
+        """The STATE messages, for watchers."""
         self._states = self._states or States(self)
         return self._states
 
@@ -191,11 +191,11 @@ class Playing:
         return self._layout, self._layout.pack(state)
 
     def summary(self) -> str:
-        """Return what came of it, for the operator."""
+        """Return a summary for the operator."""
         return f"{self._step} steps of episode {self.episode} of seed {self.seed}"
 
     def end(self) -> None:
-        """End; nothing is to be called after it."""
+        """End the session; call nothing after it."""
         self.thread.shutdown(wait=False)
 
 

@@ -1,4 +1,4 @@
-"""From the state of a simulation to the STATE message, without a detour over trees or protobuf."""
+"""Writes STATE messages straight from a simulation's buffers, without trees or protobuf."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ BYTES_PER_VEHICLE = _X_STRIDE + _EX_STRIDE
 
 
 def varint(value: int) -> bytes:
-    """Return a non-negative integer as protobuf writes it."""
+    """Encode a non-negative integer as a protobuf varint."""
     found = bytearray()
     while value > 0x7F:
         found.append(value & 0x7F | 0x80)
@@ -43,7 +43,7 @@ def varint(value: int) -> bytes:
 
 
 def largest_fleet(limit: int) -> int:
-    """Return how many vehicles a STATE of at most ``limit`` bytes, its length message included, can hold."""
+    """Return the largest number of vehicles in a STATE of at most ``limit`` bytes, length message included."""
     count = limit // BYTES_PER_VEHICLE
     while state_size(count) > limit:
         count -= 1
@@ -51,13 +51,13 @@ def largest_fleet(limit: int) -> int:
 
 
 def state_size(vehicles: int) -> int:
-    """Return the bytes of a STATE with its length message."""
+    """Return the size [bytes] of a STATE with its length message."""
     body = len(_T_HEAD) + 8 + vehicles * BYTES_PER_VEHICLE
     return HEAD_SIZE + 3 + len(varint(body)) + body
 
 
 class Source(Protocol):
-    """What a STATE is read from: a simulation that has been reset, or an episode."""
+    """Source of a STATE: a simulation after its reset, or an episode."""
 
     @property
     def size(self) -> int:
@@ -126,7 +126,7 @@ class Readout:
         )
 
     def frame(self) -> bytes:
-        """Return the STATE of now with its length message."""
+        """Write the present STATE with its length message."""
         floats = np.asarray(self._simulation.packed[1][0])
         self._time[0] = self._simulation.time
         self._x[...] = floats.take(self._x_places)
@@ -148,7 +148,7 @@ class Readout:
         return frame(_STATE_HEAD + varint(len(body)) + body)
 
     def message(self) -> State:
-        """Return the message State of now."""
+        """Return the present message State."""
         return Message.FromString(self.frame()[HEAD_SIZE:]).state
 
     def all_valid(self) -> bool:
@@ -165,7 +165,7 @@ class States:
         self._explaining: Readout | None = None
 
     def frame(self, reasons: bool = False) -> bytes:
-        """Return the STATE of now with its length message."""
+        """Write the present STATE with its length message."""
         return (self._with_reasons() if reasons else self._plain).frame()
 
     def message(self) -> State:

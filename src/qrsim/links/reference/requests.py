@@ -1,4 +1,4 @@
-"""What each request does: one function for each type, which sends its one reply."""
+"""Handlers of requests: one function per type, which sends exactly one reply."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _info(session: Session) -> pb.TaskInfo:
 
 
 async def reset(connection: Connection, message: Message) -> bool:
-    """Start the task again, its next episode."""
+    """Start the next episode of the task."""
     session = connection.required_session()
     await connection.server.run(session, session.restart)
     _say_episode(connection, session)
@@ -74,7 +74,7 @@ def _say_episode(connection: Connection, session: Session) -> None:
 
 
 async def disconnect(connection: Connection, message: Message) -> bool:
-    """End the session, and the server where that is asked for and allowed."""
+    """End the session, and the server if requested and allowed."""
     await connection.server.close_session(connection)
     if not message.disconnect.quit:
         connection.acknowledge()
@@ -87,7 +87,7 @@ async def disconnect(connection: Connection, message: Message) -> bool:
 
 
 async def set_state(connection: Connection, message: Message) -> bool:
-    """Put the vehicles somewhere."""
+    """Set the vehicles' states."""
     session = connection.required_session()
     await connection.server.run(session, lambda: session.set_state(message.setsState.X))
     connection.acknowledge()
@@ -96,13 +96,13 @@ async def set_state(connection: Connection, message: Message) -> bool:
 
 
 def known_step(connection: Connection, payload: bytes) -> tuple[Any, int] | None:
-    """Return the command and the ticks of a STEP; None where the request is to be parsed."""
+    """Return the command and the ticks of a STEP of a learnt layout, else None."""
     session = connection.session
     return session.commands.known(payload) if isinstance(session, Session) else None
 
 
 def parsed_step(connection: Connection, message: Message, payload: bytes) -> tuple[Any, int]:
-    """Return the command and the ticks of a STEP.
+    """Parse the command and the ticks of a STEP.
 
     Raises:
         UsageError: the request is wrong, or there is nothing to advance.
@@ -116,7 +116,7 @@ def parsed_step(connection: Connection, message: Message, payload: bytes) -> tup
 
 
 async def step(connection: Connection, command: Any, ticks: int) -> None:
-    """Advance, in real time not before the wall clock has.
+    """Advance the session; in real time, reply no earlier than the wall clock.
 
     Raises:
         UsageError: the command cannot be flown, and nothing has changed; or its client leaves meanwhile.
@@ -141,7 +141,7 @@ async def step(connection: Connection, command: Any, ticks: int) -> None:
 
 
 async def hello(connection: Connection, message: Message) -> bool:
-    """Say what the server is."""
+    """Report the server's version, capabilities, tasks and sessions."""
     server = connection.server
     connection.reasons = message.hello.reasons
     found = pb.Server(
@@ -156,7 +156,7 @@ async def hello(connection: Connection, message: Message) -> bool:
 
 
 async def open_session(connection: Connection, message: Message) -> bool:
-    """Start a session with a seed, a pace or a scenario of the client's own."""
+    """Start a session with the client's seed, pace or scenario."""
     server, request = connection.server, message.open
     factor = checked_factor(request.realtime if request.HasField("realtime") else server.options.realtime or 0.0)
     chosen = _chosen(connection, request)
@@ -188,7 +188,7 @@ def _seed(request: pb.Open | pb.Play | pb.Restart) -> int | None:
 
 
 async def restart(connection: Connection, message: Message) -> bool:
-    """Start the task again, its next episode or that of a seed."""
+    """Start the next episode of the task, or the first one of a seed."""
     session, seed = connection.required_session(), _seed(message.restart)
     await connection.server.run(session, lambda: session.restart(seed))
     _say_episode(connection, session)
@@ -211,7 +211,7 @@ def _send_session(connection: Connection, session: Session) -> None:
 
 
 async def get_readings(connection: Connection, message: Message) -> bool:
-    """Say what every sensor says, and why it does not."""
+    """Send every sensor's reading, or the reason it is missing."""
     session = connection.required_session()
     told = session.sensors.frame()
     if told is not None:
@@ -223,7 +223,7 @@ async def get_readings(connection: Connection, message: Message) -> bool:
 
 
 async def watch(connection: Connection, message: Message) -> bool:
-    """Send the states of a session from now on."""
+    """Begin sending the states of a session."""
     request = message.watch
     if connection.session is not None:
         raise UsageError("WATCH: this connection has a session of its own; watch from another connection")
@@ -237,14 +237,14 @@ async def watch(connection: Connection, message: Message) -> bool:
 
 
 async def get_events(connection: Connection, message: Message) -> bool:
-    """Say what has happened since the last time."""
+    """Send the events since the last request."""
     found = connection.required_session().events()
     connection.send(Message(type=Message.EVENTS, events=found))
     return True
 
 
 async def pace(connection: Connection, message: Message) -> bool:
-    """Say how it went, and change the pace if asked to."""
+    """Send the pace statistics, and change the pace if requested."""
     session = connection.any_session()
     report = session.pacer.report()
     if message.pace.HasField("factor"):
@@ -254,7 +254,7 @@ async def pace(connection: Connection, message: Message) -> bool:
 
 
 async def play(connection: Connection, message: Message) -> bool:
-    """Start an episode: of a task, or the next one."""
+    """Start an episode of a task, or the next one."""
     server, request = connection.server, message.play
     if request.HasField("task") or request.HasField("scenario") or not isinstance(connection.session, Playing):
         chosen = _chosen(connection, request)

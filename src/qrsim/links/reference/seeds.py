@@ -1,4 +1,4 @@
-"""Which episode comes next."""
+"""Seeds of successive episodes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ EPISODES = ("new", "same")
 
 
 class Seeds:
-    """The seeds of one episode after the other: a first one and those that follow it, or always the same.
+    """Seeds of successive episodes: consecutive from a first one, or constant.
 
     Args:
         first: 0 <= first < 2**63.
@@ -26,5 +26,5 @@ class Seeds:
         return found
 
     def begin(self, first: int) -> Seeds:
-        """Return the seeds of a client that asked for a first one."""
+        """Return the same kind of seeds, from another first one."""
         return Seeds(first, self.episodes)

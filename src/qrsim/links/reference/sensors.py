@@ -1,4 +1,4 @@
-"""What every sensor says, as the READINGS message: quickly where all of them speak, by protobuf where one does not."""
+"""The READINGS message of all sensors: written in place if all have readings, else by protobuf."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _FIELD, _SENSOR_REASON, _VALUES = b"\x12", b"\x1a", b"\x12"
 
 
 def sensor_readings(simulation: Simulation) -> pb.Readings:
-    """Return what every sensor says, and why it does not."""
+    """Return every sensor's reading, or the reason it is missing."""
     reading, found = simulation.reading, pb.Readings(t=simulation.time)
     for name, valid, reason in zip(simulation.vehicle_names, simulation.valid, simulation.reasons, strict=True):
         found.vehicle.add(name=name, valid=bool(valid), reason=reason)
@@ -70,7 +70,7 @@ class _Sensor:
 
 
 class SensorReadout:
-    """Writes READINGS of one simulation in place, as long as every vehicle flies and every sensor has a reading.
+    """Writes READINGS of one simulation in place, while every vehicle flies and every sensor has a reading.
 
     To find out why one has none takes many times as long as to say what it says.
     """
@@ -90,7 +90,7 @@ class SensorReadout:
             self._lay_out(fleets)
 
     def frame(self) -> bytes | None:
-        """Return the READINGS of now with its length message; None where protobuf has to write it."""
+        """Write the present READINGS with its length message; None if protobuf has to write it."""
         floats, integers = self._simulation.packed[1]
         if not self._writable or np.count_nonzero(np.asarray(integers).take(self._codes)):
             return None

@@ -1,4 +1,4 @@
-"""The server: who is connected, which sessions run, who watches them."""
+"""The server: connections, sessions and watchers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MOST_BETWEEN_LOOKS_S = 5.0
 
 @dataclass(frozen=True)
 class Options:
-    """What the operator has chosen; see ``qrsim serve``."""
+    """The operator's options; see ``qrsim serve``."""
 
     host: str = "127.0.0.1"
     port: int = 10000
@@ -55,7 +55,7 @@ class Options:
 
 @dataclass
 class Watching:
-    """What a connection watches.
+    """The session that a connection watches.
 
     Attributes:
         session: id; None: whichever runs.
@@ -152,7 +152,7 @@ class Server:
         self._others.shutdown(wait=False)
 
     def admit(self, connection: Connection) -> str | None:
-        """Note a new connection; return why it is refused, None where it is welcome."""
+        """Register a new connection; return the reason for refusing it, or None."""
         refused = None
         if len(self._connections) >= self.options.max_clients:
             refused = f"the server has {self.options.max_clients} clients, which is all that its operator allows"
@@ -160,13 +160,13 @@ class Server:
         return refused
 
     async def forget(self, connection: Connection) -> None:
-        """End what a connection has; it is about to be closed."""
+        """End the session and the watching of a connection that is closing."""
         await self.close_session(connection)
         self._watching.pop(connection, None)
         self._connections.discard(connection)
 
     def report_bug(self, error: Exception) -> None:
-        """Print an error that nobody expected."""
+        """Print an unexpected error."""
         print("".join(traceback.format_exception(error)), file=sys.stderr, flush=True)
 
     # ---- requests ----
@@ -268,11 +268,11 @@ class Server:
         self.say(f"session {session.number} ended{why}: {session.summary()}")
 
     async def run_in_thread(self, work: Callable[[], T]) -> T:
-        """Do something slow that belongs to no session."""
+        """Run slow work that belongs to no session in a thread."""
         return await asyncio.get_running_loop().run_in_executor(self._others, work)
 
     async def run(self, session: Session | Playing, work: Callable[[], T]) -> T:
-        """Do something with a session that may take long."""
+        """Run slow work on a session in a thread."""
         return await asyncio.get_running_loop().run_in_executor(session.thread, work)
 
     async def advance(self, connection: Connection, session: Session, command: Any, ticks: int) -> None:
@@ -294,7 +294,7 @@ class Server:
     # ---- watching ----
 
     def watch(self, connection: Connection, session: int | None, period: float, stop: bool) -> None:
-        """Begin or stop to send states to a connection.
+        """Start or stop sending states to a connection.
 
         Raises:
             UsageError: there is no such session, or it is not said which.
@@ -312,11 +312,11 @@ class Server:
         self._watching[connection] = Watching(session, period)
 
     def watched(self, session: Session | Playing) -> bool:
-        """Return whether somebody watches a session."""
+        """Return whether a session has watchers."""
         return any(watching.session in (None, session.number) for watching in self._watching.values())
 
     def broadcast(self, session: Session | Playing, states: dict[bool, bytes] | None = None) -> None:
-        """Send the state of a session to those who watch it; whoever is too slow misses it.
+        """Send the state of a session to its watchers; slow ones miss it.
 
         Args:
             session: whose state.

@@ -1,4 +1,4 @@
-"""One client's simulation; its methods are called one at a time, from whichever thread."""
+"""One client's simulation; its methods are called one at a time, from any thread."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ MOST_EVENTS = 10_000
 
 @dataclass(frozen=True)
 class Wishes:
-    """What a session is asked to be.
+    """Options of a session.
 
     Attributes:
         scenario: what to fly, offboard.
@@ -60,7 +60,7 @@ class Wishes:
 
 
 class Session:
-    """A simulation with what a client sees of it. ``begin`` comes first, in the thread that may compile.
+    """A simulation as one client sees it. Call ``begin`` first, in the compiling thread.
 
     Attributes:
         number: its id.
@@ -114,7 +114,7 @@ class Session:
         return self.simulation.world.time_step
 
     def begin(self) -> None:
-        """Build the world and start; in real time, compile all that it will need.
+        """Build the world and start; in real time, compile everything in advance.
 
         Raises:
             RunError: the recording cannot be written.
@@ -148,7 +148,7 @@ class Session:
         self.simulation.reset()
 
     def restart(self, seed: int | None = None) -> None:
-        """Start the next episode; where a seed is given, that of it, and those that follow it from then on.
+        """Start the next episode, or with a seed the first one of that seed's series.
 
         Raises:
             UsageError: it is no seed.
@@ -196,7 +196,7 @@ class Session:
     # ---- steps ----
 
     def ticks(self, dt: float) -> int:
-        """Return a simulated time as a number of time steps.
+        """Convert a simulated time to a number of time steps.
 
         Raises:
             UsageError: it is not a positive multiple.
@@ -211,19 +211,19 @@ class Session:
         return round(count)
 
     def expected_s(self, command: Any, ticks: int) -> float:
-        """Return how long so many ticks should take [s]; infinite for a kind of command that was not seen yet."""
+        """Return the expected wall time of some ticks [s]; infinite for a kind of command not seen yet."""
         seconds, measured = self._seconds.get(type(command), (math.inf, 1))
         return seconds * max(1.0, ticks / measured)
 
     def piece(self, command: Any, ticks: int) -> int:
-        """Return how many of the ticks to do in one piece."""
+        """Return how many of the ticks to advance at once."""
         if type(command) not in self._seconds:
             return min(ticks, PIECE_TICKS)
         seconds, measured = self._seconds[type(command)]
         return min(ticks, max(PIECE_TICKS, int(PIECE_S * measured / seconds)))
 
     def advance(self, command: Any, ticks: int) -> None:
-        """Advance.
+        """Advance by some ticks.
 
         Raises:
             UsageError: the command cannot be flown; nothing has changed.
@@ -245,7 +245,7 @@ class Session:
             self.simulation.advance(command, ticks)
 
     def set_state(self, given: Sequence[Arrayd]) -> None:
-        """Put the vehicles into given states.
+        """Set the vehicles' states.
 
         Raises:
             UsageError: wrong numbers, or a state beyond area and limits or in collision.
@@ -315,13 +315,13 @@ class Session:
         self._writer = None
 
     def summary(self) -> str:
-        """Return what came of it, for the operator."""
+        """Return a summary for the operator."""
         report = self.pacer.report()
         late = f", {report.overruns} late, at worst by {1e3 * report.worst_delay:.1f} ms" if report.factor else ""
         episodes = f" in {self.episode} episodes" if self.episode > 1 else ""
         return f"{report.steps} steps, {report.simulated:g} s{episodes}{late}"
 
     def end(self) -> None:
-        """End the recording; nothing is to be called after it."""
+        """End the recording; call nothing after it."""
         self.close_recording()
         self.thread.shutdown(wait=False)

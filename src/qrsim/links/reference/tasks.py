@@ -1,4 +1,4 @@
-"""What a client can ask for by name, and the scenarios it can send."""
+"""Tasks that clients open by name, and scenarios that they upload."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _GAINS = [field.name for field in dataclasses.fields(OffboardController)]
 
 
 def offboard(scenario: Scenario) -> Scenario:
-    """Return a scenario whose fleets take every kind of set-point, their controllers' gains kept by name."""
+    """Return a scenario whose fleets accept every kind of set-point; gains are kept by name."""
     content = scenario.spec.model_dump(mode="json")
     for fleet in content["fleets"].values():
         gains = {name: value for name, value in fleet["controller"].items() if name in _GAINS}
@@ -71,12 +71,12 @@ class Tasks:
 
     @property
     def names(self) -> list[str]:
-        """What a client may ask for."""
+        """Names of the available tasks."""
         own = [self.own.name] if self.own else []
         return [*own, *(name for name in built_in_names() if name not in own), *REFERENCE_TASKS]
 
     def offboard(self, name: str) -> Scenario:
-        """Return the scenario of a task, ready for commands of every kind.
+        """Return the scenario of a task, accepting commands of every kind.
 
         Raises:
             UsageError: no task is called so.
@@ -87,7 +87,7 @@ class Tasks:
         return self._loaded[known]
 
     def scenario(self, name: str) -> Scenario:
-        """Return the scenario of a task as it is written.
+        """Return the scenario of a task as written.
 
         Raises:
             UsageError: no task is called so.
@@ -105,12 +105,12 @@ class Tasks:
 
 
 def ours(name: str) -> str:
-    """Return our name of a task of the reference implementation, any other name as it is."""
+    """Translate a task name of the reference implementation to ours; other names stay the same."""
     return REFERENCE_TASKS.get(name, name)
 
 
 def uploaded(text: str) -> Scenario:
-    """Return the scenario that a client sent.
+    """Parse a scenario uploaded by a client.
 
     Raises:
         UsageError: it is too large, names files, or is wrong.
