@@ -18,7 +18,7 @@ from scipy import stats
 
 import qrsim
 from qrsim.core.vectors import rotation
-from qrsim.world.tick import State
+from qrsim.world.state import State
 
 DOC = "step responses of every controller; hold and tracking error in wind with noisy sensors"
 SEED = 20140915

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from qrsim.scenarios.scenario import Scenario, load_scenario
     from qrsim.simulation.rollout import Rollout
     from qrsim.simulation.simulation import Simulation
-    from qrsim.world.tick import State, World
+    from qrsim.world.state import State, World
 
 __version__ = metadata.version("qrsim")
 

@@ -18,7 +18,7 @@ from qrsim.runs import open_run
 from qrsim.runs.summary import summarise, tracking_error
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.rollout import Rollout, rollout
-from qrsim.world.tick import State
+from qrsim.world.state import State
 
 SEEDS, DURATION, TICKS, DT = [3, 4, 8], 6.0, 300, 0.02
 FIX_TICKS = 10  # the receiver's 0.2 s, which is also its delay: the second fix is the first again

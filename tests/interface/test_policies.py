@@ -19,7 +19,7 @@ from qrsim.errors import RunError, UsageError
 from qrsim.interface.policies import load_function, user_function
 from qrsim.simulation.rollout import Rollout, rollout
 from qrsim.simulation.simulation import Simulation
-from qrsim.world.tick import World
+from qrsim.world.state import World
 
 SEED = 5
 SAME = {"rtol": 2e-5, "atol": 2e-5}

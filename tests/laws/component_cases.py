@@ -37,10 +37,11 @@ from qrsim.models.scene.contents import Contents, ContentsState, Surroundings
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.plume import GaussianPlume, GaussianState, Sources
 from qrsim.models.site import Site, gps_seconds_from_utc
-from qrsim.models.vehicles.quadrotor import Command
+from qrsim.models.vehicles.contracts import Load
+from qrsim.models.vehicles.quadrotor import Command, Quadrotor
 from qrsim.scenarios import catalogue
 from qrsim.world.sensing import scene_of
-from qrsim.world.tick import Start
+from qrsim.world.state import Start
 
 DT = 0.02
 # Spread and middle of waypoints along north, east and down [m].
@@ -178,7 +179,7 @@ def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> 
     component = GROUPS[group][name](**given, **settings)
     if group == "ORBITS":
         return jax.tree.map(jnp.asarray, component.at(Site(), gps_seconds_from_utc(START), dtype))
-    return jax.tree.map(jnp.asarray, cast(component.at(30.0) if hasattr(component, "at") else component, dtype))
+    return jax.tree.map(jnp.asarray, cast(component.at(30.0) if group == "WINDS" else component, dtype))
 
 
 def options(group: str, name: str) -> list[dict[str, Any]]:
@@ -306,7 +307,7 @@ def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
     )
     command = Command(axis(0.3), axis(0.3), axis(0.1, offset=0.6, first=0.59), axis(0.5), axis(0.5, 11.0, 11.0))
     view = surroundings(world, dtype)
-    scene = jax.tree.map(np.asarray, scene_of(state, sky, view))  # type: ignore[arg-type]
+    scene = jax.tree.map(np.asarray, scene_of(SimpleNamespace(vehicle=Quadrotor()), state, sky, view))  # type: ignore[arg-type]
     moved = jax.tree.map(lambda leaf: leaf + dtype(3.0), scene["position_ned"])
     return {
         "scene": scene,
@@ -333,7 +334,7 @@ def _turbulence(turbulence: Any, given: Any, draws: Draws) -> Any:
     start = turbulence.init(draws("init"))
     velocity = given["scene"]["velocity_ned"]
     after = turbulence.step(start, draws("step"), height, velocity, given["mean_wind_ned"], DT)
-    rates = turbulence.gust_rates_ned(after, height) if hasattr(turbulence, "gust_rates_ned") else None
+    rates = turbulence.gust_rates_ned(after, height)
     return {"start": start, "after": after, "gust": turbulence.gust_ned(after, height), "rates": rates}
 
 
@@ -367,10 +368,10 @@ def _vehicle(vehicle: Any, given: Any, draws: Draws) -> Any:
 
 
 def _battery(battery: Any, given: Any, draws: Draws) -> Any:
-    thrust, voltage = given["thrust"], given["command"].battery
-    weight = jnp.full_like(thrust, 16.4808)
-    after = battery.step(battery.init(thrust), thrust, weight, DT)
-    return {"after": after, "voltage": battery.voltage(after, thrust, weight, voltage)}
+    load = Load(given["thrust"], jnp.full_like(given["thrust"], 16.4808))
+    after = battery.step(battery.init(load.thrust), load, DT)
+    flown = Quadrotor().powered(given["command"], battery.voltage(after, load))
+    return {"after": after, "voltage": flown.battery}
 
 
 def _setpoints(scene: Any, waypoint: Vec3) -> dict[type, Any]:
@@ -415,23 +416,23 @@ def _plume(plume: Any, given: Any, draws: Draws) -> Any:
     around: Surroundings = given["scene"]["surroundings"]
     position, wind = given["scene"]["position_ned"], around.carrying_wind(given["thrust"].dtype)
     since = jnp.zeros((), given["thrust"].dtype)
-    if not hasattr(plume, "init"):
+    if not plume.random:
         return {"field": plume.concentration(None, position, wind, around.area, since)}
     start = plume.init(draws("init", plume.ids).draw, around.area)
-    after = plume.step(start, draws("step", plume.ids).draw) if hasattr(plume, "step") else start
+    after = plume.step(start, draws("step", plume.ids).draw) if plume.changes else start
     field = plume.concentration(after, position, wind, around.area, since)
     return {"start": start, "after": after, "field": field, "mean": plume.mean(after, position, wind)}
 
 
 def _terrain(terrain: Any, given: Any, draws: Draws) -> Any:
     around: Surroundings = given["scene"]["surroundings"]
-    state = terrain.init(draws("init", 1).draw) if hasattr(terrain, "init") else None
+    state = terrain.init(draws("init", 1).draw) if terrain.random else None
     found = terrain.class_at(state, given["scene"]["position_ned"], around.area)
     return {"cells": terrain.cells(state), "class": found, "zero": jnp.zeros_like(given["thrust"])}
 
 
 def _persons(persons: Any, given: Any, draws: Draws) -> Any:
-    if not hasattr(persons, "init"):
+    if not persons.random:
         return {"zero": jnp.zeros_like(given["thrust"])}
     area, scene = given["scene"]["surroundings"].area, given["scene"]
     start = persons.init(draws("init", persons.most).draw, jnp.zeros((5, 5), jnp.int32), area)

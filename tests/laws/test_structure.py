@@ -18,7 +18,8 @@ import qrsim
 from qrsim.core.noise import Draw, Drawn, Key
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
-from qrsim.world.tick import World, _draw_fleet, _stream_keys
+from qrsim.world.state import World
+from qrsim.world.tick import _draw_fleet, _stream_keys
 from small_worlds import noisy, simulate
 
 SEED, TICKS, OBSERVED = 3, 25, 5

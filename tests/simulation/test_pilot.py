@@ -14,7 +14,7 @@ from qrsim import Estimate, WaypointSetpoint
 from qrsim.errors import RunError, UsageError
 from qrsim.simulation.pilot import Pilot
 from qrsim.simulation.simulation import Simulation
-from qrsim.world.tick import World
+from qrsim.world.state import World
 
 SEED, TICKS = 5, 60
 SAME = {"rtol": 2e-5, "atol": 2e-5}

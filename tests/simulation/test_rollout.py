@@ -26,7 +26,7 @@ from qrsim.errors import UsageError
 from qrsim.simulation import rollout as rollouts
 from qrsim.simulation.rollout import Rollout, rollout
 from qrsim.simulation.simulation import Simulation
-from qrsim.world.tick import State, World
+from qrsim.world.state import State, World
 
 SEED, TICKS, EVERY = 5, 200, 50
 # Metres and radians: what single precision makes of the same noise in programs compiled differently.

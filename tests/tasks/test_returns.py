@@ -20,6 +20,7 @@ from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3
 from qrsim.envs.batch import Batch
 from qrsim.errors import ScenarioError, UsageError
+from qrsim.models.scene.contracts import Area
 from qrsim.models.vehicles.quadrotor import Command
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.tasks import KeepSpot
@@ -203,12 +204,20 @@ def test_a_goal_on_a_limit_has_its_stake_within_a_metre() -> None:
 
 
 def test_an_area_that_knows_no_farthest_corner_is_refused() -> None:
-    class Anywhere:
+    class Anywhere(Area):
         """An area of a user's own."""
+
+        def check(self, position_ned: Vec3) -> list[tuple[int, Any, Any]]:
+            return []
+
+        def margin(self, position_ned: Vec3) -> Any:
+            return position_ned.x
 
     scenario = load_scenario("keep_spot")
     world = replace(scenario.world(), area=Anywhere())
-    memory: Any = type("Memory", (), {"owed": jnp.zeros(1), "start_ned": None, "total": jnp.zeros(())})
+    memory: Any = type(
+        "Memory", (), {"owed": jnp.zeros(1), "start_ned": Vec3(*jnp.zeros((3, 1))), "total": jnp.zeros(())}
+    )
     with pytest.raises(UsageError, match=r"area: Anywhere has no farthest_squared.*or say crash: published"):
         KeepSpot.highest_cost(scenario.task(), memory, world, 60.0)
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.control.contracts import Controller
 from qrsim.control.loops import ClimbLoop, HeightLoop, HeightState, VelocityLoop, VelocityState, yaw_rate
 from qrsim.control.setpoints import (
     AttitudeHeightSetpoint,
@@ -19,7 +21,7 @@ from qrsim.control.setpoints import (
     WaypointSetpoint,
 )
 from qrsim.core.fastmath import sincos
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3, rotation
 from qrsim.models.vehicles.quadrotor import COMMAND_LIMITS, Command
 
@@ -54,8 +56,26 @@ def _hold(
     return loop.step(state, estimate.position_ned.z, z_wanted, dt, None if low is None else low.z)
 
 
+class QuadrotorController(Controller):
+    """What all controllers of the identified quadrotor share: hover at first, at their own throttle and voltage."""
+
+    gives: ClassVar[type[Any]] = Command
+    battery: Array
+
+    @property
+    @abstractmethod
+    def hover_throttle(self) -> Array:
+        """Throttle that carries the weight."""
+
+    def idle_command(self, command: Command) -> Command:
+        """Return the vehicle's own, at this controller's throttle and voltage."""
+        own = (self.hover_throttle, self.battery)
+        throttle, battery = (jnp.broadcast_to(jnp.asarray(value), command.throttle.shape) for value in own)
+        return replace(command, throttle=throttle, battery=battery)
+
+
 @record
-class WaypointController:
+class WaypointController(QuadrotorController):
     """Flies to a waypoint at a limited speed, holding height and heading."""
 
     position_gain: Array = parameter(default=0.9, unit="1/s", doc="wanted speed per metre of error")
@@ -111,7 +131,7 @@ class VelocityControllerState:
 
 
 @record
-class VelocityController:
+class VelocityController(QuadrotorController):
     """Flies at a velocity over ground, holding the heading."""
 
     velocity: VelocityLoop = quantity(default=VelocityLoop(), doc="horizontal loop")
@@ -164,7 +184,7 @@ class VelocityHeightState:
 
 
 @record
-class VelocityHeightController:
+class VelocityHeightController(QuadrotorController):
     """Flies at a horizontal velocity over ground, holding height and heading."""
 
     velocity: VelocityLoop = quantity(default=VelocityLoop(), doc="horizontal loop")
@@ -206,7 +226,7 @@ class VelocityHeightController:
 
 
 @record
-class AttitudeHeightController:
+class AttitudeHeightController(QuadrotorController):
     """Hands tilt to the platform's own stabilisation, holding height and heading."""
 
     height: HeightLoop = quantity(default=HeightLoop(), doc="height loop")
@@ -239,7 +259,7 @@ class AttitudeHeightController:
 
 
 @record
-class AttitudeController:
+class AttitudeController(QuadrotorController):
     """Hands tilt and normalised thrust to the platform, holding the heading."""
 
     hover_throttle: Array = parameter(
@@ -276,7 +296,7 @@ class OffboardState:
 
 
 @record
-class OffboardController:
+class OffboardController(QuadrotorController):
     """Takes every kind of set-point, as an autopilot in offboard mode does: the gains of all the controllers."""
 
     position_gain: Array = parameter(default=0.9, unit="1/s", doc="wanted speed per metre of error, for waypoints")
@@ -311,8 +331,7 @@ class OffboardController:
         z = estimate.position_ned.z
         return OffboardState(self.height.init(z), self.velocity.init(z), jnp.zeros_like(z))
 
-    @staticmethod
-    def shown(setpoint: Setpoint) -> OffboardSetpoint:
+    def shown(self, setpoint: Setpoint) -> OffboardSetpoint:
         """Return a set-point as the state of a world keeps it: of the same fields whatever its kind."""
         return OffboardSetpoint.of(setpoint)
 

@@ -7,6 +7,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.control.contracts import Guidance
 from qrsim.control.guidance import Route, RouteState
 from qrsim.control.setpoints import VelocityHeightSetpoint
 from qrsim.core.tree import parameter, record
@@ -14,7 +15,7 @@ from qrsim.core.vectors import Vec3
 
 
 @record
-class FleeGuidance:
+class FleeGuidance(Guidance):
     """Flees from the vehicles of all other fleets at the height of the first waypoint (of the start without one).
 
     The direction is the sum over those who fly of d/|d|^2, d the horizontal offset from a pursuer to the one who

@@ -7,6 +7,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.control.contracts import Guidance
 from qrsim.control.setpoints import (
     AttitudeHeightSetpoint,
     AttitudeSetpoint,
@@ -42,7 +43,7 @@ class RouteState:
 
 
 @record
-class RouteFollower:
+class RouteFollower(Guidance):
     """Hands out the next waypoint when the current one is near."""
 
     acceptance_radius: Array = parameter(
@@ -56,7 +57,9 @@ class RouteFollower:
         """Return the start of each route."""
         return RouteState.start(route)
 
-    def step(self, state: RouteState, route: Route, position_ned: Vec3) -> tuple[RouteState, WaypointSetpoint]:
+    def step(
+        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
+    ) -> tuple[RouteState, WaypointSetpoint]:
         """Return the new state and the set-point for vehicles that believe to be at position_ned (n,)."""
         arrived = (self.setpoint(state, route).position_ned - position_ned).norm() < self.acceptance_radius
         following = state.index + 1
@@ -67,8 +70,7 @@ class RouteFollower:
         moved = RouteState(jnp.where(arrived, following, state.index), state.reached + counts.astype(jnp.int32))
         return moved, self.setpoint(moved, route)
 
-    @staticmethod
-    def setpoint(state: RouteState, route: Route) -> WaypointSetpoint:
+    def setpoint(self, state: RouteState, route: Route) -> WaypointSetpoint:
         """Return the current waypoint of each vehicle (n,)."""
         # A sum over a one-hot mask, because gathers are slow on a CPU and routes are short.
         rows = jnp.arange(route.yaw.shape[0], dtype=jnp.int32)[:, None]
@@ -86,7 +88,7 @@ def _each(value: Array, route: Route) -> Array:
 
 
 @record
-class VelocityGuidance:
+class VelocityGuidance(Guidance):
     """Asks for one velocity, at the vehicle's own heading."""
 
     velocity_north: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, north")
@@ -99,7 +101,9 @@ class VelocityGuidance:
         """Return the start of each route, where it stays."""
         return RouteState.start(route)
 
-    def step(self, state: RouteState, route: Route, position_ned: Vec3) -> tuple[RouteState, VelocitySetpoint]:
+    def step(
+        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
+    ) -> tuple[RouteState, VelocitySetpoint]:
         """Return the same state and set-point."""
         return state, self.setpoint(state, route)
 
@@ -110,7 +114,7 @@ class VelocityGuidance:
 
 
 @record
-class VelocityHeightGuidance:
+class VelocityHeightGuidance(Guidance):
     """Asks for one horizontal velocity at the height of the first waypoint (of the start without one)."""
 
     velocity_north: Array = parameter(default=0.0, unit="m/s", doc="velocity over ground, north")
@@ -122,7 +126,9 @@ class VelocityHeightGuidance:
         """Return the start of each route, where it stays."""
         return RouteState.start(route)
 
-    def step(self, state: RouteState, route: Route, position_ned: Vec3) -> tuple[RouteState, VelocityHeightSetpoint]:
+    def step(
+        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
+    ) -> tuple[RouteState, VelocityHeightSetpoint]:
         """Return the same state and set-point."""
         return state, self.setpoint(state, route)
 
@@ -133,7 +139,7 @@ class VelocityHeightGuidance:
 
 
 @record
-class AttitudeHeightGuidance:
+class AttitudeHeightGuidance(Guidance):
     """Asks for one tilt at the height of the first waypoint (of the start without one)."""
 
     roll_rad: Array = parameter(default=0.0, unit="rad", doc="commanded roll", minimum=-0.9, maximum=0.9)
@@ -145,7 +151,9 @@ class AttitudeHeightGuidance:
         """Return the start of each route, where it stays."""
         return RouteState.start(route)
 
-    def step(self, state: RouteState, route: Route, position_ned: Vec3) -> tuple[RouteState, AttitudeHeightSetpoint]:
+    def step(
+        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
+    ) -> tuple[RouteState, AttitudeHeightSetpoint]:
         """Return the same state and set-point."""
         return state, self.setpoint(state, route)
 
@@ -156,7 +164,7 @@ class AttitudeHeightGuidance:
 
 
 @record
-class AttitudeGuidance:
+class AttitudeGuidance(Guidance):
     """Asks for one tilt and one thrust."""
 
     roll_rad: Array = parameter(default=0.0, unit="rad", doc="commanded roll", minimum=-0.9, maximum=0.9)
@@ -169,7 +177,9 @@ class AttitudeGuidance:
         """Return the start of each route, where it stays."""
         return RouteState.start(route)
 
-    def step(self, state: RouteState, route: Route, position_ned: Vec3) -> tuple[RouteState, AttitudeSetpoint]:
+    def step(
+        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
+    ) -> tuple[RouteState, AttitudeSetpoint]:
         """Return the same state and set-point."""
         return state, self.setpoint(state, route)
 

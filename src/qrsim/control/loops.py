@@ -10,7 +10,8 @@ from jax import Array
 from qrsim.core.fastmath import wrap_angle
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.models.vehicles.quadrotor import COMMAND_LIMITS
+from qrsim.models.vehicles.commands import limits_of
+from qrsim.models.vehicles.quadrotor import Command
 
 # The set-point of a loop that has not seen one: no height or velocity that is ever asked for.
 NEVER = 1e9
@@ -58,7 +59,7 @@ class HeightLoop:
         rate = jnp.where(z_wanted == state.z_wanted, (error - state.error) * (1.0 / dt), 0.0)
         integral = state.integral + error * dt
         unclipped = self.hover_throttle + self.kp * error + self.ki * integral + self.kd * rate
-        throttle = jnp.clip(unclipped, *COMMAND_LIMITS["throttle"])
+        throttle = jnp.clip(unclipped, *limits_of(Command)["throttle"])
         return HeightState(integral - self.anti_windup * (unclipped - throttle), error, z_wanted), throttle
 
 
@@ -76,7 +77,7 @@ class ClimbLoop:
     def step(self, integral: Array, error: Array, dt: float) -> tuple[Array, Array]:
         """Return the new integral [m] and the throttle [0, 1] for an error (n,) [m/s], wanted minus actual, down."""
         unclipped = self.hover_throttle - self.kp * error - self.ki * integral
-        throttle = jnp.clip(unclipped, *COMMAND_LIMITS["throttle"])
+        throttle = jnp.clip(unclipped, *limits_of(Command)["throttle"])
         return _integrate(self.windup, integral, error * dt, (unclipped - throttle) * -error), throttle
 
 

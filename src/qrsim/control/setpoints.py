@@ -159,11 +159,12 @@ class OffboardSetpoint:
         """Return a set-point with the fields of every kind."""
         none = jnp.full_like(setpoint.yaw, math.nan)
         nowhere = Vec3(none, none, none)
-        velocity = getattr(setpoint, "velocity_ned", nowhere)
+        given = vars(setpoint)
+        velocity = given.get("velocity_ned", nowhere)
         if isinstance(setpoint, VelocityHeightSetpoint):
             velocity = Vec3(setpoint.velocity_north, setpoint.velocity_east, none)
-        others = [getattr(setpoint, name, none) for name in ("z", "roll", "pitch", "yaw", "throttle")]
-        return OffboardSetpoint(getattr(setpoint, "position_ned", nowhere), velocity, *others)
+        others = [given.get(name, none) for name in ("z", "roll", "pitch", "yaw", "throttle")]
+        return OffboardSetpoint(given.get("position_ned", nowhere), velocity, *others)
 
 
 Setpoint = WaypointSetpoint | VelocitySetpoint | VelocityHeightSetpoint | AttitudeHeightSetpoint | AttitudeSetpoint

@@ -70,9 +70,11 @@ def setting(
     return dataclasses.field(default=default, metadata={INFO: info})
 
 
-def quantity(default: Any = MISSING, *, unit: str = "", doc: str = "") -> Any:
-    """Declare an array, or a record of arrays, of a state or a reading."""
-    return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc)})
+def quantity(
+    default: Any = MISSING, *, unit: str = "", doc: str = "", minimum: float | None = None, maximum: float | None = None
+) -> Any:
+    """Declare an array, or a record of arrays, of a state, a reading or a command."""
+    return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc, minimum, maximum)})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter, setting, quantity))

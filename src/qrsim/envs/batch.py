@@ -13,7 +13,7 @@ from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
 from qrsim.errors import UsageError
 from qrsim.tasks.episodes import Episodes, score
-from qrsim.world.tick import refuse_unplaced
+from qrsim.world.episode import refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]
 # An action may be outside [-1, 1] by no more than rounding.

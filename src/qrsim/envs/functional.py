@@ -88,7 +88,7 @@ class Functional:
         Raises:
             UsageError: nothing can be handed in.
         """
-        if not hasattr(self.play.task, "score"):
+        if not self.play.task.hands_in:
             raise UsageError(f"{self.name}: nothing is handed in in this task")
         score: Array = self.play.task.score(episode.memory, self.play.world, episode.state, answer)
         return score

@@ -59,7 +59,7 @@ def split_answer(batch: Batch, action: Any, who: str) -> tuple[Any, Any]:
     Raises:
         UsageError: a part is missing.
     """
-    if not hasattr(batch.functional.play.task, "answer_shape"):
+    if not batch.functional.play.task.hands_in:
         return action, None
     for part in (VELOCITY, SAMPLES):
         if not isinstance(action, dict) or part not in action:

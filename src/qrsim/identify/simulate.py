@@ -105,7 +105,7 @@ def channels(
     """
     value = dict(zip(names, (unknowns[i] for i in range(len(names))), strict=True))
     zero = jnp.zeros((), unknowns.dtype)
-    constants = {name: number for name, number in value.items() if hasattr(vehicle, name)}
+    constants = {name: number for name, number in value.items() if name in vars(vehicle)}
     vehicle = replace(vehicle, **constants)
     late = delayed(commands, value.get("delay", zero), dt)
     trims = [value.get(name, zero) for name in ("pitch_trim", "roll_trim", "", "yaw_rate_trim", "")]

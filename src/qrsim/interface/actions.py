@@ -10,16 +10,33 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.control import SETPOINTS, Estimate, WaypointSetpoint
+from qrsim.control import (
+    SETPOINTS,
+    AttitudeHeightSetpoint,
+    Estimate,
+    VelocityHeightSetpoint,
+    WaypointSetpoint,
+)
+from qrsim.control.contracts import Controller
 from qrsim.core.tree import walk
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
-from qrsim.world.tick import Action, World
+from qrsim.models.vehicles.commands import fields_of, limits_of
+from qrsim.world.state import Action, Fleet, World
 
 FloatArray = np.ndarray[Any, Any]
 # Says which vehicles (n,) fly; called only where something is not finite.
 Flying = Callable[[], FloatArray]
 _NAME_OF = {cls: name for name, cls in SETPOINTS.items()}
+
+
+class CommandKind:
+    """A command record of a fleet: its fields, and their limits as the commands are rounded."""
+
+    def __init__(self, kind: type[Any], dtype: np.dtype[Any]):
+        self.kind, self.fields, self.limits = kind, fields_of(kind), limits_of(kind)
+        # Rounded as the commands are, so that 0.9 is in its own range in single precision too.
+        rows = np.array(list(self.limits.values()), dtype)
+        self.lowest, self.highest = rows[:, 0], rows[:, 1]
 
 
 class ActionChecker:
@@ -35,9 +52,8 @@ class ActionChecker:
     def __init__(self, world: World, dtype: np.dtype[Any], values: Literal["checked", "finite", "traced"] = "checked"):
         self.fleets, self.dtype, self.values = world.fleets, dtype, values
         self.traced = values == "traced"
-        # Rounded as the commands are, so that 0.9 is in its own range in single precision too.
-        limits = np.array([COMMAND_LIMITS[field] for field in COMMAND_FIELDS], self.dtype)
-        self._lowest, self._highest = limits[:, 0], limits[:, 1]
+        accepted = {kind for fleet in world.fleets for kind in fleet.vehicle.actions}
+        self._kinds = {kind: CommandKind(kind, self.dtype) for kind in accepted}
         self.names = [name for fleet in world.fleets for name in fleet.vehicle_names]
 
     def actions(self, command: Any, flying: Flying | None = None) -> tuple[Action, ...]:
@@ -55,7 +71,7 @@ class ActionChecker:
             return (None,) * len(self.fleets)
         if isinstance(command, Mapping):
             return self._by_fleet(command, flying)
-        whole = self._checked(command, self.names, [fleet.controller for fleet in self.fleets], flying)
+        whole = self._checked(command, self.names, self.fleets, flying)
         return tuple(self._cut(whole))
 
     def estimates(self, estimate: Any) -> tuple[Estimate | None, ...]:
@@ -87,7 +103,7 @@ class ActionChecker:
             command = commands.get(fleet.name)
             if command is not None:
                 own_flying = None if flying is None else partial(_part, flying, own)
-                command = self._checked(command, list(fleet.vehicle_names), [fleet.controller], own_flying)
+                command = self._checked(command, list(fleet.vehicle_names), (fleet,), own_flying)
             actions.append(command)
         return tuple(actions)
 
@@ -100,20 +116,39 @@ class ActionChecker:
             for fleet, end in zip(self.fleets, ends, strict=True)
         ]
 
-    def _checked(self, command: Any, names: list[str], controllers: list[Any], flying: Flying | None) -> Any:
-        if isinstance(command, Command):
-            columns = self._cast(command, "command", len(names))
-            return self._in_range([getattr(columns, field) for field in COMMAND_FIELDS], names, flying)
+    def _checked(self, command: Any, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> Any:
         if type(command) in _NAME_OF:
-            return self._setpoint(command, names, controllers, flying)
+            return self._setpoint(command, names, [fleet.controller for fleet in fleets], flying)
+        given = type(command) if type(command) in self._kinds else None
+        kind = self._kind(given, fleets)
+        if given is not None:
+            columns = self._cast(command, "command", len(names))
+            return self._in_range(kind, list(vars(columns).values()), names, flying)
         if isinstance(command, str | bytes):
             raise UsageError(
-                f"command: expected an array ({len(names)}, 5), a set-point, one of these for each fleet by name, "
-                f"or None, found {command!r}"
+                f"command: expected an array ({len(names)}, {len(kind.fields)}), a set-point, one of these for each "
+                f"fleet by name, or None, found {command!r}"
             )
-        return self._command(command, names, flying)
+        return self._command(kind, command, names, flying)
 
-    def _setpoint(self, setpoint: Any, names: list[str], controllers: list[Any], flying: Flying | None) -> Any:
+    def _kind(self, given: type[Any] | None, fleets: tuple[Fleet, ...]) -> CommandKind:
+        """Return which command the vehicles of fleets are given; None: an array of their own fields.
+
+        Raises:
+            UsageError: the fleets do not all take it.
+        """
+        kind = fleets[0].vehicle.command_type if given is None else given
+        for fleet in fleets:
+            taken = fleet.vehicle.actions if given else (fleet.vehicle.command_type,)
+            if kind not in taken:
+                names = " or ".join(each.__name__ for each in fleet.vehicle.actions)
+                raise UsageError(
+                    f"command: a {kind.__name__} is not for the vehicles of fleet '{fleet.name}', which take {names}; "
+                    "give each fleet its own, by name"
+                )
+        return self._kinds[kind]
+
+    def _setpoint(self, setpoint: Any, names: list[str], controllers: list[Controller], flying: Flying | None) -> Any:
         for controller in controllers:
             if type(setpoint) not in controller.setpoints:
                 taken = ", ".join(cls.__name__ for cls in controller.setpoints)
@@ -122,8 +157,8 @@ class ActionChecker:
                     f"{taken}; a controller of type 'offboard' takes them all"
                 )
         checked = self._cast(setpoint, "command", len(names))
-        if not self.traced and hasattr(checked, "z"):
-            below = checked.z > 0.0
+        if not self.traced and isinstance(checked, VelocityHeightSetpoint | AttitudeHeightSetpoint):
+            below = np.asarray(checked.z) > 0.0
             if below.any():
                 row = int(np.argmax(below))
                 raise UsageError(
@@ -157,34 +192,35 @@ class ActionChecker:
 
         return jax.tree_util.tree_map_with_path(convert, record)
 
-    def _command(self, command: Any, names: list[str], flying: Flying | None) -> Command:
-        shape = (len(names), len(COMMAND_FIELDS))
+    def _command(self, kind: CommandKind, command: Any, names: list[str], flying: Flying | None) -> Any:
+        shape = (len(names), len(kind.fields))
         try:
             array = (jnp if self.traced else np).asarray(command, self.dtype)
         except (TypeError, ValueError, OverflowError):
             array = np.zeros(0)
         if array.shape != shape:
             raise UsageError(
-                f"command: expected shape {shape} (vehicles; {', '.join(COMMAND_FIELDS)}), found {shape_of(command)}"
+                f"command: expected shape {shape} (vehicles; {', '.join(kind.fields)}), found {shape_of(command)}"
             )
         # The usual case at once: column by column it takes longer than a tick.
-        if not self.traced and self._all_fine(array):
-            return Command(*np.ascontiguousarray(array.T))
-        return self._in_range([array[:, i] for i in range(len(COMMAND_FIELDS))], names, flying)
+        if not self.traced and self._all_fine(kind, array):
+            return kind.kind(*np.ascontiguousarray(array.T))
+        return self._in_range(kind, [array[:, i] for i in range(len(kind.fields))], names, flying)
 
-    def _all_fine(self, array: FloatArray) -> bool:
-        """Return whether nothing in commands (n, 5) is to be said."""
+    def _all_fine(self, kind: CommandKind, array: FloatArray) -> bool:
+        """Return whether nothing in commands (n, C) is to be said."""
         if self.values != "checked":
             return bool(np.isfinite(array).all())
-        return bool(((array >= self._lowest) & (array <= self._highest)).all())
+        # A field without limits may be anything but infinite.
+        return bool((np.isfinite(array) & (array >= kind.lowest) & (array <= kind.highest)).all())
 
-    def _in_range(self, columns: list[Any], names: list[str], flying: Flying | None) -> Command:
+    def _in_range(self, kind: CommandKind, columns: list[Any], names: list[str], flying: Flying | None) -> Any:
         """Return the command of columns (n,); a traced one is clipped by the tick itself."""
         if self.traced:
-            return Command(*columns)
+            return kind.kind(*columns)
         checked: list[Any] = []
-        for field, values in zip(COMMAND_FIELDS, columns, strict=True):
-            low, high = COMMAND_LIMITS[field]
+        for field, values in zip(kind.fields, columns, strict=True):
+            low, high = kind.limits[field]
             column = np.ascontiguousarray(values)
             wrong = _missing(column, flying)
             if self.values == "checked":
@@ -195,7 +231,7 @@ class ActionChecker:
                 what = f"{field} of vehicle {row} ('{names[row]}')"
                 raise UsageError(f"command: {what} is {column[row]:g}; allowed: {low:g} to {high:g}")
             checked.append(column)
-        return Command(*checked)
+        return kind.kind(*checked)
 
     def _broadcast(self, what: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
         try:

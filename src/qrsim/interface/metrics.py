@@ -9,10 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.control import OffboardSetpoint, WaypointSetpoint
 from qrsim.core.pairs import joined, two_sum
 from qrsim.core.tree import quantity, record, replace, select
 from qrsim.core.vectors import Vec3
-from qrsim.world.tick import FleetState, State, World
+from qrsim.models.gnss.receivers import GnssReading
+from qrsim.models.vehicles.battery import Charge
+from qrsim.world.state import FleetState, State, World
 
 # Beyond this number of vehicles the smallest distance between two is not looked for.
 MOST_FOR_SEPARATION = 64
@@ -195,10 +198,9 @@ def _one(counts: Array) -> Array:
 
 def _charge(fleet: FleetState) -> Array:
     """Return the charge of the battery of each vehicle (n,), NaN where it has none that drains."""
-    if hasattr(fleet.battery, "charge"):
-        charge: Array = fleet.battery.charge
-        return charge
-    return jnp.full_like(fleet.vehicle.thrust, jnp.nan)
+    if isinstance(fleet.battery, Charge):
+        return fleet.battery.charge
+    return jnp.full_like(fleet.vehicle.position_ned.x, jnp.nan)
 
 
 def _goal(world: World, state: State) -> Vec3:
@@ -206,7 +208,8 @@ def _goal(world: World, state: State) -> Vec3:
     goals = []
     for fleet in state.fleets:
         nowhere = fleet.vehicle.position_ned.map(lambda axis: jnp.full_like(axis, jnp.nan))
-        goals.append(getattr(fleet.setpoint, "position_ned", nowhere))
+        has_one = isinstance(fleet.setpoint, WaypointSetpoint | OffboardSetpoint)
+        goals.append(fleet.setpoint.position_ned if has_one else nowhere)
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *goals)
 
 
@@ -260,9 +263,9 @@ def _look_at_fixes(flight: Flight, state: State, tick: Array, position: Vec3, lo
 
 def _fix(fleet: FleetState) -> tuple[Vec3, Array]:
     """Return what the first receiver reports, and whether there is one."""
-    like = fleet.vehicle.thrust
+    like = fleet.vehicle.position_ned.x
     for reading in fleet.readings:
-        if hasattr(reading, "satellites"):
+        if isinstance(reading, GnssReading):
             return reading.position_ned, jnp.ones(like.shape, bool)
     nowhere = Vec3(*(jnp.full_like(like, jnp.nan) for _ in range(3)))
     return nowhere, jnp.zeros(like.shape, bool)

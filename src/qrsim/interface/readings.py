@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qrsim.control.setpoints import library
-from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.core.vectors import Euler, Vec3
 from qrsim.engine.layout import LazyTree
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading, SkyState
@@ -20,8 +20,9 @@ from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.camera import CameraReading, Picture
 from qrsim.models.site import Site
+from qrsim.models.vehicles.contracts import Vehicle, velocity_of
 from qrsim.world.episode import picture
-from qrsim.world.tick import Fleet, FleetState, State, World, position_of
+from qrsim.world.state import Fleet, FleetState, State, World, position_of
 
 Floats = np.ndarray[Any, Any]
 
@@ -99,19 +100,20 @@ class SensorReading:
 
     def _own_reason(self, vehicle: int) -> str:
         """Return why the sensor itself has nothing to say about a vehicle."""
-        satellites = getattr(self._reading, "satellites", None)
-        if satellites is not None and satellites[vehicle] < FEWEST_SATELLITES:
+        if not isinstance(self._reading, GnssReading):
+            return "not available"
+        satellites = self._reading.satellites
+        if satellites[vehicle] < FEWEST_SATELLITES:
             return f"no fix: {satellites[vehicle]:.0f} satellites, at least {FEWEST_SATELLITES} needed"
-        if satellites is not None and np.isfinite(as_array(self._reading.position_ned)[vehicle]).all():
-            return "no velocity: the fix before is missing"
-        return "not available"
+        known = np.isfinite(as_array(self._reading.position_ned)[vehicle]).all()
+        return "no velocity: the fix before is missing" if known else "not available"
 
     def __getattr__(self, field: str) -> Floats:
         if field.startswith("__"):
             raise AttributeError(field)
         if field not in self.fields:
             raise AttributeError(f"sensor '{self._name}' has no '{field}'{did_you_mean(field, self.fields)}")
-        if hasattr(self._reading, field):
+        if field in vars(self._reading):
             return as_array(getattr(self._reading, field))
         return self._derived(field)
 
@@ -196,11 +198,11 @@ class FleetReading:
 
     def _without_orbits(self, sensor: str) -> list[str]:
         """Say where a receiver has no fix because the orbits have ended, or have a gap."""
-        satellites = getattr(self._reading(sensor), "satellites", None)
-        if satellites is None or np.isfinite(self._sky().satellites_ned.z).any():
+        reading = self._reading(sensor)
+        if not isinstance(reading, GnssReading) or np.isfinite(self._sky().satellites_ned.z).any():
             return [""] * self._fleet.size
         why = "no fix: the orbits give no satellite's position at this time"
-        return [why if count == 0 else "" for count in satellites]
+        return [why if count == 0 else "" for count in np.asarray(reading.satellites)]
 
     def __repr__(self) -> str:
         return f"<readings of {', '.join(self.sensors)}>"
@@ -290,13 +292,18 @@ def _seconds(tick: Any, time_step: float) -> Any:
 class Truth:
     """The true state of all n vehicles, fleets one after the other."""
 
-    def __init__(self, state: State):
-        self._state = state
+    def __init__(self, world: World, state: State):
+        self._world, self._state = world, state
 
-    def _gather(self, pick: Any) -> Floats:
-        return np.concatenate(
-            [as_array(pick(fleet)) for fleet in map(self._state.fleets.__getitem__, range(len(self._state.fleets)))]
-        )
+    def _gather(self, pick: Callable[[FleetState], Any]) -> Floats:
+        fleets = self._state.fleets
+        return np.concatenate([as_array(pick(fleets[number])) for number in range(len(fleets))])
+
+    def _of_vehicles(self, pick: Callable[[Vehicle, Any], Any]) -> Floats:
+        """Return something of the states of all vehicles, by their models."""
+        fleets = self._state.fleets
+        models = [fleet.vehicle for fleet in self._world.fleets]
+        return np.concatenate([as_array(pick(model, fleets[i].vehicle)) for i, model in enumerate(models)])
 
     @property
     def position_ned(self) -> Floats:
@@ -306,31 +313,29 @@ class Truth:
     @property
     def attitude(self) -> Floats:
         """(n, 3) roll, pitch, yaw [rad]."""
-        return self._gather(lambda fleet: fleet.vehicle.attitude)
+        return self._of_vehicles(lambda model, state: model.pose(state).attitude)
 
     @property
     def velocity_body(self) -> Floats:
         """(n, 3) velocity over ground in body axes [m/s]."""
-        return self._gather(lambda fleet: fleet.vehicle.velocity_body)
+        return self._of_vehicles(lambda model, state: model.pose(state).velocity_body)
 
     @property
     def velocity_ned(self) -> Floats:
         """(n, 3) velocity over ground [m/s]."""
         # JAX would silently compute in single precision otherwise.
         with jax.enable_x64(True):
-            return np.asarray(
-                self._gather(lambda fleet: rotation(fleet.vehicle.attitude).to_ned(fleet.vehicle.velocity_body))
-            )
+            return np.asarray(self._of_vehicles(lambda model, state: velocity_of(model.pose(state))))
 
     @property
     def rates_body(self) -> Floats:
         """(n, 3) body rates [rad/s]."""
-        return self._gather(lambda fleet: fleet.vehicle.rates_body)
+        return self._of_vehicles(lambda model, state: model.pose(state).rates_body)
 
     @property
     def thrust(self) -> Floats:
-        """(n,) collective thrust [N]."""
-        return self._gather(lambda fleet: fleet.vehicle.thrust)
+        """(n,) collective thrust [N], NaN where a vehicle has none."""
+        return self._of_vehicles(lambda model, state: model.load(state).thrust)
 
     @property
     def specific_force(self) -> Floats:
@@ -344,8 +349,14 @@ class Truth:
 
     @property
     def command(self) -> Floats:
-        """(n, 5) the last command as flown: pitch, roll, throttle, yaw rate, battery."""
-        return self._gather(lambda f: np.stack(list(vars(f.command).values()), axis=-1))
+        """(n, C) the last command as flown, the fields of each fleet's own; those of the quadrotor are pitch, roll,
+        throttle, yaw rate, battery. NaN where another fleet has more.
+        """
+        commands = [self._state.fleets[number].command for number in range(len(self._world.fleets))]
+        rows = [np.stack(list(vars(command).values()), axis=-1) for command in commands]
+        widest = max(row.shape[1] for row in rows)
+        wide = [np.pad(row, ((0, 0), (0, widest - row.shape[1])), constant_values=np.nan) for row in rows]
+        return np.concatenate(wide)
 
     @property
     def state(self) -> Floats:

@@ -9,10 +9,10 @@ import numpy as np
 
 from qrsim.core.tree import walk
 from qrsim.runs import Column
-from qrsim.models.gnss.receivers import FEWEST_SATELLITES
+from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.scene.area import REASONS, reason_text
 from qrsim.simulation.simulation import History, Simulation
-from qrsim.world.tick import FleetState, World, position_of
+from qrsim.world.state import Fleet, FleetState, World, position_of
 
 Values = dict[str, np.ndarray[Any, Any]]
 STREAMS = ("truth", "measurements", "commands", "wind")
@@ -20,17 +20,17 @@ STREAMS = ("truth", "measurements", "commands", "wind")
 PERSON_FOUND = "person_found"
 
 
-def _tree(stream: str, names: tuple[str, ...], state: FleetState) -> list[tuple[str, Any, str, str]]:
+def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, str, str]]:
     """Return (column, array (T, n), unit, doc) of one fleet's part of a stream."""
     roots: dict[str, list[tuple[str, Any]]] = {
-        "truth": [("", state.vehicle), ("specific_force.", state.specific_force)],
-        "measurements": [(f"{name}.", reading) for name, reading in zip(names, state.readings, strict=True)],
+        "truth": [("", fleet.vehicle.pose(state.vehicle)), ("", state.vehicle), ("specific_force.", state.specific_force)],
+        "measurements": [(f"{name}.", reading) for name, reading in zip(fleet.sensor_names, state.readings, strict=True)],
         "commands": [("", state.command), ("setpoint.", state.setpoint)],
         "wind": [("mean_ned.", state.mean_wind_ned), ("gust_ned.", state.gust_ned)],
     }
     if state.gust_rates_ned is not None:
         roots["wind"].append(("gust_rates_ned.", state.gust_rates_ned))
-    if hasattr(state.battery, "charge"):
+    if fleet.battery.drains:
         roots["truth"].append(("battery.", state.battery))
     units = {"specific_force.": "m/s^2", "mean_ned.": "m/s", "gust_ned.": "m/s", "gust_rates_ned.": "rad/s"}
     items = [
@@ -38,6 +38,8 @@ def _tree(stream: str, names: tuple[str, ...], state: FleetState) -> list[tuple[
         for prefix, root in roots[stream]
         for name, leaf, info in walk(root, prefix)
     ]
+    # A state may have what its pose has, under the same name.
+    items = list({item[0]: item for item in items}.values())
     if stream == "truth":
         whole = position_of(state)
         exact = {f"position_ned.{axis}": getattr(whole, axis) for axis in "xyz"}
@@ -54,7 +56,7 @@ def columns(world: World, history: History) -> dict[str, list[Column]]:
     found: dict[str, dict[str, Column]] = {stream: {} for stream in STREAMS}
     for stream in STREAMS:
         for fleet, state in zip(world.fleets, history.state.fleets, strict=True):
-            for name, leaf, unit, doc in _tree(stream, fleet.sensor_names, state):
+            for name, leaf, unit, doc in _tree(stream, fleet, state):
                 found[stream].setdefault(name, Column(name, unit, doc, leaf.dtype.name))
     return {stream: list(by_name.values()) for stream, by_name in found.items()}
 
@@ -65,7 +67,7 @@ def values(world: World, history: History, wanted: dict[str, list[Column]]) -> d
     for stream in STREAMS:
         parts = []
         for fleet, state in zip(world.fleets, history.state.fleets, strict=True):
-            own = {name: leaf for name, leaf, _, _ in _tree(stream, fleet.sensor_names, state)}
+            own = {name: leaf for name, leaf, _, _ in _tree(stream, fleet, state)}
             shape = (len(history.ticks), fleet.size)
             parts.append({c.name: own[c.name] if c.name in own else _absent(shape, c) for c in wanted[stream]})
         result[stream] = {c.name: np.concatenate([part[c.name] for part in parts], axis=1) for c in wanted[stream]}
@@ -135,7 +137,7 @@ class EventFinder:
         found, first = [], 0
         for fleet, state in zip(self.world.fleets, history.state.fleets, strict=True):
             for sensor, reading in zip(fleet.sensor_names, state.readings, strict=True):
-                if not hasattr(reading, "satellites"):
+                if not isinstance(reading, GnssReading):
                     continue
                 key = f"{fleet.name}/{sensor}"
                 lost = np.isnan(reading.position_ned.x) & (reading.satellites < FEWEST_SATELLITES)

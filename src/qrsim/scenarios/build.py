@@ -14,7 +14,7 @@ from qrsim.control import Route
 from qrsim.core.tree import cast, field_info
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError, warn_user
-from qrsim.models.gnss.receivers import HAND_LIST, Sky
+from qrsim.models.gnss.receivers import HAND_LIST, SharedSky
 from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.contents import Contents
 from qrsim.models.scene.obstacles import Obstacles
@@ -28,7 +28,7 @@ from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
 from qrsim.scenarios.task import task_problems
 from qrsim.scenarios.timing import timing_problems
-from qrsim.world.tick import PROCESS, TURBULENCE, Fleet, Start, World
+from qrsim.world.state import PROCESS, TURBULENCE, Fleet, Start, World
 
 # What a controller fed with measurements needs, and the sensors that measure it.
 NEEDED = {"position_ned": "gnss_receiver", "height": "barometer", "attitude": "attitude_estimator"}
@@ -234,7 +234,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
     orbits = ephemeris.at(site, gps_seconds_from_utc(scenario.start_time), dtype, scenario.duration)
     _warn_of_hand_lists(scenario, ephemeris.satellite_ids)
     errors = component(world.sky.errors, known.SKY_ERRORS, scenario)
-    sky = Sky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
+    sky = SharedSky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
     built = World(
         wind=wind_of(scenario),
         turbulence=component(world.turbulence, known.TURBULENCES, scenario),
@@ -278,7 +278,7 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
 def wind_of(scenario: ScenarioSpec) -> Any:
     """Return the wind; one that comes from a file is read for the length of the run."""
     wind = component(scenario.world.wind, known.WINDS, scenario)
-    return wind.at(scenario.duration) if hasattr(wind, "at") else wind
+    return wind.at(scenario.duration)
 
 
 def _wind_problems(scenario: ScenarioSpec) -> Iterator[str]:
@@ -320,7 +320,7 @@ def _hand_lists(scenario: ScenarioSpec) -> list[str]:
         f"fleets.{name}.sensors.{sensor_name}.satellites"
         for name, fleet in scenario.fleets.items()
         for sensor_name, sensor in fleet.sensors.items()
-        if getattr(sensor, "satellites", "") == "hand_list"
+        if vars(sensor).get("satellites") == "hand_list"
     ]
 
 
@@ -339,7 +339,7 @@ def _warn_of_hand_lists(scenario: ScenarioSpec, satellite_ids: Any) -> None:
 def _obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
     for i, obstacle in enumerate(scenario.world.obstacles):
         for axis in "xyz":
-            low, high = getattr(obstacle, f"{axis}_min", None), getattr(obstacle, f"{axis}_max", None)
+            low, high = vars(obstacle).get(f"{axis}_min"), vars(obstacle).get(f"{axis}_max")
             if low is not None and high is not None and low >= high:
                 yield f"world.obstacles.{i}.{axis}_min: {low:g} m is not below {axis}_max, {high:g} m"
 

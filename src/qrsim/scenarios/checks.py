@@ -13,7 +13,7 @@ from qrsim.models.scene.fence import polygon_problems
 def area_problems(area: Any) -> Iterator[str]:
     """Yield what is wrong with an area in itself."""
     for axis in "xyz":
-        low, high = getattr(area, f"{axis}_min", None), getattr(area, f"{axis}_max", None)
+        low, high = vars(area).get(f"{axis}_min"), vars(area).get(f"{axis}_max")
         if low is not None and high is not None and low >= high:
             yield f"world.area.{axis}_min: {low:g} m is not below {axis}_max, {high:g} m"
     if area.type == "polygon":
@@ -24,7 +24,7 @@ def area_problems(area: Any) -> Iterator[str]:
 def outside(path: str, point: list[float], area: Any) -> Iterator[str]:
     """Yield in which ways a point [m] in NED is outside an area."""
     for axis, value in zip("xyz", point, strict=True):
-        low, high = getattr(area, f"{axis}_min", None), getattr(area, f"{axis}_max", None)
+        low, high = vars(area).get(f"{axis}_min"), vars(area).get(f"{axis}_max")
         if low is not None and high is not None and not low <= value <= high:
             yield f"{path}: {axis} = {value:g} m is outside world.area; allowed: {low:g} to {high:g}"
     if area.type == "polygon":

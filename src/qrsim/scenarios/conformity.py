@@ -229,7 +229,5 @@ def _complete(kind: str, component: type) -> None:
     fields = getattr(component, "__dataclass_fields__", {})
     for name, value in vars(contract).items():
         required = getattr(value, "__isabstractmethod__", False)
-        if name in ("answer_shape", "score") and not getattr(component, "hands_in", False):
-            continue
         if not name.startswith("_") and not required and name not in fields and not hasattr(component, name):
             setattr(component, name, value)

@@ -34,7 +34,7 @@ def contents_problems(scenario: ScenarioSpec) -> Iterator[str]:
         if world.area.type != "box":
             yield f"{path}: '{part.type}' needs world.area of type box; it is a {world.area.type}"
         yield from _order_problems(path, part)
-        period = getattr(part, "period", None)
+        period = vars(part).get("period")
         if period is not None and not is_multiple(period, scenario.time_step):
             yield f"{path}.period: {period:g} s is not a multiple of the time step {scenario.time_step:g} s"
     yield from _plume_problems(scenario)
@@ -44,7 +44,7 @@ def contents_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 def _order_problems(path: str, part: Any) -> Iterator[str]:
     for low, high in PAIRS:
-        if hasattr(part, low) and getattr(part, low) > getattr(part, high):
+        if low in vars(part) and getattr(part, low) > getattr(part, high):
             yield f"{path}.{low}: {getattr(part, low):g}; allowed: at most {high}, {getattr(part, high):g}"
 
 
@@ -52,9 +52,9 @@ def _plume_problems(scenario: ScenarioSpec) -> Iterator[str]:
     plume, wind = scenario.world.plume, scenario.world.wind
     if not known.PLUMES[plume.type].needs_wind:  # type: ignore[attr-defined]
         return
-    speed = getattr(wind, "speed_20ft", 0.0)
+    speed = vars(wind).get("speed_20ft", 0.0)
     if not speed > 0.0:
-        found = f"'{wind.type}'" if not hasattr(wind, "speed_20ft") else f"of {speed:g} m/s"
+        found = f"'{wind.type}'" if "speed_20ft" not in vars(wind) else f"of {speed:g} m/s"
         yield f"world.plume: '{plume.type}' needs a wind with a speed_20ft above 0; world.wind is {found}"
     elif plume.type == "puffs" and scenario.world.area.type == "box":
         needed = puffs_in_the_air(plume, scenario.world.area, speed)

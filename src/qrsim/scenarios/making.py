@@ -14,7 +14,7 @@ from qrsim.scenarios import catalogue
 from qrsim.scenarios.registry import name_of
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.scenarios.schema import SKY_KINDS
-from qrsim.world.tick import World
+from qrsim.world.state import World
 
 SCENARIO_PARTS = ("name", "description", "duration", "time_step", "start_time", "site", "extends", "ranges", "task")
 WORLD_PARTS = (

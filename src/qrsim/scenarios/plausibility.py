@@ -49,7 +49,7 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
             yield from _loops(path, fleet, scenario.time_step)
             yield from _wind(path, fleet, scenario)
         for sensor, spec in fleet.sensors.items():
-            period = getattr(spec, "period", 0.0) or 0.0
+            period = vars(spec).get("period", 0.0) or 0.0
             if period > scenario.duration:
                 where = f"{path}.sensors.{sensor}.period"
                 yield f"{where}: {period:g} s; the run has {scenario.duration:g} s, so it never reads"
@@ -73,7 +73,7 @@ def _worst(path: str, name: str, value: Any, score: Any) -> tuple[int, str]:
 
 def _voltages(fleet: FleetSpec) -> Any:
     """Return the voltage (n,) of each vehicle's full battery [V]."""
-    own = getattr(fleet.controller, "battery", FULL_V)
+    own = vars(fleet.controller).get("battery", FULL_V)
     if fleet.battery.type == "lithium_polymer":
         own = fleet.battery.voltage_full
     return np.broadcast_to(np.asarray(own, np.float64), (len(fleet.vehicles),))
@@ -151,7 +151,7 @@ def _unstable(path: str, fleet: FleetSpec, of: _Constants, i: int, dt: float) ->
         elif max(map(_growth, (root * dt for root in roots))) > 1.0:
             yield f"{where}: the {axis} loop, {numbers}, is too fast for a time step of {dt:g} s: it grows each step"
     for name, rate in (("kr1", of.kr1[i]), ("kuv", of.kuv[i]), ("kw", of.kw[i])):
-        if name == "kr1" and rate >= 0.0 and not getattr(fleet.vehicle, "yaw_law", ""):
+        if name == "kr1" and rate >= 0.0 and not vars(fleet.vehicle).get("yaw_law", ""):
             yield f"{path}.vehicle.kr1: the yaw rate is unstable: {rate:g} 1/s; expected below 0"
         elif _growth(complex(rate * dt)) > 1.0 + 1e-12:
             yield f"{path}.vehicle.{name}: {rate:g} 1/s is too fast for a time step of {dt:g} s: it grows each step"
@@ -169,7 +169,7 @@ def _growth(z: complex) -> float:
 
 def _axes(fleet: FleetSpec, of: _Constants, i: int) -> Iterator[tuple[str, str, float, float]]:
     """Yield axis, names of its constants, stiffness and damping of the tilt of a vehicle, linear about level."""
-    law = getattr(fleet.vehicle, "tilt_law", "")
+    law = vars(fleet.vehicle).get("tilt_law", "")
     if law:
         step = 1e-4
         slope = {}
@@ -200,10 +200,10 @@ def _wind(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
         with np.errstate(divide="ignore"):
             return of.gravity * np.tan(lean) / np.abs(of.kuv)
 
-    if getattr(fleet.vehicle, "tilt_law", "") or not (of.kuv < 0.0).all() or not (of.gravity > 0.0).all():
+    if vars(fleet.vehicle).get("tilt_law", "") or not (of.kuv < 0.0).all() or not (of.gravity > 0.0).all():
         return
     most = held(COMMAND_LIMITS["pitch"][1])
-    own = np.broadcast_to(np.asarray(getattr(fleet.controller, "tilt_limit", 0.9), np.float64), (of.size,))
+    own = np.broadcast_to(np.asarray(vars(fleet.controller).get("tilt_limit", 0.9), np.float64), (of.size,))
     for speed, limit, words in (
         (mean + gusts, most, "leaning as far as it can"),
         (mean, BLOWN_AWAY * held(own), "leaning as far as its controller lets it"),
@@ -230,9 +230,9 @@ def mean_wind(scenario: ScenarioSpec, heights: Any) -> Any:
         except UsageError:
             return np.zeros(len(heights))
         return np.full(len(heights), np.linalg.norm(air[:, :2], axis=1).max())
-    speed = getattr(wind, "speed_20ft", 0.0)
+    speed = vars(wind).get("speed_20ft", 0.0)
     feet = np.maximum(heights, 0.0) * FEET_PER_METRE
-    if getattr(wind, "profile", "log") == "power":
+    if vars(wind).get("profile", "log") == "power":
         return speed * (feet / REFERENCE_FT) ** wind.exponent
     return speed * np.log(np.maximum(feet / ROUGHNESS_FT, 1.0)) / math.log(REFERENCE_FT / ROUGHNESS_FT)
 
@@ -242,8 +242,8 @@ def gust_sigma(scenario: ScenarioSpec, heights: Any) -> Any:
     turbulence = scenario.world.turbulence
     if is_outside("turbulence", turbulence.type):
         return np.zeros(len(heights))
-    speed = getattr(turbulence, "speed_20ft", 0.0)
+    speed = vars(turbulence).get("speed_20ft", 0.0)
     if speed is None:
-        speed = getattr(scenario.world.wind, "speed_20ft", 0.0)
+        speed = vars(scenario.world.wind).get("speed_20ft", 0.0)
     feet = np.clip(heights * FEET_PER_METRE, 10.0, 1000.0)
     return 0.1 * speed / (0.177 + 0.000823 * feet) ** 0.4

@@ -29,7 +29,7 @@ from qrsim.scenarios.reading import (
 from qrsim.scenarios.schema import ScenarioSpec, json_schema
 from qrsim.scenarios.trial import trial_problems
 from qrsim.scenarios.vehicle_file import insert_vehicle_files
-from qrsim.world.tick import World
+from qrsim.world.state import World
 
 __all__ = ["Scenario", "built_in_names", "json_schema", "load_scenario"]
 

@@ -22,7 +22,7 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
     if task.type == "none":
         return
     for name in ("fleet", "prey"):
-        wanted = getattr(task, name, None)
+        wanted = vars(task).get(name)
         if wanted is not None and wanted not in scenario.fleets:
             yield f"task.{name}: no fleet is called '{wanted}'{did_you_mean(wanted, scenario.fleets)}"
     if not is_multiple(task.period, scenario.time_step):
@@ -48,7 +48,7 @@ def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
             f"for; allowed: {', '.join(fitting)}"
         )
     for field, types in SENSORS.items():
-        if not hasattr(task, field):
+        if field not in vars(task):
             continue
         name = getattr(task, field)
         if name not in fleet.sensors:

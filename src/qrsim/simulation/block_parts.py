@@ -20,7 +20,7 @@ from qrsim.interface.policies import UserFunction
 from qrsim.interface.readings import Reading
 from qrsim.models.site import Site
 from qrsim.world import tick as ticks_of
-from qrsim.world.tick import State, World, WorldKeys
+from qrsim.world.state import State, World, WorldKeys
 
 Array = np.ndarray[Any, Any]
 # What JAX raises where a program that is being compiled would have to know a number.

@@ -22,7 +22,8 @@ from qrsim.interface.readings import Reading
 from qrsim.simulation.block_parts import Carry, Setup
 from qrsim.simulation.many_worlds import Flight, begin_function
 from qrsim.world import tick as ticks_of
-from qrsim.world.tick import State, World
+from qrsim.world.episode import refuse_unplaced
+from qrsim.world.state import State, World
 
 Array = np.ndarray[Any, Any]
 # Ticks between two looks at the progress, where nothing else stops the loop.
@@ -89,7 +90,7 @@ class Engine:
         keys = ticks_of.keys_of(self.example, Key.roots(seeds[rows], numbers[rows]))
         flight = Flight(self.setup.compiled, self.fixed, own, keys, len(self.names), self.devices)
         placed = jax.tree.map(np.asarray, flight.get(lambda carry: carry.state.placed))
-        ticks_of.refuse_unplaced(self.example, placed)
+        refuse_unplaced(self.example, placed)
         lock_step = LockStep(self, rows[:real])
         found: list[Any] = []
         self._keep(flight, 0, rows[:real], found)

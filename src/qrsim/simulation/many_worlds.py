@@ -10,7 +10,7 @@ import numpy as np
 
 from qrsim.engine.backend import Extent, Function, Worlds
 from qrsim.simulation.block_parts import Carry, Setup, begin_world, tick_of_world
-from qrsim.world.tick import WorldKeys
+from qrsim.world.state import WorldKeys
 
 
 class Flight(Worlds):

@@ -9,7 +9,7 @@ from qrsim.engine.layout import Buffers, Packer, Shared, aligned_copy
 from qrsim.engine.settings import chosen_compiler
 from qrsim.simulation.placing import place
 from qrsim.world import tick as ticks_of
-from qrsim.world.tick import State, World, WorldKeys
+from qrsim.world.state import State, World, WorldKeys
 
 
 def _reset(world: World, own: tuple[Any, WorldKeys]) -> State:

@@ -14,7 +14,9 @@ from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.scene.area import Violation, collisions, reason_text
-from qrsim.world.tick import Fleet, FleetState, State, World, own_checks, start_fleet, surroundings
+from qrsim.world.episode import surroundings
+from qrsim.world.state import Fleet, FleetState, State, World
+from qrsim.world.tick import own_checks, start_fleet
 
 FloatArray = np.ndarray[Any, Any]
 WIDTHS = (3, 6, 12, 13)
@@ -41,7 +43,8 @@ def place(world: World, given: tuple[Any, Any], state: State, tick: Any) -> Stat
         mine = slice(first, first + fleet.size)
         first += fleet.size
         low = Vec3(*(rows[mine, i] for i in range(13, 16)))
-        fresh = start_fleet(world, fleet, _vehicles(fleet, rows[mine]), keys, tick, state.sky, view, before, low)
+        put = _vehicles(fleet, rows[mine])
+        fresh = start_fleet(world, fleet, put, keys, tick, state.sky, view, state.field, before, low)
         fresh = replace(fresh, guidance=before.guidance, setpoint=before.setpoint, battery=before.battery)
         fleets.append(select(chosen[mine], fresh, before))
     return replace(state, fleets=_checked(world, tuple(fleets), chosen))
@@ -52,7 +55,7 @@ def _vehicles(fleet: Fleet, rows: Any) -> Any:
     vehicle = fleet.vehicle.initial_state(
         Vec3(*columns[0:3]), Euler(*columns[3:6]), Vec3(*columns[6:9]), Vec3(*columns[9:12])
     )
-    return replace(vehicle, thrust=jnp.where(jnp.isfinite(columns[12]), columns[12], vehicle.thrust))
+    return fleet.vehicle.with_thrust(vehicle, columns[12])
 
 
 def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple[FleetState, ...]:
@@ -63,7 +66,7 @@ def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple
     for fleet, state in zip(world.fleets, fleets, strict=True):
         mine = slice(first, first + fleet.size)
         first += fleet.size
-        own = Violation.first(own_checks(world, fleet, state), state.vehicle.thrust)
+        own = Violation.first(own_checks(world, fleet, state), state.vehicle.position_ned.x)
         found = own.or_else(jax.tree.map(lambda leaf: leaf[mine], collided))  # noqa: B023
         checked.append(replace(state, violation=select(chosen[mine], found, state.violation)))
     return tuple(checked)

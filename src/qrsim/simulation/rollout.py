@@ -24,7 +24,7 @@ from qrsim.models.scene.area import reason_text
 from qrsim.models.site import Site
 from qrsim.simulation.block_parts import Setup
 from qrsim.simulation.blocks import Engine, Schedule
-from qrsim.world.tick import State, World
+from qrsim.world.state import State, World
 
 Array = np.ndarray[Any, Any]
 # Vehicles of a block on one device: their states and the noise of a tick then stay in a core's own cache.

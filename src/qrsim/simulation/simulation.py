@@ -23,7 +23,9 @@ from qrsim.simulation.alone import Alone, alone
 from qrsim.simulation.one_world import OneWorld
 from qrsim.simulation.placing import checked_rows, refuse_misplaced
 from qrsim.simulation.snapshot import LARGEST_TICK, SavedState, fingerprint, write
-from qrsim.world.tick import FleetState, State, World, WorldKeys, keys_of, refuse_unplaced
+from qrsim.world.episode import refuse_unplaced
+from qrsim.world.state import FleetState, State, World, WorldKeys
+from qrsim.world.tick import keys_of
 
 FloatArray = np.ndarray[Any, Any]
 # Ticks that a program of ``record`` is for where the user does not say.
@@ -353,7 +355,7 @@ class Simulation(Alone):
     def truth(self) -> Truth:
         """What is really the case now, all fleets one after the other."""
         with self._lock:
-            return Truth(self._snapshot().view(self._numbers))
+            return Truth(self.world, self._snapshot().view(self._numbers))
 
     @property
     def valid(self) -> np.ndarray[Any, np.dtype[np.bool_]]:

@@ -16,11 +16,12 @@ import numpy as np
 from qrsim.control import RouteState
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.errors import RunError, UsageError
+from qrsim.models.gnss.receivers import SharedSky
 from qrsim.models.gnss.sp3 import Sp3Orbits
 from qrsim.models.scene.area import REASONS
 from qrsim.models.scene.terrain import OCCLUSION
 from qrsim.simulation.archive import DamagedError, OtherNamesError, read_archive
-from qrsim.world.tick import FleetState, State, World
+from qrsim.world.state import FleetState, State, World
 
 FORMAT = 4
 NAMES = ("format", "floats", "integers", "tick", "seed", "number", "name", "world")
@@ -211,7 +212,8 @@ def _buffer(where: str, name: str, content: dict[str, Any], known: tuple[str, ..
 def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
     """Yield where and what in a state is finite in every simulation."""
     # Recorded orbits end, and have gaps.
-    if not isinstance(world.sky.orbits, Sp3Orbits):
+    recorded = isinstance(world.sky, SharedSky) and isinstance(world.sky.orbits, Sp3Orbits)
+    if not recorded:
         yield from _floats("the sky", state.sky)
     yield from _floats("what the episode has drawn", state.drawn)
     yield from _floats("what the area holds", state.contents)
@@ -251,9 +253,9 @@ def _ranges(world: World, state: State, tick: int) -> Iterator[tuple[str, Any, f
         ("persons", "found_tick", -1, tick),
         ("plume", "released", 0, tick + 1),
     ):
-        part = getattr(getattr(contents, name), what, None)
-        if part is not None:
-            yield f"{what.replace('_', ' ')} of the {name}", part, low, high
+        part = getattr(contents, name)
+        if part is not None and what in vars(part):
+            yield f"{what.replace('_', ' ')} of the {name}", getattr(part, what), low, high
 
 
 def write(path: str | Path, data: bytes) -> None:

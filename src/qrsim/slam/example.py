@@ -25,7 +25,8 @@ from qrsim.simulation.rollout import rollout
 from qrsim.slam import ranging
 from qrsim.slam.flight import SIZE, Believed, Flight, Floats, make_flight, ticks_between
 from qrsim.slam.ranging import Ranging
-from qrsim.world.tick import State, World, measured_quantities, period_ticks
+from qrsim.world.sensing import measured_quantities
+from qrsim.world.state import State, World, period_ticks
 
 SCENARIO, DURATION, STATE_PERIOD, HEIGHT = "range_only_slam", 120.0, 0.1, 20.0
 ROUTE = 60
@@ -177,9 +178,8 @@ def _flight(name: str, world: World, seed: int, recorded: dict[str, Floats], tic
     epochs = np.arange(0, len(truth), period_ticks(gnss.period, world.time_step))
     fixes = (epochs, believed.position_ned[epochs, :2])
     air = np.zeros((len(truth), 3))
-    return make_flight(
-        f"{name}, seed {seed}", world.time_step, ticks, fleet.vehicle, truth, believed, commands, air, fixes
-    )
+    model: Any = fleet.vehicle
+    return make_flight(f"{name}, seed {seed}", world.time_step, ticks, model, truth, believed, commands, air, fixes)
 
 
 def ranging_of(flight: Flight, seed: int, std: float = ranging.RANGE_STD) -> Ranging:

@@ -13,7 +13,7 @@ from qrsim.runs import Run
 from qrsim.runs.reader import Stream
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.slam.flight import Believed, Flight, Floats, make_flight, ticks_between
-from qrsim.world.tick import Fleet, period_ticks
+from qrsim.world.state import Fleet, period_ticks
 
 TRUE_STATE = (
     *(f"position_ned.{axis}" for axis in "xyz"),
@@ -50,7 +50,7 @@ def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_no
         stopped = run["truth"].time[count]
         warn_user(f"{run.folder}: {run.vehicles[index]} stopped at {stopped:g} s; what follows is left out")
     believed, gnss = _believed(run, index, count, truth[:count])
-    model = fleet.vehicle
+    model: Any = fleet.vehicle
     if process_noise is not None:
         model = replace(model, process_noise=np.float64(process_noise))
     model = type(model)(**{name: _of(value, number) for name, value in vars(model).items()})
@@ -157,7 +157,7 @@ def _fixes(fleet: Fleet, gnss: str, position: Floats, time_step: float, ticks: i
         raise UsageError(
             f"state_period: fixes every {period * time_step:g} s are not all at states every {ticks * time_step:g} s"
         )
-    delay = getattr(sensor, "delay", 0) * period
+    delay = sensor.delay * period
     # Before a fix that is late was made, a receiver reports the one of the start.
     reported = np.arange(delay, len(position), period)
     places = position[reported, :2]

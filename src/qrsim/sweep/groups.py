@@ -16,7 +16,7 @@ from qrsim.errors import ScenarioError, UsageError
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.sweep.axes import Axis, apply
 from qrsim.sweep.study import Content
-from qrsim.world.tick import World
+from qrsim.world.state import World
 
 Array = np.ndarray[Any, Any]
 

@@ -96,7 +96,7 @@ def _summed() -> Any:
 
 def _finds(state: Any, time_step: float) -> dict[str, Array]:
     """Return what was found of persons, (1,) each; NaN where there are none to be found."""
-    persons = getattr(state.contents, "persons", None)
+    persons = state.contents.persons
     if persons is None:
         return {name: np.full(1, np.nan) for name in ("persons_found", "found_share", "first_found_s")}
     ticks = np.asarray(persons.found_tick)[np.asarray(persons.there)]

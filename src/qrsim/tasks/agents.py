@@ -12,8 +12,8 @@ from jax import Array
 from qrsim.control import Estimate
 from qrsim.core.tree import parameter, setting
 from qrsim.core.vectors import Vec3
+from qrsim.world.sensing import measured_quantities
 from qrsim.world.state import Action, Fleet, FleetState, State, World
-from qrsim.world.tick import measured_quantities
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ class Task(Protocol):
         penalty: reward of the step in which a vehicle stops.
         axes: the numbers of an action, with unit and range; an agent gives each in [-1, 1].
         asks_for: kind of set-points that its fleet's controller must take; None: its actions are commands.
-        ids: numbers of what ``init`` draws for.
         hands_in: whether an agent hands in an answer at the end, which has a ``score``.
     """
 
@@ -36,8 +35,12 @@ class Task(Protocol):
     penalty: Array
     axes: ClassVar[tuple[Axis, ...]]
     asks_for: ClassVar[type[Any] | None] = None
-    ids: int = 0
     hands_in: ClassVar[bool] = False
+
+    @property
+    def ids(self) -> int:
+        """Numbers of what ``init`` draws for."""
+        return 0
 
     @abstractmethod
     def init(self, world: World, state: State, draw: Draw) -> Any:

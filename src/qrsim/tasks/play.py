@@ -11,7 +11,8 @@ from jax import Array, lax
 from qrsim.control.setpoints import library
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import quantity, record, replace, setting
-from qrsim.tasks.agents import all_fly, number_of
+from qrsim.tasks.agents import all_fly, fleet_of, number_of
+from qrsim.tasks.contracts import Task
 from qrsim.world import tick as ticks_of
 from qrsim.world.state import State, World, WorldKeys, period_ticks
 
@@ -59,7 +60,7 @@ class EpisodeKeys:
 class Play:
     """A task, its world and the length of an episode; its numbers are leaves, so others compile nothing anew."""
 
-    task: Any = quantity(doc="what is to be done")
+    task: Task = quantity(doc="what is to be done")
     world: World = quantity(doc="where")
     steps: int = setting(unit="1", doc="steps of an episode")
 
@@ -77,7 +78,7 @@ class Play:
     def in_step(self) -> bool:
         """Whether every period of the world is a part of a step, so that all worlds of a batch are due together."""
         contents = self.world.contents
-        periods = [self.world.sky.period, *(getattr(part, "period", 0.0) for part in vars(contents).values())]
+        periods = [self.world.sky.period, contents.plume.period, contents.persons.period]
         periods += [sensor.period for fleet in self.world.fleets for sensor in fleet.sensors]
         return all(self.ticks % period_ticks(period, self.world.time_step) == 0 for period in periods)
 
@@ -150,8 +151,7 @@ class Play:
         # Where all are due together, the number is that of every world and slow sensors are really skipped.
         when = (number, commands, None, begun) if self.in_step else (begun + number, commands, None, None)
         state = ticks_of.step(self.world, state, *when)
-        each_tick = getattr(self.task, "each_tick", lambda memory, world, state: memory)
-        return state, each_tick(memory, self.world, state)
+        return state, self.task.each_tick(memory, self.world, state)
 
     def _judged(self, episode: Episode) -> tuple[Episode, Step]:
         """Return an episode with one more step done, and what that brings."""
@@ -164,10 +164,7 @@ class Play:
 
     def _crashed(self, episode: Episode) -> Array:
         """Return the reward () of a step in which a vehicle has stopped."""
-        if not hasattr(self.task, "crashed"):
-            return jnp.asarray(self.task.penalty)
-        reward: Array = self.task.crashed(episode.memory, self.world, episode.state, self.steps)
-        return reward
+        return self.task.crashed(episode.memory, self.world, episode.state, self.steps)
 
     def scaled(self, action: Any) -> Any:
         """Return actions (n, A) in their units, of numbers that are clipped to [-1, 1]; NumPy or JAX."""
@@ -178,8 +175,8 @@ class Play:
 
     def truth(self, episode: Episode) -> dict[str, Array]:
         """Return what is really the case of the agents (n,), which they do not see."""
-        fleet = episode.state.fleets[number_of(self.world, self.task.fleet)]
-        vehicle = fleet.vehicle
+        model, fleet = fleet_of(self.world, episode.state, self.task.fleet)
+        vehicle = model.vehicle.pose(fleet.vehicle)
         return {
             "position_ned": vehicle.position_ned.stack(),
             "attitude": jnp.stack(jax.tree.leaves(vehicle.attitude), axis=-1),

@@ -16,6 +16,7 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.scene.plume import PuffPlume
 from qrsim.models.scene.uniform import uniform
 from qrsim.tasks.agents import BELIEVED, Axis, action_period, believed, fleet_of, only, penalty, velocity_axes
+from qrsim.tasks.contracts import Task
 from qrsim.world.episode import surroundings
 from qrsim.world.state import Action, State, World
 
@@ -34,7 +35,7 @@ class PlumeMemory:
 
 
 @record
-class PlumeMapping:
+class PlumeMapping(Task):
     """Find out what the concentration is at some locations, which the agents are told.
 
     Every step gives 0. What counts is the score of what an agent hands in at the end: for steady plumes the
@@ -56,6 +57,7 @@ class PlumeMapping:
     period: float = action_period(1.0)
 
     axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ned")
+    hands_in: ClassVar[bool] = True
     asks_for: ClassVar[type | None] = VelocitySetpoint
 
     @property
@@ -94,7 +96,7 @@ class PlumeMapping:
     ) -> tuple[PlumeMemory, Array]:
         """Return 0; see ``score``."""
         _, fleet = fleet_of(world, state, self.fleet)
-        return memory, jnp.zeros_like(fleet.vehicle.thrust)
+        return memory, jnp.zeros_like(fleet.vehicle.position_ned.x)
 
     def observe(self, memory: PlumeMemory, world: World, state: State) -> dict[str, Any]:
         """Return what each vehicle (n,) sees.

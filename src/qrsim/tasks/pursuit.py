@@ -12,6 +12,7 @@ from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.tasks.agents import Axis, action_period, estimate_of, fleet_of, only, penalty, velocity_axes
+from qrsim.tasks.contracts import Task
 from qrsim.world.state import Action, State, World
 
 
@@ -23,7 +24,7 @@ class PursuitMemory:
 
 
 @record
-class Pursuit:
+class Pursuit(Task):
     """Cats, the agents, catch a mouse that runs away.
 
     The reward comes in the last step: minus the sum over all cats of max(0, distance to the nearest mouse - reach)^2,
@@ -38,7 +39,6 @@ class Pursuit:
 
     axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ne")
     asks_for: ClassVar[type | None] = VelocityHeightSetpoint
-    ids: ClassVar[int] = 0
 
     def init(self, world: World, state: State, draw: Draw) -> PursuitMemory:
         """Return what is remembered at the start."""

@@ -23,6 +23,7 @@ from qrsim.tasks.agents import (
     penalty,
     velocity_axes,
 )
+from qrsim.tasks.contracts import Task
 from qrsim.world.episode import picture
 from qrsim.world.state import Action, State, World
 
@@ -36,7 +37,7 @@ class SearchMemory:
 
 
 @record
-class Search:
+class Search(Task):
     """Find persons on the ground: see them, and hover near them.
 
     A step gives 1 for every person just found, else -1/steps, to all vehicles.
@@ -49,12 +50,11 @@ class Search:
 
     axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ned")
     asks_for: ClassVar[type | None] = VelocitySetpoint
-    ids: ClassVar[int] = 0
 
     def init(self, world: World, state: State, draw: Draw) -> SearchMemory:
         """Return what is remembered at the start."""
-        _, fleet = fleet_of(world, state, self.fleet)
-        return SearchMemory(fleet.vehicle.attitude.yaw, jnp.int32(0))
+        model, fleet = fleet_of(world, state, self.fleet)
+        return SearchMemory(model.vehicle.pose(fleet.vehicle).attitude.yaw, jnp.int32(0))
 
     def commands(self, memory: SearchMemory, world: World, action: Array) -> tuple[Action, ...]:
         """Return velocities of numbers (n, 3), at the heading of the start."""
@@ -112,5 +112,6 @@ class Search:
     def lens(self, world: World) -> Camera:
         """Return the camera."""
         fleet = world.fleets[number_of(world, self.fleet)]
-        camera: Camera = fleet.sensors[fleet.sensor_names.index(self.camera)]
+        camera = fleet.sensors[fleet.sensor_names.index(self.camera)]
+        assert isinstance(camera, Camera)
         return camera

@@ -10,15 +10,16 @@ home and at the end. Who crashes gets what is missing to a total that no crash c
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Draw
-from qrsim.core.tree import parameter, quantity, record, replace, setting
-from qrsim.core.vectors import Vec3, rotation
-from qrsim.errors import UsageError
+from qrsim.core.tree import field_info, parameter, quantity, record, replace, setting
+from qrsim.core.vectors import Vec3
+from qrsim.models.vehicles.contracts import velocity_of
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
 from qrsim.tasks.agents import (
     BELIEVED,
@@ -31,20 +32,40 @@ from qrsim.tasks.agents import (
     only,
     square,
 )
-from qrsim.world.state import Action, FleetState, State, World
+from qrsim.tasks.contracts import Task
+from qrsim.world.state import Action, Fleet, FleetState, State, World
 
-_UNITS = {"pitch": "rad", "roll": "rad", "throttle": "1", "yaw_rate": "rad/s", "battery": "V"}
-AXES = tuple(Axis(name, _UNITS[name], *COMMAND_LIMITS[name]) for name in COMMAND_FIELDS)
+AXES = tuple(Axis(field.name, field_info(field).unit, *COMMAND_LIMITS[field.name]) for field in fields(Command))
 Crash = Literal["worst", "published"]
 # Of a goal at a limit of its area, or beyond it [m].
 SHORTEST_REACH = 1.0
 
 
 @record
-class NoTask:
+class NoTask(Task):
     """Nothing is to be done."""
 
-    fleet: ClassVar[str] = ""
+    fleet: ClassVar[str] = ""  # type: ignore[misc]
+    axes: ClassVar[tuple[Axis, ...]] = ()
+
+    def init(self, world: World, state: State, draw: Draw) -> None:
+        """Return nothing: there is nothing to remember."""
+
+    def commands(self, memory: None, world: World, action: Array) -> tuple[Action, ...]:
+        """Return no action for any fleet."""
+        return (None,) * len(world.fleets)
+
+    def judge(self, memory: None, world: World, state: State, step: Array, steps: int) -> tuple[None, Array]:
+        """Return no reward, for there are no agents."""
+        return None, jnp.zeros(0)
+
+    def observe(self, memory: None, world: World, state: State) -> Array:
+        """Return what no agents see, (0, 0)."""
+        return jnp.zeros((0, 0))
+
+    def sees(self, world: World) -> tuple[Axis, ...]:
+        """Return nothing."""
+        return ()
 
 
 @record
@@ -83,7 +104,7 @@ class SimpleMemory:
 
 
 @record
-class Commanded:
+class Commanded(Task):
     """What the simple tasks share: they are flown by SI commands, which cost."""
 
     effort: Effort = quantity(default=Effort(), doc="what commands cost")
@@ -101,12 +122,12 @@ class Commanded:
 
     axes: ClassVar[tuple[Axis, ...]] = AXES
     asks_for: ClassVar[type | None] = None
-    ids: ClassVar[int] = 0
 
     def init(self, world: World, state: State, draw: Draw) -> SimpleMemory:
         """Return what is remembered at the start."""
         _, fleet = fleet_of(world, state, self.fleet)
-        zero, start = jnp.zeros_like(fleet.vehicle.thrust), fleet.vehicle.position_ned
+        start = fleet.vehicle.position_ned
+        zero = jnp.zeros_like(start.x)
         return SimpleMemory(start, zero, self.reach(world, start), zero, jnp.zeros((), zero.dtype))
 
     def reach(self, world: World, start_ned: Vec3) -> Array:
@@ -119,10 +140,10 @@ class Commanded:
 
     def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:
         """Add what a tick costs."""
-        _, fleet = fleet_of(world, state, self.fleet)
-        return replace(memory, cost=memory.cost + self.cost_rate(fleet) * world.time_step)
+        cost = self.cost_rate(*fleet_of(world, state, self.fleet))
+        return replace(memory, cost=memory.cost + cost * world.time_step)
 
-    def cost_rate(self, fleet: FleetState) -> Array:
+    def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
         """Return what each vehicle (n,) pays per second."""
         return self.effort.rate(fleet.command)
 
@@ -166,7 +187,9 @@ class Commanded:
 class KeepSpot(Commanded):
     """Stay at the start, with little effort; the costs of several vehicles are summed."""
 
-    sees: ClassVar[tuple[Axis, ...]] = (*BELIEVED, *(Axis(f"to_{name}", "m") for name in ("north", "east", "down")))
+    def sees(self, world: World) -> tuple[Axis, ...]:
+        """Return what the numbers of an observation are."""
+        return (*BELIEVED, *(Axis(f"to_{name}", "m") for name in ("north", "east", "down")))
 
     def reach(self, world: World, start_ned: Vec3) -> Array:
         """Return that of the nearest limit of the area from the goal, or that of the start where it is farther away."""
@@ -180,14 +203,8 @@ class KeepSpot(Commanded):
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
         """Return the highest effort, and the squared distance of the goal (n,) from the farthest corner of the area."""
-        farthest = getattr(world.area, "farthest_squared", None)
-        if farthest is None:
-            raise UsageError(
-                f"world.area: {type(world.area).__name__} has no farthest_squared, from which a task with "
-                "crash: worst takes what a crash costs; give it one, or say crash: published"
-            )
         effort: Array = Commanded.highest_cost(self, memory, world, duration)
-        return effort + farthest(self.goal(memory.start_ned, world))
+        return effort + world.area.farthest_squared(self.goal(memory.start_ned, world))
 
     def goal(self, start_ned: Vec3, world: World) -> Vec3:
         """Return where each vehicle (n,) is to be [m]."""
@@ -218,14 +235,13 @@ class KeepVelocity(Commanded):
     velocity_east: Array = parameter(default=0.0, unit="m/s", doc="wanted velocity over ground, east")
     velocity_down: Array = parameter(default=0.0, unit="m/s", doc="wanted velocity over ground, down")
 
-    sees: ClassVar[tuple[Axis, ...]] = (
-        *BELIEVED,
-        *(Axis(f"wanting_{name}", "m/s") for name in ("north", "east", "down")),
-    )
+    def sees(self, world: World) -> tuple[Axis, ...]:
+        """Return what the numbers of an observation are."""
+        return (*BELIEVED, *(Axis(f"wanting_{name}", "m/s") for name in ("north", "east", "down")))
 
-    def cost_rate(self, fleet: FleetState) -> Array:
+    def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
         """Return the effort, and the squared error of the velocity (n,)."""
-        error = rotation(fleet.vehicle.attitude).to_ned(fleet.vehicle.velocity_body) - self._wanted()
+        error = velocity_of(model.vehicle.pose(fleet.vehicle)) - self._wanted()
         return self.effort.rate(fleet.command) + square(error)
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:

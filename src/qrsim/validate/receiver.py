@@ -19,7 +19,7 @@ from qrsim.core.vectors import Vec3
 from qrsim.engine.settings import quick_jit
 from qrsim.models.gnss.errors import GaussMarkov2
 from qrsim.models.gnss.orbits import split_time
-from qrsim.models.gnss.receivers import GnssReceiver, OrnsteinUhlenbeckErrors, Sky
+from qrsim.models.gnss.receivers import GnssReceiver, OrnsteinUhlenbeckErrors, SharedSky
 from qrsim.models.gnss.sp3 import Sp3Ephemeris
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.validate.recorded import Table, read_table
@@ -56,15 +56,15 @@ def recorded_receiver(path: Path) -> Recorded:
     return Recorded(site.geodetic_to_ned(latitude, longitude, height), 0.4, site, (int(used.min()), int(used.max())))
 
 
-def sky_over(path: Path, site: Site, start: Any, duration_s: float, errors: Any) -> Sky:
+def sky_over(path: Path, site: Site, start: Any, duration_s: float, errors: Any) -> SharedSky:
     """Load the sky of an SP3 file over a site from a time on, in single precision as in flights."""
     ephemeris = Sp3Ephemeris(str(path))
     orbits = ephemeris.at(site, gps_seconds_from_utc(start), LIKE, duration_s)
-    return Sky(orbits, cast(errors, LIKE), jnp.asarray(ephemeris.satellite_ids), PERIOD)
+    return SharedSky(orbits, cast(errors, LIKE), jnp.asarray(ephemeris.satellite_ids), PERIOD)
 
 
 @partial(quick_jit, static_argnames=("ticks", "seeds"))
-def _fixes(sky: Sky, receiver: GnssReceiver, ticks: int, seeds: int) -> tuple[jax.Array, jax.Array]:
+def _fixes(sky: SharedSky, receiver: GnssReceiver, ticks: int, seeds: int) -> tuple[jax.Array, jax.Array]:
     like = jnp.zeros((), LIKE)
     still = Vec3.zeros((1,), jnp.dtype(LIKE))
 
@@ -90,7 +90,7 @@ def _fixes(sky: Sky, receiver: GnssReceiver, ticks: int, seeds: int) -> tuple[ja
     return jax.vmap(one)(jnp.arange(seeds, dtype=jnp.uint32))
 
 
-def simulated_receivers(sky: Sky, rows: int, every: int, seeds: int) -> tuple[Table, tuple[int, int]]:
+def simulated_receivers(sky: SharedSky, rows: int, every: int, seeds: int) -> tuple[Table, tuple[int, int]]:
     """Simulate receivers at the origin: position errors (rows, seeds, 3) [m] and numbers of satellites used.
 
     Args:
@@ -105,7 +105,7 @@ def simulated_receivers(sky: Sky, rows: int, every: int, seeds: int) -> tuple[Ta
     return np.moveaxis(np.asarray(positions, np.float64)[:, ::every], 0, 1), (int(found.min()), int(found.max()))
 
 
-def dilution(sky: Sky) -> Table:
+def dilution(sky: SharedSky) -> Table:
     """Return the variances (3,) of north, east and down per variance of a range, from the geometry at the start."""
     satellites = np.asarray(sky.orbits.positions_ned(jnp.int32(0), jnp.zeros((), LIKE)).stack(), np.float64)
     rays = satellites / np.linalg.norm(satellites, axis=1, keepdims=True)

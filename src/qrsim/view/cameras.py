@@ -147,7 +147,7 @@ def camera_places(world: World) -> list[tuple[int, int]]:
         (number, index)
         for number, fleet in enumerate(world.fleets)
         for index, sensor in enumerate(fleet.sensors)
-        if hasattr(sensor, "develop")
+        if sensor.takes_pictures
     ]
 
 

@@ -53,7 +53,7 @@ class Cover(Contents):
             return
         self._drawn = True
         cells = np.asarray(self.world.contents.terrain.cells(beside.contents.terrain))
-        area = self.world.area
+        area: Any = self.world.area
         low, high = (np.array([float(area.x_min), float(area.y_min)]), np.array([float(area.x_max), float(area.y_max)]))
         side = (high - low) / cells.shape[0]
         plain: dict[str, Any] = {"lod": "off", "flat_shading": True, "cast_shadow": False}
@@ -138,8 +138,7 @@ def _concentration(world: World, drawn: Any, contents: Any, tick: Any, places: A
 
 def contents_layers(stage: Stage, world: World) -> list[Layer]:
     """Return the layers of a world's contents; the area is a box."""
-    contents = getattr(world, "contents", None)
-    if contents is None or not hasattr(world.area, "x_min"):
+    if not world.area.is_box:
         return []
     parts = (("terrain", Cover), ("persons", Persons), ("plume", Plume))
-    return [layer(stage, world) for name, layer in parts if hasattr(getattr(contents, name), "init")]
+    return [layer(stage, world) for name, layer in parts if getattr(world.contents, name).random]

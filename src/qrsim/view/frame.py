@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.noise import StreamKeys
+from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.scene.area import reason_text
 from qrsim.models.scene.contents import ContentsState
 from qrsim.models.sensors.camera import CameraReading
@@ -113,10 +114,8 @@ def cast_of(world: World, start_ned: Floats) -> Cast:
 
 def _contents_corners(world: World) -> Floats | None:
     """Return the corners of the area where something is in it beside vehicles."""
-    contents, area = getattr(world, "contents", None), world.area
-    if contents is None or not hasattr(area, "x_min"):
-        return None
-    if not any(hasattr(part, "init") for part in vars(contents).values()):
+    area = world.area
+    if not (area.is_box and world.contents.random):
         return None
     return np.array([[float(getattr(area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max")])
 
@@ -127,12 +126,15 @@ def frame_of(state: State, time: float, world: World) -> Frame:
     def gather(pick: Any) -> Floats:
         return np.concatenate([axes_of(pick(fleet)) for fleet in state.fleets])
 
+    models = [fleet.vehicle for fleet in world.fleets]
+    poses = [model.pose(fleet.vehicle) for model, fleet in zip(models, state.fleets, strict=True)]
+
     codes = np.concatenate([np.asarray(fleet.violation.code) for fleet in state.fleets])
     values = np.concatenate([np.asarray(fleet.violation.value) for fleet in state.fleets])
     return Frame(
         time,
         gather(position_of),
-        gather(lambda fleet: fleet.vehicle.attitude),
+        np.concatenate([axes_of(pose.attitude) for pose in poses]),
         gather(lambda fleet: fleet.estimate.position_ned),
         gather(_fix),
         gather(lambda fleet: fleet.mean_wind_ned),
@@ -161,7 +163,7 @@ def axes_of(vector: Any) -> Floats:
 def _fix(fleet: FleetState) -> Any:
     """Return the position that a fleet's first GNSS receiver reports, NaN without one."""
     for reading in fleet.readings:
-        if hasattr(reading, "position_ned"):
+        if isinstance(reading, GnssReading):
             return reading.position_ned
     position = fleet.vehicle.position_ned
     return type(position)(*(np.full_like(axis, np.nan) for axis in vars(position).values()))

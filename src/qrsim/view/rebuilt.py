@@ -70,7 +70,7 @@ class Rebuilt:
         if contents.persons is not None:
             when = np.where(self._found <= tick, self._found, -1)
             contents = replace(contents, persons=replace(contents.persons, found_tick=when))
-        if hasattr(self._world.contents.plume, "step"):
+        if self._world.contents.plume.changes:
             contents = replace(contents, plume=self._blown(tick))
         cameras = {place: camera.at(time) for place, camera in self._cameras.items()}
         return Beside(self._blowing(time), self._drawn, contents, self._keys.fleets, cameras)
@@ -97,7 +97,7 @@ def rebuilt(run: Run, world: World | None) -> Rebuilt | None:
     """Rebuild the contents of a run's world; None if it had none or is unknown."""
     if world is None:
         return None
-    parts = any(hasattr(part, "init") for part in vars(world.contents).values())
+    parts = world.contents.random
     return Rebuilt(run, world) if parts or camera_places(world) else None
 
 

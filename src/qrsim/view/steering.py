@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.tree import field_info, replace
+from qrsim.models.atmosphere.wind import LogShear
+from qrsim.models.atmosphere.wind_series import VeeringShear
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import World
 
@@ -38,8 +40,8 @@ def wind_of(world: World) -> Wind | None:
     """Return the mean wind of a world; None for a wind model without one speed and direction."""
     wind = world.wind
     # What every episode draws anew would win over any change.
-    drawn = any(path[:1] == ("wind",) for item in getattr(world, "ranges", ()) for path in item.paths)
-    if drawn or not (hasattr(wind, "speed_20ft") and hasattr(wind, "wind_from_rad")):
+    drawn = any(path[:1] == ("wind",) for item in world.ranges for path in item.paths)
+    if drawn or not isinstance(wind, LogShear | VeeringShear):
         return None
     # As they were written, not as they are rounded to float32.
     speed, bearing = round(float(wind.speed_20ft), 3), round(math.degrees(float(wind.wind_from_rad)) % 360.0, 3)
@@ -61,6 +63,7 @@ def change_wind(simulation: Simulation, wind: Wind) -> list[dict[str, Any]]:
 
 def with_wind(world: World, asked: Mapping[Any, Any]) -> World:
     """Return a world with the wind set by the fields of recorded events."""
-    dtype = np.asarray(world.wind.speed_20ft).dtype
+    wind: Any = world.wind
+    dtype = np.asarray(wind.speed_20ft).dtype
     speed, bearing = np.asarray(asked[SPEED], dtype), np.asarray(math.radians(asked[BEARING]), dtype)
-    return replace(world, wind=replace(world.wind, speed_20ft=speed, wind_from_rad=bearing))
+    return replace(world, wind=replace(wind, speed_20ft=speed, wind_from_rad=bearing))

@@ -13,10 +13,10 @@ from qrsim.core.noise import Draw, Stream
 from qrsim.core.tree import replace
 from qrsim.errors import RunError
 from qrsim.models.scene.contents import ContentsState, Surroundings
-from qrsim.models.scene.persons import Persons
 from qrsim.models.scene.uniform import uniform
 from qrsim.models.sensors.camera import Picture
 from qrsim.world.state import (
+    FIELD,
     PERSONS,
     PLACEMENT,
     PLUME,
@@ -37,7 +37,8 @@ def episode_streams(world: World) -> list[str]:
     """Return the names of the streams of what is drawn once an episode."""
     contents = world.contents
     parts = ((PLUME, contents.plume), (TERRAIN, contents.terrain), (PERSONS, contents.persons))
-    names = [f"{name}/start" for name, part in parts if hasattr(part, "init")]
+    names = [f"{name}/start" for name, part in parts if part.random]
+    names += [FIELD] if world.turbulence.field_ids else []
     names += [f"{PLACEMENT}/{fleet.name}" for fleet in world.fleets if fleet.placement.random]
     return names + [f"{RANGE}/{item.name}" for item in world.ranges]
 
@@ -46,8 +47,9 @@ def episode_draws(world: World, keys: WorldKeys, like: Array) -> dict[str, Draw]
     """Return the draws of an episode by the names of their streams; whose ids they are, the user knows."""
     sizes = {f"{PLACEMENT}/{fleet.name}": fleet.size for fleet in world.fleets}
     sizes |= {
+        FIELD: world.turbulence.field_ids,
         f"{PLUME}/start": world.contents.plume.ids,
-        f"{PERSONS}/start": getattr(world.contents.persons, "most", 0),
+        f"{PERSONS}/start": world.contents.persons.most,
     }
     draws = {}
     for i, name in enumerate(episode_streams(world)):
@@ -84,15 +86,20 @@ def draw_ranges(world: World, draws: dict[str, Draw]) -> tuple[Array, ...]:
     return tuple(uniform(draws[f"{RANGE}/{item.name}"], 0, item.low, item.high)[0] for item in world.ranges)
 
 
+def draw_field(world: World, draws: dict[str, Draw]) -> Any:
+    """Return what the gusts of an episode share, None where they share nothing."""
+    return world.turbulence.draw_field(draws[FIELD]) if world.turbulence.field_ids else None
+
+
 def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:
     """Draw the plume, the ground and the persons of an episode."""
     contents = world.contents
     plume = terrain = persons = None
-    if hasattr(contents.plume, "init"):
+    if contents.plume.random:
         plume = contents.plume.init(draws[f"{PLUME}/start"], world.area)
-    if hasattr(contents.terrain, "init"):
+    if contents.terrain.random:
         terrain = contents.terrain.init(draws[f"{TERRAIN}/start"])
-    if hasattr(contents.persons, "init"):
+    if contents.persons.random:
         persons = contents.persons.init(draws[f"{PERSONS}/start"], contents.terrain.cells(terrain), world.area)
     return ContentsState(plume, terrain, persons)
 
@@ -124,9 +131,10 @@ def step_contents(
             contents, plume=when_due(ticks, due, lambda: plume.step(contents.plume, draw), contents.plume)
         )
     if contents.persons is not None:
+        poses = [fleet.vehicle.pose(now.vehicle) for fleet, now in zip(world.fleets, fleets, strict=True)]
         vehicles = [
-            (fleet.vehicle.position_ned, fleet.vehicle.velocity_body.norm(), fleet.violation.code == 0)
-            for fleet in fleets
+            (pose.position_ned, pose.velocity_body.norm(), now.violation.code == 0)
+            for pose, now in zip(poses, fleets, strict=True)
         ]
         position, speed, valid = jax.tree.map(lambda *parts: jnp.concatenate(parts), *vehicles)
         ticks = period_ticks(persons.period, world.time_step)
@@ -165,8 +173,6 @@ def develop(world: World, contents: ContentsState, camera: Any, reading: Any, st
         reading: its last one.
         stream: of its noise.
     """
-    # Whoever looks where nobody is to be found looks with windows of the usual size.
-    persons = world.contents.persons if hasattr(world.contents.persons, "size") else Persons()
     around = surroundings(world, contents, jnp.int32(0))
-    found: Picture = camera.develop(reading, around, stream, persons.size)
+    found: Picture = camera.develop(reading, around, stream, world.contents.persons.size)
     return found

@@ -27,7 +27,7 @@ def sense(
     after: Array,
 ) -> FleetState:
     """Step the sensors that are due; the readings of invalid vehicles are NaN."""
-    scene = scene_of(state, sky, view)
+    scene = scene_of(fleet, state, sky, view)
     valid = state.violation.code == 0
     states, delivered, undisturbed = [], [], []
     passed_on = state.passed_on
@@ -67,9 +67,9 @@ def faulted(
     return reading, tuple(memories)
 
 
-def scene_of(state: FleetState, sky: SkyState, view: Surroundings | None = None) -> dict[str, Any]:
+def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings | None = None) -> dict[str, Any]:
     """Everything a sensor may declare in ``reads``."""
-    vehicle = state.vehicle
+    vehicle = fleet.vehicle.pose(state.vehicle)
     return {
         "position_ned": vehicle.position_ned,
         "position_low_ned": state.position_low_ned,
@@ -86,7 +86,7 @@ def scene_of(state: FleetState, sky: SkyState, view: Surroundings | None = None)
 
 def estimate_of(fleet: Fleet, state: FleetState) -> Estimate:
     """Return what the controller is fed with: the truth, or horizontal GNSS, the barometer and the attitude."""
-    truth = state.vehicle
+    truth = fleet.vehicle.pose(state.vehicle)
     if fleet.controller.feed == "truth":
         velocity = rotation(truth.attitude).to_ned(truth.velocity_body)
         return Estimate(truth.position_ned, velocity, truth.attitude, state.position_low_ned)

@@ -7,24 +7,31 @@ from typing import Any, TypeVar
 import jax.numpy as jnp
 from jax import Array, lax
 
-from qrsim.control import Estimate, Route, RouteState, Setpoint
+from qrsim.control import Estimate, Route, RouteState
+from qrsim.control.contracts import Controller, Guidance
 from qrsim.core.noise import StreamKeys
 from qrsim.core.pairs import joined
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.gnss.receivers import Sky, SkyState
+from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
+from qrsim.models.gnss.contracts import Sky
+from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.area import StateLimits, Violation
 from qrsim.models.scene.contents import Contents, ContentsState
+from qrsim.models.scene.contracts import Area
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.placement import GivenPlaces
+from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.faults import Fault
-from qrsim.models.vehicles.quadrotor import Command, Quadrotor
+from qrsim.models.vehicles.contracts import Battery, Vehicle
 
 S = TypeVar("S")
-Action = Command | Setpoint | None
+# What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, or nothing.
+Action = Any
 # Names of noise streams are FLEET/USER; a fleet has no slash in its name, so this is no fleet's.
 SKY = "/sky"
 PLUME, TERRAIN, PERSONS, PLACEMENT, RANGE = "/plume", "/terrain", "/persons", "/placement", "/range"
+FIELD = "/turbulence"
 # Users of noise in a fleet beside its sensors, whose names are therefore taken.
 TURBULENCE, PROCESS = "turbulence", "process"
 
@@ -43,14 +50,14 @@ class Start:
 class Fleet:
     """Vehicles of one kind with the same sensors and controller."""
 
-    vehicle: Quadrotor = quantity(doc="vehicle model")
-    controller: Any = quantity(doc="control loops")
-    guidance: Any = quantity(doc="what hands out set-points")
+    vehicle: Vehicle = quantity(doc="vehicle model")
+    controller: Controller = quantity(doc="control loops")
+    guidance: Guidance = quantity(doc="what hands out set-points")
     route: Route = quantity(doc="waypoints")
     start: Start = quantity(doc="initial state")
     limits: StateLimits = quantity(doc="state limits")
-    sensors: tuple[Any, ...] = quantity(doc="sensors, in the order of sensor_names")
-    battery: Any = quantity(doc="where the battery voltage comes from")
+    sensors: tuple[Sensor, ...] = quantity(doc="sensors, in the order of sensor_names")
+    battery: Battery = quantity(doc="where the battery voltage comes from")
     faults: tuple[Fault, ...] = quantity(doc="sensor faults, in the order in which they are applied")
     name: str = setting(doc="name, part of the names of its noise streams")
     sensor_names: tuple[str, ...] = setting(doc="names of the sensors, part of the names of their streams")
@@ -84,11 +91,11 @@ class Range:
 class World:
     """Read-only parameters of everything."""
 
-    wind: Any = quantity(doc="mean wind")
-    turbulence: Any = quantity(doc="random gusts")
-    gust: Any = quantity(doc="discrete gust")
+    wind: Wind = quantity(doc="mean wind")
+    turbulence: Turbulence = quantity(doc="random gusts")
+    gust: Gust = quantity(doc="discrete gust")
     sky: Sky = quantity(doc="GNSS space segment")
-    area: Any = quantity(doc="where vehicles may be")
+    area: Area = quantity(doc="where vehicles may be")
     fleets: tuple[Fleet, ...] = quantity(doc="fleets")
     obstacles: Obstacles = quantity(doc="solid things in the area")
     collision_distance: Array = parameter(
@@ -133,7 +140,7 @@ class FleetState:
     controller: Any = quantity(doc="control loops")
     guidance: RouteState = quantity(doc="progress along the route")
     setpoint: Any = quantity(doc="last set-point")
-    command: Command = quantity(doc="last command, as flown")
+    command: Any = quantity(doc="last command, as flown")
     command_clipped: Array = quantity(doc="bool: the last command was outside its range and was clipped")
     violation: Violation = quantity(doc="why a vehicle is invalid; code 0 while it is valid")
     sensors: tuple[Any, ...] = quantity(doc="sensor states")
@@ -158,6 +165,7 @@ class State:
     contents_keys: StreamKeys | None = quantity(default=None, doc="keys of the plume's randomness; None if it has none")
     drawn: tuple[Array, ...] = quantity(default=(), doc="what this episode has drawn for each range of the world")
     placed: tuple[Array, ...] = quantity(default=(), doc="bool, of each fleet placed at random: a place was found")
+    field: Any = quantity(default=None, doc="what the gusts of the episode share; None where they share nothing")
 
 
 def position_of(fleet: FleetState) -> Vec3:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.control import Estimate, Setpoint
+from qrsim.control import Estimate
 from qrsim.core.noise import Draw, Drawn, Key, Noise, Stream, StreamKeys, draw_together
 from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Vec3, rotation
@@ -21,18 +21,18 @@ from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.area import Violation, collisions, reason_code
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.vehicles.moving import move
-from qrsim.models.vehicles.quadrotor import Command, clip_command
+from qrsim.world.air import around_of, gust_at, gust_rates_at
 from qrsim.world.episode import (
+    draw_field,
     draw_ranges,
     episode_draws,
     episode_streams,
     place,
-    refuse_unplaced,
     start_contents,
     step_contents,
     surroundings,
 )
-from qrsim.world.sensing import estimate_of, faulted, measured_quantities, scene_of, sense
+from qrsim.world.sensing import estimate_of, faulted, scene_of, sense
 from qrsim.world.state import (
     PLUME,
     PROCESS,
@@ -46,32 +46,8 @@ from qrsim.world.state import (
     World,
     WorldKeys,
     period_ticks,
-    position_of,
     when_due,
 )
-
-__all__ = [
-    "PROCESS",
-    "SKY",
-    "TURBULENCE",
-    "Action",
-    "Fleet",
-    "FleetState",
-    "Start",
-    "State",
-    "World",
-    "WorldKeys",
-    "keys_of",
-    "measured_quantities",
-    "own_checks",
-    "period_ticks",
-    "position_of",
-    "refuse_unplaced",
-    "reset",
-    "start_fleet",
-    "step",
-    "surroundings",
-]
 
 
 def keys_of(world: World, key: Key) -> WorldKeys:
@@ -82,7 +58,7 @@ def keys_of(world: World, key: Key) -> WorldKeys:
         tuple(_stream_keys(fleet, key) for fleet in world.fleets),
         tuple(_stream_keys(fleet, key, "/start") for fleet in world.fleets),
         key.streams(episode_streams(world)) if episode_streams(world) else None,
-        key.streams([PLUME]) if hasattr(world.contents.plume, "step") else None,
+        key.streams([PLUME]) if world.contents.plume.changes else None,
     )
 
 
@@ -102,12 +78,13 @@ def reset(world: World, key: Key | WorldKeys) -> State:
     contents = start_contents(world, draws)
     placed = [place(world, fleet, draws) for fleet in world.fleets]
     view = surroundings(world, contents, jnp.int32(0))
+    field = draw_field(world, draws)
     fleets = tuple(
-        start_fleet(world, fleet, _vehicle_at(fleet, start), first, jnp.int32(0), sky, view)
+        start_fleet(world, fleet, _vehicle_at(fleet, start), first, jnp.int32(0), sky, view, field)
         for fleet, (start, _), first in zip(world.fleets, placed, keys.fleets_start, strict=True)
     )
     found = tuple(found for _, found in placed if found is not None)
-    return State(sky, fleets, keys.sky, keys.fleets, contents, keys.plume, drawn, found)
+    return State(sky, fleets, keys.sky, keys.fleets, contents, keys.plume, drawn, found, field)
 
 
 def step(
@@ -136,7 +113,7 @@ def step(
     sky = _step_sky(world, state, due, after)
     noise = [_draw_fleet(world, fleet, keys, after) for fleet, keys in zip(world.fleets, state.fleet_keys, strict=True)]
     flown = tuple(
-        _fly(world, state.fleets, fleet, fleet_state, tick, drawn, action, estimate)
+        _fly(world, state, fleet, fleet_state, tick, drawn, action, estimate)
         for fleet, fleet_state, drawn, action, estimate in zip(
             world.fleets, state.fleets, noise, actions, estimates or (None,) * len(actions), strict=True
         )
@@ -160,7 +137,7 @@ def _step_sky(world: World, state: State, due: Array, after: Array) -> SkyState:
 
 def _fly(
     world: World,
-    before: tuple[FleetState, ...],
+    whole: State,
     fleet: Fleet,
     state: FleetState,
     tick: Array,
@@ -169,20 +146,21 @@ def _fly(
     believed: Estimate | None,
 ) -> FleetState:
     """Wind, set-point, command and dynamics of one fleet; invalid vehicles are put back by ``_check``."""
-    dt = world.time_step
-    truth = state.vehicle
-    direction = rotation(truth.attitude)
-    height = world.area.height_agl(truth.position_ned)
+    dt, model = world.time_step, fleet.vehicle
+    pose = model.pose(state.vehicle)
+    direction = rotation(pose.attitude)
+    height = world.area.height_agl(pose.position_ned)
     time = split_time(tick, dt, height.dtype)
     mean_wind = world.wind.velocity_ned(height, *time)
     turbulence = world.turbulence.step(
-        state.turbulence, noise[TURBULENCE], height, direction.to_ned(truth.velocity_body), mean_wind, dt
+        state.turbulence, noise[TURBULENCE], height, direction.to_ned(pose.velocity_body), mean_wind, dt
     )
-    gust = world.turbulence.gust_ned(turbulence, height) + world.gust.velocity_ned(truth.position_ned, *time)
+    at = (height, pose.position_ned, time)
+    gust = gust_at(world, whole.field, turbulence, *at)
     air = mean_wind + gust
 
     guidance, setpoint, controller, estimate = state.guidance, state.setpoint, state.controller, state.estimate
-    if isinstance(action, Command):
+    if isinstance(action, model.actions):
         wanted = action
     else:
         fed = estimate_of(fleet, state) if believed is None else believed
@@ -190,23 +168,27 @@ def _fly(
         estimate = jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, estimate)
         asked = action
         if asked is None:
-            others = _others(world, before, fleet)
+            others = _others(world, whole.fleets, fleet)
             guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others)
         known = replace(estimate, position_low_ned=fed.position_low_ned)
         controller, wanted = fleet.controller.step(controller, known, asked, dt)
-        setpoint = _shown(fleet, asked)
-    weight = fleet.vehicle.mass * fleet.vehicle.gravity
-    voltage = fleet.battery.voltage(state.battery, truth.thrust, weight, wanted.battery)
-    command, clipped = clip_command(replace(wanted, battery=voltage), getattr(fleet.battery, "commanded", True))
-    battery = fleet.battery.step(state.battery, truth.thrust, weight, dt)
-    drawn = fleet.vehicle.draw_noise(noise[PROCESS], dt)
+        setpoint = fleet.controller.shown(asked)
+    load = model.load(state.vehicle)
+    voltage = fleet.battery.voltage(state.battery, load)
+    command, clipped = model.clip(model.powered(wanted, voltage), voltage is not None)
+    battery = fleet.battery.step(state.battery, load, dt)
+    drawn = model.draw_noise(noise[PROCESS], dt)
+    around = None
+    if model.reads:
+        around = around_of(world, pose.attitude, gust_rates_at(world, whole.field, turbulence, *at))
     vehicle, low, force = move(
-        fleet.vehicle, truth, state.position_low_ned, command, lambda trig: trig.rotation().to_body(air), drawn, dt
-    )
+        model, state.vehicle, state.position_low_ned, command, lambda trig: trig.rotation().to_body(air), drawn, dt,
+        around,
+    )  # fmt: skip
     return replace(
         state, vehicle=vehicle, position_low_ned=low, specific_force=force,
         turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
-        gust_rates_ned=_gust_rates(world, turbulence, height),
+        gust_rates_ned=gust_rates_at(world, whole.field, turbulence, *at),
         estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=command,
         command_clipped=clipped, battery=battery,
     )  # fmt: skip
@@ -214,7 +196,7 @@ def _fly(
 
 def _others(world: World, before: tuple[FleetState, ...], fleet: Fleet) -> dict[str, Vec3]:
     """Return where all other fleets say they are, (m,), for a guidance that looks at them; NaN for who has stopped."""
-    if not hasattr(fleet.guidance, "sees_others"):
+    if not fleet.guidance.sees_others:
         return {}
     positions = []
     for other, state in zip(world.fleets, before, strict=True):
@@ -227,19 +209,6 @@ def _others(world: World, before: tuple[FleetState, ...], fleet: Fleet) -> dict[
     return {"others_ned": jax.tree.map(lambda *parts: jnp.concatenate(parts), *positions)}
 
 
-def _shown(fleet: Fleet, setpoint: Setpoint) -> Any:
-    """Return a set-point as the state keeps it: of one structure, also where a controller takes several kinds."""
-    return fleet.controller.shown(setpoint) if hasattr(fleet.controller, "shown") else setpoint
-
-
-def _gust_rates(world: World, turbulence: Any, height_agl: Array) -> Vec3 | None:
-    """Return the rotation of the air at each vehicle (n,) [rad/s], None where the turbulence gives none."""
-    if not hasattr(world.turbulence, "gust_rates_ned"):
-        return None
-    rates: Vec3 = world.turbulence.gust_rates_ned(turbulence, height_agl)
-    return rates
-
-
 def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:
     """Look at all new positions together; a vehicle that breaks a limit stays where it was, at rest."""
     positions = []
@@ -250,16 +219,14 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
     collided = collisions(together, world.collision_distance)
     checked, first = [], 0
     for fleet, old, new in zip(world.fleets, before, flown, strict=True):
-        vehicle = new.vehicle
-        own = Violation.first(own_checks(world, fleet, new), vehicle.thrust)
+        own = Violation.first(own_checks(world, fleet, new), new.vehicle.position_ned.x)
         in_collision = jax.tree.map(lambda leaf: leaf[first : first + fleet.size], collided)  # noqa: B023
         first += fleet.size
         violation = old.violation.or_else(own.or_else(in_collision))
-        rest = Vec3.zeros(vehicle.thrust.shape, vehicle.thrust.dtype)
-        stopped = replace(old.vehicle, velocity_body=rest, rates_body=rest)
+        stopped = fleet.vehicle.stopped(old.vehicle)
         valid = violation.code == 0
         # Only the vehicle itself is put back: what else a stopped vehicle computes goes nowhere.
-        kept = select(valid, vehicle, stopped)
+        kept = select(valid, new.vehicle, stopped)
         low = select(valid, new.position_low_ned, old.position_low_ned)
         checked.append(
             replace(
@@ -272,22 +239,24 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
 
 def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Array]]:
     """Return the checks (code, value, broken) of each vehicle (n,) of a fleet on its own, without the others."""
-    vehicle = state.vehicle
-    finite = jnp.all(jnp.stack([jnp.isfinite(leaf) for leaf in jax.tree.leaves(vehicle)]), axis=0)
+    pose = fleet.vehicle.pose(state.vehicle)
+    finite = jnp.all(jnp.stack([jnp.isfinite(leaf) for leaf in jax.tree.leaves(state.vehicle)]), axis=0)
     return [
-        (reason_code("not_finite", "state"), jnp.zeros_like(vehicle.thrust), ~finite),
-        *world.area.check(vehicle.position_ned),
-        _hits_obstacle(world, vehicle.position_ned),
-        *_empty_battery(state.battery, vehicle.thrust),
-        *fleet.limits.check(vehicle.attitude, vehicle.velocity_body, vehicle.rates_body),
+        (reason_code("not_finite", "state"), jnp.zeros_like(pose.position_ned.x), ~finite),
+        *world.area.check(pose.position_ned),
+        _hits_obstacle(world, pose.position_ned),
+        *_empty_battery(fleet, state),
+        *fleet.limits.check(pose.attitude, pose.velocity_body, pose.rates_body),
+        *fleet.vehicle.own_checks(state.vehicle),
     ]
 
 
-def _empty_battery(battery: Any, like: Array) -> list[tuple[int, Array, Array]]:
+def _empty_battery(fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Array]]:
     """Return the check (code, charge, empty) of vehicles (n,) with a battery that can run out."""
-    if not hasattr(battery, "charge"):
+    if not fleet.battery.drains:
         return []
-    return [(reason_code("battery_empty", "charge"), battery.charge, battery.charge <= 0.0)]
+    charge: Array = state.battery.charge
+    return [(reason_code("battery_empty", "charge"), charge, charge <= 0.0)]
 
 
 def _hits_obstacle(world: World, position_ned: Vec3) -> tuple[int, Array, Array]:
@@ -306,6 +275,7 @@ def start_fleet(
     tick: Array,
     sky: SkyState,
     view: Surroundings,
+    field: Any = None,
     before: FleetState | None = None,
     low: Vec3 | None = None,
 ) -> FleetState:
@@ -317,40 +287,40 @@ def start_fleet(
         keys: of what is drawn.
         tick: () int32, now.
         sky, view: what sensors may look at.
+        field: what the gusts of the episode share.
         before: where the fleet has flown before, of which sensors may keep what is theirs, as the number of a picture.
         low: what single precision leaves out of the positions (n,), if anything.
     """
-    like = vehicle.thrust
+    pose = fleet.vehicle.pose(vehicle)
+    like = pose.position_ned.x
     draws = _draw_fleet(world, fleet, keys, tick)
-    height = world.area.height_agl(vehicle.position_ned)
+    height = world.area.height_agl(pose.position_ned)
     time = split_time(tick, world.time_step, height.dtype)
     mean_wind = world.wind.velocity_ned(height, *time)
     turbulence = world.turbulence.init(draws[TURBULENCE])
-    gust = world.turbulence.gust_ned(turbulence, height) + world.gust.velocity_ned(vehicle.position_ned, *time)
+    at = (height, pose.position_ned, time)
+    gust, rates = gust_at(world, field, turbulence, *at), gust_rates_at(world, field, turbulence, *at)
     zero = jnp.zeros_like(like)
-    hover = jnp.broadcast_to(jnp.asarray(fleet.controller.hover_throttle), like.shape)
-    battery = jnp.broadcast_to(jnp.asarray(fleet.controller.battery), like.shape)
-    command = Command(zero, zero, hover, zero, battery)
+    command = fleet.controller.idle_command(fleet.vehicle.idle_command(like))
     noiseless = fleet.vehicle.draw_noise(Drawn((zero,) * fleet.vehicle.normals), 1.0)
     air = mean_wind + gust
-    _, force = fleet.vehicle.derivative(
-        vehicle, command, lambda trig: trig.rotation().to_body(air), noiseless, world.time_step
+    more = (around_of(world, pose.attitude, rates),) if fleet.vehicle.reads else ()
+    force = fleet.vehicle.specific_force(
+        vehicle, command, lambda trig: trig.rotation().to_body(air), noiseless, world.time_step, *more
     )
     violation = Violation(jnp.zeros(like.shape, jnp.int32), zero)
     guidance = fleet.guidance.init(fleet.route)
     # Until a sensor speaks, the controller believes what was true at the start.
-    estimate = Estimate(
-        vehicle.position_ned, rotation(vehicle.attitude).to_ned(vehicle.velocity_body), vehicle.attitude
-    )
+    estimate = Estimate(pose.position_ned, rotation(pose.attitude).to_ned(pose.velocity_body), pose.attitude)
     controller = fleet.controller.init(estimate)
-    setpoint = _shown(fleet, fleet.guidance.setpoint(guidance, fleet.route))
+    setpoint = fleet.controller.shown(fleet.guidance.setpoint(guidance, fleet.route))
     state = FleetState(
         vehicle=vehicle,
         specific_force=force,
         turbulence=turbulence,
         mean_wind_ned=mean_wind,
         gust_ned=gust,
-        gust_rates_ned=_gust_rates(world, turbulence, height),
+        gust_rates_ned=rates,
         estimate=estimate,
         controller=controller,
         guidance=guidance,
@@ -365,11 +335,11 @@ def start_fleet(
         passed_on=(),
         position_low_ned=(low or Vec3(zero, zero, zero)) if like.dtype == jnp.float32 else None,
     )
-    scene = scene_of(state, sky, view)
+    scene = scene_of(fleet, state, sky, view)
     firsts = []
     for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
         inputs = {item: scene[item] for item in sensor.reads}
-        if before is not None and hasattr(sensor, "restart"):
+        if before is not None:
             since = (tick % period_ticks(sensor.period, world.time_step)).astype(like.dtype) * world.time_step
             firsts.append(sensor.restart(before.sensors[i], draws[name], since, **inputs))
         else:
@@ -411,7 +381,7 @@ def _draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array) -> di
     users: dict[str, Any] = {TURBULENCE: world.turbulence, PROCESS: fleet.vehicle}
     for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
         every_tick = period_ticks(sensor.period, world.time_step) == 1
-        if every_tick and hasattr(sensor, "normals"):
+        if every_tick and not sensor.draws_alone:
             users[name] = sensor
     drawn = draw_together([streams[name] for name in users], [user.normals for user in users.values()], tick, like)
     on_demand = {name: Draw(stream, tick, like) for name, stream in streams.items() if name not in users}

@@ -24,7 +24,7 @@ from qrsim.models.gnss.receivers import (
     GnssReceiver,
     IdealGnss,
     OrnsteinUhlenbeckErrors,
-    Sky,
+    SharedSky,
     SkyState,
     solve_position,
 )
@@ -97,7 +97,7 @@ def satellites_at(gps_seconds: Any) -> Array:
 START = 967_000_000.0
 EPOCHS = START + 7200.0 * np.arange(12)
 IDS = np.arange(24, dtype=np.uint32)
-SKY = Sky(DriftingSatellites(vec(satellites_at(START))), cast(OrnsteinUhlenbeckErrors(), F32), IDS)  # type: ignore[arg-type]
+SKY = SharedSky(DriftingSatellites(vec(satellites_at(START))), cast(OrnsteinUhlenbeckErrors(), F32), IDS)  # type: ignore[arg-type]
 
 
 def unit_vectors(rng: np.random.Generator, count: int, lowest: float) -> Array:

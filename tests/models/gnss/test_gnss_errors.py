@@ -19,7 +19,7 @@ from qrsim.core.noise import Draw, Drawn, Key
 from qrsim.core.tree import cast
 from qrsim.models.gnss.errors import BUDGETS, PRESETS, GaussMarkov2, GaussMarkov2State
 from qrsim.models.gnss.orbits import NominalConstellation
-from qrsim.models.gnss.receivers import Sky
+from qrsim.models.gnss.receivers import SharedSky
 from qrsim.models.site import Site
 
 Array = np.ndarray[Any, Any]
@@ -299,7 +299,7 @@ def test_in_a_sky() -> None:
     orbits = NominalConstellation().at(Site(), 1e9, F32)
     errors = cast(GaussMarkov2(), F32)
     ids = jnp.arange(24, dtype=jnp.uint32)
-    sky = Sky(orbits, errors, ids)
+    sky = SharedSky(orbits, errors, ids)
     draw = Draw(Key.root(1).stream("/sky", ids), jnp.uint32(3), jnp.zeros((), F32))
     state = jit(sky.init)(draw)
     after = jit(lambda s: sky.step(s, draw, jnp.int32(0), jnp.float32(0.2)))(state)

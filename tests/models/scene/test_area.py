@@ -17,7 +17,8 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.scene.area import REASONS, BoxArea, StateLimits, Violation, collisions, reason_code
 from qrsim.models.vehicles.quadrotor import Command
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.world.tick import State, World, reset, step
+from qrsim.world.state import State, World
+from qrsim.world.tick import reset, step
 
 Array = np.ndarray[Any, Any]
 F32 = np.float32

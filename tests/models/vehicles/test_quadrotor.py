@@ -18,13 +18,13 @@ from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
 from qrsim.models.vehicles.quadrotor import (
+    COMMAND_FIELDS,
     COMMAND_LIMITS,
     THROTTLE_RAW_PER_UNIT,
     Command,
     ProcessNoise,
     Quadrotor,
     QuadrotorState,
-    clip_command,
     raw_to_command,
 )
 from qrsim.simulation.openloop import hover_state, simulate_open_loop
@@ -417,8 +417,23 @@ class TestCommands:
     def test_clipping_flags_the_vehicles_it_changed(self):
         given = Command(*jnp.asarray(hold(4).T, F32))
         given = replace(given, pitch=jnp.asarray([0.0, 1.0, 0.9, -0.9], F32), battery=jnp.asarray([11, 11, 12, 8], F32))
-        clipped, changed = clip_command(given)
+        clipped, changed = Quadrotor().clip(given)
         np.testing.assert_array_equal(changed, [False, True, False, True])
         np.testing.assert_allclose(clipped.pitch, [0.0, 0.9, 0.9, -0.9])
         np.testing.assert_allclose(clipped.battery, [11.0, 11.0, 12.0, 9.0])
         np.testing.assert_array_equal(clipped.throttle, given.throttle)
+
+    def test_the_voltage_of_a_battery_is_not_clipped(self):
+        given = Command(*jnp.asarray(hold(2).T, F32))
+        powered = Quadrotor().powered(replace(given, battery=jnp.zeros(2)), jnp.asarray([14.8, 8.0], F32))
+        clipped, changed = Quadrotor().clip(powered, powered=True)
+        np.testing.assert_allclose(clipped.battery, [14.8, 8.0])
+        np.testing.assert_array_equal(changed, [False, False])
+        assert Quadrotor().powered(given, None) is given
+
+    def test_a_command_says_its_fields_and_their_limits(self):
+        assert COMMAND_FIELDS == ("pitch", "roll", "throttle", "yaw_rate", "battery")
+        assert COMMAND_LIMITS == {
+            "pitch": (-0.9, 0.9), "roll": (-0.9, 0.9), "throttle": (0.0, 1.0), "yaw_rate": (-4.5, 4.5),
+            "battery": (9.0, 12.0),
+        }  # fmt: skip

@@ -61,7 +61,7 @@ def _plan(axes: Any, scenario: Scenario, flown: Rollout) -> None:
 
 def outline(area: Any) -> list[list[float]]:
     """Return the corners (north, east) [m] of a scenario's area."""
-    if hasattr(area, "corners_ned"):
+    if "corners_ned" in vars(area):
         return [list(corner) for corner in area.corners_ned]
     return [[area.x_min, area.y_min], [area.x_max, area.y_min], [area.x_max, area.y_max], [area.x_min, area.y_max]]
 

@@ -22,7 +22,7 @@ from qrsim.links.reference.readout import States
 from qrsim.links.reference.session import Wishes
 from qrsim.tasks import Play
 from qrsim.tasks.episodes import Episodes, score
-from qrsim.world.tick import refuse_unplaced
+from qrsim.world.episode import refuse_unplaced
 
 Array = np.ndarray[Any, Any]
 PRECISION = np.dtype(np.float32)
@@ -72,8 +72,7 @@ class Playing:
     @property
     def answer_shape(self) -> tuple[int, ...]:
         """Shape of an agent's answer with its last action; () for a task without answers."""
-        found: Any = getattr(self.play.task, "answer_shape", None)
-        return () if found is None else tuple(found(self.play.world))
+        return tuple(self.play.task.answer_shape(self.play.world))
 
     def begin(self) -> None:
         """Start the first episode.

@@ -15,7 +15,7 @@ from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.inertial import AccelerometerReading, GyroscopeReading
-from qrsim.world.tick import FleetState
+from qrsim.world.state import FleetState
 
 Array = np.ndarray[Any, Any]
 STATE_SIZE, MEASURED_SIZE = 13, 20

@@ -56,6 +56,7 @@ class Turbulence(Protocol):
 
     def draw_field(self, draw: Draw) -> Any:
         """Return what the gusts of all vehicles of an episode share, of a draw for ``field_ids`` ids."""
+        return None
 
     @abstractmethod
     def init(self, draw: Noise) -> Any:

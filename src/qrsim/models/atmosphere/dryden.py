@@ -23,6 +23,7 @@ from qrsim.core.fastmath import exp, power
 from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.atmosphere.contracts import Turbulence
 from qrsim.models.atmosphere.turbulence import HIGHEST_FT, carrying_speed, low_altitude_scales
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, wind_to_ned
 
@@ -266,7 +267,7 @@ class DrydenState:
 
 
 @record
-class Dryden:
+class Dryden(Turbulence):
     """Linear and angular gusts with the Dryden spectra of MIL-F-8785C, discretised exactly."""
 
     speed_20ft: Array = parameter(
@@ -297,6 +298,7 @@ class Dryden:
     )
 
     normals: ClassVar[int] = 8
+    rates: ClassVar[bool] = True
 
     def init(self, draw: Noise) -> DrydenState:
         """Draw a stationary first value."""

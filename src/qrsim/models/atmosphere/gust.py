@@ -11,11 +11,12 @@ from jax import Array
 from qrsim.core.fastmath import sincos
 from qrsim.core.tree import parameter, record, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.atmosphere.contracts import Gust
 from qrsim.models.atmosphere.wind import wind_to_ned
 
 
 @record
-class NoGust:
+class NoGust(Gust):
     """No discrete gust."""
 
     def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array) -> Vec3:
@@ -24,7 +25,7 @@ class NoGust:
 
 
 @record
-class DiscreteGust:
+class DiscreteGust(Gust):
     """A 1-cosine gust: v = amplitude/2 (1 - cos(pi x/length)) for 0 <= x <= length, x the distance into the gust.
 
     It is a function of time and place alone: x = speed (t - start_time), for 'travelling' minus the distance

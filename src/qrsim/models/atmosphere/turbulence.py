@@ -12,6 +12,7 @@ from qrsim.core.fastmath import power
 from qrsim.core.noise import Noise, ou_decay
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.atmosphere.contracts import Turbulence
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, wind_to_ned
 
 LOWEST_FT, HIGHEST_FT = 10.0, 1000.0
@@ -24,7 +25,7 @@ class StillState:
 
 
 @record
-class Still:
+class Still(Turbulence):
     """No turbulence."""
 
     normals: ClassVar[int] = 0
@@ -74,7 +75,7 @@ class GustState:
 
 
 @record
-class DrydenFirstOrder:
+class DrydenFirstOrder(Turbulence):
     """First-order gusts of Symington 2014, eqs. 7-8: a Gauss-Markov process per axis with tau = L/V."""
 
     speed_20ft: Array = parameter(

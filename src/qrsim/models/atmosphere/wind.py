@@ -14,6 +14,7 @@ from jax import Array
 from qrsim.core.fastmath import log, sincos
 from qrsim.core.tree import parameter, record
 from qrsim.core.vectors import Vec3
+from qrsim.models.atmosphere.contracts import Wind
 
 FEET_PER_METRE = 1.0 / 0.3048
 ROUGHNESS_FT = 0.15
@@ -27,7 +28,7 @@ def wind_to_ned(along: Array, across: Array, down: Array, wind_from_rad: Array) 
 
 
 @record
-class Calm:
+class Calm(Wind):
     """No mean wind."""
 
     def velocity_ned(self, height_agl: Array, seconds: Array | None = None, fraction: Array | None = None) -> Vec3:
@@ -36,7 +37,7 @@ class Calm:
 
 
 @record
-class LogShear:
+class LogShear(Wind):
     """A steady wind whose speed grows with the logarithm of height."""
 
     speed_20ft: Array = parameter(unit="m/s", doc="speed 20 ft (6.096 m) above the ground", minimum=0.0, maximum=50.0)

@@ -17,6 +17,7 @@ from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
 from qrsim.files.user_files import LARGEST_TABLE, open_text
+from qrsim.models.atmosphere.contracts import Wind
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT, wind_to_ned
 
 COLUMNS = ("time", "north", "east", "down")
@@ -27,7 +28,7 @@ LARGEST_TIME_S = 2e9
 
 
 @record
-class WindSeries:
+class WindSeries(Wind):
     """The air's velocity at K increasing times, linear in between; ``WindFile.at`` makes it.
 
     Times are whole seconds plus a fraction, because a float32 of a day's seconds would be 8 ms off.
@@ -192,7 +193,7 @@ def _fail(path: Path, line: int, problem: str) -> NoReturn:
 
 
 @record
-class VeeringShear:
+class VeeringShear(Wind):
     """A steady wind whose speed follows a law of height and whose bearing turns evenly with height."""
 
     speed_20ft: Array = parameter(unit="m/s", doc="speed 20 ft (6.096 m) above the ground", minimum=0.0, maximum=50.0)

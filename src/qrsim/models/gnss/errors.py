@@ -13,6 +13,7 @@ from qrsim.core.allan import exponential_allan_variance
 from qrsim.core.fastmath import exp
 from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record
+from qrsim.models.gnss.contracts import RangeErrors
 from qrsim.models.site import Float64
 
 # Gauss-Legendre nodes and weights on [0, 1].
@@ -92,7 +93,7 @@ class GaussMarkov2Step:
 
 
 @record
-class GaussMarkov2:
+class GaussMarkov2(RangeErrors):
     """One range error per satellite: a first-order process driven by another, as in Symington 2014.
 
     In metres, dx = -x/tau_1 dt + k y dt and dy = -y/tau_2 dt + q dW. Only the standard deviation of x and the two time

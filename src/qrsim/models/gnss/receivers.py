@@ -17,14 +17,16 @@ from qrsim.core.noise import Draw, ou_step
 from qrsim.core.pairs import added
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.contracts import RangeErrors, Sky
 from qrsim.models.gnss.orbits import Orbits
+from qrsim.models.sensors.contracts import Sensor
 
 # Position and clock are four unknowns.
 FEWEST_SATELLITES = 4
 
 
 @record
-class OrnsteinUhlenbeckErrors:
+class OrnsteinUhlenbeckErrors(RangeErrors):
     """One Ornstein-Uhlenbeck range error per satellite: ionosphere, troposphere, ephemeris and clock in one.
 
     The defaults are the reference implementation's: 0.1746 m per step of 0.2 s, 12.35 m stationary.
@@ -58,11 +60,11 @@ class SkyState:
 
 
 @record
-class Sky:
+class SharedSky(Sky):
     """The shared space segment."""
 
     orbits: Orbits = quantity(doc="satellite positions as seen from the site")
-    errors: Any = quantity(doc="range errors")
+    errors: RangeErrors = quantity(doc="range errors")
     ids: Array = quantity(doc="(S,) uint32 number of each satellite, which its randomness belongs to")
     period: float = setting(
         default=0.2, unit="s", doc="interval between epochs, a multiple of the time step", above=0.0
@@ -186,7 +188,7 @@ ABSENT_HEIGHT = 2.66e7
 
 
 @record
-class GnssReceiver:
+class GnssReceiver(Sensor):
     """A single-frequency receiver: all satellites above a mask, solved by least squares.
 
     ``velocity: differenced`` is the published one, from successive fixes; ``doppler`` solves range rates, whose errors
@@ -212,6 +214,7 @@ class GnssReceiver:
         default=0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky", "position_low_ned")
+    draws_alone: ClassVar[bool] = True
 
     def init(
         self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState, position_low_ned: Vec3 | None = None
@@ -310,13 +313,14 @@ def _solution(position_ned: Vec3, fix: Fix, position_low_ned: Vec3 | None) -> tu
 
 
 @record
-class IdealGnss:
+class IdealGnss(Sensor):
     """The truth at the same period, without delay."""
 
     period: float = setting(
         default=0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0
     )
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky")
+    draws_alone: ClassVar[bool] = True
 
     def init(self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState) -> tuple[None, GnssReading]:
         """Return the true position and velocity, with all satellites of the sky and no dilution of precision."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from jax import Array
 from qrsim.core.nearest import nearest_squared
 from qrsim.core.tree import parameter, quantity, record
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.scene.contracts import Area
 
 # Every way to become invalid: (kind, field). The position in this tuple is the code carried in the state; 0 is valid.
 REASONS: tuple[tuple[str, str], ...] = (
@@ -74,7 +76,7 @@ class Violation:
 
 
 @record
-class BoxArea:
+class BoxArea(Area):
     """A box in NED; z = 0 is the ground, so z_max above 0 would be below it."""
 
     x_min: Array = parameter(default=-1000.0, unit="m", doc="southern limit")
@@ -83,6 +85,7 @@ class BoxArea:
     y_max: Array = parameter(default=1000.0, unit="m", doc="eastern limit")
     z_min: Array = parameter(default=-120.0, unit="m", doc="ceiling, negative", maximum=0.0)
     z_max: Array = parameter(default=0.0, unit="m", doc="floor; 0 is the ground", maximum=0.0)
+    is_box: ClassVar[bool] = True
 
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
         """Return the checks (code, value, broken) of positions (n,)."""

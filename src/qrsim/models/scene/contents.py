@@ -9,7 +9,9 @@ from jax import Array
 
 from qrsim.core.tree import quantity, record, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.atmosphere import contracts
 from qrsim.models.gnss.orbits import split_time
+from qrsim.models.scene.contracts import Area, GroundCover, People
 from qrsim.models.scene.persons import NoPersons
 from qrsim.models.scene.plume import NoPlume, Wind
 from qrsim.models.scene.terrain import ClearGround
@@ -23,8 +25,13 @@ class Contents:
     """The components; by default there is nothing."""
 
     plume: Any = quantity(default=NoPlume(), doc="concentration field")
-    terrain: Any = quantity(default=ClearGround(), doc="cover of the ground")
-    persons: Any = quantity(default=NoPersons(), doc="who is to be found")
+    terrain: GroundCover = quantity(default=ClearGround(), doc="cover of the ground")
+    persons: People = quantity(default=NoPersons(), doc="who is to be found")
+
+    @property
+    def random(self) -> bool:
+        """Whether anything of it is drawn for each episode, which is whether there is anything."""
+        return bool(self.plume.random or self.terrain.random or self.persons.random)
 
 
 @record
@@ -42,8 +49,8 @@ class Surroundings:
 
     contents: Contents = quantity(doc="components")
     state: ContentsState = quantity(doc="their state")
-    wind: Any = quantity(doc="mean wind")
-    area: Any = quantity(doc="where vehicles may be")
+    wind: contracts.Wind = quantity(doc="mean wind")
+    area: Area = quantity(doc="where vehicles may be")
     tick: Array = quantity(doc="() int32")
     time_step: float = setting(unit="s", doc="simulation step")
 
@@ -55,7 +62,7 @@ class Surroundings:
     def concentration(self, position_ned: Vec3) -> Array:
         """Return the concentration at positions (n,)."""
         plume = self.contents.plume
-        ticks = max(1, round(plume.period / self.time_step)) if hasattr(plume, "period") else 1
+        ticks = max(1, round(plume.period / self.time_step))
         dtype = position_ned.x.dtype
         since = (self.tick % ticks).astype(dtype) * self.time_step
         return plume.concentration(self.state.plume, position_ned, self.carrying_wind(dtype), self.area, since)

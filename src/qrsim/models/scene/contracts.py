@@ -1,4 +1,4 @@
-"""What a world asks of the area where its vehicles may be.
+"""What a world asks of the area where its vehicles may be, and of what is in it: a plume, ground cover, persons.
 
 A component names its contract as its base class. Methods marked abstract are required; the others, and the class
 variables, have the defaults that stand here.
@@ -7,10 +7,11 @@ variables, have the defaults that stand here.
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from jax import Array
 
+from qrsim.core.noise import Draw
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 
@@ -47,3 +48,86 @@ class Area(Protocol):
     def height_agl(self, position_ned: Vec3) -> Array:
         """Return the height above ground (n,) [m] of positions."""
         return -position_ned.z
+
+
+@runtime_checkable
+class Plume(Protocol):
+    """A concentration field; ``wind`` is the mean wind that carries it, ``area`` a box.
+
+    Attributes:
+        needs_wind: whether it needs a wind that blows.
+        random: whether ``init`` draws it anew for each episode.
+        changes: whether ``step`` advances it once a period.
+        period: interval between steps [s]; 0 where it does not change.
+        ids: numbers of what is drawn for.
+    """
+
+    needs_wind: ClassVar[bool] = False
+    random: ClassVar[bool] = True
+    changes: ClassVar[bool] = False
+    period: float = 0.0
+
+    @property
+    @abstractmethod
+    def ids(self) -> int:
+        """Numbers of what is drawn for."""
+
+    def init(self, draw: Draw, area: Any) -> Any:
+        """Return the state at the start of an episode; ``draw`` is for ``ids`` ids."""
+        return None
+
+    def step(self, state: Any, draw: Draw) -> Any:
+        """Advance one period."""
+        return state
+
+    @abstractmethod
+    def concentration(self, state: Any, position_ned: Vec3, wind: Any, area: Any, since: Array) -> Array:
+        """Return the concentration (n,) at positions (n,) [m], ``since`` () [s] after the last step."""
+
+
+@runtime_checkable
+class GroundCover(Protocol):
+    """What the ground is like.
+
+    Attributes:
+        random: whether ``init`` draws it anew for each episode.
+    """
+
+    random: ClassVar[bool] = True
+
+    def init(self, draw: Draw) -> Any:
+        """Return the ground of an episode; ``draw`` is for one id."""
+        return None
+
+    @abstractmethod
+    def class_at(self, state: Any, position_ned: Vec3, area: Any) -> Array:
+        """Return the class (int32, terrain.py) of the ground below positions of any shape."""
+
+    @abstractmethod
+    def cells(self, state: Any) -> Array:
+        """Return the classes as a grid (C, C) int32, north and east from the south-western corner."""
+
+
+@runtime_checkable
+class People(Protocol):
+    """Who is to be found on the ground.
+
+    Attributes:
+        random: whether ``init`` draws them anew for each episode; else nobody is there.
+        period: interval between looks [s]; 0 where nobody is there.
+        most: most persons of an episode (P).
+        size: side of the square that a person is [m]; where nobody is, what pictures are cut into windows by.
+    """
+
+    random: ClassVar[bool] = True
+    period: float = 0.0
+    most: int = 0
+    size: Any = 0.5
+
+    def init(self, draw: Draw, cells: Array, area: Any) -> Any:
+        """Return the persons (P,) of an episode; ``draw`` is for P ids, ``cells`` are the classes of the ground."""
+        return None
+
+    def step(self, state: Any, position_ned: Vec3, speed: Array, valid: Array, tick: Array) -> Any:
+        """Mark whom the vehicles (n,) find at a tick."""
+        return state

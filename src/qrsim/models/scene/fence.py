@@ -10,13 +10,14 @@ from jax import Array
 from qrsim.core.tree import parameter, quantity, record
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.area import reason_code
+from qrsim.models.scene.contracts import Area
 
 # Corners that are closer to one line than this share of its length enclose nothing.
 _FLAT = 1e-9
 
 
 @record
-class PolygonArea:
+class PolygonArea(Area):
     """An upright prism over a polygon whose edges do not cross; z = 0 is the ground."""
 
     north: Array = quantity(unit="m", doc="(V,) corners in order, either way round; the last is joined to the first")

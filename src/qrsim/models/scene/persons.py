@@ -10,6 +10,7 @@ from jax import Array
 from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.scene.contracts import People
 from qrsim.models.scene.terrain import CLEAR, CLUTTER, OCCLUSION
 from qrsim.models.scene.uniform import uniform, whole
 
@@ -18,7 +19,7 @@ INNER = 0.8
 
 
 @record
-class NoPersons:
+class NoPersons(People):
     """Nobody is there."""
 
     random: ClassVar[bool] = False
@@ -40,7 +41,7 @@ class PersonsState:
 
 
 @record
-class Persons:
+class Persons(People):
     """Persons who lie still; one is found when a vehicle hovers near, looked at once a period."""
 
     size: Array = parameter(default=0.5, unit="m", doc="side of the square that a person is", above=0.0)

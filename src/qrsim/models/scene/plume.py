@@ -17,6 +17,7 @@ from qrsim.core.fastmath import exp, log, sincos
 from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.scene.contracts import Plume
 from qrsim.models.scene.uniform import uniform, whole
 
 # Of the box that a world's vehicles may be in, sources lie in this part, in height too.
@@ -87,11 +88,15 @@ def _spread_exponent() -> Any:
 
 
 @record
-class NoPlume:
+class NoPlume(Plume):
     """Clean air."""
 
-    needs_wind: ClassVar[bool] = False
-    ids: ClassVar[int] = 0
+    random: ClassVar[bool] = False
+
+    @property
+    def ids(self) -> int:
+        """Nothing is drawn."""
+        return 0
 
     def concentration(self, state: None, position_ned: Vec3, wind: Wind, area: Any, since: Array) -> Array:
         """Return zero at every position (n,)."""
@@ -108,7 +113,7 @@ class GaussianState:
 
 
 @record
-class GaussianPlume:
+class GaussianPlume(Plume):
     """A three-dimensional Gaussian around each source, at rest whatever the wind."""
 
     peak: Array = parameter(default=1.0, unit="1", doc="concentration in the middle", above=0.0)
@@ -166,7 +171,7 @@ def _spread_at(factor: Array, exponent: Array, along: Array) -> Array:
 
 
 @record
-class DispersionPlume:
+class DispersionPlume(Plume):
     """The plume of steady releases in a steady wind.
 
     c = Q/(pi u s) exp(-y'^2/s) [exp(-(z-H)^2/s) + exp(-(z+H)^2/s)], zero upwind.
@@ -219,7 +224,7 @@ class PuffState:
 
 
 @record
-class PuffPlume:
+class PuffPlume(Plume):
     """Single puffs at random times, carried by the wind.
 
     c = q/(pi s)^1.5 exp(-((x' - u t)^2 + y'^2)/s) [exp(-(z-H)^2/s) + exp(-(z+H)^2/s)], t the age of the puff, zero
@@ -241,6 +246,7 @@ class PuffPlume:
         default=0.5, unit="s", doc="interval between looks for a release, a multiple of the time step", above=0.0
     )
     needs_wind: ClassVar[bool] = True
+    changes: ClassVar[bool] = True
 
     @property
     def ids(self) -> int:

@@ -13,6 +13,7 @@ from qrsim.core.fastmath import log, sincos
 from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.scene.contracts import GroundCover
 
 CLEAR, CLUTTER, OCCLUSION = 0, 1, 2
 CLASSES = ("clear", "clutter", "occlusion")
@@ -20,7 +21,7 @@ _STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
 @record
-class ClearGround:
+class ClearGround(GroundCover):
     """Ground that hides nothing."""
 
     random: ClassVar[bool] = False
@@ -53,7 +54,7 @@ class _Pouring(NamedTuple):
 
 
 @record
-class PatchyGround:
+class PatchyGround(GroundCover):
     """Patches of clutter, where false alarms are more likely, and of occlusion, where persons are hard to see.
 
     Each class grows by drops: from a random cell jump some cells in a random direction (beyond an edge on from the

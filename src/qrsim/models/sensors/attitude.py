@@ -9,6 +9,7 @@ from jax import Array
 from qrsim.core.noise import Noise, ou_step
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.sensors.contracts import Sensor
 
 
 @record
@@ -26,7 +27,7 @@ class AttitudeState:
 
 
 @record
-class AttitudeEstimator:
+class AttitudeEstimator(Sensor):
     """True Euler angles plus three independent Ornstein-Uhlenbeck errors."""
 
     std: Array = parameter(default=0.00354, unit="rad", doc="stationary std of each angle's error", minimum=0.0)
@@ -57,7 +58,7 @@ class AttitudeEstimator:
 
 
 @record
-class IdealAttitude:
+class IdealAttitude(Sensor):
     """The truth at the same period."""
 
     period: float = setting(

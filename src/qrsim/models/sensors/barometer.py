@@ -9,6 +9,7 @@ from jax import Array
 from qrsim.core.noise import Noise, ou_step
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.sensors.contracts import Sensor
 
 
 @record
@@ -28,7 +29,7 @@ class BarometerState:
 
 
 @record
-class Barometer:
+class Barometer(Sensor):
     """True height plus an Ornstein-Uhlenbeck drift plus white noise.
 
     The reference uses 300 as a rate where a time constant was meant, which leaves nearly white noise; here it
@@ -70,7 +71,7 @@ class Barometer:
 
 
 @record
-class IdealBarometer:
+class IdealBarometer(Sensor):
     """The truth at the same period."""
 
     period: float = setting(

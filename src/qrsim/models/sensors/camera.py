@@ -20,6 +20,7 @@ from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.scene.terrain import CLUTTER, OCCLUSION
+from qrsim.models.sensors.contracts import Sensor
 
 # Corners of a person, in halves of its side.
 _CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))
@@ -115,7 +116,7 @@ class PersonClassifier:
 
 
 @record
-class Camera:
+class Camera(Sensor):
     """Takes pictures straight down; a classifier gives each window a score, and from it a log-likelihood ratio.
 
     Camera x is body y, camera y is minus body x, camera z is body z. A window is as large as a person looks in the
@@ -140,6 +141,7 @@ class Camera:
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude")
     normals: ClassVar[int] = 0
     noisy: ClassVar[bool] = True
+    takes_pictures: ClassVar[bool] = True
 
     def init(self, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
         """Return the number of the first picture, and where it was taken by vehicles (n,)."""

@@ -10,6 +10,7 @@ from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contents import Surroundings
+from qrsim.models.sensors.contracts import Sensor
 
 
 @record
@@ -20,7 +21,7 @@ class ConcentrationReading:
 
 
 @record
-class ConcentrationSensor:
+class ConcentrationSensor(Sensor):
     """The concentration at the vehicle, plus white noise."""
 
     white_std: Array = parameter(default=0.01, unit="1", doc="white noise of each reading", minimum=0.0)
@@ -43,7 +44,7 @@ class ConcentrationSensor:
 
 
 @record
-class IdealConcentration:
+class IdealConcentration(Sensor):
     """The truth at its own period."""
 
     period: float = setting(

@@ -11,7 +11,6 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from jax import Array
 
-from qrsim.core.noise import Noise
 from qrsim.core.vectors import Euler, Vec3
 
 # What a sensor may declare in ``reads``; each is (n,) but the last two.
@@ -35,7 +34,7 @@ class Sensor(Protocol):
 
     Its reading is a record of arrays (n,) whose fields carry unit and doc; these are the columns of the logs. A reading
     that does not exist, as a fix without satellites, is NaN. ``init``, ``step`` and ``restart`` are handed what
-    ``reads`` names, by name.
+    ``reads`` names, by name, after a ``Noise`` (core/noise.py) that has ``normals`` normals for each vehicle.
 
     Attributes:
         period: interval between readings [s], a multiple of the time step.
@@ -60,14 +59,14 @@ class Sensor(Protocol):
     takes_pictures: ClassVar[bool] = False
 
     @abstractmethod
-    def init(self, draw: Noise, *args: Any, **reads: Any) -> tuple[Any, Any]:
+    def init(self, draw: Any, *args: Any, **reads: Any) -> tuple[Any, Any]:
         """Return the first state and the first reading (n,)."""
 
     @abstractmethod
-    def step(self, state: Any, draw: Noise, *args: Any, **reads: Any) -> tuple[Any, Any]:
+    def step(self, state: Any, draw: Any, *args: Any, **reads: Any) -> tuple[Any, Any]:
         """Advance one period, and return the state and the reading (n,) that is delivered now."""
 
-    def restart(self, state: Any, draw: Noise, since: Array, *args: Any, **reads: Any) -> tuple[Any, Any]:
+    def restart(self, state: Any, draw: Any, since: Array, *args: Any, **reads: Any) -> tuple[Any, Any]:
         """Return state and reading of vehicles that were put elsewhere ``since`` () [s] after a reading."""
         return self.init(draw, *args, **reads)
 

@@ -9,6 +9,7 @@ from jax import Array
 from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.sensors.contracts import Sensor
 
 
 @record
@@ -31,7 +32,7 @@ def _with_white(value: Vec3, std: Array, draw: Noise) -> Vec3:
 
 
 @record
-class Gyroscope:
+class Gyroscope(Sensor):
     """Body rates plus white noise."""
 
     white_std: Array = parameter(default=0.0002, unit="rad/s", doc="white noise of each reading, per axis", minimum=0.0)
@@ -51,7 +52,7 @@ class Gyroscope:
 
 
 @record
-class IdealGyroscope:
+class IdealGyroscope(Sensor):
     """The truth at the same period."""
 
     period: float = setting(
@@ -70,7 +71,7 @@ class IdealGyroscope:
 
 
 @record
-class Accelerometer:
+class Accelerometer(Sensor):
     """Mean specific force over the last step plus white noise."""
 
     white_std: Array = parameter(default=0.0025, unit="m/s^2", doc="white noise of each reading, per axis", minimum=0.0)
@@ -90,7 +91,7 @@ class Accelerometer:
 
 
 @record
-class IdealAccelerometer:
+class IdealAccelerometer(Sensor):
     """The truth at the same period."""
 
     period: float = setting(

@@ -9,6 +9,7 @@ from jax import Array
 
 from qrsim.core.fastmath import exp, log
 from qrsim.core.tree import parameter, quantity, record
+from qrsim.models.vehicles.contracts import Battery, Load
 
 # Range of voltages [V] that the published thrust model was identified for; where the sag of other packs ends, of empty.
 LOWEST, HIGHEST, SAGGED = 9.0, 12.0, 0.9375
@@ -20,22 +21,19 @@ class NoCharge:
 
 
 @record
-class GivenVoltage:
+class GivenVoltage(Battery):
     """The voltage is what the command says (a controller's own parameter, or the user's)."""
 
-    commanded: ClassVar[bool] = True
-
-    def init(self, thrust: Array) -> NoCharge:
+    def init(self, like: Array) -> NoCharge:
         """Return the empty state."""
         return NoCharge()
 
-    def step(self, state: NoCharge, thrust: Array, weight: Array, dt: float) -> NoCharge:
+    def step(self, state: NoCharge, load: Load, dt: float) -> NoCharge:
         """Return the empty state."""
         return state
 
-    def voltage(self, state: NoCharge, thrust: Array, weight: Array, commanded: Array) -> Array:
-        """Return the commanded voltage (n,) [V]."""
-        return commanded
+    def voltage(self, state: NoCharge, load: Load) -> None:
+        """Return None: the voltage is the commanded one."""
 
 
 @record
@@ -46,7 +44,7 @@ class Charge:
 
 
 @record
-class LithiumPolymer:
+class LithiumPolymer(Battery):
     """A pack that is drained by thrust and sags under load.
 
     Current grows with thrust to the power 3/2 (the induced power of a rotor in hover, momentum theory) and is set by
@@ -66,18 +64,18 @@ class LithiumPolymer:
     resistance: Array = parameter(default=0.02, unit="ohm", doc="internal resistance", minimum=0.0)
     initial_charge: Array = parameter(default=1.0, unit="1", doc="state of charge at the start", above=0.0, maximum=1.0)
 
-    commanded: ClassVar[bool] = False
+    drains: ClassVar[bool] = True
 
-    def init(self, thrust: Array) -> Charge:
-        """Return the state at the start for vehicles with thrust (n,)."""
-        return Charge(jnp.broadcast_to(jnp.asarray(self.initial_charge), thrust.shape))
+    def init(self, like: Array) -> Charge:
+        """Return the state at the start; ``like`` is any array (n,)."""
+        return Charge(jnp.broadcast_to(jnp.asarray(self.initial_charge), like.shape))
 
-    def step(self, state: Charge, thrust: Array, weight: Array, dt: float) -> Charge:
-        """Drain for dt [s] at a thrust (n,) [N] of a vehicle of given weight [N]."""
-        drain = _load(thrust, weight) * (dt / self.endurance)
+    def step(self, state: Charge, load: Load, dt: float) -> Charge:
+        """Drain for dt [s] at the thrust (n,) of a vehicle of given weight."""
+        drain = _current(load) * (dt / self.endurance)
         return Charge(jnp.maximum(state.charge - drain, 0.0))
 
-    def voltage(self, state: Charge, thrust: Array, weight: Array, commanded: Array) -> Array:
+    def voltage(self, state: Charge, load: Load) -> Array:
         """Return the voltage under load (n,) [V].
 
         Of packs of three cells within the range that the thrust model is identified for; of others the sag ends in
@@ -87,7 +85,7 @@ class LithiumPolymer:
         hover_current = self.capacity * 3600.0 / self.endurance
         lowest = jnp.where(_within(self.voltage_empty), LOWEST, SAGGED * self.voltage_empty)
         highest = jnp.where(_within(self.voltage_full), HIGHEST, self.voltage_full)
-        return jnp.clip(open_circuit - self.resistance * hover_current * _load(thrust, weight), lowest, highest)
+        return jnp.clip(open_circuit - self.resistance * hover_current * _current(load), lowest, highest)
 
 
 def _within(voltage: Array) -> Array:
@@ -95,6 +93,6 @@ def _within(voltage: Array) -> Array:
     return (jnp.asarray(voltage) >= LOWEST) & (jnp.asarray(voltage) <= HIGHEST)
 
 
-def _load(thrust: Array, weight: Array) -> Array:
+def _current(load: Load) -> Array:
     """Return the current as a multiple of the hover current, (F / m g)^1.5."""
-    return exp(1.5 * log(jnp.maximum(thrust / weight, 1e-6)))
+    return exp(1.5 * log(jnp.maximum(load.thrust / load.weight, 1e-6)))

@@ -15,7 +15,7 @@ from jax import Array
 
 from qrsim.core.noise import Noise
 from qrsim.core.tree import quantity, record
-from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
+from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, rotation
 from qrsim.models.vehicles.commands import clipped
 
 # A check of vehicles: the code of a reason (scene/area.py), the value (n,) that is looked at, and whether it is broken.
@@ -28,7 +28,7 @@ AROUND = ("ground", "air_rates", "downwash")
 class Load:
     """What a battery has to supply; each (n,), or one number for all."""
 
-    thrust: Array = quantity(unit="N", doc="collective thrust")
+    thrust: Array = quantity(unit="N", doc="collective thrust; NaN where the model has none")
     weight: Array = quantity(unit="N", doc="weight, which is the thrust in hover")
     power: Array | None = quantity(default=None, unit="W", doc="electrical power; None where the model has none")
 
@@ -41,6 +41,11 @@ class Pose:
     attitude: Euler = quantity(unit="rad", doc="ZYX Euler angles")
     velocity_body: Vec3 = quantity(unit="m/s", doc="velocity over ground in body axes")
     rates_body: Vec3 = quantity(unit="rad/s", doc="body rates")
+
+
+def velocity_of(pose: Pose) -> Vec3:
+    """Return the velocity over ground (n,) [m/s] in NED."""
+    return rotation(pose.attitude).to_ned(pose.velocity_body)
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,10 @@ class Vehicle(Protocol):
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
         """Return the state of vehicles (n,) that are put somewhere: [m], [rad], [m/s], [rad/s]."""
 
+    def with_thrust(self, state: Any, thrust: Array) -> Any:
+        """Return a state at a thrust (n,) [N], where it has one; a NaN leaves it as it is."""
+        return state
+
     @abstractmethod
     def idle_command(self, like: Array) -> Any:
         """Return the command (n,) before the first one: hover, trim or zero; ``like`` is any array (n,)."""
@@ -110,6 +119,7 @@ class Vehicle(Protocol):
 
     def draw_noise(self, draw: Noise, dt: float) -> Any:
         """Draw the process noise of one step of dt [s] from ``normals`` normals."""
+        return None
 
     @abstractmethod
     def step(

@@ -12,17 +12,18 @@ import numpy as np
 from qrsim.core.pairs import added
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3, rotation
-from qrsim.models.vehicles.quadrotor import Command
+from qrsim.models.vehicles.contracts import Around, Vehicle
 
 
 def move(
-    vehicle: Any,
+    vehicle: Vehicle,
     state: Any,
     position_low_ned: Vec3 | None,
-    command: Command,
+    command: Any,
     air_velocity: Callable[..., Vec3],
     noise: Any,
     dt: float,
+    around: Around | None = None,
 ) -> tuple[Any, Vec3 | None, Vec3]:
     """Advance a vehicle by one step; the other arguments are those of its own ``step``.
 
@@ -39,10 +40,9 @@ def move(
     """
 
     def step(position_ned: Vec3) -> tuple[Any, Vec3]:
-        found: tuple[Any, Vec3] = vehicle.step(
-            replace(state, position_ned=position_ned), command, air_velocity, noise, dt
-        )
-        return found
+        # A vehicle that looks at nothing around it need not take it.
+        more = () if around is None else (around,)
+        return vehicle.step(replace(state, position_ned=position_ned), command, air_velocity, noise, dt, *more)
 
     if position_low_ned is None:
         moved, force = step(state.position_ned)

@@ -19,6 +19,8 @@ from qrsim.core.integrate import INTEGRATORS
 from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, euler_rates
+from qrsim.models.vehicles.commands import clipped, fields_of, limits_of
+from qrsim.models.vehicles.contracts import Around, Load, Pose, Vehicle
 
 PITCH_ROLL_RAD_PER_RAW = -math.radians(0.025)
 THROTTLE_RAW_PER_UNIT = 4097.0
@@ -31,32 +33,19 @@ PROCESS_NOISE_STEP_S = 0.02
 class Command:
     """What the autopilot is asked for; each of shape (n,)."""
 
-    pitch: Array = quantity(unit="rad", doc="pitch angle, nose up positive")
-    roll: Array = quantity(unit="rad", doc="roll angle, right side down positive")
-    throttle: Array = quantity(unit="1", doc="collective throttle")
-    yaw_rate: Array = quantity(unit="rad/s", doc="yaw rate, clockwise seen from above positive")
-    battery: Array = quantity(unit="V", doc="battery voltage, which limits the thrust")
+    pitch: Array = quantity(unit="rad", doc="pitch angle, nose up positive", minimum=-0.9, maximum=0.9)
+    roll: Array = quantity(unit="rad", doc="roll angle, right side down positive", minimum=-0.9, maximum=0.9)
+    throttle: Array = quantity(unit="1", doc="collective throttle", minimum=0.0, maximum=1.0)
+    yaw_rate: Array = quantity(
+        unit="rad/s", doc="yaw rate, clockwise seen from above positive", minimum=-4.5, maximum=4.5
+    )
+    battery: Array = quantity(unit="V", doc="battery voltage, which limits the thrust", minimum=9.0, maximum=12.0)
 
 
-COMMAND_FIELDS = ("pitch", "roll", "throttle", "yaw_rate", "battery")
-COMMAND_LIMITS = {
-    "pitch": (-0.9, 0.9),
-    "roll": (-0.9, 0.9),
-    "throttle": (0.0, 1.0),
-    "yaw_rate": (-4.5, 4.5),
-    "battery": (9.0, 12.0),
-}
-
-
-def clip_command(command: Command, battery: bool = True) -> tuple[Command, Array]:
-    """Bring a command into COMMAND_LIMITS; also say, with a bool of shape (n,), whether that changed it.
-
-    Without ``battery`` the voltage stays as it is: that of a pack is what it is, whatever may be commanded.
-    """
-    fields = [name for name in COMMAND_FIELDS if battery or name != "battery"]
-    clipped = replace(command, **{name: jnp.clip(getattr(command, name), *COMMAND_LIMITS[name]) for name in fields})
-    changed = [getattr(clipped, name) != getattr(command, name) for name in fields]
-    return clipped, jnp.any(jnp.stack(changed), axis=0)
+COMMAND_FIELDS = fields_of(Command)
+COMMAND_LIMITS = limits_of(Command)
+# The published controllers' throttle that carries the weight, and the highest voltage.
+IDLE_THROTTLE, IDLE_BATTERY = 0.59, 12.0
 
 
 @record
@@ -79,7 +68,7 @@ class ProcessNoise:
 
 
 @record
-class Quadrotor:
+class Quadrotor(Vehicle):
     """Parameters of the identified model; a number, or one per vehicle (n,)."""
 
     mass: Array = parameter(default=1.68, unit="kg", doc="take-off mass", above=0.0)
@@ -108,13 +97,58 @@ class Quadrotor:
         default=0.2, unit="m/s^2, rad/s^2", doc="std of the six white accelerations at a step of 0.02 s", minimum=0.0
     )
     integrator: Literal["heun", "rk4"] = setting(default="heun", doc="fixed-step rule")
+    command_type: ClassVar[type[Any]] = Command
+    actions: ClassVar[tuple[type[Any], ...]] = (Command,)
     normals: ClassVar[int] = 6
+    default_controller: ClassVar[str] = "waypoint"
 
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
         """Return a state whose thrust carries the weight."""
         weight = jnp.asarray(self.mass * self.gravity)
         thrust = jnp.broadcast_to(weight, position_ned.x.shape)
         return QuadrotorState(position_ned, attitude, velocity_body, rates_body, thrust)
+
+    def with_thrust(self, state: QuadrotorState, thrust: Array) -> QuadrotorState:
+        """Return a state at a thrust (n,) [N]; a NaN leaves it as it is."""
+        return replace(state, thrust=jnp.where(jnp.isfinite(thrust), thrust, state.thrust))
+
+    def idle_command(self, like: Array) -> Command:
+        """Return level hover at the published throttle and voltage."""
+        zero = jnp.zeros_like(like)
+        return Command(zero, zero, jnp.full_like(like, IDLE_THROTTLE), zero, jnp.full_like(like, IDLE_BATTERY))
+
+    def clip(self, command: Command, powered: bool = False) -> tuple[Command, Array]:
+        """Bring a command into its limits; the voltage of a battery is what it is, whatever may be commanded."""
+        return clipped(command, ("battery",) if powered else ())
+
+    def powered(self, command: Command, voltage: Array | None) -> Command:
+        """Return a command at a battery's voltage (n,) [V]; None: at the commanded one."""
+        return command if voltage is None else replace(command, battery=voltage)
+
+    def load(self, state: QuadrotorState) -> Load:
+        """Return thrust and weight; the model has no power."""
+        return Load(state.thrust, self.mass * self.gravity)
+
+    def pose(self, state: QuadrotorState) -> Pose:
+        """Return position, attitude, velocity and rates (n,)."""
+        return Pose(state.position_ned, state.attitude, state.velocity_body, state.rates_body)
+
+    def stopped(self, state: QuadrotorState) -> QuadrotorState:
+        """Return the state at rest; the thrust stays."""
+        rest = Vec3.zeros(state.thrust.shape, state.thrust.dtype)
+        return replace(state, velocity_body=rest, rates_body=rest)
+
+    def specific_force(
+        self,
+        state: QuadrotorState,
+        command: Command,
+        air_velocity: Callable[[AttitudeTrig], Vec3],
+        noise: ProcessNoise,
+        dt: float,
+        around: Around | None = None,
+    ) -> Vec3:
+        """Return the specific force (n,) [m/s^2] in body axes at an instant."""
+        return self.derivative(state, command, air_velocity, noise, dt)[1]
 
     def draw_noise(self, draw: Noise, dt: float) -> ProcessNoise:
         """Draw the process noise of one step: a white spectral density, sigma(T) = sigma sqrt(0.02/T)."""
@@ -129,6 +163,7 @@ class Quadrotor:
         air_velocity: Callable[[AttitudeTrig], Vec3],
         noise: ProcessNoise,
         dt: float,
+        around: Around | None = None,
     ) -> tuple[QuadrotorState, Vec3]:
         """Advance one step.
 
@@ -138,6 +173,7 @@ class Quadrotor:
             air_velocity: attitude -> air velocity in body axes [m/s].
             noise: held during the whole step.
             dt: step [s].
+            around: nothing of it is looked at.
 
         Returns:
             The state after the step and the mean specific force [m/s^2] during it, in body axes.

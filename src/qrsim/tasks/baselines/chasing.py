@@ -33,7 +33,7 @@ class Chasing:
     """
 
     def __init__(self, play: Play, seed: int = 0):
-        area = play.world.area
+        area: Any = play.world.area
         self._middle = 0.5 * np.array([float(area.x_min + area.x_max), float(area.y_min + area.y_max)])
         self._limit = float(play.task.axes[0].high)
         self._left = play.steps

@@ -26,7 +26,7 @@ class Descending:
     """Vehicles that fly over what nobody has seen yet, go down on likely persons, hover there, and go on."""
 
     def __init__(self, play: Play, seed: int = 0):
-        area = play.world.area
+        area: Any = play.world.area
         self._low = np.array([float(area.x_min), float(area.y_min)])
         self._extent = np.array([float(area.x_max), float(area.y_max)]) - self._low
         self._evidence = np.zeros(np.ceil(self._extent / CELL).astype(int))

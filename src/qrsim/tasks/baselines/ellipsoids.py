@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from qrsim.models.scene.plume import INNER
 from qrsim.tasks.play import Play
+from qrsim.tasks.plume_mapping import PlumeMapping
 
 Array = np.ndarray[Any, Any]
 # Numbers of a Gaussian: middle [m], logarithms of the standard deviations, heading of its first axis.
@@ -52,7 +53,7 @@ class Ellipsoids:
             np.array([*edge, *[std] * 3, turn * np.pi]) for edge, std, turn in zip(edges, stds, (-2, 2), strict=True)
         )
         # The farthest location is so many standard deviations away.
-        self._reach = math.sqrt(max(-2.0 * math.log(float(play.task.threshold)), 0.1))
+        self._reach = math.sqrt(max(-2.0 * math.log(float(cast(PlumeMapping, play.task).threshold)), 0.1))
         tried = [self._told(locations, count) for count in range(plume.fewest, plume.most + 1)]
         _, self._prior, self._doubt = min(tried, key=lambda told: told[0])
         self._best = self._prior

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
 from qrsim.models.scene.plume import GaussianPlume
+from qrsim.models.sensors.concentration import ConcentrationSensor
 from qrsim.tasks.agents import number_of
 from qrsim.tasks.baselines.ellipsoids import Ellipsoids
 from qrsim.tasks.baselines.particles import Particles
@@ -14,6 +15,7 @@ from qrsim.tasks.baselines.puffs import puff_samples
 from qrsim.tasks.baselines.separation import apart
 from qrsim.tasks.baselines.tubes import WindPlume
 from qrsim.tasks.play import Play
+from qrsim.tasks.plume_mapping import PlumeMapping
 
 Array = np.ndarray[Any, Any]
 # Steps between two fits, each of which tells the vehicles where to fly.
@@ -108,10 +110,11 @@ class Mapping:
 
     def _begun(self) -> Fit:
         """Return a fit to the locations that lie in the plume."""
-        play = self._play
+        play, task = self._play, cast(PlumeMapping, self._play.task)
         fleet = play.world.fleets[number_of(play.world, play.task.fleet)]
-        sensor = fleet.sensors[fleet.sensor_names.index(play.task.sensor)]
-        white, told = float(getattr(sensor, "white_std", 0.0)), self._locations[play.task.anywhere :]
+        sensor = fleet.sensors[fleet.sensor_names.index(task.sensor)]
+        white = float(sensor.white_std) if isinstance(sensor, ConcentrationSensor) else 0.0
+        told = self._locations[task.anywhere :]
         if isinstance(play.world.contents.plume, GaussianPlume):
             return Ellipsoids(play, white, told, self._random)
         return Particles(WindPlume.of(play), white, told, self._random)

@@ -6,7 +6,7 @@ The formulas are those of ``qrsim.models.scene.plume``, for many guesses at once
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from qrsim.models.scene.contents import ContentsState
 from qrsim.models.scene.plume import PuffPlume
 from qrsim.tasks.play import Play
+from qrsim.tasks.plume_mapping import PlumeMapping
 from qrsim.world.episode import surroundings
 
 Array = np.ndarray[Any, Any]
@@ -54,7 +55,7 @@ class WindPlume:
         world, plume = play.world, play.world.contents.plume
         bounds = [[float(getattr(world.area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max")]
         wind = surroundings(world, ContentsState(), jnp.int32(0)).carrying_wind(jnp.float32)
-        own: dict[str, Any] = {"threshold": float(play.task.threshold)}
+        own: dict[str, Any] = {"threshold": float(cast(PlumeMapping, play.task).threshold)}
         if isinstance(plume, PuffPlume):
             least, largest, gap = float(plume.amount_min), float(plume.amount_max), float(plume.gap)
             mean, square = 0.5 * (least + largest), (least**2 + least * largest + largest**2) / 3.0

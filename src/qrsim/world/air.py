@@ -1,0 +1,57 @@
+"""The air at vehicles: what their turbulence looks at, its gusts, and what a vehicle may look at around it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.models.atmosphere.contracts import Turbulence
+from qrsim.models.vehicles.contracts import Around
+from qrsim.world.state import World
+
+Time = tuple[Array, Array]
+
+
+def turbulence_inputs(turbulence: Turbulence, position_ned: Vec3, time: Time, field: Any) -> dict[str, Any]:
+    """Return what a turbulence is handed beside its state and the height, by name.
+
+    Args:
+        turbulence: whose ``reads`` say so.
+        position_ned: of vehicles (n,) [m].
+        time: since the start of the run, () int32 whole seconds and the rest.
+        field: what the gusts of the episode share.
+    """
+    known = {"position_ned": position_ned, "seconds": time[0], "fraction": time[1], "field": field}
+    return {name: known[name] for name in turbulence.reads}
+
+
+def gust_at(world: World, field: Any, memory: Any, height_agl: Array, position_ned: Vec3, time: Time) -> Vec3:
+    """Return the gust (n,) [m/s], random and discrete, at positions (n,) [m]; ``memory`` is the turbulence's state."""
+    inputs = turbulence_inputs(world.turbulence, position_ned, time, field)
+    random = world.turbulence.gust_ned(memory, height_agl, **inputs)
+    return random + world.gust.velocity_ned(position_ned, *time)
+
+
+def gust_rates_at(
+    world: World, field: Any, memory: Any, height_agl: Array, position_ned: Vec3, time: Time
+) -> Vec3 | None:
+    """Return the rotation of the air (n,) [rad/s] in NED, None where the turbulence gives none."""
+    if not world.turbulence.rates:
+        return None
+    inputs = turbulence_inputs(world.turbulence, position_ned, time, field)
+    return world.turbulence.gust_rates_ned(memory, height_agl, **inputs)
+
+
+def around_of(world: World, attitude: Euler, rates_ned: Vec3 | None) -> Around:
+    """Return what a vehicle at an attitude (n,) may look at during a step, in air of a rotation (n,) [rad/s]."""
+    still = Vec3.zeros(attitude.roll.shape, attitude.roll.dtype)
+
+    def ground(position_ned: Vec3) -> tuple[Array, Vec3]:
+        down = position_ned.z + world.area.height_agl(position_ned)
+        flat = jnp.zeros_like(down)
+        return down, Vec3(flat, flat, flat - 1.0)
+
+    return Around(ground, still if rates_ned is None else rotation(attitude).to_body(rates_ned), lambda position: still)
