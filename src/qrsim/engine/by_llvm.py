@@ -25,6 +25,7 @@ _VECTOR = 64
 
 def mode_of(vehicles: int, dtype: np.dtype[Any]) -> Mode:
     """Return how a world on its own is computed: side by side its vehicles, or a single one's draws and satellites."""
+    # A few vehicles fill half a vector, which takes no longer than a whole one that is half empty.
     most = _VECTOR // dtype.itemsize
     return Mode(most // 2 if 1 < vehicles <= most // 2 else most, side_by_side=False)
 
@@ -32,6 +33,7 @@ def mode_of(vehicles: int, dtype: np.dtype[Any]) -> Mode:
 def mode_of_many(count: int, vehicles: int, dtype: np.dtype[Any]) -> Mode:
     """Return how ``count`` worlds are computed: side by side where there are enough, or vehicles too few."""
     lanes = _VECTOR // dtype.itemsize
+    # Lanes without a world of their own would be computed for nothing.
     alone = count == 1 or (vehicles > lanes and count < lanes)
     return mode_of(vehicles, dtype) if alone else Mode(lanes, side_by_side=True)
 
@@ -56,6 +58,7 @@ def make(function: Function, shared: Shared, own: Packer, state: Packer | None, 
 
     def load(found: Start | Binary) -> tuple[Packer, Program]:
         layout, binary = (found.layout, found.binary) if isinstance(found, Start) else (layouts[-1], found)
+        # The layout of a first state is known once its start has been traced.
         every = inputs if state is not None else (*inputs, Input(layout, own=True))
         return layout, Program(binary, every, mode)
 

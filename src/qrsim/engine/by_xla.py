@@ -42,6 +42,7 @@ def _jit(function: Callable[..., Any], few: bool, **options: Any) -> Any:
 
 @lru_cache(maxsize=KEPT)
 def _first(function: Function, few: bool) -> Any:
+    # The layout is static: JAX compiles anew for another one, and knows it by its equality.
     def first(layout: Packer, shared: Buffers, own: Any) -> Any:
         return function.call(layout.unpack(shared), own)
 
@@ -164,6 +165,7 @@ def mapped(function: Callable[[Any], Any], mesh: Mesh | None, few: bool) -> Any:
 def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: Any) -> Any:
     """Compile for all devices: of the arguments some are cut by world (r), the others the same for all (s)."""
     if mesh is not None:
+        # No device needs anything of another, so nothing is exchanged during a tick.
         cut, same = PartitionSpec(WORLDS), PartitionSpec()  # type: ignore[no-untyped-call]
         specs = tuple(cut if kind == "r" else same for kind in arguments)
         function = jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=cut, check_vma=False)
@@ -228,6 +230,7 @@ class XlaWorldsProgram:
 
     def hold(self, tree: Any) -> Arrays:
         """Return states (B, ...) as they are kept here."""
+        # So that the next tick may overwrite it, which JAX does not do with arrays of NumPy.
         return Arrays(jax.device_put(tree))
 
     def record(self, state: Any, tick: int, count: int, capacity: int) -> Any:

@@ -27,9 +27,11 @@ from qrsim.engine.llvm.compiler import machine_name
 from qrsim.engine.llvm.program import Binary
 from qrsim.engine.llvm.start import Start
 
+# To be counted up where the form of a file changes.
 MAGIC = b"qrsim program 1\n"
 _DIGEST_BYTES = 32
 _LENGTH_BYTES = 4
+# What claims to be larger is none of ours, and is not read into memory.
 _LARGEST_FILE = 2**28
 _LARGEST_SCRATCH = 2**40
 _FOREIGN = "not of this package: "
@@ -47,6 +49,7 @@ def folder() -> Path | None:
 @lru_cache(maxsize=1)
 def _sources() -> str:
     """Return a digest of this package as it is installed: any edit of it makes other programs."""
+    # Sizes and times of files, because to read all of them would make every start slower.
     digest = hashlib.sha256()
     root = Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):
@@ -84,6 +87,7 @@ def kept(what: tuple[Any, ...], make: Callable[[], Any]) -> Any:
     if not private(place):
         return make()
     _tidied(place, os.getpid())
+    # The origin is part of the name too, so that two versions of the package keep their programs side by side.
     key = hashlib.sha256(repr((what, sorted(_origin().items()))).encode()).hexdigest()
     path = place / f"{key}.bin"
     found = _read(path, key)
@@ -105,6 +109,7 @@ def _read(path: Path, key: str) -> Binary | Start | int | None:
             return None
         begin = len(MAGIC) + _DIGEST_BYTES
         content = data[begin:]
+        # Before anything of it is parsed.
         if data[: len(MAGIC)] != MAGIC or hashlib.sha256(content).digest() != data[len(MAGIC) : begin]:
             return None
         end = _LENGTH_BYTES + int.from_bytes(content[:_LENGTH_BYTES], "little")
@@ -116,6 +121,7 @@ def _read(path: Path, key: str) -> Binary | Start | int | None:
 
 def _bytes(path: Path) -> bytes | None:
     """Return what is in a file of this user's own, None where it is anything else."""
+    # A link could lead to a file that somebody else can change, and a pipe would be waited for.
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     with open(os.open(path, flags), "rb") as file:
         found = os.fstat(file.fileno())
@@ -143,10 +149,12 @@ def _parsed(header: dict[str, Any], code: bytes, key: str) -> Binary | Start | i
         return binary
     leaves = iter([struct(tuple(shape), np.dtype(dtype)) for shape, dtype in state["leaves"]])
     start = Start(binary, from_plain(state["structure"], leaves))
+    # A structure that was read back as another one would put numbers into the wrong fields.
     return start if identity(start.layout) == state["identity"] else None
 
 
 def _write(path: Path, key: str, made: Binary | Start | int) -> None:
+    # A state with something in it that is no plain data is made anew in every process.
     try:
         state = _state(made) if isinstance(made, Start) else None
     except TypeError:
@@ -171,6 +179,7 @@ def _write(path: Path, key: str, made: Binary | Start | int) -> None:
         try:
             with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
                 file.write(MAGIC + hashlib.sha256(content).digest() + content)
+            # In one step, so that another process sees the whole file or none.
             os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)

@@ -47,6 +47,7 @@ def _open_to_others(path: Path, found: os.stat_result) -> str | None:
         return "it is a symbolic link"
     if found.st_uid != os.geteuid():
         return f"it belongs to another user ({found.st_uid})"
+    # Whatever is there could be somebody else's by now, so the user has to look.
     if found.st_mode & 0o022:
         return "others can write into it; empty it and make it yours alone (chmod 700)"
     # Whoever can write into a folder above can put another one in its place.
@@ -88,6 +89,7 @@ def tidy(path: Path, largest: int = LARGEST_BYTES) -> None:
         with contextlib.suppress(OSError):
             os.unlink(name)
             total -= size
+        # Further than need be, so that not every new file starts this again.
         if total <= 3 * largest // 4:
             return
 
@@ -106,6 +108,7 @@ def _abandoned(name: str, modified: float) -> bool:
     if not writer.isdigit():
         return False
     try:
+        # Sends nothing; it only asks whether that process lives.
         os.kill(int(writer), 0)
     except ProcessLookupError:
         return True

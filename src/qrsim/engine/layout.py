@@ -37,12 +37,14 @@ class Packer:
         self.dtypes = [np.dtype(leaf.dtype) for leaf in leaves]
         self.is_float = [np.issubdtype(dtype, np.floating) for dtype in self.dtypes]
         floats = {dtype for dtype, is_float in zip(self.dtypes, self.is_float, strict=True) if is_float}
+        # Two buffers would not do.
         if len(floats) > 1:
             raise TypeError(f"the tree mixes floating-point types {sorted(map(str, floats))}")
         self.dtype = floats.pop() if floats else np.dtype(np.float32)
         self.slices: list[slice] = []
         ends = [0, 0]
         for shape, is_float in zip(self.shapes, self.is_float, strict=True):
+            # Integers of all kinds and bools share the second buffer, as int32.
             buffer, size = (0 if is_float else 1), math.prod(shape)
             self.slices.append(slice(ends[buffer], ends[buffer] + size))
             ends[buffer] += size
@@ -67,12 +69,14 @@ class Packer:
     def pack(self, tree: Any) -> Buffers:
         """Return the two flat buffers of a tree; a tree of NumPy arrays gives NumPy buffers."""
         leaves = jax.tree.leaves(tree)
+        # On the host where all leaves are: JAX would send each of them to the device and back.
         numpy: Any = np if all(isinstance(leaf, np.ndarray | np.generic) for leaf in leaves) else jnp
         floats, integers = [numpy.zeros(0, self.dtype)], [numpy.zeros(0, np.int32)]
         for leaf, is_float in zip(leaves, self.is_float, strict=True):
             if is_float:
                 floats.append(numpy.reshape(leaf, (-1,)))
             elif leaf.dtype == np.uint32:
+                # Bit by bit, because a key does not fit into an int32 as a number.
                 integers.append(numpy.reshape(numpy.asarray(leaf).view(np.int32), (-1,)))
             else:
                 integers.append(numpy.reshape(leaf, (-1,)).astype(np.int32))

@@ -40,7 +40,9 @@ def compiled(
     found = _MADE.get(key)
     if found is None:
         try:
+            # What a user's function raises while it is traced is not caught here: it is theirs.
             binary = make() if what is None else kept(what, make)
+            # Code from the cache may not load on this machine after all, and then XLA has it too.
             with refusing():
                 found = load(binary)
         except UnsupportedError as why:
@@ -49,6 +51,7 @@ def compiled(
     with _KEEPING:
         _MADE.pop(key, None)
         _MADE[key] = found
+        # A program holds its machine code in memory.
         while len(_MADE) > MOST_MADE:
             del _MADE[next(iter(_MADE))]
     if isinstance(found, UnsupportedError):

@@ -44,6 +44,7 @@ def configure(*, cpu_devices: int | None = None, compiler: str | None = None) ->
     if isinstance(cpu_devices, bool) or not isinstance(cpu_devices, int) or cpu_devices < 1:
         raise UsageError(f"cpu_devices: {cpu_devices!r} is not a positive whole number")
     _chosen["threads"] = cpu_devices
+    # JAX fixes its devices at the first computation.
     config: Any = jax.config
     try:
         config.update("jax_num_cpu_devices", cpu_devices)
@@ -68,6 +69,7 @@ def uses_llvm() -> bool:
         UsageError: the environment names no compiler.
     """
     named = os.environ.get("QRSIM_COMPILER")
+    # What a program says comes before what its environment says.
     asked = _chosen["compiler"] or (_checked_compiler(named, "QRSIM_COMPILER") if named else "llvm")
     return bool(asked == "llvm" and jax.default_backend() == "cpu")
 
@@ -106,6 +108,7 @@ def quick_to_compile() -> dict[str, Any]:
 
 def quick_jit(function: Callable[..., Any], **options: Any) -> Any:
     """Return ``jax.jit(function, **options)`` that compiles quickly; XLA is asked for its options at the first call."""
+    # At the first call, because to ask XLA for its options starts it, which an import must not.
     compiled = lru_cache(maxsize=1)(lambda: jax.jit(function, compiler_options=quick_to_compile(), **options))
 
     @wraps(function)
@@ -130,5 +133,6 @@ def use_compilation_cache() -> None:
         return
     tidy(place)
     config.update("jax_compilation_cache_dir", str(place))
+    # What compiles faster than that is not worth a file.
     config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     config.update("jax_persistent_cache_min_entry_size_bytes", -1)

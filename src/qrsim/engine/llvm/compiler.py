@@ -8,6 +8,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 
+# Sessions of a server compile in threads of their own; here one does at a time.
 _LOCK = threading.Lock()
 
 
@@ -47,12 +48,14 @@ def machine_code(text: str) -> bytes:
     with _LOCK:
         machine = _machine()
         module = llvm.parse_assembly(text)
+        # A text that LLVM would misread ends here, as an error that XLA takes over, and not as a wrong program.
         module.verify()
         # Vectors and loops are written as they are wanted, so nothing is gained by looking for more of them.
         options = llvm.create_pipeline_tuning_options(speed_level=2)
         options.loop_unrolling = options.loop_vectorization = options.slp_vectorization = False
         builder = llvm.create_pass_builder(machine, options)
         builder.getModulePassManager().run(module, builder)
+        # Object code and not a running engine, because that can be kept in a file.
         code: bytes = machine.emit_object(module)
         return code
 

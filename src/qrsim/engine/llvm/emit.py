@@ -37,6 +37,7 @@ class Emitter(Loops):
                 Neighbours(self).write(step.nodes[0])
             elif step.kind == "scatter":
                 write_scatter(self, step.nodes[0])
+            # Scalars stay in registers, between loops too.
             elif step.domain == ():
                 self._straight(step)
             elif 0 not in step.domain or any(node.op == "reduce" for node in step.nodes):
@@ -61,6 +62,7 @@ class Emitter(Loops):
         element, counter = scalar_type(node.dtype), self.scope.variables[axis]
         if node.dtype.kind not in "iu":
             raise UnsupportedError("an iota of floating-point numbers")
+        # Counters are i64, as addresses are.
         number = self.emit(f"trunc i64 {counter} to {element}") if element != "i64" else counter
         if axis != self.scope.lane_axis:
             return self.widened((number, 1), node.dtype, lanes)
@@ -79,10 +81,12 @@ class Emitter(Loops):
         if self.side_by_side or self.lanes == 1 or (last in step.reduced and ordered):
             lane_axis = None
         together = 1 if step.reduced else _together(step, lane_axis)
+        # Turns at once, each with values of its own: divisions and roots of one wait while those of the other run.
         scopes = [Scope(step.domain, ["0"] * len(step.domain), lane_axis, {}, {}) for _ in range(together)]
         self.scope = scopes[0]
         with self.over(step.kept, step.domain, lane_axis, together):
             self._spread_counters(scopes, lane_axis)
+            # On the stack, which LLVM turns into registers: then nothing need be carried through the loops by hand.
             accumulators = {node.number: self._accumulator(node) for node in step.nodes if node.op == "reduce"}
             with self.over(step.reduced, step.domain, lane_axis):
                 if 0 not in step.domain:
@@ -144,6 +148,7 @@ class Emitter(Loops):
         access = node.args[0]
         value = self.widened(self.value(access), node.dtype, lanes)
         axis = self.scope.lane_axis
+        # The last vector reaches beyond the end, and what lies there must not be counted.
         if axis is not None and axis in node.attributes[1] and self.scope.domain[axis] % lanes:
             inside = self.inside(self.scope.variables[axis], self.scope.domain[axis])
             of = vector(scalar_type(node.dtype), lanes)
@@ -215,6 +220,7 @@ class Emitter(Loops):
         condition, body = node.regions
         places = [self.places[output.number] for output in node.attributes[1]]
         self.move_all([(a, c.shape, p) for a, c, p in zip(node.args, node.attributes[0], places, strict=True)])
+        # A value that is computed inside is not known outside: its block need not have run.
         outside = dict(self.scalars)
         self.count += 1
         label = f"while{self.count}"
@@ -260,6 +266,7 @@ class Emitter(Loops):
         if lanes > 1:
             self._branch_by_world(step, taken, label, stored)
             return
+        # All worlds agree, so one branch really is skipped: that is what makes slow sensors cheap.
         self.do(f"br i1 {taken}, label %{label}.true, label %{label}.false")
         for number in (0, 1):
             self._branch(step, number, f"{label}.{'true' if number else 'false'}", f"{label}.after", stored)
@@ -268,6 +275,7 @@ class Emitter(Loops):
     def _branch_by_world(self, step: Step, taken: str, label: str, stored: set[int]) -> None:
         """Write a branching that each world takes for itself: both branches, where any world takes it."""
         mask = vector("i1", self.lanes)
+        # A branch that no world takes is still skipped.
         others = self.emit(f"xor {mask} {taken}, {splat('true', 'i1', self.lanes)}")
         outer, masks = self.turning, [taken, others]
         if outer is not None:

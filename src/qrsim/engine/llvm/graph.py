@@ -19,6 +19,7 @@ Shape = tuple[int, ...]
 Index = tuple[tuple[int | None, int], ...]
 
 
+# Equal by identity: two nodes of equal fields may be two branchings.
 @dataclass(eq=False)
 class Node:
     """One array.
@@ -56,6 +57,7 @@ class Access:
     node: Node
     index: Index
 
+    # Asked of every access, because only such a value can stay in a register between two nodes of a loop.
     def identical(self, domain: Shape) -> bool:
         """Return whether each element of the loop reads its own element."""
         return self.node.shape == domain and self.index == tuple((axis, 0) for axis in range(len(domain)))
@@ -77,6 +79,7 @@ class View:
     def access(self, shape: Shape | None = None) -> Access:
         """Return how a loop over ``shape`` (by default the view's own), without its unit axes, reads it."""
         shape = self.shape if shape is None else shape
+        # Loops run over squeezed shapes, so an axis of the program has another number there.
         loop_axis, count = {}, 0
         for axis, extent in enumerate(shape):
             if extent != 1:
@@ -97,6 +100,7 @@ class View:
         index: list[tuple[int | None, int]] = []
         for axis, offset in self.index:
             begin = 0 if axis is None else starts[axis]
+            # With one element left there is nothing to follow, and the loop has no such axis.
             still = axis is None or shape[axis] == 1
             index.append((None if still else axis, offset + begin))
         return View(self.node, tuple(index), shape)
@@ -118,6 +122,7 @@ class Region:
 
     def find(self, key: Any) -> Node | None:
         """Return an equal node computed before, here or outside."""
+        # What lies outside is computed before the region, so it may be used inside; the reverse does not hold.
         region: Region | None = self
         while region is not None:
             if key in region.known:
@@ -139,12 +144,14 @@ class Graph:
         """Return a node, invariant and uniform where all that it reads is."""
         dtype = np.dtype(dtype)
         key = (op, tuple((id(a.node), a.index) for a in args), shape, dtype, attributes, more.get("domain"))
+        # Two branchings of equal arguments have regions of their own, and two inputs are never the same.
         if op not in ("cond", "while", "carry", "output", "input"):
             found = self.region.find(key)
             if found is not None:
                 return found
         more.setdefault("invariant", all(a.node.invariant for a in args))
         more.setdefault("uniform", all(a.node.uniform for a in args))
+        # Only a reduction and a scatter loop over something else than they make.
         more.setdefault("domain", shape)
         self.count += 1
         node = Node(op, args, shape, dtype, attributes, number=self.count, **more)
@@ -158,5 +165,6 @@ class Graph:
         # An array of numbers that the code generator does not have is refused here.
         scalar_type(array.dtype)
         shape = squeezed(array.shape)
+        # As bytes, which can be compared and hashed, with NaN equal to itself.
         attributes = (array.reshape(shape).tobytes(),)
         return View.whole(self.node("constant", (), shape, array.dtype, attributes), array.shape)

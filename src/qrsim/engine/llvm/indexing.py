@@ -22,6 +22,7 @@ class Indexing(Nodes):
     def dynamic_slice(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
         """Return a part that begins where the program computes, brought into range."""
         operand, shape = inputs[0], tuple(out.shape)
+        # Where the whole extent is taken, JAX brings any start to zero.
         starts = {axis: inputs[1 + axis] for axis, extent in enumerate(operand.shape) if extent != shape[axis]}
         limits = {axis: operand.shape[axis] - shape[axis] for axis in starts}
         return self._pick(operand, starts, limits, {axis: axis for axis in range(len(shape))}, out)
@@ -43,6 +44,7 @@ class Indexing(Nodes):
         # For each axis of the array in memory: which start moves it, and the largest that it may be.
         moved = tuple((order[a], limits[a]) if a in order else None for a, _ in operand.index)
         still = operand.moved({axis: follows.get(axis) for axis in range(len(operand.shape))}, shape)
+        # Every axis that is moved had one element: there is one place to read, wherever it was asked for.
         if not any(moved):
             return still
         accesses = (still.access(), *(start.access(shape) for start in starts.values()))
@@ -53,19 +55,23 @@ class Indexing(Nodes):
         operand, places = inputs
         numbers, shape, mode = parameters["dimension_numbers"], tuple(out.shape), parameters["mode"].name
         single = {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims} == set(range(len(operand.shape)))
+        # Parts would need a loop inside a loop for each place; XLA has that.
         if numbers.offset_dims or not single or any(size != 1 for size in parameters["slice_sizes"]):
             raise UnsupportedError("a gather of parts")
         if mode not in ("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS"):
             raise UnsupportedError(f"a gather with mode {mode}")
+        # There is no place to bring an index to.
         if 0 in operand.shape:
             raise UnsupportedError("a gather from nothing")
         follows = dict(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
         starts = self._along(places, numbers.start_index_map, shape)
         limits = {axis: operand.shape[axis] - 1 for axis in starts}
         found = self._pick(operand, starts, limits, {int(a): int(b) for a, b in follows.items()}, out)
+        # The start was brought into range, which is what clipping is; what is promised to be in range is so anyway.
         if mode != "FILL_OR_DROP":
             return found
         fill = np.asarray(_filling(parameters["fill_value"], out.dtype), out.dtype)
+        # On the indices as they were given, before they were brought into range.
         inside = self._inside(starts, limits, shape)
         return self.apply("select_n", shape, out.dtype, inside, self.spread(self.graph.constant(fill), shape), found)
 
@@ -74,6 +80,7 @@ class Indexing(Nodes):
         inside = self.spread(self.graph.constant(np.bool_(True)), shape)
         for axis, start in starts.items():
             dtype = start.node.dtype
+            # An unsigned number is never below zero, and the test would compare it with a number it cannot be.
             tests = [("le", limits[axis])] if dtype.kind == "u" else [("ge", 0), ("le", limits[axis])]
             for op, limit in tests:
                 bound = self.spread(self.graph.constant(np.asarray(limit, dtype)), shape)
@@ -93,6 +100,7 @@ class Indexing(Nodes):
         # How JAX writes a function that is applied to elements.
         if op == "set" and parameters.get("update_jaxpr") is not None:
             raise UnsupportedError("a scatter that applies a function")
+        # Nothing can be put into nothing.
         if 0 in operand.shape:
             return operand
         starts = self._along(places, numbers.scatter_dims_to_operand_dims, shape)
@@ -101,6 +109,7 @@ class Indexing(Nodes):
         order = {axis: i for i, axis in enumerate(starts)}
         kept = [axis for axis, extent in enumerate(operand.shape) if extent != 1]
         moved = tuple((order[a], operand.shape[a] - 1) if a in order else None for a in kept)
+        # Axes of one element are none of the node, but an index along one can still be out of range.
         single = tuple((order[a], 0) for a in order if a not in kept)
         follows = dict(zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True))
         index = View(updates.node, tuple((follows.get(a), 0) for a in kept), shape).access().index
@@ -133,6 +142,7 @@ class Indexing(Nodes):
             return self.without_unit_axes(operand, shape)
         if 0 in shape:
             return self.spread(self.graph.constant(np.zeros((), out.dtype)), shape)
+        # In general an element comes from anywhere, so its place is computed: by the row-major number of both shapes.
         number = self._linear(shape)
         starts, stride = {}, 1
         for axis in reversed(range(len(operand.shape))):

@@ -32,6 +32,7 @@ class Lanes:
         self._describe(layout, count, mode.worlds)
         self._buffers: list[Array] = []
         for size, dtype in zip(layout.sizes, (layout.dtype, np.dtype(np.int32)), strict=True):
+            # Each tile begins at a line of the cache, so that two threads never write to the same one.
             line = _LINE // dtype.itemsize
             row = -(-size * self._lanes // line) * line
             self._buffers.append(aligned(self.tiles * row, dtype).reshape(self.tiles, row))
@@ -95,6 +96,7 @@ class Lanes:
         rows = array.reshape(len(array), -1)
         if rows.dtype.kind == "f":
             return rows
+        # The bits of a key, not its value, which int32 may not hold.
         return rows.view(np.int32) if rows.dtype == np.uint32 else rows.astype(np.int32)
 
     def _leaf(self, number: int) -> Array:
@@ -141,6 +143,7 @@ class LaneProgram:
             self._run(0, self._addresses, tick, count)
             return
         shares = [self._addresses[worker::workers] for worker in range(workers)]
+        # All are begun before any is waited for.
         for done in [_pool(workers).submit(self._run, i, share, tick, count) for i, share in enumerate(shares)]:
             done.result()
 

@@ -44,6 +44,7 @@ class Loops(Writer):
             yield
             return
         axis = axes[0]
+        # Only one axis is unrolled; more would need more registers than there are.
         turns = together if axis == shared_axis(domain, lane_axis) else 1
         with self.loop(domain[axis], self.lanes if axis == lane_axis else turns) as counter:
             self.scope.variables[axis] = counter
@@ -55,6 +56,7 @@ class Loops(Writer):
         if 0 in shape:
             return
         lane_axis = len(shape) - 1 if shape and not self.side_by_side and self.lanes > 1 else None
+        # A vector is stored in one piece only where elements lie side by side.
         if lane_axis is not None and to.strides[lane_axis] != stored_bytes(access.node.dtype):
             lane_axis = None
         self.scope = Scope(shape, ["0"] * len(shape), lane_axis, {}, {})
@@ -76,9 +78,11 @@ class Loops(Writer):
     def move_all(self, moves: list[tuple[Access, Shape, Place]], keep: str | None = None) -> None:
         """Write copies that all read before any of them writes; ``keep`` as of ``copy``."""
         targets = {(to.pointer, to.offset) for _, _, to in moves}
+        # What another move of this set writes to is copied first, so that the order of the moves does not matter.
         later: list[tuple[Access, Shape, Place]] = []
         for access, shape, to in moves:
             source = None if self._in_register(access.node) else self.place(access.node)
+            # It lies there already.
             if source is not None and source == to and access.identical(shape):
                 continue
             if source is not None and (source.pointer, source.offset) in targets:
@@ -95,6 +99,7 @@ class Loops(Writer):
 
     def _stand_in(self, node: Node, shape: Shape, place: Place) -> Access:
         self.count += 1
+        # Numbers below zero are of no node of the graph.
         copy = Node("input", (), shape, node.dtype, uniform=node.uniform, number=-self.count)
         self.places[copy.number] = place
         return Access(copy, tuple((axis, 0) for axis in range(len(shape))))

@@ -34,11 +34,13 @@ class Nodes:
     def iota(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
         """Return the place of each element along an axis."""
         shape, dtype = tuple(out.shape), np.dtype(out.dtype)
+        # An axis of one element is none of the loop, so it has no counter.
         if shape[parameters["dimension"]] == 1:
             return self.spread(self.graph.constant(np.zeros((), dtype)), shape)
         axis = len(squeezed(shape[: parameters["dimension"]]))
         if dtype.kind != "f":
             return View.whole(self.graph.node("iota", (), squeezed(shape), dtype, (axis,)), shape)
+        # Counters are whole numbers; those of floating point are converted.
         whole = View.whole(self.graph.node("iota", (), squeezed(shape), np.int32, (axis,)), shape)
         return self.apply("convert_element_type", shape, dtype, whole)
 

@@ -41,6 +41,7 @@ class Operations:
         of = vector(scalar_type(argument), lanes)
         rule = getattr(self, f"_{node.op}", None)
         if node.op in ("add", "sub", "mul", "div", "rem"):
+            # By a known number that is neither zero nor minus one no check is needed, and LLVM makes a product of it.
             if node.op in ("div", "rem") and kind in "iu" and _divides_well(node.args[1].node):
                 return self.emit(f"{'s' if kind == 'i' else 'u'}{node.op} {of} {values[0]}, {values[1]}")
             return self._arithmetic(node.op, kind, of, argument, values, lanes)
@@ -83,6 +84,7 @@ class Operations:
         symbol = name + ("f" if element == "float" else "")
         # The library would see a number too small to be a normal one, which everything else here takes for zero.
         values = [self._intrinsic("canonicalize", dtype, lanes, [value]) for value in values]
+        # The C library has no functions of vectors that round as its scalars do.
         if lanes == 1:
             return self._call(symbol, element, [element] * len(values), values)
         of, result = vector(element, lanes), "poison"
@@ -123,6 +125,7 @@ class Operations:
     def _shift(self, node: Node, of: str, values: list[str], lanes: int) -> str:
         """Return what JAX does: nothing is left, or the sign, where a number is shifted by its width or more."""
         how, bits = _SHIFTS[node.op], 8 * node.dtype.itemsize
+        # All shifts of the noise are by constants, and must cost one instruction.
         known = _known_number(node.args[1].node)
         if known is not None and 0 <= known < bits:
             return self.emit(f"{how} {of} {values[0]}, {values[1]}")
@@ -147,6 +150,7 @@ class Operations:
         return self._intrinsic("fma", node.dtype, lanes, values)
 
     def _fms(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        # To change a sign is exact, so one rounding is left.
         return self._intrinsic("fma", node.dtype, lanes, [*values[:2], self.emit(f"fneg {of} {values[2]}")])
 
     def _fnma(self, node: Node, of: str, values: list[str], lanes: int) -> str:
@@ -171,6 +175,7 @@ class Operations:
         mask = vector("i1", lanes)
         above = self._comparison("gt", dtype.kind, of, [values[0], zero])
         below = self._comparison("lt", dtype.kind, of, [values[0], zero])
+        # Of NaN and of both zeros the sign is the number itself, as in JAX.
         rest = self.emit(f"select {mask} {below}, {of} {minus}, {of} {values[0]}")
         return self.emit(f"select {mask} {above}, {of} {one}, {of} {rest}")
 
@@ -229,6 +234,7 @@ class Operations:
         return self._intrinsic("sqrt", node.dtype, lanes, values)
 
     def _rsqrt(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        # Not from the estimate of the processor, which rounds in another way on each kind of processor.
         one = splat(literal(1.0, node.dtype), scalar_type(node.dtype), lanes)
         return self._arithmetic("div", "f", of, node.dtype, [one, self._sqrt(node, of, values, lanes)], lanes)
 
@@ -258,6 +264,7 @@ class Operations:
         if power == 0:
             return splat(literal(1, node.dtype), scalar_type(node.dtype), lanes)
         multiply = "fmul" if kind == "f" else "mul"
+        # By squares, in the order in which XLA does it, so that both round alike.
         result, square, left = None, values[0], abs(power)
         while left:
             if left & 1:

@@ -81,6 +81,7 @@ def build(function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], m
         # What goes wrong in the function itself is its author's to know.
         closed = trace(closed, *(each.layout.template() for each in inputs), struct((), np.dtype(np.int32)))
     with refusing():
+        # One text for all ticks of a call: the loop over ticks is inside, so that the state stays in the cache.
         writer = _Writer(closed, tuple(inputs), mode.lanes, mode.side_by_side)
         text = writer.text()
         return Binary(machine_code(text), writer.arena.size + SPARE * 8)
@@ -96,7 +97,9 @@ class Program:
 
     def __init__(self, binary: Binary, inputs: Sequence[Input], mode: Mode):
         self.inputs, self.mode, self.scratch_bytes = tuple(inputs), mode, binary.scratch_bytes
+        # Kept, because the address below is valid as long as the code is in memory.
         self._loaded = Loaded(binary.code)
+        # Called without the lock of Python, so threads run their worlds at the same time.
         pointers = [ctypes.c_void_p] * (2 * len(self.inputs) + 1)
         prototype = ctypes.CFUNCTYPE(None, *pointers, ctypes.c_int32, ctypes.c_int32)
         self._call = prototype(self._loaded.address("advance"))
@@ -108,6 +111,7 @@ class Program:
     def buffers(self, which: int) -> Buffers:
         """Return empty buffers of an input: of its floats and of its integers, for all lanes where it is own."""
         layout = self.inputs[which].layout
+        # What all share is read once and spread over the lanes.
         width = self.mode.worlds if self.inputs[which].own else 1
         floats, integers = (
             aligned(size * width, np.dtype(dtype))
@@ -153,6 +157,7 @@ class _Writer:
         if np.dtype(dtype) != given.layout.dtype if is_float else np.dtype(dtype).name not in _WHOLE:
             raise UnsupportedError(f"numbers of type {np.dtype(dtype)} from tick to tick")
         own = given.own and self.side_by_side
+        # Only the state changes from tick to tick; what depends on nothing else is computed before the first.
         is_state = which == len(self.inputs) - 1
         node = self.graph.node(
             "input", (), squeezed(shape), dtype, (which, part.start, is_float), invariant=not is_state, uniform=not own
@@ -168,8 +173,10 @@ class _Writer:
         scheduler = Scheduler(live)
         nodes = self.graph.region.nodes
         self.prologue = scheduler.steps([node for node in nodes if node.invariant], set())
+        # The body reads the prologue from memory or registers, and never computes it anew.
         done = {node.number for node in all_nodes(self.prologue)}
         self.body = scheduler.steps([node for node in nodes if not node.invariant], done)
+        # A value that only its own loop reads needs no memory.
         every = materialised([*self.prologue, *self.body], self.results)
         computed = all_nodes([*self.prologue, *self.body])
         self.stored = {node.number for node in computed if node.number in every and not _in_register(node)}
@@ -177,6 +184,7 @@ class _Writer:
         self._place()
 
     def _place(self) -> None:
+        # These live through all ticks, so none of their places is given back.
         for node in all_nodes(self.prologue):
             if node.number in self.stored and node.number not in self.in_place:
                 self.places[node.number] = self._take(node)
@@ -190,6 +198,7 @@ class _Writer:
                 if node.number in self.stored and node.number not in self.places and node.number not in self.in_place:
                     place = self._take(node)
                     self.places[node.number] = place
+                    # What a branch makes for itself is not needed after the branching.
                     inner = node not in step.nodes
                     end = i if inner else max(i, last.get(node.number, 0))
                     ending.setdefault(end, []).append((place.offset, self._bytes(node.shape, node)))
@@ -244,6 +253,7 @@ class _Writer:
 
     def _spare_bytes(self, size: int) -> int:
         """Return the offset of working memory none of which was given out before."""
+        # Schedules do not know of this memory, so it must not be any that they have planned with.
         self.arena.free.clear()
         return self.arena.take(size)
 
@@ -262,6 +272,7 @@ class _Writer:
     def text(self) -> str:
         """Return the module."""
         writer = Emitter(self.places, self.lanes, self.side_by_side, self._spare, self._spare_bytes)
+        # No two buffers overlap, which lets LLVM keep loads in registers across stores.
         arguments = [f"ptr noalias %{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
         arguments += ["ptr noalias %scratch", "i32 %first", "i32 %count"]
         before_all, after_all = flushing(writer)
@@ -276,6 +287,7 @@ class _Writer:
         writer.do("%tick.now = add i32 %first, %done")
         writer.scalars[self.tick.number] = "%tick.now", 1
         writer.steps(self.body, self.stored)
+        # Last, when nobody reads the old state any more.
         writer.move_all(self.moves)
         writer.do("%done.next = add i32 %done, 1")
         writer.do("%more = icmp ult i32 %done.next, %count")
@@ -294,6 +306,7 @@ class _Writer:
                 *writer.entry,
                 *writer.lines,
                 "}",
+                # The stack is aligned for vectors that are spilled to it, and vectors of 512 bits are not cut in two.
                 'attributes #0 = { nounwind "stackrealign" "prefer-vector-width"="512" '
                 '"denormal-fp-math"="preserve-sign,preserve-sign" }',
             ]

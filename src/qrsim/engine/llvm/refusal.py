@@ -32,8 +32,10 @@ def refusing() -> Iterator[None]:
     """
     try:
         yield
+    # Too little memory would be too little for XLA too.
     except (UnsupportedError, MemoryError):
         raise
+    # A fault of ours must not cost a user the flight: XLA computes it, and the warning names the fault.
     except Exception as error:
         text = " ".join(str(error).split())
         raise UnsupportedError(

@@ -19,6 +19,7 @@ def write_scatter(writer: Loops, node: Node) -> None:
         node: its arguments are the array, the numbers, and how far along some axes each of them goes.
     """
     place = writer.places[node.number]
+    # The array may be read elsewhere, so what changes is a copy.
     if not _lies_there(writer, node):
         writer.copy(node.args[0], node.shape, place)
     shape = node.domain
@@ -28,6 +29,7 @@ def write_scatter(writer: Loops, node: Node) -> None:
     with writer.over(range(len(shape)), shape, None):
         lanes = writer.lanes if writer.side_by_side and place.own else 1
         values = [writer.widened(writer.value(access), access.node.dtype, lanes) for access in node.args[1:]]
+        # One after the other, because two of them may go to the same place, and their order counts.
         for lane in range(lanes):
             parts = []
             for value, access in zip(values, node.args[1:], strict=True):
@@ -43,6 +45,7 @@ def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
     number, starts = parts[0], [(text, 1) for text in parts[1:]]
     dtypes = [access.node.dtype for access in node.args[2:]]
     inside = writer.in_range((*moved, *single), starts, dtypes, 1)
+    # Memory is shared by all turns here, so a world that has left must not write any more.
     if writer.turning is not None and _lies_there(writer, node):
         going = writer.emit(f"extractelement {vector('i1', writer.lanes)} {writer.turning}, i32 {lane}")
         inside = writer.emit(f"and i1 {inside}, {going}")
@@ -50,6 +53,7 @@ def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
     address = writer.address(begun, [(None if a is None else writer.scope.variables[a], o) for a, o in index])
     before, of = writer.load(dtype, address, 1), scalar_type(dtype)
     after = number if how == "set" else writer.operations.combine(how, dtype, 1, before, number)
+    # Without a branch: what is out of range writes back what it read at the place in range.
     writer.store(dtype, address, writer.emit(f"select i1 {inside}, {of} {after}, {of} {before}"), 1)
 
 

@@ -47,6 +47,7 @@ class Scheduler:
         nodes = [node for node in nodes if node.number in self.live and node.op not in OUTSIDE]
         done = set(done)
         waiting = {node.number: node for node in nodes}
+        # How many nodes each domain has: that of most comes last.
         sizes = Counter(node.domain for node in nodes)
         found: list[Step] = []
         while waiting:
@@ -60,6 +61,7 @@ class Scheduler:
     def _next(self, waiting: dict[int, Node], done: set[int], sizes: Counter[Shape]) -> Step:
         ready = [node for node in waiting.values() if node.op != "output" and self._ready(node, done)]
         if not ready:
+            # Cannot happen with a jaxpr; it is said rather than looped over for ever.
             raise UnsupportedError("a graph with a cycle")
         # Small domains first: what they make lets the large one run further in one loop. What changes a carry last, so
         # that it may do so in its place.
@@ -82,8 +84,10 @@ class Scheduler:
                 continue
             if not all(self._available(access, domain, inside, done) for access in node.args):
                 continue
+            # A pick reads elements that other turns of the loop make, so its array must be whole first.
             if node.op == "pick" and node.args[0].node.number in inside:
                 continue
+            # A nest has one set of reduced axes; another set is another nest.
             if node.op == "reduce":
                 axes = tuple(sorted(node.attributes[1]))
                 if reduced is None:
@@ -112,6 +116,7 @@ class Scheduler:
     def _outer(self, cond: Node) -> list[Access]:
         """Return what a step with parts reads from outside."""
         own: set[int] = set()
+        # Its regions are computed within it, so what they read must be there before.
         accesses = list(cond.args)
 
         def visit(region: Region) -> None:
@@ -201,6 +206,7 @@ def all_nodes(steps: list[Step]) -> list[Node]:
 
 def materialised(steps: list[Step], results: list[Access]) -> set[int]:
     """Return the numbers of the nodes that are read outside the loop that computes them, so that they need memory."""
+    # The results are moved to the state after the last loop.
     needed = {access.node.number for access in results}
 
     def visit(steps: list[Step]) -> None:
@@ -234,6 +240,7 @@ class Arena:
 
     def take(self, size: int) -> int:
         """Return the offset of ``size`` bytes."""
+        # A vector may begin at any place that is given out.
         size = -(-size // self.ALIGN) * self.ALIGN
         for i, (begin, length) in enumerate(self.free):
             if length >= size:
@@ -248,6 +255,7 @@ class Arena:
     def give(self, begin: int, size: int) -> None:
         """Take back what ``take`` gave."""
         size = -(-size // self.ALIGN) * self.ALIGN
+        # Neighbours become one, so that a large array finds room where small ones were.
         merged: list[tuple[int, int]] = []
         for part in sorted([*self.free, (begin, size)]):
             if merged and merged[-1][0] + merged[-1][1] == part[0]:

@@ -8,6 +8,7 @@ from qrsim.engine.llvm.graph import Access, Region
 def live_nodes(region: Region, results: list[Access]) -> set[int]:
     """Return the numbers of the nodes that the results depend on, those in branches included."""
     live: set[int] = set()
+    # By hand and not by recursion: a tick has chains of thousands of nodes.
     stack = [access.node for access in results]
     while stack:
         node = stack.pop()
@@ -15,6 +16,7 @@ def live_nodes(region: Region, results: list[Access]) -> set[int]:
             continue
         live.add(node.number)
         stack.extend(access.node for access in node.args)
+        # Of a branching only what is wanted is computed; the rest of both branches is dead.
         if node.op == "output" and node.args[0].node.op == "cond":
             cond, place = node.args[0].node, node.attributes[0]
             stack.extend(branch.results[place].node for branch in cond.regions)

@@ -51,6 +51,8 @@ def build_start(traced: tuple[Any, Any], inputs: Sequence[Input], mode: Mode) ->
     """
     closed, shape = traced
     with refusing():
+        # Shapes only: JAX says more of a leaf, such as its weak type, that is none of the layout.
         template = jax.tree.map(lambda leaf: struct(leaf.shape, np.dtype(leaf.dtype)), shape)
         layout = Packer(template)
+    # The state is an input like the others, so that a start is a program like a tick, which fills it.
     return Start(build(closed, [*inputs, Input(layout, own=True)], mode), template)

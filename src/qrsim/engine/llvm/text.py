@@ -28,6 +28,7 @@ def scalar_type(dtype: DType) -> str:
 
 def stored_type(dtype: DType) -> str:
     """Return LLVM's name of one element in memory: a bool takes as much as an int32."""
+    # A vector of i1 has no place of its own for each lane in memory.
     return "i32" if dtype.kind == "b" else scalar_type(dtype)
 
 
@@ -46,12 +47,14 @@ def literal(value: Any, dtype: DType) -> str:
     if dtype.kind == "b":
         return "true" if value else "false"
     if dtype.kind == "f":
+        # In hexadecimal, because LLVM refuses a decimal that is not exact; a float too is written as a double.
         return f"0x{struct.unpack('>Q', struct.pack('>d', float(value)))[0]:016X}"
     return str(int(value))
 
 
 def splat(text: str, element: str, lanes: int) -> str:
     """Return a constant of all lanes."""
+    # LLVM writes constants of vectors so; a list of sixteen would make texts several times as long.
     return text if lanes == 1 else f"splat ({element} {text})"
 
 

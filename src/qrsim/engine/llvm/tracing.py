@@ -50,11 +50,13 @@ class Tracer(Indexing):
                 return self.graph.constant(np.asarray(atom.val, of.dtype))
             return environment[atom]
 
+        # For each function anew: whether a product is rounded must not depend on who calls the function.
         products = _Products(jaxpr)
         for equation in jaxpr.eqns:
             inputs = [read(atom) for atom in equation.invars]
             try:
                 results = self._equation(equation, inputs, products)
+            # The innermost line is the one that says most.
             except UnsupportedError as error:
                 raise error.at(source_info_util.summarize(equation.source_info)) from None
             environment.update(zip(equation.outvars, results, strict=True))
@@ -86,6 +88,7 @@ class Tracer(Indexing):
             products.made[equation.outvars[0]] = inputs
             return plain
         first, second = (products.of(atom) for atom in equation.invars)
+        # Neither is a product, or both are.
         if (first is None) == (second is None):
             return plain
         which = 0 if second is None else 1
@@ -131,9 +134,11 @@ class Tracer(Indexing):
         kept = [axis for axis in range(len(operand.shape)) if axis not in axes]
         reduced = [axis for axis in axes if operand.shape[axis] != 1]
         moved = operand.moved({axis: i for i, axis in enumerate(kept)}, tuple(out.shape))
+        # Along axes of one element there is nothing to reduce.
         if not reduced:
             return moved
         loop = [axis for axis, extent in enumerate(operand.shape) if extent != 1]
+        # Axes of the loop, which has no unit axes.
         attributes = (op, tuple(loop.index(axis) for axis in reduced))
         node = self.graph.node(
             "reduce", (operand.access(),), squeezed(out.shape), out.dtype, attributes, domain=squeezed(operand.shape)
@@ -152,6 +157,7 @@ class Tracer(Indexing):
     def nearest(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
         """Return the squared distance of each point's nearest neighbour."""
         shape = tuple(out.shape)
+        # Cells pay from some size on, and their tables are of one world.
         if not (self.alone and len(shape) == 1 and shape[0] >= MANY_POINTS and not inputs[3].shape):
             pairs = trace(by_all_pairs, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))  # type: ignore[no-untyped-call]
             return self.run(pairs.jaxpr, pairs.consts, inputs)[0]
@@ -166,13 +172,16 @@ class Tracer(Indexing):
             return self.spread(self.graph.constant(np.zeros((), out.dtype)), tuple(out.shape))
         kept = [i for i in range(len(shape)) if i != axis]
         best = self._reduced(op, operand, Like(out.shape, operand.node.dtype), axes)
+        # Spread back over the axis, to be compared with every element.
         best = best.moved(dict(enumerate(kept)), shape)
         found = self.apply("eq", shape, np.bool_, operand, best)
         if operand.node.dtype.kind == "f":
+            # What differs from itself is NaN, which counts as the extreme.
             missing = self.apply("ne", shape, np.bool_, operand, operand)
             found = self.apply("or", shape, np.bool_, found, missing)
         places = self.iota("", [], Like(shape, out.dtype), {"dimension": axis})
         beyond = self.spread(self.graph.constant(np.full((), shape[axis], out.dtype)), shape)
+        # The least place among those that hold the extreme is the first one.
         chosen = self.apply("select_n", shape, out.dtype, found, beyond, places)
         return self._reduced("min", chosen, out, axes)
 
@@ -242,6 +251,7 @@ class Tracer(Indexing):
     def _join(self, parts: list[View], shape: Shape, dtype: Any, axis: int) -> View:
         if 0 in shape:
             return self.spread(self.graph.constant(np.zeros((), dtype)), shape)
+        # What is empty has no step of its own, and would be a loop over nothing.
         parts = [part for part in parts if 0 not in part.shape]
         if len(parts) == 1:
             return parts[0]
@@ -262,6 +272,7 @@ class Tracer(Indexing):
             region, views = self._region(branch, operands)
             regions.append(region)
             results.append(views)
+        # Never invariant, because its regions may read the state though its condition does not.
         cond = self.graph.node("cond", (which.access(),), (), np.bool_, regions=tuple(regions), invariant=False)
         return [self._branch_result(cond, i, views) for i, views in enumerate(zip(*results, strict=True))]
 
@@ -286,8 +297,10 @@ class Tracer(Indexing):
             raise UnsupportedError("a loop over nothing")
         if squeezed(parameters["cond_jaxpr"].out_avals[0].shape):
             raise UnsupportedError("a loop with a condition for each element")
+        # What changes from turn to turn is known to be neither the same at every tick nor in every world.
         carries = [self._unknown("carry", (), view) for view in first]
         views = [View.whole(node, view.shape) for node, view in zip(carries, first, strict=True)]
+        # The condition sees the carries too, and is computed before every turn.
         regions = [
             self._region(parameters["cond_jaxpr"], [*inputs[:conditions], *views])[0],
             self._region(parameters["body_jaxpr"], [*inputs[conditions : conditions + bodies], *views])[0],

@@ -154,6 +154,7 @@ class Writer:
 
     def _moved(self, pointer: str, variable: str, stride: int) -> str:
         key = (pointer, variable, stride)
+        # What lies in one row is read from one address, which is computed once.
         if key not in self.scope.offsets:
             distance = self.emit(f"mul nuw nsw i64 {variable}, {stride}")
             self.scope.offsets[key] = self.emit(f"getelementptr i8, ptr {pointer}, i64 {distance}")
@@ -175,6 +176,7 @@ class Writer:
         if mask is None:
             self.do(f"store {of} {value}, ptr {address}, align {align}")
             return
+        # The lanes behind the end belong to whatever lies next.
         name = f"llvm.masked.store.{suffix(stored_type(dtype), lanes)}.p0"
         self.declarations.add(f"declare void @{name}({of}, ptr, i32, {vector('i1', lanes)})")
         self.do(f"call void @{name}({of} {value}, ptr {address}, i32 {align}, {vector('i1', lanes)} {mask})")
@@ -186,6 +188,7 @@ class Writer:
         node, scope = access.node, self.scope
         if node.number in self.scalars:
             return self.scalars[node.number]
+        # Of another element the value is in another turn of the loop, so it is read from memory.
         if node.number in scope.values and access.identical(scope.domain):
             return scope.values[node.number], self._width(node)
         if node.op == "constant" and node.shape == ():
@@ -213,6 +216,7 @@ class Writer:
         if not across:
             lanes = self._lanes_of(node)
             return self.load(node.dtype, self.address(place, index), lanes), lanes
+        # Elements side by side are one load.
         if len(across) == 1 and place.strides[across[0]] == stored_bytes(node.dtype):
             return self.load(node.dtype, self.address(place, index), self.lanes), self.lanes
         return self._gathered(node, place, index, across), self.lanes
@@ -306,6 +310,7 @@ class Writer:
         for lane in range(self.lanes):
             at = self.emit(f"add i64 {counter}, {lane}")
             self.declarations.add("declare i64 @llvm.umin.i64(i64, i64)")
+            # Behind the last element the last one is read again, so that no lane reads foreign memory.
             at = self.emit(f"call i64 @llvm.umin.i64(i64 {at}, i64 {extent - 1})")
             moved = [(at if i in across else variable, offset) for i, (variable, offset) in enumerate(index)]
             one = self.load(node.dtype, self.address(place, moved), 1)
@@ -320,6 +325,7 @@ class Writer:
         element = scalar_type(dtype)
         if have == 0:
             return splat(text, element, lanes)
+        # Nothing says which of the worlds would be meant.
         if have != 1:
             raise UnsupportedError("a value of one world that depends on all of them")
         of = vector(element, lanes)
@@ -332,6 +338,7 @@ class Writer:
             return self.places[node.number]
         if node.number not in self._constant_places:
             array = np.frombuffer(node.attributes[0], node.dtype).reshape(node.shape)
+            # As bools lie in memory everywhere else.
             if array.dtype.kind == "b":
                 array = array.astype(np.int32)
             # Rows are read in whole vectors.
