@@ -400,3 +400,38 @@ class TestSensorsOfOnesOwn:
         # A period need not be one of the sky where its path has "gnss" in it and it does not look at the sky.
         other = written(tmp_path, name="gnss_gauge.py")
         load_scenario(with_gauge(f"{other}:Gauge", period=0.06))
+
+
+class TestEstimatorsAndMetrics:
+    TEXT = """
+    import jax.numpy as jnp
+
+    class Speed:
+        def init(self, world, state):
+            return jnp.zeros(())
+
+        def update(self, memory, world, state, tick):
+            return jnp.maximum(memory, state.fleets[0].vehicle.velocity_body.norm().max())
+
+        def finish(self, memory, world, state):
+            return {"speed_max_m_s": memory}
+
+    class Half:
+        def init(self, reading):
+            return 0
+    """
+
+    def test_metrics_by_a_file(self, tmp_path: Path):
+        file = written(tmp_path, self.TEXT)
+        found = qrsim.rollout("hover", ticks=20, worlds=2, metrics=f"{file}:Speed")
+        assert found.metrics["speed_max_m_s"].shape == (2,)
+        assert (found.metrics["speed_max_m_s"] > 0.0).all()
+
+    def test_what_is_none(self, tmp_path: Path):
+        file = written(tmp_path, self.TEXT)
+        with pytest.raises(
+            UsageError, match=r"class Half lacks the method step\(reading, memory\) that an estimator has"
+        ):
+            qrsim.rollout("hover", ticks=20, estimator=f"{file}:Half")
+        with pytest.raises(UsageError, match="expected module:function or file"):
+            qrsim.rollout("hover", ticks=20, metrics="speed")

@@ -130,7 +130,7 @@ def _method_problems(kind: str, component: type) -> Iterator[str]:
         method = getattr(component, name, None)
         if not callable(method) or getattr(method, "__isabstractmethod__", False):
             yield (
-                f"class {component.__name__} lacks the method {name}({', '.join(arguments)}) that a {kind} "
+                f"class {component.__name__} lacks the method {name}({', '.join(arguments)}) that {_a(kind)} "
                 f"has{_meant(component, name)}"
             )
             continue
@@ -147,9 +147,13 @@ def _method_problems(kind: str, component: type) -> Iterator[str]:
         except TypeError:
             takes = f"({', '.join(map(_shown, list(signature.parameters.values())[len(owner) :]))})"
             yield (
-                f"{component.__name__}.{name} takes {takes}; expected ({', '.join(arguments)}), with which a "
-                f"{kind} is called"
+                f"{component.__name__}.{name} takes {takes}; expected ({', '.join(arguments)}), with which "
+                f"{_a(kind)} is called"
             )
+
+
+def _a(kind: str) -> str:
+    return f"{'an' if kind[0] in 'aeo' else 'a'} {kind}"
 
 
 def _shown(part: inspect.Parameter) -> str:
@@ -163,7 +167,7 @@ def _attribute_problems(kind: str, component: type) -> Iterator[str]:
     for name in getattr(contract, "__annotations__", {}):
         if not hasattr(contract, name) and name not in fields and not hasattr(component, name):
             yield (
-                f"class {component.__name__} lacks '{name}' that a {kind} has (see {contract.__module__})"
+                f"class {component.__name__} lacks '{name}' that {_a(kind)} has (see {contract.__module__})"
                 f"{_meant(component, name)}"
             )
     reads = getattr(component, "reads", ())
@@ -171,7 +175,7 @@ def _attribute_problems(kind: str, component: type) -> Iterator[str]:
         if name not in READABLE[kind]:
             match = nearest(name, READABLE[kind])
             hint = f"did you mean '{match}'?" if match else f"allowed: {', '.join(READABLE[kind])}"
-            yield f"{component.__name__}.reads names '{name}', which a {kind} cannot read; {hint}"
+            yield f"{component.__name__}.reads names '{name}', which {_a(kind)} cannot read; {hint}"
 
 
 def _calls(kind: str, component: type) -> Iterator[tuple[str, list[str], list[str]]]:

@@ -9,6 +9,7 @@ from typing import Any
 from qrsim.errors import UsageError
 from qrsim.models.site import Site
 from qrsim.scenarios.reading import checked_overrides
+from qrsim.scenarios.registry import made
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.simulation import rollout as rollouts
 from qrsim.simulation.rollout import Rollout
@@ -52,7 +53,8 @@ def rollout(
         seeds: one for each world in place of ``seed`` and ``worlds``.
         estimator: what feeds the controllers in place of the sensors, see ``qrsim.interface.policies``.
         policy_ticks: the policy is asked at every so-many-th tick, and its command held in between.
-        metrics: what sums up a flight: an object with ``init``, ``update`` and ``finish`` as in FlightMetrics.
+        metrics: what sums up a flight: an object with ``init``, ``update`` and ``finish`` as in FlightMetrics; it
+            and an estimator may be named too, see docs/extending.md.
         record: a function of a world's State that returns arrays to keep.
         record_every: ticks between two records, the first one at the start.
         sink: called with the numbers (B,) of some worlds, the tick, and what ``record`` returned for them, each leaf
@@ -86,8 +88,9 @@ def rollout(
     ]
     return rollouts.rollout(
         built if isinstance(world, list | tuple) else built[0], policy, ticks=ticks, worlds=worlds, seed=seed,
-        seeds=seeds, estimator=estimator, policy_ticks=policy_ticks, metrics=metrics, record=record,
-        record_every=record_every, sink=sink, progress=progress, site=site or (first.site if first else None),
+        seeds=seeds, estimator=made("estimator", estimator), policy_ticks=policy_ticks, metrics=made("metric", metrics),
+        record=record, record_every=record_every, sink=sink, progress=progress,
+        site=site or (first.site if first else None),
     )  # fmt: skip
 
 

@@ -100,6 +100,30 @@ def outside_names(kind: str) -> list[str]:
     return [name for name in catalogue.KINDS[kind] if name not in _BUILT_IN[kind]]
 
 
+def made(kind: str, source: Any) -> Any:
+    """Return the estimator or the metrics of a registered name, a package's, ``module:name`` or ``file.py:name``.
+
+    A class is called without arguments; anything but a text is what it is.
+
+    Raises:
+        UsageError: nothing is called so, it cannot be loaded, or is none.
+    """
+    if not isinstance(source, str):
+        return source
+    found: Any = None
+    if not code.is_code(source) and provide(kind, source):
+        found = catalogue.KINDS[kind][source]
+    if found is None:
+        found = code.load_object(kind, source, outside_names(kind))
+    if not isinstance(found, type):
+        return found
+    _check_class(kind, found, kind)
+    try:
+        return found()
+    except Exception as error:
+        raise UsageError(f"{kind} {source}: made without arguments it fails: {code.in_one_line(error)}") from error
+
+
 def built_in_names(kind: str) -> list[str]:
     """Return the names of the built-in components of a kind."""
     return list(_BUILT_IN[kind])

@@ -115,11 +115,12 @@ class Check:
         import time
 
         from qrsim.interface.policies import load_function
+        from qrsim.scenarios.registry import made
         from qrsim.simulation.rollout import rollout
 
         functions: dict[str, Any] = {
-            what: None if source is None else load_function(what, source)
-            for what, source in (("policy", self.policy), ("estimator", self.estimator))
+            "policy": None if self.policy is None else load_function("policy", self.policy),
+            "estimator": made("estimator", self.estimator),
         }
         begun = time.perf_counter()
         with _progress(scenario, self.seeds) as progress:

@@ -132,11 +132,12 @@ class Run:
         functions: dict[str, Any] = {}
         if self.policy is not None or self.estimator is not None:
             from qrsim.interface.policies import load_function
+            from qrsim.scenarios.registry import made
 
-            chosen = {"policy": self.policy, "estimator": self.estimator}
-            given = {what: source for what, source in chosen.items() if source not in (None, BASELINE)}
-            words = {"policy": (BASELINE,), "estimator": ()}
-            functions = {what: load_function(what, source, words[what]) for what, source in given.items()}
+            if self.policy not in (None, BASELINE):
+                functions["policy"] = load_function("policy", str(self.policy), (BASELINE,))
+            if self.estimator is not None:
+                functions["estimator"] = made("estimator", self.estimator)
         policy_ticks = self.policy_ticks
         if self.policy == BASELINE:
             from qrsim.apps.run.baseline import baseline_policy
