@@ -92,6 +92,17 @@ def qrsim(python: str, folder: Path, *words: str, **variables: str) -> str:
     return done.stdout
 
 
+@pytest.mark.parametrize("name", ["laser", "point_mass", "climb"])
+def test_components_of_ones_own(python: str, tmp_path: Path, name: str):
+    """The examples of docs/extending.md, copied to where a user has them."""
+    for ending in ("py", "yaml"):
+        file = f"{name}.{ending}"
+        (tmp_path / file).write_bytes((ROOT / "examples" / "outside" / file).read_bytes())
+    qrsim(python, tmp_path, "-m", "qrsim.cli", "run", f"{name}.yaml", "--duration", "2", "--out", "run", "--no-figure")
+    (needed,) = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))["components"]
+    assert needed["file"] == str(tmp_path / f"{name}.py")
+
+
 def test_it_is_small(python: str, tmp_path: Path):
     found = json.loads(qrsim(python, tmp_path, "-c", LIST))
     found.pop("pip", None)

@@ -30,7 +30,7 @@ def test_the_page_shows_the_laser():
     assert f"```python\n{(EXAMPLES / 'laser.py').read_text(encoding='utf-8')}```" in page
 
 
-@pytest.mark.parametrize(("name", "below"), [("laser", 30), ("climb", 35)])
+@pytest.mark.parametrize(("name", "below"), [("laser", 30), ("point_mass", 45), ("climb", 35)])
 def test_they_are_short(name: str, below: int):
     assert len((EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()) < below
 
@@ -116,3 +116,26 @@ class TestClimb:
             load_scenario(EXAMPLES / "climb.yaml", ["task.fleet=pelican"])
         with pytest.raises(UsageError, match=r"'attitude' does not take what the task .*climb.py:Climb' asks for"):
             load_scenario(EXAMPLES / "climb.yaml", ["fleets.pelicans.controller=attitude"])
+
+
+@pytest.mark.long
+class TestPointMass:
+    def test_it_flies_the_loops_of_the_quadrotor(self):
+        """Its weight is carried at the throttle that says so, and three legs of 40 m are flown in a minute."""
+        scenario = load_scenario(EXAMPLES / "point_mass.yaml", ["duration=60"])
+        flights = qrsim.rollout(scenario, worlds=2, seed=1)
+        assert (flights.metrics["reason"] == 0).all()
+        assert (flights.metrics["tracking_error_rms_m"] < 6.0).all()
+        assert (flights.metrics["distance_m"] > 120.0).all()
+
+    def test_in_both_precisions_it_falls_as_a_mass_does(self):
+        """Without throttle and drag: 9.81 m/s^2, for half a second."""
+        for precision in ("float32", "float64"):
+            simulation = qrsim.load(
+                EXAMPLES / "point_mass.yaml", precision=precision,
+                overrides=["fleets.pelicans.vehicle.drag=0", "world.wind=calm", "world.turbulence=still"],
+            )  # fmt: skip
+            simulation.reset()
+            simulation.step([[0.0, 0.0, 0.0, 0.0, 12.0]] * 5, ticks=25)
+            np.testing.assert_allclose(simulation.truth.velocity_ned[:, 2], 9.81 * 0.5, rtol=1e-5)
+            np.testing.assert_allclose(simulation.truth.thrust, 1.5 * 9.81, rtol=1e-6)

@@ -435,3 +435,88 @@ class TestEstimatorsAndMetrics:
             qrsim.rollout("hover", ticks=20, estimator=f"{file}:Half")
         with pytest.raises(UsageError, match="expected module:function or file"):
             qrsim.rollout("hover", ticks=20, metrics="speed")
+
+
+# Of every kind the class of a built-in component, under another name, in a file of a user.
+COPIES = """
+import qrsim
+from qrsim.scenarios import catalogue
+
+@qrsim.record
+class Wind(catalogue.WINDS["log_shear"]): pass
+@qrsim.record
+class Turbulence(catalogue.TURBULENCES["dryden"]): pass
+@qrsim.record
+class Gust(catalogue.GUSTS["discrete"]): pass
+@qrsim.record
+class Errors(catalogue.SKY_ERRORS["ou"]): pass
+@qrsim.record
+class Orbits(catalogue.ORBITS["nominal_constellation"]): pass
+@qrsim.record
+class Area(catalogue.AREAS["box"]): pass
+@qrsim.record
+class Vehicle(catalogue.VEHICLES["pelican"]): pass
+@qrsim.record
+class Battery(catalogue.BATTERIES["lithium_polymer"]): pass
+@qrsim.record
+class Controller(catalogue.CONTROLLERS["waypoint"]): pass
+@qrsim.record
+class Guidance(catalogue.GUIDANCE["route"]): pass
+@qrsim.record
+class Receiver(catalogue.SENSORS["gnss_receiver"]): pass
+@qrsim.record
+class Task(catalogue.TASKS["keep_spot"]): pass
+"""
+
+
+def of_every_kind(file: str) -> dict[str, Any]:
+    """A scenario of built-in components, or of the same from a file."""
+
+    def named(built_in: str, own: str) -> str:
+        return f"{file}:{own}" if file else built_in
+
+    gust = {"start_time": 0.2, "length": 10.0, "speed": 3.0, "wind_from_deg": 0.0, "along": 1.0}
+    return {
+        "extends": "keep_spot",
+        "name": "copies",
+        "duration": 1.0,
+        "world": {
+            "area": {"type": named("box", "Area"), "x_min": -50, "x_max": 50, "y_min": -50, "y_max": 50, "z_min": -90},
+            "wind": {"type": named("log_shear", "Wind"), "speed_20ft": 3.0, "wind_from_deg": 270.0},
+            "turbulence": {"type": named("dryden", "Turbulence")},
+            "gust": {"type": named("discrete", "Gust"), **gust},
+            "sky": {"errors": {"type": named("ou", "Errors")},
+                    "orbits": {"type": named("nominal_constellation", "Orbits")}},
+        },
+        "fleets": {"pelicans": {
+            "vehicle": {"type": named("pelican", "Vehicle")},
+            "battery": {"type": named("lithium_polymer", "Battery"), "voltage_full": 12.5, "voltage_empty": 10.0},
+            "controller": {"type": named("waypoint", "Controller")},
+            "guidance": {"type": named("route", "Guidance")},
+            "sensors": {"gnss": {"type": named("gnss_receiver", "Receiver")}},
+        }},
+        "task": {"type": named("keep_spot", "Task")},
+    }  # fmt: skip
+
+
+KINDS = {"wind", "turbulence", "gust", "sky", "orbits", "area", "vehicle", "battery", "controller", "guidance",
+         "sensor", "task"}  # fmt: skip
+
+
+def test_of_every_kind_they_are_taken_in_and_traced(tmp_path: Path):
+    scenario = load_scenario(of_every_kind(str(written(tmp_path, COPIES, "copies.py"))))
+    assert {part["kind"] for part in scenario.outside} == KINDS
+
+
+@pytest.mark.long
+def test_of_every_kind_they_fly_as_built_in_ones(tmp_path: Path):
+    """The same bits."""
+    file = str(written(tmp_path, COPIES, "copies.py"))
+    found = []
+    for scenario in (load_scenario(of_every_kind("")), load_scenario(of_every_kind(file))):
+        simulation = qrsim.Simulation(scenario.world(), seed=4)
+        simulation.reset()
+        simulation.step(ticks=30)
+        found.append((simulation.truth.state, simulation.reading.gnss.position_ned, simulation.truth.wind_ned))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -335,7 +335,12 @@ class Truth:
     @property
     def thrust(self) -> Floats:
         """(n,) collective thrust [N], NaN where a vehicle has none."""
-        return self._of_vehicles(lambda model, state: model.load(state).thrust)
+
+        def thrust(model: Vehicle, state: Any) -> Any:
+            # A load may be one number for all.
+            return np.broadcast_to(model.load(state).thrust, np.shape(state.position_ned.x))
+
+        return self._of_vehicles(thrust)
 
     @property
     def specific_force(self) -> Floats:
