@@ -19,7 +19,7 @@ from qrsim.errors import RunError, UsageError, did_you_mean, nearest
 from qrsim.extras import require
 
 if TYPE_CHECKING:
-    from qrsim.links.reference.server import Options
+    from qrsim.links.reference.roles import Options
     from qrsim.scenarios.scenario import Scenario
     from qrsim.view.live import LiveView
 
@@ -115,8 +115,8 @@ class Serve:
 
     def _options(self) -> Options:
         from qrsim.links.pacing import checked_factor
+        from qrsim.links.reference.roles import Options
         from qrsim.links.reference.seeds import EPISODES
-        from qrsim.links.reference.server import Options
 
         if not 0 <= self.port <= 65535:
             raise UsageError(f"--port {self.port}: expected 0 to 65535")

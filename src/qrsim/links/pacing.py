@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from qrsim.errors import UsageError
-from qrsim.links.reference.protocol.qrsim_pb2 import Pacing
 
 # A client that stays behind for longer has paused: the clock starts anew rather than to hurry after it.
 LONGEST_DELAY_S = 0.25
@@ -23,6 +23,25 @@ def checked_factor(factor: float) -> float:
     if factor == 0.0 or (math.isfinite(factor) and SLOWEST <= factor <= FASTEST):
         return factor
     raise UsageError(f"real-time factor {factor:g}; allowed: {SLOWEST:g} to {FASTEST:g}, or 0 for lock-step")
+
+
+@dataclass(frozen=True)
+class PaceReport:
+    """How a pace was kept.
+
+    Attributes:
+        factor: simulated seconds per second of the wall clock; 0: lock-step.
+        steps, overruns: steps, and those of them that were late.
+        worst_delay: of a late step [s].
+        simulated, wall: seconds since the start.
+    """
+
+    factor: float
+    steps: int
+    overruns: int
+    worst_delay: float
+    simulated: float
+    wall: float
 
 
 class Pacer:
@@ -67,9 +86,9 @@ class Pacer:
         self._anchor = (0.0, self._clock())
         self._last = 0.0
 
-    def report(self) -> Pacing:
+    def report(self) -> PaceReport:
         """Return the statistics of the pace."""
-        return Pacing(
+        return PaceReport(
             factor=self.factor,
             steps=self.steps,
             overruns=self.overruns,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.models.gnss.orbits import split_time
+from qrsim.core.clock import split_time
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import ScenarioSpec
 

@@ -5,43 +5,18 @@ from __future__ import annotations
 import pickle
 import threading
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from qrsim.errors import QrsimError
+from qrsim.sweep.job import Job, goals
 from qrsim.sweep.metrics import of_episodes
 
 Array = np.ndarray[Any, Any]
 # The engine keeps its programs in one place for a process.
 _ALONE = threading.Lock()
-
-
-@dataclass(frozen=True)
-class Job:
-    """A batch in the form sent to a worker.
-
-    Attributes:
-        group: a ``Group``, see ``dumped``; most batches have the same, which is then unpacked once.
-        numbers: value of each number that varies, (W,) each.
-        seeds: (W,) of the episodes.
-        metrics: names.
-        policy, estimator, policy_ticks: who flies, see ``StudySpec``.
-        code: digests of the files of both.
-        precision: float32 or float64.
-    """
-
-    group: bytes
-    numbers: dict[str, Array]
-    seeds: Array
-    metrics: tuple[str, ...]
-    policy: str | None
-    estimator: str | None
-    policy_ticks: int
-    code: tuple[tuple[str, str], ...]
-    precision: str
 
 
 def fly(job: Job, threads: int = 1) -> dict[str, Array] | str:
@@ -137,15 +112,3 @@ def _stacked(group: Any, job: Job, functions: dict[str, Any]) -> Any:
     structure, fixed, own, which = group.varied(job.numbers)
     setup, _, _ = setup_of([group.world], **functions, policy_ticks=job.policy_ticks)
     return replace(setup, structure=structure, varied=which), [jnp.asarray(leaf) for leaf in fixed], own
-
-
-def goals(world: Any) -> Array:
-    """Return the last waypoint of each vehicle (n, 3) [m]."""
-    found = []
-    for fleet in world.fleets:
-        route = fleet.route
-        last = np.asarray(route.count) - 1
-        vehicle = np.arange(len(last))
-        axes = (route.position_ned.x, route.position_ned.y, route.position_ned.z)
-        found.append(np.stack([np.asarray(axis)[last, vehicle] for axis in axes], axis=-1))
-    return np.concatenate(found).astype(np.float64)

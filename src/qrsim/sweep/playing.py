@@ -14,8 +14,8 @@ from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.pilot import Pilot
 from qrsim.simulation.simulation import Simulation
-from qrsim.sweep.flying import Job, goals
 from qrsim.sweep.groups import Group
+from qrsim.sweep.job import Job, goals
 from qrsim.tasks import Play
 from qrsim.tasks.baselines import BaselinePolicy, baseline
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import RunError
-from qrsim.sweep.flying import Job, dumped, fly
+from qrsim.sweep.flying import dumped, fly
+from qrsim.sweep.job import Job
 from qrsim.sweep.plan import Batch, Plan
 from qrsim.sweep.store import Store
 

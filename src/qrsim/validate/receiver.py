@@ -13,12 +13,12 @@ import numpy as np
 from scipy import linalg
 
 from qrsim.core.allan import overlapping_allan_deviation
+from qrsim.core.clock import split_time
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
 from qrsim.engine.settings import quick_jit
 from qrsim.models.gnss.errors import GaussMarkov2
-from qrsim.models.gnss.orbits import split_time
 from qrsim.models.gnss.receivers import GnssReceiver, OrnsteinUhlenbeckErrors, SharedSky
 from qrsim.models.gnss.sp3 import Sp3Ephemeris
 from qrsim.models.site import Site, gps_seconds_from_utc

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control import Estimate
+from qrsim.core.clock import split_time
 from qrsim.core.noise import Draw, Drawn, Key, Noise, Stream, StreamKeys, draw_together
 from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Vec3, rotation
-from qrsim.models.gnss.orbits import split_time
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.area import Violation, collisions, reason_code
 from qrsim.models.scene.contents import Surroundings

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from qrsim.core.clock import split_time
 from qrsim.errors import UsageError
 from qrsim.models.gnss import orbits
-from qrsim.models.gnss.orbits import NominalConstellation, dilution_of_precision, elevation_azimuth, split_time
+from qrsim.models.gnss.orbits import NominalConstellation, dilution_of_precision, elevation_azimuth
 from qrsim.models.site import Site, gps_seconds_from_utc
 
 CONSTELLATION = NominalConstellation()

@@ -6,7 +6,7 @@ import asyncio
 import socket
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from qrsim.errors import QrsimError, UsageError
 from qrsim.links.reference.playing import Playing
@@ -14,10 +14,8 @@ from qrsim.links.reference.protocol import DecodeError
 from qrsim.links.reference.protocol.framing import HEAD_SIZE, LARGEST_REQUEST, Deframer, frame
 from qrsim.links.reference.protocol.qrsim_pb2 import Ack, Message
 from qrsim.links.reference.requests import known_step, parsed_step, step
+from qrsim.links.reference.roles import Host
 from qrsim.links.reference.session import Session
-
-if TYPE_CHECKING:
-    from qrsim.links.reference.server import Server
 
 # Bytes that may wait to be sent: then a client's next request waits, and a watcher misses states.
 MOST_WAITING = 4 << 20
@@ -44,7 +42,7 @@ class Connection(asyncio.Protocol):
         leaving: set when the client sends nothing more, or is gone.
     """
 
-    def __init__(self, server: Server):
+    def __init__(self, server: Host):
         self.server = server
         self.session: Session | Playing | None = None
         self.lost = ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from qrsim.errors import UsageError
 from qrsim.links.pacing import Pacer, checked_factor
@@ -12,12 +12,10 @@ from qrsim.links.reference.playing import Playing
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import LARGEST_REQUEST
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
+from qrsim.links.reference.roles import Client
 from qrsim.links.reference.sensors import sensor_readings
 from qrsim.links.reference.session import Session, Wishes
 from qrsim.links.reference.tasks import offboard, uploaded
-
-if TYPE_CHECKING:
-    from qrsim.links.reference.connection import Connection
 
 CAPABILITIES = ("seed", "scenario", "realtime", "readings", "reasons", "watch", "events", "episodes")
 # What clients of the reference implementation look for.
@@ -28,7 +26,7 @@ SHORT_S = 0.0005
 MOST_TICKS_OF_ACT = 10_000
 
 
-async def init(connection: Connection, message: Message) -> bool:
+async def init(connection: Client, message: Message) -> bool:
     """Start a task."""
     server, request = connection.server, message.init
     realtime = server.options.realtime or float(request.realTime)
@@ -40,9 +38,7 @@ async def init(connection: Connection, message: Message) -> bool:
     return True
 
 
-def _wishes(
-    connection: Connection, task: str, *, scenario: str | None = None, flown: bool = True, **others: Any
-) -> Wishes:
+def _wishes(connection: Client, task: str, *, scenario: str | None = None, flown: bool = True, **others: Any) -> Wishes:
     """Return what a client wishes, its scenario to be flown by commands or to be played."""
     server = connection.server
     # What is not UTF-8 comes as bytes.
@@ -59,7 +55,7 @@ def _info(session: Session) -> pb.TaskInfo:
     return pb.TaskInfo(timestep=session.time_step, numUAVs=session.simulation.size)
 
 
-async def reset(connection: Connection, message: Message) -> bool:
+async def reset(connection: Client, message: Message) -> bool:
     """Start the next episode of the task."""
     session = connection.required_session()
     await connection.server.run(session, session.restart)
@@ -69,11 +65,11 @@ async def reset(connection: Connection, message: Message) -> bool:
     return True
 
 
-def _say_episode(connection: Connection, session: Session) -> None:
+def _say_episode(connection: Client, session: Session) -> None:
     connection.server.say(f"session {session.number}, episode {session.episode}: seed {session.simulation.seed}")
 
 
-async def disconnect(connection: Connection, message: Message) -> bool:
+async def disconnect(connection: Client, message: Message) -> bool:
     """End the session, and the server if requested and allowed."""
     await connection.server.close_session(connection)
     if not message.disconnect.quit:
@@ -86,7 +82,7 @@ async def disconnect(connection: Connection, message: Message) -> bool:
     return False
 
 
-async def set_state(connection: Connection, message: Message) -> bool:
+async def set_state(connection: Client, message: Message) -> bool:
     """Set the vehicles' states."""
     session = connection.required_session()
     await connection.server.run(session, lambda: session.set_state(message.setsState.X))
@@ -95,13 +91,13 @@ async def set_state(connection: Connection, message: Message) -> bool:
     return True
 
 
-def known_step(connection: Connection, payload: bytes) -> tuple[Any, int] | None:
+def known_step(connection: Client, payload: bytes) -> tuple[Any, int] | None:
     """Return the command and the ticks of a STEP of a learnt layout, else None."""
     session = connection.session
     return session.commands.known(payload) if isinstance(session, Session) else None
 
 
-def parsed_step(connection: Connection, message: Message, payload: bytes) -> tuple[Any, int]:
+def parsed_step(connection: Client, message: Message, payload: bytes) -> tuple[Any, int]:
     """Parse the command and the ticks of a STEP.
 
     Raises:
@@ -115,7 +111,7 @@ def parsed_step(connection: Connection, message: Message, payload: bytes) -> tup
     return command, ticks
 
 
-async def step(connection: Connection, command: Any, ticks: int) -> None:
+async def step(connection: Client, command: Any, ticks: int) -> None:
     """Advance the session; in real time, reply no earlier than the wall clock.
 
     Raises:
@@ -140,7 +136,7 @@ async def step(connection: Connection, command: Any, ticks: int) -> None:
 # ---- extensions ----
 
 
-async def hello(connection: Connection, message: Message) -> bool:
+async def hello(connection: Client, message: Message) -> bool:
     """Report the server's version, capabilities, tasks and sessions."""
     server = connection.server
     connection.reasons = message.hello.reasons
@@ -155,7 +151,7 @@ async def hello(connection: Connection, message: Message) -> bool:
     return True
 
 
-async def open_session(connection: Connection, message: Message) -> bool:
+async def open_session(connection: Client, message: Message) -> bool:
     """Start a session with the client's seed, pace or scenario."""
     server, request = connection.server, message.open
     factor = checked_factor(request.realtime if request.HasField("realtime") else server.options.realtime or 0.0)
@@ -166,7 +162,7 @@ async def open_session(connection: Connection, message: Message) -> bool:
     return True
 
 
-def _chosen(connection: Connection, request: pb.Open | pb.Play) -> dict[str, Any]:
+def _chosen(connection: Client, request: pb.Open | pb.Play) -> dict[str, Any]:
     """Return task, scenario and seed of a request as ``_wishes`` takes them."""
     if request.HasField("task") and request.HasField("scenario"):
         raise UsageError("give either a task or a scenario")
@@ -187,7 +183,7 @@ def _seed(request: pb.Open | pb.Play | pb.Restart) -> int | None:
     return request.seed
 
 
-async def restart(connection: Connection, message: Message) -> bool:
+async def restart(connection: Client, message: Message) -> bool:
     """Start the next episode of the task, or the first one of a seed."""
     session, seed = connection.required_session(), _seed(message.restart)
     await connection.server.run(session, lambda: session.restart(seed))
@@ -196,7 +192,7 @@ async def restart(connection: Connection, message: Message) -> bool:
     return True
 
 
-def _send_session(connection: Connection, session: Session) -> None:
+def _send_session(connection: Client, session: Session) -> None:
     simulation = session.simulation
     found = pb.Session(
         id=session.number,
@@ -210,7 +206,7 @@ def _send_session(connection: Connection, session: Session) -> None:
     connection.server.broadcast(session)
 
 
-async def get_readings(connection: Connection, message: Message) -> bool:
+async def get_readings(connection: Client, message: Message) -> bool:
     """Send every sensor's reading, or the reason it is missing."""
     session = connection.required_session()
     told = session.sensors.frame()
@@ -222,7 +218,7 @@ async def get_readings(connection: Connection, message: Message) -> bool:
     return True
 
 
-async def watch(connection: Connection, message: Message) -> bool:
+async def watch(connection: Client, message: Message) -> bool:
     """Begin sending the states of a session."""
     request = message.watch
     if connection.session is not None:
@@ -236,24 +232,24 @@ async def watch(connection: Connection, message: Message) -> bool:
     return True
 
 
-async def get_events(connection: Connection, message: Message) -> bool:
+async def get_events(connection: Client, message: Message) -> bool:
     """Send the events since the last request."""
     found = connection.required_session().events()
     connection.send(Message(type=Message.EVENTS, events=found))
     return True
 
 
-async def pace(connection: Connection, message: Message) -> bool:
+async def pace(connection: Client, message: Message) -> bool:
     """Send the pace statistics, and change the pace if requested."""
     session = connection.any_session()
     report = session.pacer.report()
     if message.pace.HasField("factor"):
         session.pacer = Pacer(message.pace.factor, session.time)
-    connection.send(Message(type=Message.PACING, pacing=report))
+    connection.send(Message(type=Message.PACING, pacing=pb.Pacing(**vars(report))))
     return True
 
 
-async def play(connection: Connection, message: Message) -> bool:
+async def play(connection: Client, message: Message) -> bool:
     """Start an episode of a task, or the next one."""
     server, request = connection.server, message.play
     if request.HasField("task") or request.HasField("scenario") or not isinstance(connection.session, Playing):
@@ -282,7 +278,7 @@ async def play(connection: Connection, message: Message) -> bool:
     return True
 
 
-def _wishes_to_play(connection: Connection, chosen: dict[str, Any]) -> Wishes:
+def _wishes_to_play(connection: Client, chosen: dict[str, Any]) -> Wishes:
     options = connection.server.options
     if options.record is not None or options.view is not None:
         raise UsageError(
@@ -298,13 +294,13 @@ def _wishes_to_play(connection: Connection, chosen: dict[str, Any]) -> Wishes:
     return wishes
 
 
-def _show(connection: Connection, session: Playing) -> None:
+def _show(connection: Client, session: Playing) -> None:
     """Send the state of an episode to those who watch it."""
     if connection.server.watched(session):
         connection.server.broadcast(session)
 
 
-async def act(connection: Connection, message: Message) -> bool:
+async def act(connection: Client, message: Message) -> bool:
     """Advance an episode by a step."""
     session = connection.required_playing()
     found = await connection.server.run(session, lambda: session.act(message.act))
@@ -316,7 +312,7 @@ async def act(connection: Connection, message: Message) -> bool:
     return True
 
 
-Handler = Callable[["Connection", Message], Awaitable[bool]]
+Handler = Callable[["Client", Message], Awaitable[bool]]
 # Each returns whether the connection goes on.
 HANDLERS: dict[int, Handler] = {
     Message.INIT: init,

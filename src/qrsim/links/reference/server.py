@@ -12,7 +12,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from qrsim.errors import RunError, UsageError
@@ -20,12 +19,13 @@ from qrsim.links.reference.connection import MOST_WAITING, Connection
 from qrsim.links.reference.playing import Playing
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.requests import HANDLERS, NEEDED
+from qrsim.links.reference.roles import Options
 from qrsim.links.reference.seeds import Seeds
 from qrsim.links.reference.session import Session
 from qrsim.links.reference.tasks import Tasks
 
 if TYPE_CHECKING:
-    from qrsim.view.live import LiveView
+    pass
 
 T = TypeVar("T")
 S = TypeVar("S", Session, Playing)
@@ -34,23 +34,6 @@ S = TypeVar("S", Session, Playing)
 PATIENCE_S, LEAVING_S = 0.3, 30.0
 BACKLOG = 256
 MOST_BETWEEN_LOOKS_S = 5.0
-
-
-@dataclass(frozen=True)
-class Options:
-    """The operator's options; see ``qrsim serve``."""
-
-    host: str = "127.0.0.1"
-    port: int = 10000
-    realtime: float = 0.0
-    allow_quit: bool = False
-    max_clients: int = 32
-    record: Path | None = None
-    sessions: bool = False
-    seed: int = 0
-    episodes: str = "new"
-    idle_timeout: float = 0.0
-    view: LiveView | None = None
 
 
 @dataclass

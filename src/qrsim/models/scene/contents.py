@@ -7,10 +7,10 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.core.clock import split_time
 from qrsim.core.tree import quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere import contracts
-from qrsim.models.gnss.orbits import split_time
 from qrsim.models.scene.contracts import Area, GroundCover, People
 from qrsim.models.scene.persons import NoPersons
 from qrsim.models.scene.plume import NoPlume, Wind

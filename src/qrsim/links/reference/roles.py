@@ -1,0 +1,124 @@
+"""The server and its connections as the handlers of requests see them, and the operator's options."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+from qrsim.links.reference.playing import Playing
+from qrsim.links.reference.protocol.qrsim_pb2 import Message
+from qrsim.links.reference.seeds import Seeds
+from qrsim.links.reference.session import Session
+from qrsim.links.reference.tasks import Tasks
+
+if TYPE_CHECKING:
+    from qrsim.view.live import LiveView
+
+T = TypeVar("T")
+S = TypeVar("S", Session, Playing)
+
+
+@dataclass(frozen=True)
+class Options:
+    """The operator's options; see ``qrsim serve``."""
+
+    host: str = "127.0.0.1"
+    port: int = 10000
+    realtime: float = 0.0
+    allow_quit: bool = False
+    max_clients: int = 32
+    record: Path | None = None
+    sessions: bool = False
+    seed: int = 0
+    episodes: str = "new"
+    idle_timeout: float = 0.0
+    view: LiveView | None = None
+
+
+class Host(Protocol):
+    """The server (server.py); ``connection`` is a Client."""
+
+    options: Options
+    tasks: Tasks
+    seeds: Seeds
+
+    @property
+    def sessions(self) -> Mapping[int, Any]:
+        """Sessions by their ids."""
+
+    @property
+    def say(self) -> Callable[[str], None]:
+        """Tells the operator something."""
+
+    def stop(self) -> None:
+        """End the server."""
+
+    def admit(self, connection: Any) -> str | None:
+        """Take a connection in; say why not."""
+
+    def report_bug(self, error: Exception) -> None:
+        """Tell the operator of an error of the server's own."""
+
+    def forget(self, connection: Any) -> Awaitable[None]:
+        """End what a connection had."""
+
+    def answer(self, connection: Any, message: Message) -> Awaitable[bool]:
+        """Handle a request; return whether the connection goes on."""
+
+    def open(self, connection: Any, make: Callable[[int], S]) -> Awaitable[S]:
+        """Begin a session, in place of the one that the connection had."""
+
+    def close_session(self, connection: Any) -> Awaitable[None]:
+        """End the session of a connection."""
+
+    def run_in_thread(self, work: Callable[[], T]) -> Awaitable[T]:
+        """Do what takes long in a thread."""
+
+    def run(self, session: Session | Playing, work: Callable[[], T]) -> Awaitable[T]:
+        """Do what takes long in the thread of a session."""
+
+    def advance(self, connection: Any, session: Session, command: Any, ticks: int) -> Awaitable[None]:
+        """Fly some ticks."""
+
+    def watch(self, connection: Any, session: int | None, period: float, stop: bool) -> None:
+        """Let a connection watch a session, or no more."""
+
+    def watched(self, session: Session | Playing) -> bool:
+        """Return whether anybody watches a session."""
+
+    def broadcast(self, session: Session | Playing, states: dict[bool, bytes] | None = None) -> None:
+        """Send the state of a session to who watches it."""
+
+
+class Client(Protocol):
+    """A connection (connection.py)."""
+
+    server: Host
+    session: Session | Playing | None
+    reasons: bool
+
+    def send(self, message: Message) -> None:
+        """Send a message."""
+
+    def send_frame(self, content: bytes) -> None:
+        """Send bytes of whole messages."""
+
+    def hold_frame(self, content: bytes) -> None:
+        """Send bytes of whole messages with the next ones."""
+
+    def acknowledge(self, error: str | None = None, note: str = "") -> None:
+        """Send an ACK."""
+
+    def any_session(self) -> Session | Playing:
+        """Return the session."""
+
+    def required_session(self) -> Session:
+        """Return the session, a simulation."""
+
+    def required_playing(self) -> Playing:
+        """Return the session, episodes of a task."""
+
+    def pause(self, seconds: float) -> Awaitable[None]:
+        """Wait, but not for a client that is gone."""

@@ -1,0 +1,47 @@
+"""What a worker is sent of a sweep, and what all that is flown says of its worlds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A batch in the form sent to a worker.
+
+    Attributes:
+        group: a ``Group``, see ``dumped``; most batches have the same, which is then unpacked once.
+        numbers: value of each number that varies, (W,) each.
+        seeds: (W,) of the episodes.
+        metrics: names.
+        policy, estimator, policy_ticks: who flies, see ``StudySpec``.
+        code: digests of the files of both.
+        precision: float32 or float64.
+    """
+
+    group: bytes
+    numbers: dict[str, Array]
+    seeds: Array
+    metrics: tuple[str, ...]
+    policy: str | None
+    estimator: str | None
+    policy_ticks: int
+    code: tuple[tuple[str, str], ...]
+    precision: str
+
+
+def goals(world: Any) -> Array:
+    """Return the last waypoint of each vehicle (n, 3) [m]."""
+    found = []
+    for fleet in world.fleets:
+        route = fleet.route
+        last = np.asarray(route.count) - 1
+        vehicle = np.arange(len(last))
+        axes = (route.position_ned.x, route.position_ned.y, route.position_ned.z)
+        found.append(np.stack([np.asarray(axis)[last, vehicle] for axis in axes], axis=-1))
+    return np.concatenate(found).astype(np.float64)
