@@ -152,5 +152,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return what is for users, for completion."""
+    """Return the public names, for completion."""
     return [*__all__, *_ROOMS, *(name for name in globals() if name.startswith("__") and name not in __all__)]

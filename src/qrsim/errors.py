@@ -47,24 +47,24 @@ class ScenarioError(UsageError):
 
 
 class RunError(QrsimError):
-    """A run that was well described could not be carried out (disk full, folder not writable, data missing)."""
+    """A valid run could not be carried out (disk full, folder not writable, data missing)."""
 
 
 class CompilerWarning(UserWarning):
-    """A program that the package's own compiler does not take, so that XLA computes it: the same, but more slowly."""
+    """qrsim's own compiler refused a program, so XLA computes it: same results, more slowly."""
 
 
 class BusyError(RunError, RuntimeError):
-    """Two threads used at once what only one may use at a time."""
+    """Two threads used an object at once that only one may use at a time."""
 
 
 def shortened(text: str, most: int = LONGEST_PROBLEM) -> str:
-    """Return a text without its middle where it is longer than ``most`` characters."""
+    """Shorten a text to ``most`` characters by cutting its middle."""
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[len(text) - most // 2 :]}"
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Return the known name closest to ``name``, or None where nothing is close."""
+    """Return the known name closest to ``name``, None if none is close."""
     if len(name) > LONGEST_NAME:
         return None
     matches = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)

@@ -1,4 +1,4 @@
-"""Imported by the command line before everything else, which takes a while: Ctrl-C then ends the program at once."""
+"""Imported first by the command line: Ctrl-C during the slow imports ends the program at once."""
 
 from __future__ import annotations
 

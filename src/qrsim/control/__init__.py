@@ -1,4 +1,4 @@
-"""Control loops of the reference implementation, and what hands out their set-points (docs/control.md).
+"""Control loops of the reference implementation, and the guidance that feeds them (docs/control.md).
 
 ``setpoints`` says what can be asked for, ``loops`` holds the parts that controllers share, ``controllers`` has one
 record for each kind of set-point and one for all kinds, ``guidance`` what flies a fleet that nobody commands.

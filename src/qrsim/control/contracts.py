@@ -1,4 +1,4 @@
-"""What a world asks of a controller, of a guidance and of an estimator.
+"""Protocols of controller, guidance and estimator, as worlds use them.
 
 A component names its contract as its base class. Methods marked abstract are required; the others, and the class
 variables, have the defaults that stand here.
@@ -18,7 +18,7 @@ from qrsim.core.vectors import Vec3
 
 @runtime_checkable
 class Controller(Protocol):
-    """From an estimate and a set-point to a command.
+    """Maps an estimate and a set-point to a command.
 
     Attributes:
         setpoints: kinds of set-points that it takes.
@@ -43,13 +43,13 @@ class Controller(Protocol):
         """Return the new state and the command (n,), for a set-point (n,) of a kind that it takes; dt in [s]."""
 
     def shown(self, setpoint: Any) -> Any:
-        """Return a set-point as the state of a world keeps it: of one structure, also where several kinds are taken."""
+        """Return a set-point as stored in a world's state: one structure for all kinds."""
         return setpoint
 
 
 @runtime_checkable
 class Guidance(Protocol):
-    """What hands out set-points to a fleet that nobody commands.
+    """Source of set-points for a fleet without a commander.
 
     Its state is a ``RouteState`` (guidance.py), or a record with more fields than that. ``route`` is the fleet's
     ``Route``.
@@ -69,7 +69,7 @@ class Guidance(Protocol):
 
     @abstractmethod
     def step(self, state: Any, route: Any, position_ned: Vec3, others_ned: Vec3 | None = None) -> tuple[Any, Any]:
-        """Return the new state and the set-point for vehicles that believe to be at position_ned (n,) [m]."""
+        """Return the new state and the set-point for vehicles with estimated positions position_ned (n,) [m]."""
 
     @abstractmethod
     def setpoint(self, state: Any, route: Any) -> Any:
@@ -78,7 +78,7 @@ class Guidance(Protocol):
 
 @runtime_checkable
 class Estimator(Protocol):
-    """From the readings of a fleet to what its controller is fed with.
+    """Maps the readings of a fleet to the estimate for its controller.
 
     Attributes:
         reads: kinds of sensors that it needs, by their names in the catalogue.
@@ -108,5 +108,5 @@ class Estimator(Protocol):
         """
 
     def std(self, state: Any) -> Estimate | None:
-        """Return the standard deviations (n,) that it claims for its estimate; None: it claims none."""
+        """Return the standard deviations (n,) of its estimate, None if it states none."""
         return None

@@ -1,4 +1,4 @@
-"""Controllers: from an estimate and a set-point to a command, one record for each kind of set-point."""
+"""Controllers: map an estimate and a set-point to a command; one record for each kind of set-point."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _hold(
 
 
 class QuadrotorController(Controller):
-    """What all controllers of the identified quadrotor share: hover at first, at their own throttle and voltage."""
+    """Base of all controllers of the identified quadrotor: they start in hover, at their own throttle and voltage."""
 
     gives: ClassVar[type[Any]] = Command
     battery: Array
@@ -332,7 +332,7 @@ class OffboardController(QuadrotorController):
         return OffboardState(self.height.init(z), self.velocity.init(z), jnp.zeros_like(z))
 
     def shown(self, setpoint: Setpoint) -> OffboardSetpoint:
-        """Return a set-point as the state of a world keeps it: of the same fields whatever its kind."""
+        """Return a set-point as stored in a world's state: the same fields for all kinds."""
         return OffboardSetpoint.of(setpoint)
 
     def step(self, state: OffboardState, estimate: Estimate, setpoint: Any, dt: float) -> tuple[OffboardState, Command]:

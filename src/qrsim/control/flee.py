@@ -1,4 +1,4 @@
-"""Guidance of a fleet that runs away from the others (docs/tasks.md: cats and mouse)."""
+"""Guidance of a fleet that flees from the others (docs/tasks.md: cats and mouse)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class FleeGuidance(Guidance):
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
     ) -> tuple[RouteState, VelocityHeightSetpoint]:
-        """Return the same state and where to fly.
+        """Return the same state and the set-point.
 
         Args:
             state, route: as of every guidance.
@@ -55,6 +55,6 @@ class FleeGuidance(Guidance):
         return state, VelocityHeightSetpoint(scale * away_north, scale * away_east, still.z, still.yaw)
 
     def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
-        """Return the set-point of those (n,) who see nobody: to stay."""
+        """Return the set-point (n,) without pursuers in sight: hold position."""
         zero = jnp.zeros_like(route.yaw[0])
         return VelocityHeightSetpoint(zero, zero, route.position_ned.z[0], route.yaw[0])

@@ -1,4 +1,4 @@
-"""What hands out set-points to a fleet that nobody commands: a route, or one constant set-point."""
+"""Guidance of fleets without a commander: a route, or one constant set-point."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Route:
 
 @record
 class RouteState:
-    """Which waypoint each vehicle (n,) flies to."""
+    """Index of each vehicle's waypoint (n,)."""
 
     index: Array = quantity(doc="int32")
     reached: Array = quantity(doc="int32 waypoints reached so far")
@@ -60,7 +60,7 @@ class RouteFollower(Guidance):
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
     ) -> tuple[RouteState, WaypointSetpoint]:
-        """Return the new state and the set-point for vehicles that believe to be at position_ned (n,)."""
+        """Return the new state and the set-point for vehicles with estimated positions position_ned (n,)."""
         arrived = (self.setpoint(state, route).position_ned - position_ned).norm() < self.acceptance_radius
         following = state.index + 1
         last = jnp.zeros_like(following) if self.repeat else route.count - 1

@@ -1,4 +1,4 @@
-"""What controllers are made of: loops for height, climb, heading and horizontal velocity."""
+"""Building blocks of controllers: loops for height, climb, heading and horizontal velocity."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class HeightLoop:
     anti_windup: Array = parameter(default=2.0, unit="m s", doc="taken off the integral per unit of clipped throttle")
 
     def init(self, z: Array) -> HeightState:
-        """Return a state that has not seen a set-point; z is (n,) [m]."""
+        """Return the state before the first set-point; z is (n,) [m]."""
         return HeightState(jnp.zeros_like(z), jnp.zeros_like(z), jnp.full_like(z, NEVER))
 
     def step(
@@ -113,7 +113,7 @@ class VelocityLoop:
     )
 
     def init(self, like: Array) -> VelocityState:
-        """Return a state that has not seen a set-point; like is any array (n,)."""
+        """Return the state before the first set-point; like is any array (n,)."""
         zero, none = jnp.zeros_like(like), jnp.full_like(like, NEVER)
         return VelocityState(zero, zero, zero, zero, Vec3(none, none, none))
 

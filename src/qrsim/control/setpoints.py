@@ -1,4 +1,4 @@
-"""What a controller knows (Estimate) and what it can be asked for (set-points); every field is (n,)."""
+"""Estimates and set-points of controllers; every field is (n,)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def library(*values: Any) -> Any:
 
 
 def number(values: Any) -> Any:
-    """Return values as an array of floating-point numbers."""
+    """Convert values to an array of floating-point numbers."""
     lib = library(values)
     array = lib.asarray(values)
     return array if lib.issubdtype(array.dtype, lib.floating) else array.astype(float)
@@ -42,7 +42,7 @@ def like(array: Any, value: Any) -> Any:
 
 @record
 class Estimate:
-    """What a controller knows of each vehicle (n,): the truth, what the sensors say, or what a user's filter says."""
+    """A controller's estimate of each vehicle (n,): the truth, or from sensors, or from a user's filter."""
 
     position_ned: Vec3 = quantity(unit="m", doc="position")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
@@ -52,7 +52,7 @@ class Estimate:
     )
 
     def offset_from(self, place_ned: Vec3) -> Vec3:
-        """Return the position minus a place (n,) [m], of which a large one is not rounded before it is subtracted."""
+        """Return the position minus a point (n,) [m], without rounding large positions first."""
         offset = self.position_ned - place_ned
         return offset if self.position_low_ned is None else offset + self.position_low_ned
 
@@ -65,7 +65,7 @@ class Estimate:
 
 @record
 class WaypointSetpoint:
-    """Where to be and which way to look, (n,)."""
+    """Position and heading, (n,)."""
 
     position_ned: Vec3 = quantity(unit="m", doc="waypoint")
     yaw: Array = quantity(unit="rad", doc="heading")
@@ -79,7 +79,7 @@ class WaypointSetpoint:
 
 @record
 class VelocitySetpoint:
-    """Which way to move and to look, (n,)."""
+    """Velocity and heading, (n,)."""
 
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
     yaw: Array = quantity(unit="rad", doc="heading")
@@ -93,7 +93,7 @@ class VelocitySetpoint:
 
 @record
 class VelocityHeightSetpoint:
-    """Which way to move in the horizontal, at which height, and which way to look, (n,)."""
+    """Horizontal velocity, height and heading, (n,)."""
 
     velocity_north: Array = quantity(unit="m/s", doc="velocity over ground, north")
     velocity_east: Array = quantity(unit="m/s", doc="velocity over ground, east")
@@ -144,7 +144,7 @@ class AttitudeSetpoint:
 
 @record
 class OffboardSetpoint:
-    """A set-point of any kind, (n,): NaN is what its kind does not ask for."""
+    """A set-point of any kind, (n,): NaN in the fields that its kind leaves free."""
 
     position_ned: Vec3 = quantity(unit="m", doc="waypoint")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")

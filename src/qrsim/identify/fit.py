@@ -134,7 +134,7 @@ class _Sum:
         return np.array([self.question.start.get(name, 0.0) for name in self.names]) / self.scale
 
     def of_log(self, unknowns: Floats, i: int) -> dict[str, float]:
-        """Return what the simulation of a log needs: the constants and its own nuisances, those held and given too.
+        """Return all values to simulate a log: the constants and its own nuisances, those held and given too.
 
         What is held is among them, so that the compiled simulation is the same whatever is.
         """

@@ -89,7 +89,7 @@ def identify(
 
 
 def _constants(question: Question, pieces: Sequence[Piece]) -> tuple[str, ...]:
-    """Return what is asked for, or all that the signals of the logs depend on."""
+    """Return the requested constants, or all that the signals of the logs depend on."""
     shown = {name: None for piece in pieces for name in constants_in(piece.channels, question.separate)}
     if not question.constants:
         # The mass is not to be told from the scale of the thrust unless something is known of it.

@@ -1,1 +1,1 @@
-"""What a user says to a simulation and sees of it: actions, readings, policies, metrics."""
+"""Interface to users: actions, readings, policies, metrics."""

@@ -1,4 +1,4 @@
-"""What a user asks of the vehicles, checked and cut into one action for each fleet."""
+"""Users' actions, checked and split into one action for each fleet."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class ActionChecker:
         self.names = [name for fleet in world.fleets for name in fleet.vehicle_names]
 
     def actions(self, command: Any, flying: Flying | None = None) -> tuple[Action, ...]:
-        """Return one action for each fleet; see ``Simulation.step`` for what a command may be.
+        """Check a command and split it by fleet; see ``Simulation.step`` for its forms.
 
         Args:
             command: what is asked.
@@ -75,7 +75,7 @@ class ActionChecker:
         return tuple(self._cut(whole))
 
     def estimates(self, estimate: Any) -> tuple[Estimate | None, ...]:
-        """Return what the controller of each fleet is fed with, None for what its own ``feed`` says.
+        """Check estimates and split them by fleet; None for a fleet that uses its own ``feed``.
 
         Raises:
             UsageError: no Estimate, or arrays of another shape.
@@ -87,7 +87,7 @@ class ActionChecker:
         return tuple(self._cut(self._cast(estimate, "estimate", len(self.names))))
 
     def waypoint(self, position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:
-        """Return a set-point of positions (n, 3) or (3,) [m] and headings (n,) or one [rad], for all vehicles."""
+        """Make a set-point of positions (n, 3) or (3,) [m] and headings (n,) or one [rad], for all vehicles."""
         position = self._broadcast("position_ned", position_ned, (len(self.names), 3))
         return WaypointSetpoint.of(position, self._broadcast("yaw_rad", yaw_rad, (len(self.names),)))
 
@@ -260,7 +260,7 @@ def _missing(values: FloatArray, flying: Flying | None) -> FloatArray:
 
 
 def shape_of(values: Any) -> str:
-    """Return the shape of what a user gave, in words."""
+    """Describe the shape of a user's value, in words."""
     try:
         return f"shape {np.shape(values)}"
     except ValueError:

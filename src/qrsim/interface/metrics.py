@@ -1,4 +1,4 @@
-"""Numbers that sum up the flight of each vehicle while it flies, so that no log need be kept."""
+"""Metrics of each vehicle's flight, accumulated in flight, so that no log is needed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOST_FOR_SEPARATION = 64
 
 @record
 class Extreme:
-    """The largest value of a quantity of each vehicle (n,), with when and where."""
+    """The largest value of a quantity of each vehicle (n,), with its time and position."""
 
     value: Array = quantity(doc="largest value; NaN before the first")
     tick: Array = quantity(doc="int32 tick at which it was reached, -1 before the first")
@@ -36,14 +36,14 @@ class Extreme:
         return Extreme(nothing, jnp.full(like.shape, -1, jnp.int32), Vec3(nothing, nothing, nothing))
 
     def update(self, value: Array, tick: Array, position_ned: Vec3, counts: Array) -> Extreme:
-        """Take a new value (n,) into account where it counts (n,) and is larger."""
+        """Update with a new value (n,) where it counts (n,) and is larger."""
         larger = counts & (value > jnp.where(self.tick < 0, -jnp.inf, self.value))
         return select(larger, Extreme(value, jnp.full_like(self.tick, tick), position_ned), self)
 
 
 @record
 class Flight:
-    """What is remembered of the flight of n vehicles of a world so far, each (n,)."""
+    """Accumulated metrics of n vehicles of a world, each (n,)."""
 
     ticks: Array = quantity(doc="int32 ticks flown")
     distance: Array = quantity(unit="m", doc="length of the true path")
@@ -77,7 +77,7 @@ class FlightMetrics:
     """
 
     def init(self, world: World, state: State) -> Flight:
-        """Return the start of a flight, which is looked at as every tick is."""
+        """Start the metrics with the first state, which counts as a tick."""
         position = _together(state, lambda fleet: fleet.vehicle.position_ned)
         goal = _goal(world, state)
         like = position.x
@@ -94,7 +94,7 @@ class FlightMetrics:
         return self.update(nothing, world, state, jnp.int32(0))
 
     def update(self, flight: Flight, world: World, state: State, tick: Array) -> Flight:
-        """Take the state at a tick into account."""
+        """Update with the state at a tick."""
         flying = _together(state, lambda fleet: fleet.violation.code) == 0
         position = _together(state, lambda fleet: fleet.vehicle.position_ned)
         low = _low(state)
@@ -130,7 +130,7 @@ class FlightMetrics:
         return _look_at_fixes(flight, state, tick, position, low, flying)
 
     def finish(self, flight: Flight, world: World, state: State) -> dict[str, np.ndarray[Any, Any]]:
-        """Return the metrics by name, each (W, n), from what W worlds remember (host arrays)."""
+        """Compute the metrics by name, each (W, n), from the memory of W worlds (host arrays)."""
         dt = world.time_step
 
         def root_mean(total: Any, count: Any) -> Any:
@@ -171,7 +171,7 @@ def _together(state: State, pick: Any) -> Any:
 
 
 def _low(state: State) -> Any:
-    """Return what single precision leaves out of the positions (n,), None in double precision."""
+    """Return the rounding errors of positions (n,) in single precision, None in double precision."""
     if state.fleets[0].position_low_ned is None:
         return None
     return _together(state, lambda fleet: fleet.position_low_ned)
@@ -262,7 +262,7 @@ def _look_at_fixes(flight: Flight, state: State, tick: Array, position: Vec3, lo
 
 
 def _fix(fleet: FleetState) -> tuple[Vec3, Array]:
-    """Return what the first receiver reports, and whether there is one."""
+    """Return the reading of the first receiver, and whether there is one."""
     like = fleet.vehicle.position_ned.x
     for reading in fleet.readings:
         if isinstance(reading, GnssReading):

@@ -30,7 +30,7 @@ from qrsim.files.code import load_object
 
 @dataclass(frozen=True)
 class UserFunction:
-    """A policy or an estimator; two are equal that were made of the same object with the same attributes.
+    """A policy or an estimator; equal if made of the same object with the same attributes.
 
     Attributes:
         what: "policy" or "estimator", for messages.
@@ -52,7 +52,7 @@ class UserFunction:
 
     @contextmanager
     def blamed(self, where: str = "") -> Iterator[None]:
-        """Say in every error of the context whose fault it is and where.
+        """Add the function and the line at fault to every error of the context.
 
         Raises:
             UsageError: as raised inside, with a longer message.
@@ -71,7 +71,7 @@ class UserFunction:
         return user_function, (self.what, self.given)
 
     def __call__(self, reading: Any, memory: Any) -> tuple[Any, Any]:
-        """Return the result and the new memory."""
+        """Call the function; return its result and the new memory."""
         result = self.step(reading, memory)
         if not isinstance(result, tuple) or len(result) != 2:
             raise UsageError("step must return a pair, the result and the new memory")
@@ -79,7 +79,7 @@ class UserFunction:
 
 
 def user_function(what: str, given: Any) -> UserFunction | None:
-    """Return what a user gave as a policy or an estimator, None for None.
+    """Wrap a user's policy or estimator; None for None.
 
     Raises:
         UsageError: it is none of the kinds above, or takes other arguments.
@@ -117,7 +117,7 @@ def _check_arguments(what: str, name: str, function: Any, arguments: list[str]) 
 
 
 def load_function(what: str, source: str, words: Sequence[str] = ()) -> Any:
-    """Return what ``module:name`` or ``file.py:name`` names, see ``qrsim.files.code``.
+    """Load the function ``module:name`` or ``file.py:name``, see ``qrsim.files.code``.
 
     Raises:
         UsageError: no such module, file or name in it, or it fails while it is imported.

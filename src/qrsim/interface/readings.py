@@ -1,4 +1,4 @@
-"""What a user sees of a state: readings and truth as plain NumPy arrays, vehicles first."""
+"""Readings and truth of a state as plain NumPy arrays, vehicles first."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Floats = np.ndarray[Any, Any]
 
 
 def as_array(value: Any) -> Any:
-    """Return a Vec3 or Euler as (n, 3), anything else as it is; in a program that is being compiled too."""
+    """Convert a Vec3 or Euler to (n, 3), leave others as they are; also under tracing."""
     if isinstance(value, Vec3 | Euler):
         axes = jax.tree.leaves(value)
         return library(*axes).stack(axes, axis=-1)
@@ -36,7 +36,7 @@ def as_array(value: Any) -> Any:
 
 
 def quaternion_of(attitude: Floats) -> Floats:
-    """Return unit quaternions (n, 4), w first and w >= 0, of Euler angles (n, 3) [rad]: body to NED, ZYX."""
+    """Convert Euler angles (n, 3) [rad] to unit quaternions (n, 4), w first and w >= 0: body to NED, ZYX."""
     lib = library(attitude)
     half = 0.5 * (attitude if lib is jnp else np.asarray(attitude, np.float64))
     (cr, cp, cy), (sr, sp, sy) = lib.cos(half).T, lib.sin(half).T
@@ -79,7 +79,7 @@ class SensorReading:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Names of what the sensor reports."""
+        """Names of the sensor's fields."""
         own = tuple(field.name for field in dataclasses.fields(self._reading))
         if isinstance(self._reading, GnssReading):
             return (*own, "latitude_deg", "longitude_deg", "height", "fix_type")
@@ -89,7 +89,7 @@ class SensorReading:
 
     @property
     def reasons(self) -> list[str]:
-        """Why each of the n vehicles has no complete reading, "" where it has one."""
+        """Reasons why vehicles (n,) have no complete reading, "" for those that have one."""
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(self._reading)]
         complete = np.all([np.isfinite(leaf) for leaf in leaves], axis=0)
         withheld = self._withheld() or [""] * len(complete)
@@ -209,7 +209,7 @@ class FleetReading:
 
 
 class Reading:
-    """What the sensors of all fleets say at one time; NaN for vehicles that are no longer valid.
+    """Readings of the sensors of all fleets at one time; NaN for vehicles that are no longer valid.
 
     ``reading["pelicans"].gnss.position_ned`` is (n, 3). With a single fleet its name can be left out:
     ``reading.gnss.position_ned``.
@@ -224,7 +224,7 @@ class Reading:
 
     @property
     def state(self) -> State:
-        """The whole state; not for policies that are to be judged: it is the truth."""
+        """The whole state, the truth included; policies under evaluation must not use it."""
         return self._whole()
 
     def _whole(self) -> State:

@@ -19,7 +19,7 @@ POSITION = "position_ned"
 
 @dataclass(frozen=True)
 class _Data:
-    """What is drawn: n vehicles that both runs have, at the T ticks of the truth that both have.
+    """Data of the figure: n vehicles that both runs have, at the T ticks of the truth that both have.
 
     Attributes:
         names: (n,) of the vehicles.

@@ -32,7 +32,7 @@ MOST_NUMBERED = 60
 
 @dataclass(frozen=True)
 class _Data:
-    """What is drawn: n vehicles at the T ticks of each stream, which differ where streams were decimated.
+    """Data of the figure: n vehicles at the T ticks of each stream, which differ where streams were decimated.
 
     Attributes:
         names: (n,) of the vehicles.

@@ -47,7 +47,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class _Data:
-    """What is drawn.
+    """Data of the figure.
 
     Attributes:
         names: (n,) of the vehicles.

@@ -302,7 +302,7 @@ def _not_a_run(folder: Path) -> str:
 
 
 def _problem(info: RunInfo) -> str:
-    """Return what no run can have, "" where all is well."""
+    """Return the first impossible value of a run, "" if there is none."""
     if not info.vehicles:
         return "vehicles: there are none"
     if len(set(info.vehicles)) < len(info.vehicles):

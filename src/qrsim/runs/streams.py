@@ -75,7 +75,7 @@ def values(world: World, history: History, wanted: dict[str, list[Column]]) -> d
 
 
 def _absent(shape: tuple[int, int], column: Column) -> np.ndarray[Any, Any]:
-    """Return what is logged for a quantity that a fleet lacks: NaN, or 0 where the type has no NaN."""
+    """Return the value logged for a quantity that a fleet lacks: NaN, or 0 for types without NaN."""
     return np.full(shape, np.nan if column.dtype.startswith("float") else 0, column.dtype)
 
 

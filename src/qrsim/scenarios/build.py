@@ -40,7 +40,7 @@ PROVIDED = {
 
 
 def component(spec: BaseModel, choices: Mapping[str, type] | type, scenario: ScenarioSpec) -> Any:
-    """Return the component that a part of a scenario describes, its inherited parameters filled in."""
+    """Build the component of a part of a scenario, with its inherited parameters."""
     cls = choices if isinstance(choices, type) else choices[spec.type]  # type: ignore[attr-defined]
     values: dict[str, Any] = {}
     for field in dataclasses.fields(cls):
@@ -57,7 +57,7 @@ def component(spec: BaseModel, choices: Mapping[str, type] | type, scenario: Sce
 
 
 def inherited(scenario: ScenarioSpec, path: str) -> Any:
-    """Return the value at a dotted path of the scenario, None where there is none."""
+    """Return the value at a dotted path of the scenario, None if there is none."""
     value: Any = scenario
     for part in path.split("."):
         value = getattr(value, part, None)
@@ -65,7 +65,7 @@ def inherited(scenario: ScenarioSpec, path: str) -> Any:
 
 
 def problems(scenario: ScenarioSpec) -> list[str]:
-    """Return every fault that involves more than one parameter, one sentence each."""
+    """Check the parameters against each other; one sentence per fault."""
     return [
         *timing_problems(scenario),
         *_inheritance_problems(scenario),
@@ -226,7 +226,7 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def build_world(scenario: ScenarioSpec, precision: str) -> World:
-    """Return the World of a scenario without problems; ``precision`` is float32 or float64."""
+    """Build the World of a scenario without problems; ``precision`` is float32 or float64."""
     dtype = np.dtype(precision)
     world = scenario.world
     site = Site.from_degrees(scenario.site.latitude_deg, scenario.site.longitude_deg, scenario.site.height)
@@ -256,7 +256,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
 
 
 def build_task(scenario: ScenarioSpec, precision: str) -> Any:
-    """Return the task of a scenario without problems; ``NoTask`` where it has none."""
+    """Build the task of a scenario without problems; ``NoTask`` if it has none."""
     return cast(component(scenario.task, known.TASKS, scenario), np.dtype(precision))
 
 
@@ -276,7 +276,7 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
 
 
 def wind_of(scenario: ScenarioSpec) -> Any:
-    """Return the wind; one that comes from a file is read for the length of the run."""
+    """Build the wind; a wind file is read for the length of the run."""
     wind = component(scenario.world.wind, known.WINDS, scenario)
     return wind.at(scenario.duration)
 

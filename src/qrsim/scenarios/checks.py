@@ -1,4 +1,4 @@
-"""Checks of an area, and of places against it."""
+"""Checks of an area, and of positions against it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from qrsim.models.scene.fence import polygon_problems
 
 
 def area_problems(area: Any) -> Iterator[str]:
-    """Yield what is wrong with an area in itself."""
+    """Yield the faults of an area alone."""
     for axis in "xyz":
         low, high = vars(area).get(f"{axis}_min"), vars(area).get(f"{axis}_max")
         if low is not None and high is not None and low >= high:
@@ -22,7 +22,7 @@ def area_problems(area: Any) -> Iterator[str]:
 
 
 def outside(path: str, point: list[float], area: Any) -> Iterator[str]:
-    """Yield in which ways a point [m] in NED is outside an area."""
+    """Yield each limit of an area that a point [m] in NED breaks."""
     for axis, value in zip("xyz", point, strict=True):
         low, high = vars(area).get(f"{axis}_min"), vars(area).get(f"{axis}_max")
         if low is not None and high is not None and not low <= value <= high:

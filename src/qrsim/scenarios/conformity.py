@@ -1,4 +1,4 @@
-"""Whether a class can be a component of a kind: a record whose parameters have units, with the methods that are called.
+"""Checks whether a class conforms to a kind of component: a record with units and the required methods.
 
 What a contract (``contracts.py`` in each room) has a default for may be left out, also by a class that does not name
 the contract as its base class: it is then given the default.
@@ -54,7 +54,7 @@ READABLE = {"sensor": SCENE, "vehicle": AROUND}
 
 
 def conformity_problem(kind: str, component: Any) -> str | None:
-    """Return in one sentence what a class lacks to be a component of a kind, None where it lacks nothing."""
+    """Return the first fault of a class as a component of a kind, in one sentence, None if it conforms."""
     if not isinstance(component, type):
         return f"expected a class, found {component!r:.100}"
     checks = [_method_problems] if kind in PLAIN else [_record_problems, _field_problems, _method_problems]
@@ -66,7 +66,7 @@ def conformity_problem(kind: str, component: Any) -> str | None:
 
 
 def file_of_class(component: type) -> str:
-    """Return the file in which a class is, its module where it is in none."""
+    """Return the file that defines a class, or its module if there is no file."""
     return getattr(sys.modules.get(component.__module__), "__file__", None) or component.__module__
 
 

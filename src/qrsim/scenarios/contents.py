@@ -1,4 +1,4 @@
-"""Checks of what is in a world beside vehicles, and of starts at random places."""
+"""Checks of a world's contents besides vehicles, and of random starts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAIRS = (
 
 
 def contents_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what is wrong with plume, ground, persons and random starts."""
+    """Yield the faults of plume, ground, persons and random starts."""
     world = scenario.world
     parts = {f"world.{name}": getattr(world, name) for name in ("plume", "terrain", "persons")}
     parts |= {f"fleets.{name}.placement": fleet.placement for name, fleet in scenario.fleets.items()}
@@ -66,7 +66,7 @@ def _plume_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def puffs_in_the_air(plume: Any, area: Any, speed: float) -> int:
-    """Return how many puffs of a source there is to be room for: the mean number and six of its standard deviations."""
+    """Return the number of puffs to store per source: the mean and six standard deviations."""
     across = math.hypot(area.x_max - area.x_min, area.y_max - area.y_min)
     flown = across
     for _ in range(20):

@@ -26,7 +26,7 @@ def vehicle_names(fleet_name: str, fleet: FleetSpec) -> tuple[str, ...]:
 
 
 def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[Fault, ...]:
-    """Return the faults of a fleet."""
+    """Build the faults of a fleet."""
     names = vehicle_names(fleet_name, fleet)
 
     def ticks(seconds: float | None) -> Any:
@@ -73,7 +73,7 @@ def reading_fields(sensor_type: str) -> list[str]:
 
 
 def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what is wrong with the faults of a scenario."""
+    """Yield the errors in the faults of a scenario."""
     for fleet_name, fleet in scenario.fleets.items():
         for i, fault in enumerate(fleet.faults):
             path = f"fleets.{fleet_name}.faults.{i}"

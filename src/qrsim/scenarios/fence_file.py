@@ -1,4 +1,4 @@
-"""The corners of a fence that is kept in a KML file or in a QGroundControl plan."""
+"""Reads the corners of a fence from a KML file or a QGroundControl plan."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CIRCLE_CORNERS = 36
 
 
 def fence_corners(file: str, name: str | None, site: Site) -> tuple[list[list[float]], Plan | None]:
-    """Return the corners [north, east] [m] of a fence, and the plan if it comes from one.
+    """Read the corners [north, east] [m] of a fence, and the plan if it comes from one.
 
     Args:
         file: a .kml file with a polygon, or a .plan file whose geofence is one polygon or circle to stay in.

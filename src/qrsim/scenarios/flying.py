@@ -1,4 +1,4 @@
-"""Rollouts for whoever has a name, a file or a dict in place of a World (see ``qrsim.simulation.rollout``)."""
+"""Rollouts of scenarios given by name, file or dict (see ``qrsim.simulation.rollout``)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def rollout(
     precision: str = "float32",
     overrides: Iterable[str] = (),
 ) -> Rollout:
-    """Fly many worlds from their start and return what sums up each flight.
+    """Fly many worlds from their start and return the metrics of each flight.
 
     >>> import qrsim
     >>> qrsim.rollout("hover", ticks=100, worlds=3).metrics["reason"].shape

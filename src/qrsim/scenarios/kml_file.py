@@ -45,7 +45,7 @@ class _DocumentTypeError(Exception):
 
 
 def read_fence(path: str | Path, name: str | None = None) -> KmlPolygon:
-    """Return the polygon of a KML file, or the one of a name.
+    """Read the polygon of a KML file, or the named one.
 
     Points, lines and other features are passed over.
 
@@ -70,7 +70,7 @@ def read_fence(path: str | Path, name: str | None = None) -> KmlPolygon:
 
 
 def read_polygons(path: str | Path) -> list[KmlPolygon]:
-    """Return every polygon of a KML file, in its order.
+    """Read all polygons of a KML file, in order.
 
     Raises:
         UsageError: the file is no KML, has no polygon, or one that has a hole or is not simple.

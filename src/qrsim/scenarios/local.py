@@ -15,7 +15,7 @@ FARTHEST = 50_000.0
 
 
 def local_ned(site: Site, places: Sequence[tuple[float, float, float]]) -> list[list[float]]:
-    """Return positions [m] in NED of places (latitude [deg], longitude [deg], height above the site's origin [m]).
+    """Convert (latitude [deg], longitude [deg], height above the site's origin [m]) to NED [m].
 
     North and east are those of the place at the site's own height, and down is minus the height: the ground is flat, as
     everywhere in a scenario.

@@ -48,7 +48,7 @@ _TYPES = {
 def make_scenario(
     vehicles: Sequence[Any] | None = None, *, fleets: Mapping[str, Mapping[str, Any]] | None = None, **parts: Any
 ) -> Scenario:
-    """Return the checked scenario of parts given in Python.
+    """Make a checked scenario from parts given in Python.
 
     Args:
         vehicles: those of a single fleet, ``vehicles``: positions NED (3,) [m], or dicts as in YAML.
@@ -94,7 +94,7 @@ def make_world(
     precision: str = "float32",
     **parts: Any,
 ) -> World:
-    """Return the World of parts given in Python; see ``make_scenario``.
+    """Make a World from parts given in Python; see ``make_scenario``.
 
     A component of your own is given as an object, as the built-in ones are: ``wind=MyWind()`` (docs/extending.md).
 

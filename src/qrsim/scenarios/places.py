@@ -24,7 +24,7 @@ LAND = "NAV_LAND"
 
 
 def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, str]]:
-    """Put positions, routes and fence of a scenario into NED.
+    """Convert positions, routes and fence of a scenario to NED.
 
     What a plan asks for that is not flown is told in warnings.
 
@@ -146,7 +146,7 @@ class _Places:
                 warn_user(f"{file}: {first.text}{more}")
 
     def _notes(self, plan: Plan) -> list[Ignored]:
-        """Return what is not flown as the plan has it."""
+        """Return the parts of the plan that are not flown as planned."""
         notes = [Ignored(each.item, LAND, "not landed, but flown over") for each in plan.waypoints if _lands(each)]
         if (plan.polygons or plan.circles) and self.area_type != "fence":
             unused = f"not used, because world.area is '{self.area_type}'; give {{type: fence, file: ...}}"

@@ -1,4 +1,4 @@
-"""Reading QGroundControl .plan files: home, waypoints and fence, and what of a plan is not flown.
+"""Reads QGroundControl .plan files: home, waypoints, fence, and the items that are not flown.
 
 The format is that of QGroundControl's developer guide, "Plan File Format"; commands and frames are MAVLink's MAV_CMD
 and MAV_FRAME. Altitudes are taken from an item's parameters and frame, as a vehicle takes them.
@@ -54,7 +54,7 @@ _LARGEST_LENGTH, _LARGEST_PARAMETER = 1e5, 1e9
 
 @dataclass(frozen=True)
 class Home:
-    """Where the plan starts: geodetic [deg], and altitude above mean sea level [m]."""
+    """Start of the plan: geodetic [deg], and altitude above mean sea level [m]."""
 
     latitude_deg: float
     longitude_deg: float
@@ -63,7 +63,7 @@ class Home:
 
 @dataclass(frozen=True)
 class Waypoint:
-    """One place to fly to.
+    """One waypoint of the plan.
 
     Attributes:
         latitude_deg, longitude_deg: geodetic [deg].
@@ -99,7 +99,7 @@ class FenceCircle:
 
 @dataclass(frozen=True)
 class Ignored:
-    """Something in the plan that no waypoint and no fence says.
+    """An item of the plan that is neither waypoint nor fence.
 
     Attributes:
         item: number of the mission item, None where it is not one.
@@ -119,7 +119,7 @@ class Ignored:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a .plan file says about where to fly; waypoints are in the order of flight."""
+    """Content of a .plan file; waypoints are in the order of flight."""
 
     home: Home
     waypoints: tuple[Waypoint, ...]

@@ -1,4 +1,4 @@
-"""Warnings of physics that is allowed and cannot fly, with the numbers that say so."""
+"""Warnings of allowed values that cannot fly, with the numbers behind them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 
 
 def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a sentence for each thing that cannot fly, its path first; ``scenario`` has no problems."""
+    """Yield a warning for each part that cannot fly, its path first; ``scenario`` has no problems."""
     for name, fleet in scenario.fleets.items():
         path = f"fleets.{name}"
         # Of a vehicle from outside the constants mean what they mean there.

@@ -37,7 +37,7 @@ _PLAIN = {
 
 
 def describe(error: ValidationError, model: type[BaseModel], data: Any) -> list[str]:
-    """Return one sentence per fault, in the order of the schema; of more than are printed, the library's own words."""
+    """Describe each fault in one sentence, in schema order; beyond the number printed, in pydantic's words."""
     found = error.errors(include_url=False)
     told = [_Fault(details, model, data).sentence() for details in found[:MOST_PROBLEMS]]
     # To find the place and the nearest name of a hundred thousand takes many seconds, and nobody reads them.
@@ -45,7 +45,7 @@ def describe(error: ValidationError, model: type[BaseModel], data: Any) -> list[
 
 
 def component_types(model: type[BaseModel], path: list[str]) -> list[str]:
-    """Return the types of the components that may stand at a path of a scenario; none where no component does."""
+    """Return the types of component allowed at a path of a scenario; none if it takes no component."""
     annotation: Any = model
     for part in path:
         models = _models(annotation)
@@ -95,7 +95,7 @@ class _Fault:
             data = self._descend(part, data)
 
     def _name_of(self, model: type[BaseModel]) -> str:
-        """Return what a user calls a part: its type, or its kind, or the field it stands in."""
+        """Return the user's name of a part: its type, its kind, or its field."""
         if "type" in model.model_fields:
             return model.__name__
         if model.__name__.endswith("Spec"):
@@ -166,7 +166,7 @@ class _Fault:
         return names + twins
 
     def _choices(self) -> list[str]:
-        """Return what may stand here: the types of the components, or the options."""
+        """Return the allowed values: types of components, or options."""
         models = _models(self.annotation)
         return [model.__name__ for model in models] or [str(option) for option in get_args(_bare(self.annotation))]
 

@@ -1,4 +1,4 @@
-"""Takes in what a scenario names and the catalogue does not have, where each component of its content stands."""
+"""Loads the components from outside that a scenario names, at each place of its content."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from qrsim.scenarios.schema import FLEET_KINDS, SKY_KINDS, WORLD_KINDS
 
 
 def places(content: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Yield path, kind and content of every component of a scenario that names its type."""
+    """Yield path, kind and content of every component with a type in a scenario."""
     for path, kind, part in _parts(content):
         if isinstance(part, dict) and isinstance(part.get("type"), str):
             yield path, kind, part
@@ -40,14 +40,14 @@ def _mapping(content: Any, key: Any) -> dict[Any, Any]:
 
 
 def anchor_code(content: Any, folder: Path) -> None:
-    """Make ``type: ./file.py:Class`` absolute, in place: relative ones are relative to a folder."""
+    """Make ``type: ./file.py:Class`` absolute, in place; relative paths are relative to a folder."""
     for _, _, part in places(content):
         if code.is_code(part["type"]):
             part["type"] = code.anchored(part["type"], folder)
 
 
 def provide_components(content: Any, source: str) -> None:
-    """Take in the components of a scenario that are not built in.
+    """Load and register the components of a scenario that are not built in.
 
     Raises:
         ScenarioError: some cannot be loaded, or are no such components; all are listed.
@@ -63,7 +63,7 @@ def provide_components(content: Any, source: str) -> None:
 
 
 def outside_components(content: Any) -> list[dict[str, str]]:
-    """Return what a run folder notes of the components of a checked scenario that are not built in."""
+    """Return the record for run folders of a scenario's components that are not built in."""
     found = []
     for path, kind, part in places(content):
         name = part["type"]
@@ -77,7 +77,7 @@ def outside_components(content: Any) -> list[dict[str, str]]:
 
 
 def outside_problems(content: Any) -> Iterator[str]:
-    """Yield the components of a scenario that came over the network and may not name code of this machine."""
+    """Yield the components that a scenario from the network may not name: code of this machine."""
     for path, kind, part in places(content):
         name = part["type"]
         if code.is_code(name) or ":" in name:

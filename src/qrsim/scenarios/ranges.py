@@ -1,4 +1,4 @@
-"""Numbers of a scenario that every episode draws anew: their checks, and where they are in a World."""
+"""Ranges, drawn anew in every episode: checks, and places in a World."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Path = tuple[str | int, ...]
 
 
 def range_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what is wrong with the ranges of a scenario."""
+    """Yield the faults of the ranges of a scenario."""
     seen: set[str] = set()
     for i, item in enumerate(scenario.ranges):
         path = in_radians(item)[0]
@@ -59,14 +59,14 @@ def range_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def in_radians(item: RangeSpec) -> tuple[str, float, float]:
-    """Return path, low and high of a range, an angle in radians."""
+    """Return path, low and high of a range, with angles in radians."""
     if item.path.endswith("_deg"):
         return item.path.removesuffix("_deg") + "_rad", math.radians(item.low), math.radians(item.high)
     return item.path, item.low, item.high
 
 
 def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[Any, str]:
-    """Return what is at a path of the scenario, and else what is wrong with the path."""
+    """Return the value at a path of the scenario, or the fault of the path."""
     value: Any = scenario
     for i, part in enumerate(parts):
         known_names = list(value) if isinstance(value, Mapping) else list(getattr(type(value), "model_fields", ()))
@@ -139,7 +139,7 @@ def _bound_problems(scenario: ScenarioSpec, i: int, item: RangeSpec, path: str) 
 
 
 def world_path(scenario: ScenarioSpec, path: str) -> Path | None:
-    """Return where in a World a number of the scenario is, None where it may not be drawn."""
+    """Return the path in a World of a number of the scenario, None if it may not be drawn."""
     for prefix, where in IN_WORLD.items():
         if path.startswith(f"{prefix}."):
             return (*where, *path.removeprefix(f"{prefix}.").split("."))
@@ -156,7 +156,7 @@ def world_path(scenario: ScenarioSpec, path: str) -> Path | None:
 
 
 def ranges_of(scenario: ScenarioSpec) -> tuple[Range, ...]:
-    """Return the ranges of a scenario without problems."""
+    """Build the ranges of a scenario without problems."""
     found = []
     for item in scenario.ranges:
         path, low, high = in_radians(item)

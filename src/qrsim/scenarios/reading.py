@@ -1,4 +1,4 @@
-"""Reading scenarios: files, built-in names, what extends what, and ``--set`` overrides."""
+"""Reads scenarios: files, built-in names, ``extends``, and ``--set`` overrides."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def built_in_names() -> list[str]:
 
 
 def read_scenario(source: str | Path | dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Return (what to call the source in messages, its content) of a name, a YAML path or a dict.
+    """Read a scenario from a name, a YAML path or a dict; return (label of the source, content).
 
     What it extends is merged in, and every ``file:`` that a file names is absolute.
     """
@@ -70,7 +70,7 @@ def _read(source: str | dict[str, Any], children: list[tuple[str, str]]) -> tupl
 
 
 def _origin(source: str | dict[str, Any]) -> tuple[str, Path]:
-    """Return what tells a source from others, and the folder that its paths are relative to."""
+    """Return an identifier of a source, and the folder that its paths are relative to."""
     if isinstance(source, dict):
         return "", Path.cwd()
     if source in built_in_names():
@@ -108,7 +108,7 @@ def _read_file(name: str, folder: Path) -> dict[str, Any]:
 
 
 def check_size(content: Any, source: str) -> None:
-    """Refuse content from Python that is beyond what a file may have, or is inside of itself.
+    """Refuse content from Python that exceeds the limits of files, or contains itself.
 
     Raises:
         ScenarioError: it is.
@@ -126,7 +126,7 @@ def check_size(content: Any, source: str) -> None:
 
 
 def checked_overrides(overrides: Iterable[str]) -> list[str]:
-    """Return overrides as a list. Raises UsageError where they are none, as a single text."""
+    """Check overrides and return them as a list. Raises UsageError for other types, as a single text."""
     if isinstance(overrides, str):
         raise UsageError(f"overrides: expected a list such as ['path=value'], found the text {overrides!r:.200}")
     try:
@@ -140,7 +140,7 @@ def checked_overrides(overrides: Iterable[str]) -> list[str]:
 
 
 def merged(parent: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
-    """Return the keys of both; where both have one, the child's counts, and of mappings the merged one.
+    """Merge two mappings recursively; the child's values take precedence.
 
     A child of another ``type`` replaces the parent wholly, a list replaces a list, an angle in one unit that in the
     other, and null takes out what the parent has.
@@ -162,7 +162,7 @@ def merged(parent: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
 
 
 def anchor_files(content: Any, folder: Path) -> None:
-    """Make every ``file:`` of a scenario absolute, in place: relative ones are relative to the scenario's folder.
+    """Make every ``file:`` of a scenario absolute, in place; relative paths are relative to its folder.
 
     A name that is not there but is one of the public recordings means the recording.
     """

@@ -26,7 +26,7 @@ _LOCK = threading.RLock()
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a component from outside comes from.
+    """Origin of a component from outside.
 
     Attributes:
         how: "registered", "package" or "scenario".
@@ -48,7 +48,7 @@ _ORIGINS: dict[tuple[str, str], Origin] = {}
 
 
 def register(kind: str, name: str, component: type) -> type:
-    """Make a class known by a name, so that scenarios can name it; return the class.
+    """Register a class under a name for scenarios; return the class.
 
     >>> qrsim.register("sensor", "laser", Laser)
 
@@ -72,7 +72,7 @@ def register(kind: str, name: str, component: type) -> type:
 
 
 def provide(kind: str, name: str) -> bool:
-    """Take in what a scenario names and the catalogue does not have; return whether it has it now.
+    """Load a component that the catalogue lacks; return whether the catalogue has it now.
 
     Args:
         kind: what is expected.
@@ -96,7 +96,7 @@ def provide(kind: str, name: str) -> bool:
 
 
 def outside_names(kind: str) -> list[str]:
-    """Return the names of the components of a kind that are not built in and known by now."""
+    """Return the names of the registered components of a kind that are not built in."""
     return [name for name in catalogue.KINDS[kind] if name not in _BUILT_IN[kind]]
 
 
@@ -130,7 +130,7 @@ def built_in_names(kind: str) -> list[str]:
 
 
 def any_outside() -> bool:
-    """Return whether any component has been taken in."""
+    """Return whether any component from outside is registered."""
     return bool(_ORIGINS)
 
 
@@ -140,14 +140,14 @@ def is_outside(kind: str, name: str) -> bool:
 
 
 def origin_of(kind: str, name: str) -> Origin:
-    """Return where a component of the catalogue comes from."""
+    """Return the origin of a component of the catalogue."""
     if not is_outside(kind, name):
         return Origin("built in", catalogue.KINDS[kind][name].__module__)
     return _ORIGINS[kind, name]
 
 
 def name_of(kind: str, component: type) -> str:
-    """Return the name of a class in the catalogue; one that is not there is taken in under its module and name.
+    """Return the name of a class in the catalogue; an unknown one is registered under its module and name.
 
     Raises:
         UsageError: it is no component of this kind.
@@ -163,7 +163,7 @@ def name_of(kind: str, component: type) -> str:
 
 
 def packaged() -> Iterator[tuple[str, str, metadata.EntryPoint]]:
-    """Yield kind, name and entry point of all that installed packages offer, without loading any.
+    """Yield kind, name and entry point of all components of installed packages, without loading any.
 
     Raises:
         UsageError: a package offers a kind that does not exist, a built-in name, or two the same.

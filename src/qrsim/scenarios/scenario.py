@@ -61,7 +61,7 @@ class Scenario:
 
     @property
     def steps(self) -> int:
-        """Number of steps of the scenario's task; 0 where it has none."""
+        """Number of steps of the scenario's task; 0 without a task."""
         return round(self.spec.duration / self.spec.task.period) if self.spec.task.type != "none" else 0
 
     @property
@@ -76,11 +76,11 @@ class Scenario:
         return outside_components(self.spec.model_dump(mode="json"))
 
     def world(self, precision: str = "float32") -> World:
-        """Return the World it describes, its numbers as arrays of ``precision`` (float32 or float64)."""
+        """Build its World, with numbers as arrays of ``precision`` (float32 or float64)."""
         return build.build_world(self.spec, precision)
 
     def task(self, precision: str = "float32") -> Any:
-        """Return what is to be done, its numbers as arrays of ``precision``; ``NoTask`` where there is nothing."""
+        """Build its task, with numbers as arrays of ``precision``; ``NoTask`` if it has none."""
         return build.build_task(self.spec, precision)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -101,7 +101,7 @@ def _of_content(content: dict[str, Any]) -> Scenario:
 def load_scenario(
     source: str | Path | dict[str, Any], overrides: Iterable[str] = (), *, quiet: bool = False, local: bool = True
 ) -> Scenario:
-    """Read and check a scenario; warn of what is allowed and cannot fly.
+    """Read and check a scenario; warn of allowed values that cannot fly.
 
     Args:
         source: a built-in name, the path of a YAML file, or the content as a dict.

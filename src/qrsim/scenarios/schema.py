@@ -68,7 +68,7 @@ def _time_of_day(value: Any) -> Any:
 
 
 class Strict(BaseModel):
-    """Base of every part of a scenario: nothing unknown, nothing coerced, angles in degrees welcome."""
+    """Base of every part of a scenario: unknown keys are refused, nothing is coerced, angles may be in degrees."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra=_add_degrees)
 
@@ -139,7 +139,7 @@ def component_model(
     arrays: Mapping[str, Any] | None = None,
     base: type[Strict] = Strict,
 ) -> type[Strict]:
-    """Return the schema of one component.
+    """Make the schema of one component.
 
     Args:
         name: its name in the catalogue.
@@ -306,7 +306,7 @@ class SkySpec(Strict):
 
 
 class WorldSpec(Strict):
-    """What is around the vehicles."""
+    """The environment of the vehicles."""
 
     area: AreaSlot = Field({"type": "box"}, description="where vehicles may be", validate_default=True)
     wind: WindSlot = Field({"type": "calm"}, description="mean wind", validate_default=True)
@@ -367,7 +367,7 @@ class FleetSpec(Strict):
 
 
 class SiteSpec(Strict):
-    """Where the local frame touches the Earth."""
+    """Origin of the local frame on the Earth."""
 
     latitude_deg: Finite = Field(51.71190, description="geodetic latitude [deg]", ge=-90, le=90)
     longitude_deg: Finite = Field(-0.21052, description="longitude [deg], east positive", ge=-180, le=180)
@@ -410,7 +410,7 @@ class ScenarioSpec(Strict):
 
 
 def refresh(kind: str) -> None:
-    """Take the components of a kind that the catalogue has by now into the schema."""
+    """Update the schema with the registered components of a kind."""
     if kind not in _PLACES:
         return
     model, name, each = _PLACES[kind]

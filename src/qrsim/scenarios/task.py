@@ -1,4 +1,4 @@
-"""Checks of what is to be done against the world in which it is to be done."""
+"""Checks of a task against its world."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CONTENTS = {"search": "persons", "plume_mapping": "plume"}
 
 
 def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield in what a task does not fit its scenario."""
+    """Yield each mismatch of a task and its scenario."""
     task = scenario.task
     if task.type == "none":
         return

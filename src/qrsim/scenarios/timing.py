@@ -23,7 +23,7 @@ def is_multiple(seconds: float, step: float, most: float = MOST_STEPS) -> bool:
 
 
 def timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what is wrong with the step, the duration and the periods of a scenario."""
+    """Yield the faults of step, duration and periods of a scenario."""
     dt = scenario.time_step
     try:
         split_time(np.int32(0), dt, np.float32)  # type: ignore[arg-type]

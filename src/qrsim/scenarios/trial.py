@@ -1,4 +1,4 @@
-"""A tick of a scenario with components from outside, traced by JAX before anything flies: shapes, types, what raises.
+"""Trial tick of a scenario with components from outside, traced by JAX: shapes, types, errors raised.
 
 Nothing is computed. Each component from outside is replaced by one of a class derived from its own that looks at what
 its methods return, so that a fault is named where it is and not where it is found out.
@@ -64,7 +64,7 @@ class FaultError(UsageError):
 
 
 def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what a component from outside does wrong in the first tick; ``scenario`` has no other problems."""
+    """Yield the faults of components from outside in the first tick; ``scenario`` has no other problems."""
     if not registry.any_outside():
         return
     content = scenario.model_dump(mode="json")

@@ -11,7 +11,7 @@ from qrsim.files.yaml_text import parse_yaml
 
 
 def read_vehicle_file(path: Path) -> dict[str, Any]:
-    """Return the vehicle of a file as a scenario writes it.
+    """Read a vehicle file, in the form of scenarios.
 
     Raises:
         UsageError: there is no such file, or no ``vehicle`` in it.

@@ -1,1 +1,1 @@
-"""Worlds that are flown: one, many, by a policy, open loop; and a state as bytes."""
+"""Flight of worlds: one, many, by a policy, open loop; and states as bytes."""

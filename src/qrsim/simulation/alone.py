@@ -11,7 +11,7 @@ from qrsim.errors import BusyError
 
 
 class Alone:
-    """What one thread at a time may change, and others may look at meanwhile.
+    """Base of objects that one thread at a time may change while others read.
 
     Whoever looks holds ``_lock`` and waits for it. Whoever changes holds it too and notes ``_changes``: another
     that wants to change knows that it must not wait: two threads that fly one simulation get another flight each time.
@@ -41,7 +41,7 @@ R = TypeVar("R")
 
 
 def alone(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[S, P], R]:
-    """Let one thread at a time call a method that changes something, see ``Alone``."""
+    """Restrict a method that changes state to one thread at a time, see ``Alone``."""
 
     @wraps(method)
     def called(self: S, /, *arguments: P.args, **named: P.kwargs) -> R:

@@ -1,4 +1,4 @@
-"""NumPy archives from anywhere, read without trust: everything is checked before anything is made of it.
+"""Reads untrusted NumPy archives: everything is checked before use.
 
 An archive is read as ``numpy.savez`` writes it, uncompressed, and in no other form: what is in it can then be no larger
 than the file, and nothing in it is evaluated.
@@ -28,15 +28,15 @@ _ENTRY_BYTES = 1024
 
 
 class DamagedError(ValueError):
-    """These bytes are no archive, or a damaged one."""
+    """The bytes are not an archive, or a damaged one."""
 
 
 class OtherNamesError(ValueError):
-    """The archive holds something else than was expected."""
+    """The archive holds other arrays than expected."""
 
 
 def read_archive(data: bytes, names: Collection[str]) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the arrays of an archive by name; views of their bytes, which cannot be written to.
+    """Read the arrays of an archive by name, as read-only views of its bytes.
 
     Args:
         data: the file.

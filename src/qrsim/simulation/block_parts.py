@@ -34,7 +34,7 @@ NEEDS_VALUES = (
 
 @dataclass(frozen=True)
 class Setup:
-    """What a rollout is made of beside the numbers.
+    """Structure of a rollout, without its numbers.
 
     Attributes:
         policy, estimator: the user's, None without.
@@ -63,7 +63,7 @@ class Setup:
 
     @property
     def compiled(self) -> Setup:
-        """The part that programs depend on: whom they ask. Who is asked in lock-step does not change them."""
+        """The part that programs depend on; functions called in lock-step do not change programs."""
         policy, estimator = (
             function if function is not None and function.compiled else None
             for function in (self.policy, self.estimator)
@@ -74,20 +74,20 @@ class Setup:
 
     @property
     def plain(self) -> bool:
-        """Whether it is made of this package alone, so that another process can tell it by its structure."""
+        """Whether it is made of this package's code alone, so that its structure identifies it in any process."""
         own = {kind.__module__.split(".")[0] for kind in self.kinds} <= {"builtins", "qrsim"}
         asks_nobody = self.policy is None and self.estimator is None
         return asks_nobody and self.metrics is FLIGHT_METRICS and own
 
     def world(self, fixed: list[Any], own: list[Any]) -> World:
-        """Return the world of leaves that all worlds share and leaves that are this world's own."""
+        """Rebuild a world from shared leaves and its own leaves."""
         shares, owns = iter(fixed), iter(own)
         world: World = jax.tree.unflatten(self.structure, [next(owns if v else shares) for v in self.varied])
         return world
 
 
 class Carry(NamedTuple):
-    """What a world takes from tick to tick."""
+    """State that a world carries from tick to tick."""
 
     state: State
     policy_memory: Any
@@ -98,7 +98,7 @@ class Carry(NamedTuple):
 
 
 def begin_world(setup: Setup, fixed: list[Any], keys: WorldKeys, own: list[Any]) -> Carry:
-    """Return the start of one world."""
+    """Start one world."""
     world = setup.world(fixed, own)
     state = ticks_of.reset(world, keys)
     reading = Reading(world, state, 0, setup.site)
@@ -125,7 +125,7 @@ def _first_memory(function: UserFunction | None, reading: Reading) -> Any:
 
 
 def _answer(function: UserFunction, world: World, reading: Reading, memory: Any) -> tuple[Any, Any]:
-    """Return what a compiled function asks for, actions or estimates for each fleet, and its memory."""
+    """Return a compiled function's actions or estimates for each fleet, and its memory."""
     checker = ActionChecker(world, world.fleets[0].start.position_ned.x.dtype, "traced")
     with function.blamed():
         result, memory = call_compiled(function, reading, memory)
@@ -162,7 +162,7 @@ def _check_memory(before: Any, after: Any) -> None:
 def tick_of_world(
     setup: Setup, fixed: list[Any], own: list[Any], carry: Carry, tick: Any, given: tuple[Any, Any]
 ) -> Carry:
-    """Advance one world by one tick; ``given`` holds the actions and estimates that were asked for in lock-step."""
+    """Advance one world by one tick; ``given`` holds the actions and estimates computed in lock-step."""
     world = setup.world(fixed, own)
     reading = Reading(world, carry.state, tick, setup.site)
     actions, estimates = given

@@ -1,4 +1,4 @@
-"""A rollout block by block: from its start to its end, with looks on the way."""
+"""A rollout block by block, from start to end, with records on the way."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ TICKS_PER_CALL = 500
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long the worlds fly, and at which ticks something is looked at; record_every 0: nothing is recorded."""
+    """Length of the flight and ticks of records; record_every 0: no records."""
 
     ticks: int
     record_every: int
 
     @property
     def records(self) -> list[int]:
-        """Ticks at which something is recorded, the start included."""
+        """Recorded ticks, the start included."""
         return list(range(0, self.ticks + 1, self.record_every)) if self.record_every else []
 
     def stops(self, asked_every: int) -> list[int]:
-        """Return the ticks at which the loop comes back; ``asked_every`` is 0 where nobody is asked in lock-step."""
+        """Return the ticks at which the loop returns to the host; ``asked_every`` 0: nothing runs in lock-step."""
         found = {self.ticks, *self.records}
         for period in (TICKS_PER_CALL, asked_every):
             if period:
@@ -77,13 +77,13 @@ class Engine:
         self.checker = ActionChecker(example, np.dtype(example.fleets[0].start.position_ned.x.dtype), "finite")
 
     def bytes_per_world(self) -> int:
-        """Return the size of what a world takes from tick to tick."""
+        """Return the size [bytes] of a world's carry."""
         keys = jax.tree.map(lambda leaf: np.asarray(leaf)[None], ticks_of.keys_of(self.example, Key.root(0)))
         fixed = Packer([np.asarray(leaf) for leaf in self.fixed])
         return state_bytes(begin_function(self.setup.compiled), fixed, layout_of_each((self.varied, keys)))
 
     def fly(self, rows: Array, seeds: Array, numbers: Array) -> tuple[dict[str, Array], Any]:
-        """Fly the worlds ``rows`` (B,), and return their metrics and what was recorded of them."""
+        """Fly the worlds ``rows`` (B,), and return their metrics and records."""
         real = len(np.unique(rows))
         own = [part[rows] for part in self.varied]
         # On the host: in the program, the keys' own rounds would be compiled into everything that draws.
@@ -131,7 +131,7 @@ class Engine:
 
 
 class LockStep:
-    """Asks those of the user's functions that are called between two ticks, world by world; they have no memory."""
+    """Calls the user's functions without memory between ticks, world by world."""
 
     def __init__(self, engine: Engine, rows: Array):
         self.engine, self.rows = engine, rows
@@ -162,7 +162,7 @@ class LockStep:
         return found
 
     def ask(self, flight: Flight, tick: int, count: int) -> tuple[Any, Any]:
-        """Return actions and estimates, each leaf (count, ...): empty where nobody is asked."""
+        """Compute actions and estimates, each leaf (count, ...); empty for parts without a function."""
         if not self.asked_every:
             return (), ()
         estimates: list[Any] = []

@@ -34,7 +34,7 @@ class Flight(Worlds):
 
 
 def begin_function(setup: Setup) -> Function:
-    """Return what makes the start of one world, of the leaves that all share, and its own with its keys."""
+    """Return the function that starts one world, from shared leaves, and its own leaves and keys."""
     return _function("begin", _begin, setup)
 
 

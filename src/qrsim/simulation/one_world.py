@@ -1,4 +1,4 @@
-"""One world: its start, its ticks, and vehicles put somewhere. Its state is two flat buffers."""
+"""One world: start, ticks and placing of vehicles. Its state is two flat buffers."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ class OneWorld:
         return layout, state
 
     def adopt(self, state: Buffers) -> Buffers:
-        """Return a state as ``advance`` takes it: a copy where vectors may begin."""
+        """Copy a state into aligned buffers for ``advance``."""
         return aligned_copy(state)
 
     def advance(self, layout: Packer, state: Buffers, tick: int, count: int, given: Any) -> Buffers:
-        """Run ``count`` ticks and return the state; the one that was handed over may be overwritten.
+        """Run ``count`` ticks and return the state; the input may be overwritten.
 
         Args:
             layout: of the state.
@@ -79,10 +79,10 @@ class OneWorld:
     def record(
         self, layout: Packer, state: Buffers, tick: int, count: int, given: Any, capacity: int
     ) -> tuple[Buffers, Buffers]:
-        """Run ``count`` ticks; return the state and those of all ticks, each buffer (count, ...)."""
+        """Run ``count`` ticks; return the final state and the states of all ticks, each buffer (count, ...)."""
         return self._tick.program(given, layout).record(state, tick, count, capacity)
 
     def place(self, layout: Packer, state: Buffers, tick: int, given: Any) -> Buffers:
-        """Return another state, with vehicles put somewhere; see ``qrsim.simulation.placing.place``."""
+        """Place vehicles and return the new state; see ``qrsim.simulation.placing.place``."""
         after: Buffers = self._place.program(given, layout).run(self.adopt(state), tick, 1)
         return after

@@ -16,7 +16,7 @@ from qrsim.simulation.simulation import History, Simulation
 
 
 class Pilot:
-    """Asks a policy and an estimator what to do next; what is compiled is compiled here too.
+    """Runs a policy and an estimator; compiles those that can be compiled.
 
     Args:
         simulation: what they fly; it has been reset.
@@ -59,7 +59,7 @@ class Pilot:
         self._compile()
 
     def record(self, ticks: int, capacity: int = 50) -> History:
-        """Fly at most ``ticks`` ticks, no more than until somebody must be asked again, and return their states.
+        """Fly at most ``ticks`` ticks, up to the next call of a user's function, and return their states.
 
         Raises:
             UsageError: what the user's function returned cannot be flown.

@@ -1,4 +1,4 @@
-"""Vehicles put into given states between two ticks."""
+"""Placing of vehicles in given states between two ticks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WIDTHS = (3, 6, 12, 13)
 
 
 def place(world: World, given: tuple[Any, Any], state: State, tick: Any) -> State:
-    """Return a state with vehicles put into given states, and all that is theirs as at a start there.
+    """Place vehicles in given states, with sensors, controllers and noise restarted there.
 
     That is their sensors, estimates and control loops, the gusts around them, and the specific force. They keep their
     battery and their way along the route. What is drawn is drawn from the numbers of this tick.
@@ -73,7 +73,7 @@ def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple
 
 
 def checked_rows(rows: Any, names: Sequence[str], dtype: np.dtype[Any]) -> tuple[FloatArray, FloatArray]:
-    """Return what ``place`` is given: rows (n, 16) and which vehicles (n,) are placed; see ``Simulation.set_state``.
+    """Check the arguments of ``Simulation.set_state``; return rows (n, 16) and which vehicles (n,) to place.
 
     Raises:
         UsageError: wrong shape, or a row that is partly NaN.
@@ -98,7 +98,7 @@ def checked_rows(rows: Any, names: Sequence[str], dtype: np.dtype[Any]) -> tuple
 
 
 def refuse_misplaced(violations: Sequence[Violation], chosen: FloatArray, names: Sequence[str]) -> None:
-    """Raise an error where a vehicle that was placed would stop at once.
+    """Raise an error if a placed vehicle would stop at once.
 
     Args:
         violations: of each fleet, as ``place`` left them.

@@ -38,7 +38,7 @@ LARGEST_TICK = 2**31 - 2
 
 @dataclass
 class Rollout:
-    """What came of W worlds of n vehicles each.
+    """Results of W worlds of n vehicles each.
 
     Attributes:
         metrics: by name, each (W, n) or (W, n, 3); see ``qrsim.interface.metrics.FlightMetrics``.
@@ -67,7 +67,7 @@ class Rollout:
         return self.metrics[name]
 
     def reasons(self, world: int) -> list[str]:
-        """Return why each vehicle of a world stopped, "" for those that fly."""
+        """Return the reason each vehicle of a world stopped, "" for those that fly."""
         codes, values = self.metrics["reason"][world], self.metrics["reason_value"][world]
         return [reason_text(int(code), float(value)) for code, value in zip(codes, values, strict=True)]
 
@@ -89,7 +89,7 @@ def rollout(
     progress: Callable[[int], None] | None = None,
     site: Site | None = None,
 ) -> Rollout:
-    """Fly many worlds from their start and return what sums up each flight.
+    """Fly many worlds from their start and return the metrics of each flight.
 
     What ``qrsim.rollout`` does with scenarios once they are Worlds; its docstring explains every argument.
 
@@ -125,7 +125,7 @@ def setup_of(
     several: Sequence[World], policy: Any = None, estimator: Any = None, metrics: Any = None, policy_ticks: int = 1,
     site: Site | None = None,
 ) -> tuple[Setup, list[Any], list[Any]]:  # fmt: skip
-    """Return what a rollout of some worlds is made of, the leaves they share, and those that they do not, (W, ...).
+    """Return the setup of a rollout, the leaves that its worlds share, and those that vary, (W, ...).
 
     The arguments are those of ``rollout``.
     """

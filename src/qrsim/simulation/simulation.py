@@ -1,4 +1,4 @@
-"""Simulation: the stateful, friendly object over world/tick.py."""
+"""Simulation: the stateful object over world/tick.py."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ class _Snapshot:
         return self._layout.unpack(self._buffers)  # type: ignore[arg-type]
 
     def view(self, numbers: State) -> State:
-        """Return what stands for the state as long as only parts of it are read."""
+        """Return a stand-in for the state, of which only parts are read."""
         return LazyTree(self._layout, self._buffers, numbers, (State, FleetState))  # type: ignore
 
 
 class Simulation(Alone):
-    """A world that flies.
+    """A world in flight.
 
     One thread at a time may fly it: where another is in a call that changes its state, ``reset``, ``step`` and the like
     raise a ``BusyError`` at once, and the first goes on undisturbed. Looking at it is allowed at any time, and shows it
@@ -180,7 +180,7 @@ class Simulation(Alone):
             self._lock.release()
 
     def advance(self, command: Any = None, ticks: int = 1, estimate: Estimate | None = None) -> None:
-        """Advance as ``step`` does, for those who do not look at the reading of every step."""
+        """Advance as ``step`` does, without computing a reading."""
         if not self._lock.acquire(False):
             self._wait_or_refuse("advance")
         self._changes = True
@@ -232,7 +232,7 @@ class Simulation(Alone):
 
     @alone
     def set_state(self, state: Any) -> Reading:
-        """Put vehicles into given states, flying again where they had stopped, and return the reading there.
+        """Place vehicles in given states, flying again if stopped, and return the reading there.
 
         All that belongs to such a vehicle is as at a start at that place: its sensors (GNSS, barometer, attitude, and
         what they deliver later), what its controller is fed with, its control loops, and the gusts around it. It keeps
@@ -259,7 +259,7 @@ class Simulation(Alone):
 
     @alone
     def save(self, path: str | Path | None = None) -> bytes:
-        """Return the whole state as bytes, and write them to a file where a path is given.
+        """Save the whole state as bytes, and to a file if a path is given.
 
         Raises:
             UsageError: the simulation has not started.
@@ -275,7 +275,7 @@ class Simulation(Alone):
 
     @alone
     def load(self, source: bytes | str | Path) -> Reading:
-        """Continue from a saved state, of this scenario with these parameters; the future is that of the original.
+        """Continue from a saved state of the same scenario and parameters, exactly as the original would.
 
         What is read is checked first, and where it is refused, nothing has changed.
 
@@ -298,7 +298,7 @@ class Simulation(Alone):
 
     @alone
     def change_world(self, world: World) -> None:
-        """Fly with other parameters from the next tick on; as they are numbers, nothing is compiled.
+        """Change parameters from the next tick on; nothing is recompiled.
 
         Raises:
             UsageError: something else than numbers differs.
@@ -322,7 +322,7 @@ class Simulation(Alone):
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
-        """The state as programs take it, and its layout; to be copied from before the next step overwrites it."""
+        """The packed state and its layout; copy it before the next step overwrites it."""
         return self._running()
 
     @property
@@ -347,13 +347,13 @@ class Simulation(Alone):
 
     @property
     def reading(self) -> Reading:
-        """What the sensors say now."""
+        """Present readings of the sensors."""
         with self._lock:
             return Reading(self.world, self._snapshot().view(self._numbers), self.tick, self.site)
 
     @property
     def truth(self) -> Truth:
-        """What is really the case now, all fleets one after the other."""
+        """Present true state, all fleets in order."""
         with self._lock:
             return Truth(self.world, self._snapshot().view(self._numbers))
 
@@ -370,7 +370,7 @@ class Simulation(Alone):
         return [reason_text(int(code), float(value)) for code, value in zip(codes, values, strict=True)]
 
     def waypoint(self, position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:
-        """Return a set-point for ``step``: positions (n, 3) or (3,) [m] and headings (n,) or one [rad]."""
+        """Make a set-point for ``step``: positions (n, 3) or (3,) [m] and headings (n,) or one [rad]."""
         return self._checker.waypoint(position_ned, yaw_rad)
 
     def _checked_ticks(self, ticks: Any) -> int:
@@ -397,7 +397,7 @@ def _checked_number(number: Any) -> int:
 
 
 def check_precision(precision: str) -> str:
-    """Return a precision that exists.
+    """Check a precision and return it.
 
     Raises:
         UsageError: it is neither float32 nor float64.

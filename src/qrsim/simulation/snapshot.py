@@ -37,7 +37,7 @@ MAY_BE_NAN_ONCE_STOPPED = ("command", "estimate")
 
 @dataclass(frozen=True)
 class SavedState:
-    """What is saved.
+    """A saved state.
 
     Attributes:
         floats, integers: the packed state.
@@ -56,7 +56,7 @@ class SavedState:
     world: str
 
     def to_bytes(self) -> bytes:
-        """Return the state as a NumPy archive."""
+        """Write the state as a NumPy archive."""
         buffer = io.BytesIO()
         content: dict[str, Any] = {name: getattr(self, name, FORMAT) for name in NAMES}
         np.savez(buffer, **content)
@@ -64,7 +64,7 @@ class SavedState:
 
     @staticmethod
     def of(source: bytes | str | Path) -> SavedState:
-        """Read a state from bytes or a file, and check what can be without knowing whose it is.
+        """Read a state from bytes or a file, with the checks that need no simulation.
 
         Raises:
             UsageError: the file is missing, or this is no saved state of this version, or a damaged one.
@@ -102,7 +102,7 @@ class SavedState:
             )
 
     def buffers(self, layout: Packer, like: Buffers) -> Buffers:
-        """Return the packed state, of the types and sizes of another one.
+        """Return the packed state, with the types and sizes of another one.
 
         Args:
             layout: of both.
@@ -126,7 +126,7 @@ class SavedState:
         return self.floats, self.integers
 
     def check_state(self, world: World, state: State, keys: Any) -> None:
-        """Refuse a state that no simulation of a world can be in.
+        """Refuse a state that is impossible in a world.
 
         Args:
             world: of this simulation.

@@ -74,7 +74,7 @@ class CorrelatedGnss:
 
 
 def _record(state: State) -> dict[str, Array]:
-    """Return what a Flight is made of, of the only vehicle."""
+    """Return the arrays of a Flight of the only vehicle."""
     fleet = state.fleets[0]
     seen = measured_quantities(fleet.readings)
     velocity, attitude = seen["velocity_ned"], seen["attitude"]

@@ -215,7 +215,7 @@ def linearise(graph: Graph, x: Array, landmarks: Array) -> Normal:
 
 @quick_jit
 def _spread(graph: Graph, x: Array) -> Array:
-    """Return what the process noise of each motion does to the state (T, D, K * 6), to first order."""
+    """Return the derivatives (T, D, K * 6) of each motion's state by its process noise."""
 
     def after(normals: Array, x: Array, commands: Array, air_ned: Array, nominal: Array) -> Array:
         return predict(graph, x, commands, air_ned, nominal, normals)

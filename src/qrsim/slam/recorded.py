@@ -114,7 +114,7 @@ def _sensor(stream: Stream, column: str) -> str | None:
 
 
 def _believed(run: Run, index: int, count: int, truth: Floats) -> tuple[Believed, str]:
-    """Return what the vehicle's sensors said, and the name of its GNSS receiver."""
+    """Read the vehicle's own estimate from its sensors, and the name of its GNSS receiver."""
     _whole(run, "measurements")
     stream = run["measurements"]
     parts = {}

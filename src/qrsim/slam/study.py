@@ -331,7 +331,7 @@ def numbers(flown: Study) -> dict[str, Any]:
 
 
 def _remedy(measures: Mapping[str, Callable[[str, str], Floats]]) -> dict[str, Any]:
-    """Return what modelling the error as a state is worth, and for the trajectory which part of the loss that is."""
+    """Compare the error as a state with none, and return the share of the trajectory's loss that it recovers."""
     found: dict[str, Any] = {}
     for name, measure in measures.items():
         white, coloured, remedied = measure("white", "plain"), measure("coloured", "plain"), measure("coloured", "bias")

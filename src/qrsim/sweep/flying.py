@@ -102,7 +102,7 @@ def _roll_out(job: Job) -> dict[str, Array]:
 
 
 def _stacked(group: Any, job: Job, functions: dict[str, Any]) -> Any:
-    """Return what ``setup_of`` does, without a World for each episode."""
+    """Set up as ``setup_of`` does, without a World for each episode."""
     from dataclasses import replace
 
     import jax.numpy as jnp

@@ -95,7 +95,7 @@ def _summed() -> Any:
 
 
 def _finds(state: Any, time_step: float) -> dict[str, Array]:
-    """Return what was found of persons, (1,) each; NaN where there are none to be found."""
+    """Return the metrics of persons found, (1,) each; NaN without persons."""
     persons = state.contents.persons
     if persons is None:
         return {name: np.full(1, np.nan) for name in ("persons_found", "found_share", "first_found_s")}

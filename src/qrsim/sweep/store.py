@@ -203,7 +203,7 @@ def _coordinate(group: Any, name: str, dimension: str, values: Array, attributes
 
 
 def _attributes(plan: Plan) -> dict[str, Any]:
-    """Return what the results are of; no time of day, so that equal studies have equal stores."""
+    """Return the attributes of the store; no time of day, so that equal studies have equal stores."""
     study = plan.study
     return {
         "kind": KIND,

@@ -80,7 +80,7 @@ class Jobs:
 
 
 def _result(future: Any, batch: Batch, store: Store) -> dict[str, Any]:
-    """Return what came of a batch.
+    """Return the results of a batch.
 
     Raises:
         RunError: it could not be flown.

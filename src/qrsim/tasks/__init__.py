@@ -1,4 +1,4 @@
-"""What is to be done in a world: actions -> set-points, reward, end, and what the agent sees. One file per family.
+"""Tasks: actions -> set-points, reward, end of episode, observation. One file per family.
 
 A task is a record with pure methods, like every component; ``contracts.py`` says which.
 """

@@ -1,4 +1,4 @@
-"""What tasks share: axes of actions, the agents' fleet, and what vehicles believe of themselves."""
+"""Shared by all tasks: axes of actions, the agents' fleet, and the vehicles' own estimates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from qrsim.world.state import Action, Fleet, FleetState, State, World
 
 @dataclass(frozen=True)
 class Axis:
-    """One number of an action, or of what is seen.
+    """One number of an action or an observation.
 
     Attributes:
         name: what it is.
@@ -49,7 +49,7 @@ def velocity_axes(limit: float, axes: str) -> tuple[Axis, ...]:
 
 
 def number_of(world: World, name: str) -> int:
-    """Return which of the fleets of a world has a name."""
+    """Return the index of the named fleet of a world."""
     return [fleet.name for fleet in world.fleets].index(name)
 
 
@@ -70,7 +70,7 @@ def all_fly(state: State) -> Array:
 
 
 def estimate_of(state: FleetState) -> Estimate:
-    """Return what the sensors of each vehicle (n,) say of it; where they say nothing, what its controller believes."""
+    """Return each vehicle's estimate (n,) from its sensors, with its controller's estimate for missing readings."""
     measured, known = measured_quantities(state.readings), state.estimate
     position, velocity = (
         measured.get("position_ned", known.position_ned),
@@ -86,7 +86,7 @@ def estimate_of(state: FleetState) -> Estimate:
 
 
 def believed(state: FleetState) -> Array:
-    """Return (n, 9) what the sensors of each vehicle say of it: position NED, velocity NED, roll, pitch, yaw."""
+    """Return each vehicle's measured state (n, 9): position NED, velocity NED, roll, pitch, yaw."""
     estimate = estimate_of(state)
     parts = [*jax.tree.leaves(estimate.position_ned), *jax.tree.leaves(estimate.velocity_ned)]
     return jnp.stack([*parts, *jax.tree.leaves(estimate.attitude)], axis=-1)

@@ -1,4 +1,4 @@
-"""What an episode asks of a task.
+"""Protocol of tasks, as episodes use them.
 
 A task names the contract as its base class. Methods marked abstract are required; the others, and the class variables,
 have the defaults that stand here. All of them are pure functions of JAX.
@@ -19,7 +19,7 @@ from qrsim.world.state import Action, State, World
 
 @runtime_checkable
 class Task(Protocol):
-    """What is to be done, and what it is worth; the agents are the n vehicles of one fleet.
+    """Goal and reward of an episode; the agents are the n vehicles of one fleet.
 
     Attributes:
         fleet: name of that fleet; "": there is no task.
@@ -44,11 +44,11 @@ class Task(Protocol):
 
     @abstractmethod
     def init(self, world: World, state: State, draw: Draw) -> Any:
-        """Return what it remembers of an episode at its start; ``draw`` is its own randomness, for ``ids`` ids."""
+        """Return its memory at the start of an episode; ``draw`` is its own randomness, for ``ids`` ids."""
 
     @abstractmethod
     def commands(self, memory: Any, world: World, action: Array) -> tuple[Action, ...]:
-        """Return an action for each fleet of actions (n, A) in their units."""
+        """Convert actions (n, A), in their units, to an action for each fleet."""
 
     def each_tick(self, memory: Any, world: World, state: State) -> Any:
         """Return the memory after a tick."""
@@ -64,14 +64,14 @@ class Task(Protocol):
 
     @abstractmethod
     def observe(self, memory: Any, world: World, state: State) -> Any:
-        """Return what each agent sees, (n, O) or a dict of arrays (n, ...), never the truth."""
+        """Return each agent's observation, (n, O) or a dict of arrays (n, ...); never the truth."""
 
     @abstractmethod
     def sees(self, world: World) -> tuple[Axis, ...] | dict[str, tuple[Axis, ...]]:
-        """Return what the O numbers of an observation are, with their units; of a dict, where they have names."""
+        """Describe the O numbers of an observation, with their units; for a dict, those that have names."""
 
     def answer_shape(self, world: World) -> tuple[int, ...]:
-        """Return the shape of what each agent hands in at the end; () where it hands in nothing."""
+        """Return the shape of each agent's answer at the end; () without an answer."""
         return ()
 
     def score(self, memory: Any, world: World, state: State, answer: Array) -> Array:

@@ -17,7 +17,7 @@ Array = np.ndarray[Any, Any]
 
 
 class Begun(NamedTuple):
-    """What is known of episodes at their start, arrays (b, ...)."""
+    """Episodes at their start, arrays (b, ...)."""
 
     placed: Any
     seen: Any
@@ -33,7 +33,7 @@ def _scored() -> Any:
 
 
 def score(play: Play, episode: Episode, answer: Array) -> Array:
-    """Return the score (n,) of what the agents of an episode hand in, (n, ...)."""
+    """Score the answers (n, ...) of the agents of an episode; (n,)."""
     return np.asarray(_scored()(play, episode, answer))
 
 
@@ -95,7 +95,7 @@ class Episodes:
 
     @property
     def started(self) -> bool:
-        """Whether any episode has."""
+        """Whether any episode has started."""
         return self._worlds.started
 
     def start(self, rows: Array, keys: Any) -> Begun:
@@ -104,7 +104,7 @@ class Episodes:
         return found
 
     def step(self, action: Array) -> tuple[Step, dict[str, Array]]:
-        """Advance all episodes by actions (B, n, A), and return what that brings and what is really the case."""
+        """Advance all episodes by actions (B, n, A), and return the results and the ground truth."""
         self._worlds.advance(0, self._play.ticks, action)
         found: tuple[Step, dict[str, Array]] = self._all(lambda progress: (progress.last, progress.truth))
         return found

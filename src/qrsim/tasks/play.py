@@ -1,4 +1,4 @@
-"""A task in its world: episodes from their start, step by step; pure functions, compiled by whoever plays."""
+"""A task in its world: episodes from their start, step by step; pure functions, compiled by the caller."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Episode:
 
 @record
 class Step:
-    """What a step brings the agents (n,)."""
+    """Result of a step for the agents (n,)."""
 
     observation: Any = quantity(doc="what each sees, (n, O) or a dict of arrays (n, ...)")
     reward: Array = quantity(doc="(n,)")
@@ -58,7 +58,7 @@ class EpisodeKeys:
 
 @record
 class Play:
-    """A task, its world and the length of an episode; its numbers are leaves, so others compile nothing anew."""
+    """A task, its world and the length of an episode; its numbers are leaves, so changing them does not recompile."""
 
     task: Task = quantity(doc="what is to be done")
     world: World = quantity(doc="where")
@@ -76,7 +76,7 @@ class Play:
 
     @property
     def in_step(self) -> bool:
-        """Whether every period of the world is a part of a step, so that all worlds of a batch are due together."""
+        """Whether every period of the world divides a step, so that all worlds of a batch are due together."""
         contents = self.world.contents
         periods = [self.world.sky.period, contents.plume.period, contents.persons.period]
         periods += [sensor.period for fleet in self.world.fleets for sensor in fleet.sensors]
@@ -87,7 +87,7 @@ class Play:
         return EpisodeKeys(ticks_of.keys_of(self.world, key), key.streams([TASK]))
 
     def reset(self, keys: EpisodeKeys) -> tuple[Episode, Any]:
-        """Return an episode at its start, and what the agents see."""
+        """Start an episode; return it and the observations."""
         state = ticks_of.reset(self.world, keys.world)
         like = jnp.zeros((), self.world.fleets[0].start.position_ned.x.dtype)
         ids = jnp.arange(self.task.ids, dtype=jnp.uint32)
@@ -112,7 +112,7 @@ class Play:
         return self._judged(Episode(state, memory, episode.step))
 
     def tick(self, action: Array, progress: Progress, number: Array) -> Progress:
-        """Advance an episode by one of the ``ticks`` of a step; as ``step``, for whoever runs ticks of many worlds.
+        """Advance an episode by one of the ``ticks`` of a step; as ``step``, for batches of worlds run tick by tick.
 
         Args:
             action: (n, A) as of ``step``.
@@ -135,7 +135,7 @@ class Play:
         return lax.cond(number == self.ticks - 1, judged, going)
 
     def progress(self, keys: EpisodeKeys) -> Progress:
-        """Return an episode at its start, for ``tick``; what the last step brought is only what the agents see."""
+        """Start an episode for ``tick``; its last step holds observations only."""
         episode, seen = self.reset(keys)
         dtype = self.world.fleets[0].start.position_ned.x.dtype
         action = jnp.zeros((len(self.agents), len(self.task.axes)), dtype)
@@ -167,14 +167,14 @@ class Play:
         return self.task.crashed(episode.memory, self.world, episode.state, self.steps)
 
     def scaled(self, action: Any) -> Any:
-        """Return actions (n, A) in their units, of numbers that are clipped to [-1, 1]; NumPy or JAX."""
+        """Scale actions (n, A), clipped to [-1, 1], to their units; NumPy or JAX."""
         lib = library(action)
         low = lib.asarray([axis.low for axis in self.task.axes], action.dtype)[None]
         high = lib.asarray([axis.high for axis in self.task.axes], action.dtype)[None]
         return low + 0.5 * (lib.clip(action, -1.0, 1.0) + 1.0) * (high - low)
 
     def truth(self, episode: Episode) -> dict[str, Array]:
-        """Return what is really the case of the agents (n,), which they do not see."""
+        """Return the ground truth of the agents (n,), which they do not observe."""
         model, fleet = fleet_of(self.world, episode.state, self.task.fleet)
         vehicle = model.vehicle.pose(fleet.vehicle)
         return {

@@ -28,7 +28,7 @@ SMALLEST_DISTANCE = 1e-12
 
 @record
 class PlumeMemory:
-    """Of an episode."""
+    """Memory of an episode."""
 
     locations_ned: Vec3 = quantity(unit="m", doc="(L,) where the concentration is asked for")
     draw: Draw = quantity(doc="of what the score draws")
@@ -36,7 +36,7 @@ class PlumeMemory:
 
 @record
 class PlumeMapping(Task):
-    """Find out what the concentration is at some locations, which the agents are told.
+    """Estimate the concentration at given locations.
 
     Every step gives 0. What counts is the score of what an agent hands in at the end: for steady plumes the
     concentration at each of L locations, and minus the sum of its squared errors; for puffs K samples at each, (L, K),
@@ -62,7 +62,7 @@ class PlumeMapping(Task):
 
     @property
     def ids(self) -> int:
-        """Numbers of what is drawn for: a location, or a source."""
+        """Number of draws: one per location or source."""
         return self.locations
 
     def init(self, world: World, state: State, draw: Draw) -> PlumeMemory:
@@ -99,7 +99,7 @@ class PlumeMapping(Task):
         return memory, jnp.zeros_like(fleet.vehicle.position_ned.x)
 
     def observe(self, memory: PlumeMemory, world: World, state: State) -> dict[str, Any]:
-        """Return what each vehicle (n,) sees.
+        """Return the observation of each vehicle (n,).
 
         ``vehicle`` (n, 10) is what it believes of itself and the last concentration it measured, ``locations``
         (n, L, 3) where the concentration is asked for [m].
@@ -115,16 +115,16 @@ class PlumeMapping(Task):
         }
 
     def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
-        """Return what the numbers of an observation are, where they have names."""
+        """Describe the named numbers of an observation."""
         return {"vehicle": (*BELIEVED, Axis("concentration", "1"))}
 
     def answer_shape(self, world: World) -> tuple[int, ...]:
-        """Return the shape of what an agent hands in: (L,) concentrations, or (L, K) samples for puffs."""
+        """Return the shape of an agent's answer: (L,) concentrations, or (L, K) samples for puffs."""
         puffs = isinstance(world.contents.plume, PuffPlume)
         return (self.locations, self.samples) if puffs else (self.locations,)
 
     def score(self, memory: PlumeMemory, world: World, state: State, answer: Array) -> Array:
-        """Return the score (n,) of what each agent hands in, (n, L) or (n, L, K)."""
+        """Score each agent's answer (n, L) or (n, L, K); (n,)."""
         world = world.with_drawn(state.drawn)
         around = surroundings(world, state.contents, jnp.int32(0))
         plume, sources = world.contents.plume, state.contents.plume
@@ -136,7 +136,7 @@ class PlumeMapping(Task):
         return -jax.vmap(lambda samples: divergence(reference, samples.T))(answer)
 
     def reference(self, memory: PlumeMemory, plume: PuffPlume, sources: Any, wind: Any, area: Any) -> Array:
-        """Return the concentrations (K, L) of puffs at the locations, at times ``sample_gap`` apart.
+        """Simulate the concentrations (K, L) of puffs at the locations, at times ``sample_gap`` apart.
 
         They are of a flight of puffs of its own that has gone on for long: of the same sources, other puffs.
         """
@@ -160,7 +160,7 @@ class PlumeMapping(Task):
 
 
 def divergence(one: Array, other: Array) -> Array:
-    """Return an estimate () of the Kullback-Leibler divergence D(P | Q) from samples of P (n, d) and of Q (m, d).
+    """Estimate the Kullback-Leibler divergence D(P | Q), (), from samples of P (n, d) and of Q (m, d).
 
     By distances to nearest neighbours: (d/n) sum ln(nu/rho) + ln(m/(n-1)), with rho the distance of a sample of P to
     the next of P and nu that to the next of Q (Wang, Kulkarni, Verdu, IEEE Trans. Inf. Theory 55, 2009, eq. 5).

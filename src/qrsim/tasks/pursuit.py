@@ -18,7 +18,7 @@ from qrsim.world.state import Action, State, World
 
 @record
 class PursuitMemory:
-    """Of an episode."""
+    """Memory of an episode."""
 
     z: Array = quantity(unit="m", doc="(n,) position down that each cat keeps")
 
@@ -41,7 +41,7 @@ class Pursuit(Task):
     asks_for: ClassVar[type | None] = VelocityHeightSetpoint
 
     def init(self, world: World, state: State, draw: Draw) -> PursuitMemory:
-        """Return what is remembered at the start."""
+        """Return the memory at the start."""
         _, fleet = fleet_of(world, state, self.fleet)
         return PursuitMemory(fleet.vehicle.position_ned.z)
 
@@ -63,7 +63,7 @@ class Pursuit(Task):
         return memory, jnp.broadcast_to(reward, nearest.shape)
 
     def observe(self, memory: PursuitMemory, world: World, state: State) -> Array:
-        """Return for each cat its position and velocity, and where mice and other cats are from there; all measured.
+        """Return each cat's measured position and velocity, and measured offsets to mice and other cats.
 
         North and east of each: position, velocity, offsets to the m mice, offsets to the n - 1 other cats in the order
         of the fleet, beginning behind the cat itself.
@@ -82,7 +82,7 @@ class Pursuit(Task):
         return jnp.concatenate(parts, axis=-1)
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Return what the numbers of an observation are."""
+        """Describe the numbers of an observation."""
         count, mice = (
             next(fleet.size for fleet in world.fleets if fleet.name == name) for name in (self.fleet, self.prey)
         )

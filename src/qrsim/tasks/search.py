@@ -30,7 +30,7 @@ from qrsim.world.state import Action, State, World
 
 @record
 class SearchMemory:
-    """Of an episode."""
+    """Memory of an episode."""
 
     yaw: Array = quantity(unit="rad", doc="(n,) heading that each vehicle keeps")
     found: Array = quantity(doc="() int32 persons found so far")
@@ -52,7 +52,7 @@ class Search(Task):
     asks_for: ClassVar[type | None] = VelocitySetpoint
 
     def init(self, world: World, state: State, draw: Draw) -> SearchMemory:
-        """Return what is remembered at the start."""
+        """Return the memory at the start."""
         model, fleet = fleet_of(world, state, self.fleet)
         return SearchMemory(model.vehicle.pose(fleet.vehicle).attitude.yaw, jnp.int32(0))
 
@@ -71,13 +71,13 @@ class Search(Task):
         return SearchMemory(yaw, found), jnp.broadcast_to(reward, yaw.shape)
 
     def picture(self, world: World, state: State) -> Picture:
-        """Return the picture that each vehicle (n,) took last."""
+        """Return the last picture of each vehicle (n,)."""
         world = world.with_drawn(state.drawn)
         number = number_of(world, self.fleet)
         return picture(world, state, number, self.camera)
 
     def observe(self, memory: SearchMemory, world: World, state: State) -> dict[str, Any]:
-        """Return what each vehicle (n,) sees.
+        """Return the observation of each vehicle (n,).
 
         ``vehicle`` (n, 9) is what it believes of itself, ``ratio`` (n, R, C) the log-likelihood ratio of each window of
         its last picture, 0 beyond the grid, ``grid`` (n, 2) the rows and columns of the grid, and ``corners`` (n, 4, 2)
@@ -106,7 +106,7 @@ class Search(Task):
         }
 
     def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
-        """Return what the numbers of an observation are, where they have names."""
+        """Describe the named numbers of an observation."""
         return {"vehicle": BELIEVED}
 
     def lens(self, world: World) -> Camera:

@@ -1,4 +1,4 @@
-"""The simple tasks: hold a place, reach one, hold a velocity; by SI commands, which cost.
+"""The simple tasks: hold a position, reach one, hold a velocity; by SI commands, at a cost.
 
 The rewards of an episode add up to what the reference implementation returns at its end: minus the integral of the
 costs, and for a place minus the squared distance from it at the end. That distance is paid as it changes, a potential
@@ -43,7 +43,7 @@ SHORTEST_REACH = 1.0
 
 @record
 class NoTask(Task):
-    """Nothing is to be done."""
+    """No task."""
 
     fleet: ClassVar[str] = ""  # type: ignore[misc]
     axes: ClassVar[tuple[Axis, ...]] = ()
@@ -60,7 +60,7 @@ class NoTask(Task):
         return None, jnp.zeros(0)
 
     def observe(self, memory: None, world: World, state: State) -> Array:
-        """Return what no agents see, (0, 0)."""
+        """Return an empty observation, (0, 0)."""
         return jnp.zeros((0, 0))
 
     def sees(self, world: World) -> tuple[Axis, ...]:
@@ -70,7 +70,7 @@ class NoTask(Task):
 
 @record
 class Effort:
-    """What a command costs per second: |R (u - u_n)|^2."""
+    """Cost of a command per second: |R (u - u_n)|^2."""
 
     tilt: Array = parameter(default=2.0 / math.pi, unit="1/rad", doc="weight of pitch and of roll", minimum=0.0)
     throttle: Array = parameter(default=0.5, unit="1", doc="weight of the throttle", minimum=0.0)
@@ -94,7 +94,7 @@ class Effort:
 
 @record
 class SimpleMemory:
-    """Of vehicles (n,)."""
+    """Memory of vehicles (n,)."""
 
     start_ned: Vec3 = quantity(unit="m", doc="where each started")
     cost: Array = quantity(doc="integral of what this step costs each")
@@ -105,7 +105,7 @@ class SimpleMemory:
 
 @record
 class Commanded(Task):
-    """What the simple tasks share: they are flown by SI commands, which cost."""
+    """Base of the simple tasks: flown by SI commands, at a cost."""
 
     effort: Effort = quantity(default=Effort(), doc="what commands cost")
     penalty: Array = parameter(default=-1000.0, unit="1", doc="return of an episode that ends in a crash", maximum=0.0)
@@ -124,37 +124,37 @@ class Commanded(Task):
     asks_for: ClassVar[type | None] = None
 
     def init(self, world: World, state: State, draw: Draw) -> SimpleMemory:
-        """Return what is remembered at the start."""
+        """Return the memory at the start."""
         _, fleet = fleet_of(world, state, self.fleet)
         start = fleet.vehicle.position_ned
         zero = jnp.zeros_like(start.x)
         return SimpleMemory(start, zero, self.reach(world, start), zero, jnp.zeros((), zero.dtype))
 
     def reach(self, world: World, start_ned: Vec3) -> Array:
-        """Return the squared distance (n,) from the goal at which a vehicle has its whole stake to pay [m^2]."""
+        """Return the squared distance (n,) from the goal that costs the whole stake [m^2]."""
         return jnp.full_like(start_ned.x, math.inf)
 
     def commands(self, memory: SimpleMemory, world: World, action: Array) -> tuple[Action, ...]:
-        """Return commands of numbers (n, 5)."""
+        """Convert actions (n, 5) to commands."""
         return only(world, self.fleet, Command(*(action[:, i] for i in range(len(COMMAND_FIELDS)))))
 
     def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:
-        """Add what a tick costs."""
+        """Add the cost of a tick."""
         cost = self.cost_rate(*fleet_of(world, state, self.fleet))
         return replace(memory, cost=memory.cost + cost * world.time_step)
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
-        """Return what each vehicle (n,) pays per second."""
+        """Return each vehicle's cost per second (n,)."""
         return self.effort.rate(fleet.command)
 
     def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return what each vehicle (n,) would have to pay on top if the episode ended here."""
+        """Return each vehicle's extra cost (n,) if the episode ended now."""
         return jnp.zeros_like(memory.owed)
 
     def judge(
         self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[SimpleMemory, Array]:
-        """Return minus what a step costs all vehicles together, for each of them."""
+        """Return the negative total cost of a step, for each vehicle."""
         distance = self.distance_squared(memory, world, state)
         stake = -self.stake * self.crash_return(memory, world, state, steps) / distance.shape[0]
         owed = distance + jnp.where(step < steps, stake * jnp.minimum(distance / memory.reach, 1.0), 0.0)
@@ -163,7 +163,7 @@ class Commanded(Task):
         return after, jnp.broadcast_to(reward, owed.shape)
 
     def crashed(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
-        """Return the reward () of the step in which a vehicle stops: what is missing to the return after a crash."""
+        """Return the reward () of the step in which a vehicle stops: the rest of the return after a crash."""
         return self.crash_return(memory, world, state, steps) - memory.total
 
     def crash_return(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
@@ -179,7 +179,7 @@ class Commanded(Task):
         return jnp.minimum(penalty, -jnp.sum(cost))
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
-        """Return an upper bound of what each vehicle (n,) can pay in an episode [s] without a crash."""
+        """Return an upper bound of each vehicle's cost (n,) in an episode [s] without a crash."""
         return jnp.broadcast_to(self.effort.highest_rate() * duration, memory.owed.shape)
 
 
@@ -188,7 +188,7 @@ class KeepSpot(Commanded):
     """Stay at the start, with little effort; the costs of several vehicles are summed."""
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Return what the numbers of an observation are."""
+        """Describe the numbers of an observation."""
         return (*BELIEVED, *(Axis(f"to_{name}", "m") for name in ("north", "east", "down")))
 
     def reach(self, world: World, start_ned: Vec3) -> Array:
@@ -197,7 +197,7 @@ class KeepSpot(Commanded):
         return jnp.maximum(jnp.maximum(world.area.margin(goal), SHORTEST_REACH) ** 2, square(start_ned - goal))
 
     def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return the squared distance of each vehicle (n,) from where it is to be [m^2]."""
+        """Return the squared distance of each vehicle (n,) from its goal [m^2]."""
         _, fleet = fleet_of(world, state, self.fleet)
         return square(fleet.vehicle.position_ned - self.goal(memory.start_ned, world))
 
@@ -211,7 +211,7 @@ class KeepSpot(Commanded):
         return start_ned
 
     def observe(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return what each vehicle believes of itself, and where the goal is from there."""
+        """Return each vehicle's own estimate, and the goal relative to it."""
         _, fleet = fleet_of(world, state, self.fleet)
         offset = self.goal(memory.start_ned, world) - estimate_of(fleet).position_ned
         return jnp.concatenate([believed(fleet), offset.stack()], axis=-1)
@@ -236,7 +236,7 @@ class KeepVelocity(Commanded):
     velocity_down: Array = parameter(default=0.0, unit="m/s", doc="wanted velocity over ground, down")
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Return what the numbers of an observation are."""
+        """Describe the numbers of an observation."""
         return (*BELIEVED, *(Axis(f"wanting_{name}", "m/s") for name in ("north", "east", "down")))
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
@@ -251,7 +251,7 @@ class KeepVelocity(Commanded):
         return Commanded.highest_cost(self, memory, world, duration) + error * error * duration
 
     def observe(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return what each vehicle believes of itself, and what it lacks of the wanted velocity."""
+        """Return each vehicle's own estimate, and its velocity error."""
         _, fleet = fleet_of(world, state, self.fleet)
         lacking = self._wanted() - estimate_of(fleet).velocity_ned
         return jnp.concatenate([believed(fleet), lacking.stack()], axis=-1)

@@ -192,6 +192,6 @@ def _half(value: float) -> float:
 
 
 def _first_choice(quantities: list[str], number: int) -> str:
-    """Return what a plot shows at first: something that goes wrong in interesting ways, where it is measured."""
+    """Return the initial quantity of a plot: one with instructive errors, if it is measured."""
     wanted = ("position_ned.x", "height")
     return next((q for q in quantities if q.endswith(wanted[number])), quantities[number])

@@ -102,7 +102,7 @@ def rebuilt(run: Run, world: World | None) -> Rebuilt | None:
 
 
 def _drawn(world: World, keys: WorldKeys) -> tuple[tuple[Any, ...], ContentsState]:
-    """Return what an episode draws for the ranges of a world, and its contents at the start."""
+    """Draw the ranges of an episode, and its contents at the start."""
     draws = episode_draws(world, keys, jnp.zeros((), world.fleets[0].start.position_ned.x.dtype))
     drawn = draw_ranges(world, draws)
     return drawn, start_contents(world.with_drawn(drawn), draws)
@@ -121,7 +121,7 @@ def _blown(world: World, keys: Any, puffs: Any, done: Any, wanted: Any) -> Any:
 
 
 class _Camera:
-    """Where and when the cameras of a fleet took their last pictures."""
+    """Positions and times of the last pictures of a fleet's cameras."""
 
     def __init__(self, run: Run, sensor: str, vehicles: slice, dtype: Any):
         parts = {"taken_at_ned": AXES, "taken_attitude": ANGLES}

@@ -1,1 +1,1 @@
-"""One world of fleets: what it is made of, what changes in it, and the order of a tick."""
+"""One world of fleets: its parameters, its state, and the order of a tick."""

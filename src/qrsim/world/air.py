@@ -16,7 +16,7 @@ Time = tuple[Array, Array]
 
 
 def turbulence_inputs(turbulence: Turbulence, position_ned: Vec3, time: Time, field: Any) -> dict[str, Any]:
-    """Return what a turbulence is handed beside its state and the height, by name.
+    """Return the arguments of a turbulence beside its state and the height, by name.
 
     Args:
         turbulence: whose ``reads`` say so.
@@ -46,7 +46,7 @@ def gust_rates_at(
 
 
 def around_of(world: World, attitude: Euler, rates_ned: Vec3 | None) -> Around:
-    """Return what a vehicle at an attitude (n,) may look at during a step, in air of a rotation (n,) [rad/s]."""
+    """Return the part of the world that a vehicle at an attitude (n,) may read, in air of a rotation (n,) [rad/s]."""
     still = Vec3.zeros(attitude.roll.shape, attitude.roll.dtype)
 
     def ground(position_ned: Vec3) -> tuple[Array, Vec3]:

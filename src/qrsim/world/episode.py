@@ -1,4 +1,4 @@
-"""What is drawn once an episode, and what is in a world beside vehicles: its start and its part of a tick."""
+"""Draws of an episode, and the contents of a world besides vehicles: their start and part of a tick."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from qrsim.world.state import (
 
 
 def episode_streams(world: World) -> list[str]:
-    """Return the names of the streams of what is drawn once an episode."""
+    """Return the names of the streams drawn once an episode."""
     contents = world.contents
     parts = ((PLUME, contents.plume), (TERRAIN, contents.terrain), (PERSONS, contents.persons))
     names = [f"{name}/start" for name, part in parts if part.random]
@@ -44,7 +44,7 @@ def episode_streams(world: World) -> list[str]:
 
 
 def episode_draws(world: World, keys: WorldKeys, like: Array) -> dict[str, Draw]:
-    """Return the draws of an episode by the names of their streams; whose ids they are, the user knows."""
+    """Return the draws of an episode, by the names of their streams."""
     sizes = {f"{PLACEMENT}/{fleet.name}": fleet.size for fleet in world.fleets}
     sizes |= {
         FIELD: world.turbulence.field_ids,
@@ -60,7 +60,7 @@ def episode_draws(world: World, keys: WorldKeys, like: Array) -> dict[str, Draw]
 
 
 def refuse_unplaced(world: World, placed: Any) -> None:
-    """Raise an error where a fleet found no place to start.
+    """Raise an error if a fleet has no start position.
 
     Args:
         world: whose fleets.
@@ -82,12 +82,12 @@ def refuse_unplaced(world: World, placed: Any) -> None:
 
 
 def draw_ranges(world: World, draws: dict[str, Draw]) -> tuple[Array, ...]:
-    """Return a number () for each range of the world."""
+    """Draw a number () for each range of the world."""
     return tuple(uniform(draws[f"{RANGE}/{item.name}"], 0, item.low, item.high)[0] for item in world.ranges)
 
 
 def draw_field(world: World, draws: dict[str, Draw]) -> Any:
-    """Return what the gusts of an episode share, None where they share nothing."""
+    """Draw the shared field of an episode's gusts, None if they share nothing."""
     return world.turbulence.draw_field(draws[FIELD]) if world.turbulence.field_ids else None
 
 
@@ -105,7 +105,7 @@ def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:
 
 
 def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Array | None]:
-    """Return where a fleet starts, and whether a place was found; None where it is given."""
+    """Place a fleet at its start; also return whether positions were found, None for given ones."""
     if not fleet.placement.random:
         return fleet.start, None
     start, found = fleet.placement.place(draws[f"{PLACEMENT}/{fleet.name}"], fleet.start, world.area)
@@ -113,14 +113,14 @@ def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Ar
 
 
 def surroundings(world: World, contents: ContentsState, tick: Array) -> Surroundings:
-    """Return what a sensor may look at of a world at a tick."""
+    """Return the part of a world that sensors may read at a tick."""
     return Surroundings(world.contents, contents, world.wind, world.area, tick, world.time_step)
 
 
 def step_contents(
     world: World, state: State, fleets: tuple[FleetState, ...], due: Array, after: Array
 ) -> ContentsState:
-    """Let puffs go, and see who is found by the vehicles at their new places."""
+    """Release puffs, and mark the persons found by the vehicles at their new positions."""
     contents = state.contents
     plume, persons = world.contents.plume, world.contents.persons
     if state.contents_keys is not None:
@@ -148,7 +148,7 @@ def step_contents(
 
 
 def picture(world: World, state: State, number: int, camera: str) -> Picture:
-    """Return the picture that each vehicle (n,) of a fleet took last.
+    """Return the last picture of each vehicle (n,) of a fleet.
 
     Args:
         world: with the numbers of the episode.
@@ -164,7 +164,7 @@ def picture(world: World, state: State, number: int, camera: str) -> Picture:
 
 
 def develop(world: World, contents: ContentsState, camera: Any, reading: Any, stream: Stream) -> Picture:
-    """Return the pictures that a camera of vehicles (n,) took last.
+    """Develop the last pictures of a camera of vehicles (n,).
 
     Args:
         world: with the numbers of the episode.

@@ -1,4 +1,4 @@
-"""The sensors' part of a tick: what they see, which of them are due, and what a controller makes of it."""
+"""The sensors' part of a tick: their inputs, which are due, and the controllers' estimates."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def sense(
 def faulted(
     fleet: Fleet, name: str, reading: Any, passed_on: tuple[Any, ...], tick: Array
 ) -> tuple[Any, tuple[Any, ...]]:
-    """Return the reading of a sensor as delivered, each fault having its turn, and what all faults passed on last."""
+    """Apply a sensor's faults in turn; return the delivered reading and the faults' last outputs."""
     memories = list(passed_on)
     for i, fault in enumerate(fleet.faults):
         if fault.sensor == name:
@@ -85,7 +85,7 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
 
 
 def estimate_of(fleet: Fleet, state: FleetState) -> Estimate:
-    """Return what the controller is fed with: the truth, or horizontal GNSS, the barometer and the attitude."""
+    """Return the controller's estimate: the truth, or from horizontal GNSS, barometer and attitude."""
     truth = fleet.vehicle.pose(state.vehicle)
     if fleet.controller.feed == "truth":
         velocity = rotation(truth.attitude).to_ned(truth.velocity_body)
@@ -100,7 +100,7 @@ def estimate_of(fleet: Fleet, state: FleetState) -> Estimate:
 
 
 def measured_quantities(readings: tuple[Any, ...]) -> dict[str, Any]:
-    """Merge the fields of all readings by name; of two sensors with the same field the first counts."""
+    """Merge the fields of all readings by name; the first sensor with a field takes precedence."""
     merged: dict[str, Any] = {}
     for reading in readings:
         for name in reading.__dataclass_fields__:

@@ -1,4 +1,4 @@
-"""What a world is made of: its parameters (World) and everything in it that changes (State)."""
+"""A world's parameters (World) and everything in it that changes (State)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TURBULENCE, PROCESS = "turbulence", "process"
 
 @record
 class Start:
-    """Where and how each vehicle (n,) of a fleet starts."""
+    """Start position and attitude of each vehicle (n,) of a fleet."""
 
     position_ned: Vec3 = quantity(unit="m", doc="position")
     attitude: Euler = quantity(unit="rad", doc="Euler angles")
@@ -71,7 +71,7 @@ class Fleet:
 
     @property
     def stream_names(self) -> tuple[str, ...]:
-        """What draws noise in the fleet, in the order of its keys."""
+        """Names of the fleet's noise streams, in the order of its keys."""
         return (TURBULENCE, PROCESS, *self.sensor_names)
 
 
@@ -106,7 +106,7 @@ class World:
     ranges: tuple[Range, ...] = quantity(default=(), doc="numbers that every episode draws anew")
 
     def with_drawn(self, drawn: tuple[Array, ...]) -> World:
-        """Return the world with the numbers that an episode has drawn for its ranges."""
+        """Return the world with an episode's draws for its ranges."""
         world = self
         for item, value in zip(self.ranges, drawn, strict=True):
             for path in item.paths:
@@ -187,12 +187,12 @@ class WorldKeys:
 
 
 def period_ticks(period: float, time_step: float) -> int:
-    """Return a period as a number of ticks (checked to be whole when the scenario is loaded)."""
+    """Convert a period to ticks (checked to be whole when the scenario is loaded)."""
     return max(1, round(period / time_step))
 
 
 def when_due(ticks: int, due: Array, fresh: Any, held: S) -> S:
-    """Return fresh() on every multiple of ``ticks``, else what is held."""
+    """Return fresh() on every multiple of ``ticks``, else the held value."""
     if ticks == 1:
         return fresh()
     return lax.cond(due % ticks == 0, fresh, lambda: held)

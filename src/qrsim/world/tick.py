@@ -238,7 +238,7 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
 
 
 def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Array]]:
-    """Return the checks (code, value, broken) of each vehicle (n,) of a fleet on its own, without the others."""
+    """Check each vehicle (n,) of a fleet alone, without the others; (code, value, broken)."""
     pose = fleet.vehicle.pose(state.vehicle)
     finite = jnp.all(jnp.stack([jnp.isfinite(leaf) for leaf in jax.tree.leaves(state.vehicle)]), axis=0)
     return [

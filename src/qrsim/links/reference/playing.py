@@ -149,7 +149,7 @@ class Playing:
         return action
 
     def _answer(self, given: Sequence[Act.Answer]) -> Array:
-        """Return what each of the n agents hands in, (n, ...)."""
+        """Return the answers of the n agents, (n, ...)."""
         shape, agents = self.answer_shape, self.play.agents
         if not shape:
             raise UsageError("answer: nothing is handed in in this task")

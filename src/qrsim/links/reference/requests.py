@@ -39,7 +39,7 @@ async def init(connection: Client, message: Message) -> bool:
 
 
 def _wishes(connection: Client, task: str, *, scenario: str | None = None, flown: bool = True, **others: Any) -> Wishes:
-    """Return what a client wishes, its scenario to be flown by commands or to be played."""
+    """Return the options of a client's session, its scenario to be flown by commands or played."""
     server = connection.server
     # What is not UTF-8 comes as bytes.
     if not isinstance(task, str) or not isinstance(scenario, str | None):

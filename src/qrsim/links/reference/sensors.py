@@ -47,7 +47,7 @@ def sensor_readings(simulation: Simulation) -> pb.Readings:
 
 @dataclasses.dataclass(frozen=True)
 class _Sensor:
-    """What one sensor of the n vehicles of a fleet says.
+    """Message parts of one sensor of the n vehicles of a fleet.
 
     Attributes:
         name: of the sensor.
@@ -153,7 +153,7 @@ def _text(tag: bytes, text: str) -> bytes:
 
 
 def _sensor(name: str, reading: Any, site: Site) -> _Sensor | None:
-    """Return what a sensor says, from the places of its reading; None for one with pictures."""
+    """Return a sensor's part of the message, from the places of its reading; None for one with pictures."""
     if isinstance(reading, CameraReading):
         return None
     own = {field.name: as_array(getattr(reading, field.name)) for field in dataclasses.fields(reading)}

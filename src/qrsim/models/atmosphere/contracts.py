@@ -1,4 +1,4 @@
-"""What a world asks of its air: mean wind, turbulence, discrete gusts.
+"""Protocols of mean wind, turbulence and discrete gusts, as worlds use them.
 
 A component names its contract as its base class. Methods marked abstract are required; the others, and the class
 variables, have the defaults that stand here. An argument with a default may be left out of a component's own method.
@@ -25,7 +25,7 @@ class Wind(Protocol):
     """The mean wind."""
 
     def at(self, duration: float) -> Wind:
-        """Return what flies for a run of a duration [s]: the wind itself, or what it reads from its file.
+        """Return the wind for a run of a duration [s]: itself, or the content of its file.
 
         Raises:
             UsageError: it does not last that long.
@@ -55,7 +55,7 @@ class Turbulence(Protocol):
     field_ids: int = 0
 
     def draw_field(self, draw: Draw) -> Any:
-        """Return what the gusts of all vehicles of an episode share, of a draw for ``field_ids`` ids."""
+        """Draw the field shared by the gusts of all vehicles of an episode, from a draw for ``field_ids`` ids."""
         return None
 
     @abstractmethod
@@ -83,4 +83,4 @@ class Gust(Protocol):
 
     @abstractmethod
     def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array) -> Vec3:
-        """Return what it adds to the air's velocity (n,) [m/s] at positions (n,) [m]."""
+        """Return its part of the air's velocity (n,) [m/s] at positions (n,) [m]."""

@@ -96,7 +96,7 @@ def dryden_scales(height_agl: Array, speed_20ft: Array, severity: int) -> tuple[
 
 
 class Decay(NamedTuple):
-    """exp(-x) and what is left of other things, each without loss of digits for x from 1e-7 to 50."""
+    """exp(-x) and related functions, each without loss of digits for x from 1e-7 to 50."""
 
     decay: Array  # a = exp(-x)
     loss: Array  # 1 - a
@@ -106,7 +106,7 @@ class Decay(NamedTuple):
 
 
 def exponential_decay(x: Array) -> Decay:
-    """Return the functions of x = V T/L, any shape, that one step of a filter is made of."""
+    """Return the functions of x = V T/L, any shape, that form one step of a filter."""
     small = jnp.minimum(x, _SERIES_BELOW)
     square = small * small
     series = jnp.full_like(square, _SINH_TERMS[-1])

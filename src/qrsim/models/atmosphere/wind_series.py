@@ -88,7 +88,7 @@ class WindFile:
     )
 
     def at(self, duration: float) -> WindSeries:
-        """Read the file and return what a tick uses, in float64.
+        """Read the file and return the wind of a run, in float64.
 
         Args:
             duration: length of the run [s], which the series must cover from 0 on.

@@ -1,4 +1,4 @@
-"""What a world and its receivers ask of the sky, and the sky of its range errors (of its satellites: orbits.py).
+"""Protocols of the sky and of its range errors, as worlds and receivers use them (satellites: orbits.py).
 
 A component names its contract as its base class. Methods marked abstract are required; the others, and the class
 variables, have the defaults that stand here.

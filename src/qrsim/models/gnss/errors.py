@@ -71,7 +71,7 @@ PRESETS: dict[str, dict[str, float | str]] = {
 
 @record
 class GaussMarkov2State:
-    """Range errors and what drives them, each (S,) and in units of its standard deviation."""
+    """Range errors and their driving processes, each (S,) and in units of its standard deviation."""
 
     error: Array = quantity(unit="1", doc="range error")
     drive: Array = quantity(unit="1", doc="first-order process that the range error integrates with a leak")

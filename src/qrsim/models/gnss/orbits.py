@@ -31,7 +31,7 @@ _UNITS_PER_RAD = 2.0**32 / (2.0 * math.pi)
 
 
 class Orbits(Protocol):
-    """What a tick needs of an ephemeris: a record of arrays made for one site and one start time."""
+    """Satellite orbits as a tick uses them: a record of arrays for one site and one start time."""
 
     def positions_ned(self, seconds: Array, fraction: Array) -> Vec3:
         """Return the satellites' positions [m], Vec3 of (S,), in the site's NED frame.
@@ -57,7 +57,7 @@ class Ephemeris(Protocol):
 
     @property
     def span_gps_seconds(self) -> tuple[float, float]:
-        """First and last time [GPS s] with positions; infinite where there is no limit."""
+        """First and last time [GPS s] with positions; infinite if unlimited."""
         ...
 
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
@@ -70,7 +70,7 @@ class Ephemeris(Protocol):
         ...
 
     def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf) -> Orbits:
-        """Return the record that a tick uses, for a run that starts at a time [GPS s] and lasts so long."""
+        """Return the orbits of a run that starts at a time [GPS s] and lasts a duration."""
         ...
 
 
@@ -200,13 +200,13 @@ class NominalConstellation:
 
     @property
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
-        """Slots counted from 0; they are no PRNs, which the upper byte says."""
+        """Slot indices from 0; the upper byte marks them as not PRNs."""
         return np.arange(len(self.satellites), dtype=np.uint32) * np.uint32(256)
 
     def at(
         self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf
     ) -> KeplerOrbits:
-        """Return the orbits as a tick uses them.
+        """Return the orbits of a run.
 
         Args:
             site: where the signals are received.

@@ -87,7 +87,7 @@ class SharedSky(Sky):
 
 @record
 class GnssReading:
-    """What a receiver reports; NaN where there is no fix."""
+    """Reading of a receiver; NaN without a fix."""
 
     position_ned: Vec3 = quantity(unit="m", doc="position in the site's frame")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
@@ -172,7 +172,7 @@ def _inverse_symmetric(a: Array, b: Array, c: Array, d: Array, e: Array, f: Arra
 
 @record
 class ReceiverState:
-    """What a receiver remembers: the last fix, and the fixes still on their way to the user."""
+    """State of a receiver: the last fix, and the fixes not delivered yet."""
 
     position_ned: Vec3 = quantity(unit="m", doc="last solution")
     true_ned: Any = quantity(unit="m", doc="true position at the last solution; None for a solution of two parts")
@@ -219,7 +219,7 @@ class GnssReceiver(Sensor):
     def init(
         self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState, position_low_ned: Vec3 | None = None
     ) -> tuple[ReceiverState, GnssReading]:
-        """Return the first fix, as if it had been reported for a while; its velocity is the true one."""
+        """Return the first fix, as if reported for some time already; its velocity is the true one."""
         listed = self._choose_listed(draw, sky) if self.satellites == "hand_list" else None
         fix, _ = self._solve(draw, position_ned, sky, listed)
         position, true, low = _solution(position_ned, fix, position_low_ned)
@@ -230,7 +230,7 @@ class GnssReceiver(Sensor):
         self, state: ReceiverState, draw: Draw, since: Array, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState,
         position_low_ned: Vec3 | None = None,
     ) -> tuple[ReceiverState, GnssReading]:  # fmt: skip
-        """Return the first fix of receivers that were put elsewhere ``since`` [s] after an epoch."""
+        """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
         fresh, reading = self.init(draw, position_ned, velocity_ned, sky, position_low_ned)
         # Where they would have been at that epoch, because the next velocity is that of a whole period.
         moved = velocity_ned * since
@@ -260,7 +260,7 @@ class GnssReceiver(Sensor):
         return ReceiverState(position, true, queue[1:], state.listed, low), queue[0]
 
     def fix(self, draw: Draw, position_ned: Vec3, sky: SkyState) -> Fix:
-        """Return the navigation solution of each receiver (n,) from the satellites above the mask."""
+        """Solve for the position of each receiver (n,) from the satellites above the mask."""
         return self._solve(draw, position_ned, sky, None)[0]
 
     def _solve(self, draw: Draw, position_ned: Vec3, sky: SkyState, listed: Any) -> tuple[Fix, Vec3 | None]:

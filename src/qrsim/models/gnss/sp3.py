@@ -86,7 +86,7 @@ class Sp3Ephemeris:
 
     @cached_property
     def data(self) -> Sp3File:
-        """The file's content, read when first asked for; raises UsageError as ``read_sp3`` does."""
+        """The file's content, read on first use; raises UsageError as ``read_sp3``."""
         return read_sp3(self.file)
 
     @property
@@ -107,7 +107,7 @@ class Sp3Ephemeris:
 
     @property
     def cut_off(self) -> str:
-        """What an error adds where the file may be cut off, beginning with a semicolon; "" where it is not."""
+        """Addition to errors if the file may be truncated, beginning with a semicolon; else ""."""
         return f"; {self.data.cut_off}" if self.data.cut_off else ""
 
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
@@ -131,7 +131,7 @@ class Sp3Ephemeris:
         return self._received(site, flat, self._interval_of(flat)).reshape(*since_first.shape, -1, 3)
 
     def notes(self, start_gps_seconds: float, duration_s: float = math.inf) -> tuple[str, ...]:
-        """Return what a user should know of a run's orbits, one sentence each.
+        """Return notes for the user on a run's orbits, one sentence each.
 
         They are the file's own notes, nearness to the ends of its span, satellites that it lacks or loses on the way,
         and too few of them. A run of unknown, infinite duration is looked at to the end of the file, whose nearness
@@ -165,7 +165,7 @@ class Sp3Ephemeris:
         return tuple(found)
 
     def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf) -> Sp3Orbits:
-        """Return the orbits as a tick uses them, for the whole of the file; each note becomes a warning.
+        """Return the orbits of a run, over the whole file; each note becomes a warning.
 
         Args:
             site: where the signals are received.

@@ -1,4 +1,4 @@
-"""Reading SP3 orbit files: what the file says, on a regular grid of epochs, and nothing about interpolation.
+"""Reads SP3 orbit files to a regular grid of epochs, without interpolation.
 
 SP3-a is described by Spofford and Remondi (1994), SP3-c by Hilla (NGS, 2010) and SP3-d by Hilla (NGS, 2016). Times
 are those of the epoch lines: the header's number of epochs and seconds of week are stale in trimmed products. The
@@ -39,7 +39,7 @@ _COORDINATES_END, _CLOCK_END, _MANOEUVRE = 46, 60, 78
 
 @dataclass(frozen=True)
 class Sp3File:
-    """What an SP3 file holds, on a grid of evenly spaced epochs.
+    """Content of an SP3 file, on a grid of evenly spaced epochs.
 
     Attributes:
         path: the file as it was asked for.
@@ -286,7 +286,7 @@ def _grid(lines: _Lines, epochs: list[_Epoch]) -> tuple[int, list[int]]:
 
 
 def _gap(path: str, epochs: list[_Epoch], name: str) -> str:
-    """Return what is missing of a satellite, "" where nothing is."""
+    """Describe the missing data of a satellite, "" if complete."""
     absent = [epoch for epoch in epochs if name not in epoch.records or not any(epoch.records[name].xyz_km)]
     moved = [epoch for epoch in epochs if name in epoch.records and epoch.records[name].moved]
     found = []
@@ -299,5 +299,5 @@ def _gap(path: str, epochs: list[_Epoch], name: str) -> str:
 
 
 def gps_text(gps_seconds: float) -> str:
-    """Return a time on the GPS scale, to the second, for a message."""
+    """Format a GPS time, to the second, for messages."""
     return f"{GPS_EPOCH + timedelta(seconds=round(gps_seconds)):%Y-%m-%d %H:%M:%S} GPS"

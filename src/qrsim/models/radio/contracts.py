@@ -1,4 +1,4 @@
-"""What a world asks of the radio between its vehicles; none is built in."""
+"""Protocol of the radio between vehicles, as worlds use it; no radio is built in."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from qrsim.core.vectors import Vec3
 
 @record
 class Inbox:
-    """What each vehicle (n,) has heard: the newest message of each of at most K senders, D numbers each."""
+    """Received messages of each vehicle (n,): the newest of each of at most K senders, D numbers each."""
 
     payload: Array = quantity(doc="(n, K, D) numbers")
     sender: Array = quantity(doc="(n, K) int32 number of the sender in the world; -1: no message")
@@ -39,7 +39,7 @@ class Radio(Protocol):
 
     @abstractmethod
     def init(self, draw: Draw, position_ned: Vec3) -> Any:
-        """Return the state of an episode for vehicles at positions (n,) [m], with nothing heard yet."""
+        """Return the state at the start for vehicles at positions (n,) [m], without received messages."""
 
     @abstractmethod
     def exchange(

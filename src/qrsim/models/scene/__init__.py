@@ -1,1 +1,1 @@
-"""What is in the area: its limits, obstacles, ground cover, plume, persons, and where vehicles start."""
+"""The area and its contents: limits, obstacles, ground cover, plume, persons, starts of vehicles."""

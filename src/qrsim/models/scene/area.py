@@ -1,4 +1,4 @@
-"""Where vehicles may be, and when a vehicle stops being valid (docs/scenarios.md)."""
+"""Limits of the area, and the conditions that end a vehicle's flight (docs/scenarios.md)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def reason_code(kind: str, field: str) -> int:
 
 
 def reason_text(code: int, value: float) -> str:
-    """Return a reason in words: kind, field and value; "" for code 0."""
+    """Describe a reason in words: kind, field and value; "" for code 0."""
     if code == 0:
         return ""
     kind, field = REASONS[code]
@@ -70,7 +70,7 @@ class Violation:
         return Violation(code, value)
 
     def or_else(self, other: Violation) -> Violation:
-        """Keep this violation where there is one, else the other."""
+        """Combine two violations; this one takes precedence."""
         here = self.code != 0
         return Violation(jnp.where(here, self.code, other.code), jnp.where(here, self.value, other.value))
 
@@ -123,7 +123,7 @@ class BoxArea(Area):
 
 @record
 class StateLimits:
-    """Limits of what the identified model is trusted for."""
+    """Limits of validity of the identified model."""
 
     pitch: Array = parameter(
         default=math.radians(89.0), unit="rad", doc="largest |pitch|", above=0.0, maximum=math.pi / 2
@@ -148,7 +148,7 @@ class StateLimits:
 
 
 def collisions(position_ned: Vec3, collision_distance: Array) -> Violation:
-    """Return which of all vehicles of a world (n,) are closer to another than collision_distance [m].
+    """Return which vehicles (n,) of a world are closer to another than collision_distance [m].
 
     Looks at all positions together, so the result does not depend on the order of the vehicles, and counts
     vehicles that have already stopped.

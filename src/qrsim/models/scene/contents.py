@@ -1,4 +1,4 @@
-"""What a world has in it beside vehicles: a plume, the ground's cover, persons."""
+"""Contents of a world besides vehicles: plume, ground cover, persons."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WIND_HEIGHT = 6.0
 
 @record
 class Contents:
-    """The components; by default there is nothing."""
+    """The components; by default a world is empty."""
 
     plume: Any = quantity(default=NoPlume(), doc="concentration field")
     terrain: GroundCover = quantity(default=ClearGround(), doc="cover of the ground")
@@ -36,7 +36,7 @@ class Contents:
 
 @record
 class ContentsState:
-    """What changes of them, or is drawn once an episode; None where there is nothing."""
+    """Their states, and values drawn once an episode; None if absent."""
 
     plume: Any = quantity(default=None, doc="sources and puffs")
     terrain: Any = quantity(default=None, doc="classes of the ground")
@@ -45,7 +45,7 @@ class ContentsState:
 
 @record
 class Surroundings:
-    """What a sensor may look at of a world at a tick."""
+    """The part of a world that sensors may read at a tick."""
 
     contents: Contents = quantity(doc="components")
     state: ContentsState = quantity(doc="their state")

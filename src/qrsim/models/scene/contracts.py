@@ -1,4 +1,4 @@
-"""What a world asks of the area where its vehicles may be, and of what is in it: a plume, ground cover, persons.
+"""Protocols of the flight area and its contents: plume, ground cover, persons.
 
 A component names its contract as its base class. Methods marked abstract are required; the others, and the class
 variables, have the defaults that stand here.
@@ -18,7 +18,7 @@ from qrsim.errors import UsageError
 
 @runtime_checkable
 class Area(Protocol):
-    """Where vehicles may be; a ground at z = 0 unless ``height_agl`` says otherwise.
+    """The flight area; its ground is at z = 0 unless ``height_agl`` says otherwise.
 
     Attributes:
         is_box: whether it has the limits ``x_min`` to ``z_max`` [m], which plumes, ground cover and persons need.
@@ -35,7 +35,7 @@ class Area(Protocol):
         """Return the distance (n,) [m] of positions from the nearest limit; negative outside."""
 
     def farthest_squared(self, position_ned: Vec3) -> Array:
-        """Return the squared distance (n,) [m^2] of positions from the farthest place of the area.
+        """Return the squared distance (n,) [m^2] of positions from the farthest point of the area.
 
         Raises:
             UsageError: the area cannot say.
@@ -87,7 +87,7 @@ class Plume(Protocol):
 
 @runtime_checkable
 class GroundCover(Protocol):
-    """What the ground is like.
+    """Ground cover of the area.
 
     Attributes:
         random: whether ``init`` draws it anew for each episode.
@@ -110,7 +110,7 @@ class GroundCover(Protocol):
 
 @runtime_checkable
 class People(Protocol):
-    """Who is to be found on the ground.
+    """Persons on the ground.
 
     Attributes:
         random: whether ``init`` draws them anew for each episode; else nobody is there.

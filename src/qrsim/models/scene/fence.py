@@ -1,4 +1,4 @@
-"""A polygon as the limit of an area: an upright prism, and what makes a polygon unfit for one."""
+"""A polygon as the limit of an area: an upright prism, and checks of the polygon."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class PolygonArea(Area):
 
 
 def polygon_problems(vertices: npt.ArrayLike) -> list[str]:
-    """Return why corners (V, 2), in any unit, are no simple polygon, one sentence each; none where they are.
+    """Return the reasons why corners (V, 2), in any unit, are not a simple polygon, one sentence each.
 
     Corners are counted from 0, and the last is joined to the first. Edges that touch count as crossing.
     """

@@ -20,7 +20,7 @@ INNER = 0.8
 
 @record
 class NoPersons(People):
-    """Nobody is there."""
+    """No persons."""
 
     random: ClassVar[bool] = False
 
@@ -35,14 +35,14 @@ class PersonsState:
     found_tick: Array = quantity(doc="int32 tick at which it was found, -1 before")
 
     def missing(self, tick: Array | None = None) -> Array:
-        """Return which persons (P,) are there and not found, now or at an earlier tick."""
+        """Return which persons (P,) are present and not found by a tick (None: by now)."""
         found = self.found_tick >= 0
         return self.there & ~(found if tick is None else found & (self.found_tick <= tick))
 
 
 @record
 class Persons(People):
-    """Persons who lie still; one is found when a vehicle hovers near, looked at once a period."""
+    """Persons at rest; one is found when a vehicle hovers near, checked once a period."""
 
     size: Array = parameter(default=0.5, unit="m", doc="side of the square that a person is", above=0.0)
     found_distance: Array = parameter(default=5.0, unit="m", doc="a vehicle this near finds, in 3-D", above=0.0)
@@ -55,7 +55,7 @@ class Persons(People):
     random: ClassVar[bool] = True
 
     def init(self, draw: Draw, cells: Array, area: Any) -> PersonsState:
-        """Return the persons (P,) of an episode, uniform on their class of ground in the inner part of the area.
+        """Draw the persons (P,) of an episode, uniform on their class of ground in the inner part of the area.
 
         Where the area has no such ground, a person is anywhere in the inner part.
 
@@ -82,7 +82,7 @@ class Persons(People):
         return PersonsState(north, east, there, jnp.full(self.most, -1, jnp.int32))
 
     def step(self, state: PersonsState, position_ned: Vec3, speed: Array, valid: Array, tick: Array) -> PersonsState:
-        """Mark whom a vehicle (n,) finds at a tick."""
+        """Mark the persons that a vehicle (n,) finds at a tick."""
         north, east = position_ned.x[:, None] - state.north[None], position_ned.y[:, None] - state.east[None]
         distance = jnp.sqrt(north * north + east * east + (position_ned.z * position_ned.z)[:, None])
         finds = (distance <= self.found_distance) & ((speed <= self.found_speed) & valid)[:, None]

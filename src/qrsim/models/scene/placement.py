@@ -1,4 +1,4 @@
-"""Where the vehicles of a fleet start in an episode."""
+"""Start positions of a fleet in an episode."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from qrsim.models.scene.uniform import uniform
 
 @record
 class GivenPlaces:
-    """Every vehicle starts where the scenario says."""
+    """Every vehicle starts at its position in the scenario."""
 
     random: ClassVar[bool] = False
 
@@ -35,7 +35,7 @@ class UniformPlaces:
     random: ClassVar[bool] = True
 
     def place(self, draw: Draw, start: Any, area: Any) -> tuple[Any, Array]:
-        """Return the start of vehicles (n,), and whether it was found; see ``_first_apart``."""
+        """Draw the start of vehicles (n,), and report whether one was found; see ``_first_apart``."""
         low, high = inner_box(area, self.inner)
 
         def candidate(number: Array) -> tuple[Array, Array]:
@@ -64,7 +64,7 @@ class RingPlaces:
     random: ClassVar[bool] = True
 
     def place(self, draw: Draw, start: Any, area: Any) -> tuple[Any, Array]:
-        """Return the start of vehicles (n,), and whether it was found; see ``_first_apart``."""
+        """Draw the start of vehicles (n,), and report whether one was found; see ``_first_apart``."""
 
         def candidate(number: Array) -> tuple[Array, Array]:
             sine, cosine = sincos(uniform(draw, 2 * number, -math.pi, math.pi))
@@ -75,7 +75,7 @@ class RingPlaces:
         return replace(start, position_ned=Vec3(north, east, start.position_ned.z)), found
 
     def most_vehicles(self) -> int:
-        """Return how many fit on the outer circle, which is more than find a place by chance."""
+        """Return how many vehicles fit on the outer circle: an upper bound for random placement."""
         # Of distances next to nothing any number fits, and an angle too small to divide by.
         if self.apart <= 1e-9 * self.farthest:
             return 10**9

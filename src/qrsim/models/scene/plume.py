@@ -1,4 +1,4 @@
-"""Concentration of something that is released into the air (docs/models/scene.md).
+"""Concentration of a substance released into the air (docs/models/scene.md).
 
 Three fields: a Gaussian in space that nothing moves, the plume of steady releases in a wind, and single puffs that the
 wind carries away. The last two spread as in Symington et al. (IROS 2014): s = 2 a x'^b, with x' the distance downwind
@@ -30,14 +30,14 @@ RELEASES_PER_STEP = 4
 
 @record
 class Sources:
-    """Where something is released, (S,)."""
+    """Positions of releases, (S,)."""
 
     position_ned: Vec3 = quantity(unit="m", doc="position")
     strength: Array = quantity(doc="rate, amount or peak, 0 where this episode has fewer sources")
 
 
 def inner_box(area: Any, part: Array | float) -> tuple[Vec3, Vec3]:
-    """Return the lowest and the highest corner of the inner part of a box along every axis."""
+    """Return the lowest and the highest corner of the inner part of a box."""
 
     def shrunk(low: Array, high: Array) -> tuple[Array, Array]:
         middle, half = 0.5 * (low + high), 0.5 * part * (high - low)
@@ -70,7 +70,7 @@ class Wind:
         return Wind(speed, velocity_ned.x / speed, velocity_ned.y / speed)
 
     def along_across(self, offset_ned: Vec3) -> tuple[Array, Array]:
-        """Return how far [m] offsets lie downwind and across the wind."""
+        """Return downwind and crosswind components [m] of offsets."""
         along = self.north * offset_ned.x + self.east * offset_ned.y
         return along, self.north * offset_ned.y - self.east * offset_ned.x
 
@@ -125,7 +125,7 @@ class GaussianPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of sources that are drawn for."""
+        """Number of sources drawn."""
         return self.most
 
     def init(self, draw: Draw, area: Any) -> GaussianState:
@@ -150,7 +150,7 @@ class GaussianPlume(Plume):
         return self.concentration(state, position_ned, wind, None, jnp.zeros((), position_ned.x.dtype))
 
     def scale(self, state: GaussianState) -> Array:
-        """Return what a concentration () is compared with to be called large: the peak."""
+        """Return the scale of concentrations (): the peak."""
         return jnp.max(state.sources.strength)
 
 
@@ -187,7 +187,7 @@ class DispersionPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of sources that are drawn for."""
+        """Number of sources drawn."""
         return self.most
 
     def init(self, draw: Draw, area: Any) -> Sources:
@@ -208,7 +208,7 @@ class DispersionPlume(Plume):
         return self.concentration(state, position_ned, wind, None, jnp.zeros((), position_ned.x.dtype))
 
     def scale(self, state: Sources) -> Array:
-        """Return what a concentration () is compared with to be called large: the smallest rate of the episode."""
+        """Return the scale of concentrations (): the smallest rate of the episode."""
         return jnp.min(jnp.where(state.strength > 0.0, state.strength, jnp.inf))
 
 
@@ -250,11 +250,11 @@ class PuffPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of sources that are drawn for."""
+        """Number of sources drawn."""
         return self.most
 
     def init(self, draw: Draw, area: Any) -> PuffState:
-        """Return the sources (S,) of an episode, none of which has released anything."""
+        """Draw the sources (S,) of an episode, before their first release."""
         position, there = _placed(draw, area, self.fewest, self.most)
         sources = Sources(position, there.astype(position.x.dtype))
         nothing = jnp.zeros((self.most, self.puffs), position.x.dtype)
@@ -294,13 +294,13 @@ class PuffPlume(Plume):
         return jnp.sum(jnp.where(along > 0.0, field, 0.0), axis=-1)
 
     def mean(self, state: PuffState, position_ned: Vec3, wind: Wind) -> Array:
-        """Return the concentration at positions (n,) of the plume that the largest puffs come to in time."""
+        """Return the mean over time of the concentration at positions (n,), for the largest puffs."""
         plume = DispersionPlume(spread_factor=self.spread_factor, spread_exponent=self.spread_exponent)
         rate = state.sources.strength * (self.amount_max / self.gap)
         return plume.mean(Sources(state.sources.position_ned, rate), position_ned, wind)
 
     def scale(self, state: PuffState) -> Array:
-        """Return what a concentration () is compared with to be called large: 1."""
+        """Return the scale of concentrations (): 1."""
         return jnp.ones((), state.age.dtype)
 
     def _in_box(self, source_ned: Vec3, flown: Array, wind: Wind, area: Any) -> Array:
@@ -313,5 +313,5 @@ class PuffPlume(Plume):
 
 
 def trail(factor: Array | float, exponent: Array | float, flown: Array) -> Array:
-    """Return how far [m] behind its middle a puff that has flown so far [m] is worth looking at."""
+    """Return how far [m] behind its centre a puff matters after a distance flown [m]."""
     return jnp.sqrt(-2.0 * math.log(NEGLIGIBLE) * factor * exp(exponent * log(jnp.maximum(flown, 1e-3))))

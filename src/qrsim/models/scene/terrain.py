@@ -1,4 +1,4 @@
-"""What the ground is like where persons are looked for (docs/models/scene.md)."""
+"""Ground cover of the search area (docs/models/scene.md)."""
 
 from __future__ import annotations
 

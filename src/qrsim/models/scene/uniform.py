@@ -1,4 +1,4 @@
-"""Uniform numbers for what is placed at random once an episode."""
+"""Uniform random numbers for placement once an episode."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What vehicles carry to sense with, and its faults."""
+"""Sensors of vehicles, and their faults."""

@@ -21,7 +21,7 @@ class AttitudeReading:
 
 @record
 class AttitudeState:
-    """What the estimator remembers."""
+    """State of the estimator."""
 
     error: Vec3 = quantity(unit="rad", doc="error of roll, pitch and yaw")
 

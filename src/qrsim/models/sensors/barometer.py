@@ -14,7 +14,7 @@ from qrsim.models.sensors.contracts import Sensor
 
 @record
 class BarometerReading:
-    """Height as the barometer gives it."""
+    """Height measured by the barometer."""
 
     height: Array = quantity(unit="m", doc="height above the site's origin, positive up")
     height_rate: Array = quantity(unit="m/s", doc="change of height over the last period, positive up")
@@ -22,7 +22,7 @@ class BarometerReading:
 
 @record
 class BarometerState:
-    """What the barometer remembers."""
+    """State of the barometer."""
 
     drift: Array = quantity(unit="m", doc="slow error")
     height: Array = quantity(unit="m", doc="previous reading")
@@ -55,7 +55,7 @@ class Barometer(Sensor):
     def restart(
         self, state: BarometerState, draw: Noise, since: Array, position_ned: Vec3, velocity_ned: Vec3
     ) -> tuple[BarometerState, BarometerReading]:
-        """Return the first reading of vehicles that were put elsewhere ``since`` [s] after a reading."""
+        """Return the first reading of vehicles placed anew, ``since`` [s] after a reading."""
         fresh, reading = self.init(draw, position_ned, velocity_ned)
         # The height that it would have read then, because the next rate is that of a whole period.
         return BarometerState(fresh.drift, fresh.height + velocity_ned.z * since), reading

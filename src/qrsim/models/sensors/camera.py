@@ -28,7 +28,7 @@ _CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))
 
 @record
 class CameraReading:
-    """Where and when the last picture was taken."""
+    """Position and time of the last picture."""
 
     taken_at_ned: Vec3 = quantity(unit="m", doc="true position of the camera")
     taken_attitude: Euler = quantity(unit="rad", doc="true attitude of the camera")
@@ -37,7 +37,7 @@ class CameraReading:
 
 @record
 class Picture:
-    """The classifier's verdict on the windows of a picture, for each vehicle (n,); R x C windows at most.
+    """The classifier's ratios for the windows of a picture, for each vehicle (n,); R x C windows at most.
 
     Windows beyond the grid of a picture, and corners beyond theirs, are NaN.
     """
@@ -52,7 +52,7 @@ class Picture:
 
 @record
 class _View:
-    """How one camera looks at the ground, every field ()."""
+    """View of one camera on the ground, every field ()."""
 
     position: Vec3
     direction: Rotation
@@ -151,7 +151,7 @@ class Camera(Sensor):
     def restart(
         self, state: Array, draw: Noise, since: Array, position_ned: Vec3, attitude: Euler
     ) -> tuple[Array, CameraReading]:
-        """Take the last picture again, from where the vehicles were put."""
+        """Take the last picture again, from the new positions of the vehicles."""
         return state, CameraReading(position_ned, attitude, state)
 
     def step(self, state: Array, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
@@ -160,7 +160,7 @@ class Camera(Sensor):
         return number, CameraReading(position_ned, attitude, number)
 
     def develop(self, reading: CameraReading, around: Surroundings, stream: Stream, size: Array) -> Picture:
-        """Return the picture that each vehicle (n,) has taken last.
+        """Return the last picture of each vehicle (n,).
 
         Args:
             reading: where and when.

@@ -15,7 +15,7 @@ from qrsim.models.sensors.contracts import Sensor
 
 @record
 class ConcentrationReading:
-    """What the sensor smells."""
+    """Concentration as measured."""
 
     concentration: Array = quantity(unit="1", doc="concentration, in the unit of the plume")
 

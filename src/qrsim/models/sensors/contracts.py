@@ -1,4 +1,4 @@
-"""What a world asks of a sensor.
+"""Protocol of sensors, as worlds use them.
 
 A component names its contract as its base class. Methods marked abstract are required; the others, and the class
 variables, have the defaults that stand here.

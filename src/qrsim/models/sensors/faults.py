@@ -1,4 +1,4 @@
-"""Sensors that fail at a given time: what reaches the user is lost, frozen or biased."""
+"""Sensor faults at given times: readings are lost, frozen or biased."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Fault:
 
     @property
     def remembers(self) -> bool:
-        """Whether it needs to know what it passed on at the tick before."""
+        """Whether it needs its output of the tick before."""
         return self.kind == "frozen"
 
     def apply(self, reading: Any, passed_on: Any, tick: Array) -> Any:
-        """Return what is passed on: to the next fault of the sensor, or to the user.
+        """Return its output: for the next fault of the sensor, or for the user.
 
         Args:
             reading: what the sensor says at ``tick``, or what the fault before this one passes on.

@@ -1,4 +1,4 @@
-"""Where the battery voltage comes from that limits a vehicle's thrust."""
+"""Battery voltage, which limits a vehicle's thrust."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class NoCharge:
 
 @record
 class GivenVoltage(Battery):
-    """The voltage is what the command says (a controller's own parameter, or the user's)."""
+    """The voltage of the command (a controller's own parameter, or the user's)."""
 
     def init(self, like: Array) -> NoCharge:
         """Return the empty state."""
@@ -38,7 +38,7 @@ class GivenVoltage(Battery):
 
 @record
 class Charge:
-    """What a battery remembers."""
+    """State of a battery."""
 
     charge: Array = quantity(unit="1", doc="state of charge, 1 full, 0 empty")
 

@@ -1,4 +1,4 @@
-"""What a command record says of itself: its fields, their limits, and how it is brought into them."""
+"""Fields of a command record, their limits, and clipping to them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a world asks of a vehicle and of a battery.
+"""Protocols of vehicle and battery, as worlds use them.
 
 A component names its contract as its base class. Methods marked abstract are required; the others, and the class
 variables, have the defaults that stand here. An argument with a default may be left out of a component's own method.
@@ -26,7 +26,7 @@ AROUND = ("ground", "air_rates", "downwash")
 
 @record
 class Load:
-    """What a battery has to supply; each (n,), or one number for all."""
+    """Load on a battery; each (n,), or one number for all."""
 
     thrust: Array = quantity(unit="N", doc="collective thrust; NaN where the model has none")
     weight: Array = quantity(unit="N", doc="weight, which is the thrust in hover")
@@ -35,7 +35,7 @@ class Load:
 
 @record
 class Pose:
-    """Where each vehicle (n,) is and how it moves, whatever its own state is made of."""
+    """Position, attitude, velocity and rates of each vehicle (n,), for any vehicle model."""
 
     position_ned: Vec3 = quantity(unit="m", doc="position in the site's frame")
     attitude: Euler = quantity(unit="rad", doc="ZYX Euler angles")
@@ -50,7 +50,7 @@ def velocity_of(pose: Pose) -> Vec3:
 
 @dataclass(frozen=True)
 class Around:
-    """What a vehicle may look at of the world during a step.
+    """The part of the world that a vehicle may read during a step.
 
     Attributes:
         ground: positions (n,) [m] -> the down coordinate (n,) [m] of the ground below, and its normal (n,), upwards.
@@ -86,7 +86,7 @@ class Vehicle(Protocol):
 
     @abstractmethod
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
-        """Return the state of vehicles (n,) that are put somewhere: [m], [rad], [m/s], [rad/s]."""
+        """Return the state of vehicles (n,) placed at a pose: [m], [rad], [m/s], [rad/s]."""
 
     def with_thrust(self, state: Any, thrust: Array) -> Any:
         """Return a state at a thrust (n,) [N], where it has one; a NaN leaves it as it is."""
@@ -111,7 +111,7 @@ class Vehicle(Protocol):
 
     @abstractmethod
     def load(self, state: Any) -> Load:
-        """Return what the vehicle takes from its battery."""
+        """Return the load on its battery."""
 
     @abstractmethod
     def pose(self, state: Any) -> Pose:
@@ -163,13 +163,13 @@ class Vehicle(Protocol):
         """Return the state of vehicles that are held where they are, at rest."""
 
     def own_checks(self, state: Any) -> list[Check]:
-        """Return what can end the flight of each vehicle (n,) beside area, limits and collisions."""
+        """Return the vehicle's own stop conditions (n,), besides area, limits and collisions."""
         return []
 
 
 @runtime_checkable
 class Battery(Protocol):
-    """Where the voltage of n vehicles comes from.
+    """Source of the voltage of n vehicles.
 
     Attributes:
         drains: whether its state has a ``charge`` (n,), 1 full and 0 empty, which is logged and ends a flight at 0.
@@ -187,4 +187,4 @@ class Battery(Protocol):
 
     @abstractmethod
     def voltage(self, state: Any, load: Load) -> Array | None:
-        """Return the voltage under load (n,) [V]; None: as commanded."""
+        """Return the voltage under load (n,) [V], None for that of the command."""

@@ -44,7 +44,7 @@ class ExpressionQuadrotor(Quadrotor):
                 checked(name, law, leaves)
 
     def wanted_thrust(self, throttle: Array) -> Array:
-        """Return the thrust [N] that a throttle [0, 1] asks for."""
+        """Return the steady thrust [N] at a throttle [0, 1]."""
         if not self.thrust_law:
             return Quadrotor.wanted_thrust(self, throttle)
         return evaluated(self.thrust_law, {"throttle": throttle})
@@ -66,7 +66,7 @@ class ExpressionQuadrotor(Quadrotor):
 
 @functools.cache
 def checked(name: str, law: str, leaves: tuple[str, ...]) -> ast.expr:
-    """Return a law as a tree.
+    """Parse a law to a tree.
 
     Raises:
         UsageError: it is no expression of the allowed kind; says what is wrong.
@@ -96,13 +96,13 @@ def _whole(node: ast.expr) -> bool:
 
 
 def evaluated(law: str, leaves: Mapping[str, Array]) -> Array:
-    """Return the value of a law (n,) at its leaves (n,)."""
+    """Evaluate a law (n,) at its leaves (n,)."""
     like = next(iter(leaves.values()))
     return jnp.broadcast_to(jnp.asarray(_value(checked("law", law, tuple(leaves)), leaves), like.dtype), like.shape)
 
 
 def value_at(law: str, leaves: dict[str, Any]) -> float:
-    """Return the value of a law at numbers; NaN where it has none, as when it divides by zero."""
+    """Evaluate a law at numbers; NaN if undefined, as for a division by zero."""
     try:
         return float(_value(checked("law", law, tuple(leaves)), leaves))
     except (OverflowError, ZeroDivisionError):

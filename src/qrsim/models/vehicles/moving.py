@@ -1,4 +1,4 @@
-"""A vehicle's step with its position in two parts, whatever the model of the vehicle."""
+"""A vehicle's step with its position in two parts, for any vehicle model."""
 
 from __future__ import annotations
 

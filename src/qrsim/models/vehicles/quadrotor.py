@@ -31,7 +31,7 @@ PROCESS_NOISE_STEP_S = 0.02
 
 @record
 class Command:
-    """What the autopilot is asked for; each of shape (n,)."""
+    """Command to the autopilot; each of shape (n,)."""
 
     pitch: Array = quantity(unit="rad", doc="pitch angle, nose up positive", minimum=-0.9, maximum=0.9)
     roll: Array = quantity(unit="rad", doc="roll angle, right side down positive", minimum=-0.9, maximum=0.9)
@@ -223,7 +223,7 @@ class Quadrotor(Vehicle):
         return jnp.where(raw < self.throttle_min_raw, self.tau0 * missing, limited)
 
     def wanted_thrust(self, throttle: Array) -> Array:
-        """Return the thrust [N] that a throttle [0, 1] asks for."""
+        """Return the steady thrust [N] at a throttle [0, 1]."""
         raw = throttle * THROTTLE_RAW_PER_UNIT
         return self.cth0 + raw * (self.cth1 + raw * self.cth2)
 

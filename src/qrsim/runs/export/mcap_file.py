@@ -195,7 +195,7 @@ def _timestamp(time_ns: int) -> dict[str, int]:
 
 
 def _origin(run: Run, place: Place) -> dict[str, str]:
-    """Return what the file says of its origin."""
+    """Return the metadata of the file's origin."""
     latitude, longitude, height = place.geodetic(np.zeros(3)).tolist()
     return {
         "scenario": run.info.scenario,

@@ -1,4 +1,4 @@
-"""Where on Earth and when a run took place."""
+"""Place on the Earth and time of a run."""
 
 from __future__ import annotations
 

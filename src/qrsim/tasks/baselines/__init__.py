@@ -1,4 +1,4 @@
-"""A policy for each family of tasks, for others to be compared with.
+"""Baseline policies, one for each family of tasks.
 
 A baseline is made for an episode and has ``act(seen)``, from what all agents see to their actions (n, A) in [-1, 1],
 and where something is handed in ``answer()``, (n, ...). It works on NumPy arrays and knows only what it has seen.
@@ -27,7 +27,7 @@ KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Descending, PlumeMapping: Ma
 
 
 class Baseline(Protocol):
-    """What flies the agents of an episode."""
+    """Policy of the agents of an episode."""
 
     def act(self, seen: Any) -> np.ndarray[Any, Any]:
         """Return the actions (n, A) in [-1, 1]."""
@@ -35,7 +35,7 @@ class Baseline(Protocol):
 
 
 def baseline(play: Play, seed: int = 0) -> Baseline:
-    """Return the baseline of a task for one episode; ``seed`` is of what it does at random.
+    """Return the baseline of a task for one episode; ``seed`` is for its own randomness.
 
     Raises:
         UsageError: the task has none.
@@ -48,7 +48,7 @@ def baseline(play: Play, seed: int = 0) -> Baseline:
 
 
 class BaselinePolicy:
-    """A baseline as a policy of ``Simulation`` and ``qrsim run``, asked once in a step of the task.
+    """A baseline as a policy of ``Simulation`` and ``qrsim run``, called once per step of the task.
 
     Args:
         play: the task and its world.

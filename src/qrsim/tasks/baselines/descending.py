@@ -1,4 +1,4 @@
-"""Search that keeps a map of where persons may be, and descends on those who are likely."""
+"""Search with a probability map of persons, descending on likely ones."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SEPARATION = 12.0
 
 
 class Descending:
-    """Vehicles that fly over what nobody has seen yet, go down on likely persons, hover there, and go on."""
+    """Vehicles that cover unseen ground, descend on likely persons, hover there, and go on."""
 
     def __init__(self, play: Play, seed: int = 0):
         area: Any = play.world.area

@@ -1,4 +1,4 @@
-"""Fit of Gaussians in space to where they are told to be and to what was measured: least squares (SciPy).
+"""Fit of spatial Gaussians to the task's locations and to measurements: least squares (SciPy).
 
 Locations asked for lie uniformly where the concentration is above a threshold: in ellipsoids, whose middles and
 covariances say what the Gaussians are. Measurements make that better.
@@ -60,7 +60,7 @@ class Ellipsoids:
         self._guesses = self._like(self._prior, np.diag(self._doubt.ravel() ** 2))
 
     def measured(self, points: Array, values: Array) -> None:
-        """Take all that was measured until now: values (M,) at points (M, 3) [m]."""
+        """Update with all measurements so far: values (M,) at points (M, 3) [m]."""
         loud = np.argsort(-np.abs(values), kind="stable")[:MOST_POINTS]
         points, values = points[loud], values[loud]
 
@@ -88,7 +88,7 @@ class Ellipsoids:
         return np.asarray(self._white**2 / seconds + RELATIVE**2 * mean * mean)
 
     def promising(self, count: int) -> Array:
-        """Return places (count, 3) [m] at which there is something to smell, say some of the guesses."""
+        """Return positions (count, 3) [m] where some guesses expect concentration."""
         random = self._random
         rows, which = random.integers(0, len(self._guesses), count), random.integers(0, self._prior.shape[0], count)
         gaussian = self._guesses[rows, which]

@@ -1,4 +1,4 @@
-"""Plume mapping by a fit of the plume's own numbers, flying to where a measurement tells most of what is asked for."""
+"""Plume mapping by a fit of the plume's parameters, flying to the most informative positions."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ GAIN, LEARN, MOST_DRIFT = 0.5, 0.1, 1.5
 
 
 class Fit(Protocol):
-    """Many guesses (G,) of what an episode drew, each about as likely as the others."""
+    """Guesses (G,) of an episode's plume, about equally likely."""
 
     def measured(self, points: Array, values: Array) -> None:
-        """Take all that was measured until now: values (M,) at points (M, 3) [m]."""
+        """Update with all measurements so far: values (M,) at points (M, 3) [m]."""
 
     def concentration(self, points: Array) -> Array:
         """Return the mean concentration (G, P) that each guess expects at points (P, 3)."""
@@ -45,12 +45,12 @@ class Fit(Protocol):
         ...
 
     def promising(self, count: int) -> Array:
-        """Return places (count, 3) [m] at which there is something to smell, say some of the guesses."""
+        """Return positions (count, 3) [m] where some guesses expect concentration."""
         ...
 
 
 class Mapping:
-    """A fit of the plume to the locations asked for and to measurements.
+    """Policy with a fit of the plume to the task's locations and to measurements.
 
     It knows what a scenario says of a plume, and not what an episode draws. Each vehicle flies to the place where a
     measurement would leave least doubt about the concentration at the locations, for its distance.
@@ -95,7 +95,7 @@ class Mapping:
         return np.clip((self._asked + self._drift) / self._limit, -1.0, 1.0)
 
     def answer(self) -> Array:
-        """Return what each agent hands in: the mean that is to be expected, or samples of puffs."""
+        """Return each agent's answer: the expected mean, or samples of puffs."""
         self._learn()
         assert self._fit is not None
         shape = self._play.task.answer_shape(self._play.world)

@@ -1,4 +1,4 @@
-"""Fit of plumes in a wind to where they are told to be and to what was measured: particles that are moved at random.
+"""Fit of plumes in a wind to the task's locations and to measurements: particles with random moves.
 
 Each particle is a bearing of the wind and some sources. Locations asked for lie uniformly where the concentration is
 above a threshold, in tubes that begin at the sources. Particles are as likely as their tubes are small and hold all
@@ -74,11 +74,11 @@ class Guess:
         return Guess(**{name: value[rows] for name, value in vars(self).items()})
 
     def copy(self) -> Guess:
-        """Return particles that can be changed."""
+        """Return a mutable copy."""
         return Guess(**{name: value.copy() for name, value in vars(self).items()})
 
     def where(self, taken: Array, other: Guess) -> Guess:
-        """Return the particles of another guess where they are taken (N,), else these."""
+        """Replace particles by those of another guess where ``taken`` (N,)."""
 
         def either(own: Array, others: Array) -> Array:
             return np.where(taken.reshape(-1, *[1] * (own.ndim - 1)), others, own)
@@ -111,7 +111,7 @@ class Particles:
             self._search()
 
     def measured(self, points: Array, values: Array) -> None:
-        """Take all that was measured until now, once a second: values (M,) at points (M, 3) [m]."""
+        """Update with all measurements so far, once a second: values (M,) at points (M, 3) [m]."""
         cells, which = np.unique(np.floor(points / CELL).astype(int), axis=0, return_inverse=True)
         which, count = which.ravel(), len(cells)
         seconds = np.bincount(which, minlength=count).astype(float)
@@ -138,7 +138,7 @@ class Particles:
         return np.asarray(self._white**2 / seconds + relative * mean * mean)
 
     def promising(self, count: int) -> Array:
-        """Return places (count, 3) [m] at which there is something to smell, say some of the particles."""
+        """Return positions (count, 3) [m] where some particles expect concentration."""
         random, guess = self._random, self.guess
         rows = random.integers(0, len(guess.bearing), count)
         slot = np.argmax(guess.there[rows] + random.uniform(size=(count, guess.there.shape[1])), axis=1)
@@ -337,5 +337,5 @@ class Particles:
 
 
 def _summed(rates: Array, unit: Array) -> Array:
-    """Return what all sources (N, S) make together (N, P), of what each makes at rate 1 (N, S, P)."""
+    """Sum the concentration (N, P) of all sources (N, S), from that of each at rate 1 (N, S, P)."""
     return np.einsum("ns,nsp->np", rates, unit)

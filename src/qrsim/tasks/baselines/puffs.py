@@ -1,4 +1,4 @@
-"""Samples of what puffs make at some places, of sources that are known or guessed."""
+"""Samples of the concentration of puffs at given points, for known or guessed sources."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = np.ndarray[Any, Any]
 
 
 def puff_samples(known: WindPlume, puffs: PuffPlume, guess: Guess, points: Array, random: np.random.Generator) -> Array:
-    """Return concentrations (P, N) at points (P, 3) [m], one moment for each particle of a guess.
+    """Sample concentrations (P, N) at points (P, 3) [m], one instant per particle of a guess.
 
     Releases are independent of each other, so those in the air at a moment are a random number of random ages.
     """

@@ -1,4 +1,4 @@
-"""What is known of plumes in a wind before an episode, and the tubes in which they are above a threshold.
+"""Prior knowledge of plumes in a wind, and the tubes in which they exceed a threshold.
 
 The formulas are those of ``qrsim.models.scene.plume``, for many guesses at once and on NumPy arrays.
 """
@@ -24,7 +24,7 @@ SLICES, BEYOND = 20, 25.0
 
 @dataclass(frozen=True)
 class WindPlume:
-    """Plumes in a wind, as a scenario says they are.
+    """Parameters of plumes in a wind, from a scenario.
 
     Attributes:
         speed: of the wind [m/s].
@@ -51,7 +51,7 @@ class WindPlume:
 
     @staticmethod
     def of(play: Play) -> WindPlume:
-        """Return what a scenario says."""
+        """Read the parameters from a scenario."""
         world, plume = play.world, play.world.contents.plume
         bounds = [[float(getattr(world.area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max")]
         wind = surroundings(world, ContentsState(), jnp.int32(0)).carrying_wind(jnp.float32)
@@ -82,11 +82,11 @@ class WindPlume:
         return self.rates[0] == self.rates[1]
 
     def spread(self, along: Array) -> Array:
-        """Return s [m^2] so far downwind [m]."""
+        """Return the spread s [m^2] at a distance downwind [m]."""
         return np.asarray(2.0 * self.factor * np.exp(self.exponent * np.log(np.maximum(along, 1e-3))))
 
     def along_across(self, place: Array, bearing: Array, points: Array) -> tuple[Array, Array]:
-        """Return how far [m] points (P, 3) lie downwind of sources (..., 3) and across the wind (...), (..., P)."""
+        """Return downwind, crosswind distances (..., P) [m] of points (P, 3) from sources (..., 3) in winds (...)."""
         sine, cosine = np.sin(bearing)[..., None], np.cos(bearing)[..., None]
         north, east = (points[:, i] - place[..., i, None] for i in range(2))
         return cosine * north + sine * east, cosine * east - sine * north
@@ -102,7 +102,7 @@ class WindPlume:
         return np.where(along > 0.0, field, np.zeros_like(field))
 
     def reach(self, place: Array, bearing: Array) -> Array:
-        """Return how far [m] it is from sources (..., 3) downwind to the edge of the box (...)."""
+        """Return the distance (...) [m] from sources (..., 3) downwind to the edge of the box."""
         way = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
         edge = np.where(way > 0.0, self.high[:2], self.low[:2])
         far = (edge - place[..., :2]) / np.where(np.abs(way) < 1e-6, 1e-6, way)
