@@ -1,5 +1,5 @@
 # Written by generate.py from src/qrsim/links/reference/client.py: change that.
-"""A client of ``qrsim serve``; it needs NumPy and protobuf only, none of what computes.
+"""A client of ``qrsim serve``; it needs NumPy and protobuf only, not the simulator.
 
 clients/python has this module as a package of its own, for Python 3.8 and later: nothing here may need a later one, and
 ``python clients/python/generate.py`` writes it anew.
@@ -33,20 +33,20 @@ INVALID = "invalid uav state"
 
 
 class ConnectionFailed(RunError):  # noqa: N818 (it is what has happened)
-    """The server cannot be reached, has gone, did not answer in time, or answered nonsense; the client is closed."""
+    """The server is unreachable, gone or too slow, or its answer is invalid; the client is closed."""
 
 
 class Refused(RunError):  # noqa: N818
-    """The server said no; the message says why."""
+    """The server refused a request; the message gives the reason."""
 
 
 class InvalidState(Refused):
-    """After the step a vehicle is invalid; ``reset`` or ``set_state`` make it fly again."""
+    """A vehicle is invalid after the step; ``reset`` or ``set_state`` make it fly again."""
 
 
 @dataclass(frozen=True)
 class State:
-    """What the server says of n vehicles.
+    """State of n vehicles as the server reports it.
 
     Attributes:
         time: simulated time [s].
@@ -64,7 +64,7 @@ class State:
 
 @dataclass(frozen=True)
 class Session:
-    """A session opened by ``open`` or begun again by ``restart``.
+    """A session started by ``open`` or restarted by ``restart``.
 
     Attributes:
         number: its id, for those who want to watch it.
@@ -126,7 +126,7 @@ class Episode:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a step brings n agents.
+    """Result of a step for n agents.
 
     Attributes:
         step: steps done.
@@ -190,7 +190,7 @@ class Client:
         self._ask(Message(type=Message.RESET, reset=pb.Reset(value=True)), Message.ACK)
 
     def set_state(self, state: Any) -> None:
-        """Put the vehicles into states (n, 13), (n, 12), (n, 6) or (n, 3); see ``Simulation.set_state``."""
+        """Set the vehicles' states (n, 13), (n, 12), (n, 6) or (n, 3); see ``Simulation.set_state``."""
         rows = pb.SetState(X=_vectors("state", state, (3, 6, 12, 13)))
         self._ask(Message(type=Message.SETSTATE, setsState=rows), Message.ACK)
 
@@ -211,7 +211,7 @@ class Client:
         self._leave(quit_server=False)
 
     def quit(self) -> str:
-        """End the session and ask the server to end; return what it says where it goes on, else ""."""
+        """End the session and ask the server to quit; return "" or the reason it goes on."""
         return self._leave(quit_server=True)
 
     def _leave(self, quit_server: bool) -> str:
@@ -284,7 +284,7 @@ class Client:
         }
 
     def events(self) -> list[dict[str, Any]]:
-        """Return what has happened since the last call, in a session opened with events."""
+        """Return the events since the last call, in a session opened with events."""
         found = self._ask(Message(type=Message.GET_EVENTS, get_events=pb.GetEvents()), Message.EVENTS).events
         return [
             {
@@ -299,13 +299,13 @@ class Client:
         ]
 
     def pace(self, factor: float | None = None) -> dict[str, float]:
-        """Return how the session has kept its pace so far, and set another one (0: lock-step) if it is given."""
+        """Return the pace statistics of the session, and set a new pace (0: lock-step) if one is given."""
         request = Message(type=Message.PACE, pace=pb.Pace(factor=factor))
         found = self._ask(request, Message.PACING).pacing
         return {field.name: value for field, value in found.ListFields()}
 
     def play(self, task: str | None = None, *, scenario: str | None = None, seed: int | None = None) -> Episode:
-        """Start an episode of the task of a scenario, or the next episode of the one that is played.
+        """Start an episode of a scenario's task, or the next episode of the present task.
 
         Args:
             task: name; or
@@ -339,7 +339,7 @@ class Client:
     def watch(
         self, session: int | None = None, *, period: float = 0.0, timeout: float | None = None
     ) -> Iterator[State]:
-        """Return the states, as they come, of a session that another client controls.
+        """Yield the states of a session that another client controls, as they arrive.
 
         Args:
             session: its number; may be left out where the server has one session at a time.

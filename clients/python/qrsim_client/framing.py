@@ -17,12 +17,12 @@ LARGEST_FOR_REFERENCE_CLIENT = 10_000
 
 
 def frame(payload: bytes) -> bytes:
-    """Return the length message and the payload, to be sent in one write."""
+    """Frame a payload: its length message and itself, for one write."""
     return _HEAD.pack(TAG, len(payload)) + payload
 
 
 class Deframer:
-    """Cuts what arrives into payloads.
+    """Cuts a byte stream into payloads.
 
     Args:
         largest: payloads of more bytes are refused.
@@ -37,12 +37,12 @@ class Deframer:
 
     @property
     def waiting(self) -> int:
-        """How many bytes have arrived that were not handed out."""
+        """Number of bytes received but not returned yet."""
         return len(self._buffer)
 
     @property
     def ready(self) -> bool:
-        """Whether ``next`` has something to say: a whole payload has arrived, or what makes no sense."""
+        """Whether ``next`` would return a payload or raise: a whole payload or an invalid length has arrived."""
         buffer = self._buffer
         if len(buffer) < HEAD_SIZE:
             return bool(buffer) and buffer[0] != TAG
@@ -50,11 +50,11 @@ class Deframer:
         return tag != TAG or size > self.largest or len(buffer) >= HEAD_SIZE + size
 
     def feed(self, data: bytes) -> None:
-        """Take bytes as they arrive."""
+        """Append received bytes."""
         self._buffer += data
 
     def next(self) -> bytes | None:
-        """Return the next payload, None where it is not complete yet.
+        """Return the next payload, None if it is incomplete.
 
         Raises:
             UsageError: this is no length message, or the length is beyond the largest; what follows makes no sense.

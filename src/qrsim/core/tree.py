@@ -50,7 +50,7 @@ def parameter(
     maximum: float | None = None,
     above: float | None = None,
     inherits: str | None = None,
-) -> Any:
+) -> T:  # type: ignore[type-var]
     """Declare a number of a component: a leaf, so that changing it does not recompile."""
     info = FieldInfo(unit, doc, minimum, maximum, above, False, inherits)
     return dataclasses.field(default=default, metadata={INFO: info})
@@ -64,7 +64,7 @@ def setting(
     minimum: float | None = None,
     maximum: float | None = None,
     above: float | None = None,
-) -> Any:
+) -> T:  # type: ignore[type-var]
     """Declare a structural choice of a component (a period, an option): static under jit."""
     info = FieldInfo(unit, doc, minimum, maximum, above, True)
     return dataclasses.field(default=default, metadata={INFO: info})
@@ -72,7 +72,7 @@ def setting(
 
 def quantity(
     default: Any = MISSING, *, unit: str = "", doc: str = "", minimum: float | None = None, maximum: float | None = None
-) -> Any:
+) -> T:  # type: ignore[type-var]
     """Declare an array, or a record of arrays, of a state, a reading or a command."""
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc, minimum, maximum)})
 
