@@ -78,7 +78,7 @@ struct Session {
 };
 
 // What open may be asked for; a scenario is YAML text, in place of a task.
-struct Wishes {
+struct SessionOptions {
   std::optional<std::string> task, scenario;
   std::optional<std::uint64_t> seed;
   std::optional<double> realtime;  // simulated seconds per second of the wall clock; 0: lock-step
@@ -191,15 +191,15 @@ class Client {
   }
 
   // Starts a session with a seed, a pace, events, or a scenario of your own.
-  Session open(const Wishes& wishes) {
+  Session open(const SessionOptions& options) {
     pb::Message request;
     request.set_type(pb::Message::OPEN);
     auto* content = request.mutable_open();
-    if (wishes.task) content->set_task(*wishes.task);
-    if (wishes.scenario) content->set_scenario(*wishes.scenario);
-    if (wishes.seed) content->set_seed(*wishes.seed);
-    if (wishes.realtime) content->set_realtime(*wishes.realtime);
-    content->set_events(wishes.events);
+    if (options.task) content->set_task(*options.task);
+    if (options.scenario) content->set_scenario(*options.scenario);
+    if (options.seed) content->set_seed(*options.seed);
+    if (options.realtime) content->set_realtime(*options.realtime);
+    content->set_events(options.events);
     return session_of(ask(request, pb::Message::SESSION).session());
   }
 

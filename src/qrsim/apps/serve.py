@@ -189,11 +189,11 @@ def _prepare(tasks: object, options: Options) -> None:
     from qrsim.links.reference.protocol.framing import LARGEST_FOR_REFERENCE_CLIENT
     from qrsim.links.reference.readout import largest_fleet, state_size
     from qrsim.links.reference.seeds import Seeds
-    from qrsim.links.reference.session import Session, Wishes
+    from qrsim.links.reference.session import Session, SessionOptions
     from qrsim.links.reference.tasks import Tasks
 
     assert isinstance(tasks, Tasks)
-    session = Session(0, Wishes(tasks.offboard(""), Seeds(options.seed), realtime=1.0))
+    session = Session(0, SessionOptions(tasks.offboard(""), Seeds(options.seed), realtime=1.0))
     session.begin()
     session.end()
     size, limit = session.simulation.size, LARGEST_FOR_REFERENCE_CLIENT

@@ -45,10 +45,10 @@ int main(int, char** words) try {
   thrown<qrsim::Refused>("refused", [&] { client.step_waypoint(0.03, hold); });
   thrown<qrsim::InvalidState>("invalid", [&] { client.step_velocity(8.0, {{0.0, 0.0, -3.0}}); });
   std::printf("hello %d\n", client.hello().task_size() > 20);
-  qrsim::Wishes wishes;
-  wishes.task = "free_flight";
-  wishes.seed = 5;
-  qrsim::Session session = client.open(wishes);
+  qrsim::SessionOptions options;
+  options.task = "free_flight";
+  options.seed = 5;
+  qrsim::Session session = client.open(options);
   std::printf("open %s %llu %s %zu\n", session.scenario.c_str(), static_cast<unsigned long long>(session.seed),
               session.vehicles.at(0).c_str(), session.state.reasons.size());
   std::printf("restart %llu", static_cast<unsigned long long>(client.restart().seed));

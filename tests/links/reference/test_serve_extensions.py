@@ -21,7 +21,7 @@ from qrsim.links.pacing import LONGEST_DELAY_S, Pacer
 from qrsim.links.reference import server as server_module
 from qrsim.links.reference.client import Client, ConnectionFailed, InvalidState, Refused
 from qrsim.links.reference.seeds import Seeds
-from qrsim.links.reference.session import MOST_EVENTS, Session, Wishes
+from qrsim.links.reference.session import MOST_EVENTS, Session, SessionOptions
 from qrsim.links.reference.tasks import MOST_VEHICLES, offboard, uploaded
 from qrsim.runs import open_run
 from qrsim.scenarios.scenario import load_scenario
@@ -144,7 +144,7 @@ def test_events_must_be_asked_for(clients):
 def test_events_that_nobody_reads_are_counted(monkeypatch):
     monkeypatch.setattr("qrsim.links.reference.session.MOST_EVENTS", 2)
     assert MOST_EVENTS > 1000
-    session = Session(1, Wishes(load_scenario(TASK), Seeds(0), events=True))
+    session = Session(1, SessionOptions(load_scenario(TASK), Seeds(0), events=True))
     session._events.extend({"time": float(i), "kind": "k", "vehicle": "pelicans_0"} for i in range(5))
     session.begin()
     found = session.events()

@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import cast
 
 from qrsim.errors import QrsimError, UsageError
-from qrsim.links.reference.playing import Playing
+from qrsim.links.reference.episode_session import EpisodeSession
 from qrsim.links.reference.protocol import DecodeError
 from qrsim.links.reference.protocol.framing import HEAD_SIZE, LARGEST_REQUEST, Deframer, frame
 from qrsim.links.reference.protocol.qrsim_pb2 import Ack, Message
@@ -44,7 +44,7 @@ class Connection(asyncio.Protocol):
 
     def __init__(self, server: Host):
         self.server = server
-        self.session: Session | Playing | None = None
+        self.session: Session | EpisodeSession | None = None
         self.lost = ""
         self._waits_since: float | None = None
         self.reasons = False
@@ -160,7 +160,7 @@ class Connection(asyncio.Protocol):
         """Number of bytes waiting to be sent."""
         return self.transport.get_write_buffer_size()
 
-    def any_session(self) -> Session | Playing:
+    def any_session(self) -> Session | EpisodeSession:
         """Return the session, of either kind.
 
         Raises:
@@ -177,11 +177,11 @@ class Connection(asyncio.Protocol):
             UsageError: there is none, or it plays a task.
         """
         session = self.any_session()
-        if isinstance(session, Playing):
+        if isinstance(session, EpisodeSession):
             raise UsageError("this session plays a task: ACT advances it, and PLAY starts its next episode")
         return session
 
-    def required_playing(self) -> Playing:
+    def required_episodes(self) -> EpisodeSession:
         """Return the session of a task's episodes.
 
         Raises:
@@ -189,7 +189,7 @@ class Connection(asyncio.Protocol):
         """
         if self.session is None and self.lost:
             raise UsageError(self.lost)
-        if not isinstance(self.session, Playing):
+        if not isinstance(self.session, EpisodeSession):
             raise UsageError("no task is played on this connection: send PLAY first")
         return self.session
 

@@ -8,13 +8,13 @@ from typing import Any
 
 from qrsim.errors import UsageError
 from qrsim.links.pacing import Pacer, checked_factor
-from qrsim.links.reference.playing import Playing
+from qrsim.links.reference.episode_session import EpisodeSession
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import LARGEST_REQUEST
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.roles import Client
 from qrsim.links.reference.sensors import sensor_readings
-from qrsim.links.reference.session import Session, Wishes
+from qrsim.links.reference.session import Session, SessionOptions
 from qrsim.links.reference.tasks import offboard, uploaded
 
 CAPABILITIES = ("seed", "scenario", "realtime", "readings", "reasons", "watch", "events", "episodes")
@@ -30,15 +30,17 @@ async def init(connection: Client, message: Message) -> bool:
     """Start a task."""
     server, request = connection.server, message.init
     realtime = server.options.realtime or float(request.realTime)
-    wishes = await server.run_in_thread(lambda: _wishes(connection, request.task, realtime=realtime))
-    session = await server.open(connection, lambda number: Session(number, wishes, server.options.view))
+    session_options = await server.run_in_thread(lambda: _session_options(connection, request.task, realtime=realtime))
+    session = await server.open(connection, lambda number: Session(number, session_options, server.options.view))
     connection.send_frame(session.states.frame(connection.reasons))
     connection.send(Message(type=Message.TASKINFO, taskInfo=_info(session)))
     server.broadcast(session)
     return True
 
 
-def _wishes(connection: Client, task: str, *, scenario: str | None = None, flown: bool = True, **others: Any) -> Wishes:
+def _session_options(
+    connection: Client, task: str, *, scenario: str | None = None, flown: bool = True, **others: Any
+) -> SessionOptions:
     """Return the options of a client's session, its scenario to be flown by commands or played."""
     server = connection.server
     # What is not UTF-8 comes as bytes.
@@ -48,7 +50,7 @@ def _wishes(connection: Client, task: str, *, scenario: str | None = None, flown
         found = offboard(uploaded(scenario)) if flown else uploaded(scenario)
     else:
         found = server.tasks.offboard(task) if flown else server.tasks.scenario(task)
-    return Wishes(found, **{"seeds": server.seeds, "record": server.options.record, **others})
+    return SessionOptions(found, **{"seeds": server.seeds, "record": server.options.record, **others})
 
 
 def _info(session: Session) -> pb.TaskInfo:
@@ -156,14 +158,16 @@ async def open_session(connection: Client, message: Message) -> bool:
     server, request = connection.server, message.open
     factor = checked_factor(request.realtime if request.HasField("realtime") else server.options.realtime or 0.0)
     chosen = _chosen(connection, request)
-    wishes = await server.run_in_thread(lambda: _wishes(connection, **chosen, realtime=factor, events=request.events))
-    session = await server.open(connection, lambda number: Session(number, wishes, server.options.view))
+    session_options = await server.run_in_thread(
+        lambda: _session_options(connection, **chosen, realtime=factor, events=request.events)
+    )
+    session = await server.open(connection, lambda number: Session(number, session_options, server.options.view))
     _send_session(connection, session)
     return True
 
 
 def _chosen(connection: Client, request: pb.Open | pb.Play) -> dict[str, Any]:
-    """Return task, scenario and seed of a request as ``_wishes`` takes them."""
+    """Return task, scenario and seed of a request as ``_session_options`` takes them."""
     if request.HasField("task") and request.HasField("scenario"):
         raise UsageError("give either a task or a scenario")
     seed = _seed(request)
@@ -252,10 +256,10 @@ async def pace(connection: Client, message: Message) -> bool:
 async def play(connection: Client, message: Message) -> bool:
     """Start an episode of a task, or the next one."""
     server, request = connection.server, message.play
-    if request.HasField("task") or request.HasField("scenario") or not isinstance(connection.session, Playing):
+    if request.HasField("task") or request.HasField("scenario") or not isinstance(connection.session, EpisodeSession):
         chosen = _chosen(connection, request)
-        wishes = await server.run_in_thread(lambda: _wishes_to_play(connection, chosen))
-        session = await server.open(connection, lambda number: Playing(number, wishes))
+        session_options = await server.run_in_thread(lambda: _episode_options(connection, chosen))
+        session = await server.open(connection, lambda number: EpisodeSession(number, session_options))
     else:
         session, seed = connection.session, _seed(request)
         await server.run(session, lambda: session.restart(seed))
@@ -278,23 +282,23 @@ async def play(connection: Client, message: Message) -> bool:
     return True
 
 
-def _wishes_to_play(connection: Client, chosen: dict[str, Any]) -> Wishes:
+def _episode_options(connection: Client, chosen: dict[str, Any]) -> SessionOptions:
     options = connection.server.options
     if options.record is not None or options.view is not None:
         raise UsageError(
             "PLAY: episodes are neither recorded nor drawn, and this server was started with --record or --view"
         )
-    wishes = _wishes(connection, **chosen, flown=False, realtime=options.realtime)
-    scenario = wishes.scenario
+    session_options = _session_options(connection, **chosen, flown=False, realtime=options.realtime)
+    scenario = session_options.scenario
     if not scenario.steps:
         raise UsageError(f"PLAY: scenario '{scenario.name}' has no task; INIT or OPEN let it be flown")
     if scenario.ticks > MOST_TICKS_OF_ACT * scenario.steps:
         ticks = scenario.ticks // scenario.steps
         raise UsageError(f"PLAY: a step of this task is {ticks} time steps; allowed: up to {MOST_TICKS_OF_ACT}")
-    return wishes
+    return session_options
 
 
-def _show(connection: Client, session: Playing) -> None:
+def _show(connection: Client, session: EpisodeSession) -> None:
     """Send the state of an episode to those who watch it."""
     if connection.server.watched(session):
         connection.server.broadcast(session)
@@ -302,7 +306,7 @@ def _show(connection: Client, session: Playing) -> None:
 
 async def act(connection: Client, message: Message) -> bool:
     """Advance an episode by a step."""
-    session = connection.required_playing()
+    session = connection.required_episodes()
     found = await connection.server.run(session, lambda: session.act(message.act))
     wait = session.pacer.wait_s(session.time)
     if wait > 0.0:

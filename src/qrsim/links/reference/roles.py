@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from qrsim.links.reference.playing import Playing
+from qrsim.links.reference.episode_session import EpisodeSession
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.seeds import Seeds
 from qrsim.links.reference.session import Session
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from qrsim.view.live import LiveView
 
 T = TypeVar("T")
-S = TypeVar("S", Session, Playing)
+S = TypeVar("S", Session, EpisodeSession)
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Host(Protocol):
     def run_in_thread(self, work: Callable[[], T]) -> Awaitable[T]:
         """Do what takes long in a thread."""
 
-    def run(self, session: Session | Playing, work: Callable[[], T]) -> Awaitable[T]:
+    def run(self, session: Session | EpisodeSession, work: Callable[[], T]) -> Awaitable[T]:
         """Do what takes long in the thread of a session."""
 
     def advance(self, connection: Any, session: Session, command: Any, ticks: int) -> Awaitable[None]:
@@ -85,10 +85,10 @@ class Host(Protocol):
     def watch(self, connection: Any, session: int | None, period: float, stop: bool) -> None:
         """Let a connection watch a session, or no more."""
 
-    def watched(self, session: Session | Playing) -> bool:
+    def watched(self, session: Session | EpisodeSession) -> bool:
         """Return whether anybody watches a session."""
 
-    def broadcast(self, session: Session | Playing, states: dict[bool, bytes] | None = None) -> None:
+    def broadcast(self, session: Session | EpisodeSession, states: dict[bool, bytes] | None = None) -> None:
         """Send the state of a session to who watches it."""
 
 
@@ -96,7 +96,7 @@ class Client(Protocol):
     """A connection (connection.py)."""
 
     server: Host
-    session: Session | Playing | None
+    session: Session | EpisodeSession | None
     reasons: bool
 
     def send(self, message: Message) -> None:
@@ -111,13 +111,13 @@ class Client(Protocol):
     def acknowledge(self, error: str | None = None, note: str = "") -> None:
         """Send an ACK."""
 
-    def any_session(self) -> Session | Playing:
+    def any_session(self) -> Session | EpisodeSession:
         """Return the session."""
 
     def required_session(self) -> Session:
         """Return the session, a simulation."""
 
-    def required_playing(self) -> Playing:
+    def required_episodes(self) -> EpisodeSession:
         """Return the session, episodes of a task."""
 
     def pause(self, seconds: float) -> Awaitable[None]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from qrsim.errors import RunError, UsageError
 from qrsim.links.reference.connection import MOST_WAITING, Connection
-from qrsim.links.reference.playing import Playing
+from qrsim.links.reference.episode_session import EpisodeSession
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.requests import HANDLERS, NEEDED
 from qrsim.links.reference.roles import Options
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     pass
 
 T = TypeVar("T")
-S = TypeVar("S", Session, Playing)
+S = TypeVar("S", Session, EpisodeSession)
 # A client that reconnects can be here before it is known that its old connection has gone, or before its last step has
 # ended.
 PATIENCE_S, LEAVING_S = 0.3, 30.0
@@ -68,7 +68,7 @@ class Server:
 
     def __init__(self, options: Options, tasks: Tasks, say: Callable[[str], None] = lambda line: None):
         self.options, self.tasks, self.say = options, tasks, say
-        self.sessions: dict[int, Session | Playing] = {}
+        self.sessions: dict[int, Session | EpisodeSession] = {}
         self.seeds = Seeds(options.seed, options.episodes)
         self._connections: set[Connection] = set()
         self._watching: dict[Connection, Watching] = {}
@@ -241,7 +241,7 @@ class Server:
         connection.session = None
         await self._end_session(session)
 
-    async def _end_session(self, session: Session | Playing, why: str = "") -> None:
+    async def _end_session(self, session: Session | EpisodeSession, why: str = "") -> None:
         self._ending += 1
         try:
             await self.run(session, session.end)
@@ -254,7 +254,7 @@ class Server:
         """Run slow work that belongs to no session in a thread."""
         return await asyncio.get_running_loop().run_in_executor(self._others, work)
 
-    async def run(self, session: Session | Playing, work: Callable[[], T]) -> T:
+    async def run(self, session: Session | EpisodeSession, work: Callable[[], T]) -> T:
         """Run slow work on a session in a thread."""
         return await asyncio.get_running_loop().run_in_executor(session.thread, work)
 
@@ -294,11 +294,11 @@ class Server:
             session = next(iter(self.sessions))
         self._watching[connection] = Watching(session, period)
 
-    def watched(self, session: Session | Playing) -> bool:
+    def watched(self, session: Session | EpisodeSession) -> bool:
         """Return whether a session has watchers."""
         return any(watching.session in (None, session.number) for watching in self._watching.values())
 
-    def broadcast(self, session: Session | Playing, states: dict[bool, bytes] | None = None) -> None:
+    def broadcast(self, session: Session | EpisodeSession, states: dict[bool, bytes] | None = None) -> None:
         """Send the state of a session to its watchers; slow ones miss it.
 
         Args:

@@ -41,7 +41,7 @@ MOST_EVENTS = 10_000
 
 
 @dataclass(frozen=True)
-class Wishes:
+class SessionOptions:
     """Options of a session.
 
     Attributes:
@@ -78,12 +78,12 @@ class Session:
     sensors: SensorReadout
     pacer: Pacer
 
-    def __init__(self, number: int, wishes: Wishes, view: LiveView | None = None):
+    def __init__(self, number: int, options: SessionOptions, view: LiveView | None = None):
         self.number = number
         self._view = view
-        self.scenario = wishes.scenario
+        self.scenario = options.scenario
         self.thread = ThreadPoolExecutor(1, thread_name_prefix=f"session-{number}")
-        self._wishes, self._seeds = wishes, wishes.seeds
+        self._options, self._seeds = options, options.seeds
         self._seconds: dict[Any, tuple[float, int]] = {}
         self._events: deque[dict[str, Any]] = deque()
         self._lost_events = 0
@@ -119,16 +119,16 @@ class Session:
         Raises:
             RunError: the recording cannot be written.
         """
-        scenario, wishes = self.scenario, self._wishes
+        scenario, options = self.scenario, self._options
         self.simulation = Simulation(
             scenario.world(), seed=self._seeds.next(), name=scenario.name, site=scenario.site, number=0
         )
         self.simulation.reset()
         self.commands = Commands(self.simulation.vehicle_names, self.simulation.dtype)
-        if wishes.realtime:
+        if options.realtime:
             self.warm()
         self._start_episode()
-        self.pacer = Pacer(wishes.realtime, 0.0)
+        self.pacer = Pacer(options.realtime, 0.0)
         if self._view is not None:
             self._view.begin(self.simulation, f"{scenario.name}, session {self.number}")
 
@@ -170,15 +170,15 @@ class Session:
             return
         beginning = self.simulation.history
         self._finder = EventFinder(self.simulation)
-        if self._wishes.record is not None:
+        if self._options.record is not None:
             self._columns = columns(self.simulation.world, beginning)
-            self._writer = self._new_writer(self._wishes.record)
+            self._writer = self._new_writer(self._options.record)
         self._keep(beginning)
 
     @property
     def _tick_by_tick(self) -> bool:
         """Whether somebody looks at every tick."""
-        return self._wishes.events or self._wishes.record is not None
+        return self._options.events or self._options.record is not None
 
     def _new_writer(self, folder: Path) -> RunWriter:
         simulation = self.simulation
@@ -279,7 +279,7 @@ class Session:
             self._writer = None
 
     def _keep_events(self, found: list[dict[str, Any]]) -> None:
-        if self._wishes.events:
+        if self._options.events:
             self._events.extend(found)
             while len(self._events) > MOST_EVENTS:
                 self._events.popleft()
@@ -294,7 +294,7 @@ class Session:
         Raises:
             UsageError: they are not collected.
         """
-        if not self._wishes.events:
+        if not self._options.events:
             raise UsageError("this session collects no events: it was not opened with OPEN and events")
         found = Events(lost=self._lost_events)
         for event in self._events:

@@ -19,7 +19,7 @@ from qrsim.links.reference.commands import rows_of
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Act, Arrayd, Outcome
 from qrsim.links.reference.readout import States
-from qrsim.links.reference.session import Wishes
+from qrsim.links.reference.session import SessionOptions
 from qrsim.tasks import Play
 from qrsim.tasks.episodes import Episodes, score
 from qrsim.world.episode import refuse_unplaced
@@ -30,7 +30,7 @@ PRECISION = np.dtype(np.float32)
 ROUNDING = 1e-5
 
 
-class Playing:
+class EpisodeSession:
     """Session of a task's episodes. Call ``begin`` first, in the compiling thread.
 
     Attributes:
@@ -45,11 +45,11 @@ class Playing:
     play: Play
     pacer: Pacer
 
-    def __init__(self, number: int, wishes: Wishes):
-        self.number, self.scenario, self._wishes = number, wishes.scenario, wishes
+    def __init__(self, number: int, options: SessionOptions):
+        self.number, self.scenario, self._options = number, options.scenario, options
         self.thread = ThreadPoolExecutor(1, thread_name_prefix=f"session-{number}")
         self.seed = self.episode = self._step = 0
-        self._seeds = wishes.seeds
+        self._seeds = options.seeds
         self._running = False
         self._layout: Packer | None = None
         self._states: States | None = None
@@ -86,7 +86,7 @@ class Playing:
         self.play = Play(cast(task, PRECISION), world, self.scenario.steps)
         # Alone, as an environment computes it, so that it is the same episode to the bit.
         self._episodes = Episodes(self.play, 1, PRECISION)
-        self.pacer = Pacer(self._wishes.realtime, 0.0)
+        self.pacer = Pacer(self._options.realtime, 0.0)
         self.seed = self._seeds.next()
         self._start()
 
