@@ -438,7 +438,7 @@ def _vectors(what: str, rows: Any, widths: tuple[int, ...] = ()) -> list[pb.Arra
 
 
 def _answers(answer: Any) -> list[pb.Act.Answer]:
-    """Return what each agent hands in."""
+    """Return each agent's answer."""
     try:
         array = np.zeros((0, 1)) if answer is None else np.asarray(answer, np.float32)
     except (TypeError, ValueError):
