@@ -92,3 +92,13 @@ def test_what_makes_machine_code_is_bounded_from_above():
     bounded = [line for line in PROJECT["dependencies"] if line.startswith(("jax", "llvmlite"))]
     assert len(bounded) == 2
     assert all("<" in line for line in bounded), bounded
+
+
+def test_no_room_is_left_out_of_the_wheel():
+    """What .gitignore names at any depth, the builder of the wheel leaves out at any depth."""
+    root = Path(__file__).parents[1]
+    lines = (root / ".gitignore").read_text(encoding="utf-8").split()
+    anywhere = {line.strip("/") for line in lines if not line.startswith("/")}
+    rooms = {path.parent.name for path in (root / "src").rglob("*.py")}
+    assert "runs" in rooms
+    assert not rooms & anywhere

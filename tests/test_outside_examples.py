@@ -16,6 +16,7 @@ import qrsim
 from qrsim import cli
 from qrsim.envs.single import SingleTask
 from qrsim.errors import UsageError
+from qrsim.links.reference.readout import Readout
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
 from qrsim.sweep.flying import dumped
@@ -127,6 +128,15 @@ class TestPointMass:
         assert (flights.metrics["reason"] == 0).all()
         assert (flights.metrics["tracking_error_rms_m"] < 6.0).all()
         assert (flights.metrics["distance_m"] > 120.0).all()
+
+    def test_a_client_sees_it(self):
+        """A STATE has NaN for the thrust, which is not in its state."""
+        simulation = qrsim.load(EXAMPLES / "point_mass.yaml")
+        simulation.reset()
+        state = Readout(simulation).message()
+        rows = np.array([list(row.value) for row in state.X])
+        assert np.isnan(rows[:, 12]).all()
+        np.testing.assert_array_equal(rows[:, :3], simulation.truth.position_ned)
 
     def test_in_both_precisions_it_falls_as_a_mass_does(self):
         """Without throttle and drag: 9.81 m/s^2, for half a second."""

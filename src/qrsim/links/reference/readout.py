@@ -109,6 +109,8 @@ class Readout:
         floats, integers = layout.sizes
         places = layout.unpack((np.arange(floats), np.arange(integers, dtype=np.int32)))
         self._x_places = np.concatenate([_state_places(fleet) for fleet in places.fleets])
+        # Vehicles from outside can have a state without a thrust, for example.
+        self._unknown = self._x_places < 0 if (self._x_places < 0).any() else None
         self._low_places = _low_places(places.fleets)
         self._codes = np.concatenate([fleet.violation.code for fleet in places.fleets])
         self._values = np.concatenate([fleet.violation.value for fleet in places.fleets])
@@ -130,6 +132,8 @@ class Readout:
         floats = np.asarray(self._simulation.packed[1][0])
         self._time[0] = self._simulation.time
         self._x[...] = floats.take(self._x_places)
+        if self._unknown is not None:
+            self._x[self._unknown] = np.nan
         if self._low_places is not None:
             self._x[:, :3] += floats.take(self._low_places)
         self._ex[self._ex_rows, self._ex_columns] = floats.take(self._ex_places)
@@ -182,9 +186,13 @@ class States:
 
 
 def _state_places(fleet: FleetState) -> Array:
-    vehicle = fleet.vehicle
-    groups = (vehicle.position_ned, vehicle.attitude, vehicle.velocity_body, vehicle.rates_body)
-    return np.stack([*(axis for group in groups for axis in vars(group).values()), vehicle.thrust], axis=1)
+    """Return the places (n, 13) of the state vector of vehicles; -1 for what their own state has not."""
+    own = vars(fleet.vehicle)
+    nothing = np.full(len(fleet.violation.code), -1)
+    columns: list[Any] = []
+    for name in ("position_ned", "attitude", "velocity_body", "rates_body"):
+        columns += vars(own[name]).values() if name in own else [nothing] * 3
+    return np.stack([*columns, own.get("thrust", nothing)], axis=1)
 
 
 def _low_places(fleets: Sequence[FleetState]) -> Array | None:
