@@ -12,8 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from qrsim.errors import RunError, UsageError, did_you_mean, shortened
-from qrsim.runs.layout import Column, column_of, part_name
 from qrsim.files.user_files import check_file
+from qrsim.runs.layout import Column, column_of, part_name
 
 # What pyarrow raises where bytes are not what they were; texts of the footer are decoded without care.
 DAMAGES = (OSError, pa.ArrowException, ValueError, KeyError, TypeError, OverflowError, MemoryError)

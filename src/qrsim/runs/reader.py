@@ -16,11 +16,11 @@ import pyarrow as pa
 from pydantic import TypeAdapter, ValidationError
 
 from qrsim.errors import RunError, ScenarioError, UsageError, did_you_mean, shortened
+from qrsim.files.user_files import LARGEST_DATA, read_text
+from qrsim.files.yaml_text import parse_yaml
 from qrsim.runs.episodes import EPISODES_FILE, episode_folders, holds_episodes, which_one
 from qrsim.runs.layout import EVENTS, FORMAT, INDEX, RUN_FILE, SCENARIO_FILE, Column, Event, RunInfo
 from qrsim.runs.parts import StreamParts
-from qrsim.files.user_files import LARGEST_DATA, read_text
-from qrsim.files.yaml_text import parse_yaml
 
 _INFO = TypeAdapter(RunInfo)
 # A part is written every few seconds: a run of a year has as many.

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.tree import walk
-from qrsim.runs import Column
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.scene.area import REASONS, reason_text
+from qrsim.runs import Column
 from qrsim.simulation.simulation import History, Simulation
 from qrsim.world.state import Fleet, FleetState, World, position_of
 
@@ -23,8 +23,14 @@ PERSON_FOUND = "person_found"
 def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, str, str]]:
     """Return (column, array (T, n), unit, doc) of one fleet's part of a stream."""
     roots: dict[str, list[tuple[str, Any]]] = {
-        "truth": [("", fleet.vehicle.pose(state.vehicle)), ("", state.vehicle), ("specific_force.", state.specific_force)],
-        "measurements": [(f"{name}.", reading) for name, reading in zip(fleet.sensor_names, state.readings, strict=True)],
+        "truth": [
+            ("", fleet.vehicle.pose(state.vehicle)),
+            ("", state.vehicle),
+            ("specific_force.", state.specific_force),
+        ],
+        "measurements": [
+            (f"{name}.", reading) for name, reading in zip(fleet.sensor_names, state.readings, strict=True)
+        ],
         "commands": [("", state.command), ("setpoint.", state.setpoint)],
         "wind": [("mean_ned.", state.mean_wind_ned), ("gust_ned.", state.gust_ned)],
     }

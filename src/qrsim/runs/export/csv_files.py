@@ -8,8 +8,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pacsv
 
-from qrsim.runs.export.output import Written, replacing
 from qrsim.runs import Run
+from qrsim.runs.export.output import Written, replacing
 from qrsim.runs.layout import EVENTS
 
 

@@ -24,13 +24,13 @@ import numpy.typing as npt
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
+from qrsim.errors import RunError
+from qrsim.interface.readings import quaternion_of
+from qrsim.runs import Event, Run
 from qrsim.runs.export import foxglove
 from qrsim.runs.export.output import Written, is_readable, replacing
 from qrsim.runs.export.place import Floats, Place
 from qrsim.runs.export.tracks import Samples, axes, is_fresh, position_sensors, read_samples
-from qrsim.errors import RunError
-from qrsim.interface.readings import quaternion_of
-from qrsim.runs import Event, Run
 from qrsim.runs.summary import NOT_A_STOP
 
 WORLD = "map"

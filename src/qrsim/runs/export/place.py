@@ -10,8 +10,8 @@ import numpy.typing as npt
 from pydantic import AwareDatetime, BaseModel, ValidationError
 
 from qrsim.errors import RunError
-from qrsim.runs import Run
 from qrsim.models.site import Site
+from qrsim.runs import Run
 from qrsim.scenarios.schema import SiteSpec
 
 Floats = npt.NDArray[np.float64]

@@ -12,10 +12,10 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from qrsim.runs.export.output import is_readable
-from qrsim.runs.export.place import Floats, Place
 from qrsim.errors import RunError
 from qrsim.runs import Event, Run
+from qrsim.runs.export.output import is_readable
+from qrsim.runs.export.place import Floats, Place
 
 AXES = "xyz"
 
