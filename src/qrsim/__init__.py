@@ -127,7 +127,8 @@ def load(
         ScenarioError: faults in the scenario, all of them listed.
     """
     from qrsim.scenarios.scenario import load_scenario
-    from qrsim.simulation.simulation import Simulation, check_precision
+    from qrsim.simulation.arguments import check_precision
+    from qrsim.simulation.simulation import Simulation
 
     check_precision(precision)
     scenario = load_scenario(source, overrides)

@@ -128,10 +128,11 @@ class Specialised:
         # As text, because to JAX two structures are equal whose records differ in nothing but their type. Compared with
         # the last kind first, because to make a layout takes as long as a tick.
         kind = repr(structure), [(leaf.shape, leaf.dtype) for leaf in leaves]
-        if self._last is not None and self._last[0] is state and self._last[1] == kind:
+        last = self._last
+        if last is not None and last[0] is state and last[1] == kind:
             if leaves:
-                self._last[2].give([*self._constant_leaves, *leaves])
-            return self._last[2]
+                last[2].give([*self._constant_leaves, *leaves] if self._constant_leaves else leaves)
+            return last[2]
         program = self._of(jax.tree.unflatten(structure, leaves), state)
         program.give([*self._constant_leaves, *leaves])
         self._last = state, kind, program

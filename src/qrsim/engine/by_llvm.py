@@ -110,18 +110,24 @@ class LlvmProgram:
         self._make = partial(LaneProgram, program, shared.buffers, workers=threads())
         self._mode = program.mode
         self._program: LaneProgram | None = None
+        self._flat: np.ndarray[Any, Any] | None = None
         # The state that was advanced last, and the same as lanes.
         self._last: tuple[Any, Lanes | None] = (None, None)
 
     def give(self, leaves: Sequence[Any]) -> None:
         """Take what each world has for itself."""
+        if self._flat is not None:
+            np.concatenate([leaf.ravel() for leaf in leaves], out=self._flat)
+            return
         worlds = self._extent.worlds
         count = 1 if worlds is None else len(leaves[0]) if leaves else worlds
         if self._program is None or self._program.own.count != count:
             self._program = self._make(own=Lanes(self._own_layout, count, self._mode))
         own = self._program.own
-        # Where they lie flat, one world more or less makes no difference.
-        own.fill_leaves(leaves if own.is_flat or worlds is not None else [leaf[None] for leaf in leaves])
+        own.fill(leaves if worlds is not None else [leaf[None] for leaf in leaves])
+        if worlds is None:
+            # A command for one world is handed over at every step, where a copy leaf by leaf would count.
+            self._flat = own.flat
 
     def start(self) -> Any:
         """Return the first state of as many worlds as something was given."""

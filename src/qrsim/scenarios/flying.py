@@ -70,7 +70,7 @@ def rollout(
             or estimator of the wrong kind, shape or value (vehicle, world and tick are named).
         ScenarioError: faults in a scenario, all of them listed.
     """
-    from qrsim.simulation.simulation import check_precision
+    from qrsim.simulation.arguments import check_precision
 
     check_precision(precision)
     # A generator would be at its end after the first of several scenarios.

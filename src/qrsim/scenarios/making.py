@@ -101,7 +101,7 @@ def make_world(
     Raises:
         UsageError, ScenarioError: as ``make_scenario``.
     """
-    from qrsim.simulation.simulation import check_precision
+    from qrsim.simulation.arguments import check_precision
 
     return make_scenario(vehicles, fleets=fleets, **parts).world(check_precision(precision))
 

@@ -14,12 +14,13 @@ from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
 from qrsim.engine.layout import Buffers, LazyTree, Packer
 from qrsim.engine.settings import use_compilation_cache
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.readings import Reading, Truth
 from qrsim.models.scene.area import reason_text
 from qrsim.models.site import Site
 from qrsim.simulation.alone import Alone, alone
+from qrsim.simulation.arguments import checked_number, checked_seed
 from qrsim.simulation.one_world import OneWorld
 from qrsim.simulation.placing import checked_rows, refuse_misplaced
 from qrsim.simulation.snapshot import LARGEST_TICK, SavedState, fingerprint, write
@@ -97,8 +98,8 @@ class Simulation(Alone):
         self.dtype = np.dtype(world.fleets[0].start.position_ned.x.dtype)
         self.vehicle_names = tuple(name for fleet in world.fleets for name in fleet.vehicle_names)
         self.tick = 0
-        self.seed = _checked_seed(seed)
-        self.number = _checked_number(number)
+        self.seed = checked_seed(seed)
+        self.number = checked_number(number)
         self._checker = ActionChecker(world, self.dtype)
         with self.precision_context():
             self._ticks = OneWorld(world)
@@ -140,7 +141,7 @@ class Simulation(Alone):
     def reset(self, seed: int | None = None) -> Reading:
         """Start an episode and return its first reading; a new seed makes another episode."""
         if seed is not None:
-            self.seed = _checked_seed(seed)
+            self.seed = checked_seed(seed)
         with self.precision_context():
             self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
             self._numbers = self._layout.numbers()
@@ -388,27 +389,3 @@ class Simulation(Alone):
     def precision_context(self) -> contextlib.AbstractContextManager[Any]:
         """Return a context in which JAX computes in this simulation's precision."""
         return jax.enable_x64(self.dtype == np.float64)
-
-
-def _checked_number(number: Any) -> int:
-    if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < 2**32:
-        raise UsageError(f"number: {number!r} is not an integer from 0 to 2**32 - 1")
-    return int(number)
-
-
-def check_precision(precision: str) -> str:
-    """Check a precision and return it.
-
-    Raises:
-        UsageError: it is neither float32 nor float64.
-    """
-    known = ("float32", "float64")
-    if precision not in known:
-        raise UsageError(f"precision: '{precision}' is not known{did_you_mean(str(precision), known)}")
-    return precision
-
-
-def _checked_seed(seed: Any) -> int:
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
-        raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
-    return int(seed)

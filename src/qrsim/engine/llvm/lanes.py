@@ -48,8 +48,6 @@ class Lanes:
     def _describe(self, layout: Packer, count: int, lanes: int) -> None:
         self.layout, self.count, self._lanes = layout, count, lanes
         self.tiles = -(-count // self._lanes)
-        # Whether the leaves lie one behind the other, so that one call of NumPy copies them.
-        self.is_flat = count == self._lanes == 1 and len(layout.is_float) > 0 and all(layout.is_float)
 
     def addresses(self, tile: int) -> list[int]:
         """Return where the buffers of a tile begin."""
@@ -57,21 +55,22 @@ class Lanes:
 
     def fill(self, tree: Any) -> None:
         """Take a tree, each leaf (B, ...)."""
-        self.fill_leaves(jax.tree.leaves(tree))
-
-    def fill_leaves(self, leaves: Sequence[Array]) -> None:
-        """Take the leaves of a tree, each (B, ...)."""
-        if self.is_flat:
-            # A command for one world is handed over at every step, where this counts.
-            np.concatenate([leaf.ravel() for leaf in leaves], out=self._buffers[0][0, : self.layout.sizes[0]])
-            return
         whole = self.tiles * self._lanes
-        for number, leaf in enumerate(leaves):
+        for number, leaf in enumerate(jax.tree.leaves(tree)):
             rows = self._stored(leaf)
             if whole != self.count:
                 # Lanes without a world of their own repeat the last one.
                 rows = rows[np.minimum(np.arange(whole), self.count - 1)]
             self._part(number)[...] = rows.reshape(self.tiles, self._lanes, -1).swapaxes(1, 2)
+
+    @property
+    def flat(self) -> Array | None:
+        """Where all numbers of one world on its own lie, in the order of its leaves; None where it has others too."""
+        layout = self.layout
+        if self.count != 1 or self._lanes != 1 or not layout.is_float or not all(layout.is_float):
+            return None
+        found: Array = self._buffers[0][0, : layout.sizes[0]]
+        return found
 
     def put(self, worlds: Array, tree: Any) -> None:
         """Take a tree of some worlds, the first len(worlds) rows of each leaf."""

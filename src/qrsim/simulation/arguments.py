@@ -1,0 +1,35 @@
+"""What a user may say of a simulation: its seed, its number, its precision."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError, did_you_mean
+
+
+def checked_number(number: Any) -> int:
+    """Check the number of a world and return it, 0 <= number < 2**32; raises UsageError."""
+    if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < 2**32:
+        raise UsageError(f"number: {number!r} is not an integer from 0 to 2**32 - 1")
+    return int(number)
+
+
+def check_precision(precision: str) -> str:
+    """Check a precision and return it.
+
+    Raises:
+        UsageError: it is neither float32 nor float64.
+    """
+    known = ("float32", "float64")
+    if precision not in known:
+        raise UsageError(f"precision: '{precision}' is not known{did_you_mean(str(precision), known)}")
+    return precision
+
+
+def checked_seed(seed: Any) -> int:
+    """Check a seed and return it, 0 <= seed < 2**63; raises UsageError."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
+        raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
+    return int(seed)
