@@ -29,8 +29,7 @@ from qrsim import cli
 from qrsim.apps.run import command
 from qrsim.engine import programs
 from qrsim.engine.llvm import program
-from qrsim.runs import open_run, recorder
-from qrsim.runs import writer as writer_module
+from qrsim.runs import atomic, open_run, recorder
 from qrsim.runs.summary import summarise
 from qrsim.scenarios.scenario import load_scenario
 
@@ -456,7 +455,7 @@ def small_parts(monkeypatch) -> Iterator[Callable[[int], None]]:
         real_fsync(descriptor)
 
     monkeypatch.setattr(recorder, "RunWriter", SimpleNamespace(create=create))
-    monkeypatch.setattr(writer_module.os, "fsync", fsync)
+    monkeypatch.setattr(atomic.os, "fsync", fsync)
 
     def fill(files: int) -> None:
         left[0] = files

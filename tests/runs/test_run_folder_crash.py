@@ -15,8 +15,7 @@ import pytest
 from small_run import COLUMNS, append_chunk, chunk
 
 from qrsim.errors import RunError, UsageError
-from qrsim.runs import Run, RunInfo, RunWriter, open_run
-from qrsim.runs import writer as writer_module
+from qrsim.runs import Run, RunInfo, RunWriter, atomic, open_run
 
 Start = Callable[..., RunWriter]
 
@@ -139,7 +138,7 @@ def test_ctrl_c_in_the_middle_of_a_flush_neither_loses_nor_repeats_rows(
     append_chunk(writer, 0)
     writer.flush()
     append_chunk(writer, 4)
-    monkeypatch.setattr(writer_module.os, moment, interrupted)
+    monkeypatch.setattr(atomic.os, moment, interrupted)
     with pytest.raises(KeyboardInterrupt), writer:
         writer.flush()
     assert calls > 2
@@ -169,7 +168,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], None]
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         real(descriptor)
 
-    monkeypatch.setattr(writer_module.os, "fsync", fsync)
+    monkeypatch.setattr(atomic.os, "fsync", fsync)
 
     def fill(allowed: int) -> None:
         left[0] = allowed
@@ -266,7 +265,7 @@ def test_another_write_error_says_which(start: Start, monkeypatch: pytest.Monkey
 
     writer = start()
     append_chunk(writer, 0)
-    monkeypatch.setattr(writer_module.os, "fsync", fsync)
+    monkeypatch.setattr(atomic.os, "fsync", fsync)
     with pytest.raises(RunError, match=r"^cannot write \(Input/output error\) while recording 'truth'"):
         writer.flush()
 

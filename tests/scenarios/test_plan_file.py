@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from qrsim.errors import ScenarioError, UsageError
-from qrsim.scenarios.plan_file import FLOWN, NOT_FLOWN, FencePolygon, Plan, read_plan
+from qrsim.scenarios.plan import FencePolygon, Plan
+from qrsim.scenarios.plan_file import FLOWN, NOT_FLOWN, read_plan
 
 HOME = [47.0, 8.0, 500.0]
 ABOVE_SEA, ABOVE_HOME, MISSION = 0, 3, 2

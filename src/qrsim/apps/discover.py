@@ -58,8 +58,8 @@ class Discover:
         from qrsim.discover.discovery import discover
         from qrsim.discover.picture import draw
         from qrsim.flight_logs import read_log
+        from qrsim.runs.atomic import write_atomically
         from qrsim.runs.picture import save_picture
-        from qrsim.runs.writer import write_atomically
         from qrsim.scenarios.reading import dump_yaml
 
         log = read_log(self.log)

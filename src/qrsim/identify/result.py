@@ -14,7 +14,7 @@ from qrsim.identify.constants import aspects_of, unit_of
 from qrsim.identify.fit import Answer, Question
 from qrsim.identify.problem import Piece
 from qrsim.identify.verdicts import Verdict, channels_in
-from qrsim.runs.writer import write_atomically
+from qrsim.runs.atomic import write_atomically
 from qrsim.scenarios.reading import dump_yaml
 
 

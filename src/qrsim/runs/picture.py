@@ -14,8 +14,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.runs.atomic import write_atomically
 from qrsim.runs.reader import Run
-from qrsim.runs.writer import write_atomically
 
 Floats = np.ndarray[Any, Any]
 FORMATS = ("png", "pdf", "svg")

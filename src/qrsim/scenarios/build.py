@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from qrsim.control import Route
 from qrsim.core.tree import cast, field_info
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.errors import UsageError, warn_user
-from qrsim.models.gnss.receivers import HAND_LIST, SharedSky
+from qrsim.errors import UsageError
+from qrsim.models.gnss.receivers import SharedSky
 from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.contents import Contents
 from qrsim.models.scene.obstacles import Obstacles
@@ -23,6 +23,7 @@ from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.faults import fault_problems, faults, reading_fields, vehicle_names
+from qrsim.scenarios.hand_list import hand_lists, warn_of_hand_lists
 from qrsim.scenarios.ranges import range_problems, ranges_of
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
@@ -232,7 +233,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
     site = Site.from_degrees(scenario.site.latitude_deg, scenario.site.longitude_deg, scenario.site.height)
     ephemeris = component(world.sky.orbits, known.ORBITS, scenario)
     orbits = ephemeris.at(site, gps_seconds_from_utc(scenario.start_time), dtype, scenario.duration)
-    _warn_of_hand_lists(scenario, ephemeris.satellite_ids)
+    warn_of_hand_lists(scenario, ephemeris.satellite_ids)
     errors = component(world.sky.errors, known.SKY_ERRORS, scenario)
     sky = SharedSky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
     built = World(
@@ -307,32 +308,10 @@ def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
             f"what world.sky.orbits covers; allowed: {span}{cut_off}"
         )
     if orbits.type == "nominal_constellation":
-        for path in _hand_lists(scenario):
+        for path in hand_lists(scenario):
             yield (
                 f"{path}: 'hand_list' names satellites by PRN, "
                 "which the nominal constellation has not; use world.sky.orbits of type sp3"
-            )
-
-
-def _hand_lists(scenario: ScenarioSpec) -> list[str]:
-    """Return the paths of the receivers that use the published list of satellites."""
-    return [
-        f"fleets.{name}.sensors.{sensor_name}.satellites"
-        for name, fleet in scenario.fleets.items()
-        for sensor_name, sensor in fleet.sensors.items()
-        if vars(sensor).get("satellites") == "hand_list"
-    ]
-
-
-def _warn_of_hand_lists(scenario: ScenarioSpec, satellite_ids: Any) -> None:
-    """Say where a receiver has fewer satellites to choose from than were published."""
-    there = {int(number) & 0xFF for number in satellite_ids}
-    absent = [f"{prn}" for prn in HAND_LIST if prn not in there]
-    if absent:
-        for path in _hand_lists(scenario):
-            warn_user(
-                f"{path}: world.sky.orbits lacks the satellites {', '.join(absent)} of the hand list; receivers choose "
-                f"among {len(HAND_LIST) - len(absent)} instead of {len(HAND_LIST)}"
             )
 
 

@@ -9,7 +9,8 @@ from qrsim.errors import ScenarioError, UsageError, warn_user
 from qrsim.models.site import Site
 from qrsim.scenarios.fence_file import fence_corners
 from qrsim.scenarios.local import local_ned
-from qrsim.scenarios.plan_file import Ignored, Plan, Waypoint, read_plan
+from qrsim.scenarios.plan import Ignored, Plan, Waypoint
+from qrsim.scenarios.plan_file import read_plan
 from qrsim.scenarios.schema import (
     LONGEST_ROUTE,
     MOST_CORNERS,

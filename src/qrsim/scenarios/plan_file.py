@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import errno
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.files.user_files import read_text
 from qrsim.models.scene.fence import polygon_problems
+from qrsim.scenarios.plan import FenceCircle, FencePolygon, Home, Ignored, Plan, Waypoint
 
 WAYPOINT, LOITER_FOREVER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
 # Commands that are flown, and what their first four parameters ask for, which is not; "" where nothing is defined.
@@ -50,82 +50,6 @@ _FRAMES = {
 }  # fmt: skip
 _KINDS = {dict: "an object", list: "a list", bool: "true or false", int: "a whole number"}
 _LARGEST_LENGTH, _LARGEST_PARAMETER = 1e5, 1e9
-
-
-@dataclass(frozen=True)
-class Home:
-    """Start of the plan: geodetic [deg], and altitude above mean sea level [m]."""
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude_amsl: float
-
-
-@dataclass(frozen=True)
-class Waypoint:
-    """One waypoint of the plan.
-
-    Attributes:
-        latitude_deg, longitude_deg: geodetic [deg].
-        height_above_home: [m].
-        item: number of the mission item, from 1 as QGroundControl shows it; those inside a survey count.
-        command: MAV_CMD without its prefix, for example NAV_LAND.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    height_above_home: float
-    item: int
-    command: str
-
-
-@dataclass(frozen=True)
-class FencePolygon:
-    """A simple polygon to stay in (inclusion) or out of; corners as (latitude, longitude) [deg]."""
-
-    inclusion: bool
-    vertices: tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
-class FenceCircle:
-    """A circle to stay in (inclusion) or out of; centre [deg], radius [m]."""
-
-    inclusion: bool
-    latitude_deg: float
-    longitude_deg: float
-    radius: float
-
-
-@dataclass(frozen=True)
-class Ignored:
-    """An item of the plan that is neither waypoint nor fence.
-
-    Attributes:
-        item: number of the mission item, None where it is not one.
-        name: of its command, or of the part of the file.
-        what: the words for what is not flown.
-    """
-
-    item: int | None
-    name: str
-    what: str
-
-    @property
-    def text(self) -> str:
-        """A line for a warning."""
-        return f"{self.name}: {self.what}" if self.item is None else f"item {self.item}, {self.name}: {self.what}"
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Content of a .plan file; waypoints are in the order of flight."""
-
-    home: Home
-    waypoints: tuple[Waypoint, ...]
-    polygons: tuple[FencePolygon, ...]
-    circles: tuple[FenceCircle, ...]
-    ignored: tuple[Ignored, ...]
 
 
 class _FaultError(Exception):

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 
 from pydantic import (
     AfterValidator,
     AwareDatetime,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
-    Discriminator,
     Field,
-    Tag,
-    create_model,
     model_validator,
 )
 
-from qrsim.core.tree import FieldInfo, field_info
 from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.component_schema import Finite, Strict, choice_of, component_model, slot_of
 
-Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9_.-]+$"
 Position = Annotated[list[Finite], Field(min_length=3, max_length=3)]
@@ -38,136 +29,11 @@ SKY_KINDS = {"sky": "errors", "orbits": "orbits"}
 FLEET_KINDS = ("vehicle", "controller", "guidance", "battery")
 
 
-def _add_degrees(schema: dict[str, Any]) -> None:
-    """Say in the JSON schema that every angle can be given in degrees instead."""
-    properties = schema.get("properties", {})
-    for name in [name for name in properties if name.endswith("_rad")]:
-        twin = name.removesuffix("_rad") + "_deg"
-        properties[twin] = {"type": "number", "description": f"{name} in degrees; give one of the two"}
-        if name in schema.get("required", []):
-            schema["required"].remove(name)
-
-
-def _radians(degrees: Any) -> Any:
-    """Convert a number or each of a list; anything else is left for the check to find."""
-    if isinstance(degrees, list):
-        return [_radians(entry) for entry in degrees]
-    if isinstance(degrees, bool) or not isinstance(degrees, int | float):
-        return degrees
-    try:
-        return math.radians(degrees)
-    except OverflowError:
-        return math.inf
-
-
 def _time_of_day(value: Any) -> Any:
     """Refuse numbers, which pydantic would take for seconds since 1970."""
     if isinstance(value, datetime) or (isinstance(value, str) and not value.strip().lstrip("+-").isdigit()):
         return value
     raise ValueError("is not a time; expected for example 2026-06-21T10:00:00Z")
-
-
-class Strict(BaseModel):
-    """Base of every part of a scenario: unknown keys are refused, nothing is coerced, angles may be in degrees."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra=_add_degrees)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _degrees_to_radians(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return data
-        converted = dict(data)
-        for name in cls.model_fields:
-            twin = name.removesuffix("_rad") + "_deg"
-            if name.endswith("_rad") and twin in converted:
-                if name in converted:
-                    raise ValueError(f"gives both '{name}' and '{twin}'; give one")
-                converted[name] = _radians(converted.pop(twin))
-        return converted
-
-
-def _bounds(info: FieldInfo) -> dict[str, Any]:
-    bounds = {"ge": info.minimum, "le": info.maximum, "gt": info.above}
-    return {name: bound for name, bound in bounds.items() if bound is not None}
-
-
-def _described(info: FieldInfo) -> dict[str, Any]:
-    inherited = f" (default: that of {info.inherits})" if info.inherits else ""
-    return {"description": info.doc + inherited, "json_schema_extra": {"unit": info.unit}}
-
-
-def _one_or_each(value: Any) -> str:
-    return "each" if isinstance(value, list) else "one"
-
-
-def _for_each(info: FieldInfo) -> Any:
-    """Return the annotation of a number of a fleet: one for all vehicles, or a list with one for each."""
-    number = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
-    entry = number | None if info.inherits else number
-    return Annotated[
-        Annotated[entry, Tag("one")] | Annotated[list[number], Tag("each")],
-        Discriminator(_one_or_each),
-    ]
-
-
-def _field(name: str, hint: Any, field: dataclasses.Field[Any], each: bool) -> tuple[Any, Any]:
-    info = field_info(field)
-    required = field.default is dataclasses.MISSING
-    if dataclasses.is_dataclass(field.default):
-        nested = component_model(type(field.default).__name__, type(field.default), tagged=False, each=each)
-        return nested, Field(default_factory=nested, **_described(info))
-    if each and not info.static:
-        return _for_each(info), Field(... if required else field.default, **_described(info))
-    if info.static:
-        constraints = Field(strict=True, allow_inf_nan=False) if hint is float else Field(strict=True)
-        annotation: Any = Annotated[hint, constraints] if hint in (float, int, bool) else hint
-    else:
-        annotation = Finite
-    if info.inherits:
-        annotation = annotation | None
-    default = ... if required else field.default
-    return annotation, Field(default, **_bounds(info), **_described(info))
-
-
-def component_model(
-    name: str,
-    component: type,
-    *,
-    tagged: bool = True,
-    each: bool = False,
-    arrays: Mapping[str, Any] | None = None,
-    base: type[Strict] = Strict,
-) -> type[Strict]:
-    """Make the schema of one component.
-
-    Args:
-        name: its name in the catalogue.
-        component: a record class whose fields carry metadata.
-        tagged: whether a scenario names it by a ``type`` key.
-        each: whether it belongs to a fleet, so that a number may be a list with one entry for each vehicle.
-        arrays: what a scenario writes in place of the component's arrays, which are its fields without a default.
-        base: class of the schema.
-    """
-    hints = get_type_hints(component)
-    fields: dict[str, Any] = {}
-    if tagged:
-        fields["type"] = (Literal[name], Field(description="what it is"))
-    fields |= arrays or {}
-    for field in dataclasses.fields(component):
-        if arrays is None or field.default is not dataclasses.MISSING:
-            fields[field.name] = _field(field.name, hints[field.name], field, each)
-    doc = (component.__doc__ or "").split("\n\n")[0].strip()
-    return create_model(name, __base__=base, __doc__=doc, **fields)
-
-
-def _slot(choices: Mapping[str, type], *, each: bool = False) -> Any:
-    """Return the annotation of a place where one of several components goes."""
-    return _choice([component_model(name, component, each=each) for name, component in choices.items()])
-
-
-def _choice(models: list[type[Strict]]) -> Any:
-    return Annotated[Union[tuple(models)], Field(discriminator="type")] if len(models) > 1 else models[0]  # noqa: UP007
 
 
 class _Polygon(Strict):
@@ -207,7 +73,7 @@ PolygonModel: Any = _polygon_model()
 def _area_slot() -> Any:
     """Return the annotation of an area: those of the catalogue, and a file with the polygon of one."""
     others = [component_model(name, area) for name, area in known.AREAS.items() if area is not PolygonArea]
-    return _choice([*others, PolygonModel, _fence_model()])
+    return choice_of([*others, PolygonModel, _fence_model()])
 
 
 class GeodeticSpec(Strict):
@@ -277,23 +143,23 @@ if TYPE_CHECKING:
     TaskSlot: TypeAlias = Any
     LimitsModel: TypeAlias = Any
 else:
-    WindSlot = _slot(known.WINDS)
-    TurbulenceSlot = _slot(known.TURBULENCES)
-    SensorSlot = _slot(known.SENSORS, each=True)
-    OrbitsSlot = _slot(known.ORBITS)
-    SkyErrorsSlot = _slot(known.SKY_ERRORS)
+    WindSlot = slot_of(known.WINDS)
+    TurbulenceSlot = slot_of(known.TURBULENCES)
+    SensorSlot = slot_of(known.SENSORS, each=True)
+    OrbitsSlot = slot_of(known.ORBITS)
+    SkyErrorsSlot = slot_of(known.SKY_ERRORS)
     AreaSlot = _area_slot()
-    ObstacleSlot = _slot(known.OBSTACLES)
-    GustSlot = _slot(known.GUSTS)
-    PlumeSlot = _slot(known.PLUMES)
-    TerrainSlot = _slot(known.TERRAINS)
-    PersonsSlot = _slot(known.PERSONS)
-    PlacementSlot = _slot(known.PLACEMENTS)
-    TaskSlot = _slot(known.TASKS)
-    BatterySlot = _slot(known.BATTERIES, each=True)
-    VehicleSlot = _slot(known.VEHICLES, each=True)
-    ControllerSlot = _slot(known.CONTROLLERS, each=True)
-    GuidanceSlot = _slot(known.GUIDANCE, each=True)
+    ObstacleSlot = slot_of(known.OBSTACLES)
+    GustSlot = slot_of(known.GUSTS)
+    PlumeSlot = slot_of(known.PLUMES)
+    TerrainSlot = slot_of(known.TERRAINS)
+    PersonsSlot = slot_of(known.PERSONS)
+    PlacementSlot = slot_of(known.PLACEMENTS)
+    TaskSlot = slot_of(known.TASKS)
+    BatterySlot = slot_of(known.BATTERIES, each=True)
+    VehicleSlot = slot_of(known.VEHICLES, each=True)
+    ControllerSlot = slot_of(known.CONTROLLERS, each=True)
+    GuidanceSlot = slot_of(known.GUIDANCE, each=True)
     LimitsModel = component_model("limits", StateLimits, tagged=False, each=True)
 
 
@@ -414,7 +280,7 @@ def refresh(kind: str) -> None:
     if kind not in _PLACES:
         return
     model, name, each = _PLACES[kind]
-    slot = _area_slot() if kind == "area" else _slot(known.KINDS[kind], each=each)
+    slot = _area_slot() if kind == "area" else slot_of(known.KINDS[kind], each=each)
     # The classes stay the same, because others have imported them; only what may stand in them is new.
     field = model.model_fields[name]
     if name == "sensors":

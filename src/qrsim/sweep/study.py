@@ -18,10 +18,11 @@ from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.files.user_files import read_text
 from qrsim.files.yaml_text import parse_yaml
 from qrsim.interface.policies import load_function
+from qrsim.scenarios.component_schema import Finite
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.providing import anchor_code
 from qrsim.scenarios.reading import anchor_files, apply_override, read_scenario
-from qrsim.scenarios.schema import NAME, Finite
+from qrsim.scenarios.schema import NAME
 from qrsim.sweep.metrics import METRICS
 
 BASELINE = "baseline"

@@ -1,0 +1,29 @@
+"""Atomic writing of files."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from typing import Any
+
+
+def write_atomically(path: Path, data: Any) -> None:
+    """Write bytes to a path atomically.
+
+    The temporary name starts with a dot, so other tools that read a folder of Parquet files ignore it too.
+
+    Raises:
+        OSError: nothing was written and nothing is left behind.
+    """
+    temporary = path.with_name(f".{path.name}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise

@@ -1,0 +1,148 @@
+"""Pydantic schemas of components, generated from the fields of their records."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Union, get_type_hints
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    create_model,
+    model_validator,
+)
+
+from qrsim.core.tree import FieldInfo, field_info
+
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+
+
+def _add_degrees(schema: dict[str, Any]) -> None:
+    """Say in the JSON schema that every angle can be given in degrees instead."""
+    properties = schema.get("properties", {})
+    for name in [name for name in properties if name.endswith("_rad")]:
+        twin = name.removesuffix("_rad") + "_deg"
+        properties[twin] = {"type": "number", "description": f"{name} in degrees; give one of the two"}
+        if name in schema.get("required", []):
+            schema["required"].remove(name)
+
+
+def _radians(degrees: Any) -> Any:
+    """Convert a number or each of a list; anything else is left for the check to find."""
+    if isinstance(degrees, list):
+        return [_radians(entry) for entry in degrees]
+    if isinstance(degrees, bool) or not isinstance(degrees, int | float):
+        return degrees
+    try:
+        return math.radians(degrees)
+    except OverflowError:
+        return math.inf
+
+
+class Strict(BaseModel):
+    """Base of every part of a scenario: unknown keys are refused, nothing is coerced, angles may be in degrees."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra=_add_degrees)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _degrees_to_radians(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        converted = dict(data)
+        for name in cls.model_fields:
+            twin = name.removesuffix("_rad") + "_deg"
+            if name.endswith("_rad") and twin in converted:
+                if name in converted:
+                    raise ValueError(f"gives both '{name}' and '{twin}'; give one")
+                converted[name] = _radians(converted.pop(twin))
+        return converted
+
+
+def _bounds(info: FieldInfo) -> dict[str, Any]:
+    bounds = {"ge": info.minimum, "le": info.maximum, "gt": info.above}
+    return {name: bound for name, bound in bounds.items() if bound is not None}
+
+
+def _described(info: FieldInfo) -> dict[str, Any]:
+    inherited = f" (default: that of {info.inherits})" if info.inherits else ""
+    return {"description": info.doc + inherited, "json_schema_extra": {"unit": info.unit}}
+
+
+def _one_or_each(value: Any) -> str:
+    return "each" if isinstance(value, list) else "one"
+
+
+def _for_each(info: FieldInfo) -> Any:
+    """Return the annotation of a number of a fleet: one for all vehicles, or a list with one for each."""
+    number = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
+    entry = number | None if info.inherits else number
+    return Annotated[
+        Annotated[entry, Tag("one")] | Annotated[list[number], Tag("each")],
+        Discriminator(_one_or_each),
+    ]
+
+
+def _field(name: str, hint: Any, field: dataclasses.Field[Any], each: bool) -> tuple[Any, Any]:
+    info = field_info(field)
+    required = field.default is dataclasses.MISSING
+    if dataclasses.is_dataclass(field.default):
+        nested = component_model(type(field.default).__name__, type(field.default), tagged=False, each=each)
+        return nested, Field(default_factory=nested, **_described(info))
+    if each and not info.static:
+        return _for_each(info), Field(... if required else field.default, **_described(info))
+    if info.static:
+        constraints = Field(strict=True, allow_inf_nan=False) if hint is float else Field(strict=True)
+        annotation: Any = Annotated[hint, constraints] if hint in (float, int, bool) else hint
+    else:
+        annotation = Finite
+    if info.inherits:
+        annotation = annotation | None
+    default = ... if required else field.default
+    return annotation, Field(default, **_bounds(info), **_described(info))
+
+
+def component_model(
+    name: str,
+    component: type,
+    *,
+    tagged: bool = True,
+    each: bool = False,
+    arrays: Mapping[str, Any] | None = None,
+    base: type[Strict] = Strict,
+) -> type[Strict]:
+    """Make the schema of one component.
+
+    Args:
+        name: its name in the catalogue.
+        component: a record class whose fields carry metadata.
+        tagged: whether a scenario names it by a ``type`` key.
+        each: whether it belongs to a fleet, so that a number may be a list with one entry for each vehicle.
+        arrays: what a scenario writes in place of the component's arrays, which are its fields without a default.
+        base: class of the schema.
+    """
+    hints = get_type_hints(component)
+    fields: dict[str, Any] = {}
+    if tagged:
+        fields["type"] = (Literal[name], Field(description="what it is"))
+    fields |= arrays or {}
+    for field in dataclasses.fields(component):
+        if arrays is None or field.default is not dataclasses.MISSING:
+            fields[field.name] = _field(field.name, hints[field.name], field, each)
+    doc = (component.__doc__ or "").split("\n\n")[0].strip()
+    return create_model(name, __base__=base, __doc__=doc, **fields)
+
+
+def slot_of(choices: Mapping[str, type], *, each: bool = False) -> Any:
+    """Return the annotation of a place where one of several components goes."""
+    return choice_of([component_model(name, component, each=each) for name, component in choices.items()])
+
+
+def choice_of(models: list[type[Strict]]) -> Any:
+    """Return the annotation of one of several schemas, told apart by ``type``."""
+    return Annotated[Union[tuple(models)], Field(discriminator="type")] if len(models) > 1 else models[0]  # noqa: UP007
