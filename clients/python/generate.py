@@ -14,16 +14,21 @@ HERE = Path(__file__).resolve().parent
 SOURCE, PACKAGE = HERE.parents[1] / "src" / "qrsim" / "links" / "reference", HERE / "qrsim_client"
 NOTE = "# Written by generate.py from {}: change that.\n"
 IMPORTS = {
-    """from qrsim.errors import RunError, UsageError
+    """import numpy as np
+
+from qrsim.errors import UsageError
 from qrsim.links.reference.protocol import DecodeError
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
-""": """from qrsim_client import qrsim_pb2 as pb
-from qrsim_client.errors import RunError, UsageError
+""": """import numpy as np
+from google.protobuf.message import DecodeError
+
+from qrsim_client import qrsim_pb2 as pb
+from qrsim_client.errors import UsageError
 """,
-    "import numpy as np\n": "import numpy as np\nfrom google.protobuf.message import DecodeError\n",
     "from qrsim.errors import": "from qrsim_client.errors import",
     "from qrsim.links.reference.protocol.framing import": "from qrsim_client.framing import",
     "from qrsim.links.reference.protocol.qrsim_pb2 import": "from qrsim_client.qrsim_pb2 import",
+    "from qrsim.links.reference.replies import": "from qrsim_client.replies import",
 }
 MESSAGES = '''{note}"""The messages of the protocol."""
 
@@ -65,6 +70,7 @@ def generated() -> dict[Path, str]:
     """Return path -> text of all that is written."""
     return {
         PACKAGE / "client.py": copied("client.py"),
+        PACKAGE / "replies.py": copied("replies.py"),
         PACKAGE / "framing.py": copied("protocol/framing.py"),
         PACKAGE / "qrsim_pb2.py": messages(),
         HERE.parent / "cpp" / "qrsim.proto": (SOURCE / "protocol" / "qrsim.proto").read_text("utf-8"),
