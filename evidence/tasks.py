@@ -83,7 +83,7 @@ def scores(batch: Batch, policy: Any) -> tuple[Values, Values]:
         reward, terminated, _ = batch.step(np.stack(actions))
         total += np.where(flies, reward.mean(axis=1), 0.0)
         flies &= ~terminated
-        if step == play.steps - 1 and hasattr(play.task, "answer_shape"):
+        if step == play.steps - 1 and play.task.hands_in:
             for i in np.flatnonzero(flies):
                 total[i] += batch.score(int(i), policies[i].answer()).mean()
     return total, flies
