@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import textwrap
 from importlib import metadata
@@ -262,6 +263,18 @@ BAD = {
         changed('unit="1", doc="what', 'unit="", doc="what'),
         "Gauge.gain has no unit; expected unit='m' or the like, '1' for a plain number",
     ),
+    "unit forgotten": (
+        changed('unit="1", doc="what', 'doc="what'),
+        "Gauge.gain has no unit; expected unit='m' or the like, '1' for a plain number",
+    ),
+    "reads is a text": (
+        changed('reads = ("position_ned",)', 'reads = "position_ned"'),
+        "Gauge.reads is 'position_ned'; expected a tuple of names, as (\"position_ned\",)",
+    ),
+    "leaves": (
+        changed("-position_ned.z * self.gain", "sys.exit(0)").replace("import qrsim", "import qrsim, sys"),
+        "Gauge.init: SystemExit: 0 (FILE, line 21)",
+    ),
     "reading without unit": (
         changed('qrsim.quantity(unit="m", doc', "qrsim.quantity(doc"),
         "Gauge.init: HeightReading.height_agl has no unit; expected height_agl: ... = qrsim.quantity(unit=..., "
@@ -320,6 +333,55 @@ class TestBadInput:
         assert complaint(with_gauge(f"{tmp_path}/gouge.py:Gauge")).endswith(
             f"there is no file {tmp_path}/gouge.py; did you mean '{file}'?"
         )
+
+    @pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
+    def test_what_is_no_file(self, make: Any, tmp_path: Path):
+        make(tmp_path / "gauge.py")
+        line = complaint(with_gauge(f"{tmp_path}/gauge.py:Gauge"))
+        assert f"{tmp_path}/gauge.py: cannot be read: " in line
+        assert "did you mean" not in line
+
+    def test_a_file_without_its_ending(self):
+        assert "'./gauge' is no module; expected my_package.my_module, or a file that ends in .py" in complaint(
+            with_gauge("./gauge:Gauge")
+        )
+
+    def test_a_class_without_a_schema_spoils_no_other(self, tmp_path: Path):
+        settings = '    table: np.ndarray = qrsim.setting(None, doc="a table")\n    reads ='
+        file = written(tmp_path, changed("    reads =", settings))
+        line = complaint(with_gauge(f"{file}:Gauge"))
+        assert f"{file}: class Gauge has no schema: " in line
+        assert "typing.Literal" in line
+        good = written(tmp_path, name="good.py")
+        assert load_scenario(with_gauge(f"{good}:Gauge"))
+
+    def test_a_controller_that_cannot_be_told_what_feeds_it(self, tmp_path: Path):
+        file = written(
+            tmp_path,
+            """
+import jax.numpy as jnp
+import qrsim
+
+
+@qrsim.record
+class Level:
+    throttle: float = qrsim.parameter(0.59, unit="1", doc="throttle")
+    setpoints = (qrsim.WaypointSetpoint,)
+    gives = qrsim.Command
+
+    def init(self, estimate):
+        return None
+
+    def step(self, state, estimate, setpoint, dt):
+        zero = jnp.zeros_like(setpoint.yaw)
+        return None, qrsim.Command(zero, zero, zero + self.throttle, zero, zero + 12.0)
+""",
+        )
+        fleets = {"pelicans": {"controller": {"type": f"{file}:Level"}}}
+        assert load_scenario({"extends": "hover", "name": "own", "fleets": fleets})
+        bare = {"pelicans": {"controller": {"type": f"{file}:Level"}, "sensors": None}}
+        with pytest.raises(ScenarioError, match="fed with measurements, but no sensor gives position"):
+            load_scenario({"extends": "hover", "name": "own", "fleets": bare})
 
     def test_on_the_command_line(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         """Exit code 2 and no traceback, from every command that reads a scenario."""

@@ -44,14 +44,17 @@ class FieldInfo:
 def parameter(
     default: Any = MISSING,
     *,
-    unit: str,
-    doc: str,
+    unit: str = "",
+    doc: str = "",
     minimum: float | None = None,
     maximum: float | None = None,
     above: float | None = None,
     inherits: str | None = None,
 ) -> T:  # type: ignore[type-var]
-    """Declare a number of a component: a leaf, so that changing it does not recompile."""
+    """Declare a number of a component: a leaf, so that changing it does not recompile.
+
+    Each has a unit and a doc; one without is refused where its class becomes a component, which can name it.
+    """
     info = FieldInfo(unit, doc, minimum, maximum, above, False, inherits)
     return dataclasses.field(default=default, metadata={INFO: info})
 
@@ -60,7 +63,7 @@ def setting(
     default: Any = MISSING,
     *,
     unit: str = "",
-    doc: str,
+    doc: str = "",
     minimum: float | None = None,
     maximum: float | None = None,
     above: float | None = None,

@@ -93,6 +93,8 @@ def in_one_line(error: BaseException) -> str:
 
 
 def _import_module(what: str, name: str) -> ModuleType:
+    if not all(part.isidentifier() for part in name.split(".")):
+        raise UsageError(f"{what}: '{name}' is no module; expected my_package.my_module, or a file that ends in .py")
     folder = str(Path.cwd())
     if folder not in sys.path:
         sys.path.insert(0, folder)
@@ -116,7 +118,7 @@ def _failed(error: BaseException, files: list[str]) -> str:
 
 
 def _import_file(what: str, path: Path) -> ModuleType:
-    if not path.is_file():
+    if not path.exists():
         near = [str(other) for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
         hint = did_you_mean(str(path), near)
         raise UsageError(f"{what}: there is no file {path}{hint if 'mean' in hint else ''}")

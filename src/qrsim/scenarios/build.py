@@ -211,7 +211,10 @@ def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -
 
 
 def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
-    if fleet.controller.feed != "measurements":
+    kind: Any = known.CONTROLLERS[fleet.controller.type]
+    # A controller that cannot be told has it as an attribute of its class (control/contracts.py).
+    feed = fleet.controller.feed if "feed" in type(fleet.controller).model_fields else kind.feed
+    if feed != "measurements":
         return
     types = {sensor.type for sensor in fleet.sensors.values()}
     own = [reading_fields(kind) for kind in types if is_outside("sensor", kind)]

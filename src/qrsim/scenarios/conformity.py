@@ -171,6 +171,9 @@ def _attribute_problems(kind: str, component: type) -> Iterator[str]:
                 f"{_meant(component, name)}"
             )
     reads = getattr(component, "reads", ())
+    if not isinstance(reads, tuple | list):
+        yield f'{component.__name__}.reads is {reads!r:.60}; expected a tuple of names, as ("position_ned",)'
+        return
     for name in reads if kind in READABLE else ():
         if name not in READABLE[kind]:
             match = nearest(name, READABLE[kind])

@@ -216,9 +216,21 @@ def _check_class(kind: str, component: Any, what: str) -> None:
 
 
 def _take_in(kind: str, name: str, component: type, origin: Origin) -> None:
-    catalogue.KINDS[kind][name] = component
+    group = catalogue.KINDS[kind]
+    before = group.get(name)
+    group[name] = component
+    try:
+        schema.refresh(kind)
+    except Exception as error:
+        # A class that has no schema must not spoil the scenarios that follow.
+        group.pop(name) if before is None else group.update({name: before})
+        schema.refresh(kind)
+        said = code.in_one_line(error)
+        raise UsageError(
+            f"{origin.file or origin.module}: class {component.__name__} has no schema: {said}; expected numbers "
+            "(qrsim.parameter), and settings that are numbers, texts, bools or a typing.Literal"
+        ) from error
     _ORIGINS[kind, name] = origin
-    schema.refresh(kind)
 
 
 def _refuse_second(kind: str, name: str, component: type, origin: Origin) -> None:

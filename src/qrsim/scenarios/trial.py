@@ -160,7 +160,7 @@ def _looked_at(component: type, kind: str, name: str, method: Callable[..., Any]
             result = method(self, *args, **kwargs)
         except FaultError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             advice = next((words for kind, words in _ADVICE if isinstance(error, kind)), in_one_line(error))
             place = where_raised(error, [method.__code__.co_filename, file_of_class(component)])
             where = f" ({place})" if place else ""
