@@ -30,19 +30,19 @@ class Controller(Protocol):
     gives: ClassVar[type[Any]]
     feed: Literal["measurements", "truth"] = "measurements"
 
-    def idle_command(self, command: Any) -> Any:
+    def idle_command(self, command: Any) -> object:
         """Return the command (n,) before the first one, of the vehicle's own ``idle_command``."""
         return command
 
     @abstractmethod
-    def init(self, estimate: Estimate) -> Any:
+    def init(self, estimate: Estimate) -> object:
         """Return the state of a controller of n vehicles that has not run."""
 
     @abstractmethod
-    def step(self, state: Any, estimate: Estimate, setpoint: Any, dt: float) -> tuple[Any, Any]:
+    def step(self, state: Any, estimate: Estimate, setpoint: Any, dt: float) -> tuple[object, object]:
         """Return the new state and the command (n,), for a set-point (n,) of a kind that it takes; dt in [s]."""
 
-    def shown(self, setpoint: Any) -> Any:
+    def shown(self, setpoint: Any) -> object:
         """Return a set-point as stored in a world's state: one structure for all kinds."""
         return setpoint
 
@@ -68,11 +68,11 @@ class Guidance(Protocol):
         """Return the state at the start of each route (n,)."""
 
     @abstractmethod
-    def step(self, state: Any, route: Any, position_ned: Vec3, others_ned: Vec3 | None = None) -> tuple[Any, Any]:
+    def step(self, state: Any, route: Any, position_ned: Vec3, others_ned: Vec3 | None = None) -> tuple[Any, object]:
         """Return the new state and the set-point for vehicles with estimated positions position_ned (n,) [m]."""
 
     @abstractmethod
-    def setpoint(self, state: Any, route: Any) -> Any:
+    def setpoint(self, state: Any, route: Any) -> object:
         """Return the set-point (n,) of a state."""
 
 

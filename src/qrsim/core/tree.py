@@ -8,15 +8,21 @@ this metadata, so that no parameter is declared twice.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING
-from typing import Any, TypeVar, dataclass_transform
+from typing import Any, ClassVar, Protocol, TypeVar, dataclass_transform
 
 import jax
 import numpy as np
 
 T = TypeVar("T")
 INFO = "qrsim"
+
+
+class Record(Protocol):
+    """Any record."""
+
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,6 +118,16 @@ def cast(item: T, dtype: Any) -> T:
 def select(condition: jax.Array, yes: T, no: T) -> T:
     """Choose between two trees of the same structure, vehicle by vehicle (``condition`` has shape (n,))."""
     return jax.tree.map(lambda a, b: jax.numpy.where(condition, a, b), yes, no)
+
+
+def map_tree(function: Callable[..., jax.Array], tree: T, *others: T) -> T:
+    """Return a tree of a function of each leaf, and of the leaves in its place in other trees of this structure."""
+    return jax.tree.map(function, tree, *others)
+
+
+def concatenated(trees: Sequence[T]) -> T:
+    """Join trees of one structure, leaf by leaf, along the first axis."""
+    return jax.tree.map(lambda *parts: jax.numpy.concatenate(parts), *trees)
 
 
 def walk(item: Any, prefix: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 
 from qrsim.control import OffboardSetpoint, WaypointSetpoint
 from qrsim.core.pairs import joined, two_sum
-from qrsim.core.tree import quantity, record, replace, select
+from qrsim.core.tree import concatenated, quantity, record, replace, select
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.vehicles.battery import Charge
 from qrsim.world.state import FleetState, State, World
 
+T = TypeVar("T")
+Floats = np.ndarray[Any, Any]
 # Beyond this number of vehicles the smallest distance between two is not looked for.
 MOST_FOR_SEPARATION = 64
 
@@ -65,8 +69,10 @@ class Flight:
     charge: Array = quantity(unit="1", doc="lowest charge of the battery, NaN without one")
     clipped: Array = quantity(doc="int32 ticks whose command was clipped")
     stopped: Array = quantity(doc="int32 tick at which it stopped, -1 while it flies")
-    position_low_ned: Any = quantity(default=None, unit="m", doc="what single precision leaves out of position_ned")
-    distance_low: Any = quantity(default=None, unit="m", doc="what single precision leaves out of distance")
+    position_low_ned: Vec3 | None = quantity(
+        default=None, unit="m", doc="what single precision leaves out of position_ned"
+    )
+    distance_low: Array | None = quantity(default=None, unit="m", doc="what single precision leaves out of distance")
 
 
 class FlightMetrics:
@@ -129,17 +135,18 @@ class FlightMetrics:
             flight = replace(flight, closeness=flight.closeness.update(closeness, tick, position, flying))
         return _look_at_fixes(flight, state, tick, position, low, flying)
 
-    def finish(self, flight: Flight, world: World, state: State) -> dict[str, np.ndarray[Any, Any]]:
+    def finish(self, flight: Flight, world: World, state: State) -> dict[str, Floats]:
         """Compute the metrics by name, each (W, n), from the memory of W worlds (host arrays)."""
         dt = world.time_step
 
-        def root_mean(total: Any, count: Any) -> Any:
-            return np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+        def root_mean(total: npt.ArrayLike, count: npt.ArrayLike) -> Floats:
+            sums, counts = np.asarray(total), np.asarray(count)
+            return np.sqrt(np.where(counts > 0, sums / np.maximum(counts, 1), np.nan))
 
-        def when(tick: Any) -> Any:
+        def when(tick: Array) -> Floats:
             return np.where(tick >= 0, tick * dt, np.nan)
 
-        found: dict[str, Any] = {
+        found: dict[str, npt.ArrayLike] = {
             "flown_s": flight.ticks * dt,
             "distance_m": joined(flight.distance, flight.distance_low),
             "tracking_error_rms_m": root_mean(flight.tracking_square, flight.tracked),
@@ -165,29 +172,31 @@ class FlightMetrics:
         return {name: np.asarray(values) for name, values in found.items()}
 
 
-def _together(state: State, pick: Any) -> Any:
+def _together(state: State, pick: Callable[[FleetState], T]) -> T:
     """Return something of all fleets, one after the other."""
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *(pick(fleet) for fleet in state.fleets))
+    return concatenated([pick(fleet) for fleet in state.fleets])
 
 
-def _low(state: State) -> Any:
+def _low(state: State) -> Vec3 | None:
     """Return the rounding errors of positions (n,) in single precision, None in double precision."""
     if state.fleets[0].position_low_ned is None:
         return None
     return _together(state, lambda fleet: fleet.position_low_ned)
 
 
-def _minus(position: Vec3, low: Any, place: Vec3) -> Vec3:
+def _minus(position: Vec3, low: Vec3 | None, place: Vec3) -> Vec3:
     """Return positions of two parts minus a place."""
     offset = position - place
     return offset if low is None else offset + low
 
 
-def _farther(flight: Flight, position: Vec3, low: Any, flying: Array) -> tuple[Array, Any]:
+def _farther(flight: Flight, position: Vec3, low: Vec3 | None, flying: Array) -> tuple[Array, Array | None]:
     """Return the distance flown (n,) with the way of a tick, and what single precision leaves out of it."""
     if low is None:
         way = (position - flight.position_ned).norm()
         return flight.distance + jnp.where(flying, way, 0.0), None
+    assert flight.position_low_ned is not None
+    assert flight.distance_low is not None
     way = (position - flight.position_ned + (low - flight.position_low_ned)).norm()
     return two_sum(flight.distance, flight.distance_low + jnp.where(flying, way, 0.0))
 
@@ -208,9 +217,9 @@ def _goal(world: World, state: State) -> Vec3:
     goals = []
     for fleet in state.fleets:
         nowhere = fleet.vehicle.position_ned.map(lambda axis: jnp.full_like(axis, jnp.nan))
-        has_one = isinstance(fleet.setpoint, WaypointSetpoint | OffboardSetpoint)
-        goals.append(fleet.setpoint.position_ned if has_one else nowhere)
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *goals)
+        setpoint = fleet.setpoint
+        goals.append(setpoint.position_ned if isinstance(setpoint, WaypointSetpoint | OffboardSetpoint) else nowhere)
+    return concatenated(goals)
 
 
 def _differs(new: Vec3, old: Vec3) -> Array:
@@ -236,13 +245,15 @@ def _distance_from_leg(offset: Vec3, start: Vec3, end: Vec3) -> Array:
 
 def _nearest(position: Vec3) -> Array:
     """Return the distance (n,) [m] to the nearest other vehicle, infinite for one alone."""
-    offsets = [axis[:, None] - axis[None, :] for axis in jax.tree.leaves(position)]
+    offsets = [axis[:, None] - axis[None, :] for axis in (position.x, position.y, position.z)]
     square = sum(offset * offset for offset in offsets)
     itself = jnp.eye(position.x.shape[0], dtype=bool)
     return jnp.sqrt(jnp.min(jnp.where(itself, jnp.inf, square), axis=1))
 
 
-def _look_at_fixes(flight: Flight, state: State, tick: Array, position: Vec3, low: Any, flying: Array) -> Flight:
+def _look_at_fixes(
+    flight: Flight, state: State, tick: Array, position: Vec3, low: Vec3 | None, flying: Array
+) -> Flight:
     """Compare what the receivers report with the truth; vehicles without one have no fixes and lose none."""
     reported, has = _together(state, _fix)
     error = reported - position if low is None else reported - position - low

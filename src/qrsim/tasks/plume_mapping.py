@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.plume import PuffPlume
 from qrsim.models.scene.uniform import uniform
+from qrsim.models.sensors.concentration import ConcentrationReading
 from qrsim.tasks.agents import BELIEVED, Axis, action_period, believed, fleet_of, only, penalty, velocity_axes
 from qrsim.tasks.contracts import Task
 from qrsim.world.episode import surroundings
@@ -105,7 +106,8 @@ class PlumeMapping(Task):
         (n, L, 3) where the concentration is asked for [m].
         """
         fleet, fleet_state = fleet_of(world, state, self.fleet)
-        smelt = fleet_state.readings[fleet.sensor_names.index(self.sensor)].concentration
+        reading = fleet_state.readings[fleet.sensor_names.index(self.sensor)]
+        smelt = cast(ConcentrationReading, reading).concentration
         # Nothing is smelt any more by a vehicle that has stopped.
         last = jnp.where(jnp.isfinite(smelt), smelt, 0.0)
         locations = memory.locations_ned.stack()

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, cast
 
 import jax.numpy as jnp
 from jax import Array
@@ -145,7 +145,7 @@ class Commanded(Task):
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
         """Return each vehicle's cost per second (n,)."""
-        return self.effort.rate(fleet.command)
+        return self.effort.rate(cast(Command, fleet.command))
 
     def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
         """Return each vehicle's extra cost (n,) if the episode ended now."""
@@ -242,7 +242,7 @@ class KeepVelocity(Commanded):
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
         """Return the effort, and the squared error of the velocity (n,)."""
         error = velocity_of(model.vehicle.pose(fleet.vehicle)) - self._wanted()
-        return self.effort.rate(fleet.command) + square(error)
+        return self.effort.rate(cast(Command, fleet.command)) + square(error)
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
         """Return the highest effort, and the largest error (n,) of a velocity within the limits of the state."""

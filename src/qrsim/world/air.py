@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 
@@ -15,7 +13,7 @@ from qrsim.world.state import World
 Time = tuple[Array, Array]
 
 
-def turbulence_inputs(turbulence: Turbulence, position_ned: Vec3, time: Time, field: Any) -> dict[str, Any]:
+def turbulence_inputs(turbulence: Turbulence, position_ned: Vec3, time: Time, field: object) -> dict[str, object]:
     """Return the arguments of a turbulence beside its state and the height, by name.
 
     Args:
@@ -24,11 +22,11 @@ def turbulence_inputs(turbulence: Turbulence, position_ned: Vec3, time: Time, fi
         time: since the start of the run, () int32 whole seconds and the rest.
         field: what the gusts of the episode share.
     """
-    known = {"position_ned": position_ned, "seconds": time[0], "fraction": time[1], "field": field}
+    known: dict[str, object] = {"position_ned": position_ned, "seconds": time[0], "fraction": time[1], "field": field}
     return {name: known[name] for name in turbulence.reads}
 
 
-def gust_at(world: World, field: Any, memory: Any, height_agl: Array, position_ned: Vec3, time: Time) -> Vec3:
+def gust_at(world: World, field: object, memory: object, height_agl: Array, position_ned: Vec3, time: Time) -> Vec3:
     """Return the gust (n,) [m/s], random and discrete, at positions (n,) [m]; ``memory`` is the turbulence's state."""
     inputs = turbulence_inputs(world.turbulence, position_ned, time, field)
     random = world.turbulence.gust_ned(memory, height_agl, **inputs)
@@ -36,7 +34,7 @@ def gust_at(world: World, field: Any, memory: Any, height_agl: Array, position_n
 
 
 def gust_rates_at(
-    world: World, field: Any, memory: Any, height_agl: Array, position_ned: Vec3, time: Time
+    world: World, field: object, memory: object, height_agl: Array, position_ned: Vec3, time: Time
 ) -> Vec3 | None:
     """Return the rotation of the air (n,) [rad/s] in NED, None where the turbulence gives none."""
     if not world.turbulence.rates:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import cast
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 
 from qrsim.core.noise import Draw, Stream
-from qrsim.core.tree import replace
+from qrsim.core.tree import Record, concatenated, replace
 from qrsim.errors import RunError
 from qrsim.models.scene.contents import ContentsState, Surroundings
+from qrsim.models.scene.placement import GivenPlaces
 from qrsim.models.scene.uniform import uniform
-from qrsim.models.sensors.camera import Picture
+from qrsim.models.sensors.camera import Picture, TakesPictures
 from qrsim.world.state import (
     FIELD,
     PERSONS,
@@ -59,7 +61,7 @@ def episode_draws(world: World, keys: WorldKeys, like: Array) -> dict[str, Draw]
     return draws
 
 
-def refuse_unplaced(world: World, placed: Any) -> None:
+def refuse_unplaced(world: World, placed: Sequence[npt.ArrayLike]) -> None:
     """Raise an error if a fleet has no start position.
 
     Args:
@@ -69,10 +71,10 @@ def refuse_unplaced(world: World, placed: Any) -> None:
     Raises:
         RunError: it names the fleet, the tries and the distance.
     """
-    random = [fleet for fleet in world.fleets if fleet.placement.random]
-    for fleet, found in zip(random, placed, strict=True):
+    random = [(fleet, fleet.placement) for fleet in world.fleets if not isinstance(fleet.placement, GivenPlaces)]
+    for (fleet, place), found in zip(random, placed, strict=True):
         if not np.all(found):
-            place, number = fleet.placement, int(np.argmin(np.ravel(found)))
+            number = int(np.argmin(np.ravel(found)))
             where = f" of world {number} of the batch" if np.ndim(found) else ""
             raise RunError(
                 f"fleets.{fleet.name}.placement{where}: no place for {fleet.size} vehicles at least "
@@ -86,7 +88,7 @@ def draw_ranges(world: World, draws: dict[str, Draw]) -> tuple[Array, ...]:
     return tuple(uniform(draws[f"{RANGE}/{item.name}"], 0, item.low, item.high)[0] for item in world.ranges)
 
 
-def draw_field(world: World, draws: dict[str, Draw]) -> Any:
+def draw_field(world: World, draws: dict[str, Draw]) -> object:
     """Draw the shared field of an episode's gusts, None if they share nothing."""
     return world.turbulence.draw_field(draws[FIELD]) if world.turbulence.field_ids else None
 
@@ -106,7 +108,7 @@ def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:
 
 def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Array | None]:
     """Place a fleet at its start; also return whether positions were found, None for given ones."""
-    if not fleet.placement.random:
+    if isinstance(fleet.placement, GivenPlaces):
         return fleet.start, None
     start, found = fleet.placement.place(draws[f"{PLACEMENT}/{fleet.name}"], fleet.start, world.area)
     return start, found
@@ -136,7 +138,7 @@ def step_contents(
             (pose.position_ned, pose.velocity_body.norm(), now.violation.code == 0)
             for pose, now in zip(poses, fleets, strict=True)
         ]
-        position, speed, valid = jax.tree.map(lambda *parts: jnp.concatenate(parts), *vehicles)
+        position, speed, valid = concatenated(vehicles)
         ticks = period_ticks(persons.period, world.time_step)
         contents = replace(
             contents,
@@ -160,10 +162,11 @@ def picture(world: World, state: State, number: int, camera: str) -> Picture:
     index = fleet.sensor_names.index(camera)
     ids = jnp.arange(fleet.size, dtype=jnp.uint32)
     stream = state.fleet_keys[number].stream(fleet.stream_names.index(camera), ids)
-    return develop(world, state.contents, fleet.sensors[index], fleet_state.readings[index], stream)
+    taking = cast(TakesPictures, fleet.sensors[index])
+    return develop(world, state.contents, taking, fleet_state.readings[index], stream)
 
 
-def develop(world: World, contents: ContentsState, camera: Any, reading: Any, stream: Stream) -> Picture:
+def develop(world: World, contents: ContentsState, camera: TakesPictures, reading: Record, stream: Stream) -> Picture:
     """Develop the last pictures of a camera of vehicles (n,).
 
     Args:
@@ -174,5 +177,4 @@ def develop(world: World, contents: ContentsState, camera: Any, reading: Any, st
         stream: of its noise.
     """
     around = surroundings(world, contents, jnp.int32(0))
-    found: Picture = camera.develop(reading, around, stream, world.contents.persons.size)
-    return found
+    return camera.develop(reading, around, stream, world.contents.persons.size)

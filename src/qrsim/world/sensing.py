@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypedDict, cast
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control import Estimate
-from qrsim.core.tree import replace
-from qrsim.core.vectors import Vec3, rotation
+from qrsim.core.noise import Noise
+from qrsim.core.tree import Record, map_tree, replace
+from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.contents import Surroundings
+from qrsim.models.sensors.contracts import Sensor
 from qrsim.world.state import Fleet, FleetState, World, period_ticks, when_due
 
 
@@ -22,7 +23,7 @@ def sense(
     state: FleetState,
     sky: SkyState,
     view: Surroundings,
-    noise: dict[str, Any],
+    noise: dict[str, Noise],
     due: Array,
     after: Array,
 ) -> FleetState:
@@ -36,7 +37,14 @@ def sense(
         held = state.true_readings[i] if faulty else state.readings[i]
         inputs = {item: scene[item] for item in sensor.reads}
 
-        def fresh(sensor: Any = sensor, memory: Any = state.sensors[i], name: str = name, inputs: Any = inputs) -> Any:
+        assert held is not None
+
+        def fresh(
+            sensor: Sensor = sensor,
+            memory: object = state.sensors[i],
+            name: str = name,
+            inputs: dict[str, object] = inputs,
+        ) -> tuple[object, Record]:
             return sensor.step(memory, noise[name], **inputs)
 
         ticks = period_ticks(sensor.period, world.time_step)
@@ -44,7 +52,7 @@ def sense(
         states.append(memory)
         undisturbed.append(reading if faulty else None)
         reading, passed_on = faulted(fleet, name, reading, passed_on, after)
-        delivered.append(jax.tree.map(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
+        delivered.append(map_tree(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
     return replace(
         state,
         sensors=tuple(states),
@@ -55,19 +63,20 @@ def sense(
 
 
 def faulted(
-    fleet: Fleet, name: str, reading: Any, passed_on: tuple[Any, ...], tick: Array
-) -> tuple[Any, tuple[Any, ...]]:
+    fleet: Fleet, name: str, reading: Record, passed_on: tuple[Record | None, ...], tick: Array
+) -> tuple[Record, tuple[Record | None, ...]]:
     """Apply a sensor's faults in turn; return the delivered reading and the faults' last outputs."""
     memories = list(passed_on)
     for i, fault in enumerate(fleet.faults):
         if fault.sensor == name:
             # At the start nothing was passed on before: what is frozen then is the first reading.
-            reading = fault.apply(reading, reading if memories[i] is None else memories[i], tick)
+            before = memories[i]
+            reading = fault.apply(reading, reading if before is None else before, tick)
             memories[i] = reading if fault.remembers else None
     return reading, tuple(memories)
 
 
-def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings | None = None) -> dict[str, Any]:
+def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings | None = None) -> dict[str, object]:
     """Everything a sensor may declare in ``reads``."""
     vehicle = fleet.vehicle.pose(state.vehicle)
     return {
@@ -99,10 +108,24 @@ def estimate_of(fleet: Fleet, state: FleetState) -> Estimate:
     )
 
 
-def measured_quantities(readings: tuple[Any, ...]) -> dict[str, Any]:
-    """Merge the fields of all readings by name; the first sensor with a field takes precedence."""
-    merged: dict[str, Any] = {}
+class Measured(TypedDict, total=False):
+    """The fields of readings that an estimate is made of; each (n,)."""
+
+    position_ned: Vec3
+    velocity_ned: Vec3
+    height: Array
+    height_rate: Array
+    attitude: Euler
+    rates_body: Vec3
+
+
+def measured_quantities(readings: tuple[Record, ...]) -> Measured:
+    """Merge the fields of all readings by name; the first sensor with a field takes precedence.
+
+    Fields of other names than those of ``Measured`` are there too.
+    """
+    merged: dict[str, object] = {}
     for reading in readings:
         for name in reading.__dataclass_fields__:
             merged.setdefault(name, getattr(reading, name))
-    return merged
+    return cast(Measured, merged)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ from qrsim.control import Estimate, Route, RouteState
 from qrsim.control.contracts import Controller, Guidance
 from qrsim.core.noise import StreamKeys
 from qrsim.core.pairs import joined
-from qrsim.core.tree import parameter, quantity, record, replace, setting
+from qrsim.core.tree import Record, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
 from qrsim.models.gnss.contracts import Sky
@@ -20,14 +21,14 @@ from qrsim.models.scene.area import StateLimits, Violation
 from qrsim.models.scene.contents import Contents, ContentsState
 from qrsim.models.scene.contracts import Area
 from qrsim.models.scene.obstacles import Obstacles
-from qrsim.models.scene.placement import GivenPlaces
+from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.faults import Fault
-from qrsim.models.vehicles.contracts import Battery, Vehicle
+from qrsim.models.vehicles.contracts import Battery, Vehicle, VehicleState
 
 S = TypeVar("S")
 # What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, or nothing.
-Action = Any
+Action = object
 # Names of noise streams are FLEET/USER; a fleet has no slash in its name, so this is no fleet's.
 SKY = "/sky"
 PLUME, TERRAIN, PERSONS, PLACEMENT, RANGE = "/plume", "/terrain", "/persons", "/placement", "/range"
@@ -62,7 +63,9 @@ class Fleet:
     name: str = setting(doc="name, part of the names of its noise streams")
     sensor_names: tuple[str, ...] = setting(doc="names of the sensors, part of the names of their streams")
     vehicle_names: tuple[str, ...] = setting(doc="name of each vehicle")
-    placement: Any = quantity(default=GivenPlaces(), doc="where the vehicles start in an episode")
+    placement: GivenPlaces | UniformPlaces | RingPlaces = quantity(
+        default=GivenPlaces(), doc="where the vehicles start in an episode"
+    )
 
     @property
     def size(self) -> int:
@@ -128,26 +131,32 @@ def _replaced(item: Any, path: tuple[str | int, ...], value: Array) -> Any:
 class FleetState:
     """Everything that changes in a fleet of n vehicles."""
 
-    vehicle: Any = quantity(doc="true state")
+    vehicle: VehicleState = quantity(doc="true state")
     specific_force: Vec3 = quantity(unit="m/s^2", doc="mean specific force of the last step, body axes")
-    turbulence: Any = quantity(doc="gust filters")
+    turbulence: object = quantity(doc="gust filters")
     mean_wind_ned: Vec3 = quantity(unit="m/s", doc="mean wind at the vehicle during the last step")
     gust_ned: Vec3 = quantity(unit="m/s", doc="gusts at the vehicle during the last step, random and discrete")
     gust_rates_ned: Any = quantity(unit="rad/s", doc="rotation of the air; None where the turbulence gives none")
     estimate: Estimate = quantity(
         doc="what the controller was last fed with; keeps its last value where a reading is NaN"
     )
-    controller: Any = quantity(doc="control loops")
+    controller: object = quantity(doc="control loops")
     guidance: RouteState = quantity(doc="progress along the route")
-    setpoint: Any = quantity(doc="last set-point")
-    command: Any = quantity(doc="last command, as flown")
+    setpoint: object = quantity(doc="last set-point")
+    command: object = quantity(doc="last command, as flown")
     command_clipped: Array = quantity(doc="bool: the last command was outside its range and was clipped")
     violation: Violation = quantity(doc="why a vehicle is invalid; code 0 while it is valid")
-    sensors: tuple[Any, ...] = quantity(doc="sensor states")
-    battery: Any = quantity(doc="battery")
-    readings: tuple[Any, ...] = quantity(doc="last reading of each sensor as delivered; NaN once a vehicle is invalid")
-    true_readings: tuple[Any, ...] = quantity(doc="for sensors with faults, the reading without them; else None")
-    passed_on: tuple[Any, ...] = quantity(doc="for each fault that remembers, the reading it passed on last; else None")
+    sensors: tuple[object, ...] = quantity(doc="sensor states")
+    battery: object = quantity(doc="battery")
+    readings: tuple[Record, ...] = quantity(
+        doc="last reading of each sensor as delivered; NaN once a vehicle is invalid"
+    )
+    true_readings: tuple[Record | None, ...] = quantity(
+        doc="for sensors with faults, the reading without them; else None"
+    )
+    passed_on: tuple[Record | None, ...] = quantity(
+        doc="for each fault that remembers, the reading it passed on last; else None"
+    )
     position_low_ned: Vec3 | None = quantity(
         default=None, unit="m", doc="what single precision leaves out of vehicle.position_ned; None in double precision"
     )
@@ -165,7 +174,7 @@ class State:
     contents_keys: StreamKeys | None = quantity(default=None, doc="keys of the plume's randomness; None if it has none")
     drawn: tuple[Array, ...] = quantity(default=(), doc="what this episode has drawn for each range of the world")
     placed: tuple[Array, ...] = quantity(default=(), doc="bool, of each fleet placed at random: a place was found")
-    field: Any = quantity(default=None, doc="what the gusts of the episode share; None where they share nothing")
+    field: object = quantity(default=None, doc="what the gusts of the episode share; None where they share nothing")
 
 
 def position_of(fleet: FleetState) -> Vec3:
@@ -191,7 +200,7 @@ def period_ticks(period: float, time_step: float) -> int:
     return max(1, round(period / time_step))
 
 
-def when_due(ticks: int, due: Array, fresh: Any, held: S) -> S:
+def when_due(ticks: int, due: Array, fresh: Callable[[], S], held: S) -> S:
     """Return fresh() on every multiple of ``ticks``, else the held value."""
     if ticks == 1:
         return fresh()

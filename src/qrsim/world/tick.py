@@ -6,7 +6,7 @@ positions together, then the sensors that are due. Nothing here compiles; simula
 
 from __future__ import annotations
 
-from typing import Any
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -15,11 +15,14 @@ from jax import Array
 from qrsim.control import Estimate
 from qrsim.core.clock import split_time
 from qrsim.core.noise import Draw, Drawn, Key, Noise, Stream, StreamKeys, draw_together
-from qrsim.core.tree import replace, select
+from qrsim.core.tree import Record, concatenated, map_tree, replace, select
 from qrsim.core.vectors import Vec3, rotation
+from qrsim.models.atmosphere.contracts import Turbulence
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.area import Violation, collisions, reason_code
 from qrsim.models.scene.contents import Surroundings
+from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.vehicles.contracts import Charged, Vehicle, VehicleState
 from qrsim.models.vehicles.moving import move
 from qrsim.world.air import around_of, gust_at, gust_rates_at
 from qrsim.world.episode import (
@@ -141,7 +144,7 @@ def _fly(
     fleet: Fleet,
     state: FleetState,
     tick: Array,
-    noise: dict[str, Any],
+    noise: dict[str, Noise],
     action: Action,
     believed: Estimate | None,
 ) -> FleetState:
@@ -165,7 +168,7 @@ def _fly(
     else:
         fed = estimate_of(fleet, state) if believed is None else believed
         alone = replace(fed, position_low_ned=None)
-        estimate = jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, estimate)
+        estimate = map_tree(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, estimate)
         asked = action
         if asked is None:
             others = _others(world, whole.fleets, fleet)
@@ -206,7 +209,7 @@ def _others(world: World, before: tuple[FleetState, ...], fleet: Fleet) -> dict[
             positions.append(position.map(lambda axis: jnp.where(flies, axis, jnp.nan)))  # noqa: B023
     if not positions:
         return {}
-    return {"others_ned": jax.tree.map(lambda *parts: jnp.concatenate(parts), *positions)}
+    return {"others_ned": concatenated(positions)}
 
 
 def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:
@@ -215,12 +218,12 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
     for old, new in zip(before, flown, strict=True):
         moving = old.violation.code == 0
         positions.append(select(moving, new.vehicle.position_ned, old.vehicle.position_ned))
-    together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *positions)
+    together = concatenated(positions)
     collided = collisions(together, world.collision_distance)
     checked, first = [], 0
     for fleet, old, new in zip(world.fleets, before, flown, strict=True):
         own = Violation.first(own_checks(world, fleet, new), new.vehicle.position_ned.x)
-        in_collision = jax.tree.map(lambda leaf: leaf[first : first + fleet.size], collided)  # noqa: B023
+        in_collision = map_tree(lambda leaf: leaf[first : first + fleet.size], collided)  # noqa: B023
         first += fleet.size
         violation = old.violation.or_else(own.or_else(in_collision))
         stopped = fleet.vehicle.stopped(old.vehicle)
@@ -255,7 +258,7 @@ def _empty_battery(fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Ar
     """Return the check (code, charge, empty) of vehicles (n,) with a battery that can run out."""
     if not fleet.battery.drains:
         return []
-    charge: Array = state.battery.charge
+    charge = cast(Charged, state.battery).charge
     return [(reason_code("battery_empty", "charge"), charge, charge <= 0.0)]
 
 
@@ -270,12 +273,12 @@ def _hits_obstacle(world: World, position_ned: Vec3) -> tuple[int, Array, Array]
 def start_fleet(
     world: World,
     fleet: Fleet,
-    vehicle: Any,
+    vehicle: VehicleState,
     keys: StreamKeys,
     tick: Array,
     sky: SkyState,
     view: Surroundings,
-    field: Any = None,
+    field: object = None,
     before: FleetState | None = None,
     low: Vec3 | None = None,
 ) -> FleetState:
@@ -346,7 +349,7 @@ def start_fleet(
             firsts.append(sensor.init(draws[name], **inputs))
     faulty = {fault.sensor for fault in fleet.faults}
     readings = dict(zip(fleet.sensor_names, (reading for _, reading in firsts), strict=True))
-    passed_on: tuple[Any, ...] = (None,) * len(fleet.faults)
+    passed_on: tuple[Record | None, ...] = (None,) * len(fleet.faults)
     delivered = []
     for name, reading in readings.items():
         first, passed_on = faulted(fleet, name, reading, passed_on, tick)
@@ -360,7 +363,7 @@ def start_fleet(
     )
 
 
-def _vehicle_at(fleet: Fleet, start: Start) -> Any:
+def _vehicle_at(fleet: Fleet, start: Start) -> VehicleState:
     return fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
 
 
@@ -378,7 +381,7 @@ def _draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array) -> di
     """Return the noise of one tick: drawn together for what steps at every tick, on demand for the others."""
     like = jnp.zeros((), fleet.start.position_ned.x.dtype)
     streams = _streams(fleet, keys)
-    users: dict[str, Any] = {TURBULENCE: world.turbulence, PROCESS: fleet.vehicle}
+    users: dict[str, Turbulence | Vehicle | Sensor] = {TURBULENCE: world.turbulence, PROCESS: fleet.vehicle}
     for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
         every_tick = period_ticks(sensor.period, world.time_step) == 1
         if every_tick and not sensor.draws_alone:

@@ -54,18 +54,18 @@ class Turbulence(Protocol):
     reads: ClassVar[tuple[str, ...]] = ()
     field_ids: int = 0
 
-    def draw_field(self, draw: Draw) -> Any:
+    def draw_field(self, draw: Draw) -> object:
         """Draw the field shared by the gusts of all vehicles of an episode, from a draw for ``field_ids`` ids."""
         return None
 
     @abstractmethod
-    def init(self, draw: Noise) -> Any:
+    def init(self, draw: Noise) -> object:
         """Return stationary first states of the vehicles (n,)."""
 
     @abstractmethod
     def step(
         self, state: Any, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
-    ) -> Any:
+    ) -> object:
         """Advance by dt [s] for vehicles at heights (n,) [m] that move over ground at velocity_ned (n,) [m/s]."""
 
     @abstractmethod

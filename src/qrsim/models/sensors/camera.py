@@ -8,7 +8,7 @@ a world whose vehicles have cameras is as fast as one without.
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,14 @@ from qrsim.models.sensors.contracts import Sensor
 
 # Corners of a person, in halves of its side.
 _CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))
+
+
+class TakesPictures(Protocol):
+    """What a sensor that ``takes_pictures`` has beside its contract."""
+
+    def develop(self, reading: Any, around: Surroundings, stream: Stream, size: Array) -> Picture:
+        """Return the last picture of each vehicle (n,), see ``Camera.develop``."""
+        ...
 
 
 @record

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from jax import Array
 
+from qrsim.core.tree import Record
 from qrsim.core.vectors import Euler, Vec3
 
 # What a sensor may declare in ``reads``; each is (n,) but the last two.
@@ -59,14 +60,14 @@ class Sensor(Protocol):
     takes_pictures: ClassVar[bool] = False
 
     @abstractmethod
-    def init(self, draw: Any, *args: Any, **reads: Any) -> tuple[Any, Any]:
+    def init(self, draw: Any, *args: Any, **reads: Any) -> tuple[object, Record]:
         """Return the first state and the first reading (n,)."""
 
     @abstractmethod
-    def step(self, state: Any, draw: Any, *args: Any, **reads: Any) -> tuple[Any, Any]:
+    def step(self, state: Any, draw: Any, *args: Any, **reads: Any) -> tuple[object, Record]:
         """Advance one period, and return the state and the reading (n,) that is delivered now."""
 
-    def restart(self, state: Any, draw: Any, since: Array, *args: Any, **reads: Any) -> tuple[Any, Any]:
+    def restart(self, state: Any, draw: Any, since: Array, *args: Any, **reads: Any) -> tuple[object, Record]:
         """Return state and reading of vehicles that were put elsewhere ``since`` () [s] after a reading."""
         return self.init(draw, *args, **reads)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ from jax import Array
 
 from qrsim.core.tree import parameter, quantity, record, replace, setting
 
+T = TypeVar("T")
 Kind = Literal["lost", "frozen", "biased"]
 
 
@@ -34,7 +35,7 @@ class Fault:
         """Whether it needs its output of the tick before."""
         return self.kind == "frozen"
 
-    def apply(self, reading: Any, passed_on: Any, tick: Array) -> Any:
+    def apply(self, reading: T, passed_on: T, tick: Array) -> T:
         """Return its output: for the next fault of the sensor, or for the user.
 
         Args:

@@ -48,6 +48,15 @@ def velocity_of(pose: Pose) -> Vec3:
     return rotation(pose.attitude).to_ned(pose.velocity_body)
 
 
+class VehicleState(Protocol):
+    """What the state of every vehicle model has: a position; all else is read through ``pose``."""
+
+    @property
+    def position_ned(self) -> Vec3:
+        """Position (n,) [m]; in single precision its first part."""
+        ...
+
+
 @dataclass(frozen=True)
 class Around:
     """The part of the world that a vehicle may read during a step.
@@ -85,18 +94,18 @@ class Vehicle(Protocol):
     default_controller: ClassVar[str] = "none"
 
     @abstractmethod
-    def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
+    def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> VehicleState:
         """Return the state of vehicles (n,) placed at a pose: [m], [rad], [m/s], [rad/s]."""
 
-    def with_thrust(self, state: Any, thrust: Array) -> Any:
+    def with_thrust(self, state: Any, thrust: Array) -> VehicleState:
         """Return a state at a thrust (n,) [N], where it has one; a NaN leaves it as it is."""
         return state
 
     @abstractmethod
-    def idle_command(self, like: Array) -> Any:
+    def idle_command(self, like: Array) -> object:
         """Return the command (n,) before the first one: hover, trim or zero; ``like`` is any array (n,)."""
 
-    def clip(self, command: Any, powered: bool = False) -> tuple[Any, Array]:
+    def clip(self, command: Any, powered: bool = False) -> tuple[object, Array]:
         """Bring a command into the limits of its fields; also say, with a bool (n,), whether that changed it.
 
         Args:
@@ -105,7 +114,7 @@ class Vehicle(Protocol):
         """
         return clipped(command)
 
-    def powered(self, command: Any, voltage: Array | None) -> Any:
+    def powered(self, command: Any, voltage: Array | None) -> object:
         """Return a command at a battery's voltage (n,) [V]; None: whatever voltage the command itself has."""
         return command
 
@@ -117,7 +126,7 @@ class Vehicle(Protocol):
     def pose(self, state: Any) -> Pose:
         """Return position, attitude, velocity and rates (n,)."""
 
-    def draw_noise(self, draw: Noise, dt: float) -> Any:
+    def draw_noise(self, draw: Noise, dt: float) -> object:
         """Draw the process noise of one step of dt [s] from ``normals`` normals."""
         return None
 
@@ -130,7 +139,7 @@ class Vehicle(Protocol):
         noise: Any,
         dt: float,
         around: Around | None = None,
-    ) -> tuple[Any, Vec3]:
+    ) -> tuple[VehicleState, Vec3]:
         """Advance one step.
 
         Args:
@@ -159,12 +168,21 @@ class Vehicle(Protocol):
         return self.step(state, command, air_velocity, noise, dt, *more)[1]
 
     @abstractmethod
-    def stopped(self, state: Any) -> Any:
+    def stopped(self, state: Any) -> VehicleState:
         """Return the state of vehicles that are held where they are, at rest."""
 
     def own_checks(self, state: Any) -> list[Check]:
         """Return the vehicle's own stop conditions (n,), besides area, limits and collisions."""
         return []
+
+
+class Charged(Protocol):
+    """What the state of a battery that ``drains`` has."""
+
+    @property
+    def charge(self) -> Array:
+        """State of charge (n,), 1 full, 0 empty."""
+        ...
 
 
 @runtime_checkable
@@ -178,11 +196,11 @@ class Battery(Protocol):
     drains: ClassVar[bool] = False
 
     @abstractmethod
-    def init(self, like: Array) -> Any:
+    def init(self, like: Array) -> object:
         """Return the state at the start; ``like`` is any array (n,)."""
 
     @abstractmethod
-    def step(self, state: Any, load: Load, dt: float) -> Any:
+    def step(self, state: Any, load: Load, dt: float) -> object:
         """Advance by dt [s] under a load (n,)."""
 
     @abstractmethod

@@ -12,7 +12,7 @@ import numpy as np
 from qrsim.core.pairs import added
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3, rotation
-from qrsim.models.vehicles.contracts import Around, Vehicle
+from qrsim.models.vehicles.contracts import Around, Vehicle, VehicleState
 
 
 def move(
@@ -24,7 +24,7 @@ def move(
     noise: Any,
     dt: float,
     around: Around | None = None,
-) -> tuple[Any, Vec3 | None, Vec3]:
+) -> tuple[VehicleState, Vec3 | None, Vec3]:
     """Advance a vehicle by one step; the other arguments are those of its own ``step``.
 
     A model that looks at nothing but how it moves is handed the second part in place of its position: that is a small
