@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING
-from typing import Any, ClassVar, Protocol, TypeVar, dataclass_transform
+from typing import Any, ClassVar, Protocol, TypeVar, dataclass_transform, overload
 
 import jax
 import numpy as np
@@ -118,6 +118,14 @@ def cast(item: T, dtype: Any) -> T:
 def select(condition: jax.Array, yes: T, no: T) -> T:
     """Choose between two trees of the same structure, vehicle by vehicle (``condition`` has shape (n,))."""
     return jax.tree.map(lambda a, b: jax.numpy.where(condition, a, b), yes, no)
+
+
+@overload
+def map_tree(function: Callable[[jax.Array], jax.Array], tree: T, /) -> T: ...
+
+
+@overload
+def map_tree(function: Callable[[jax.Array, jax.Array], jax.Array], tree: T, other: T, /) -> T: ...
 
 
 def map_tree(function: Callable[..., jax.Array], tree: T, *others: T) -> T:

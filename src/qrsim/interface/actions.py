@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
+from jax import Array
 
 from qrsim.control import (
     SETPOINTS,
@@ -18,11 +20,12 @@ from qrsim.control import (
     WaypointSetpoint,
 )
 from qrsim.control.contracts import Controller
-from qrsim.core.tree import walk
+from qrsim.core.tree import map_tree, walk
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.vehicles.commands import fields_of, limits_of
 from qrsim.world.state import Action, Fleet, World
 
+T = TypeVar("T")
 FloatArray = np.ndarray[Any, Any]
 # Says which vehicles (n,) fly; called only where something is not finite.
 Flying = Callable[[], FloatArray]
@@ -56,7 +59,7 @@ class ActionChecker:
         self._kinds = {kind: CommandKind(kind, self.dtype) for kind in accepted}
         self.names = [name for fleet in world.fleets for name in fleet.vehicle_names]
 
-    def actions(self, command: Any, flying: Flying | None = None) -> tuple[Action, ...]:
+    def actions(self, command: object, flying: Flying | None = None) -> tuple[Action, ...]:
         """Check a command and split it by fleet; see ``Simulation.step`` for its forms.
 
         Args:
@@ -74,7 +77,7 @@ class ActionChecker:
         whole = self._checked(command, self.names, self.fleets, flying)
         return tuple(self._cut(whole))
 
-    def estimates(self, estimate: Any) -> tuple[Estimate | None, ...]:
+    def estimates(self, estimate: object) -> tuple[Estimate | None, ...]:
         """Check estimates and split them by fleet; None for a fleet that uses its own ``feed``.
 
         Raises:
@@ -86,12 +89,12 @@ class ActionChecker:
             raise UsageError(f"estimate: expected a qrsim.Estimate, found {estimate!r}")
         return tuple(self._cut(self._cast(estimate, "estimate", len(self.names))))
 
-    def waypoint(self, position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:
+    def waypoint(self, position_ned: npt.ArrayLike, yaw_rad: npt.ArrayLike = 0.0) -> WaypointSetpoint:
         """Make a set-point of positions (n, 3) or (3,) [m] and headings (n,) or one [rad], for all vehicles."""
         position = self._broadcast("position_ned", position_ned, (len(self.names), 3))
         return WaypointSetpoint.of(position, self._broadcast("yaw_rad", yaw_rad, (len(self.names),)))
 
-    def _by_fleet(self, commands: Mapping[Any, Any], flying: Flying | None) -> tuple[Action, ...]:
+    def _by_fleet(self, commands: Mapping[object, object], flying: Flying | None) -> tuple[Action, ...]:
         known = [fleet.name for fleet in self.fleets]
         for name in commands:
             if name not in known:
@@ -107,16 +110,16 @@ class ActionChecker:
             actions.append(command)
         return tuple(actions)
 
-    def _cut(self, whole: Any) -> list[Any]:
+    def _cut(self, whole: T) -> list[T]:
         if len(self.fleets) == 1:
             return [whole]
-        ends = np.cumsum([fleet.size for fleet in self.fleets])
-        return [
-            jax.tree.map(lambda leaf, start=end - fleet.size, end=end: leaf[start:end], whole)
-            for fleet, end in zip(self.fleets, ends, strict=True)
-        ]
+        parts, first = [], 0
+        for fleet in self.fleets:
+            parts.append(map_tree(partial(_rows, slice(first, first + fleet.size)), whole))
+            first += fleet.size
+        return parts
 
-    def _checked(self, command: Any, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> Any:
+    def _checked(self, command: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
         if type(command) in _NAME_OF:
             return self._setpoint(command, names, [fleet.controller for fleet in fleets], flying)
         given = type(command) if type(command) in self._kinds else None
@@ -148,7 +151,9 @@ class ActionChecker:
                 )
         return self._kinds[kind]
 
-    def _setpoint(self, setpoint: Any, names: list[str], controllers: list[Controller], flying: Flying | None) -> Any:
+    def _setpoint(
+        self, setpoint: object, names: list[str], controllers: list[Controller], flying: Flying | None
+    ) -> object:
         for controller in controllers:
             if type(setpoint) not in controller.setpoints:
                 taken = ", ".join(cls.__name__ for cls in controller.setpoints)
@@ -174,14 +179,14 @@ class ActionChecker:
                 raise UsageError(f"command: {field} of vehicle {row} ('{names[row]}') is not finite")
         return checked
 
-    def _cast(self, record: Any, what: str, size: int) -> Any:
+    def _cast(self, record: T, what: str, size: int) -> T:
         """Return a record of arrays (n,) in the simulation's type."""
         leaves, structure = jax.tree.flatten(record)
         # The usual case at once: to carry the names of fields along takes as long as a tick.
         if not self.traced and all(_is_row(leaf, size) for leaf in leaves):
             return jax.tree.unflatten(structure, [np.ascontiguousarray(leaf, self.dtype) for leaf in leaves])
 
-        def convert(path: Any, leaf: Any) -> Any:
+        def convert(path: tuple[object, ...], leaf: npt.ArrayLike) -> FloatArray | Array:
             name = "".join(str(part) for part in path).lstrip(".")
             if np.shape(leaf) != (size,):
                 raise UsageError(f"{what}: {name}: expected shape {(size,)}, found {shape_of(leaf)}")
@@ -192,10 +197,10 @@ class ActionChecker:
 
         return jax.tree_util.tree_map_with_path(convert, record)
 
-    def _command(self, kind: CommandKind, command: Any, names: list[str], flying: Flying | None) -> Any:
+    def _command(self, kind: CommandKind, command: object, names: list[str], flying: Flying | None) -> object:
         shape = (len(names), len(kind.fields))
         try:
-            array = (jnp if self.traced else np).asarray(command, self.dtype)
+            array: FloatArray = (jnp if self.traced else np).asarray(command, self.dtype)
         except (TypeError, ValueError, OverflowError):
             array = np.zeros(0)
         if array.shape != shape:
@@ -214,11 +219,13 @@ class ActionChecker:
         # A field without limits may be anything but infinite.
         return bool((np.isfinite(array) & (array >= kind.lowest) & (array <= kind.highest)).all())
 
-    def _in_range(self, kind: CommandKind, columns: list[Any], names: list[str], flying: Flying | None) -> Any:
+    def _in_range(
+        self, kind: CommandKind, columns: list[FloatArray], names: list[str], flying: Flying | None
+    ) -> object:
         """Return the command of columns (n,); a traced one is clipped by the tick itself."""
         if self.traced:
             return kind.kind(*columns)
-        checked: list[Any] = []
+        checked: list[FloatArray] = []
         for field, values in zip(kind.fields, columns, strict=True):
             low, high = kind.limits[field]
             column = np.ascontiguousarray(values)
@@ -233,7 +240,7 @@ class ActionChecker:
             checked.append(column)
         return kind.kind(*checked)
 
-    def _broadcast(self, what: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
+    def _broadcast(self, what: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
         try:
             array = np.broadcast_to(np.asarray(values, self.dtype), shape)
         except (TypeError, ValueError, OverflowError):
@@ -244,9 +251,13 @@ class ActionChecker:
         return array
 
 
-def _is_row(leaf: Any, size: int) -> bool:
+def _is_row(leaf: object, size: int) -> bool:
     """Return whether a leaf is a NumPy array (n,) of numbers."""
     return isinstance(leaf, np.ndarray) and leaf.shape == (size,) and leaf.dtype.kind in "fiu"
+
+
+def _rows(own: slice, leaf: Array) -> Array:
+    return leaf[own]
 
 
 def _part(flying: Flying, own: slice) -> FloatArray:
@@ -259,9 +270,9 @@ def _missing(values: FloatArray, flying: Flying | None) -> FloatArray:
     return missing & flying() if flying is not None and missing.any() else missing
 
 
-def shape_of(values: Any) -> str:
+def shape_of(values: object) -> str:
     """Describe the shape of a user's value, in words."""
     try:
-        return f"shape {np.shape(values)}"
+        return f"shape {np.shape(cast(npt.ArrayLike, values))}"
     except ValueError:
         return "rows of different lengths"

@@ -19,13 +19,34 @@ import inspect
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol, cast
 
 import jax
 
 from qrsim.core.sameness import Itself, sameness
 from qrsim.errors import QrsimError, RunError, UsageError
 from qrsim.files.code import load_object
+
+
+class WithMemory(Protocol):
+    """A user's own object that is compiled into the loop."""
+
+    def init(self, reading: Any) -> object:
+        """Return its memory."""
+        ...
+
+    def step(self, reading: Any, memory: Any) -> object:
+        """Return the result and the new memory, which is checked when it is called."""
+        ...
+
+
+class Compiled(Protocol):
+    """A function under ``jax.jit``."""
+
+    @property
+    def __wrapped__(self) -> Callable[[Any], object]:
+        """The function itself."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -46,9 +67,9 @@ class UserFunction:
     name: str
     identity: Hashable
     compiled: bool = field(compare=False)
-    init: Callable[[Any], Any] = field(compare=False)
-    step: Callable[[Any, Any], Any] = field(compare=False)
-    given: Any = field(compare=False)
+    init: Callable[[Any], object] = field(compare=False)
+    step: Callable[[Any, Any], object] = field(compare=False)
+    given: object = field(compare=False)
 
     @contextmanager
     def blamed(self, where: str = "") -> Iterator[None]:
@@ -70,7 +91,7 @@ class UserFunction:
     def __reduce__(self) -> tuple[Any, ...]:
         return user_function, (self.what, self.given)
 
-    def __call__(self, reading: Any, memory: Any) -> tuple[Any, Any]:
+    def __call__(self, reading: object, memory: object) -> tuple[object, object]:
         """Call the function; return its result and the new memory."""
         result = self.step(reading, memory)
         if not isinstance(result, tuple) or len(result) != 2:
@@ -78,7 +99,7 @@ class UserFunction:
         return result
 
 
-def user_function(what: str, given: Any) -> UserFunction | None:
+def user_function(what: str, given: object) -> UserFunction | None:
     """Wrap a user's policy or estimator; None for None.
 
     Raises:
@@ -86,25 +107,26 @@ def user_function(what: str, given: Any) -> UserFunction | None:
     """
     if given is None or isinstance(given, UserFunction):
         return given
-    name = getattr(given, "__qualname__", None) or type(given).__qualname__
+    name: str = getattr(given, "__qualname__", None) or type(given).__qualname__
     if not inspect.isclass(given) and hasattr(given, "init") and hasattr(given, "step"):
-        _check_arguments(what, f"{name}.init", given.init, ["reading"])
-        _check_arguments(what, f"{name}.step", given.step, ["reading", "memory"])
-        return UserFunction(what, name, sameness(given), True, given.init, given.step, given)
+        own = cast(WithMemory, given)
+        _check_arguments(what, f"{name}.init", own.init, ["reading"])
+        _check_arguments(what, f"{name}.step", own.step, ["reading", "memory"])
+        return UserFunction(what, name, sameness(given), True, own.init, own.step, given)
     if not callable(given) or inspect.isclass(given):
         raise UsageError(f"{what}: expected a function of a reading, or an object with init and step, found {given!r}")
     # Compiled into the loop, the user's own function is what is traced.
     compiled = isinstance(given, jax.stages.Wrapped)
-    plain = given.__wrapped__ if compiled else given
+    plain: Callable[[object], object] = cast(Compiled, given).__wrapped__ if compiled else given
     _check_arguments(what, name, plain, ["reading"])
 
-    def step(reading: Any, memory: Any) -> tuple[Any, Any]:
+    def step(reading: object, memory: object) -> tuple[object, object]:
         return plain(reading), memory
 
     return UserFunction(what, name, Itself(given), compiled, lambda reading: None, step, given)
 
 
-def _check_arguments(what: str, name: str, function: Any, arguments: list[str]) -> None:
+def _check_arguments(what: str, name: str, function: Callable[..., object], arguments: list[str]) -> None:
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
@@ -116,7 +138,7 @@ def _check_arguments(what: str, name: str, function: Any, arguments: list[str]) 
         raise UsageError(f"{what} {name}: it is called with {expected}, but takes {signature}") from None
 
 
-def load_function(what: str, source: str, words: Sequence[str] = ()) -> Any:
+def load_function(what: str, source: str, words: Sequence[str] = ()) -> object:
     """Load the function ``module:name`` or ``file.py:name``, see ``qrsim.files.code``.
 
     Raises:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Protocol, cast
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
+from jax import Array
 
 from qrsim.control.setpoints import library
+from qrsim.core.tree import Record
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.engine.layout import LazyTree
 from qrsim.errors import UsageError, did_you_mean
@@ -20,26 +22,42 @@ from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.camera import CameraReading, Picture
 from qrsim.models.site import Site
-from qrsim.models.vehicles.contracts import Vehicle, velocity_of
+from qrsim.models.vehicles.contracts import Vehicle, VehicleState, velocity_of
 from qrsim.world.episode import picture
 from qrsim.world.state import Fleet, FleetState, State, World, position_of
 
 Floats = np.ndarray[Any, Any]
 
 
-def as_array(value: Any) -> Any:
+class Library(Protocol):
+    """What NumPy and jax.numpy have in common, of what is used here."""
+
+    def cos(self, x: Floats, /) -> Floats: ...  # noqa: D102
+    def sin(self, x: Floats, /) -> Floats: ...  # noqa: D102
+    def isfinite(self, x: Floats, /) -> Floats: ...  # noqa: D102
+    def where(self, condition: npt.ArrayLike, x: Floats | int, y: Floats | int, /) -> Floats: ...  # noqa: D102
+    def stack(self, arrays: Sequence[Floats] | Sequence[Array], /, *, axis: int) -> Floats: ...  # noqa: D102
+
+
+def _library(*values: object) -> Library:
+    return library(*values)
+
+
+def as_array(value: object) -> Floats:
     """Convert a Vec3 or Euler to (n, 3), leave others as they are; also under tracing."""
     if isinstance(value, Vec3 | Euler):
-        axes = jax.tree.leaves(value)
-        return library(*axes).stack(axes, axis=-1)
-    return value
+        axes: list[Array] = jax.tree.leaves(value)
+        return _library(*axes).stack(axes, axis=-1)
+    return cast(Floats, value)
 
 
 def quaternion_of(attitude: Floats) -> Floats:
     """Convert Euler angles (n, 3) [rad] to unit quaternions (n, 4), w first and w >= 0: body to NED, ZYX."""
-    lib = library(attitude)
-    half = 0.5 * (attitude if lib is jnp else np.asarray(attitude, np.float64))
-    (cr, cp, cy), (sr, sp, sy) = lib.cos(half).T, lib.sin(half).T
+    lib = _library(attitude)
+    half = 0.5 * (attitude if isinstance(attitude, Array) else np.asarray(attitude, np.float64))
+    cosines: list[Floats] = list(lib.cos(half).T)
+    sines: list[Floats] = list(lib.sin(half).T)
+    (cr, cp, cy), (sr, sp, sy) = cosines, sines
     quaternion = lib.stack(
         (
             cr * cp * cy + sr * sp * sy,
@@ -66,7 +84,7 @@ class SensorReading:
     def __init__(
         self,
         name: str,
-        reading: Any,
+        reading: Record,
         site: Site,
         withheld: Callable[[], Sequence[str]] = tuple,
         picture: Callable[[], Picture] | None = None,
@@ -119,12 +137,12 @@ class SensorReading:
 
     def _derived(self, field: str) -> Floats:
         if field == "quaternion":
-            return quaternion_of(as_array(self._reading.attitude))
+            return quaternion_of(as_array(cast(AttitudeReading, self._reading).attitude))
         if field in PICTURE_FIELDS:
             return self._of_picture(field)
-        position = as_array(self._reading.position_ned)
+        position = as_array(cast(GnssReading, self._reading).position_ned)
         if field == "fix_type":
-            lib = library(position)
+            lib = _library(position)
             return lib.where(lib.isfinite(position).all(axis=1), 3, 0)
         if isinstance(position, jax.core.Tracer):
             raise UsageError(f"{self._name}.{field}: not available in a compiled function; use position_ned")
@@ -137,7 +155,7 @@ class SensorReading:
                 f"{self._name}.{field}: not available here; a policy needs jax.jit, or init and step, for it"
             )
         seen = self._picture()
-        lib = library(seen.ratio)
+        lib = _library(seen.ratio)
         if field == "ratio":
             return seen.ratio  # type: ignore[return-value]
         parts = (seen.north, seen.east) if field == "corners_ned" else (seen.rows, seen.columns)
@@ -170,7 +188,7 @@ class FleetReading:
         picture = None if self._picture is None else partial(self._picture, sensor)
         return SensorReading(sensor, self._reading(sensor), self._site, partial(self._withheld, sensor), picture)
 
-    def _reading(self, sensor: str) -> Any:
+    def _reading(self, sensor: str) -> Record:
         return self._state.readings[self.sensors.index(sensor)]
 
     def _withheld(self, sensor: str) -> list[str]:
@@ -284,9 +302,9 @@ def _picture(world: World, whole: Callable[[], State], number: int, camera: str)
     return found
 
 
-def _seconds(tick: Any, time_step: float) -> Any:
+def _seconds(tick: int | Array, time_step: float) -> float:
     """Return the time [s] of a tick; in a program that is being compiled in the precision of its numbers."""
-    return tick * time_step if library(tick) is np else tick.astype(float) * time_step
+    return cast(float, tick.astype(float) * time_step) if isinstance(tick, Array) else tick * time_step
 
 
 class Truth:
@@ -295,11 +313,11 @@ class Truth:
     def __init__(self, world: World, state: State):
         self._world, self._state = world, state
 
-    def _gather(self, pick: Callable[[FleetState], Any]) -> Floats:
+    def _gather(self, pick: Callable[[FleetState], object]) -> Floats:
         fleets = self._state.fleets
         return np.concatenate([as_array(pick(fleets[number])) for number in range(len(fleets))])
 
-    def _of_vehicles(self, pick: Callable[[Vehicle, Any], Any]) -> Floats:
+    def _of_vehicles(self, pick: Callable[[Vehicle, VehicleState], object]) -> Floats:
         """Return something of the states of all vehicles, by their models."""
         fleets = self._state.fleets
         models = [fleet.vehicle for fleet in self._world.fleets]
@@ -336,7 +354,7 @@ class Truth:
     def thrust(self) -> Floats:
         """(n,) collective thrust [N], NaN where a vehicle has none."""
 
-        def thrust(model: Vehicle, state: Any) -> Any:
+        def thrust(model: Vehicle, state: VehicleState) -> Floats:
             # A load may be one number for all.
             return np.broadcast_to(model.load(state).thrust, np.shape(state.position_ned.x))
 
