@@ -14,6 +14,7 @@ from qrsim.core.noise import Draw, Stream
 from qrsim.core.tree import Record, concatenated, replace
 from qrsim.errors import RunError
 from qrsim.models.scene.contents import ContentsState, Surroundings
+from qrsim.models.scene.contracts import GroundCover, People, Plume
 from qrsim.models.scene.placement import GivenPlaces
 from qrsim.models.scene.uniform import uniform
 from qrsim.models.sensors.camera import Picture, TakesPictures
@@ -38,7 +39,11 @@ from qrsim.world.state import (
 def episode_streams(world: World) -> list[str]:
     """Return the names of the streams drawn once an episode."""
     contents = world.contents
-    parts = ((PLUME, contents.plume), (TERRAIN, contents.terrain), (PERSONS, contents.persons))
+    parts: tuple[tuple[str, Plume | GroundCover | People], ...] = (
+        (PLUME, contents.plume),
+        (TERRAIN, contents.terrain),
+        (PERSONS, contents.persons),
+    )
     names = [f"{name}/start" for name, part in parts if part.random]
     names += [FIELD] if world.turbulence.field_ids else []
     names += [f"{PLACEMENT}/{fleet.name}" for fleet in world.fleets if fleet.placement.random]
@@ -96,9 +101,10 @@ def draw_field(world: World, draws: dict[str, Draw]) -> object:
 def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:
     """Draw the plume, the ground and the persons of an episode."""
     contents = world.contents
+    release: Plume = contents.plume
     plume = terrain = persons = None
-    if contents.plume.random:
-        plume = contents.plume.init(draws[f"{PLUME}/start"], world.area)
+    if release.random:
+        plume = release.init(draws[f"{PLUME}/start"], world.area)
     if contents.terrain.random:
         terrain = contents.terrain.init(draws[f"{TERRAIN}/start"])
     if contents.persons.random:
@@ -110,8 +116,8 @@ def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Ar
     """Place a fleet at its start; also return whether positions were found, None for given ones."""
     if isinstance(fleet.placement, GivenPlaces):
         return fleet.start, None
-    start, found = fleet.placement.place(draws[f"{PLACEMENT}/{fleet.name}"], fleet.start, world.area)
-    return start, found
+    placed: tuple[Start, Array] = fleet.placement.place(draws[f"{PLACEMENT}/{fleet.name}"], fleet.start, world.area)
+    return placed
 
 
 def surroundings(world: World, contents: ContentsState, tick: Array) -> Surroundings:
@@ -124,7 +130,8 @@ def step_contents(
 ) -> ContentsState:
     """Release puffs, and mark the persons found by the vehicles at their new positions."""
     contents = state.contents
-    plume, persons = world.contents.plume, world.contents.persons
+    plume: Plume = world.contents.plume
+    persons = world.contents.persons
     if state.contents_keys is not None:
         ids = jnp.arange(plume.ids, dtype=jnp.uint32)
         draw = Draw(state.contents_keys.stream(0, ids), after, jnp.zeros((), state.sky.range_error.dtype))

@@ -72,11 +72,11 @@ class Plume(Protocol):
     def ids(self) -> int:
         """Numbers of what is drawn for."""
 
-    def init(self, draw: Draw, area: Any) -> Any:
+    def init(self, draw: Draw, area: Any) -> object:
         """Return the state at the start of an episode; ``draw`` is for ``ids`` ids."""
         return None
 
-    def step(self, state: Any, draw: Draw) -> Any:
+    def step(self, state: Any, draw: Draw) -> object:
         """Advance one period."""
         return state
 
@@ -95,7 +95,7 @@ class GroundCover(Protocol):
 
     random: ClassVar[bool] = True
 
-    def init(self, draw: Draw) -> Any:
+    def init(self, draw: Draw) -> object:
         """Return the ground of an episode; ``draw`` is for one id."""
         return None
 
@@ -124,10 +124,10 @@ class People(Protocol):
     most: int = 0
     size: Any = 0.5
 
-    def init(self, draw: Draw, cells: Array, area: Any) -> Any:
+    def init(self, draw: Draw, cells: Array, area: Any) -> object:
         """Return the persons (P,) of an episode; ``draw`` is for P ids, ``cells`` are the classes of the ground."""
         return None
 
-    def step(self, state: Any, position_ned: Vec3, speed: Array, valid: Array, tick: Array) -> Any:
+    def step(self, state: Any, position_ned: Vec3, speed: Array, valid: Array, tick: Array) -> object:
         """Mark whom the vehicles (n,) find at a tick."""
         return state
