@@ -62,7 +62,8 @@ lint: $(TOOLS)  ## formatting, lint, types, layers of imports
 	@echo "== ruff format"
 	@$(BIN)/ruff format --check $(CODE)
 	@echo "== mypy"
-	@$(BIN)/mypy
+	@$(BIN)/mypy --any-exprs-report .mypy_cache/typed
+	@$(BIN)/python tests/typed_share.py .mypy_cache/typed/any-exprs.txt
 	@echo "== import-linter"
 	@$(BIN)/lint-imports --no-logo
 
