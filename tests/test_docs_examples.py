@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
+import types
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +44,10 @@ def test_the_pages_have_examples() -> None:
 @pytest.mark.parametrize(("name", "text"), examples("python"))
 def test_python_example(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    exec(compile(text, name, "exec"), {"__name__": "example"})
+    # As somebody's file would be: a module that its classes are found in, and nothing inherited from this one.
+    module = types.ModuleType("example")
+    monkeypatch.setitem(sys.modules, "example", module)
+    exec(compile(text, name, "exec", dont_inherit=True), module.__dict__)
 
 
 @pytest.mark.parametrize(("name", "text"), examples("bash"))

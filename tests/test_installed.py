@@ -140,6 +140,6 @@ def test_it_plots(python: str, tmp_path: Path):
 
 
 def test_it_flies_and_plots_with_the_oldest_dependencies(oldest: str, tmp_path: Path):
-    assert json.loads(qrsim(oldest, tmp_path, "-c", LIST))["jax"].startswith("0.8.")
+    assert qrsim(oldest, tmp_path, "-c", "import jax; print(jax.__version__)").startswith("0.8.")
     qrsim(oldest, tmp_path, "-m", "qrsim.cli", "run", "outdoor_patrol", "--duration", "1", "--out", "run")
     assert (tmp_path / "run" / "figure.png").read_bytes().startswith(b"\x89PNG")
