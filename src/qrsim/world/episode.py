@@ -15,7 +15,7 @@ from qrsim.core.tree import Record, concatenated, replace
 from qrsim.errors import RunError
 from qrsim.models.scene.contents import ContentsState, Surroundings
 from qrsim.models.scene.contracts import GroundCover, People, Plume
-from qrsim.models.scene.placement import GivenPlaces
+from qrsim.models.scene.placement import RingPlaces, UniformPlaces
 from qrsim.models.scene.uniform import uniform
 from qrsim.models.sensors.camera import Picture, TakesPictures
 from qrsim.world.state import (
@@ -34,6 +34,9 @@ from qrsim.world.state import (
     period_ticks,
     when_due,
 )
+
+# What places that are drawn have; those from outside are like the built-in ones.
+RandomPlaces = UniformPlaces | RingPlaces
 
 
 def episode_streams(world: World) -> list[str]:
@@ -76,7 +79,7 @@ def refuse_unplaced(world: World, placed: Sequence[npt.ArrayLike]) -> None:
     Raises:
         RunError: it names the fleet, the tries and the distance.
     """
-    random = [(fleet, fleet.placement) for fleet in world.fleets if not isinstance(fleet.placement, GivenPlaces)]
+    random = [(fleet, cast(RandomPlaces, fleet.placement)) for fleet in world.fleets if fleet.placement.random]
     for (fleet, place), found in zip(random, placed, strict=True):
         if not np.all(found):
             number = int(np.argmin(np.ravel(found)))
@@ -114,9 +117,11 @@ def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:
 
 def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Array | None]:
     """Place a fleet at its start; also return whether positions were found, None for given ones."""
-    if isinstance(fleet.placement, GivenPlaces):
+    if not fleet.placement.random:
         return fleet.start, None
-    placed: tuple[Start, Array] = fleet.placement.place(draws[f"{PLACEMENT}/{fleet.name}"], fleet.start, world.area)
+    placed: tuple[Start, Array] = cast(RandomPlaces, fleet.placement).place(
+        draws[f"{PLACEMENT}/{fleet.name}"], fleet.start, world.area
+    )
     return placed
 
 
