@@ -498,6 +498,27 @@ class TestEstimatorsAndMetrics:
         with pytest.raises(UsageError, match="expected module:function or file"):
             qrsim.rollout("hover", ticks=20, metrics="speed")
 
+    @pytest.mark.parametrize(
+        ("update", "words"),
+        [
+            (
+                lambda self, memory, world, state: memory,
+                r"update takes \(memory, world, state\); expected \(memory, world",
+            ),
+            (
+                lambda self, memory, world, state, tick: {"a": memory},
+                r"update returns a memory of shapes \{'a': \(\)\}",
+            ),
+            (lambda self, memory, world, state, tick: np.zeros(3), r"shapes \(3,\); expected those of init, \(\)"),
+        ],
+    )
+    def test_metrics_that_cannot_be_kept_from_tick_to_tick(self, update: Any, words: str):
+        own = {"init": lambda self, world, state: np.float32(0), "update": update, "finish": lambda *_: {}}
+        kind = type("Own", (), own)
+        for metrics in (kind, kind()):
+            with pytest.raises(UsageError, match=words):
+                qrsim.rollout("hover", ticks=2, metrics=metrics)
+
 
 # Of every kind the class of a built-in component, under another name, in a file of a user.
 COPIES = """

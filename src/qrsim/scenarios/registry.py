@@ -103,25 +103,26 @@ def outside_names(kind: str) -> list[str]:
 def made(kind: str, source: Any) -> Any:
     """Return the estimator or the metrics of a registered name, a package's, ``module:name`` or ``file.py:name``.
 
-    A class is called without arguments; anything but a text is what it is.
+    A class is called without arguments; an object is what it is. An estimator may be a function too.
 
     Raises:
         UsageError: nothing is called so, it cannot be loaded, or is none.
     """
-    if not isinstance(source, str):
-        return source
-    found: Any = None
-    if not code.is_code(source) and provide(kind, source):
+    found: Any = source if not isinstance(source, str) else None
+    if found is None and isinstance(source, str) and not code.is_code(source) and provide(kind, source):
         found = catalogue.KINDS[kind][source]
-    if found is None:
+    if found is None and isinstance(source, str):
         found = code.load_object(kind, source, outside_names(kind))
     if not isinstance(found, type):
+        if kind == "metric" and found is not None:
+            _check_class(kind, type(found), kind)
         return found
     _check_class(kind, found, kind)
     try:
         return found()
     except Exception as error:
-        raise UsageError(f"{kind} {source}: made without arguments it fails: {code.in_one_line(error)}") from error
+        name = source if isinstance(source, str) else found.__name__
+        raise UsageError(f"{kind} {name}: made without arguments it fails: {code.in_one_line(error)}") from error
 
 
 def built_in_names(kind: str) -> list[str]:

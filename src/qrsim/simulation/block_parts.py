@@ -113,7 +113,23 @@ def begin_world(setup: Setup, fixed: list[Any], keys: WorldKeys, own: list[Any])
         jax.eval_shape(partial(_answer, setup.estimator, world, reading, memories[1]))
     size = sum(fleet.size for fleet in world.fleets)
     wrong = jnp.full(size, -1, jnp.int32)
-    return Carry(state, memories[0], memories[1], held, setup.metrics.init(world, state), wrong)
+    flight = setup.metrics.init(world, state)
+    if setup.metrics is not FLIGHT_METRICS:
+        _check_metrics(setup.metrics, flight, world, state)
+    return Carry(state, memories[0], memories[1], held, flight, wrong)
+
+
+def _check_metrics(metrics: Any, flight: Any, world: World, state: State) -> None:
+    """Refuse metrics whose memory changes its structure or shapes from tick to tick."""
+    after = jax.eval_shape(metrics.update, flight, world, state, jnp.int32(1))
+    shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(tree)] for tree in (flight, after)]
+    structures: list[Any] = [jax.tree.structure(tree) for tree in (flight, after)]
+    if structures[0] != structures[1] or shapes[0] != shapes[1]:
+        trees = [jax.tree.map(jnp.shape, tree) for tree in (flight, after)]
+        raise UsageError(
+            f"metrics: {type(metrics).__name__}.update returns a memory of shapes {trees[1]}; expected those of init, "
+            f"{trees[0]}"
+        )
 
 
 def _first_memory(function: UserFunction | None, reading: Reading) -> Any:
