@@ -8,6 +8,7 @@ this metadata, so that no parameter is declared twice.
 from __future__ import annotations
 
 import dataclasses
+import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING
 from typing import Any, ClassVar, Protocol, TypeVar, dataclass_transform, overload
@@ -92,7 +93,39 @@ def record(cls: type[T]) -> type[T]:
     cls = dataclasses.dataclass(frozen=True)(cls)
     static = [f.name for f in dataclasses.fields(cls) if field_info(f).static]  # type: ignore[arg-type]
     data = [f.name for f in dataclasses.fields(cls) if f.name not in static]  # type: ignore[arg-type]
-    return jax.tree_util.register_dataclass(cls, data_fields=data, meta_fields=static)
+    _register(cls, data, static)
+    return cls
+
+
+def _register(cls: Any, data: list[str], static: list[str]) -> None:
+    """Register a record as a node of its own type.
+
+    Not by ``jax.tree_util.register_dataclass``: structures of two dataclasses that differ only in their type are equal
+    to JAX (0.10 for one), so that ``jax.jit`` at times runs the program of one for the other.
+    """
+    of_data, of_static = _getter(data), _getter(static)
+    keys = [jax.tree_util.GetAttrKey(name) for name in data]
+
+    def flatten(item: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        return of_data(item), of_static(item)
+
+    def flatten_with_keys(item: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
+        return list(zip(keys, of_data(item), strict=True)), of_static(item)
+
+    def unflatten(settings: tuple[Any, ...], parts: Any) -> Any:
+        return cls(**dict(zip(data, parts, strict=True)), **dict(zip(static, settings, strict=True)))
+
+    jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)
+
+
+def _getter(names: list[str]) -> Callable[[Any], tuple[Any, ...]]:
+    """Return what reads some attributes as a tuple."""
+    if len(names) > 1:
+        return operator.attrgetter(*names)
+    if not names:
+        return lambda item: ()
+    (name,) = names
+    return lambda item: (getattr(item, name),)
 
 
 def field_info(field: dataclasses.Field[Any]) -> FieldInfo:
