@@ -119,7 +119,7 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
 
 
 def _getter(names: list[str]) -> Callable[[Any], tuple[Any, ...]]:
-    """Return what reads some attributes as a tuple."""
+    """Make a function that reads some attributes as a tuple."""
     if len(names) > 1:
         return operator.attrgetter(*names)
     if not names:

@@ -256,6 +256,6 @@ class Worlds:
         return self._states.get(select)
 
     def map(self, function: Callable[[Tree], Tree], select: Callable[[Tree], Tree]) -> Tree:
-        """Return what a function of JAX makes of a part of each state, each leaf (B, ...)."""
+        """Apply a function of JAX to a part of each state, each leaf (B, ...)."""
         mesh = self._extent.mesh if self.compiler == "xla" else None
         return by_xla.mapped(function, mesh, self._extent.few)(self.get(select))

@@ -60,7 +60,7 @@ def _sources() -> str:
 
 @lru_cache(maxsize=1)
 def _origin() -> dict[str, str]:
-    """Return what all programs of this process depend on."""
+    """List the versions, processor and sources that all programs of this process depend on."""
     versions = {name: version(name) for name in ("jax", "numpy", "llvmlite")}
     return {"sources": _sources(), "machine": machine_name(), **versions}
 
@@ -75,7 +75,7 @@ def identity(layout: Packer) -> str:
 
 
 def kept(what: tuple[Any, ...], make: Callable[[], Any]) -> Any:
-    """Return what ``make`` makes, from the cache if it was made before.
+    """Take the result of ``make`` from the cache, or make and keep it.
 
     Args:
         what: all that it depends on beside this package and the machine; its repr is the key.
@@ -120,7 +120,7 @@ def _read(path: Path, key: str) -> Binary | Start | int | None:
 
 
 def _bytes(path: Path) -> bytes | None:
-    """Return what is in a file of this user's own, None where it is anything else."""
+    """Read a file of this user's own; None where it is anything else."""
     # A link could lead to a file that somebody else can change, and a pipe would be waited for.
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     with open(os.open(path, flags), "rb") as file:

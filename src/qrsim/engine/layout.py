@@ -106,7 +106,7 @@ class Packer:
 
 
 def struct(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
-    """Return what stands for an array of a shape and type."""
+    """Make a placeholder of an array of a shape and type."""
     return jax.ShapeDtypeStruct(shape, dtype)  # type: ignore[no-untyped-call]
 
 

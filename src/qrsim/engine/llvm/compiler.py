@@ -32,7 +32,7 @@ def _features() -> Any:
 
 @lru_cache(maxsize=1)
 def machine_name() -> str:
-    """Return what machine code depends on beside its text: processor, its features, and compiler."""
+    """Name the processor, its features and the compiler, on which machine code depends beside its text."""
     version = ".".join(map(str, llvm.llvm_version_info))
     return f"{llvm.get_host_cpu_name()} {_features().flatten()} llvm {version}"
 

@@ -308,7 +308,7 @@ class Emitter(Loops):
 
 
 def neutral(how: str, dtype: Any) -> str:
-    """Return what a reduction begins with."""
+    """Choose the number that a reduction begins with."""
     if how in ("add", "or"):
         return literal(0, dtype)
     if how == "mul":

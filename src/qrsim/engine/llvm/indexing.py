@@ -169,7 +169,7 @@ class Indexing(Nodes):
 
 
 def _filling(value: Any, dtype: Any) -> Any:
-    """Return what JAX puts where an index is out of range."""
+    """Choose the value that JAX puts where an index is out of range."""
     if value is not None:
         return value
     kind = np.dtype(dtype).kind

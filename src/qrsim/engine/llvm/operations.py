@@ -104,7 +104,7 @@ class Operations:
         return self.emit(f"{op} {of} {values[0]}, {values[1]}")
 
     def _whole_division(self, op: str, of: str, dtype: DType, values: list[str], lanes: int) -> str:
-        """Return what JAX does: all bits set, or the number itself as remainder, where the divisor is zero."""
+        """Divide as JAX does: all bits set, or the number itself as remainder, where the divisor is zero."""
         element, mask, signed = scalar_type(dtype), vector("i1", lanes), dtype.kind == "i"
         zero, one, ones = (splat(text, element, lanes) for text in ("0", "1", "-1"))
         is_zero = self.emit(f"icmp eq {of} {values[1]}, {zero}")
@@ -123,7 +123,7 @@ class Operations:
         return self.emit(f"select {mask} {is_zero}, {of} {ones}, {of} {result}")
 
     def _shift(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Return what JAX does: nothing is left, or the sign, where a number is shifted by its width or more."""
+        """Shift as JAX does: nothing is left, or the sign, where a number is shifted by its width or more."""
         how, bits = _SHIFTS[node.op], 8 * node.dtype.itemsize
         # All shifts of the noise are by constants, and must cost one instruction.
         known = _known_number(node.args[1].node)

@@ -314,7 +314,7 @@ class _Writer:
 
 
 def flushing(writer: Writer) -> tuple[list[str], list[str]]:
-    """Return what to do before and after all else, so that numbers too small to be normal are zero, as with XLA."""
+    """Write the text before and after all else that makes numbers too small to be normal zero, as with XLA."""
     processor = machine_triple().split("-")[0]
     if processor in ("x86_64", "i686", "amd64"):
         writer.declarations |= {f"declare void @llvm.x86.sse.{name}(ptr)" for name in ("stmxcsr", "ldmxcsr")}

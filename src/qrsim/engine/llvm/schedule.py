@@ -114,7 +114,7 @@ class Scheduler:
         return all(access.node.op in OUTSIDE or access.node.number in done for access in node.args)
 
     def _outer(self, cond: Node) -> list[Access]:
-        """Return what a step with parts reads from outside."""
+        """List the nodes that a step with parts reads from outside."""
         own: set[int] = set()
         # Its regions are computed within it, so what they read must be there before.
         accesses = list(cond.args)
@@ -187,7 +187,7 @@ def inner_accesses(step: Step) -> list[tuple[Node | None, Access]]:
 
 
 def branch_results(step: Step) -> list[Access]:
-    """Return what the regions of a step hand out, of all that is wanted of it."""
+    """List the wanted nodes that the regions of a step hand out."""
     if step.kind == "while":
         return [access for region in step.nodes[0].regions for access in region.results]
     places = [output.attributes[0] for output in step.nodes if output.op == "output"]

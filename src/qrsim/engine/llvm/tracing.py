@@ -117,17 +117,17 @@ class Tracer(Indexing):
         return self.apply(op, shape, out.dtype, *inputs, attributes=attributes)
 
     def transparent(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
-        """Return what is handed over."""
+        """Pass the arguments on."""
         return inputs
 
     def call(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
-        """Return what an inner function returns."""
+        """Trace an inner function."""
         closed = parameters[op]
         inner = closed.jaxpr if hasattr(closed, "jaxpr") else closed
         return self.run(inner, getattr(closed, "consts", ()), inputs)
 
     def reduction(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
-        """Return what becomes of some axes together."""
+        """Reduce over some axes."""
         return self._reduced(op, inputs[0], out, parameters["axes"])
 
     def _reduced(self, op: str, operand: View, out: Any, axes: Sequence[int]) -> View:
@@ -146,7 +146,7 @@ class Tracer(Indexing):
         return View.whole(node, tuple(out.shape))
 
     def running(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:
-        """Return what becomes of the elements up to each one along an axis."""
+        """Reduce the elements up to each one along an axis."""
         shape = tuple(out.shape)
         if shape[parameters["axis"]] == 1 or 0 in shape:
             return inputs[0]
@@ -290,7 +290,7 @@ class Tracer(Indexing):
         return View.whole(node, first.shape)
 
     def while_(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
-        """Return what a loop hands on when its condition no longer holds."""
+        """Trace a loop; its result is the carry at which its condition no longer holds."""
         conditions, bodies = parameters["cond_nconsts"], parameters["body_nconsts"]
         first = inputs[conditions + bodies :]
         if any(0 in view.shape for view in first):

@@ -161,7 +161,7 @@ class Writer:
         return self.scope.offsets[key]
 
     def load(self, dtype: Any, address: str, lanes: int) -> str:
-        """Return what lies at an address."""
+        """Load the value at an address."""
         stored, align = stored_type(dtype), stored_bytes(dtype)
         value = self.emit(f"load {vector(stored, lanes)}, ptr {address}, align {align}")
         if dtype.kind != "b":
@@ -205,11 +205,11 @@ class Writer:
         self.scope = Scope(domain, ["0"] * len(domain), lane_axis, {}, {})
 
     def read(self, access: Access) -> tuple[str, int]:
-        """Return what lies in memory at an access of the present loop, read anew."""
+        """Load the value at an access of the present loop anew."""
         return self._read(access, self.place(access.node))
 
     def _read(self, access: Access, place: Place) -> tuple[str, int]:
-        """Return what lies in memory at an access of the present loop, and its lanes."""
+        """Load the value at an access of the present loop; also return its lanes."""
         node, scope = access.node, self.scope
         index = [(None if a is None else scope.variables[a], offset) for a, offset in access.index]
         across = [i for i, (axis, _) in enumerate(access.index) if axis is not None and axis == scope.lane_axis]
@@ -276,7 +276,7 @@ class Writer:
         return self.emit(f"icmp ne {vector('i32', lanes)} {found}, {splat('0', 'i32', lanes)}")
 
     def gathered(self, pointers: str, element: str, align: int, lanes: int) -> str:
-        """Return what lies at a vector of pointers."""
+        """Load the values at a vector of pointers."""
         of, places, mask = vector(element, lanes), vector("ptr", lanes), vector("i1", lanes)
         name = f"llvm.masked.gather.{suffix(element, lanes)}.v{lanes}p0"
         self.declarations.add(f"declare {of} @{name}({places}, i32, {mask}, {of})")
