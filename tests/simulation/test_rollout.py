@@ -20,9 +20,11 @@ import pytest
 from tests.small_worlds import bare_pair, noisy_pair
 
 import qrsim
-from qrsim.core.tree import replace
+from qrsim.core.tree import parameter, record, replace
+from qrsim.core.vectors import Vec3
 from qrsim.engine.llvm.compiler import Loaded
 from qrsim.errors import UsageError
+from qrsim.models.atmosphere.contracts import Wind
 from qrsim.simulation import rollout as rollouts
 from qrsim.simulation.rollout import Rollout, rollout
 from qrsim.simulation.simulation import Simulation
@@ -369,3 +371,22 @@ def test_what_is_public():
     assert qrsim.rollout.__module__ == "qrsim.scenarios.flying"
     assert qrsim.Rollout.__module__ == "qrsim.simulation.rollout"
     assert dataclasses.fields(qrsim.Rollout)
+
+
+def test_classes_of_one_name_are_not_one() -> None:
+    """As two files of a user may have them: what the second does was computed by the first."""
+
+    def gale(speed: float) -> Any:
+        @record
+        class Gale(Wind):
+            factor: Any = parameter(1.0, unit="1", doc="a factor")
+
+            def velocity_ned(self, height_agl: Any, seconds: Any, fraction: Any) -> Vec3:
+                like = jnp.zeros_like(height_agl)
+                return Vec3(like + speed * self.factor, like, like)
+
+        return Gale(jnp.float32(1.0))
+
+    worlds = [replace(bare_pair().world(), wind=gale(speed)) for speed in (1.0, 2.0)]
+    with pytest.raises(UsageError, match="number 1 differs from number 0 in more than numbers: types"):
+        rollout(worlds, ticks=2)

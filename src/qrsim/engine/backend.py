@@ -125,9 +125,10 @@ class Specialised:
         leaves, structure = jax.tree.flatten(given)
         # On the host, where what a user gave may be numbers of Python.
         leaves = [np.asarray(leaf) for leaf in leaves]
-        # As text, because to JAX two structures are equal whose records differ in nothing but their type. Compared with
+        # As text too, because to JAX structures of dataclasses that it registers itself are equal whatever their type;
+        # text alone would take classes of one name for each other. Compared with
         # the last kind first, because to make a layout takes as long as a tick.
-        kind = repr(structure), [(leaf.shape, leaf.dtype) for leaf in leaves]
+        kind = structure, repr(structure), [(leaf.shape, leaf.dtype) for leaf in leaves]
         last = self._last
         if last is not None and last[0] is state and last[1] == kind:
             if leaves:

@@ -174,8 +174,11 @@ def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool,
     """Return the structure of the worlds, the leaves they share, those they do not, (W, ...), and which is which."""
     flat: list[tuple[list[Any], Any]] = [jax.tree.flatten(world) for world in several]
     structure = flat[0][1]
+    types = tuple(kinds(structure))
     for i, (_, other) in enumerate(flat[1:], 1):
-        different = "" if repr(other) == repr(structure) else "types, names, sensors or settings"
+        # By the types too: classes of one name, in two files, are no less two.
+        alike = other == structure and tuple(kinds(other)) == types
+        different = "" if alike else "types, names, sensors or settings"
         if different or (different := _other_arrays(several[0], several[i])):
             raise UsageError(
                 f"world: number {i} differs from number 0 in more than numbers: {different}; fly those that are alike "
