@@ -160,6 +160,7 @@ def _fly(
     )
     at = (height, pose.position_ned, time)
     gust = gust_at(world, whole.field, turbulence, *at)
+    gust_rates = gust_rates_at(world, whole.field, turbulence, *at)
     air = mean_wind + gust
 
     guidance, setpoint, controller, estimate = state.guidance, state.setpoint, state.controller, state.estimate
@@ -183,7 +184,7 @@ def _fly(
     drawn = model.draw_noise(noise[PROCESS], dt)
     around = None
     if model.reads:
-        around = around_of(world, pose.attitude, gust_rates_at(world, whole.field, turbulence, *at))
+        around = around_of(world, pose.attitude, gust_rates)
     vehicle, low, force = move(
         model, state.vehicle, state.position_low_ned, command, lambda trig: trig.rotation().to_body(air), drawn, dt,
         around,
@@ -191,7 +192,7 @@ def _fly(
     return replace(
         state, vehicle=vehicle, position_low_ned=low, specific_force=force,
         turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
-        gust_rates_ned=gust_rates_at(world, whole.field, turbulence, *at),
+        gust_rates_ned=gust_rates,
         estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=command,
         command_clipped=clipped, battery=battery,
     )  # fmt: skip
