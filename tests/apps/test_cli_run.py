@@ -29,7 +29,8 @@ from qrsim import cli
 from qrsim.apps.run import command
 from qrsim.engine import programs
 from qrsim.engine.llvm import program
-from qrsim.runs import atomic, open_run, recorder
+from qrsim.files import atomic
+from qrsim.runs import open_run, recorder
 from qrsim.runs.summary import summarise
 from qrsim.scenarios.scenario import load_scenario
 

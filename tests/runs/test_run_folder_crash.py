@@ -15,7 +15,8 @@ import pytest
 from small_run import COLUMNS, append_chunk, chunk
 
 from qrsim.errors import RunError, UsageError
-from qrsim.runs import Run, RunInfo, RunWriter, atomic, open_run
+from qrsim.files import atomic
+from qrsim.runs import Run, RunInfo, RunWriter, open_run
 
 Start = Callable[..., RunWriter]
 

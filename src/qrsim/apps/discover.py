@@ -57,8 +57,8 @@ class Discover:
         self._check()
         from qrsim.discover.discovery import discover
         from qrsim.discover.picture import draw
+        from qrsim.files.atomic import write_atomically
         from qrsim.flight_logs import read_log
-        from qrsim.runs.atomic import write_atomically
         from qrsim.runs.picture import save_picture
         from qrsim.scenarios.reading import dump_yaml
 

@@ -229,7 +229,7 @@ def _interval(found: dict[str, float], name: str = "mean", unit: float = 1.0) ->
 def _write(path: Path, result: dict[str, Any]) -> None:
     import json
 
-    from qrsim.runs.atomic import write_atomically
+    from qrsim.files.atomic import write_atomically
 
     try:
         write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())

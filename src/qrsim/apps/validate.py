@@ -61,7 +61,7 @@ class Validate:
         return 0 if report["passed"] else 1
 
     def _write(self, results: list[Result], report: dict[str, Any]) -> None:
-        from qrsim.runs.atomic import write_atomically
+        from qrsim.files.atomic import write_atomically
         from qrsim.validate.page import write_page
 
         for name, text in ((PAGE, write_page(results, report)), (NUMBERS, _dump(report))):

@@ -78,7 +78,7 @@ class View:
             check_name(self.screenshot)
 
     def _photograph(self, recording: Recording, path: Path, time: float) -> None:
-        from qrsim.runs.atomic import write_atomically
+        from qrsim.files.atomic import write_atomically
         from qrsim.view.picture import photograph
         from qrsim.view.replay import remember_paths
         from qrsim.view.scene import Scene

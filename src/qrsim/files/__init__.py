@@ -1,1 +1,1 @@
-"""Users' files: opened safely, YAML read with limits."""
+"""Files: what a user names is opened safely, YAML is read with limits, what is written appears whole or not at all."""

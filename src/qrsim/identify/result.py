@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import RunError
+from qrsim.files.atomic import write_atomically
 from qrsim.flight_logs.excitation import Excitation
 from qrsim.flight_logs.signals import SIGNALS
 from qrsim.identify.constants import aspects_of, unit_of
 from qrsim.identify.fit import Answer, Question
 from qrsim.identify.problem import Piece
 from qrsim.identify.verdicts import Verdict, channels_in
-from qrsim.runs.atomic import write_atomically
 from qrsim.scenarios.reading import dump_yaml
 
 

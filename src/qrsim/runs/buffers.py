@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.runs.atomic import write_atomically
+from qrsim.files.atomic import write_atomically
 from qrsim.runs.layout import (
     EVENTS,
     INDEX,

@@ -45,7 +45,7 @@ class EpisodesWriter:
         Raises:
             RunError: the list cannot be written.
         """
-        from qrsim.runs.atomic import write_atomically
+        from qrsim.files.atomic import write_atomically
 
         episodes = self._content["episodes"]
         name = episode_name(len(episodes) + 1)

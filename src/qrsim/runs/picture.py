@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from qrsim.errors import RunError, UsageError, did_you_mean
-from qrsim.runs.atomic import write_atomically
+from qrsim.files.atomic import write_atomically
 from qrsim.runs.reader import Run
 
 Floats = np.ndarray[Any, Any]
