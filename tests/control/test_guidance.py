@@ -16,6 +16,7 @@ from qrsim.control import (
     AttitudeSetpoint,
     Estimate,
     OffboardSetpoint,
+    PathSetpoint,
     Route,
     VelocityGuidance,
     VelocityHeightGuidance,
@@ -112,6 +113,7 @@ class TestTogether:
             VelocityHeightSetpoint.of(np.ones((2, 2)), -10.0, 0.5),
             AttitudeHeightSetpoint.of(np.ones(2), 0.2, -10.0, 0.5),
             AttitudeSetpoint.of(np.ones(2), 0.2, 0.5, 0.7),
+            PathSetpoint.of(np.ones((2, 3)), np.ones((2, 3)), np.ones((2, 3)), 0.5),
         ]
         given = [
             {"position_ned.x", "position_ned.y", "position_ned.z"},
@@ -119,6 +121,7 @@ class TestTogether:
             {"velocity_ned.x", "velocity_ned.y", "z"},
             {"roll", "pitch", "z"},
             {"roll", "pitch", "throttle"},
+            {f"{name}_ned.{axis}" for name in ("position", "velocity") for axis in "xyz"},
         ]
         assert [type(kind) for kind in kinds] == list(SETPOINTS.values())
         for kind, names in zip(kinds, given, strict=True):
@@ -133,6 +136,10 @@ class TestMaking:
         estimate = Estimate.of(np.arange(6.0).reshape(2, 3), np.zeros((2, 3)), np.ones((2, 3)))
         np.testing.assert_array_equal(estimate.position_ned.y, [1.0, 4.0])
         np.testing.assert_array_equal(VelocityHeightSetpoint.of([[1, 2]], -3).velocity_east, [2.0])
+        path = PathSetpoint.of([[1.0, 2.0, -3.0]] * 2, (4.0, 5.0, 6.0), yaw_rad=0.5)
+        np.testing.assert_array_equal(path.velocity_ned.y, [5.0, 5.0])
+        np.testing.assert_array_equal(path.acceleration_ned.z, [0.0, 0.0])
+        np.testing.assert_array_equal(path.yaw, [0.5, 0.5])
 
     @pytest.mark.parametrize(
         ("make", "shape"),

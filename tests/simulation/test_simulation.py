@@ -321,7 +321,7 @@ def test_an_unknown_fleet_and_a_set_point_of_another_kind_are_refused(shared: Si
     setpoint = VelocitySetpoint.of(np.zeros((5, 3)))
     assert said(shared.step, setpoint) == (
         "command: a VelocitySetpoint is not for WaypointController, which takes WaypointSetpoint; "
-        "a controller of type 'offboard' takes them all"
+        "a controller of type 'offboard' takes it"
     )
     assert said(shared.step, {"bravo": hover()}).startswith("command: expected shape (2, 5)")
 

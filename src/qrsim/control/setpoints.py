@@ -78,6 +78,30 @@ class WaypointSetpoint:
 
 
 @record
+class PathSetpoint:
+    """A point of a path, (n,): its position, velocity and acceleration (feed-forwards), and a heading."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="point of the path")
+    velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity along the path, over ground")
+    acceleration_ned: Vec3 = quantity(unit="m/s^2", doc="acceleration along the path")
+    yaw: Array = quantity(unit="rad", doc="heading")
+
+    @staticmethod
+    def of(
+        position_ned: Any, velocity_ned: Any = (0.0, 0.0, 0.0), acceleration_ned: Any = (0.0, 0.0, 0.0),
+        yaw_rad: Any = 0.0,
+    ) -> PathSetpoint:  # fmt: skip
+        """Return the set-point of (n, 3) arrays [m], [m/s], [m/s^2], or one row for all, and headings [rad]."""
+        position = axes(position_ned)
+
+        def each(values: Any) -> Vec3:
+            wanted: Vec3 = axes(values)
+            return wanted.map(lambda axis: like(position.x, axis))
+
+        return PathSetpoint(position, each(velocity_ned), each(acceleration_ned), like(position.x, yaw_rad))
+
+
+@record
 class VelocitySetpoint:
     """Velocity and heading, (n,)."""
 
@@ -167,7 +191,14 @@ class OffboardSetpoint:
         return OffboardSetpoint(given.get("position_ned", nowhere), velocity, *others)
 
 
-Setpoint = WaypointSetpoint | VelocitySetpoint | VelocityHeightSetpoint | AttitudeHeightSetpoint | AttitudeSetpoint
+Setpoint = (
+    WaypointSetpoint
+    | VelocitySetpoint
+    | VelocityHeightSetpoint
+    | AttitudeHeightSetpoint
+    | AttitudeSetpoint
+    | PathSetpoint
+)
 # By the name that controllers and guidance of their kind have in a scenario.
 SETPOINTS: dict[str, type] = {
     "waypoint": WaypointSetpoint,
@@ -175,4 +206,5 @@ SETPOINTS: dict[str, type] = {
     "velocity_height": VelocityHeightSetpoint,
     "attitude_height": AttitudeHeightSetpoint,
     "attitude": AttitudeSetpoint,
+    "path": PathSetpoint,
 }

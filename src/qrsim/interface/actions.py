@@ -16,6 +16,7 @@ from qrsim.control import (
     SETPOINTS,
     AttitudeHeightSetpoint,
     Estimate,
+    OffboardController,
     VelocityHeightSetpoint,
     WaypointSetpoint,
 )
@@ -157,9 +158,14 @@ class ActionChecker:
         for controller in controllers:
             if type(setpoint) not in controller.setpoints:
                 taken = ", ".join(cls.__name__ for cls in controller.setpoints)
+                hint = (
+                    "; a controller of type 'offboard' takes it"
+                    if type(setpoint) in OffboardController.setpoints
+                    else ""
+                )
                 raise UsageError(
                     f"command: a {type(setpoint).__name__} is not for {type(controller).__name__}, which takes "
-                    f"{taken}; a controller of type 'offboard' takes them all"
+                    f"{taken}{hint}"
                 )
         checked = self._cast(setpoint, "command", len(names))
         if not self.traced and isinstance(checked, VelocityHeightSetpoint | AttitudeHeightSetpoint):
