@@ -30,6 +30,10 @@ class Controller(Protocol):
     gives: ClassVar[type[Any]]
     feed: Literal["measurements", "truth"] = "measurements"
 
+    def fitted(self, vehicle: Any) -> Controller:
+        """Return the controller for a nominal vehicle, as a fleet is built; what it flies may differ from that."""
+        return self
+
     def idle_command(self, command: Any) -> object:
         """Return the command (n,) before the first one, of the vehicle's own ``idle_command``."""
         return command

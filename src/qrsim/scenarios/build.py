@@ -342,9 +342,10 @@ def _inside_obstacles(path: str, vehicle: VehicleSpec, solids: list[Any], cleara
 
 
 def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec) -> Fleet:
+    vehicle = component(spec.vehicle, known.VEHICLES, scenario)
     return Fleet(
-        vehicle=component(spec.vehicle, known.VEHICLES, scenario),
-        controller=component(spec.controller, known.CONTROLLERS, scenario),
+        vehicle=vehicle,
+        controller=component(spec.controller, known.CONTROLLERS, scenario).fitted(vehicle),
         guidance=component(spec.guidance, known.GUIDANCE, scenario),
         route=_route(spec),
         start=_start(spec),

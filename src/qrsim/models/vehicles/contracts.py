@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
+import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
@@ -41,6 +42,32 @@ class Pose:
     attitude: Euler = quantity(unit="rad", doc="ZYX Euler angles")
     velocity_body: Vec3 = quantity(unit="m/s", doc="velocity over ground in body axes")
     rates_body: Vec3 = quantity(unit="rad/s", doc="body rates")
+
+
+@record
+class Handling:
+    """What a controller that commands tilt and throttle knows of its vehicle; each a number or (n,)."""
+
+    mass: Array = quantity(unit="kg", doc="take-off mass")
+    gravity: Array = quantity(unit="m/s^2", doc="acceleration of free fall")
+    thrust_max: Array = quantity(unit="N", doc="largest steady thrust at the nominal voltage")
+    throttle_curve: tuple[Array, Array, Array] = quantity(
+        unit="N", doc="c0, c1, c2: the steady thrust is c0 + c1 u + c2 u^2 at throttle u, 0 to 1; it grows with u"
+    )
+    tilt_gain: Array = quantity(unit="1", doc="settled tilt per commanded tilt")
+    yaw_rate_gain: Array = quantity(unit="1", doc="settled yaw rate per commanded yaw rate")
+    tilt_max: Array = quantity(unit="rad", doc="largest tilt command of each axis")
+    pitch_gain: Array | None = quantity(
+        default=None, unit="1", doc="settled pitch per commanded pitch, where it is not tilt_gain"
+    )
+
+    def throttle(self, thrust: Array) -> Array:
+        """Return the throttle (n,), 0 to 1, of a steady thrust (n,) [N]: the inverse of the throttle curve."""
+        c0, c1, c2 = self.throttle_curve
+        missing = thrust - c0
+        # Of the two forms of the root the one that also solves a straight line.
+        root = jnp.sqrt(jnp.maximum(c1 * c1 + 4.0 * c2 * missing, 0.0))
+        return jnp.clip(2.0 * missing / jnp.maximum(c1 + root, 1e-6), 0.0, 1.0)
 
 
 def velocity_of(pose: Pose) -> Vec3:
@@ -117,6 +144,18 @@ class Vehicle(Protocol):
     def powered(self, command: Any, voltage: Array | None) -> object:
         """Return a command at a battery's voltage (n,) [V]; None: whatever voltage the command itself has."""
         return command
+
+    def handling(self) -> Handling | None:
+        """Return what a controller of tilt and throttle knows of it, None if it takes no such commands."""
+        return None
+
+    def tilt_command(self, pitch: Array, roll: Array, throttle: Array, yaw_rate: Array) -> object:
+        """Return its own command (n,) of tilt [rad], throttle [0, 1] and yaw rate [rad/s]; only where it has handling.
+
+        Raises:
+            TypeError: it has none.
+        """
+        raise TypeError(f"{type(self).__name__} takes no tilt and throttle; it has no tilt_command")
 
     @abstractmethod
     def load(self, state: Any) -> Load:

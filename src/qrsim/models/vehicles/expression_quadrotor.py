@@ -9,12 +9,14 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from qrsim.core.tree import record, setting
+from qrsim.core.tree import record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
+from qrsim.models.vehicles.contracts import Handling
+from qrsim.models.vehicles.quadrotor import IDLE_BATTERY, Command, Quadrotor, QuadrotorState
 
 _SIGNS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: lambda a, b: a + b,
@@ -48,6 +50,27 @@ class ExpressionQuadrotor(Quadrotor):
         if not self.thrust_law:
             return Quadrotor.wanted_thrust(self, throttle)
         return evaluated(self.thrust_law, {"throttle": throttle})
+
+    def handling(self) -> Handling | None:
+        """Return the handling by the laws about rest; None where a law does not answer to its command there."""
+        found = Quadrotor.handling(self)
+        assert found is not None
+        if self.thrust_law:
+            curve = _quadratic(self.thrust_law)
+            if curve is None:
+                return None
+            most = jnp.minimum(self.wanted_thrust(jnp.asarray(1.0)), self.cvb0 + self.cvb1 * IDLE_BATTERY)
+            found = replace(found, throttle_curve=curve, thrust_max=most)
+        for law, leaves, field in (
+            (self.tilt_law, ("command", "angle", "rate"), "tilt_gain"),
+            (self.yaw_law, ("command", "rate"), "yaw_rate_gain"),
+        ):
+            if law:
+                gain = _settled(law, leaves)
+                if gain is None:
+                    return None
+                found = replace(found, **{field: jnp.asarray(gain)})
+        return found
 
     def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
         """Return the stabilised body's angular acceleration [rad/s^2]."""
@@ -89,6 +112,27 @@ def checked(name: str, law: str, leaves: tuple[str, ...]) -> ast.expr:
             allowed = "numbers, names, + - * / ** and brackets"
             raise UsageError(f"{name}: '{ast.unparse(node)}' is not allowed; allowed: {allowed}")
     return tree
+
+
+def _quadratic(law: str) -> tuple[Array, Array, Array] | None:
+    """Return c0, c1, c2 of c0 + c1 u + c2 u^2 next to a law of throttle u, None where it has no value or falls."""
+    throttle = np.linspace(0.0, 1.0, 41)
+    thrust = np.array([value_at(law, {"throttle": float(u)}) for u in throttle])
+    if not np.isfinite(thrust).all():
+        return None
+    c2, c1, c0 = np.polyfit(throttle, thrust, 2)
+    rises = min(c1, c1 + 2.0 * c2) > 0.0
+    return (jnp.asarray(c0), jnp.asarray(c1), jnp.asarray(c2)) if rises else None
+
+
+def _settled(law: str, leaves: tuple[str, ...]) -> float | None:
+    """Return by how much the angle (else the rate) settles per unit of command, None where it does not follow it."""
+    slope, step = {}, 1e-4
+    for leaf in ("command", leaves[1]):
+        ends = [value_at(law, dict.fromkeys(leaves, 0.0) | {leaf: x}) for x in (-step, step)]
+        slope[leaf] = (ends[1] - ends[0]) / (2.0 * step)
+    gain = -slope["command"] / slope[leaves[1]] if slope[leaves[1]] else math.nan
+    return gain if math.isfinite(gain) and gain > 0.0 else None
 
 
 def _whole(node: ast.expr) -> bool:

@@ -20,7 +20,7 @@ from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, euler_rates
 from qrsim.models.vehicles.commands import clipped, fields_of, limits_of
-from qrsim.models.vehicles.contracts import Around, Load, Pose, Vehicle
+from qrsim.models.vehicles.contracts import Around, Handling, Load, Pose, Vehicle
 
 PITCH_ROLL_RAD_PER_RAW = -math.radians(0.025)
 THROTTLE_RAW_PER_UNIT = 4097.0
@@ -124,6 +124,27 @@ class Quadrotor(Vehicle):
     def powered(self, command: Command, voltage: Array | None) -> Command:
         """Return a command at a battery's voltage (n,) [V]; None: at the commanded one."""
         return command if voltage is None else replace(command, battery=voltage)
+
+    def handling(self) -> Handling | None:
+        """Return mass, thrust and the settled answers to commands, from the identified constants (eqs. 1-5 at rest)."""
+        curve = (
+            jnp.asarray(self.cth0),
+            jnp.asarray(self.cth1 * THROTTLE_RAW_PER_UNIT),
+            jnp.asarray(self.cth2 * THROTTLE_RAW_PER_UNIT**2),
+        )
+        return Handling(
+            mass=jnp.asarray(self.mass),
+            gravity=jnp.asarray(self.gravity),
+            thrust_max=jnp.minimum(self.wanted_thrust(jnp.asarray(1.0)), self.cvb0 + self.cvb1 * IDLE_BATTERY),
+            throttle_curve=curve,
+            tilt_gain=jnp.asarray(self.kpq0 * (1.0 / PITCH_ROLL_RAD_PER_RAW)),
+            yaw_rate_gain=jnp.asarray(-self.kr0 / self.kr1 * (1.0 / YAW_RATE_RAD_S_PER_RAW)),
+            tilt_max=jnp.asarray(COMMAND_LIMITS["pitch"][1]),
+        )
+
+    def tilt_command(self, pitch: Array, roll: Array, throttle: Array, yaw_rate: Array) -> Command:
+        """Return the command (n,) at the highest voltage that the thrust was identified for."""
+        return Command(pitch, roll, throttle, yaw_rate, jnp.full_like(pitch, IDLE_BATTERY))
 
     def load(self, state: QuadrotorState) -> Load:
         """Return thrust and weight; the model has no power."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 from jax import Array
 
-from qrsim.core.tree import parameter, record
+from qrsim.core.tree import parameter, record, replace
 from qrsim.core.vectors import Vec3
+from qrsim.models.vehicles.contracts import Handling
 from qrsim.models.vehicles.quadrotor import PITCH_ROLL_RAD_PER_RAW, Command, Quadrotor, QuadrotorState
 
 
@@ -16,6 +18,12 @@ class SeparateQuadrotor(Quadrotor):
     kq0: Array = parameter(default=-3.25060e-04, unit="rad/raw", doc="pitch command scale")
     kq1: Array = parameter(default=1.79797e02, unit="1/s^2", doc="pitch stiffness")
     kq2: Array = parameter(default=-24.3536, unit="1/s", doc="pitch damping")
+
+    def handling(self) -> Handling | None:
+        """Return the handling of the quadrotor, with its own gain of pitch."""
+        both = Quadrotor.handling(self)
+        assert both is not None
+        return replace(both, pitch_gain=jnp.asarray(self.kq0 * (1.0 / PITCH_ROLL_RAD_PER_RAW)))
 
     def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
         """Return the stabilised body's angular acceleration [rad/s^2] (eqs. 4-5)."""
