@@ -123,6 +123,7 @@ SLOTS = {
     "SKY_ERRORS": "world.sky.errors",
     "OBSTACLES": "world.obstacles.0",
     "AREAS": "world.area",
+    "GROUNDS": "world.ground",
     "PLUMES": "world.plume",
     "TERRAINS": "world.terrain",
     "PERSONS": "world.persons",
@@ -359,6 +360,11 @@ def _area(area: Any, given: Any, draws: Draws) -> Any:
     return {"height": area.height_agl(position), "checks": checks}
 
 
+def _ground(ground: Any, given: Any, draws: Draws) -> Any:
+    position = given["scene"]["position_ned"]
+    return {"down": ground.down(position), "normal": ground.normal(position)}
+
+
 def _vehicle(vehicle: Any, given: Any, draws: Draws) -> Any:
     scene = given["scene"]
     start = vehicle.initial_state(scene["position_ned"], scene["attitude"], scene["velocity_body"], scene["rates_body"])
@@ -464,6 +470,7 @@ EVALUATE: dict[str, Callable[[Any, Any, Draws], Any]] = {
     "SKY_ERRORS": _sky_errors,
     "OBSTACLES": _obstacle,
     "AREAS": _area,
+    "GROUNDS": _ground,
     "VEHICLES": _vehicle,
     "BATTERIES": _battery,
     "CONTROLLERS": _controller,

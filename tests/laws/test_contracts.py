@@ -22,7 +22,7 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
 from qrsim.models.gnss.contracts import RangeErrors
 from qrsim.models.radio.contracts import Radio
-from qrsim.models.scene.contracts import Area, GroundCover, People, Plume
+from qrsim.models.scene.contracts import Area, Ground, GroundCover, People, Plume
 from qrsim.models.sensors.barometer import IdealBarometer
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.vehicles.contracts import Battery, Vehicle
@@ -36,6 +36,7 @@ from qrsim.world.state import World
 SOURCE = Path(qrsim.__file__).parent
 CONTRACTS = {
     "WINDS": Wind, "TURBULENCES": Turbulence, "GUSTS": Gust, "SKY_ERRORS": RangeErrors, "AREAS": Area,
+    "GROUNDS": Ground,
     "PLUMES": Plume, "TERRAINS": GroundCover, "PERSONS": People, "TASKS": Task, "VEHICLES": Vehicle,
     "BATTERIES": Battery, "CONTROLLERS": Controller, "GUIDANCE": Guidance, "SENSORS": Sensor,
 }  # fmt: skip

@@ -20,6 +20,7 @@ OF_A_WORLD = {
     "TURBULENCES": "turbulence",
     "GUSTS": "gust",
     "AREAS": "area",
+    "GROUNDS": "ground",
     "ORBITS": "orbits",
     "SKY_ERRORS": "errors",
 }

@@ -428,8 +428,8 @@ class TestOverTheNetwork:
     def test_in_every_place_of_a_scenario(self):
         content = {
             "name": "mine",
-            "world": {kind: {"type": "a:B"} for kind in ("wind", "turbulence", "gust", "area", "plume", "terrain",
-                                                         "persons")}
+            "world": {kind: {"type": "a:B"} for kind in ("wind", "turbulence", "gust", "area", "ground", "plume",
+                                                         "terrain", "persons")}
             | {"sky": {"orbits": {"type": "a:B"}, "errors": {"type": "a:B"}}},
             "fleets": {"a": {part: {"type": "a:B"} for part in ("vehicle", "controller", "guidance", "battery",
                                                                 "placement")} | {"sensors": {"b": {"type": "a:B"}}}},
@@ -439,7 +439,7 @@ class TestOverTheNetwork:
 
         with pytest.raises(ScenarioError) as caught:
             uploaded(dump_yaml(content))
-        assert sum("can name no code" in problem for problem in caught.value.problems) == 16
+        assert sum("can name no code" in problem for problem in caught.value.problems) == 17
 
 
 class TestSensorsOfOnesOwn:

@@ -255,6 +255,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
             component(world.persons, known.PERSONS, scenario),
         ),
         ranges=ranges_of(scenario),
+        ground=component(world.ground, known.GROUNDS, scenario),
     )
     return cast(built, dtype)
 

@@ -27,6 +27,7 @@ from qrsim.models.gnss.receivers import GnssReceiver, IdealGnss, OrnsteinUhlenbe
 from qrsim.models.gnss.sp3 import Sp3Ephemeris
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.fence import PolygonArea
+from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle
 from qrsim.models.scene.persons import NoPersons, Persons
 from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
@@ -57,6 +58,7 @@ SKY_ERRORS: Catalogue = {
 }
 OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}
 AREAS: Catalogue = {"box": BoxArea, "polygon": PolygonArea}
+GROUNDS: Catalogue = {"flat": FlatGround}
 PLUMES: Catalogue = {
     "none": NoPlume,
     "gaussian": GaussianPlume,
@@ -127,6 +129,7 @@ KINDS: dict[str, Catalogue] = {
     "estimator": ESTIMATORS,
     "battery": BATTERIES,
     "area": AREAS,
+    "ground": GROUNDS,
     "plume": PLUMES,
     "terrain": TERRAINS,
     "persons": PERSONS,

@@ -24,7 +24,7 @@ Position = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Corner = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 LONGEST_ROUTE, MOST_CORNERS = 2000, 1000
 # Kinds of components by where they stand: in the world, in its sky by another name, in a fleet.
-WORLD_KINDS = ("wind", "turbulence", "gust", "area", "plume", "terrain", "persons")
+WORLD_KINDS = ("wind", "turbulence", "gust", "area", "ground", "plume", "terrain", "persons")
 SKY_KINDS = {"sky": "errors", "orbits": "orbits"}
 FLEET_KINDS = ("vehicle", "controller", "guidance", "battery")
 
@@ -130,6 +130,7 @@ if TYPE_CHECKING:
     OrbitsSlot: TypeAlias = Any
     SkyErrorsSlot: TypeAlias = Any
     AreaSlot: TypeAlias = Any
+    GroundSlot: TypeAlias = Any
     VehicleSlot: TypeAlias = Any
     ControllerSlot: TypeAlias = Any
     GuidanceSlot: TypeAlias = Any
@@ -149,6 +150,7 @@ else:
     OrbitsSlot = slot_of(known.ORBITS)
     SkyErrorsSlot = slot_of(known.SKY_ERRORS)
     AreaSlot = _area_slot()
+    GroundSlot = slot_of(known.GROUNDS)
     ObstacleSlot = slot_of(known.OBSTACLES)
     GustSlot = slot_of(known.GUSTS)
     PlumeSlot = slot_of(known.PLUMES)
@@ -175,6 +177,7 @@ class WorldSpec(Strict):
     """The environment of the vehicles."""
 
     area: AreaSlot = Field({"type": "box"}, description="where vehicles may be", validate_default=True)
+    ground: GroundSlot = Field({"type": "flat"}, description="what vehicles stand on", validate_default=True)
     wind: WindSlot = Field({"type": "calm"}, description="mean wind", validate_default=True)
     turbulence: TurbulenceSlot = Field({"type": "still"}, description="random gusts", validate_default=True)
     gust: GustSlot = Field({"type": "none"}, description="discrete gust", validate_default=True)

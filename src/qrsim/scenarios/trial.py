@@ -378,6 +378,8 @@ _CHECKS: dict[tuple[str, str], Check] = {
     ("guidance", "step"): _state_and("the set-point"),
     ("area", "margin"): _array_of(0),
     ("area", "height_agl"): _array_of(0),
+    ("ground", "down"): _array_of(0),
+    ("ground", "normal"): _vector_of(0),
     ("sky", "step"): _state_only,
     ("task", "judge"): _judged,
     ("task", "observe"): _seen,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.vectors import Euler, Vec3, rotation
@@ -48,8 +47,6 @@ def around_of(world: World, attitude: Euler, rates_ned: Vec3 | None) -> Around:
     still = Vec3.zeros(attitude.roll.shape, attitude.roll.dtype)
 
     def ground(position_ned: Vec3) -> tuple[Array, Vec3]:
-        down = position_ned.z + world.area.height_agl(position_ned)
-        flat = jnp.zeros_like(down)
-        return down, Vec3(flat, flat, flat - 1.0)
+        return world.ground_down(position_ned), world.ground.normal(position_ned)
 
     return Around(ground, still if rates_ned is None else rotation(attitude).to_body(rates_ned), lambda position: still)

@@ -19,7 +19,8 @@ from qrsim.models.gnss.contracts import Sky
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.area import StateLimits, Violation
 from qrsim.models.scene.contents import Contents, ContentsState
-from qrsim.models.scene.contracts import Area
+from qrsim.models.scene.contracts import Area, Ground
+from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
 from qrsim.models.sensors.contracts import Sensor
@@ -107,6 +108,19 @@ class World:
     time_step: float = setting(default=0.02, unit="s", doc="simulation step", above=0.0)
     contents: Contents = quantity(default=Contents(), doc="plume, cover of the ground, persons")
     ranges: tuple[Range, ...] = quantity(default=(), doc="numbers that every episode draws anew")
+    ground: Ground = quantity(default=FlatGround(), doc="what vehicles stand on")
+
+    def ground_down(self, position_ned: Vec3) -> Array:
+        """Return the down coordinate (n,) [m] of the ground below positions (n,)."""
+        if self.ground.at_zero:
+            return position_ned.z + self.area.height_agl(position_ned)
+        return self.ground.down(position_ned)
+
+    def height_agl(self, position_ned: Vec3) -> Array:
+        """Return the height (n,) [m] of positions (n,) above the ground, negative below it."""
+        if self.ground.at_zero:
+            return self.area.height_agl(position_ned)
+        return self.ground.down(position_ned) - position_ned.z
 
     def with_drawn(self, drawn: tuple[Array, ...]) -> World:
         """Return the world with an episode's draws for its ranges."""

@@ -152,7 +152,7 @@ def _fly(
     dt, model = world.time_step, fleet.vehicle
     pose = model.pose(state.vehicle)
     direction = rotation(pose.attitude)
-    height = world.area.height_agl(pose.position_ned)
+    height = world.height_agl(pose.position_ned)
     time = split_time(tick, dt, height.dtype)
     mean_wind = world.wind.velocity_ned(height, *time)
     turbulence = world.turbulence.step(
@@ -298,7 +298,7 @@ def start_fleet(
     pose = fleet.vehicle.pose(vehicle)
     like = pose.position_ned.x
     draws = _draw_fleet(world, fleet, keys, tick)
-    height = world.area.height_agl(pose.position_ned)
+    height = world.height_agl(pose.position_ned)
     time = split_time(tick, world.time_step, height.dtype)
     mean_wind = world.wind.velocity_ned(height, *time)
     turbulence = world.turbulence.init(draws[TURBULENCE])

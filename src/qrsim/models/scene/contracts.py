@@ -1,4 +1,4 @@
-"""Protocols of the flight area and its contents: plume, ground cover, persons.
+"""Protocols of the flight area, of its ground, and of what it holds: plume, ground cover, persons.
 
 A component names its contract as its base class. Methods marked abstract are required; the others, and the class
 variables, have the defaults that stand here.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
+import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Draw
@@ -18,7 +19,7 @@ from qrsim.errors import UsageError
 
 @runtime_checkable
 class Area(Protocol):
-    """The flight area; its ground is at z = 0 unless ``height_agl`` says otherwise.
+    """The flight area; what its ground is, is a ``Ground``.
 
     Attributes:
         is_box: whether it has the limits ``x_min`` to ``z_max`` [m], which plumes, ground cover and persons need.
@@ -46,8 +47,40 @@ class Area(Protocol):
         )
 
     def height_agl(self, position_ned: Vec3) -> Array:
-        """Return the height above ground (n,) [m] of positions."""
+        """Return the height (n,) [m] of positions above a ground at z = 0; any other ground says it itself."""
         return -position_ned.z
+
+
+@runtime_checkable
+class Ground(Protocol):
+    """The surface of the ground, with one height at every place.
+
+    Attributes:
+        at_zero: whether it is the plane z = 0, which areas take for their floor.
+    """
+
+    at_zero: bool = False
+
+    @abstractmethod
+    def down(self, position_ned: Vec3) -> Array:
+        """Return the down coordinate [m] of the ground below (or above) positions of any shape [m]."""
+
+    def normal(self, position_ned: Vec3) -> Vec3:
+        """Return the unit normal, upwards, of the ground below positions of any shape [m].
+
+        By default it is that of the slope between points 1 m apart.
+        """
+        half = Vec3(position_ned.x * 0.0 + 0.5, position_ned.y * 0.0, position_ned.z * 0.0)
+        across = Vec3(half.y, half.x, half.z)
+        north = self.down(position_ned + half) - self.down(position_ned - half)
+        east = self.down(position_ned + across) - self.down(position_ned - across)
+        return upward(north, east)
+
+
+def upward(north: Array, east: Array) -> Vec3:
+    """Return the unit normal of a surface whose down coordinate has these slopes [m/m] to north and east."""
+    scale = 1.0 / jnp.sqrt(1.0 + north * north + east * east)
+    return Vec3(north * scale, east * scale, -scale)
 
 
 @runtime_checkable

@@ -210,6 +210,10 @@ class Vehicle(Protocol):
     def stopped(self, state: Any) -> VehicleState:
         """Return the state of vehicles that are held where they are, at rest."""
 
+    def on_ground(self, state: Any) -> Array | None:
+        """Return which vehicles (n,) stand on the ground by a contact of their own, bool; None: it has none."""
+        return None
+
     def own_checks(self, state: Any) -> list[Check]:
         """Return the vehicle's own stop conditions (n,), besides area, limits and collisions."""
         return []
