@@ -79,12 +79,16 @@ class WaypointSetpoint:
 
 @record
 class PathSetpoint:
-    """A point of a path, (n,): its position, velocity and acceleration (feed-forwards), and a heading."""
+    """A point of a path, (n,): its position, velocity and acceleration (feed-forwards), and a heading.
+
+    Where ``idle`` is set, a vehicle that has landed is to stay on the ground with idle motors.
+    """
 
     position_ned: Vec3 = quantity(unit="m", doc="point of the path")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity along the path, over ground")
     acceleration_ned: Vec3 = quantity(unit="m/s^2", doc="acceleration along the path")
     yaw: Array = quantity(unit="rad", doc="heading")
+    idle: Array | None = quantity(default=None, doc="bool: motors idle; None: they never are")
 
     @staticmethod
     def of(
