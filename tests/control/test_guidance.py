@@ -100,7 +100,8 @@ class TestTogether:
     def test_every_controller_has_the_guidance_of_its_name(self):
         """What a scenario without guidance gets fits its controller."""
         for name, controller in catalogue.CONTROLLERS.items():
-            fleet = make_scenario([[0, 0, -10]], controller=name).spec.fleets["vehicles"]
+            vehicle = "fixed_point" if name == "none" else "pelican"
+            fleet = make_scenario([[0, 0, -10]], vehicle=vehicle, controller=name).spec.fleets["vehicles"]
             expected = name if name in catalogue.GUIDANCE else "route"
             assert fleet.guidance.type == expected
             assert catalogue.GUIDANCE[expected].gives in controller.setpoints  # type: ignore[attr-defined]

@@ -21,6 +21,7 @@ from qrsim.control import (
     AttitudeHeightSetpoint,
     AttitudeSetpoint,
     Estimate,
+    NoSetpoint,
     Route,
     VelocityHeightSetpoint,
     VelocitySetpoint,
@@ -370,8 +371,10 @@ def _vehicle(vehicle: Any, given: Any, draws: Draws) -> Any:
     start = vehicle.initial_state(scene["position_ned"], scene["attitude"], scene["velocity_body"], scene["rates_body"])
     wind = given["mean_wind_ned"]
     noise = vehicle.draw_noise(draws("step"), DT)
-    after, force = vehicle.step(start, given["command"], lambda trig: trig.rotation().to_body(wind), noise, DT)
-    return {"start": start, "after": after, "force": force}
+    like = given["thrust"]
+    command = given["command"] if vehicle.command_type is Command else vehicle.idle_command(like)
+    after, force = vehicle.step(start, command, lambda trig: trig.rotation().to_body(wind), noise, DT)
+    return {"start": start, "after": after, "force": force.map(lambda axis: jnp.broadcast_to(axis, like.shape))}
 
 
 def _battery(battery: Any, given: Any, draws: Draws) -> Any:
@@ -391,6 +394,7 @@ def _setpoints(scene: Any, waypoint: Vec3) -> dict[type, Any]:
         VelocityHeightSetpoint: VelocityHeightSetpoint(0.8 * velocity.x, 0.8 * velocity.y, waypoint.z, attitude.yaw),
         AttitudeHeightSetpoint: AttitudeHeightSetpoint(attitude.roll, attitude.pitch, waypoint.z, attitude.yaw),
         AttitudeSetpoint: AttitudeSetpoint(attitude.roll, attitude.pitch, attitude.yaw, throttle),
+        NoSetpoint: NoSetpoint(),
     }
 
 
@@ -403,14 +407,14 @@ def _controller(controller: Any, given: Any, draws: Draws) -> Any:
         for _ in range(2):
             state, command = controller.step(state, estimate, setpoints[kind], DT)
             commands.append(command)
-    return {"state": state, "commands": commands}
+    return {"state": state, "commands": commands, "zero": jnp.zeros_like(given["thrust"])}
 
 
 def _guidance(guidance: Any, given: Any, draws: Draws) -> Any:
     yaw = jnp.zeros_like(given["waypoints"].x)
     route = Route(given["waypoints"], yaw, jnp.full(VEHICLES, 2, jnp.int32))
     state, setpoint = guidance.step(guidance.init(route), route, given["scene"]["position_ned"])
-    return {"state": state, "setpoint": setpoint}
+    return {"state": state, "setpoint": setpoint, "zero": jnp.zeros_like(given["thrust"])}
 
 
 def _sensor(sensor: Any, given: Any, draws: Draws) -> Any:

@@ -204,6 +204,8 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
     if group == "GUIDANCE":
         # The one controller that takes whatever a guidance gives.
         fleet["controller"] = {"type": "offboard"}
+    if group in ("CONTROLLERS", "GUIDANCE") and part["type"] == "none":
+        fleet |= {"vehicle": {"type": "fixed_point"}, "controller": {"type": "none"}}
     world: dict[str, Any] = {"wind": wind, "obstacles": [None], "sky": {}}
     if group == "TASKS":
         fleet["controller"] = {"type": "offboard"}

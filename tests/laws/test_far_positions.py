@@ -39,7 +39,8 @@ PLACES = np.array(
         [100.0, -300.0, -49000.0],
     ]
 )
-TYPES = list(GROUPS["VEHICLES"])
+# Those that fly at velocities.
+TYPES = [name for name, kind in GROUPS["VEHICLES"].items() if kind.default_controller != "none"]  # type: ignore[attr-defined]
 SLOW = 0.02
 BOX = {"type": "box", "x_min": -5e4, "x_max": 5e4, "y_min": -5e4, "y_max": 5e4, "z_min": -5e4}
 

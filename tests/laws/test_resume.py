@@ -41,6 +41,14 @@ def part(group: str, number: int) -> dict[str, Any]:
     return {"type": name, **parameters_needed(group, name)}
 
 
+def flown_by(controller: str, number: int) -> dict[str, Any]:
+    """Return one of the vehicles that a controller flies, counted around, as a scenario writes it."""
+    gives: Any = GROUPS["CONTROLLERS"][controller].gives  # type: ignore[attr-defined]
+    fitting = [name for name, kind in GROUPS["VEHICLES"].items() if any(issubclass(k, gives) for k in kind.actions)]  # type: ignore[attr-defined]
+    name = fitting[number % len(fitting)]
+    return {"type": name, **parameters_needed("VEHICLES", name)}
+
+
 def content(number: int) -> dict[str, Any]:
     """Return the scenario of one of WORLDS, with every so-many-th of the controllers and sensors."""
     world = {key: part(group, number) for group, key in OF_A_WORLD.items()}
@@ -53,8 +61,13 @@ def content(number: int) -> dict[str, Any]:
     fleets = {}
     for i in range(number, len(GROUPS["CONTROLLERS"]), len(WORLDS)):
         fleet = {key: part(group, i) for group, key in OF_A_FLEET.items()}
-        fleet["controller"]["feed"] = "truth"
-        fleet["vehicles"] = [{"position_ned": [0.0, 5.0 * i - 30.0, -30.0], "waypoints_ned": [[0.0, 0.0, -32.0]]}]
+        fleet["vehicles"] = [{"position_ned": [0.0, 5.0 * i - 30.0, -30.0]}]
+        fleet["vehicle"] = flown_by(fleet["controller"]["type"], i)
+        if fleet["controller"]["type"] == "none":
+            fleet["battery"] = {"type": "given"}
+        else:
+            fleet["controller"]["feed"] = "truth"
+            fleet["vehicles"][0]["waypoints_ned"] = [[0.0, 0.0, -32.0]]
         fleets[f"fleet_{i}"] = {**fleet, "sensors": sensors, "faults": faults}
         sensors, faults = {}, []
     return {"name": f"world_{number}", "duration": 30.0, "start_time": START, "world": world, "fleets": fleets}

@@ -23,6 +23,7 @@ from qrsim.control.guidance import (
     VelocityHeightGuidance,
 )
 from qrsim.control.loops import ClimbLoop, HeightLoop, HeightState, VelocityLoop, VelocityState
+from qrsim.control.nothing import NoController, NoGuidance, NoSetpoint
 from qrsim.control.setpoints import (
     SETPOINTS,
     AttitudeHeightSetpoint,
@@ -49,6 +50,9 @@ __all__ = [
     "FleeGuidance",
     "HeightLoop",
     "HeightState",
+    "NoController",
+    "NoGuidance",
+    "NoSetpoint",
     "OffboardController",
     "OffboardSetpoint",
     "PathSetpoint",

@@ -20,7 +20,6 @@ from qrsim.control import (
     VelocityHeightSetpoint,
     WaypointSetpoint,
 )
-from qrsim.control.contracts import Controller
 from qrsim.core.tree import map_tree, walk
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.vehicles.commands import fields_of, limits_of
@@ -39,7 +38,7 @@ class CommandKind:
     def __init__(self, kind: type[Any], dtype: np.dtype[Any]):
         self.kind, self.fields, self.limits = kind, fields_of(kind), limits_of(kind)
         # Rounded as the commands are, so that 0.9 is in its own range in single precision too.
-        rows = np.array(list(self.limits.values()), dtype)
+        rows = np.array(list(self.limits.values()), dtype).reshape(-1, 2)
         self.lowest, self.highest = rows[:, 0], rows[:, 1]
 
 
@@ -122,7 +121,7 @@ class ActionChecker:
 
     def _checked(self, command: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
         if type(command) in _NAME_OF:
-            return self._setpoint(command, names, [fleet.controller for fleet in fleets], flying)
+            return self._setpoint(command, names, fleets, flying)
         given = type(command) if type(command) in self._kinds else None
         kind = self._kind(given, fleets)
         if given is not None:
@@ -152,21 +151,10 @@ class ActionChecker:
                 )
         return self._kinds[kind]
 
-    def _setpoint(
-        self, setpoint: object, names: list[str], controllers: list[Controller], flying: Flying | None
-    ) -> object:
-        for controller in controllers:
-            if type(setpoint) not in controller.setpoints:
-                taken = ", ".join(cls.__name__ for cls in controller.setpoints)
-                hint = (
-                    "; a controller of type 'offboard' takes it"
-                    if type(setpoint) in OffboardController.setpoints
-                    else ""
-                )
-                raise UsageError(
-                    f"command: a {type(setpoint).__name__} is not for {type(controller).__name__}, which takes "
-                    f"{taken}{hint}"
-                )
+    def _setpoint(self, setpoint: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
+        for fleet in fleets:
+            if type(setpoint) not in fleet.controller.setpoints:
+                raise UsageError(f"command: a {type(setpoint).__name__} is not for {_instead(fleet, setpoint)}")
         checked = self._cast(setpoint, "command", len(names))
         if not self.traced and isinstance(checked, VelocityHeightSetpoint | AttitudeHeightSetpoint):
             below = np.asarray(checked.z) > 0.0
@@ -255,6 +243,15 @@ class ActionChecker:
             row = int(np.argwhere(~np.isfinite(array))[0][0])
             raise UsageError(f"{what}: not finite for vehicle {row} ('{self.names[row]}')")
         return array
+
+
+def _instead(fleet: Fleet, setpoint: object) -> str:
+    """Describe what takes a fleet's set-points, and which ones."""
+    if not fields_of(fleet.vehicle.command_type):
+        return f"fleet '{fleet.name}', whose vehicles take no commands; give each fleet its own, by name"
+    taken = ", ".join(cls.__name__ for cls in fleet.controller.setpoints)
+    hint = "; a controller of type 'offboard' takes it" if type(setpoint) in OffboardController.setpoints else ""
+    return f"{type(fleet.controller).__name__}, which takes {taken}{hint}"
 
 
 def _is_row(leaf: object, size: int) -> bool:

@@ -17,6 +17,7 @@ from qrsim.core.tree import concatenated, quantity, record, replace, select
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.vehicles.battery import Charge
+from qrsim.models.vehicles.commands import fields_of
 from qrsim.world.state import FleetState, State, World
 
 T = TypeVar("T")
@@ -124,7 +125,7 @@ class FlightMetrics:
             tracking_square=flight.tracking_square + jnp.where(counted, error * error, 0.0),
             tracking=flight.tracking.update(error, tick, position, counted),
             wind=flight.wind.update(air.norm(), tick, position, flying),
-            outwards=flight.outwards.update(-world.area.margin(position), tick, position, flying),
+            outwards=flight.outwards.update(-world.area.margin(position), tick, position, flying & _moves(world)),
             charge=jnp.fmin(flight.charge, _together(state, _charge)),
             clipped=flight.clipped + _one(clipped & flying),
             stopped=jnp.where((flight.stopped < 0) & ~flying, tick, flight.stopped),
@@ -203,6 +204,12 @@ def _farther(flight: Flight, position: Vec3, low: Vec3 | None, flying: Array) ->
 
 def _one(counts: Array) -> Array:
     return counts.astype(jnp.int32)
+
+
+def _moves(world: World) -> Array:
+    """Return which vehicles (n,) take commands; what stands somewhere may well stand at the edge of the area."""
+    each = [np.full(fleet.size, bool(fields_of(fleet.vehicle.command_type))) for fleet in world.fleets]
+    return jnp.asarray(np.concatenate(each))
 
 
 def _charge(fleet: FleetState) -> Array:

@@ -373,10 +373,14 @@ class Truth:
     @property
     def command(self) -> Floats:
         """(n, C) the last command as flown, the fields of each fleet's own; those of the quadrotor are pitch, roll,
-        throttle, yaw rate, battery. NaN where another fleet has more.
+        throttle, yaw rate, battery. NaN where another fleet has more fields.
         """
         commands = [self._state.fleets[number].command for number in range(len(self._world.fleets))]
-        rows = [np.stack(list(vars(command).values()), axis=-1) for command in commands]
+        sizes = [fleet.size for fleet in self._world.fleets]
+        rows = [
+            np.stack(list(vars(command).values()), axis=-1) if vars(command) else np.zeros((size, 0))
+            for command, size in zip(commands, sizes, strict=True)
+        ]
         widest = max(row.shape[1] for row in rows)
         wide = [np.pad(row, ((0, 0), (0, widest - row.shape[1])), constant_values=np.nan) for row in rows]
         return np.concatenate(wide)

@@ -29,6 +29,7 @@ from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
 from qrsim.scenarios.task import task_problems
 from qrsim.scenarios.timing import timing_problems
+from qrsim.scenarios.vehicle_checks import controller_problems
 from qrsim.world.state import PROCESS, TURBULENCE, Fleet, Start, World
 
 # What a controller fed with measurements needs, and the sensors that measure it.
@@ -103,6 +104,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield from _name_problems(fleet_name, fleet)
         yield from _length_problems(fleet_name, fleet)
         yield from _battery_problems(fleet_name, fleet)
+        yield from controller_problems(fleet_name, fleet)
         yield from _guidance_problems(fleet_name, fleet)
         yield from _feed_problems(fleet_name, fleet)
         for i, vehicle in enumerate(fleet.vehicles):

@@ -8,6 +8,8 @@ from qrsim.control import (
     AttitudeHeightController,
     AttitudeHeightGuidance,
     FleeGuidance,
+    NoController,
+    NoGuidance,
     OffboardController,
     RouteFollower,
     VelocityController,
@@ -40,6 +42,7 @@ from qrsim.models.sensors.concentration import ConcentrationSensor, IdealConcent
 from qrsim.models.sensors.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
 from qrsim.models.vehicles.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
+from qrsim.models.vehicles.fixed_point import FixedPoint
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
 from qrsim.tasks import KeepSpot, KeepVelocity, NoTask, PlumeMapping, Pursuit, ReachWaypoint, Search
@@ -77,7 +80,12 @@ TASKS: Catalogue = {
     "search": Search,
     "plume_mapping": PlumeMapping,
 }
-VEHICLES: Catalogue = {"pelican": Quadrotor, "quadrotor": SeparateQuadrotor, "expression": ExpressionQuadrotor}
+VEHICLES: Catalogue = {
+    "pelican": Quadrotor,
+    "quadrotor": SeparateQuadrotor,
+    "expression": ExpressionQuadrotor,
+    "fixed_point": FixedPoint,
+}
 BATTERIES: Catalogue = {"given": GivenVoltage, "lithium_polymer": LithiumPolymer}
 CONTROLLERS: Catalogue = {
     "waypoint": WaypointController,
@@ -86,6 +94,7 @@ CONTROLLERS: Catalogue = {
     "attitude_height": AttitudeHeightController,
     "attitude": AttitudeController,
     "offboard": OffboardController,
+    "none": NoController,
 }
 GUIDANCE: Catalogue = {
     "route": RouteFollower,
@@ -94,6 +103,7 @@ GUIDANCE: Catalogue = {
     "attitude_height": AttitudeHeightGuidance,
     "attitude": AttitudeGuidance,
     "flee": FleeGuidance,
+    "none": NoGuidance,
 }
 SENSORS: Catalogue = {
     "gnss_receiver": GnssReceiver,

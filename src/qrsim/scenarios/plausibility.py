@@ -21,6 +21,7 @@ from qrsim.models.vehicles.quadrotor import (
     THROTTLE_RAW_PER_UNIT,
     Quadrotor,
 )
+from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
@@ -42,8 +43,9 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield a warning for each part that cannot fly, its path first; ``scenario`` has no problems."""
     for name, fleet in scenario.fleets.items():
         path = f"fleets.{name}"
-        # Of a vehicle from outside the constants mean what they mean there.
-        if not is_outside("vehicle", fleet.vehicle.type):
+        # The constants are those of the identified model; of a vehicle from outside they mean what they mean there.
+        identified = issubclass(known.VEHICLES[fleet.vehicle.type], Quadrotor)
+        if identified and not is_outside("vehicle", fleet.vehicle.type):
             yield from _lift(path, fleet)
             yield from _battery(path, fleet)
             yield from _loops(path, fleet, scenario.time_step)

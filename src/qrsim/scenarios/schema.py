@@ -207,7 +207,9 @@ class FleetSpec(Strict):
     """Vehicles of one kind with the same sensors and controller."""
 
     vehicle: VehicleSlot = Field({"type": "pelican"}, description="vehicle model", validate_default=True)
-    controller: ControllerSlot = Field({"type": "waypoint"}, description="control loops", validate_default=True)
+    controller: ControllerSlot = Field(
+        {"type": "waypoint"}, description="control loops; default: those of the vehicle", validate_default=True
+    )
     guidance: GuidanceSlot = Field(
         {"type": "route"},
         description="what hands out set-points; default: that of the controller's name, 'route' for waypoints",
@@ -227,12 +229,22 @@ class FleetSpec(Strict):
     @model_validator(mode="before")
     @classmethod
     def _guidance_of_the_controller(cls, data: Any) -> Any:
+        data = _with_controller(data)
         if not isinstance(data, dict) or "guidance" in data:
             return data
         controller = data.get("controller")
         name = controller.get("type") if isinstance(controller, dict) else None
         fits = isinstance(name, str) and name in known.GUIDANCE
         return {**data, "guidance": {"type": name if fits else "route"}}
+
+
+def _with_controller(fleet: Any) -> Any:
+    """Return a fleet that names no controller with that of its vehicle."""
+    vehicle = fleet.get("vehicle") if isinstance(fleet, dict) and "controller" not in fleet else None
+    name = vehicle.get("type") if isinstance(vehicle, dict) else None
+    if not isinstance(name, str) or name not in known.VEHICLES:
+        return fleet
+    return {**fleet, "controller": {"type": known.VEHICLES[name].default_controller}}  # type: ignore[attr-defined]
 
 
 class SiteSpec(Strict):

@@ -109,10 +109,11 @@ class OpenLoop:
 
 
 def known_vehicles() -> dict[str, Any]:
-    """Return the classes of vehicle models by name."""
+    """Return the classes of vehicle models by name: those with the states and commands of the identified one."""
+    from qrsim.models.vehicles.quadrotor import Quadrotor
     from qrsim.scenarios.catalogue import VEHICLES
 
-    return VEHICLES
+    return {name: kind for name, kind in VEHICLES.items() if issubclass(kind, Quadrotor)}
 
 
 def _vehicle(name: str) -> Quadrotor:

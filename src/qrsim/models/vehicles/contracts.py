@@ -111,14 +111,14 @@ class Vehicle(Protocol):
         actions: command records that it accepts from a user, ``command_type`` among them.
         normals: standard normals that ``draw_noise`` draws for each vehicle.
         reads: what it wants of ``Around``; where that is empty, ``step`` is called without ``around``.
-        default_controller: name in the catalogue.
+        default_controller: name in the catalogue of what flies it where a scenario names no controller.
     """
 
     command_type: ClassVar[type[Any]]
     actions: ClassVar[tuple[type[Any], ...]]
     normals: ClassVar[int] = 0
     reads: ClassVar[tuple[str, ...]] = ()
-    default_controller: ClassVar[str] = "none"
+    default_controller: ClassVar[str] = "waypoint"
 
     @abstractmethod
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> VehicleState:

@@ -1,0 +1,54 @@
+"""Controller and guidance of vehicles that take no commands."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+from qrsim.control.contracts import Controller, Guidance
+from qrsim.control.guidance import Route, RouteState
+from qrsim.control.setpoints import Estimate
+from qrsim.core.tree import record
+from qrsim.core.vectors import Vec3
+from qrsim.models.vehicles.fixed_point import NoCommand
+
+
+@record
+class NoSetpoint:
+    """The set-point of a vehicle that is asked for nothing: a record without fields."""
+
+
+@record
+class NoController(Controller):
+    """Commands nothing, of a vehicle that takes no commands."""
+
+    setpoints: ClassVar[tuple[type[Any], ...]] = (NoSetpoint,)
+    gives: ClassVar[type[Any]] = NoCommand
+    feed: ClassVar[Literal["truth"]] = "truth"  # type: ignore[misc]
+
+    def init(self, estimate: Estimate) -> None:
+        """Return nothing: there is no memory."""
+
+    def step(self, state: None, estimate: Estimate, setpoint: NoSetpoint, dt: float) -> tuple[None, NoCommand]:
+        """Return no state and the command without fields."""
+        return None, NoCommand()
+
+
+@record
+class NoGuidance(Guidance):
+    """Asks for nothing."""
+
+    gives: ClassVar[type[Any]] = NoSetpoint
+
+    def init(self, route: Route) -> RouteState:
+        """Return the start of each route, where it stays."""
+        return RouteState.start(route)
+
+    def step(
+        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
+    ) -> tuple[RouteState, NoSetpoint]:
+        """Return the same state, and the set-point without fields."""
+        return state, NoSetpoint()
+
+    def setpoint(self, state: RouteState, route: Route) -> NoSetpoint:
+        """Return the set-point without fields."""
+        return NoSetpoint()

@@ -1,0 +1,78 @@
+"""A point that stays where it is: a GNSS base, a radio anchor, a camera on a mast."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import parameter, quantity, record
+from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
+from qrsim.models.vehicles.contracts import Around, Load, Pose, Vehicle
+
+
+@record
+class NoCommand:
+    """The command of a vehicle that takes none: a record without fields."""
+
+
+@record
+class FixedPointState:
+    """Position and heading; each array of shape (n,)."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="position in the local tangent plane")
+    heading: Array = quantity(unit="rad", doc="heading, clockwise from north")
+
+
+@record
+class FixedPoint(Vehicle):
+    """A level platform at rest, which carries any sensor; it has no drive, no battery and takes no commands."""
+
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    command_type: ClassVar[type[Any]] = NoCommand
+    actions: ClassVar[tuple[type[Any], ...]] = (NoCommand,)
+    default_controller: ClassVar[str] = "none"
+
+    def initial_state(
+        self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
+    ) -> FixedPointState:
+        """Return the state at a place; of the attitude only the heading counts, and nothing moves."""
+        return FixedPointState(position_ned, attitude.yaw)
+
+    def idle_command(self, like: Array) -> NoCommand:
+        """Return the command without fields."""
+        return NoCommand()
+
+    def clip(self, command: NoCommand, powered: bool = False) -> tuple[NoCommand, Array]:
+        """Return the command: there is nothing that could be out of its limits."""
+        return command, jnp.zeros((), bool)
+
+    def load(self, state: FixedPointState) -> Load:
+        """Return that it has neither thrust nor a weight that one would carry."""
+        nothing = jnp.full_like(state.heading, jnp.nan)
+        return Load(nothing, nothing)
+
+    def pose(self, state: FixedPointState) -> Pose:
+        """Return a level pose at rest (n,)."""
+        zero = jnp.zeros_like(state.heading)
+        rest = Vec3(zero, zero, zero)
+        return Pose(state.position_ned, Euler(zero, zero, state.heading), rest, rest)
+
+    def step(
+        self,
+        state: FixedPointState,
+        command: NoCommand,
+        air_velocity: Callable[[AttitudeTrig], Vec3],
+        noise: Any,
+        dt: float,
+        around: Around | None = None,
+    ) -> tuple[FixedPointState, Vec3]:
+        """Return the state as it is, and the specific force of what stands: (0, 0, -g)."""
+        zero = jnp.zeros_like(state.heading)
+        return state, Vec3(zero, zero, zero - self.gravity)
+
+    def stopped(self, state: FixedPointState) -> FixedPointState:
+        """Return the state as it is."""
+        return state

@@ -1,0 +1,38 @@
+"""Checks of a fleet against its vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from qrsim.models.vehicles.commands import fields_of
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.schema import FleetSpec
+
+
+def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
+    """Yield what does not fit a fleet's vehicle: its controller; of one that takes no commands, battery and route."""
+    vehicle: Any = known.VEHICLES[fleet.vehicle.type]
+    fitting = [
+        name
+        for name, cls in known.CONTROLLERS.items()
+        if any(issubclass(kind, cls.gives) for kind in vehicle.actions)  # type: ignore[attr-defined]
+    ]
+    if fleet.controller.type not in fitting:
+        yield (
+            f"fleets.{fleet_name}.controller: '{fleet.controller.type}' does not fly a '{fleet.vehicle.type}'; "
+            f"allowed: {', '.join(fitting) or 'none of the built-in ones'}"
+        )
+    if fields_of(vehicle.command_type):
+        return
+    if fleet.battery.type != "given":
+        yield (
+            f"fleets.{fleet_name}.battery: '{fleet.battery.type}' is drained by thrust, and a '{fleet.vehicle.type}' "
+            "has none; leave it out"
+        )
+    for i, vehicle_spec in enumerate(fleet.vehicles):
+        if vehicle_spec.waypoints_ned:
+            yield (
+                f"fleets.{fleet_name}.vehicles.{i}.waypoints_ned: a '{fleet.vehicle.type}' stays where it is; leave "
+                "its waypoints out"
+            )
