@@ -6,6 +6,7 @@ positions together, then the sensors that are due. Nothing here compiles; simula
 
 from __future__ import annotations
 
+import functools
 from typing import cast
 
 import jax
@@ -244,7 +245,8 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
 def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Array]]:
     """Check each vehicle (n,) of a fleet alone, without the others; (code, value, broken)."""
     pose = fleet.vehicle.pose(state.vehicle)
-    finite = jnp.all(jnp.stack([jnp.isfinite(leaf) for leaf in jax.tree.leaves(state.vehicle)]), axis=0)
+    # One after the other: side by side in one array they would be written to memory first.
+    finite = functools.reduce(jnp.logical_and, map(jnp.isfinite, jax.tree.leaves(state.vehicle)))
     return [
         (reason_code("not_finite", "state"), jnp.zeros_like(pose.position_ned.x), ~finite),
         *world.area.check(pose.position_ned),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from typing import Any, TypeVar
 
@@ -40,4 +41,4 @@ def clipped(command: C, without: tuple[str, ...] = ()) -> tuple[C, Array]:
     fields = [name for name in limits if name not in without]
     found = replace(command, **{name: jnp.clip(getattr(command, name), *limits[name]) for name in fields})
     changed = [getattr(found, name) != getattr(command, name) for name in fields]
-    return found, jnp.any(jnp.stack(changed), axis=0)
+    return found, functools.reduce(jnp.logical_or, changed)
