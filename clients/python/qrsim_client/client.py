@@ -96,8 +96,17 @@ class Client:
         return self._step(dt, Step.WP, waypoints, 4)
 
     def step_control(self, dt: float, commands: Any) -> State:
-        """Fly commands (n, 5), pitch, roll [rad], throttle, yaw rate [rad/s], battery [V], for a simulated time [s]."""
-        return self._step(dt, Step.CTRL, commands, 5)
+        """Fly commands for a simulated time [s], one row for each vehicle.
+
+        A quadrotor's row (5,) is pitch, roll [rad], throttle, yaw rate [rad/s], battery [V]; other vehicles have the
+        fields of their own command, and one that takes none an empty row.
+        """
+        try:
+            vectors = [pb.Arrayd(value=np.asarray(row, np.float64).tolist()) for row in commands]
+        except (TypeError, ValueError):
+            shape = f"(vehicles, 5), found {commands!r:.100}"
+            raise UsageError(f"command: expected numbers of shape {shape}") from None
+        return self._fly(Step(dt=dt, type=Step.CTRL, cmd=vectors))
 
     def step_velocity(self, dt: float, velocities: Any) -> State:
         """Fly at velocities NED (n, 3) [m/s], heading north, for a simulated time [s]."""
@@ -118,7 +127,9 @@ class Client:
         return said
 
     def _step(self, dt: float, kind: Step.Type, rows: Any, width: int) -> State:
-        step = Step(dt=dt, type=kind, cmd=_vectors("command", rows, (width,)))
+        return self._fly(Step(dt=dt, type=kind, cmd=_vectors("command", rows, (width,))))
+
+    def _fly(self, step: Step) -> State:
         return _state(self._ask(Message(type=Message.STEP, step=step), Message.STATE).state)
 
     # ---- extensions ----

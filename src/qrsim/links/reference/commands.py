@@ -12,6 +12,9 @@ from qrsim.control import VelocitySetpoint, WaypointSetpoint
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Message, Step
+from qrsim.models.vehicles.commands import fields_of, limits_of
+from qrsim.models.vehicles.quadrotor import Command
+from qrsim.world.state import Fleet
 
 Array = np.ndarray[Any, Any]
 # Tags and lengths of a vector and of the Arrayd in it.
@@ -62,7 +65,7 @@ class _Known:
 
 
 class Commands:
-    """Converts STEPs to commands; a command is valid until the next one of its kind.
+    """Converts STEPs to commands of vehicles of one type; a command is valid until the next one of its kind.
 
     A client sends many STEPs that differ in the numbers of their vectors alone. Those are not parsed again.
 
@@ -98,6 +101,11 @@ class Commands:
             numbers[...] = rows
         return command
 
+    def samples(self, start_ned: Array) -> list[Any]:
+        """Return a command of each kind, for vehicles at positions (n, 3) [m]."""
+        hover = np.tile([0.0, 0.0, 0.5, 0.0, 12.0], (len(start_ned), 1))
+        return [WaypointSetpoint.of(start_ned), VelocitySetpoint.of(np.zeros_like(start_ned)), hover]
+
     def learn(self, payload: bytes, request: Step, ticks: int) -> None:
         """Learn the layout of a STEP: later ones that differ only in numbers are not parsed.
 
@@ -131,3 +139,68 @@ class Commands:
         with np.errstate(over="ignore"):
             known.numbers[...] = given
         return known.command, known.ticks
+
+
+class MixedCommands(Commands):
+    """Converts STEPs to commands of fleets whose vehicles take different ones, by the names of the fleets.
+
+    Args:
+        fleets: of the world.
+        dtype: of the simulation's numbers.
+    """
+
+    def __init__(self, fleets: Sequence[Fleet], dtype: np.dtype[Any]):
+        super().__init__([name for fleet in fleets for name in fleet.vehicle_names], dtype)
+        self._fleets, self._dtype = fleets, dtype
+
+    def of(self, request: Step) -> dict[str, Any]:
+        """Convert a STEP to commands by fleet; what it has for vehicles that take no commands is not looked at.
+
+        Raises:
+            UsageError: the number of vectors or of their entries is wrong.
+        """
+        if len(request.cmd) != len(self._names):
+            raise UsageError(f"cmd: {len(request.cmd)} vectors; expected {len(self._names)}, one for each vehicle")
+        found, first = {}, 0
+        for fleet in self._fleets:
+            own = slice(first, first + fleet.size)
+            first += fleet.size
+            fields = fields_of(fleet.vehicle.command_type)
+            if fields:
+                width = len(fields) if request.type == Step.CTRL else WIDTHS[request.type]
+                rows = rows_of(request.cmd[own], (width,), "cmd", self._names[own])
+                with np.errstate(over="ignore"):
+                    found[fleet.name] = _command(request.type, np.asarray(rows).astype(self._dtype))
+        return found
+
+    def samples(self, start_ned: Array) -> list[Any]:
+        """Return commands of each kind, for vehicles at positions (n, 3) [m]."""
+        found: list[dict[str, Any]] = [{}, {}, {}]
+        first = 0
+        for fleet in self._fleets:
+            place = start_ned[first : first + fleet.size]
+            first += fleet.size
+            limits = limits_of(fleet.vehicle.command_type)
+            if limits:
+                middle = [float(np.clip(0.5 * (low + high), -1e3, 1e3)) for low, high in limits.values()]
+                found[0][fleet.name] = WaypointSetpoint.of(place)
+                found[1][fleet.name] = VelocitySetpoint.of(np.zeros_like(place))
+                found[2][fleet.name] = np.tile(middle, (fleet.size, 1))
+        return found
+
+    def learn(self, payload: bytes, request: Step, ticks: int) -> None:
+        """Learn nothing: vectors differ in their lengths."""
+
+
+def commands_of(fleets: Sequence[Fleet], dtype: np.dtype[Any]) -> Commands:
+    """Return what converts STEPs for the vehicles of fleets."""
+    if all(fleet.vehicle.command_type is Command for fleet in fleets):
+        return Commands([name for fleet in fleets for name in fleet.vehicle_names], dtype)
+    return MixedCommands(fleets, dtype)
+
+
+def _command(kind: int, rows: Array) -> Any:
+    """Return the command of a fleet from the vectors (n, width) of a STEP."""
+    if kind == Step.WP:
+        return WaypointSetpoint.of(rows[:, :3], rows[:, 3])
+    return VelocitySetpoint.of(rows) if kind == Step.VEL else rows

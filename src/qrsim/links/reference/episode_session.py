@@ -23,6 +23,7 @@ from qrsim.links.reference.session import SessionOptions
 from qrsim.tasks import Play
 from qrsim.tasks.episodes import Episodes, score
 from qrsim.world.episode import refuse_unplaced
+from qrsim.world.state import World
 
 Array = np.ndarray[Any, Any]
 PRECISION = np.dtype(np.float32)
@@ -63,6 +64,11 @@ class EpisodeSession:
     def size(self) -> int:
         """Number of vehicles of the world."""
         return len(self.vehicle_names)
+
+    @property
+    def world(self) -> World:
+        """The world of the task."""
+        return self.play.world
 
     @property
     def time(self) -> float:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from qrsim.engine.layout import Buffers, Packer
@@ -15,10 +17,13 @@ from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.inertial import AccelerometerReading, GyroscopeReading
-from qrsim.world.state import FleetState
+from qrsim.models.vehicles.contracts import Vehicle
+from qrsim.world.state import FleetState, World
 
 Array = np.ndarray[Any, Any]
 STATE_SIZE, MEASURED_SIZE = 13, 20
+# Of the state vector, before the thrust.
+POSE = ("position_ned", "attitude", "velocity_body", "rates_body")
 # Columns of the measured vector that no sensor fills (docs/serve.md).
 UNUSED = (6, 7, 8, 12)
 # Bytes before the numbers of each vehicle: the tags and lengths of X or eX, and of the Arrayd in it.
@@ -68,6 +73,10 @@ class Source(Protocol):
         """Simulated time [s]."""
 
     @property
+    def world(self) -> World:
+        """What the state is of."""
+
+    @property
     def packed(self) -> tuple[Packer, Buffers]:
         """The state of the world in flat buffers, and their layout."""
 
@@ -111,6 +120,7 @@ class Readout:
         self._x_places = np.concatenate([_state_places(fleet) for fleet in places.fleets])
         # Vehicles from outside can have a state without a thrust, for example.
         self._unknown = self._x_places < 0 if (self._x_places < 0).any() else None
+        self._posed = _posed(simulation.world, places.fleets)
         self._low_places = _low_places(places.fleets)
         self._codes = np.concatenate([fleet.violation.code for fleet in places.fleets])
         self._values = np.concatenate([fleet.violation.value for fleet in places.fleets])
@@ -134,6 +144,8 @@ class Readout:
         self._x[...] = floats.take(self._x_places)
         if self._unknown is not None:
             self._x[self._unknown] = np.nan
+        for posed in self._posed:
+            self._x[posed.rows] = posed.vectors(*self._simulation.packed)
         if self._low_places is not None:
             self._x[:, :3] += floats.take(self._low_places)
         self._ex[self._ex_rows, self._ex_columns] = floats.take(self._ex_places)
@@ -185,12 +197,50 @@ class States:
         return self._explaining
 
 
+class _Posed:
+    """A fleet whose own state is not the state vector, as one with a quaternion: its model says the pose.
+
+    Args:
+        vehicle: the model.
+        number: of the fleet.
+        rows: of its vehicles.
+    """
+
+    def __init__(self, vehicle: Vehicle, number: int, rows: slice):
+        self._vehicle, self._number, self.rows = vehicle, number, rows
+        self._compiled = jax.jit(_vectors)
+
+    def vectors(self, layout: Packer, buffers: Buffers) -> Array:
+        """Return the state vectors (n, 13) of the vehicles of a packed state, the first parts of positions in them."""
+        part = layout.numbers().fleets[self._number].vehicle
+        state = jax.tree.map(lambda number: np.asarray(layout.leaf(buffers, number)), part)
+        with jax.enable_x64(layout.dtype == np.float64):
+            return np.asarray(self._compiled(self._vehicle, state))
+
+
+def _vectors(vehicle: Vehicle, state: Any) -> Any:
+    pose, like = vehicle.pose(state), state.position_ned.x
+    thrust = jnp.broadcast_to(jnp.asarray(vehicle.load(state).thrust), like.shape)
+    return jnp.stack([*jax.tree.leaves(pose), thrust], axis=1)
+
+
+def _posed(world: World, fleets: Sequence[FleetState]) -> list[_Posed]:
+    """Return the fleets whose own states lack a part of the pose."""
+    found, first = [], 0
+    for number, (fleet, state) in enumerate(zip(world.fleets, fleets, strict=True)):
+        rows = slice(first, first + fleet.size)
+        first += fleet.size
+        if not all(name in vars(state.vehicle) for name in POSE):
+            found.append(_Posed(fleet.vehicle, number, rows))
+    return found
+
+
 def _state_places(fleet: FleetState) -> Array:
     """Return the places (n, 13) of the state vector of vehicles; -1 for what their own state has not."""
     own = vars(fleet.vehicle)
     nothing = np.full(len(fleet.violation.code), -1)
     columns: list[Any] = []
-    for name in ("position_ned", "attitude", "velocity_body", "rates_body"):
+    for name in POSE:
         columns += vars(own[name]).values() if name in own else [nothing] * 3
     return np.stack([*columns, own.get("thrust", nothing)], axis=1)
 

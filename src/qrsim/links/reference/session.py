@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qrsim.control import VelocitySetpoint, WaypointSetpoint
 from qrsim.errors import RunError, UsageError, warn_user
 from qrsim.links.pacing import Pacer
-from qrsim.links.reference.commands import Commands, rows_of
+from qrsim.links.reference.commands import Commands, commands_of, rows_of
 from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Events
 from qrsim.links.reference.readout import States
 from qrsim.links.reference.seeds import Seeds
@@ -124,7 +123,7 @@ class Session:
             scenario.world(), seed=self._seeds.next(), name=scenario.name, site=scenario.site, number=0
         )
         self.simulation.reset()
-        self.commands = Commands(self.simulation.vehicle_names, self.simulation.dtype)
+        self.commands = commands_of(self.simulation.world.fleets, self.simulation.dtype)
         if options.realtime:
             self.warm()
         self._start_episode()
@@ -136,11 +135,7 @@ class Session:
         """Compile every kind of step, from and to the start."""
         start = self.simulation.truth.position_ned
         self.simulation.set_state(np.full_like(start, np.nan))
-        for command in (
-            WaypointSetpoint.of(start),
-            VelocitySetpoint.of(np.zeros_like(start)),
-            np.tile([0.0, 0.0, 0.5, 0.0, 12.0], (len(start), 1)),
-        ):
+        for command in self.commands.samples(start):
             if self._tick_by_tick:
                 self.simulation.record(1, command, PIECE_TICKS)
             else:
@@ -212,14 +207,14 @@ class Session:
 
     def expected_s(self, command: Any, ticks: int) -> float:
         """Return the expected wall time of some ticks [s]; infinite for a kind of command not seen yet."""
-        seconds, measured = self._seconds.get(type(command), (math.inf, 1))
+        seconds, measured = self._seconds.get(_kind(command), (math.inf, 1))
         return seconds * max(1.0, ticks / measured)
 
     def piece(self, command: Any, ticks: int) -> int:
         """Return how many of the ticks to advance at once."""
-        if type(command) not in self._seconds:
+        if _kind(command) not in self._seconds:
             return min(ticks, PIECE_TICKS)
-        seconds, measured = self._seconds[type(command)]
+        seconds, measured = self._seconds[_kind(command)]
         return min(ticks, max(PIECE_TICKS, int(PIECE_S * measured / seconds)))
 
     def advance(self, command: Any, ticks: int) -> None:
@@ -234,8 +229,8 @@ class Session:
             self._view.show(self.simulation)
             self._keep_events(self._view.changes(self.simulation))
         # The first call compiles, which says nothing about the next one.
-        known = type(command) in self._seconds
-        self._seconds[type(command)] = (time.perf_counter() - begun, ticks) if known else (PIECE_S, PIECE_TICKS)
+        known = _kind(command) in self._seconds
+        self._seconds[_kind(command)] = (time.perf_counter() - begun, ticks) if known else (PIECE_S, PIECE_TICKS)
 
     def _advance(self, command: Any, ticks: int) -> None:
         if self._tick_by_tick:
@@ -251,8 +246,10 @@ class Session:
             UsageError: wrong numbers, or a state beyond area and limits or in collision.
         """
         rows = np.array(rows_of(given, (3, 6, 12, 13), "X", self.simulation.vehicle_names), np.float64)
-        if not np.isfinite(rows).all():
-            i = int(np.argmax(~np.isfinite(rows).all(axis=1)))
+        # A STATE has no thrust of a vehicle without one.
+        wrong = ~np.isfinite(rows[:, :12]).all(axis=1) | np.isinf(rows[:, 12:]).any(axis=1)
+        if wrong.any():
+            i = int(np.argmax(wrong))
             raise UsageError(f"X of vehicle {i} ('{self.simulation.vehicle_names[i]}') is not finite")
         with np.errstate(over="ignore"):
             self.simulation.set_state(rows)
@@ -325,3 +322,10 @@ class Session:
         """End the recording; call nothing after it."""
         self.close_recording()
         self.thread.shutdown(wait=False)
+
+
+def _kind(command: Any) -> Any:
+    """Return the kind of a command; of commands by fleet that of each."""
+    if isinstance(command, Mapping):
+        return tuple((name, type(part)) for name, part in command.items())
+    return type(command)

@@ -11,6 +11,7 @@ import yaml
 
 from qrsim.control.controllers import OffboardController
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.scenarios.catalogue import VEHICLES
 from qrsim.scenarios.providing import outside_problems
 from qrsim.scenarios.reading import built_in_names, parse_yaml
 from qrsim.scenarios.scenario import Scenario, load_scenario
@@ -46,9 +47,14 @@ _GAINS = [field.name for field in dataclasses.fields(OffboardController)]
 
 
 def offboard(scenario: Scenario) -> Scenario:
-    """Return a scenario whose fleets accept every kind of set-point; gains are kept by name."""
+    """Return a scenario whose fleets accept every kind of set-point; gains are kept by name.
+
+    Fleets of vehicles that this controller does not fly keep their own.
+    """
     content = scenario.spec.model_dump(mode="json")
     for fleet in content["fleets"].values():
+        if OffboardController.gives not in VEHICLES[fleet["vehicle"]["type"]].actions:  # type: ignore[attr-defined]
+            continue
         gains = {name: value for name, value in fleet["controller"].items() if name in _GAINS}
         fleet["controller"] = {"type": "offboard", **gains}
     return load_scenario(content, quiet=True)
