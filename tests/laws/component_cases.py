@@ -20,8 +20,10 @@ from jax import Array
 from qrsim.control import (
     AttitudeHeightSetpoint,
     AttitudeSetpoint,
+    CascadeController,
     Estimate,
     NoSetpoint,
+    PathSetpoint,
     Route,
     VelocityHeightSetpoint,
     VelocitySetpoint,
@@ -32,11 +34,14 @@ from qrsim.core.tree import FieldInfo, cast, field_info
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.atmosphere.wind import LogShear
 from qrsim.models.gnss.orbits import NominalConstellation
-from qrsim.models.gnss.receivers import SkyState
+from qrsim.models.gnss.receivers import GnssReading, SkyState
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.contents import Contents, ContentsState, Surroundings
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.plume import GaussianPlume, GaussianState, Sources
+from qrsim.models.sensors.attitude import AttitudeReading
+from qrsim.models.sensors.barometer import BarometerReading
+from qrsim.models.sensors.inertial import AccelerometerReading
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.contracts import Load
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor
@@ -146,7 +151,7 @@ def fields_of(component: Any, prefix: str = "") -> list[tuple[str, Any, FieldInf
     """Return (dotted name, default, metadata) of every parameter and setting, those of nested parts included."""
     found = []
     for field in dataclasses.fields(component):
-        if field.name in ARRAYS.get(component, ()):
+        if field.name in ARRAYS.get(component, ()) or field_info(field).derived:
             continue
         if dataclasses.is_dataclass(field.default):
             found += fields_of(type(field.default), f"{prefix}{field.name}.")
@@ -166,6 +171,7 @@ def parameters_needed(group: str, name: str) -> dict[str, Any]:
             field.name in given
             or field.name in ARRAYS.get(GROUPS[group][name], ())
             or (field.default is not dataclasses.MISSING and field.default is not None)
+            or info.derived
         ):
             continue
         if info.minimum is None or info.maximum is None:
@@ -180,6 +186,8 @@ def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> 
     if "corners_ned" in given:
         given["north"], given["east"] = np.array(given.pop("corners_ned")).T
     component = GROUPS[group][name](**given, **settings)
+    if group == "CONTROLLERS":
+        component = component.fitted(Quadrotor())
     if group == "ORBITS":
         return jax.tree.map(jnp.asarray, component.at(Site(), gps_seconds_from_utc(START), dtype))
     return jax.tree.map(jnp.asarray, cast(component.at(30.0) if group == "WINDS" else component, dtype))
@@ -395,6 +403,18 @@ def _setpoints(scene: Any, waypoint: Vec3) -> dict[type, Any]:
         AttitudeHeightSetpoint: AttitudeHeightSetpoint(attitude.roll, attitude.pitch, waypoint.z, attitude.yaw),
         AttitudeSetpoint: AttitudeSetpoint(attitude.roll, attitude.pitch, attitude.yaw, throttle),
         NoSetpoint: NoSetpoint(),
+        PathSetpoint: PathSetpoint(waypoint, velocity.map(lambda axis: 0.5 * axis), 0.1 * velocity, attitude.yaw),
+    }
+
+
+def _readings(scene: Any) -> dict[str, Any]:
+    """Return what ideal sensors of an estimator read."""
+    position, velocity = scene["position_ned"], scene["velocity_ned"]
+    return {
+        "gnss": GnssReading(position, velocity, *(jnp.zeros_like(position.z),) * 3),
+        "barometer": BarometerReading(-position.z, -velocity.z),
+        "attitude": AttitudeReading(scene["attitude"]),
+        "accelerometer": AccelerometerReading(scene["specific_force"]),
     }
 
 
@@ -403,11 +423,18 @@ def _controller(controller: Any, given: Any, draws: Draws) -> Any:
     estimate = Estimate(scene["position_ned"], scene["velocity_ned"], scene["attitude"])
     setpoints = _setpoints(scene, given["waypoints"].map(lambda rows: rows[0]))
     state, commands = controller.init(estimate), []
+    # The memory of a cascade is of all kinds, that of others of one.
+    steps = 1 if isinstance(controller, CascadeController) else 2
     for kind in controller.setpoints:
-        for _ in range(2):
+        for _ in range(steps):
             state, command = controller.step(state, estimate, setpoints[kind], DT)
             commands.append(command)
-    return {"state": state, "commands": commands, "zero": jnp.zeros_like(given["thrust"])}
+    believed = []
+    if (estimator := controller.estimator()) is not None:
+        memory, first = estimator.init(_readings(scene), estimate)
+        fresh = dict.fromkeys(_readings(scene), jnp.asarray(True))
+        believed = [first, *estimator.step(memory, _readings(given["later"]), fresh, DT)]
+    return {"state": state, "commands": commands, "believed": believed, "zero": jnp.zeros_like(given["thrust"])}
 
 
 def _guidance(guidance: Any, given: Any, draws: Draws) -> Any:

@@ -197,6 +197,7 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
         "gnss": {"type": "ideal_gnss"},
         "height": {"type": "ideal_barometer"},
         "attitude": {"type": "ideal_attitude"},
+        "force": {"type": "ideal_accelerometer"},
     }
     # The wind is there for the turbulence to inherit from.
     wind = {"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 10.0}

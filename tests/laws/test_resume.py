@@ -11,8 +11,6 @@ from typing import Any
 import pytest
 from component_cases import GROUPS, START, parameters_needed
 
-from qrsim.models.vehicles.quadrotor import Quadrotor
-from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
 
@@ -70,8 +68,6 @@ def content(number: int) -> dict[str, Any]:
         else:
             fleet["controller"]["feed"] = "truth"
             fleet["vehicles"][0]["waypoints_ned"] = [[0.0, 0.0, -32.0]]
-            if issubclass(catalogue.VEHICLES[fleet["vehicle"]["type"]], Quadrotor):
-                fleet["ground"] = "parked"
         fleets[f"fleet_{i}"] = {**fleet, "sensors": sensors, "faults": faults}
         sensors, faults = {}, []
     return {"name": f"world_{number}", "duration": 30.0, "start_time": START, "world": world, "fleets": fleets}

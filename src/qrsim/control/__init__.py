@@ -4,6 +4,7 @@
 record for each kind of set-point and one for all kinds, ``guidance`` what flies a fleet that nobody commands.
 """
 
+from qrsim.control.cascade import CascadeController
 from qrsim.control.controllers import (
     AttitudeController,
     AttitudeHeightController,
@@ -12,6 +13,7 @@ from qrsim.control.controllers import (
     VelocityHeightController,
     WaypointController,
 )
+from qrsim.control.filter import ComplementaryFilter
 from qrsim.control.flee import FleeGuidance
 from qrsim.control.guidance import (
     AttitudeGuidance,
@@ -45,7 +47,9 @@ __all__ = [
     "AttitudeHeightGuidance",
     "AttitudeHeightSetpoint",
     "AttitudeSetpoint",
+    "CascadeController",
     "ClimbLoop",
+    "ComplementaryFilter",
     "Estimate",
     "FleeGuidance",
     "HeightLoop",

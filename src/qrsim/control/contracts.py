@@ -22,17 +22,22 @@ class Controller(Protocol):
 
     Attributes:
         setpoints: kinds of set-points that it takes.
-        gives: the command record that it returns, one of its vehicle's ``actions``.
-        feed: what it is fed with, where nobody hands in an estimate: the sensors, or the truth.
+        gives: the command record that it returns, one of its vehicle's ``actions``; ``object``: what the vehicle's
+            ``tilt_command`` returns.
+        feed: what it is fed with, where nobody hands in an estimate: the sensors, the truth, or its own ``estimator``.
     """
 
     setpoints: ClassVar[tuple[type[Any], ...]]
     gives: ClassVar[type[Any]]
-    feed: Literal["measurements", "truth"] = "measurements"
+    feed: Literal["measurements", "truth", "filter"] = "measurements"
 
     def fitted(self, vehicle: Any) -> Controller:
         """Return the controller for a nominal vehicle, as a fleet is built; what it flies may differ from that."""
         return self
+
+    def estimator(self) -> Estimator | None:
+        """Return the estimator that belongs to it, which runs in flight; None without one."""
+        return None
 
     def idle_command(self, command: Any) -> object:
         """Return the command (n,) before the first one, of the vehicle's own ``idle_command``."""
@@ -62,12 +67,10 @@ class Guidance(Protocol):
         gives: kind of its set-points.
         sees_others: whether ``step`` is handed ``others_ned`` (m,) [m], where the vehicles of all other fleets say they
             are; NaN where one does not fly any more, and left out where there is no other fleet.
-        sees_ground: whether ``step`` is handed ``on_ground`` (n,) bool, who stands on the ground now.
     """
 
     gives: ClassVar[type[Any]]
     sees_others: ClassVar[bool] = False
-    sees_ground: ClassVar[bool] = False
 
     @abstractmethod
     def init(self, route: Any) -> Any:
@@ -93,8 +96,8 @@ class Estimator(Protocol):
     reads: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def init(self, readings: Mapping[str, Any], start: Estimate) -> Any:
-        """Return the state at the start.
+    def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[Any, Estimate]:
+        """Return the state and the estimate (n,) at the start.
 
         Args:
             readings: the first reading (n,) of each sensor, by its name in the fleet.

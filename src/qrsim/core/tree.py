@@ -37,6 +37,7 @@ class FieldInfo:
         above: exclusive lower bound, None where open.
         static: part of the program's structure (a new value compiles anew) rather than a number in it.
         inherits: path of the parameter that supplies the value where the scenario leaves it out.
+        derived: set while a world is built; no scenario can give it.
     """
 
     unit: str = ""
@@ -46,6 +47,7 @@ class FieldInfo:
     above: float | None = None
     static: bool = False
     inherits: str | None = None
+    derived: bool = False
 
 
 def parameter(
@@ -87,7 +89,12 @@ def quantity(
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc, minimum, maximum)})
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(parameter, setting, quantity))
+def derived(default: Any = None, *, doc: str) -> Any:
+    """Declare a part of a component that is set while a world is built, None before; no scenario can give it."""
+    return dataclasses.field(default=default, metadata={INFO: FieldInfo(doc=doc, derived=True)})
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(parameter, setting, quantity, derived))
 def record(cls: type[T]) -> type[T]:
     """Make a class a frozen dataclass and a PyTree; fields made with ``setting`` are static."""
     cls = dataclasses.dataclass(frozen=True)(cls)

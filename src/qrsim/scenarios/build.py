@@ -23,7 +23,6 @@ from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.faults import fault_problems, faults, reading_fields, vehicle_names
-from qrsim.scenarios.ground import standing_problems
 from qrsim.scenarios.hand_list import hand_lists, warn_of_hand_lists
 from qrsim.scenarios.ranges import range_problems, ranges_of
 from qrsim.scenarios.registry import is_outside
@@ -39,7 +38,9 @@ PROVIDED = {
     "position_ned": {"gnss_receiver", "ideal_gnss"},
     "height": {"barometer", "ideal_barometer"},
     "attitude": {"attitude_estimator", "ideal_attitude"},
+    "specific_force": {"accelerometer", "ideal_accelerometer"},
 }
+FED = {"measurements": "measurements", "filter": "a filter of measurements"}
 
 
 def component(spec: BaseModel, choices: Mapping[str, type] | type, scenario: ScenarioSpec) -> Any:
@@ -47,6 +48,8 @@ def component(spec: BaseModel, choices: Mapping[str, type] | type, scenario: Sce
     cls = choices if isinstance(choices, type) else choices[spec.type]  # type: ignore[attr-defined]
     values: dict[str, Any] = {}
     for field in dataclasses.fields(cls):
+        if field_info(field).derived:
+            continue
         value = getattr(spec, field.name)
         inherits = field_info(field).inherits
         if isinstance(value, BaseModel):
@@ -76,7 +79,6 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_orbit_problems(scenario),
         *_obstacle_problems(scenario),
         *_fleet_problems(scenario),
-        *_standing_problems(scenario),
         *fault_problems(scenario),
         *contents_problems(scenario),
         *range_problems(scenario),
@@ -108,6 +110,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield from _battery_problems(fleet_name, fleet)
         yield from controller_problems(fleet_name, fleet)
         yield from _guidance_problems(fleet_name, fleet)
+        yield from _fitting_problems(fleet_name, fleet, scenario)
         yield from _feed_problems(fleet_name, fleet)
         for i, vehicle in enumerate(fleet.vehicles):
             path = f"fleets.{fleet_name}.vehicles.{i}"
@@ -127,12 +130,6 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
             f"{starts[j][0]}.position_ned: starts {distance:.3g} m from {starts[i][0]}; "
             f"allowed: at least {allowed:g} m (world.collision_distance)"
         )
-
-
-def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    for name, fleet in scenario.fleets.items():
-        if fleet.ground == "parked":
-            yield from standing_problems(name, fleet.vehicle.type, component(fleet.vehicle, known.VEHICLES, scenario))
 
 
 def _close_pairs(points: Any, distance: float) -> list[tuple[int, int, float]]:
@@ -210,6 +207,20 @@ def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
         )
 
 
+def _fitting_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """The controller must be able to fly the vehicle; what is wrong with the vehicle alone is said elsewhere."""
+    if any(controller_problems(fleet_name, fleet)):
+        return
+    try:
+        vehicle = component(fleet.vehicle, known.VEHICLES, scenario)
+    except UsageError:
+        return
+    try:
+        component(fleet.controller, known.CONTROLLERS, scenario).fitted(vehicle)
+    except UsageError as error:
+        yield f"fleets.{fleet_name}.controller: {error}"
+
+
 def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -> Iterator[str]:
     limits = fleet.limits.velocity
     limit = limits[i] if isinstance(limits, list) and i < len(limits) else limits
@@ -224,18 +235,20 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
     kind: Any = known.CONTROLLERS[fleet.controller.type]
     # A controller that cannot be told has it as an attribute of its class (control/contracts.py).
     feed = fleet.controller.feed if "feed" in type(fleet.controller).model_fields else kind.feed
-    if feed != "measurements":
+    if feed == "truth":
         return
+    needed = NEEDED | ({"specific_force": "accelerometer"} if feed == "filter" else {})
+    others = "measurements or truth" if feed == "filter" else "truth"
     types = {sensor.type for sensor in fleet.sensors.values()}
     own = [reading_fields(kind) for kind in types if is_outside("sensor", kind)]
     given = {name.partition(".")[0] for names in own for name in names}
     if not all(own):
         return  # what a sensor from outside reports is seen when it is traced
-    for quantity, suggestion in NEEDED.items():
+    for quantity, suggestion in needed.items():
         if not types & PROVIDED[quantity] and quantity not in given:
             yield (
-                f"fleets.{name}.sensors: the controller is fed with measurements, but no sensor gives {quantity}; "
-                f"add one of type {suggestion}, or set fleets.{name}.controller.feed to truth"
+                f"fleets.{name}.sensors: the controller is fed with {FED[feed]}, but no sensor gives {quantity}; "
+                f"add one of type {suggestion}, or set fleets.{name}.controller.feed to {others}"
             )
 
 
@@ -368,7 +381,6 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec) -> Fleet:
         sensor_names=tuple(spec.sensors),
         vehicle_names=vehicle_names(name, spec),
         placement=component(spec.placement, known.PLACEMENTS, scenario),
-        ground=spec.ground,
     )
 
 

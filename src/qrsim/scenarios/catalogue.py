@@ -7,6 +7,7 @@ from qrsim.control import (
     AttitudeGuidance,
     AttitudeHeightController,
     AttitudeHeightGuidance,
+    CascadeController,
     FleeGuidance,
     NoController,
     NoGuidance,
@@ -95,6 +96,7 @@ CONTROLLERS: Catalogue = {
     "attitude": AttitudeController,
     "offboard": OffboardController,
     "none": NoController,
+    "cascade": CascadeController,
 }
 GUIDANCE: Catalogue = {
     "route": RouteFollower,

@@ -132,6 +132,8 @@ def component_model(
         fields["type"] = (Literal[name], Field(description="what it is"))
     fields |= arrays or {}
     for field in dataclasses.fields(component):
+        if field_info(field).derived:
+            continue
         if arrays is None or field.default is not dataclasses.MISSING:
             fields[field.name] = _field(field.name, hints[field.name], field, each)
     doc = (component.__doc__ or "").split("\n\n")[0].strip()

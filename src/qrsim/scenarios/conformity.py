@@ -50,8 +50,6 @@ CALLS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 # Of these an object is made without arguments, and what it is made of is its own affair.
 PLAIN = ("estimator", "metric")
-# What a guidance is handed by name, and what in its class asks for it.
-_HANDED = {"others_ned": "sees_others", "on_ground": "sees_ground"}
 # What may be named in ``reads``.
 READABLE = {"sensor": SCENE, "vehicle": AROUND}
 
@@ -96,6 +94,8 @@ def _field_problems(kind: str, component: type, prefix: str = "") -> Iterator[st
         return
     for field in dataclasses.fields(component):
         title, info = f"{name}.{prefix}{field.name}", field_info(field)
+        if info.derived:
+            continue
         if INFO not in field.metadata:
             yield f"{title} has no unit; expected {field.name}: ... = qrsim.parameter(default, unit=..., doc=...)"
         elif field.name == "type":
@@ -212,7 +212,7 @@ def _arguments(component: Any, function: Any) -> tuple[list[str], list[str]]:
             continue
         elif part.default is part.empty or (part.name == "around" and bool(getattr(component, "reads", ()))):
             positional.append(part.name)
-        elif getattr(component, _HANDED.get(part.name, ""), False):
+        elif part.name == "others_ned" and getattr(component, "sees_others", False):
             named.append(part.name)
     return positional, named
 

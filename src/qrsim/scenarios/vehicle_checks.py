@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from qrsim.models.vehicles.commands import fields_of
+from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FleetSpec
 
@@ -13,11 +14,7 @@ from qrsim.scenarios.schema import FleetSpec
 def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     """Yield what does not fit a fleet's vehicle: its controller; of one that takes no commands, battery and route."""
     vehicle: Any = known.VEHICLES[fleet.vehicle.type]
-    fitting = [
-        name
-        for name, cls in known.CONTROLLERS.items()
-        if any(issubclass(kind, cls.gives) for kind in vehicle.actions)  # type: ignore[attr-defined]
-    ]
+    fitting = [name for name, cls in known.CONTROLLERS.items() if _can_fly(cls, vehicle)]
     if fleet.controller.type not in fitting:
         yield (
             f"fleets.{fleet_name}.controller: '{fleet.controller.type}' does not fly a '{fleet.vehicle.type}'; "
@@ -36,3 +33,11 @@ def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
                 f"fleets.{fleet_name}.vehicles.{i}.waypoints_ned: a '{fleet.vehicle.type}' stays where it is; leave "
                 "its waypoints out"
             )
+
+
+def _can_fly(controller: Any, vehicle: Any) -> bool:
+    """Return whether what a controller gives is for a vehicle, by their classes."""
+    if controller.gives is object:
+        # The vehicle's own command of tilt and throttle, if it has one.
+        return vehicle.handling is not Vehicle.handling
+    return any(issubclass(kind, controller.gives) for kind in vehicle.actions)

@@ -20,9 +20,8 @@ class Job:
         seeds: (W,) of the episodes.
         metrics: names.
         policy, estimator, policy_ticks: who flies, see ``StudySpec``.
-        code: digests of the files of both, and of the metrics.
+        code: digests of the files of both.
         precision: float32 or float64.
-        own_metrics: a user's class, see ``StudySpec``.
     """
 
     group: bytes
@@ -34,7 +33,6 @@ class Job:
     policy_ticks: int
     code: tuple[tuple[str, str], ...]
     precision: str
-    own_metrics: str | None = None
 
 
 def goals(world: Any) -> Array:

@@ -126,7 +126,7 @@ class Results:
         Raises:
             UsageError: the store does not have it.
         """
-        known = [str(key) for key in self.dataset.data_vars if key != FLOWN]
+        known = [str(key) for key in self.dataset.data_vars if key in METRICS]
         if name not in known:
             raise UsageError(f"{self.path}: no metric is called '{name}'{did_you_mean(name, known)}")
         found: Array = self.dataset[name].values.ravel()[self.flown].astype(np.float64)
@@ -134,13 +134,7 @@ class Results:
 
     def unit(self, metric: str) -> str:
         """Return the unit of a metric."""
-        return str(self.dataset[metric].attrs["units"])
-
-    def low_is_bad(self, metric: str) -> bool:
-        """Return whether small values of a metric are the bad ones."""
-        # A store of an earlier version does not say so itself.
-        known = METRICS[metric].low_is_bad if metric in METRICS else False
-        return bool(self.dataset[metric].attrs.get("low_is_bad", known))
+        return METRICS[metric].unit
 
     @cached_property
     def failed(self) -> Array:

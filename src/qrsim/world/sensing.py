@@ -14,7 +14,7 @@ from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.sensors.contracts import Sensor
-from qrsim.world.state import Fleet, FleetState, World, period_ticks, when_due
+from qrsim.world.state import Belief, Fleet, FleetState, World, period_ticks, when_due
 
 
 def sense(
@@ -55,11 +55,25 @@ def sense(
         delivered.append(map_tree(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
     return replace(
         state,
+        belief=_believed(world, fleet, state.belief, tuple(delivered), due),
         sensors=tuple(states),
         readings=tuple(delivered),
         true_readings=tuple(undisturbed),
         passed_on=passed_on,
     )
+
+
+def _believed(
+    world: World, fleet: Fleet, belief: Belief | None, readings: tuple[Record, ...], due: Array
+) -> Belief | None:
+    """Return what the controller's own estimator makes of the readings of now; None without one."""
+    estimator = fleet.controller.estimator()
+    if estimator is None or belief is None:
+        return None
+    named = dict(zip(fleet.sensor_names, readings, strict=True))
+    dt = world.time_step
+    fresh = {name: sensor.fresh(due, dt) for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True)}
+    return Belief(*estimator.step(belief.memory, named, fresh, dt))
 
 
 def faulted(
@@ -94,7 +108,9 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
 
 
 def estimate_of(fleet: Fleet, state: FleetState) -> Estimate:
-    """Return the controller's estimate: the truth, or from horizontal GNSS, barometer and attitude."""
+    """Return the controller's estimate: its own, the truth, or from horizontal GNSS, barometer and attitude."""
+    if state.belief is not None:
+        return state.belief.estimate
     truth = fleet.vehicle.pose(state.vehicle)
     if fleet.controller.feed == "truth":
         velocity = rotation(truth.attitude).to_ned(truth.velocity_body)

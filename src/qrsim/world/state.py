@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -66,9 +66,6 @@ class Fleet:
     vehicle_names: tuple[str, ...] = setting(doc="name of each vehicle")
     placement: GivenPlaces | UniformPlaces | RingPlaces = quantity(
         default=GivenPlaces(), doc="where the vehicles start in an episode"
-    )
-    ground: Literal["stop", "parked"] = setting(
-        default="stop", doc="what touching the ground does to vehicles without a contact of their own"
     )
 
     @property
@@ -145,6 +142,14 @@ def _replaced(item: Any, path: tuple[str | int, ...], value: Array) -> Any:
 
 
 @record
+class Belief:
+    """Memory of an estimator, and its estimate of now."""
+
+    memory: object = quantity(doc="of the estimator")
+    estimate: Estimate = quantity(doc="at this instant, by all readings so far")
+
+
+@record
 class FleetState:
     """Everything that changes in a fleet of n vehicles."""
 
@@ -177,7 +182,7 @@ class FleetState:
     position_low_ned: Vec3 | None = quantity(
         default=None, unit="m", doc="what single precision leaves out of vehicle.position_ned; None in double precision"
     )
-    parked: Array | None = quantity(default=None, doc="bool: held on the ground; None where touching it ends a flight")
+    belief: Belief | None = quantity(default=None, doc="the controller's own estimator; None without one")
 
 
 @record

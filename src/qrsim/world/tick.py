@@ -7,7 +7,7 @@ positions together, then the sensors that are due. Nothing here compiles; simula
 from __future__ import annotations
 
 import functools
-from typing import Any, cast
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -37,13 +37,13 @@ from qrsim.world.episode import (
     surroundings,
 )
 from qrsim.world.sensing import estimate_of, faulted, scene_of, sense
-from qrsim.world.standing import ground_checks, on_ground, over_the_floor, seen_ground, settled, started
 from qrsim.world.state import (
     PLUME,
     PROCESS,
     SKY,
     TURBULENCE,
     Action,
+    Belief,
     Fleet,
     FleetState,
     Start,
@@ -170,17 +170,13 @@ def _fly(
         wanted = action
     else:
         fed = estimate_of(fleet, state) if believed is None else believed
-        standing = on_ground(fleet, state)
         alone = replace(fed, position_low_ned=None)
         estimate = map_tree(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, estimate)
         asked = action
         if asked is None:
-            others = _others(world, whole.fleets, fleet) | seen_ground(fleet, standing)
+            others = _others(world, whole.fleets, fleet)
             guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others)
         known = replace(estimate, position_low_ned=fed.position_low_ned)
-        if standing is not None:
-            # What it cannot move would fill its integrals, so it starts anew until it flies.
-            controller = select(standing, fleet.controller.init(known), controller)
         controller, wanted = fleet.controller.step(controller, known, asked, dt)
         setpoint = fleet.controller.shown(asked)
     load = model.load(state.vehicle)
@@ -195,11 +191,8 @@ def _fly(
         model, state.vehicle, state.position_low_ned, command, lambda trig: trig.rotation().to_body(air), drawn, dt,
         around,
     )  # fmt: skip
-    parked = state.parked
-    if parked is not None:
-        vehicle, low, force, parked = settled(world, fleet, state, vehicle, low, force)
     return replace(
-        state, vehicle=vehicle, position_low_ned=low, specific_force=force, parked=parked,
+        state, vehicle=vehicle, position_low_ned=low, specific_force=force,
         turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
         gust_rates_ned=gust_rates,
         estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=command,
@@ -207,7 +200,7 @@ def _fly(
     )  # fmt: skip
 
 
-def _others(world: World, before: tuple[FleetState, ...], fleet: Fleet) -> dict[str, Any]:
+def _others(world: World, before: tuple[FleetState, ...], fleet: Fleet) -> dict[str, Vec3]:
     """Return where all other fleets say they are, (m,), for a guidance that looks at them; NaN for who has stopped."""
     if not fleet.guidance.sees_others:
         return {}
@@ -257,8 +250,7 @@ def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int,
     finite = functools.reduce(jnp.logical_and, map(jnp.isfinite, jax.tree.leaves(state.vehicle)))
     return [
         (reason_code("not_finite", "state"), jnp.zeros_like(pose.position_ned.x), ~finite),
-        *ground_checks(world, fleet, state),
-        *world.area.check(over_the_floor(world, fleet, pose.position_ned)),
+        *world.area.check(pose.position_ned),
         _hits_obstacle(world, pose.position_ned),
         *_empty_battery(fleet, state),
         *fleet.limits.check(pose.attitude, pose.velocity_body, pose.rates_body),
@@ -306,11 +298,8 @@ def start_fleet(
         before: where the fleet has flown before, of which sensors may keep what is theirs, as the number of a picture.
         low: what single precision leaves out of the positions (n,), if anything.
     """
-    like = vehicle.position_ned.x
-    if like.dtype == jnp.float32:
-        low = low or Vec3.zeros(like.shape, like.dtype)
-    vehicle, low, parked = started(world, fleet, vehicle, low)
     pose = fleet.vehicle.pose(vehicle)
+    like = pose.position_ned.x
     draws = _draw_fleet(world, fleet, keys, tick)
     height = world.height_agl(pose.position_ned)
     time = split_time(tick, world.time_step, height.dtype)
@@ -351,8 +340,7 @@ def start_fleet(
         readings=(),
         true_readings=(),
         passed_on=(),
-        position_low_ned=low if like.dtype == jnp.float32 else None,
-        parked=parked,
+        position_low_ned=(low or Vec3(zero, zero, zero)) if like.dtype == jnp.float32 else None,
     )
     scene = scene_of(fleet, state, sky, view)
     firsts = []
@@ -370,8 +358,11 @@ def start_fleet(
     for name, reading in readings.items():
         first, passed_on = faulted(fleet, name, reading, passed_on, tick)
         delivered.append(first)
+    estimator = fleet.controller.estimator()
+    known = dict(zip(fleet.sensor_names, delivered, strict=True))
     return replace(
         state,
+        belief=None if estimator is None else Belief(*estimator.init(known, estimate)),
         sensors=tuple(memory for memory, _ in firsts),
         readings=tuple(delivered),
         true_readings=tuple(reading if name in faulty else None for name, reading in readings.items()),

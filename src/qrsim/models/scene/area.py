@@ -35,9 +35,6 @@ REASONS: tuple[tuple[str, str], ...] = (
     ("collision", "obstacle"),
     ("battery_empty", "charge"),
     ("out_of_area", "fence"),
-    ("hit_ground", "speed"),
-    ("hit_ground", "tilt"),
-    ("hit_ground", "position_ned.z"),
 )
 
 

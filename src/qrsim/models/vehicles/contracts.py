@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from qrsim.core.noise import Noise
@@ -68,6 +69,11 @@ class Handling:
         # Of the two forms of the root the one that also solves a straight line.
         root = jnp.sqrt(jnp.maximum(c1 * c1 + 4.0 * c2 * missing, 0.0))
         return jnp.clip(2.0 * missing / jnp.maximum(c1 + root, 1e-6), 0.0, 1.0)
+
+
+def smaller(a: Any, b: Any) -> Any:
+    """Return the smaller of two numbers or arrays; NumPy's where both are, as on the host."""
+    return (jnp if isinstance(a, Array) or isinstance(b, Array) else np).minimum(a, b)
 
 
 def velocity_of(pose: Pose) -> Vec3:

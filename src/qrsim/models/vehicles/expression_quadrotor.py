@@ -15,7 +15,7 @@ from jax import Array
 from qrsim.core.tree import record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.models.vehicles.contracts import Handling
+from qrsim.models.vehicles.contracts import Handling, smaller
 from qrsim.models.vehicles.quadrotor import IDLE_BATTERY, Command, Quadrotor, QuadrotorState
 
 _SIGNS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
@@ -59,8 +59,8 @@ class ExpressionQuadrotor(Quadrotor):
             curve = _quadratic(self.thrust_law)
             if curve is None:
                 return None
-            most = jnp.minimum(self.wanted_thrust(jnp.asarray(1.0)), self.cvb0 + self.cvb1 * IDLE_BATTERY)
-            found = replace(found, throttle_curve=curve, thrust_max=most)
+            most = value_at(self.thrust_law, {"throttle": 1.0})
+            found = replace(found, throttle_curve=curve, thrust_max=smaller(most, self.cvb0 + self.cvb1 * IDLE_BATTERY))
         for law, leaves, field in (
             (self.tilt_law, ("command", "angle", "rate"), "tilt_gain"),
             (self.yaw_law, ("command", "rate"), "yaw_rate_gain"),
@@ -69,7 +69,7 @@ class ExpressionQuadrotor(Quadrotor):
                 gain = _settled(law, leaves)
                 if gain is None:
                     return None
-                found = replace(found, **{field: jnp.asarray(gain)})
+                found = replace(found, **{field: gain})
         return found
 
     def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
@@ -122,7 +122,7 @@ def _quadratic(law: str) -> tuple[Array, Array, Array] | None:
         return None
     c2, c1, c0 = np.polyfit(throttle, thrust, 2)
     rises = min(c1, c1 + 2.0 * c2) > 0.0
-    return (jnp.asarray(c0), jnp.asarray(c1), jnp.asarray(c2)) if rises else None
+    return (c0, c1, c2) if rises else None
 
 
 def _settled(law: str, leaves: tuple[str, ...]) -> float | None:

@@ -20,7 +20,7 @@ from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, euler_rates
 from qrsim.models.vehicles.commands import clipped, fields_of, limits_of
-from qrsim.models.vehicles.contracts import Around, Handling, Load, Pose, Vehicle
+from qrsim.models.vehicles.contracts import Around, Handling, Load, Pose, Vehicle, smaller
 
 PITCH_ROLL_RAD_PER_RAW = -math.radians(0.025)
 THROTTLE_RAW_PER_UNIT = 4097.0
@@ -127,19 +127,16 @@ class Quadrotor(Vehicle):
 
     def handling(self) -> Handling | None:
         """Return mass, thrust and the settled answers to commands, from the identified constants (eqs. 1-5 at rest)."""
-        curve = (
-            jnp.asarray(self.cth0),
-            jnp.asarray(self.cth1 * THROTTLE_RAW_PER_UNIT),
-            jnp.asarray(self.cth2 * THROTTLE_RAW_PER_UNIT**2),
-        )
+        raw = THROTTLE_RAW_PER_UNIT
+        curve = (self.cth0, self.cth1 * raw, self.cth2 * raw * raw)
         return Handling(
-            mass=jnp.asarray(self.mass),
-            gravity=jnp.asarray(self.gravity),
-            thrust_max=jnp.minimum(self.wanted_thrust(jnp.asarray(1.0)), self.cvb0 + self.cvb1 * IDLE_BATTERY),
+            mass=self.mass,
+            gravity=self.gravity,
+            thrust_max=smaller(curve[0] + curve[1] + curve[2], self.cvb0 + self.cvb1 * IDLE_BATTERY),
             throttle_curve=curve,
-            tilt_gain=jnp.asarray(self.kpq0 * (1.0 / PITCH_ROLL_RAD_PER_RAW)),
-            yaw_rate_gain=jnp.asarray(-self.kr0 / self.kr1 * (1.0 / YAW_RATE_RAD_S_PER_RAW)),
-            tilt_max=jnp.asarray(COMMAND_LIMITS["pitch"][1]),
+            tilt_gain=self.kpq0 * (1.0 / PITCH_ROLL_RAD_PER_RAW),
+            yaw_rate_gain=-self.kr0 / self.kr1 * (1.0 / YAW_RATE_RAD_S_PER_RAW),
+            tilt_max=COMMAND_LIMITS["pitch"][1],  # type: ignore[arg-type]
         )
 
     def tilt_command(self, pitch: Array, roll: Array, throttle: Array, yaw_rate: Array) -> Command:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.tree import parameter, record, replace
@@ -23,7 +22,7 @@ class SeparateQuadrotor(Quadrotor):
         """Return the handling of the quadrotor, with its own gain of pitch."""
         both = Quadrotor.handling(self)
         assert both is not None
-        return replace(both, pitch_gain=jnp.asarray(self.kq0 * (1.0 / PITCH_ROLL_RAD_PER_RAW)))
+        return replace(both, pitch_gain=self.kq0 * (1.0 / PITCH_ROLL_RAD_PER_RAW))
 
     def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
         """Return the stabilised body's angular acceleration [rad/s^2] (eqs. 4-5)."""

@@ -1,0 +1,176 @@
+"""A complementary filter: the accelerometer predicts, GNSS and barometer correct (docs/control.md, C16 and C17)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control.contracts import Estimator
+from qrsim.control.setpoints import Estimate
+from qrsim.core.pairs import added
+from qrsim.core.tree import map_tree, parameter, quantity, record, replace
+from qrsim.core.vectors import Euler, Vec3, rotation
+
+
+@record
+class FilterState:
+    """Memory of the filter, (n,)."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="estimated position")
+    position_low_ned: Vec3 = quantity(unit="m", doc="what single precision leaves out of it")
+    velocity_ned: Vec3 = quantity(unit="m/s", doc="estimated velocity over ground")
+    bias_ned: Vec3 = quantity(unit="m/s^2", doc="estimated error of the measured acceleration")
+    attitude: Euler = quantity(unit="rad", doc="last attitude that was measured")
+    since_fix: Array = quantity(unit="s", doc="time since the last reading that corrected the place")
+    since_height: Array = quantity(unit="s", doc="time since the last reading that corrected the height")
+
+
+@record
+class ComplementaryFilter(Estimator):
+    """Position and velocity from accelerometer, attitude, GNSS and barometer.
+
+    Each reading corrects when it is new, by its gain times the time since the one before it, so that gains do not
+    depend on periods. A reading that is missing corrects nothing; without a specific force the velocity is held.
+    Nothing is known of a delay.
+    """
+
+    position_gain: Array = parameter(default=0.5, unit="1/s", doc="horizontal place per its error", minimum=0.0)
+    height_gain: Array = parameter(default=1.5, unit="1/s", doc="height per its error", minimum=0.0)
+    velocity_gain: Array = parameter(default=1.0, unit="1/s", doc="horizontal velocity per its error", minimum=0.0)
+    climb_gain: Array = parameter(default=0.3, unit="1/s", doc="vertical velocity per its error", minimum=0.0)
+    velocity_by_position: Array = parameter(
+        default=0.3, unit="1/s", doc="velocity per correction of the position", minimum=0.0
+    )
+    bias_gain: Array = parameter(default=0.05, unit="1/s^2", doc="bias per error of velocity", minimum=0.0)
+    bias_by_position: Array = parameter(
+        default=0.3, unit="1/s", doc="error of position that counts for the bias as one of velocity", minimum=0.0
+    )
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    longest: Array = parameter(
+        default=1.0, unit="s", doc="time that a reading corrects at most for, after others were missing", above=0.0
+    )
+
+    reads: ClassVar[tuple[str, ...]] = ("gnss_receiver", "barometer", "attitude_estimator", "accelerometer")
+
+    def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[FilterState, Estimate]:
+        """Return state and estimate (n,) at the first readings; what they do not say is that of the start."""
+        place, velocity = _of(readings, "position_ned"), _of(readings, "velocity_ned")
+        height, rate, attitude = (_of(readings, name) for name in ("height", "height_rate", "attitude"))
+        position = start.position_ned if place is None else place
+        position = replace(position, z=start.position_ned.z if height is None else -height)
+        velocity = start.velocity_ned if velocity is None else velocity
+        velocity = replace(velocity, z=velocity.z if rate is None else -rate)
+        zero = jnp.zeros_like(start.position_ned.x)
+        none = Vec3(zero, zero, zero)
+        state = FilterState(
+            _known(position, start.position_ned), none, _known(velocity, start.velocity_ned), none,
+            start.attitude if attitude is None else _known(attitude, start.attitude), zero, zero,
+        )  # fmt: skip
+        return state, _estimate(state)
+
+    def step(
+        self, state: FilterState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
+    ) -> tuple[FilterState, Estimate]:
+        """Advance one tick of dt [s] to the readings (n,) of now, and return the estimate (n,)."""
+        attitude = _of(readings, "attitude")
+        if attitude is not None:
+            state = replace(state, attitude=_known(attitude, state.attitude))
+        state = self._predicted(state, _of(readings, "specific_force"), dt)
+        state = self._by_fix(state, readings, fresh)
+        state = self._by_height(state, readings, fresh)
+        return state, _estimate(state)
+
+    def _predicted(self, state: FilterState, force: Vec3 | None, dt: float) -> FilterState:
+        """Return the state a tick later, by the mean specific force (n,) of that tick (C16)."""
+        change = Vec3(*(jnp.zeros_like(state.since_fix),) * 3)
+        if force is not None:
+            felt = rotation(state.attitude).to_ned(force)
+            felt = replace(felt, z=felt.z + self.gravity) - state.bias_ned
+            known = jnp.isfinite(felt.x) & jnp.isfinite(felt.y) & jnp.isfinite(felt.z)
+            change = felt.map(lambda axis: jnp.where(known, axis * dt, 0.0))
+        way = (state.velocity_ned + 0.5 * change) * dt
+        position, low = added(state.position_ned, state.position_low_ned + way)
+        return replace(
+            state, position_ned=position, position_low_ned=low, velocity_ned=state.velocity_ned + change,
+            since_fix=state.since_fix + dt, since_height=state.since_height + dt,
+        )  # fmt: skip
+
+    def _by_fix(self, state: FilterState, readings: Mapping[str, Any], fresh: Mapping[str, Array]) -> FilterState:
+        """Return the state corrected by horizontal place and velocity, where a fix is new (C17)."""
+        place, velocity = _of(readings, "position_ned"), _of(readings, "velocity_ned")
+        if place is None:
+            return state
+        new = fresh[_source(readings, "position_ned")] & jnp.isfinite(place.x) & jnp.isfinite(place.y)
+        span = jnp.where(new, jnp.minimum(state.since_fix, self.longest), 0.0)
+        moved, gained, learned = {}, {}, {}
+        for axis in "xy":
+            error = getattr(place, axis) - getattr(state.position_ned, axis) - getattr(state.position_low_ned, axis)
+            error = jnp.where(new, error, 0.0)
+            slip = jnp.zeros_like(error)
+            if velocity is not None:
+                slip = getattr(velocity, axis) - getattr(state.velocity_ned, axis)
+                slip = jnp.where(new & jnp.isfinite(slip), slip, 0.0)
+            gains = (self.position_gain, self.velocity_gain)
+            moved[axis], gained[axis], learned[axis] = self._corrections(gains, error, slip, span)
+        zero = jnp.zeros_like(span)
+        state = _corrected(state, *(Vec3(**part, z=zero) for part in (moved, gained, learned)))
+        return replace(state, since_fix=jnp.where(new, 0.0, state.since_fix))
+
+    def _by_height(self, state: FilterState, readings: Mapping[str, Any], fresh: Mapping[str, Array]) -> FilterState:
+        """Return the state corrected by height and climb, where they are new (C17)."""
+        height, rate = _of(readings, "height"), _of(readings, "height_rate")
+        if height is None:
+            return state
+        new = fresh[_source(readings, "height")] & jnp.isfinite(height)
+        span = jnp.where(new, jnp.minimum(state.since_height, self.longest), 0.0)
+        error = jnp.where(new, -height - state.position_ned.z - state.position_low_ned.z, 0.0)
+        slip = jnp.zeros_like(error)
+        if rate is not None:
+            slip = -rate - state.velocity_ned.z
+            slip = jnp.where(new & jnp.isfinite(slip), slip, 0.0)
+        zero = jnp.zeros_like(span)
+        parts = self._corrections((self.height_gain, self.climb_gain), error, slip, span)
+        state = _corrected(state, *(Vec3(zero, zero, part) for part in parts))
+        return replace(state, since_height=jnp.where(new, 0.0, state.since_height))
+
+    def _corrections(
+        self, gains: tuple[Array, Array], error: Array, slip: Array, span: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return what is added to position, velocity and bias (n,) for their errors (n,), after a time (n,) [s]."""
+        position, velocity = gains
+        return (
+            position * error * span,
+            (velocity * slip + self.velocity_by_position * position * error) * span,
+            -self.bias_gain * (slip + self.bias_by_position * error) * span,
+        )
+
+
+def _estimate(state: FilterState) -> Estimate:
+    return Estimate(state.position_ned, state.velocity_ned, state.attitude, state.position_low_ned)
+
+
+def _corrected(state: FilterState, moved: Vec3, gained: Vec3, learned: Vec3) -> FilterState:
+    position, low = added(state.position_ned, state.position_low_ned + moved)
+    return replace(
+        state, position_ned=position, position_low_ned=low, velocity_ned=state.velocity_ned + gained,
+        bias_ned=state.bias_ned + learned,
+    )  # fmt: skip
+
+
+def _source(readings: Mapping[str, Any], field: str) -> str:
+    """Return the first sensor, by its name in the fleet, whose reading has a field; "" if none has."""
+    return next((name for name, reading in readings.items() if field in reading.__dataclass_fields__), "")
+
+
+def _of(readings: Mapping[str, Any], field: str) -> Any:
+    """Return a field of the first reading that has it, None if none has."""
+    name = _source(readings, field)
+    return getattr(readings[name], field) if name else None
+
+
+def _known(new: Any, old: Any) -> Any:
+    """Return a tree of arrays (n,), and those of another where a value is not finite."""
+    return map_tree(lambda now, before: jnp.where(jnp.isfinite(now), now, before), new, old)
