@@ -259,6 +259,14 @@ BAD = {
         ),
         "Gauge.gain has no unit; expected gain: ... = qrsim.parameter(default, unit=..., doc=...)",
     ),
+    "no default that is a number": (
+        changed("qrsim.parameter(1.0", "qrsim.parameter(float('nan')"),
+        "Gauge.gain: its default is nan; expected a finite number",
+    ),
+    "more normals than it says": (
+        changed("-position_ned.z * self.gain", "draw.normals(2)[1]"),
+        "a component that declares 0 normals per step asked for 2",
+    ),
     "no unit": (
         changed('unit="1", doc="what', 'unit="", doc="what'),
         "Gauge.gain has no unit; expected unit='m' or the like, '1' for a plain number",

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from jax import Array, lax
 
 from qrsim.core.fastmath import exp, log, log_f32, rounded, sincos_ratio
-from qrsim.core.tree import quantity, record
+from qrsim.core.tree import quantity, record, setting
 
 ROUNDS = 13
 _ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
@@ -168,6 +168,7 @@ class Draw:
     stream: Stream = quantity()
     tick: Array = quantity(doc="() uint32")
     like: Array = quantity(doc="() array whose dtype the normals take")
+    most: int | None = setting(default=None, doc="normals that its component declares; None: any number")
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -175,7 +176,12 @@ class Draw:
         return self.stream.ids.shape
 
     def normals(self, count: int) -> tuple[Array, ...]:
-        """Return ``count`` arrays of shape (n,) of independent standard normals."""
+        """Return ``count`` arrays of shape (n,) of independent standard normals.
+
+        Raises:
+            ValueError: these are more than the component declares.
+        """
+        _check_count(count, self.most)
         return self.stream.normals(self.tick, count, self.like.dtype)
 
     def normal_rows(self, rows: int, first: int = 0) -> Array:
@@ -199,9 +205,13 @@ class Drawn:
 
     def normals(self, count: int) -> tuple[Array, ...]:
         """Return the first ``count`` arrays of shape (n,); the same as those of the Draw they stand for."""
-        if count > len(self.rows):
-            raise ValueError(f"a component that declares {len(self.rows)} normals per step asked for {count}")
+        _check_count(count, len(self.rows))
         return self.rows[:count]
+
+
+def _check_count(count: int, most: int | None) -> None:
+    if most is not None and count > most:
+        raise ValueError(f"a component that declares {most} normals per step asked for {count}")
 
 
 def draw_together(streams: Sequence[Stream], counts: Sequence[int], tick: Array, like: Array) -> list[Drawn]:

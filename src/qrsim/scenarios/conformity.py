@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import math
 import sys
 from collections.abc import Iterator
 from typing import Any, get_type_hints
@@ -118,6 +119,8 @@ def _default_problems(title: str, field: dataclasses.Field[Any], info: FieldInfo
         return
     elif not info.static and (isinstance(default, bool) or not isinstance(default, int | float)):
         yield f"{title}: its default is {default!r:.60}; expected a number"
+    elif not info.static and not math.isfinite(default):
+        yield f"{title}: its default is {default!r}; expected a finite number"
     elif not info.static:
         low, high, above = info.minimum, info.maximum, info.above
         if (low is not None and default < low) or (high is not None and default > high):

@@ -388,13 +388,15 @@ def _draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array) -> di
     """Return the noise of one tick: drawn together for what steps at every tick, on demand for the others."""
     like = jnp.zeros((), fleet.start.position_ned.x.dtype)
     streams = _streams(fleet, keys)
+    most: dict[str, int | None] = {}
     users: dict[str, Turbulence | Vehicle | Sensor] = {TURBULENCE: world.turbulence, PROCESS: fleet.vehicle}
     for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
         every_tick = period_ticks(sensor.period, world.time_step) == 1
         if every_tick and not sensor.draws_alone:
             users[name] = sensor
+        most[name] = None if sensor.draws_alone else sensor.normals
     drawn = draw_together([streams[name] for name in users], [user.normals for user in users.values()], tick, like)
-    on_demand = {name: Draw(stream, tick, like) for name, stream in streams.items() if name not in users}
+    on_demand = {name: Draw(stream, tick, like, most[name]) for name, stream in streams.items() if name not in users}
     return {**dict(zip(users, drawn, strict=True)), **on_demand}
 
 
