@@ -30,7 +30,7 @@ from qrsim.control import (
     WaypointSetpoint,
 )
 from qrsim.core.noise import Draw, Key, StreamKeys
-from qrsim.core.tree import FieldInfo, cast, field_info
+from qrsim.core.tree import FieldInfo, cast, field_info, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.atmosphere.wind import LogShear
 from qrsim.models.gnss.orbits import NominalConstellation
@@ -423,9 +423,11 @@ def _controller(controller: Any, given: Any, draws: Draws) -> Any:
     estimate = Estimate(scene["position_ned"], scene["velocity_ned"], scene["attitude"])
     setpoints = _setpoints(scene, given["waypoints"].map(lambda rows: rows[0]))
     state, commands = controller.init(estimate), []
-    # The memory of a cascade is of all kinds, that of others of one.
-    steps = 1 if isinstance(controller, CascadeController) else 2
-    for kind in controller.setpoints:
+    kinds, steps = controller.setpoints, 2
+    if isinstance(controller, CascadeController):
+        # Its memory is of all kinds, and the others ask for parts of these.
+        kinds, steps = (PathSetpoint, AttitudeHeightSetpoint), 1
+    for kind in kinds:
         for _ in range(steps):
             state, command = controller.step(state, estimate, setpoints[kind], DT)
             commands.append(command)
@@ -433,7 +435,9 @@ def _controller(controller: Any, given: Any, draws: Draws) -> Any:
     if (estimator := controller.estimator()) is not None:
         memory, first = estimator.init(_readings(scene), estimate)
         fresh = dict.fromkeys(_readings(scene), jnp.asarray(True))
-        believed = [first, *estimator.step(memory, _readings(given["later"]), fresh, DT)]
+        after = (first, *estimator.step(memory, _readings(given["later"]), fresh, DT))
+        # What is left out of a position is its rounding, which is another in another program.
+        believed = [replace(item, position_low_ned=None) for item in after]
     return {"state": state, "commands": commands, "believed": believed, "zero": jnp.zeros_like(given["thrust"])}
 
 

@@ -12,6 +12,7 @@ import pytest
 from component_cases import GROUPS, START, parameters_needed
 
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.scenarios.vehicle_checks import can_fly
 from qrsim.simulation.simulation import Simulation
 
 # A world has one of each of these, a fleet one of each of the others; obstacles and sensors go together.
@@ -43,8 +44,8 @@ def part(group: str, number: int) -> dict[str, Any]:
 
 def flown_by(controller: str, number: int) -> dict[str, Any]:
     """Return one of the vehicles that a controller flies, counted around, as a scenario writes it."""
-    gives: Any = GROUPS["CONTROLLERS"][controller].gives  # type: ignore[attr-defined]
-    fitting = [name for name, kind in GROUPS["VEHICLES"].items() if any(issubclass(k, gives) for k in kind.actions)]  # type: ignore[attr-defined]
+    pilot = GROUPS["CONTROLLERS"][controller]
+    fitting = [name for name, kind in GROUPS["VEHICLES"].items() if can_fly(pilot, kind)]
     name = fitting[number % len(fitting)]
     return {"type": name, **parameters_needed("VEHICLES", name)}
 
@@ -68,6 +69,11 @@ def content(number: int) -> dict[str, Any]:
         else:
             fleet["controller"]["feed"] = "truth"
             fleet["vehicles"][0]["waypoints_ned"] = [[0.0, 0.0, -32.0]]
+        if fleet["controller"]["type"] == "cascade":
+            # With its filter, and what that reads.
+            fleet["controller"]["feed"] = "filter"
+            own = ("gnss_receiver", "barometer", "attitude_estimator", "accelerometer")
+            sensors = {name: {"type": name} for name in own} | sensors
         fleets[f"fleet_{i}"] = {**fleet, "sensors": sensors, "faults": faults}
         sensors, faults = {}, []
     return {"name": f"world_{number}", "duration": 30.0, "start_time": START, "world": world, "fleets": fleets}

@@ -14,7 +14,7 @@ from qrsim.scenarios.schema import FleetSpec
 def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     """Yield what does not fit a fleet's vehicle: its controller; of one that takes no commands, battery and route."""
     vehicle: Any = known.VEHICLES[fleet.vehicle.type]
-    fitting = [name for name, cls in known.CONTROLLERS.items() if _can_fly(cls, vehicle)]
+    fitting = [name for name, cls in known.CONTROLLERS.items() if can_fly(cls, vehicle)]
     if fleet.controller.type not in fitting:
         yield (
             f"fleets.{fleet_name}.controller: '{fleet.controller.type}' does not fly a '{fleet.vehicle.type}'; "
@@ -35,7 +35,7 @@ def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
             )
 
 
-def _can_fly(controller: Any, vehicle: Any) -> bool:
+def can_fly(controller: Any, vehicle: Any) -> bool:
     """Return whether what a controller gives is for a vehicle, by their classes."""
     if controller.gives is object:
         # The vehicle's own command of tilt and throttle, if it has one.
