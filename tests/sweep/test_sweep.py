@@ -214,3 +214,65 @@ def test_the_command_line_says_what_would_be_flown(tmp_path: Path, capsys: Any) 
     assert not (tmp_path / "x.zarr").exists()
     assert main(["sweep", str(write(tmp_path)), "--workers", "2", "--scheduler", "tcp://here:1"]) == 2
     assert main(["sweep", str(write(tmp_path)), "--seeds", "0"]) == 2
+
+
+SPEED = """
+import jax.numpy as jnp
+
+class Speed:
+    numbers = {"speed_max_m_s": {"unit": "m/s", "doc": "largest speed", "over": "max"}}
+
+    def init(self, world, state):
+        return jnp.zeros_like(state.fleets[0].vehicle.position_ned.x)
+
+    def update(self, memory, world, state, tick):
+        return jnp.maximum(memory, state.fleets[0].vehicle.velocity_body.norm())
+
+    def finish(self, memory, world, state):
+        return {"speed_max_m_s": memory}
+
+class Silent(Speed):
+    numbers = {}
+
+class Vague(Speed):
+    numbers = {"speed_max_m_s": {"unit": "m/s", "doc": "largest speed", "over": "largest"}}
+
+class Unkept(Speed):
+    numbers = {"speed_min_m_s": {"unit": "m/s", "doc": "smallest speed", "over": "min"}}
+"""
+
+
+def test_metrics_of_the_users_own_are_kept(tmp_path: Path) -> None:
+    (tmp_path / "speed.py").write_text(SPEED)
+    own = {"own_metrics": "./speed.py:Speed", "failure": {"metric": "speed_max_m_s", "above": 1e-4}}
+    path = flown(tmp_path, metrics=["distance_m", "speed_max_m_s"], **own)
+    data = opened(path)
+    assert data["speed_max_m_s"].attrs["units"] == "m/s"
+    speed, distance = data["speed_max_m_s"].values, data["distance_m"].values
+    results = Results(path)
+    # Nobody flies farther than at his largest speed all the time.
+    assert (speed > 0.0).all()
+    assert (distance <= speed * results.scenario["duration"]).all()
+    assert results.unit("speed_max_m_s") == "m/s"
+    assert results.failed.all()
+
+
+@pytest.mark.parametrize(
+    ("name", "metric", "words"),
+    [
+        ("Silent", "speed_max_m_s", "does not say which numbers it gives; expected numbers = "),
+        ("Vague", "speed_max_m_s", r"over: found 'largest'; allowed: mean, max, min, sum, rms over the vehicles"),
+        ("Speed", "sped_max_m_s", r"no metric is called 'sped_max_m_s'; did you mean 'speed_max_m_s'\?"),
+        ("Sped", "speed_max_m_s", r"'Sped'.*did you mean 'Speed'\?"),
+    ],
+)
+def test_metrics_that_a_study_cannot_keep(tmp_path: Path, name: str, metric: str, words: str) -> None:
+    (tmp_path / "speed.py").write_text(SPEED)
+    with pytest.raises(UsageError, match=words):
+        planned(tmp_path, metrics=[metric], own_metrics=f"./speed.py:{name}")
+
+
+def test_a_number_that_is_promised_and_not_given_is_named(tmp_path: Path) -> None:
+    (tmp_path / "speed.py").write_text(SPEED)
+    with pytest.raises(RunError, match=r"finish does not return 'speed_min_m_s'; it returns"):
+        flown(tmp_path, metrics=["speed_min_m_s"], own_metrics="./speed.py:Unkept")

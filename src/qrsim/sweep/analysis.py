@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.sweep.metrics import METRICS
 from qrsim.sweep.results import Parameter, Results
 
 Array = np.ndarray[Any, Any]
@@ -277,6 +276,6 @@ def sensitivity(results: Results, values: Array) -> Sensitivity | str:
 def worst(results: Results, metric: str, count: int) -> list[int]:
     """Return the indices of the worst episodes, failed ones without a value last."""
     values = results.metric(metric)
-    badness = -values if METRICS[metric].low_is_bad else values
+    badness = -values if results.low_is_bad(metric) else values
     order = np.argsort(np.where(np.isfinite(badness), -badness, np.inf), kind="stable")
     return [int(i) for i in order[:count] if np.isfinite(badness[i])]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import threading
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 
 from qrsim.errors import QrsimError
 from qrsim.sweep.job import Job, goals
-from qrsim.sweep.metrics import of_episodes
+from qrsim.sweep.metrics import Metric, of_episodes
 
 Array = np.ndarray[Any, Any]
 # The engine keeps its programs in one place for a process.
@@ -36,9 +37,9 @@ def fly(job: Job, threads: int = 1) -> dict[str, Array] | str:
                 found = play(_group(job.group), job)
             else:
                 found = _roll_out(job)
+            return of_episodes(job.metrics, found, _own_metrics(job)[1])
         except QrsimError as error:
             return str(error)
-    return of_episodes(job.metrics, found)
 
 
 @lru_cache(maxsize=8)
@@ -67,11 +68,22 @@ def _function(what: str, source: str, digest: str) -> Any:
 
     from qrsim.errors import UsageError
     from qrsim.interface.policies import load_function
-    from qrsim.sweep.study import digest_of
+    from qrsim.sweep.own_metrics import own_metrics
+    from qrsim.sweep.study import OWN, digest_of
 
     if digest_of(what, source) != digest:
         raise UsageError(f"{what} {source}: a worker has another file of that name, or it was changed; in {Path.cwd()}")
-    return load_function(what, source)
+    return own_metrics(source) if what == OWN else load_function(what, source)
+
+
+def _own_metrics(job: Job) -> tuple[Any, Mapping[str, Metric]]:
+    """Return the user's metrics of a job, and what each of its numbers is of an episode."""
+    from qrsim.sweep.study import OWN
+
+    if job.own_metrics is None:
+        return None, {}
+    found: tuple[Any, Mapping[str, Metric]] = _function(OWN, job.own_metrics, dict(job.code)[OWN])
+    return found
 
 
 def _roll_out(job: Job) -> dict[str, Array]:
@@ -87,6 +99,9 @@ def _roll_out(job: Job) -> dict[str, Array]:
     code = dict(job.code)
     given = {"policy": job.policy, "estimator": job.estimator}
     functions: dict[str, Any] = {what: source and _function(what, source, code[what]) for what, source in given.items()}
+    own_metrics, _ = _own_metrics(job)
+    if own_metrics is not None:
+        functions["metrics"] = _beside_built_in(own_metrics)
     with jax.enable_x64(job.precision == "float64"):
         if group.places is None:
             worlds = group.loaded(job.numbers, job.precision)
@@ -99,6 +114,15 @@ def _roll_out(job: Job) -> dict[str, Array]:
         return found
     rows = [setup.world(fixed, [part[i] for part in own]) for i in range(len(job.seeds))] if own else [group.world]
     return {**found, "goal_ned": np.stack([goals(world) for world in rows])}
+
+
+@lru_cache(maxsize=8)
+def _beside_built_in(own_metrics: Any) -> Any:
+    """Return a user's metrics with the built-in ones, the same object for all batches, so that it is compiled once."""
+    from qrsim.interface.metrics import FLIGHT_METRICS
+    from qrsim.sweep.own_metrics import Together
+
+    return Together(FLIGHT_METRICS, own_metrics)
 
 
 def _stacked(group: Any, job: Job, functions: dict[str, Any]) -> Any:

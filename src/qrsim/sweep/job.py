@@ -20,8 +20,9 @@ class Job:
         seeds: (W,) of the episodes.
         metrics: names.
         policy, estimator, policy_ticks: who flies, see ``StudySpec``.
-        code: digests of the files of both.
+        code: digests of the files of both, and of the metrics.
         precision: float32 or float64.
+        own_metrics: a user's class, see ``StudySpec``.
     """
 
     group: bytes
@@ -33,6 +34,7 @@ class Job:
     policy_ticks: int
     code: tuple[tuple[str, str], ...]
     precision: str
+    own_metrics: str | None = None
 
 
 def goals(world: Any) -> Array:

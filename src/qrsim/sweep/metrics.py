@@ -95,6 +95,13 @@ METRICS: dict[str, Metric] = {
 }  # fmt: skip
 
 
-def of_episodes(names: tuple[str, ...], found: Found) -> dict[str, Array]:
-    """Compute metrics (W,) of episodes by name, single precision, from those of all vehicles (W, n, ...)."""
-    return {name: np.asarray(METRICS[name].of(found), np.float32) for name in names}
+def of_episodes(names: tuple[str, ...], found: Found, own: Mapping[str, Metric]) -> dict[str, Array]:
+    """Compute metrics (W,) of episodes by name, single precision, from those of all vehicles (W, n, ...).
+
+    Args:
+        names: built-in ones and own ones.
+        found: of all vehicles.
+        own: a user's.
+    """
+    known = {**METRICS, **own}
+    return {name: np.asarray(known[name].of(found), np.float32) for name in names}

@@ -16,7 +16,6 @@ from qrsim.errors import UsageError, did_you_mean
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.sweep import analysis
 from qrsim.sweep.axes import COUNT, apply, override
-from qrsim.sweep.metrics import METRICS
 from qrsim.sweep.results import Parameter, Results
 from qrsim.sweep.study import assignment
 
@@ -225,7 +224,7 @@ def print_report(report: Report, folder: Path) -> None:
     print("\nSobol indices (part of the variance, alone and with others):")
     _print_sensitivity(report.sensitivity)
     unit = results.unit(report.metric)
-    side = "smallest" if METRICS[report.metric].low_is_bad else "largest"
+    side = "smallest" if results.low_is_bad(report.metric) else "largest"
     print(f"\nworst episodes ({side} {report.metric}{'' if unit == '1' else f' [{unit}]'})")
     values = results.metric(report.metric)
     for episode in report.worst:

@@ -126,7 +126,7 @@ class Results:
         Raises:
             UsageError: the store does not have it.
         """
-        known = [str(key) for key in self.dataset.data_vars if key in METRICS]
+        known = [str(key) for key in self.dataset.data_vars if key != FLOWN]
         if name not in known:
             raise UsageError(f"{self.path}: no metric is called '{name}'{did_you_mean(name, known)}")
         found: Array = self.dataset[name].values.ravel()[self.flown].astype(np.float64)
@@ -134,7 +134,13 @@ class Results:
 
     def unit(self, metric: str) -> str:
         """Return the unit of a metric."""
-        return METRICS[metric].unit
+        return str(self.dataset[metric].attrs["units"])
+
+    def low_is_bad(self, metric: str) -> bool:
+        """Return whether small values of a metric are the bad ones."""
+        # A store of an earlier version does not say so itself.
+        known = METRICS[metric].low_is_bad if metric in METRICS else False
+        return bool(self.dataset[metric].attrs.get("low_is_bad", known))
 
     @cached_property
     def failed(self) -> Array:

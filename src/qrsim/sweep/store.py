@@ -22,7 +22,6 @@ import zarr
 
 from qrsim.errors import RunError, UsageError
 from qrsim.scenarios.reading import dump_yaml
-from qrsim.sweep.metrics import METRICS
 from qrsim.sweep.plan import POINT, SEED, Batch, Plan
 from qrsim.sweep.provenance import differences, versions
 
@@ -101,8 +100,11 @@ class Store:
         group = zarr.create_group(path, zarr_format=3, attributes=_attributes(plan))
         coordinates = [axis.name for axis in plan.sampled]
         for name in self.metrics:
-            metric = METRICS[name]
-            about = {"units": metric.unit, "long_name": metric.doc, "coordinates": " ".join(coordinates)}
+            metric = plan.study.metric(name)
+            about = {
+                "units": metric.unit, "long_name": metric.doc, "low_is_bad": metric.low_is_bad,
+                "coordinates": " ".join(coordinates),
+            }  # fmt: skip
             self._array(group, name, "float32", math.nan, about if coordinates else _without(about, "coordinates"))
         about = {"long_name": "whether the episode is in the store", "coordinates": " ".join(coordinates)}
         self._array(group, FLOWN, "bool", False, about if coordinates else _without(about, "coordinates"))

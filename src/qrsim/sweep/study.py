@@ -7,7 +7,7 @@ import hashlib
 import inspect
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -22,10 +22,14 @@ from qrsim.scenarios.component_schema import Finite
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.providing import anchor_code
 from qrsim.scenarios.reading import anchor_files, apply_override, read_scenario
+from qrsim.scenarios.registry import made
 from qrsim.scenarios.schema import NAME
-from qrsim.sweep.metrics import METRICS
+from qrsim.sweep.metrics import METRICS, Metric
+from qrsim.sweep.own_metrics import own_metrics
 
 BASELINE = "baseline"
+# What a study calls the metrics of a user's own.
+OWN = "own_metrics"
 # What a store and its tables can hold.
 MOST_VALUES, MOST_POINTS, MOST_EPISODES = 100_000, 2**20, 10**8
 Content = dict[str, Any]
@@ -117,6 +121,9 @@ class StudySpec(Part):
     seeds: int = Field(description="episodes at each point", ge=1, le=10**7)
     first_seed: int = Field(0, description="seed of the first one; the others follow", ge=0, lt=2**62)
     metrics: list[str] = Field(description="what is kept of each episode", min_length=1)
+    own_metrics: str | None = Field(
+        None, description="metrics of your own, FILE.py:NAME or MODULE:NAME; 'metrics' names their numbers"
+    )
     failure: FailureSpec = Field(FailureSpec.model_validate({"above": 0.0}), description="when an episode failed")
     precision: Literal["float32", "float64"] = Field("float32", description="arithmetic")
     batch: int | None = Field(None, description="episodes of a batch, about; default: a second of work", ge=1)
@@ -124,12 +131,15 @@ class StudySpec(Part):
     @model_validator(mode="after")
     def _together(self) -> StudySpec:
         for name in [*self.metrics, self.failure.metric]:
-            if name not in METRICS:
+            # Which names a user's own metrics have is known when their file is read.
+            if name not in METRICS and not self.own_metrics:
                 raise ValueError(f"metrics: no metric is called '{name}'{did_you_mean(name, METRICS)}")
-            if METRICS[name].task and self.policy != BASELINE:
+            if name in METRICS and METRICS[name].task and self.policy != BASELINE:
                 raise ValueError(f"metrics: '{name}' is of a task that 'policy: {BASELINE}' flies")
         if self.policy == BASELINE and (self.estimator or self.policy_ticks != 1):
             raise ValueError(f"policy: '{BASELINE}' has no estimator and no policy_ticks")
+        if self.policy == BASELINE and self.own_metrics:
+            raise ValueError(f"own_metrics: 'policy: {BASELINE}' has its own; give a policy of another kind, or none")
         ranges = [path for path, item in self.vary.items() if item.values is None and item.count is None]
         kind = self.sampling.type if self.sampling else None
         if kind == "list":
@@ -161,13 +171,19 @@ class Study:
         spec: as it is written, with what the command line changed.
         content: of the scenario, with what is set at all points.
         source: the scenario as ``qrsim run`` takes it, a name or a path; None where its content is in the study.
-        code: digests of the files of policy and estimator.
+        code: digests of the files of policy, estimator and own metrics.
+        own_metrics: a user's metrics by name.
     """
 
     spec: StudySpec
     content: Content
     source: str | None
     code: dict[str, str]
+    own_metrics: dict[str, Metric] = field(default_factory=dict)
+
+    def metric(self, name: str) -> Metric:
+        """Return what is known of a metric of the study."""
+        return self.own_metrics[name] if name in self.own_metrics else METRICS[name]
 
     @property
     def settings(self) -> Content:
@@ -175,6 +191,8 @@ class Study:
         spec = self.spec.model_dump(mode="json", exclude={"description", "failure", "scenario", "set"})
         # A default that is filled in later changes nothing.
         spec["metrics"] = sorted({*self.spec.metrics, self.spec.failure.metric})
+        if spec["own_metrics"] is None:
+            spec.pop("own_metrics")
         for item in spec["vary"].values():
             item.pop("unit")
         return {**spec, "scenario": self.content, "code": self.code}
@@ -228,11 +246,11 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
         apply_override(scenario, override)
     anchor_files(scenario, folder)
     anchor_code(scenario, folder)
-    code = {what: _code(what, name, folder) for what in ("policy", "estimator") if (name := getattr(spec, what))}
+    code = {what: _code(what, name, folder) for what in ("policy", "estimator", OWN) if (name := getattr(spec, what))}
     updates = {what: named for what, (named, _) in code.items()}
     return Study(
         spec.model_copy(update=updates), scenario, given if isinstance(given, str) else None,
-        {what: digest for what, (_, digest) in code.items()},
+        {what: digest for what, (_, digest) in code.items()}, _own_metrics(spec, code[OWN][0]) if OWN in code else {},
     )  # fmt: skip
 
 
@@ -296,6 +314,15 @@ def _thinned(values: list[Any], most: int) -> list[Any]:
     return [values[round(i * (len(values) - 1) / (most - 1))] for i in range(most)]
 
 
+def _own_metrics(spec: StudySpec, source: str) -> dict[str, Metric]:
+    """Load the user's metrics of a study, and see that it names what there is."""
+    _, own = own_metrics(source)
+    for name in [*spec.metrics, spec.failure.metric]:
+        if name not in METRICS and name not in own:
+            raise UsageError(f"metrics: no metric is called '{name}'{did_you_mean(name, [*own, *METRICS])}")
+    return own
+
+
 def _code(what: str, name: str, folder: Path) -> tuple[str, str]:
     """Return a function's name that holds from any folder, and a digest of the file that it is in."""
     if what == "policy" and name == BASELINE:
@@ -312,8 +339,9 @@ def digest_of(what: str, name: str) -> str:
     Raises:
         UsageError: there is no such function.
     """
-    found = load_function(what, name)
+    found: Any = made("metric", name) if what == OWN else load_function(what, name)
     place = name.rpartition(":")[0]
     if not place.endswith(".py"):
-        place = inspect.getsourcefile(found if inspect.isroutine(found) else type(found)) or ""
+        itself = inspect.isroutine(found) or inspect.isclass(found)
+        place = inspect.getsourcefile(found if itself else type(found)) or ""
     return hashlib.sha256(Path(place).read_bytes()).hexdigest() if place else ""

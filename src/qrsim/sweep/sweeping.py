@@ -75,7 +75,7 @@ class Jobs:
         spec = self._spec
         return Job(
             self._groups[batch.group], batch.numbers, batch.seeds, self._metrics, spec.policy, spec.estimator,
-            spec.policy_ticks, self._code, spec.precision,
+            spec.policy_ticks, self._code, spec.precision, spec.own_metrics,
         )  # fmt: skip
 
 
