@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 from component_cases import GROUPS, START, parameters_needed
 
+from qrsim.models.vehicles.quadrotor import Quadrotor
+from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.scenarios.vehicle_checks import can_fly
 from qrsim.simulation.simulation import Simulation
@@ -69,6 +71,8 @@ def content(number: int) -> dict[str, Any]:
         else:
             fleet["controller"]["feed"] = "truth"
             fleet["vehicles"][0]["waypoints_ned"] = [[0.0, 0.0, -32.0]]
+            if issubclass(catalogue.VEHICLES[fleet["vehicle"]["type"]], Quadrotor):
+                fleet["ground"] = "parked"
         if fleet["controller"]["type"] == "cascade":
             # With its filter, and what that reads.
             fleet["controller"]["feed"] = "filter"

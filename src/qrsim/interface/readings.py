@@ -24,6 +24,7 @@ from qrsim.models.sensors.camera import CameraReading, Picture
 from qrsim.models.site import Site
 from qrsim.models.vehicles.contracts import Vehicle, VehicleState, velocity_of
 from qrsim.world.episode import picture
+from qrsim.world.standing import on_ground
 from qrsim.world.state import Fleet, FleetState, State, World, position_of
 
 Floats = np.ndarray[Any, Any]
@@ -359,6 +360,13 @@ class Truth:
             return np.broadcast_to(model.load(state).thrust, np.shape(state.position_ned.x))
 
         return self._of_vehicles(thrust)
+
+    @property
+    def on_ground(self) -> Floats:
+        """(n,) bool: stands on the ground; False where touching it ends a flight."""
+        found = [on_ground(fleet, self._state.fleets[i]) for i, fleet in enumerate(self._world.fleets)]
+        sizes = [fleet.size for fleet in self._world.fleets]
+        return np.concatenate([np.zeros(n, bool) if now is None else now for n, now in zip(sizes, found, strict=True)])
 
     @property
     def specific_force(self) -> Floats:

@@ -12,6 +12,7 @@ from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.scene.area import REASONS, reason_text
 from qrsim.runs import Column
 from qrsim.simulation.simulation import History, Simulation
+from qrsim.world.standing import on_ground
 from qrsim.world.state import Fleet, FleetState, World, position_of
 
 Values = dict[str, np.ndarray[Any, Any]]
@@ -51,6 +52,9 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
         exact = {f"position_ned.{axis}": getattr(whole, axis) for axis in "xyz"}
         items = [(name, exact.get(name, leaf), unit, doc) for name, leaf, unit, doc in items]
         items.append(("valid", state.violation.code == 0, "", "whether the vehicle still flies"))
+        standing = on_ground(fleet, state)
+        if standing is not None:
+            items.append(("on_ground", np.asarray(standing), "", "whether the vehicle stands on the ground"))
     if stream == "commands":
         items.append(("clipped", state.command_clipped, "", "the command was outside its range and was clipped"))
         items.append(("waypoint", state.guidance.index, "", "index of the waypoint flown to"))
@@ -92,6 +96,7 @@ class EventFinder:
         self.world = simulation.world
         self.names = simulation.vehicle_names
         self.time_step = simulation.world.time_step
+        self.standing: list[Any] = [None] * len(self.world.fleets)
         start = simulation.history
         self.before = {key: pick(start)[-1] for key, pick in self._sources().items()}
 
@@ -118,6 +123,7 @@ class EventFinder:
         found += self._faults(history)
         found += self._losses(history)
         found += self._persons(history)
+        found += self._landings(history)
         found.sort(key=lambda item: item[:2])
         return [event for _, _, event in found]
 
@@ -178,6 +184,24 @@ class EventFinder:
             message = f"{event['vehicle']} found person {number} at {event['time']:.2f} s"
             event |= {"kind": PERSON_FOUND, "field": "persons", "value": float(number), "message": message}
             found.append((int(row), vehicle, event))
+        return found
+
+    def _landings(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+        """Return who has come to stand on the ground, or has left it."""
+        found, first = [], 0
+        for number, (fleet, state) in enumerate(zip(self.world.fleets, history.state.fleets, strict=True)):
+            standing = on_ground(fleet, state)
+            if standing is not None:
+                now = np.asarray(standing)
+                before = self.standing[number] if self.standing[number] is not None else now[0]
+                previous = np.concatenate([before[None], now[:-1]])
+                self.standing[number] = now[-1]
+                for row, i in np.argwhere(now != previous):
+                    event = self._at(history, int(row), first + int(i))
+                    kind, words = ("landed", "landed") if now[row, i] else ("took_off", "took off")
+                    message = f"{event['vehicle']} {words} at {event['time']:.2f} s"
+                    found.append((int(row), first + int(i), {**event, "kind": kind, "message": message}))
+            first += fleet.size
         return found
 
     def _at(self, history: History, row: int, vehicle: int) -> dict[str, Any]:

@@ -25,6 +25,8 @@ NOT_A_STOP = (
     "fix_found",
     "wind_changed",
     "person_found",
+    "landed",
+    "took_off",
 )
 
 

@@ -23,6 +23,7 @@ from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.faults import fault_problems, faults, reading_fields, vehicle_names
+from qrsim.scenarios.ground import standing_problems
 from qrsim.scenarios.hand_list import hand_lists, warn_of_hand_lists
 from qrsim.scenarios.ranges import range_problems, ranges_of
 from qrsim.scenarios.registry import is_outside
@@ -79,6 +80,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_orbit_problems(scenario),
         *_obstacle_problems(scenario),
         *_fleet_problems(scenario),
+        *_standing_problems(scenario),
         *fault_problems(scenario),
         *contents_problems(scenario),
         *range_problems(scenario),
@@ -130,6 +132,12 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
             f"{starts[j][0]}.position_ned: starts {distance:.3g} m from {starts[i][0]}; "
             f"allowed: at least {allowed:g} m (world.collision_distance)"
         )
+
+
+def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    for name, fleet in scenario.fleets.items():
+        if fleet.ground == "parked":
+            yield from standing_problems(name, fleet.vehicle.type, component(fleet.vehicle, known.VEHICLES, scenario))
 
 
 def _close_pairs(points: Any, distance: float) -> list[tuple[int, int, float]]:
@@ -381,6 +389,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec) -> Fleet:
         sensor_names=tuple(spec.sensors),
         vehicle_names=vehicle_names(name, spec),
         placement=component(spec.placement, known.PLACEMENTS, scenario),
+        ground=spec.ground,
     )
 
 

@@ -51,6 +51,8 @@ CALLS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 # Of these an object is made without arguments, and what it is made of is its own affair.
 PLAIN = ("estimator", "metric")
+# What a guidance is handed by name, and what in its class asks for it.
+_HANDED = {"others_ned": "sees_others", "on_ground": "sees_ground"}
 # What may be named in ``reads``.
 READABLE = {"sensor": SCENE, "vehicle": AROUND}
 
@@ -215,7 +217,7 @@ def _arguments(component: Any, function: Any) -> tuple[list[str], list[str]]:
             continue
         elif part.default is part.empty or (part.name == "around" and bool(getattr(component, "reads", ()))):
             positional.append(part.name)
-        elif part.name == "others_ned" and getattr(component, "sees_others", False):
+        elif getattr(component, _HANDED.get(part.name, ""), False):
             named.append(part.name)
     return positional, named
 

@@ -22,7 +22,9 @@ WORLD_PARTS = (
     "area", "ground", "wind", "turbulence", "gust", "sky", "plume", "terrain", "persons", "obstacles",
     "collision_distance",
 )  # fmt: skip
-FLEET_PARTS = ("vehicle", "controller", "guidance", "limits", "sensors", "battery", "faults", "placement")
+FLEET_PARTS = ("vehicle", "controller", "guidance", "limits", "sensors", "battery", "faults", "placement", "ground")
+# What a fleet does at the ground has the name of the ground itself, and is told from it by its value.
+AT_THE_GROUND = ("stop", "parked")
 SENSORS = {
     "ideal": {
         "gnss": {"type": "ideal_gnss"},
@@ -58,7 +60,8 @@ def make_scenario(
         parts: what a scenario has in YAML, by its name there: of the scenario (name, duration, time_step, start_time,
             site, extends, ranges, task), of its world (area, ground, wind, turbulence, gust, sky, plume, terrain,
             persons, obstacles, collision_distance), and with ``vehicles`` of the fleet (vehicle, controller, guidance,
-            limits, sensors, battery, faults, placement). A component is the name of its type, a dict as in YAML, or an
+            limits, sensors, battery, faults, placement, and ground, which is the world's unless it is "stop" or
+            "parked"). A component is the name of its type, a dict as in YAML, or an
             object such as ``LogShear(...)``. Sensors are "ideal" (the default) or "noisy" ones of every kind, or given
             by name. With ``extends``, ``fleets`` says what is different in them, and may be left out.
 
@@ -72,6 +75,10 @@ def make_scenario(
     if not extends and (vehicles is None) == (fleets is None):
         raise UsageError("make_scenario: give either vehicles or fleets")
     known = (*SCENARIO_PARTS, *WORLD_PARTS, *(FLEET_PARTS if vehicles is not None else ()))
+    if vehicles is not None and isinstance(parts.get("ground"), str) and parts["ground"] in AT_THE_GROUND:
+        fleet_parts = {name: parts.pop(name) for name in FLEET_PARTS if name in parts}
+    else:
+        fleet_parts = {name: parts[name] for name in FLEET_PARTS if name in parts and name != "ground"}
     for name in parts:
         if name in FLEET_PARTS and name not in known:
             raise UsageError(f"make_scenario: {name} is a part of a fleet; give it in fleets")
@@ -83,7 +90,7 @@ def make_scenario(
     if world:
         content["world"] = world
     if vehicles is not None:
-        fleets = {"vehicles": {"vehicles": vehicles, **{name: parts[name] for name in FLEET_PARTS if name in parts}}}
+        fleets = {"vehicles": {"vehicles": vehicles, **fleet_parts}}
     if fleets is not None:
         content["fleets"] = {name: _fleet(name, fleet, extends) for name, fleet in fleets.items()}
     return load_scenario(content)
@@ -115,7 +122,11 @@ def _fleet(name: str, fleet: Any, extends: bool) -> dict[str, Any]:
     for part in fleet:
         if part not in known:
             raise UsageError(f"make_scenario: fleets.{name}: no part is called '{part}'{did_you_mean(part, known)}")
-    content = {part: _part(value, part) for part, value in fleet.items() if part not in ("vehicles", "sensors")}
+    content = {
+        part: _part(value, part) for part, value in fleet.items() if part not in ("vehicles", "sensors", "ground")
+    }
+    if "ground" in fleet:
+        content["ground"] = fleet["ground"]
     # What is left out of a fleet that is extended is as it is there.
     if "sensors" in fleet or not extends:
         content["sensors"] = _sensors(name, fleet.get("sensors", "ideal"))

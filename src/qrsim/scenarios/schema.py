@@ -224,6 +224,11 @@ class FleetSpec(Strict):
         description="where the vehicles start in an episode; their given positions count otherwise, and their heights",
         validate_default=True,
     )
+    ground: Literal["stop", "parked"] = Field(
+        "stop",
+        description="what touching the ground does to vehicles without a contact of their own: it ends the flight, or "
+        "they stand there until their thrust exceeds their weight",
+    )
     vehicles: list[VehicleSpec] = Field(description="vehicles", min_length=1)
 
     @model_validator(mode="before")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -66,6 +66,9 @@ class Fleet:
     vehicle_names: tuple[str, ...] = setting(doc="name of each vehicle")
     placement: GivenPlaces | UniformPlaces | RingPlaces = quantity(
         default=GivenPlaces(), doc="where the vehicles start in an episode"
+    )
+    ground: Literal["stop", "parked"] = setting(
+        default="stop", doc="what touching the ground does to vehicles without a contact of their own"
     )
 
     @property
@@ -183,6 +186,7 @@ class FleetState:
         default=None, unit="m", doc="what single precision leaves out of vehicle.position_ned; None in double precision"
     )
     belief: Belief | None = quantity(default=None, doc="the controller's own estimator; None without one")
+    parked: Array | None = quantity(default=None, doc="bool: held on the ground; None where touching it ends a flight")
 
 
 @record

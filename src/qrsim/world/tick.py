@@ -7,7 +7,7 @@ positions together, then the sensors that are due. Nothing here compiles; simula
 from __future__ import annotations
 
 import functools
-from typing import cast
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +37,7 @@ from qrsim.world.episode import (
     surroundings,
 )
 from qrsim.world.sensing import estimate_of, faulted, scene_of, sense
+from qrsim.world.standing import ground_checks, on_ground, over_the_floor, seen_ground, settled, started
 from qrsim.world.state import (
     PLUME,
     PROCESS,
@@ -170,13 +171,17 @@ def _fly(
         wanted = action
     else:
         fed = estimate_of(fleet, state) if believed is None else believed
+        standing = on_ground(fleet, state)
         alone = replace(fed, position_low_ned=None)
         estimate = map_tree(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, estimate)
         asked = action
         if asked is None:
-            others = _others(world, whole.fleets, fleet)
+            others = _others(world, whole.fleets, fleet) | seen_ground(fleet, standing)
             guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others)
         known = replace(estimate, position_low_ned=fed.position_low_ned)
+        if standing is not None:
+            # What it cannot move would fill its integrals, so it starts anew until it flies.
+            controller = select(standing, fleet.controller.init(known), controller)
         controller, wanted = fleet.controller.step(controller, known, asked, dt)
         setpoint = fleet.controller.shown(asked)
     load = model.load(state.vehicle)
@@ -191,8 +196,11 @@ def _fly(
         model, state.vehicle, state.position_low_ned, command, lambda trig: trig.rotation().to_body(air), drawn, dt,
         around,
     )  # fmt: skip
+    parked = state.parked
+    if parked is not None:
+        vehicle, low, force, parked = settled(world, fleet, state, vehicle, low, force)
     return replace(
-        state, vehicle=vehicle, position_low_ned=low, specific_force=force,
+        state, vehicle=vehicle, position_low_ned=low, specific_force=force, parked=parked,
         turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
         gust_rates_ned=gust_rates,
         estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=command,
@@ -200,7 +208,7 @@ def _fly(
     )  # fmt: skip
 
 
-def _others(world: World, before: tuple[FleetState, ...], fleet: Fleet) -> dict[str, Vec3]:
+def _others(world: World, before: tuple[FleetState, ...], fleet: Fleet) -> dict[str, Any]:
     """Return where all other fleets say they are, (m,), for a guidance that looks at them; NaN for who has stopped."""
     if not fleet.guidance.sees_others:
         return {}
@@ -250,7 +258,8 @@ def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int,
     finite = functools.reduce(jnp.logical_and, map(jnp.isfinite, jax.tree.leaves(state.vehicle)))
     return [
         (reason_code("not_finite", "state"), jnp.zeros_like(pose.position_ned.x), ~finite),
-        *world.area.check(pose.position_ned),
+        *ground_checks(world, fleet, state),
+        *world.area.check(over_the_floor(world, fleet, pose.position_ned)),
         _hits_obstacle(world, pose.position_ned),
         *_empty_battery(fleet, state),
         *fleet.limits.check(pose.attitude, pose.velocity_body, pose.rates_body),
@@ -298,8 +307,11 @@ def start_fleet(
         before: where the fleet has flown before, of which sensors may keep what is theirs, as the number of a picture.
         low: what single precision leaves out of the positions (n,), if anything.
     """
+    like = vehicle.position_ned.x
+    if like.dtype == jnp.float32:
+        low = low or Vec3.zeros(like.shape, like.dtype)
+    vehicle, low, parked = started(world, fleet, vehicle, low)
     pose = fleet.vehicle.pose(vehicle)
-    like = pose.position_ned.x
     draws = _draw_fleet(world, fleet, keys, tick)
     height = world.height_agl(pose.position_ned)
     time = split_time(tick, world.time_step, height.dtype)
@@ -340,7 +352,8 @@ def start_fleet(
         readings=(),
         true_readings=(),
         passed_on=(),
-        position_low_ned=(low or Vec3(zero, zero, zero)) if like.dtype == jnp.float32 else None,
+        position_low_ned=low if like.dtype == jnp.float32 else None,
+        parked=parked,
     )
     scene = scene_of(fleet, state, sky, view)
     firsts = []

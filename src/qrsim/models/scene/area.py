@@ -35,6 +35,9 @@ REASONS: tuple[tuple[str, str], ...] = (
     ("collision", "obstacle"),
     ("battery_empty", "charge"),
     ("out_of_area", "fence"),
+    ("hit_ground", "speed"),
+    ("hit_ground", "tilt"),
+    ("hit_ground", "position_ned.z"),
 )
 
 

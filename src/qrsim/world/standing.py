@@ -1,0 +1,144 @@
+"""Standing on the ground, for vehicles without a contact of their own: ``ground: parked`` (docs/models/scene.md).
+
+Vehicles that touch softly and upright are parked: level and at rest where they touched, until their thrust exceeds
+their weight. Nothing of it is traced for fleets whose flight ends at the ground.
+"""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import replace, select
+from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.models.scene.area import reason_code
+from qrsim.models.vehicles.contracts import Check, Pose, VehicleState
+from qrsim.world.state import Fleet, FleetState, World
+
+# Touching down faster than this [m/s], or leaning further from the ground's normal than this [rad], ends a flight.
+SOFT_SPEED, SOFT_TILT = 1.5, math.radians(30.0)
+# A start this near to the ground [m] is one on the ground.
+START_HEIGHT = 0.01
+
+
+def on_ground(fleet: Fleet, state: FleetState) -> Array | None:
+    """Return which vehicles (n,) of a fleet stand on the ground, bool; None where its flights end there."""
+    if state.parked is not None:
+        return state.parked
+    return fleet.vehicle.on_ground(state.vehicle)
+
+
+def seen_ground(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
+    """Return who stands on the ground (n,), by name, for a guidance that looks at it."""
+    if not fleet.guidance.sees_ground:
+        return {}
+    return {"on_ground": jnp.zeros(fleet.size, bool) if standing is None else standing}
+
+
+def started(
+    world: World, fleet: Fleet, vehicle: VehicleState, low: Vec3 | None
+) -> tuple[VehicleState, Vec3 | None, Array | None]:
+    """Return vehicles (n,) at a start: who starts on the ground is parked there, with rotors that do not turn.
+
+    Returns:
+        The state, the second part of the position, and who is parked.
+    """
+    if fleet.ground != "parked":
+        return vehicle, low, None
+    pose = fleet.vehicle.pose(vehicle)
+    parked = (jnp.abs(_depth(world, pose, low)) <= START_HEIGHT) & _softly(*_touch(world, pose))
+    held, held_low = _held(world, fleet, pose, low, jnp.zeros_like(pose.position_ned.z))
+    return select(parked, held, vehicle), select(parked, held_low, low), parked
+
+
+def settled(
+    world: World, fleet: Fleet, before: FleetState, moved: VehicleState, low: Vec3 | None, force: Vec3
+) -> tuple[VehicleState, Vec3 | None, Vec3, Array]:
+    """Hold on the ground who stands there or touches down softly, after a step of a fleet that can be parked.
+
+    Args:
+        world, fleet: parameters.
+        before: the fleet before the step.
+        moved, low, force: state, second part of the position and specific force after the step, as if there were no
+            ground.
+
+    Returns:
+        The state, the second part of the position, the specific force [m/s^2], and who is parked (n,).
+    """
+    model = fleet.vehicle
+    assert before.parked is not None
+    load, pose = model.load(moved), model.pose(moved)
+    stays = before.parked & ~(load.thrust > load.weight)
+    lands = (_depth(world, pose, low) > 0.0) & _softly(*_touch(world, pose))
+    # Whoever stays is where it was, and whoever lands where it came down.
+    stood = model.pose(before.vehicle)
+    place = select(stays, stood.position_ned, pose.position_ned)
+    place_low = select(stays, before.position_low_ned, low)
+    yaw = jnp.where(stays, stood.attitude.yaw, pose.attitude.yaw)
+    there = replace(pose, position_ned=place, attitude=replace(pose.attitude, yaw=yaw))
+    held, held_low = _held(world, fleet, there, place_low, load.thrust)
+    parked = stays | lands
+    handling = model.handling()
+    assert handling is not None
+    zero = jnp.zeros_like(force.z)
+    resting = Vec3(zero, zero, zero - handling.gravity)
+    return select(parked, held, moved), select(parked, held_low, low), select(parked, resting, force), parked
+
+
+def ground_checks(world: World, fleet: Fleet, state: FleetState) -> list[Check]:
+    """Return the stop conditions (n,) of a fleet at the ground: (code, value, broken).
+
+    A fleet over the plane z = 0 that is not parked has none, because there the area's floor ends its flights.
+    """
+    model = fleet.vehicle
+    if "ground" in model.reads or (world.ground.at_zero and fleet.ground != "parked"):
+        return []
+    pose = model.pose(state.vehicle)
+    below = _depth(world, pose, state.position_low_ned) > 0.0
+    checks: list[Check] = []
+    if fleet.ground == "parked":
+        speed, tilt = _touch(world, pose)
+        checks = [
+            (reason_code("hit_ground", "speed"), speed, below & (speed >= SOFT_SPEED)),
+            (reason_code("hit_ground", "tilt"), tilt, below & (tilt >= SOFT_TILT)),
+        ]
+    return [*checks, (reason_code("hit_ground", "position_ned.z"), pose.position_ned.z, below)]
+
+
+def over_the_floor(world: World, fleet: Fleet, position_ned: Vec3) -> Vec3:
+    """Return positions (n,) for the area to look at: a floor at z = 0 means the ground, which ``ground_checks`` has.
+
+    A floor above that, z_max below 0, stays one.
+    """
+    stands = "ground" in fleet.vehicle.reads or fleet.ground == "parked"
+    if world.ground.at_zero and not stands:
+        return position_ned
+    return replace(position_ned, z=jnp.minimum(position_ned.z, 0.0))
+
+
+def _depth(world: World, pose: Pose, low: Vec3 | None) -> Array:
+    """Return how far below the ground vehicles (n,) are [m]."""
+    position = pose.position_ned
+    depth = position.z - world.ground_down(position)
+    return depth if low is None else depth + low.z
+
+
+def _touch(world: World, pose: Pose) -> tuple[Array, Array]:
+    """Return speed (n,) [m/s] and tilt (n,) [rad] from the normal of the ground."""
+    normal = world.ground.normal(pose.position_ned)
+    return pose.velocity_body.norm(), jnp.arccos(jnp.clip(-normal.dot(rotation(pose.attitude).down), -1.0, 1.0))
+
+
+def _softly(speed: Array, tilt: Array) -> Array:
+    return (speed < SOFT_SPEED) & (tilt < SOFT_TILT)
+
+
+def _held(world: World, fleet: Fleet, pose: Pose, low: Vec3 | None, thrust: Array) -> tuple[VehicleState, Vec3 | None]:
+    """Return vehicles (n,) on the ground below a pose, level and at rest at its heading, with a thrust (n,) [N]."""
+    zero = jnp.zeros_like(pose.position_ned.z)
+    rest = Vec3(zero, zero, zero)
+    place = replace(pose.position_ned, z=world.ground_down(pose.position_ned))
+    state = fleet.vehicle.initial_state(place, Euler(zero, zero, pose.attitude.yaw), rest, rest)
+    return fleet.vehicle.with_thrust(state, thrust), None if low is None else replace(low, z=zero)
