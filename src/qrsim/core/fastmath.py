@@ -1,7 +1,7 @@
 """Elementary functions that XLA vectorises on a CPU.
 
 XLA calls a scalar library routine per element for sin and cos, which costs more than the rest of a
-simulation step. In single precision these are range reduction and a polynomial: for exp and log the classical ones
+simulation step. In single precision these are range reduction and a polynomial: for exp, log and arctan2 the classical ones
 of Cephes (S. L. Moshier), for sin and cos our own fit.
 In double precision they are the library's own, because there accuracy is what is asked for.
 """
@@ -148,6 +148,24 @@ def exp(x: Array) -> Array:
 def power(x: Array, exponent: float) -> Array:
     """Return x**exponent for positive x of any shape."""
     return exp(exponent * log(x))
+
+
+def arctan2(y: Array, x: Array) -> Array:
+    """Return the angle [rad] of points (x, y) of any shape, in [-pi, pi]; float32 error below 3e-7, zero at (0, 0)."""
+    if x.dtype != jnp.float32:
+        return jnp.arctan2(y, x)
+    over, beside = jnp.abs(y), jnp.abs(x)
+    steep = over > beside
+    t = jnp.minimum(over, beside) / jnp.maximum(jnp.maximum(over, beside), 1e-37)
+    # Above tan(pi/8) the angle less pi/4 is that of (t - 1)/(t + 1).
+    wide = t > math.tan(math.pi / 8.0)
+    t = jnp.where(wide, (t - 1.0) / (t + 1.0), t)
+    z = t * t
+    angle = t + t * z * _polynomial(z, (8.05374449538e-2, -1.38776856032e-1, 1.99777106478e-1, -3.33329491539e-1))
+    angle = angle + jnp.where(wide, math.pi / 4.0, 0.0)
+    angle = jnp.where(steep, math.pi / 2.0 - angle, angle)
+    angle = jnp.where(x < 0.0, math.pi - angle, angle)
+    return jnp.where(y < 0.0, -angle, angle)
 
 
 def wrap_angle(x: Array) -> Array:

@@ -184,15 +184,23 @@ def concatenated(trees: Sequence[T]) -> T:
 
 
 def walk(item: Any, prefix: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
-    """Yield (dotted name, leaf, metadata) for each array in a tree of records; a Vec3's axes inherit its unit."""
+    """Yield (dotted name, leaf, metadata) for each array in a tree of records.
+
+    The axes of a Vec3 inherit its unit; the parts of a tuple are numbered from 0.
+    """
     for field in dataclasses.fields(item):
         info = field_info(field)
         value = getattr(item, field.name)
-        name = f"{prefix}{field.name}"
-        if info.static:
-            continue
-        if dataclasses.is_dataclass(value):
-            for sub_name, leaf, sub in walk(value, f"{name}."):
-                yield sub_name, leaf, sub if sub.unit else dataclasses.replace(sub, unit=info.unit)
-        else:
-            yield name, value, info
+        if not info.static:
+            yield from _walked(value, f"{prefix}{field.name}", info)
+
+
+def _walked(value: Any, name: str, info: FieldInfo) -> Iterator[tuple[str, Any, FieldInfo]]:
+    if isinstance(value, tuple):
+        for number, part in enumerate(value):
+            yield from _walked(part, f"{name}.{number}", info)
+    elif dataclasses.is_dataclass(value):
+        for sub_name, leaf, sub in walk(value, f"{name}."):
+            yield sub_name, leaf, sub if sub.unit else dataclasses.replace(sub, unit=info.unit)
+    else:
+        yield name, value, info

@@ -134,12 +134,28 @@ def test_a_world_that_does_not_take_a_branch_does_not_turn_in_its_loop():
     assert found == [5, -1, 5, -1, 5] * 4
 
 
+@pytest.mark.parametrize("mode", [Mode(16, False), Mode(16, True)])
+def test_a_loop_over_a_fixed_count_turns_that_often(mode):
+    """One in another, with a number that counts the turns: 1 * 2 * ... * 5 is 120."""
+
+    def function(_, state, tick):
+        def outer(i, found):
+            inner = lax.fori_loop(0, 3, lambda j, x: x + state["one"], 0.0 * found)
+            return found * (i + 1) * (inner / 3.0)
+
+        return dict(state, found=lax.fori_loop(0, 5, outer, state["one"]))
+
+    state = {"one": np.ones((2, 3), np.float32), "found": np.zeros((2, 3), np.float32)}
+    for mine in run(function, state, mode):
+        np.testing.assert_array_equal(mine["found"], 120.0)
+
+
 @pytest.mark.parametrize(
     ("reason", "function"),
     [
         ("'sort' at", lambda x: jnp.sort(x)),
         ("'dot_general' at", lambda x: jnp.outer(x, x) @ x),
-        ("'scan' at", lambda x: lax.fori_loop(0, 3, lambda i, v: v * 0.5, x)),
+        ("a scan through arrays at", lambda x: lax.scan(lambda c, y: (c + y, y), x[0], x)[1]),
         (
             "a loop with a condition for each element at",
             jax.vmap(lambda x: lax.while_loop(lambda c: c < x, lambda c: 2.0 * c + 1.0, jnp.float32(0.0))),

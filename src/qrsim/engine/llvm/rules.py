@@ -107,6 +107,12 @@ def _rows() -> dict[str, Rule]:
     rows["while"] = Rule(
         "while_", "", dict.fromkeys(("cond_nconsts", "cond_jaxpr", "body_nconsts", "body_jaxpr"), _any)
     )
+    rows["scan"] = Rule(
+        "scan", "",
+        dict.fromkeys(
+            ("jaxpr", "length", "reverse", "num_consts", "num_carry", "linear", "unroll", "_split_transpose"), _any
+        ),
+    )  # fmt: skip
     # What is only there for differentiation, staging or for other compilers.
     rows |= {name: Rule("transparent", "", {}) for name in ("copy", "stop_gradient", "optimization_barrier")}
     rows |= {name: Rule("call", "jaxpr", _STAGED) for name in ("jit", "remat")}

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend import core as jex
 from jax.extend import source_info_util
@@ -310,6 +311,24 @@ class Tracer(Indexing):
         outputs = [self._unknown("output", (Access(node, ()),), view, i) for i, view in enumerate(first)]
         node.attributes = (tuple(carries), tuple(outputs))
         return [View.whole(output, view.shape) for output, view in zip(outputs, first, strict=True)]
+
+    def scan(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Trace a loop of a fixed number of turns, which goes through no arrays."""
+        constants, length = parameters["num_consts"], parameters["length"]
+        carries = len(inputs) - constants
+        if parameters["num_carry"] != carries or len(parameters["jaxpr"].out_avals) != carries:
+            raise UnsupportedError("a scan through arrays")
+        turn = jex.jaxpr_as_fun(parameters["jaxpr"])
+
+        def loop(*given: Any) -> Any:
+            def body(state: Any) -> Any:
+                return (state[0] + 1, *turn(*given[:constants], *state[1:]))
+
+            first = (jnp.int32(0), *given[constants:])
+            return jax.lax.while_loop(lambda state: state[0] < length, body, first)[1:]
+
+        counted = trace(loop, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))  # type: ignore[no-untyped-call]
+        return self.run(counted.jaxpr, counted.consts, inputs)
 
     def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: Any) -> Any:
         dtype = like.node.dtype
