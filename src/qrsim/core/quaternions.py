@@ -81,3 +81,10 @@ class Quaternion:
             cr * sp * cy + sr * cp * sy,
             cr * cp * sy - sr * sp * cy,
         )
+
+    @staticmethod
+    def of_tilt(roll: Array, pitch: Array) -> Quaternion:
+        """Return the quaternion of roll and pitch [rad] at a heading of north."""
+        sr, cr = sincos(0.5 * roll)
+        sp, cp = sincos(0.5 * pitch)
+        return Quaternion(cr * cp, sr * cp, cr * sp, -sr * sp)

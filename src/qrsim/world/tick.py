@@ -203,7 +203,7 @@ def _fly(
         state, vehicle=vehicle, position_low_ned=low, specific_force=force, parked=parked,
         turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
         gust_rates_ned=gust_rates,
-        estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=command,
+        estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=model.shown(command),
         command_clipped=clipped, battery=battery,
     )  # fmt: skip
 

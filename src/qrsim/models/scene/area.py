@@ -38,6 +38,9 @@ REASONS: tuple[tuple[str, str], ...] = (
     ("hit_ground", "speed"),
     ("hit_ground", "tilt"),
     ("hit_ground", "position_ned.z"),
+    ("crashed", "impact_speed"),
+    ("crashed", "hub_contact"),
+    ("brown_out", "power"),
 )
 
 

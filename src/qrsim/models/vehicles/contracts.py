@@ -99,11 +99,14 @@ class Around:
         air_rates: rotation of the air (n,) [rad/s] in body axes; zero where the turbulence gives none.
         downwash: positions (n,) [m] -> the velocity (n,) [m/s] in NED that wakes of other vehicles add to the air.
             Zero: no wake is modelled.
+        failed_rotors: of each rotor that a fault may concern its number, how fast it still turns (n,), 1 where it is
+            well, and whether that is known to the autopilot (n,) bool.
     """
 
     ground: Callable[[Vec3], tuple[Array, Vec3]]
     air_rates: Vec3
     downwash: Callable[[Vec3], Vec3]
+    failed_rotors: tuple[tuple[int, Array, Array], ...] = ()
 
 
 @runtime_checkable
@@ -149,6 +152,10 @@ class Vehicle(Protocol):
 
     def powered(self, command: Any, voltage: Array | None) -> object:
         """Return a command at a battery's voltage (n,) [V]; None: whatever voltage the command itself has."""
+        return command
+
+    def shown(self, command: Any) -> object:
+        """Return a command as a world's state keeps it: one structure for all of ``actions``."""
         return command
 
     def handling(self) -> Handling | None:

@@ -11,8 +11,8 @@ import numpy as np
 
 from qrsim.core.pairs import added
 from qrsim.core.tree import replace
-from qrsim.core.vectors import Vec3, rotation
-from qrsim.models.vehicles.contracts import Around, Vehicle, VehicleState
+from qrsim.core.vectors import Vec3
+from qrsim.models.vehicles.contracts import Around, Vehicle, VehicleState, velocity_of
 
 
 def move(
@@ -52,18 +52,17 @@ def move(
         change = moved.position_ned
     else:
         moved, force = step(state.position_ned)
-        change = position_low_ned + _way(state, moved, dt)
+        change = position_low_ned + _way(vehicle, state, moved, dt)
     high, low = added(state.position_ned, change)
     return replace(moved, position_ned=high), low, force
 
 
-def _way(before: Any, after: Any, dt: float) -> Vec3:
+def _way(vehicle: Vehicle, before: Any, after: Any, dt: float) -> Vec3:
     """Return how far vehicles (n,) of a model that looks at where it is have moved in a step.
 
     The difference of the two positions is known to their rounding only; within that the mean velocity decides.
     """
-    first = rotation(before.attitude).to_ned(before.velocity_body)
-    last = rotation(after.attitude).to_ned(after.velocity_body)
+    first, last = velocity_of(vehicle.pose(before)), velocity_of(vehicle.pose(after))
     parts = []
     for axis in "xyz":
         old, new = getattr(before.position_ned, axis), getattr(after.position_ned, axis)

@@ -1,0 +1,164 @@
+"""Forces and moments of rotors and body in moving air."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.vectors import Rotation, Vec3
+from qrsim.models.vehicles.multirotor.geometry import (
+    Number,
+    Rotor,
+    Triple,
+    combined,
+    cross_known,
+    dot_known,
+    known_cross,
+)
+from qrsim.models.vehicles.multirotor.state import Ground, Motion
+
+# Thrust below which a rotor has no induced velocity worth a division [N].
+LEAST_THRUST_N = 1e-9
+
+
+class Blades(Protocol):
+    """The parameters that are read here; those of ``Multirotor``."""
+
+    rotors: tuple[Rotor, ...]
+
+    @property
+    def thrust_coefficient(self) -> Array:
+        """k_T."""
+
+    @property
+    def torque_ratio(self) -> Array:
+        """k_Q / k_T."""
+
+    @property
+    def rotor_radius(self) -> Array:
+        """R."""
+
+    @property
+    def rotor_inertia(self) -> Array:
+        """J_r."""
+
+    @property
+    def rotor_drag(self) -> Array:
+        """k_d."""
+
+    @property
+    def inflow_loss(self) -> Array:
+        """k_z."""
+
+    @property
+    def translational_lift(self) -> Array:
+        """k_h."""
+
+    @property
+    def flapping(self) -> Array:
+        """k_flap."""
+
+    @property
+    def drag(self) -> Vec3:
+        """c of the body."""
+
+    @property
+    def air_density(self) -> Array:
+        """rho."""
+
+
+def forces(
+    blades: Blades,
+    motion: Motion,
+    spin_rate: tuple[Array, ...],
+    turned: Rotation,
+    air_ned: Vec3,
+    air_rates: Vec3,
+    ground: Ground,
+) -> tuple[Vec3, Vec3]:
+    """Return force [N] and moment [N m] of the air, and of the rotors as gyros, in body axes (V22 to V27).
+
+    Args:
+        blades: parameters.
+        motion: of n vehicles.
+        spin_rate: dW/dt of each rotor [rad/s^2].
+        turned: attitude.
+        air_ned: velocity of the air [m/s].
+        air_rates: rotation of the air in body axes [rad/s].
+        ground: plane below, for the ground effect.
+    """
+    through = motion.velocity - turned.to_body(air_ned)
+    turning = motion.rates - air_rates
+    speed = jnp.sqrt(jnp.maximum(through.dot(through), 1e-30))
+    drag = blades.drag
+    force = Vec3(-speed * drag.x * through.x, -speed * drag.y * through.y, -speed * drag.z * through.z)
+    moment = flap = spin = spin_up = Vec3.zeros(speed.shape, speed.dtype)
+    up = turned.to_body(ground.normal)
+    height = ground.height + motion.displacement.dot(ground.normal)
+    per_disc = 1.0 / (2.0 * math.pi * blades.air_density * blades.rotor_radius * blades.rotor_radius)
+    reaction = blades.torque_ratio * blades.thrust_coefficient
+    for rotor, rate, slope in zip(blades.rotors, motion.rotor_speed, spin_rate, strict=True):
+        flow = through + Vec3(*cross_known(turning, rotor.position))
+        axial = dot_known(flow, rotor.axis)
+        plane = _in_plane(flow, axial, rotor)
+        sideways = sum(part * part for part in plane if not isinstance(part, float))
+        static = blades.thrust_coefficient * (rate * rate)
+        above = height + dot_known(up, rotor.position)
+        thrust = _near_ground(static, sideways, above, blades.rotor_radius, per_disc)
+        thrust = thrust - blades.inflow_loss * rate * axial + blades.translational_lift * sideways
+        push = _along(rotor.axis, thrust) - _vec([_times(blades.rotor_drag * rate, part) for part in plane], speed)
+        force = force + push
+        moment = moment + Vec3(*known_cross(rotor.position, push))
+        # What follows is of all rotors together, so that each coefficient is multiplied once.
+        moment = moment + _along(rotor.axis, (rotor.direction * reaction) * (rate * rate))
+        flap = flap + _vec(_crossed(plane, rotor.axis), speed) * rate
+        turns = (-rotor.direction * rotor.axis[0], -rotor.direction * rotor.axis[1], -rotor.direction * rotor.axis[2])
+        spin = spin + _along(turns, rate)
+        spin_up = spin_up + _along(turns, slope)
+    gyro = motion.rates.cross(spin) + spin_up
+    return force, moment + flap * blades.flapping - gyro * blades.rotor_inertia
+
+
+def _near_ground(static: Array, sideways: Array, above: Array, radius: Array, per_disc: Array) -> Array:
+    """Return the thrust (n,) [N] of a rotor at a height over the ground (V24), in one division.
+
+    I. C. Cheeseman, W. E. Bennett, "The effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021,
+    1955.
+    """
+    induced = jnp.maximum(static, LEAST_THRUST_N) * per_disc
+    height = jnp.maximum(above, 0.5 * radius) * (4.0 / radius)
+    whole = (induced + sideways) * (height * height)
+    return static * (whole / (whole - induced))
+
+
+def _in_plane(flow: Vec3, axial: Array, rotor: Rotor) -> list[Number]:
+    """Return the flow (n,) in the plane of a rotor; 0.0 where it can have no part along an axis of the body."""
+    return [
+        part if a == 0.0 else 0.0 if abs(a) == 1.0 else part - a * axial
+        for part, a in zip((flow.x, flow.y, flow.z), rotor.axis, strict=True)
+    ]
+
+
+def _crossed(plane: list[Number], axis: Triple) -> list[Number]:
+    """Return the vector product of a flow and an axis."""
+    (x, y, z), (a, b, c) = plane, axis
+    terms = (((c, y), (-b, z)), ((a, z), (-c, x)), ((b, x), (-a, y)))
+    return [combined(*((factor, part) for factor, part in pair if not isinstance(part, float))) for pair in terms]
+
+
+def _along(axis: Triple, amount: Array) -> Vec3:
+    """Return a vector of a length (n,) along a known axis."""
+    return _vec([combined((part, amount)) for part in axis], amount)
+
+
+def _vec(parts: Sequence[Number], like: Array) -> Vec3:
+    """Return known numbers or arrays as a vector of arrays (n,)."""
+    return Vec3(*(jnp.broadcast_to(jnp.asarray(part, like.dtype), like.shape) for part in parts))
+
+
+def _times(factor: Array, part: Number) -> Number:
+    return 0.0 if isinstance(part, float) else factor * part

@@ -1,0 +1,228 @@
+"""One time step of a multirotor: stabiliser and rigid body in substeps, near the ground or far from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.fastmath import sincos, wrap_angle
+from qrsim.core.quaternions import Quaternion
+from qrsim.core.tree import quantity, record, replace, select
+from qrsim.core.vectors import AttitudeTrig, Vec3
+from qrsim.models.vehicles.contracts import Around
+from qrsim.models.vehicles.multirotor.commands import AttitudeCommand, Powered, RateCommand
+from qrsim.models.vehicles.multirotor.contact import LANDED_M_S, plane_below, stiffness, touch
+from qrsim.models.vehicles.multirotor.geometry import reach
+from qrsim.models.vehicles.multirotor.mixer import mixer_of
+from qrsim.models.vehicles.multirotor.rigid_body import Outcome, Surroundings, slope_of, substep
+from qrsim.models.vehicles.multirotor.stabiliser import rates_wanted, rotor_thrusts
+from qrsim.models.vehicles.multirotor.state import Brush, Motion, MultirotorState
+
+if TYPE_CHECKING:
+    from qrsim.models.vehicles.multirotor.vehicle import Multirotor
+
+# Contact is looked for from so far above the ground on, and from where it may be in two steps [m].
+CLEAR_M = 0.1
+
+
+@record
+class Noises:
+    """White accelerations of one step; each of shape (n,)."""
+
+    linear: Vec3 = quantity(unit="m/s^2", doc="in body axes")
+    angular: Vec3 = quantity(unit="rad/s^2", doc="in body axes")
+
+
+@record
+class Loops:
+    """What the stabiliser carries from substep to substep; each (n,)."""
+
+    cosine: Array = quantity(unit="1", doc="of half the heading that is held")
+    sine: Array = quantity(unit="1", doc="of half the heading that is held")
+    integral: Vec3 = quantity(unit="rad/s^2", doc="of the rate loop")
+
+
+# From motion and loops to the speeds that motors are told, and the loops after it.
+Motors = Callable[[Motion, Loops], tuple[tuple[Array, ...], Loops]]
+
+
+def fly(
+    model: Multirotor,
+    state: MultirotorState,
+    command: Any,
+    air_velocity: Callable[[AttitudeTrig], Vec3],
+    noise: Noises,
+    dt: float,
+    around: Around | None,
+) -> tuple[MultirotorState, Vec3]:
+    """Advance by dt [s]; arguments and result as of ``Vehicle.step``."""
+    outside = surroundings(model, state, air_velocity, noise, around)
+    count = max(1, math.ceil(dt / model.longest_substep - 1e-9))
+    yaw, loops, motors = stabilised(model, state, command, dt, count, around)
+    start = motion_of(state)
+    speed = jnp.sqrt(jnp.maximum(state.velocity_body.dot(state.velocity_body), 1e-30))
+    points = (*model.feet, *model.others)
+    near = outside.ground.height < reach(points) + CLEAR_M + 2.0 * dt * speed
+
+    def advance(motion: Motion) -> tuple[Motion, Loops, Outcome]:
+        zero = jnp.zeros_like(speed)
+
+        def part(_: Array, carried: Any) -> Any:
+            motion, loops, found = carried
+            targets, loops = motors(motion, loops)
+            motion, now = substep(model, motion, targets, outside, dt / count)
+            found = Outcome(
+                found.force + now.force * (1.0 / count),
+                jnp.maximum(found.impact_speed, now.impact_speed), jnp.maximum(found.hub, now.hub),
+            )  # fmt: skip
+            return motion, loops, found
+
+        found: tuple[Motion, Loops, Outcome] = jax.lax.fori_loop(
+            0, count, part, (motion, loops, Outcome(Vec3(zero, zero, zero), zero, zero))
+        )
+        return found
+
+    def by_the_ground() -> Any:
+        motion, after, found = advance(start)
+        touched = touch(
+            model.contact, outside.spring, outside.damper, model.feet, model.others, motion,
+            motion.quaternion.rotation(), outside.ground,
+        )  # fmt: skip
+        # What a vehicle far above would get from the bristles does not depend on whom it flies with.
+        straight = jax.tree.map(jnp.zeros_like, motion.brush)
+        return replace(motion, brush=select(near, motion.brush, straight)), after, found, touched.bearing
+
+    def far_above() -> Any:
+        motion, after, found = advance(replace(start, brush=()))
+        straight = jax.tree.map(jnp.zeros_like, start.brush)
+        return replace(motion, brush=straight), after, found, jnp.zeros_like(near)
+
+    motion, after, found, bearing = jax.lax.cond(jnp.any(near), by_the_ground, far_above)
+    slow = motion.velocity.dot(motion.velocity) < LANDED_M_S * LANDED_M_S
+    moved = MultirotorState(
+        state.position_ned + motion.displacement, motion.quaternion, motion.velocity, motion.rates, motion.rotor_speed,
+        yaw if yaw is not None else motion.quaternion.euler().yaw, after.integral, motion.brush,
+        jnp.where(bearing & slow, state.standing + dt, 0.0), found.impact_speed, found.hub,
+    )  # fmt: skip
+    return moved, found.force
+
+
+def at_an_instant(
+    model: Multirotor,
+    state: MultirotorState,
+    air_velocity: Callable[[AttitudeTrig], Vec3],
+    noise: Noises,
+    around: Around | None,
+) -> Vec3:
+    """Return the specific force (n,) [m/s^2] in body axes at the present rotor speeds."""
+    outside = surroundings(model, state, air_velocity, noise, around)
+    return slope_of(model, motion_of(state), state.rotor_speed, outside)[1]
+
+
+def motion_of(state: MultirotorState) -> Motion:
+    """Return what is integrated of a state, from where it is."""
+    zero = jnp.zeros_like(state.standing)
+    return Motion(
+        Vec3(zero, zero, zero), state.quaternion, state.velocity_body, state.rates_body, state.rotor_speed, state.brush
+    )
+
+
+def surroundings(
+    model: Multirotor,
+    state: MultirotorState,
+    air_velocity: Callable[[AttitudeTrig], Vec3],
+    noise: Noises,
+    around: Around | None,
+) -> Surroundings:
+    """Return what acts on vehicles (n,) during a step: the air, and the plane below, are those where it begins."""
+    position = state.position_ned
+    zero = jnp.zeros_like(state.standing)
+    still, one = Vec3(zero, zero, zero), jnp.ones_like(zero)
+    # At a level attitude, heading north, the air in body axes is that in NED.
+    air = air_velocity(AttitudeTrig(zero, one, zero, one, zero, one))
+    down, normal, rates = zero, Vec3(zero, zero, -one), still
+    if around is not None:
+        down, normal = around.ground(position)
+        air, rates = air + around.downwash(position), around.air_rates
+    spring, damper = stiffness(model.contact, model.mass * model.gravity, model.mass, len(model.feet))
+    ground = plane_below((position.z - down) * normal.z, normal)
+    return Surroundings(air, rates, ground, noise.linear, noise.angular, spring, damper)
+
+
+def stabilised(
+    model: Multirotor, state: MultirotorState, command: Any, dt: float, count: int, around: Around | None
+) -> tuple[Array | None, Loops, Motors]:
+    """Return the heading that is held after a step, None for that of the vehicle, and what tells the motors.
+
+    Args:
+        model, state, command, around: as of ``Vehicle.step``.
+        dt: of the step [s].
+        count: of its substeps.
+    """
+    like = state.standing
+    share = 1.0
+    if isinstance(command, Powered):
+        share = jnp.clip(command.voltage / model.nominal_voltage, 0.0, 1.0)  # type: ignore[assignment]
+        command = command.command
+    fastest = jnp.broadcast_to(model.speed_max * share, like.shape)
+    failed = () if around is None else around.failed_rotors
+    health: list[Any] = [1.0] * len(model.rotors)
+    for number, left, _ in failed:
+        health[number] = health[number] * left
+    loops = Loops(jnp.ones_like(like), jnp.zeros_like(like), state.rate_integral)
+
+    def told(speeds: Sequence[Array]) -> tuple[Array, ...]:
+        return tuple(
+            jnp.minimum(speed, fastest) * left if not isinstance(left, float) else jnp.minimum(speed, fastest)
+            for speed, left in zip(speeds, health, strict=True)
+        )
+
+    if not isinstance(command, AttitudeCommand | RateCommand):
+        asked = [getattr(command, f"rotor_{i}") * model.speed_max for i in range(len(model.rotors))]
+        targets = told(asked)
+        return None, loops, lambda motion, loops: (targets, loops)
+    most = model.thrust_coefficient * (fastest * fastest)
+    known = [(number, known) for number, _, known in failed] if model.on_failure == "reallocate" else []
+    mixer = mixer_of(model.rotors, model.torque_ratio, most, known)
+    thrust = model.thrust_of(command.throttle)
+    per_thrust = 1.0 / model.thrust_coefficient
+
+    def speeds_for(motion: Motion, wanted: Vec3, loops: Loops) -> tuple[tuple[Array, ...], Loops]:
+        thrusts, integral = rotor_thrusts(
+            model.stabiliser, model.inertia, mixer, motion.rates, wanted, loops.integral, thrust, dt / count
+        )
+        speeds = [jnp.sqrt(jnp.maximum(each * per_thrust, 1e-12)) for each in thrusts]
+        return told(speeds), replace(loops, integral=integral)
+
+    if isinstance(command, RateCommand):
+        rates = Vec3(command.roll_rate, command.pitch_rate, command.yaw_rate)
+        return None, loops, lambda motion, loops: speeds_for(motion, rates, loops)
+
+    # Who cannot hold a heading leans as seen from the heading it has.
+    heading, yaw_rate = state.yaw_setpoint, command.yaw_rate
+    if known:
+        heading = jnp.where(mixer.holds_yaw > 0.0, heading, state.quaternion.euler().yaw)
+        yaw_rate = yaw_rate * mixer.holds_yaw
+    sine, cosine = sincos(0.5 * heading)
+    turn_sine, turn_cosine = sincos((0.5 * dt / count) * yaw_rate)
+    tilt = Quaternion.of_tilt(command.roll, command.pitch)
+
+    def motors(motion: Motion, loops: Loops) -> tuple[tuple[Array, ...], Loops]:
+        turned = replace(
+            loops,
+            cosine=loops.cosine * turn_cosine - loops.sine * turn_sine,
+            sine=loops.sine * turn_cosine + loops.cosine * turn_sine,
+        )
+        c, s = turned.cosine, turned.sine
+        aim = Quaternion(
+            c * tilt.w - s * tilt.z, c * tilt.x - s * tilt.y, c * tilt.y + s * tilt.x, c * tilt.z + s * tilt.w
+        )
+        wanted = rates_wanted(model.stabiliser, motion.quaternion, aim, yaw_rate)
+        return speeds_for(motion, wanted, turned)
+
+    return wrap_angle(heading + dt * yaw_rate), replace(loops, cosine=cosine, sine=sine), motors

@@ -1,0 +1,176 @@
+"""Where the rotors and the contact points of a vehicle are; all of it is part of the compiled program."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from jax import Array
+
+from qrsim.core.vectors import Vec3
+
+Triple = tuple[float, float, float]
+# A number of Python, known while the program is compiled, or an array.
+Number = Any
+
+
+@dataclass(frozen=True)
+class Rotor:
+    """One rotor.
+
+    Attributes:
+        position: of its hub in body axes [m], from the centre of mass: forward, right, down.
+        direction: +1 turns clockwise seen from above, so that its torque turns the vehicle the other way; or -1.
+        axis: unit vector of its thrust in body axes.
+    """
+
+    position: Triple
+    direction: int
+    axis: Triple = (0.0, 0.0, -1.0)
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+
+def ring(count: int, arm: float, first_rad: float, direction: int = 1, down: float = 0.0) -> tuple[Rotor, ...]:
+    """Return rotors on a circle, clockwise from above, that turn in turns.
+
+    Args:
+        count: how many.
+        arm: radius of the circle [m].
+        first_rad: angle of the first one from the nose [rad].
+        direction: of the first one.
+        down: of all [m]; above the centre of mass it is negative.
+    """
+    angles = [first_rad + 2.0 * math.pi * i / count for i in range(count)]
+    return tuple(
+        Rotor((arm * math.cos(angle), arm * math.sin(angle), down), direction if i % 2 == 0 else -direction)
+        for i, angle in enumerate(angles)
+    )
+
+
+def combined(*terms: tuple[float, Array]) -> Number:
+    """Return the sum of known factors times arrays, without the terms whose factor is zero; 0.0 where none is left."""
+    total: Number = 0.0
+    for factor, array in terms:
+        if factor == 0.0:
+            continue
+        term = array if factor == 1.0 else -array if factor == -1.0 else factor * array
+        total = term if isinstance(total, float) else total + term
+    return total
+
+
+def cross_known(a: Vec3, r: Triple) -> tuple[Number, Number, Number]:
+    """Return a x r for a known r."""
+    return (
+        combined((r[2], a.y), (-r[1], a.z)),
+        combined((r[0], a.z), (-r[2], a.x)),
+        combined((r[1], a.x), (-r[0], a.y)),
+    )
+
+
+def known_cross(r: Triple, a: Vec3) -> tuple[Number, Number, Number]:
+    """Return r x a for a known r."""
+    x, y, z = cross_known(a, r)
+    return -x, -y, -z
+
+
+def dot_known(a: Vec3, r: Triple) -> Number:
+    """Return a . r for a known r."""
+    return combined((r[0], a.x), (r[1], a.y), (r[2], a.z))
+
+
+def reach(points: Sequence[Triple]) -> float:
+    """Return the distance [m] of the farthest point from the centre of mass."""
+    return max(math.hypot(*point) for point in points)
+
+
+def effects(rotor: Rotor, torque_ratio: Number) -> tuple[Number, Number, Number, Number]:
+    """Return collective thrust [N] and torque about the body axes [N m] for each newton of a rotor's thrust."""
+    (x, y, z), (a, b, c) = rotor.position, rotor.axis
+    turning = [rotor.direction * component for component in rotor.axis]
+    lever = (y * c - z * b, z * a - x * c, x * b - y * a)
+    torque = [own if factor == 0.0 else own + factor * torque_ratio for own, factor in zip(lever, turning, strict=True)]
+    return -c, *torque  # type: ignore[return-value]
+
+
+def allocation(rotors: Sequence[Rotor], torque_ratio: Array, without: Sequence[int] = (), yaw: bool = True) -> Any:
+    """Return the pseudo-inverse of the rotors' effects: N rows of four, thrust [N] for each N and N m that is wanted.
+
+    Args:
+        rotors: all of them.
+        torque_ratio: reaction torque for each newton of thrust [m].
+        without: rotors that are given nothing.
+        yaw: whether the torque about body down is looked after; else its column is zero.
+    """
+    count = 4 if yaw else 3
+    # Rows of one size, so that single precision is enough.
+    sizes: list[Number] = [1.0, reach([rotor.position for rotor in rotors]) or 1.0]
+    sizes += [sizes[1], torque_ratio]
+    vertical = all(rotor.axis[:2] == (0.0, 0.0) and rotor.axis[2] == -1.0 for rotor in rotors)
+    columns = []
+    for i, rotor in enumerate(rotors):
+        if i in without:
+            columns.append([0.0] * count)
+            continue
+        column = list(effects(rotor, torque_ratio))
+        # The reaction torques alone are a known multiple of the ratio.
+        column[3] = -float(rotor.direction) if vertical else column[3] / torque_ratio
+        columns.append([column[0], column[1] / sizes[1], column[2] / sizes[2], column[3]][:count])
+    gram = [[_sum(c[i] * c[j] for c in columns) for j in range(count)] for i in range(count)]
+    inverse = _inverse(gram)
+    rows = []
+    for column in columns:
+        row = [_sum(column[j] * inverse[j][i] for j in range(count)) / sizes[i] for i in range(count)]
+        rows.append(row if yaw else [*row, 0.0])
+    return rows
+
+
+def rank_of(rotors: Sequence[Rotor], torque_ratio: float) -> float:
+    """Return how well rotors command thrust and three torques: the least singular value over the largest."""
+    sizes = reach([rotor.position for rotor in rotors]) or 1.0
+    table = np.array([effects(rotor, torque_ratio) for rotor in rotors], float).T
+    scaled = table / np.array([[1.0], [sizes], [sizes], [torque_ratio]])
+    values = np.linalg.svd(scaled, compute_uv=False)
+    return float(values[3] / values[0]) if len(values) > 3 else 0.0
+
+
+def holds_yaw(rotors: Sequence[Rotor], torque_ratio: float, without: Sequence[int]) -> bool:
+    """Return whether the other rotors can hover without turning, each with a share of the thrust."""
+    left = [rotor for i, rotor in enumerate(rotors) if i not in without]
+    if len(left) < 4 or rank_of(left, torque_ratio) < 0.02:
+        return False
+    thrusts = [float(row[0]) for row in allocation(left, torque_ratio)]  # type: ignore[arg-type]
+    return min(thrusts) > 0.05 * max(thrusts)
+
+
+def _sum(terms: Any) -> Number:
+    total: Number = 0.0
+    for term in terms:
+        if not (isinstance(term, float) and term == 0.0):
+            total = term if isinstance(total, float) and total == 0.0 else total + term
+    return total
+
+
+def _inverse(matrix: list[list[Number]]) -> list[list[Number]]:
+    """Return the inverse of a symmetric, positive definite matrix of numbers or arrays, by Gauss and Jordan."""
+    size = len(matrix)
+    rows = [[*row, *(1.0 if i == j else 0.0 for j in range(size))] for i, row in enumerate(matrix)]
+    for i in range(size):
+        pivot = 1.0 / rows[i][i]
+        rows[i] = [_times(value, pivot) for value in rows[i]]
+        for j in range(size):
+            if j != i:
+                factor = rows[j][i]
+                rows[j] = [_minus(value, _times(factor, own)) for value, own in zip(rows[j], rows[i], strict=True)]
+    return [row[size:] for row in rows]
+
+
+def _times(a: Number, b: Number) -> Number:
+    return 0.0 if any(isinstance(each, float) and each == 0.0 for each in (a, b)) else a * b
+
+
+def _minus(a: Number, b: Number) -> Number:
+    return a if isinstance(b, float) and b == 0.0 else -b if isinstance(a, float) and a == 0.0 else a - b

@@ -1,0 +1,53 @@
+"""Published parameter sets of multirotors, each with its source."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from qrsim.models.vehicles.multirotor.geometry import Rotor, ring
+from qrsim.models.vehicles.multirotor.vehicle import Multirotor
+
+
+def x500() -> Multirotor:
+    """Return the X500: PX4-gazebo-models, x500 and x500_base; the drag of its body is assumed, Gazebo has none."""
+    return Multirotor()
+
+
+def hummingbird() -> Multirotor:
+    """Return the AscTec Hummingbird: rotorpy 3.0.0; the time constants of its rotors are those of RotorS."""
+    c = 0.17 / math.sqrt(2.0)
+    return _made(
+        mass=0.5, inertia_x=3.65e-3, inertia_y=3.68e-3, inertia_z=7.03e-3,
+        thrust_coefficient=5.57e-6, torque_ratio=1.36e-7 / 5.57e-6, speed_max=1500.0,
+        spin_up=0.0125, spin_down=0.025, rotor_radius=0.10,
+        rotor_drag=1.19e-4, inflow_loss=2.32e-4, translational_lift=3.39e-3, drag_x=0.005, drag_y=0.005, drag_z=0.01,
+        nominal_voltage=11.1, top=(0.0, 0.0, -0.06),
+        rotors=(Rotor((c, c, 0.0), -1), Rotor((-c, c, 0.0), 1), Rotor((-c, -c, 0.0), -1), Rotor((c, -c, 0.0), 1)),
+        feet=_feet(0.7 * c, 0.12),
+    )  # fmt: skip
+
+
+def hexa4() -> Multirotor:
+    """Return a hexarotor of 4 kg with propellers of 15 inches: a design without a source, for want of a data sheet."""
+    return _made(
+        mass=4.0, inertia_x=0.12, inertia_y=0.12, inertia_z=0.21,
+        thrust_coefficient=3.0e-5, torque_ratio=0.022, speed_max=700.0,
+        spin_up=0.03, spin_down=0.05, rotor_radius=0.1905, rotor_inertia=1.5e-4,
+        rotor_drag=2.5e-4, inflow_loss=4.0e-4, drag_x=0.05, drag_y=0.05, drag_z=0.08,
+        nominal_voltage=22.2, top=(0.0, 0.0, -0.15),
+        rotors=ring(6, 0.35, math.pi / 6.0), feet=_feet(0.2, 0.25),
+    )  # fmt: skip
+
+
+SETS = {"x500": x500, "hummingbird": hummingbird, "hexa4": hexa4}
+
+
+def _feet(side: float, down: float) -> tuple[tuple[float, float, float], ...]:
+    """Return four feet at the corners of a square [m]."""
+    return ((side, side, down), (-side, side, down), (-side, -side, down), (side, -side, down))
+
+
+def _made(**values: Any) -> Multirotor:
+    """Return a vehicle of numbers that are turned into arrays where a world is built."""
+    return Multirotor(**values)

@@ -1,0 +1,128 @@
+"""The autopilot's inner loops: tilt and heading to body rates, body rates to torque, torque to rotor thrusts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.fastmath import arctan2, sincos
+from qrsim.core.quaternions import Quaternion
+from qrsim.core.tree import parameter, record
+from qrsim.core.vectors import Vec3
+from qrsim.models.vehicles.multirotor.mixer import Mixer
+
+
+@record
+class Stabiliser:
+    """Gains of the inner loops; a number, or one for each vehicle (n,)."""
+
+    attitude_gain: Array = parameter(default=8.0, unit="1/s", doc="bandwidth of roll and pitch (w_a)", above=0.0)
+    rate_gain: Array = parameter(
+        default=24.0, unit="1/s", doc="bandwidth of roll and pitch rate; three times that of the angles", above=0.0
+    )
+    yaw_gain: Array = parameter(default=2.8, unit="1/s", doc="bandwidth of the heading", above=0.0)
+    yaw_rate_gain: Array = parameter(default=8.0, unit="1/s", doc="bandwidth of the yaw rate", above=0.0)
+    yaw_weight: Array = parameter(
+        default=0.4, unit="1", doc="how much of a heading error is looked at with the tilt", above=0.0, maximum=1.0
+    )
+    integral: Array = parameter(
+        default=0.2, unit="1", doc="integral gain of roll and pitch rate over the square of the rate gain", minimum=0.0
+    )
+    yaw_integral: Array = parameter(
+        default=0.1, unit="1", doc="integral gain of the yaw rate over the square of its gain", minimum=0.0
+    )
+    integral_limit: Array = parameter(
+        default=0.3, unit="rad/s", doc="largest integral over the rate gain", minimum=0.0
+    )
+    rate_limit: Array = parameter(default=3.84, unit="rad/s", doc="largest roll and pitch rate asked for", above=0.0)
+    yaw_rate_limit: Array = parameter(default=3.5, unit="rad/s", doc="largest yaw rate asked for", above=0.0)
+    yaw_share: Array = parameter(
+        default=0.15, unit="1", doc="share of a yaw torque that is kept when the rotors are at their limits",
+        minimum=0.0, maximum=1.0,
+    )  # fmt: skip
+
+
+def rates_wanted(gains: Stabiliser, attitude: Quaternion, wanted: Quaternion, yaw_rate: Array) -> Vec3:
+    """Return the body rates (n,) [rad/s] that turn an attitude into another, tilt first (V41).
+
+    D. Brescianini, M. Hehn, R. D'Andrea, "Nonlinear quadrocopter attitude control", ETH Zurich, 2013.
+
+    Args:
+        gains: parameters.
+        attitude, wanted: of n vehicles.
+        yaw_rate: about down [rad/s], added.
+    """
+    error = attitude.conjugate() * wanted
+    # Of the two quaternions of a rotation the one below half a turn.
+    sign = jnp.where(error.w < 0.0, -1.0, 1.0)
+    w, z = error.w * sign, error.z * sign
+    # The error is a tilt after a turn about body down; s is the cosine of half the tilt.
+    s = jnp.maximum(jnp.sqrt(jnp.maximum(w * w + z * z, 1e-30)), 1e-6)
+    x = (error.x * error.w - error.y * error.z) / s
+    y = (error.y * error.w + error.x * error.z) / s
+    sine, cosine = sincos(gains.yaw_weight * arctan2(z, w))
+    tilt, turn = 2.0 * gains.attitude_gain, 2.0 * gains.yaw_gain / gains.yaw_weight
+    down = attitude.rotation()
+    limit, yaw_limit = gains.rate_limit, gains.yaw_rate_limit
+    return Vec3(
+        jnp.clip(tilt * (x * cosine + y * sine) + down.forward.z * yaw_rate, -limit, limit),
+        jnp.clip(tilt * (y * cosine - x * sine) + down.right.z * yaw_rate, -limit, limit),
+        jnp.clip(turn * (s * sine) + down.down.z * yaw_rate, -yaw_limit, yaw_limit),
+    )
+
+
+def rotor_thrusts(
+    gains: Stabiliser,
+    inertia: Vec3,
+    mixer: Mixer,
+    rates: Vec3,
+    wanted: Vec3,
+    integral: Vec3,
+    thrust: Array,
+    dt: float,
+) -> tuple[list[Array], Vec3]:
+    """Return the thrust of each rotor (n,) [N] that brings body rates to what is wanted, and the next integral (V42).
+
+    Args:
+        gains, inertia: parameters.
+        mixer: shares out thrust and torque.
+        rates, wanted: [rad/s].
+        integral: of the rate loop [rad/s^2].
+        thrust: collective [N].
+        dt: until it is asked again [s].
+    """
+    error = wanted - rates
+    rate, yaw_rate = gains.rate_gain, gains.yaw_rate_gain
+    loop = Vec3(rate * error.x, rate * error.y, yaw_rate * error.z) + integral
+    gyro = rates.cross(_each(inertia, rates))
+    torque = _each(inertia, loop) + gyro
+    torque = Vec3(torque.x, torque.y, torque.z * mixer.holds_yaw)
+    thrusts = mixer.share(thrust, torque, gains.yaw_share)
+    got = mixer.torque(thrusts)
+    grow = (gains.integral * rate * rate, gains.integral * rate * rate, gains.yaw_integral * yaw_rate * yaw_rate)
+    most = gains.integral_limit
+    limits = (most * rate, most * rate, most * yaw_rate)
+    after = [
+        _integrated(*parts, dt)
+        for parts in zip(_parts(integral), _parts(error), _parts(torque), _parts(got), grow, limits, strict=True)
+    ]
+    return thrusts, Vec3(*after)
+
+
+def _integrated(now: Array, error: Array, wanted: Array, got: Array, gain: Any, limit: Any, dt: float) -> Array:
+    """Return the integral of one axis, held where the rotors are at their limit and the error drives it on."""
+    missing = wanted - got
+    # In single precision a torque that is met differs from what is wanted by its rounding.
+    slack = (1e-6 if now.dtype == jnp.float64 else 1e-4) * jnp.abs(wanted) + 1e-9
+    held = (jnp.abs(missing) > slack) & (error * missing > 0.0)
+    return jnp.where(held, jnp.clip(now, -limit, limit), jnp.clip(now + (dt * gain) * error, -limit, limit))
+
+
+def _each(inertia: Vec3, vector: Vec3) -> Vec3:
+    return Vec3(inertia.x * vector.x, inertia.y * vector.y, inertia.z * vector.z)
+
+
+def _parts(vector: Vec3) -> tuple[Array, Array, Array]:
+    return vector.x, vector.y, vector.z
