@@ -29,6 +29,7 @@ from qrsim.scenarios.reading import (
 from qrsim.scenarios.schema import ScenarioSpec, json_schema
 from qrsim.scenarios.trial import trial_problems
 from qrsim.scenarios.vehicle_file import insert_vehicle_files
+from qrsim.scenarios.vehicle_models import insert_vehicle_models
 from qrsim.world.state import World
 
 __all__ = ["Scenario", "built_in_names", "json_schema", "load_scenario"]
@@ -125,6 +126,7 @@ def load_scenario(
     anchor_files(content, Path.cwd())
     anchor_code(content, Path.cwd())
     insert_vehicle_files(content, name)
+    insert_vehicle_models(content, name)
     if local:
         provide_components(content, name)
     try:

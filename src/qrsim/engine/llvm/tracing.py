@@ -25,6 +25,8 @@ _ATTRIBUTES = {"integer_pow": "y", "round": "rounding_method"}
 _MIXED = ("select_n", "convert_element_type", "bitcast_convert_type")
 # From this many points on it is quicker to look into cells of space than at all pairs.
 MANY_POINTS = 128
+# A loop over at most so many turns is written out: its values stay in registers.
+UNROLLED = 4
 
 
 class Tracer(Indexing):
@@ -318,6 +320,11 @@ class Tracer(Indexing):
         carries = len(inputs) - constants
         if parameters["num_carry"] != carries or len(parameters["jaxpr"].out_avals) != carries:
             raise UnsupportedError("a scan through arrays")
+        if length <= UNROLLED:
+            carry = inputs[constants:]
+            for _ in range(length):
+                carry = self.call("jaxpr", [*inputs[:constants], *carry], out, parameters)
+            return carry
         turn = jex.jaxpr_as_fun(parameters["jaxpr"])
 
         def loop(*given: Any) -> Any:

@@ -39,6 +39,14 @@ _X500 = (
 _X500_FEET = ((0.15, 0.15, 0.2), (-0.15, 0.15, 0.2), (-0.15, -0.15, 0.2), (0.15, -0.15, 0.2))
 
 
+class _Actions:
+    """Which commands a vehicle accepts: of a class any number of rotors, of a vehicle its own."""
+
+    def __get__(self, vehicle: Multirotor | None, owner: type) -> tuple[type[Any], ...]:
+        motors = MotorCommand if vehicle is None else MotorCommand.of_count(len(vehicle.rotors))
+        return (AttitudeCommand, RateCommand, motors)
+
+
 @record
 class Multirotor(Vehicle):
     """A rigid body under any number of rotors; the defaults are those of the X500 of PX4's Gazebo models.
@@ -115,14 +123,10 @@ class Multirotor(Vehicle):
         default="stop", doc="whether a rotor on the ground, or a touch above crash_speed, ends the flight"
     )
     command_type: ClassVar[type[Any]] = AttitudeCommand
+    actions: ClassVar[tuple[type[Any], ...]] = _Actions()  # type: ignore[assignment]
     normals: ClassVar[int] = 6
     reads: ClassVar[tuple[str, ...]] = ("ground", "air_rates", "downwash")
     default_controller: ClassVar[str] = "cascade"
-
-    @property
-    def actions(self) -> tuple[type[Any], ...]:  # type: ignore[override]
-        """Command records that it accepts."""
-        return (AttitudeCommand, RateCommand, MotorCommand.of_count(len(self.rotors)))
 
     @property
     def inertia(self) -> Vec3:
