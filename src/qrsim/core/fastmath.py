@@ -1,8 +1,8 @@
 """Elementary functions that XLA vectorises on a CPU.
 
 XLA calls a scalar library routine per element for sin and cos, which costs more than the rest of a
-simulation step. In single precision these are range reduction and a polynomial: for exp, log and arctan2 the classical ones
-of Cephes (S. L. Moshier), for sin and cos our own fit.
+simulation step. In single precision these are range reduction and a polynomial: for exp, log and arctan2 the
+classical ones of Cephes (S. L. Moshier), for sin and cos our own fit.
 In double precision they are the library's own, because there accuracy is what is asked for.
 """
 

@@ -65,9 +65,7 @@ class Quaternion:
         forward = turned.forward
         # The length is that of the cosine of the pitch, so that the angle is exact near 90 degrees too.
         level = jnp.sqrt(jnp.maximum(forward.x * forward.x + forward.y * forward.y, 1e-30))
-        return Euler(
-            arctan2(turned.right.z, turned.down.z), arctan2(-forward.z, level), arctan2(forward.y, forward.x)
-        )
+        return Euler(arctan2(turned.right.z, turned.down.z), arctan2(-forward.z, level), arctan2(forward.y, forward.x))
 
     @staticmethod
     def of(attitude: Euler) -> Quaternion:

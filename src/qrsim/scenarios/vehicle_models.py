@@ -18,21 +18,19 @@ def numbers_of(part: Any) -> dict[str, Any]:
         if dataclasses.is_dataclass(value):
             found[field.name] = numbers_of(value)
         elif field_info(field).static and isinstance(value, tuple):
-            found[field.name] = [_written(each) for each in value] if value and not _is_number(value[0]) else list(value)
+            found[field.name] = [_written(each) for each in value]
         else:
             found[field.name] = value
     return found
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float)
-
-
 def _written(value: Any) -> Any:
-    """Return a point or a rotor as a scenario writes it."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {name: list(part) if isinstance(part, tuple) else part for name, part in vars(value).items()}
-    return list(value)
+    """Return a number, a point or a rotor as a scenario writes it."""
+    if isinstance(value, int | float):
+        return value
+    if isinstance(value, tuple):
+        return list(value)
+    return {name: list(part) if isinstance(part, tuple) else part for name, part in vars(value).items()}
 
 
 def insert_vehicle_models(content: dict[str, Any], source: str) -> None:
@@ -49,9 +47,7 @@ def insert_vehicle_models(content: dict[str, Any], source: str) -> None:
         model = vehicle["model"]
         if not isinstance(model, str) or model not in SETS:
             hint = did_you_mean(str(model), SETS)
-            raise ScenarioError(
-                source, [f"fleets.{name}.vehicle.model: no multirotor is called '{model}'{hint}"]
-            )
+            raise ScenarioError(source, [f"fleets.{name}.vehicle.model: no multirotor is called '{model}'{hint}"])
         beside = {key: value for key, value in vehicle.items() if key != "model"}
         fleet["vehicle"] = _over(numbers_of(SETS[model]()), beside)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 import jax.numpy as jnp
 from jax import Array
@@ -19,60 +18,15 @@ from qrsim.models.vehicles.multirotor.geometry import (
     dot_known,
     known_cross,
 )
+from qrsim.models.vehicles.multirotor.parameters import Airframe
 from qrsim.models.vehicles.multirotor.state import Ground, Motion
 
 # Thrust below which a rotor has no induced velocity worth a division [N].
 LEAST_THRUST_N = 1e-9
 
 
-class Blades(Protocol):
-    """The parameters that are read here; those of ``Multirotor``."""
-
-    rotors: tuple[Rotor, ...]
-
-    @property
-    def thrust_coefficient(self) -> Array:
-        """k_T."""
-
-    @property
-    def torque_ratio(self) -> Array:
-        """k_Q / k_T."""
-
-    @property
-    def rotor_radius(self) -> Array:
-        """R."""
-
-    @property
-    def rotor_inertia(self) -> Array:
-        """J_r."""
-
-    @property
-    def rotor_drag(self) -> Array:
-        """k_d."""
-
-    @property
-    def inflow_loss(self) -> Array:
-        """k_z."""
-
-    @property
-    def translational_lift(self) -> Array:
-        """k_h."""
-
-    @property
-    def flapping(self) -> Array:
-        """k_flap."""
-
-    @property
-    def drag(self) -> Vec3:
-        """c of the body."""
-
-    @property
-    def air_density(self) -> Array:
-        """rho."""
-
-
 def forces(
-    blades: Blades,
+    model: Airframe,
     motion: Motion,
     spin_rate: tuple[Array, ...],
     turned: Rotation,
@@ -83,7 +37,7 @@ def forces(
     """Return force [N] and moment [N m] of the air, and of the rotors as gyros, in body axes (V22 to V27).
 
     Args:
-        blades: parameters.
+        model: parameters.
         motion: of n vehicles.
         spin_rate: dW/dt of each rotor [rad/s^2].
         turned: attitude.
@@ -94,23 +48,23 @@ def forces(
     through = motion.velocity - turned.to_body(air_ned)
     turning = motion.rates - air_rates
     speed = jnp.sqrt(jnp.maximum(through.dot(through), 1e-30))
-    drag = blades.drag
+    drag = model.drag
     force = Vec3(-speed * drag.x * through.x, -speed * drag.y * through.y, -speed * drag.z * through.z)
     moment = flap = spin = spin_up = Vec3.zeros(speed.shape, speed.dtype)
     up = turned.to_body(ground.normal)
     height = ground.height + motion.displacement.dot(ground.normal)
-    per_disc = 1.0 / (2.0 * math.pi * blades.air_density * blades.rotor_radius * blades.rotor_radius)
-    reaction = blades.torque_ratio * blades.thrust_coefficient
-    for rotor, rate, slope in zip(blades.rotors, motion.rotor_speed, spin_rate, strict=True):
+    per_disc = 1.0 / (2.0 * math.pi * model.air_density * model.rotor_radius * model.rotor_radius)
+    reaction = model.torque_ratio * model.thrust_coefficient
+    for rotor, rate, slope in zip(model.rotors, motion.rotor_speed, spin_rate, strict=True):
         flow = through + Vec3(*cross_known(turning, rotor.position))
         axial = dot_known(flow, rotor.axis)
         plane = _in_plane(flow, axial, rotor)
         sideways = sum(part * part for part in plane if not isinstance(part, float))
-        static = blades.thrust_coefficient * (rate * rate)
+        static = model.thrust_coefficient * (rate * rate)
         above = height + dot_known(up, rotor.position)
-        thrust = _near_ground(static, sideways, above, blades.rotor_radius, per_disc)
-        thrust = thrust - blades.inflow_loss * rate * axial + blades.translational_lift * sideways
-        push = _along(rotor.axis, thrust) - _vec([_times(blades.rotor_drag * rate, part) for part in plane], speed)
+        thrust = _near_ground(static, sideways, above, model.rotor_radius, per_disc)
+        thrust = thrust - model.inflow_loss * rate * axial + model.translational_lift * sideways
+        push = _along(rotor.axis, thrust) - _vec([_times(model.rotor_drag * rate, part) for part in plane], speed)
         force = force + push
         moment = moment + Vec3(*known_cross(rotor.position, push))
         # What follows is of all rotors together, so that each coefficient is multiplied once.
@@ -120,7 +74,7 @@ def forces(
         spin = spin + _along(turns, rate)
         spin_up = spin_up + _along(turns, slope)
     gyro = motion.rates.cross(spin) + spin_up
-    return force, moment + flap * blades.flapping - gyro * blades.rotor_inertia
+    return force, moment + flap * model.flapping - gyro * model.rotor_inertia
 
 
 def _near_ground(static: Array, sideways: Array, above: Array, radius: Array, per_disc: Array) -> Array:

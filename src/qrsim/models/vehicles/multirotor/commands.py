@@ -64,7 +64,7 @@ class MotorCommand:
 def _motor_command(count: int) -> type[Any]:
     """Make the class of commands for a number of rotors."""
     name = f"MotorCommand{count}"
-    fields = {
+    fields: dict[str, Any] = {
         f"rotor_{i}": quantity(unit="1", doc=f"speed of rotor {i}, of the largest", minimum=0.0, maximum=1.0)
         for i in range(count)
     }

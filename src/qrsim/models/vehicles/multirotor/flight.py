@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,12 +19,10 @@ from qrsim.models.vehicles.multirotor.commands import AttitudeCommand, Powered, 
 from qrsim.models.vehicles.multirotor.contact import LANDED_M_S, plane_below, stiffness, touch
 from qrsim.models.vehicles.multirotor.geometry import reach
 from qrsim.models.vehicles.multirotor.mixer import mixer_of
+from qrsim.models.vehicles.multirotor.parameters import Airframe
 from qrsim.models.vehicles.multirotor.rigid_body import Outcome, Surroundings, slope_of, substep
 from qrsim.models.vehicles.multirotor.stabiliser import rates_wanted, rotor_thrusts
-from qrsim.models.vehicles.multirotor.state import Brush, Motion, MultirotorState
-
-if TYPE_CHECKING:
-    from qrsim.models.vehicles.multirotor.vehicle import Multirotor
+from qrsim.models.vehicles.multirotor.state import Motion, MultirotorState
 
 # Contact is looked for from so far above the ground on, and from where it may be in two steps [m].
 CLEAR_M = 0.1
@@ -52,7 +50,7 @@ Motors = Callable[[Motion, Loops], tuple[tuple[Array, ...], Loops]]
 
 
 def fly(
-    model: Multirotor,
+    model: Airframe,
     state: MultirotorState,
     command: Any,
     air_velocity: Callable[[AttitudeTrig], Vec3],
@@ -113,7 +111,7 @@ def fly(
 
 
 def at_an_instant(
-    model: Multirotor,
+    model: Airframe,
     state: MultirotorState,
     air_velocity: Callable[[AttitudeTrig], Vec3],
     noise: Noises,
@@ -133,7 +131,7 @@ def motion_of(state: MultirotorState) -> Motion:
 
 
 def surroundings(
-    model: Multirotor,
+    model: Airframe,
     state: MultirotorState,
     air_velocity: Callable[[AttitudeTrig], Vec3],
     noise: Noises,
@@ -155,7 +153,7 @@ def surroundings(
 
 
 def stabilised(
-    model: Multirotor, state: MultirotorState, command: Any, dt: float, count: int, around: Around | None
+    model: Airframe, state: MultirotorState, command: Any, dt: float, count: int, around: Around | None
 ) -> tuple[Array | None, Loops, Motors]:
     """Return the heading that is held after a step, None for that of the vehicle, and what tells the motors.
 

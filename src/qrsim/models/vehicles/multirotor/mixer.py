@@ -61,7 +61,9 @@ class Mixer:
     def torque(self, thrusts: Sequence[Array]) -> Vec3:
         """Return the torque (n,) [N m] of rotor thrusts (n,) [N]."""
         axes = [
-            reduce(jnp.add, [_sum((effect[axis], thrust)) for effect, thrust in zip(self.effects, thrusts, strict=True)])
+            reduce(
+                jnp.add, [_sum((effect[axis], thrust)) for effect, thrust in zip(self.effects, thrusts, strict=True)]
+            )
             for axis in (1, 2, 3)
         ]
         return Vec3(*axes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +13,8 @@ from qrsim.core.tree import quantity, record, replace
 from qrsim.core.vectors import Vec3
 from qrsim.models.vehicles.multirotor.aerodynamics import forces
 from qrsim.models.vehicles.multirotor.contact import Touch, touch
+from qrsim.models.vehicles.multirotor.parameters import Airframe
 from qrsim.models.vehicles.multirotor.state import Ground, Motion
-
-if TYPE_CHECKING:
-    from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 
 
 @record
@@ -50,7 +48,7 @@ class Surroundings:
 
 
 def slope_of(
-    model: Multirotor, motion: Motion, targets: tuple[Array, ...], around: Surroundings
+    model: Airframe, motion: Motion, targets: tuple[Array, ...], around: Surroundings
 ) -> tuple[Motion, Vec3, Touch | None]:
     """Return the slope of a motion, the specific force [m/s^2] (V21, V28), and what touches the ground.
 
@@ -95,7 +93,7 @@ def slope_of(
 
 
 def substep(
-    model: Multirotor, motion: Motion, targets: tuple[Array, ...], around: Surroundings, dt: float
+    model: Airframe, motion: Motion, targets: tuple[Array, ...], around: Surroundings, dt: float
 ) -> tuple[Motion, Outcome]:
     """Advance by dt [s] with the classical Runge-Kutta rule; the quaternion is normalised after it.
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 
@@ -33,9 +31,7 @@ class Stabiliser:
     yaw_integral: Array = parameter(
         default=0.1, unit="1", doc="integral gain of the yaw rate over the square of its gain", minimum=0.0
     )
-    integral_limit: Array = parameter(
-        default=0.3, unit="rad/s", doc="largest integral over the rate gain", minimum=0.0
-    )
+    integral_limit: Array = parameter(default=0.3, unit="rad/s", doc="largest integral over the rate gain", minimum=0.0)
     rate_limit: Array = parameter(default=3.84, unit="rad/s", doc="largest roll and pitch rate asked for", above=0.0)
     yaw_rate_limit: Array = parameter(default=3.5, unit="rad/s", doc="largest yaw rate asked for", above=0.0)
     yaw_share: Array = parameter(
@@ -104,20 +100,22 @@ def rotor_thrusts(
     grow = (gains.integral * rate * rate, gains.integral * rate * rate, gains.yaw_integral * yaw_rate * yaw_rate)
     most = gains.integral_limit
     limits = (most * rate, most * rate, most * yaw_rate)
+    missing = torque - got
+    # In single precision a torque that is met differs from what is wanted by its rounding.
+    slack = 1e-6 if thrust.dtype == jnp.float64 else 1e-4
     after = [
-        _integrated(*parts, dt)
-        for parts in zip(_parts(integral), _parts(error), _parts(torque), _parts(got), grow, limits, strict=True)
+        _integrated(now, wrong, lack, slack * jnp.abs(asked), dt * gain, limit)
+        for now, wrong, lack, asked, gain, limit in zip(
+            _parts(integral), _parts(error), _parts(missing), _parts(torque), grow, limits, strict=True
+        )
     ]
     return thrusts, Vec3(*after)
 
 
-def _integrated(now: Array, error: Array, wanted: Array, got: Array, gain: Any, limit: Any, dt: float) -> Array:
+def _integrated(now: Array, error: Array, missing: Array, slack: Array, gain: Array, limit: Array) -> Array:
     """Return the integral of one axis, held where the rotors are at their limit and the error drives it on."""
-    missing = wanted - got
-    # In single precision a torque that is met differs from what is wanted by its rounding.
-    slack = (1e-6 if now.dtype == jnp.float64 else 1e-4) * jnp.abs(wanted) + 1e-9
-    held = (jnp.abs(missing) > slack) & (error * missing > 0.0)
-    return jnp.where(held, jnp.clip(now, -limit, limit), jnp.clip(now + (dt * gain) * error, -limit, limit))
+    held = (jnp.abs(missing) > slack + 1e-9) & (error * missing > 0.0)
+    return jnp.clip(jnp.where(held, now, now + gain * error), -limit, limit)
 
 
 def _each(inertia: Vec3, vector: Vec3) -> Vec3:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
 from qrsim.core.quaternions import Quaternion
-from qrsim.core.tree import parameter, quantity, record, replace, setting
+from qrsim.core.tree import record, replace
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
 from qrsim.models.scene.area import reason_code
 from qrsim.models.vehicles.commands import clipped
@@ -24,19 +24,12 @@ from qrsim.models.vehicles.multirotor.commands import (
     RateCommand,
     shown,
 )
-from qrsim.models.vehicles.multirotor.contact import Contact
 from qrsim.models.vehicles.multirotor.flight import Noises, at_an_instant, fly
-from qrsim.models.vehicles.multirotor.geometry import Rotor, Triple
-from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser
+from qrsim.models.vehicles.multirotor.parameters import Airframe
 from qrsim.models.vehicles.multirotor.state import Brush, MultirotorState
 
 # The process noise is quoted per step of this length, as that of the identified quadrotor.
 PROCESS_NOISE_STEP_S = 0.02
-_X500 = (
-    Rotor((0.174, 0.174, -0.06), -1), Rotor((-0.174, 0.174, -0.06), 1),
-    Rotor((-0.174, -0.174, -0.06), -1), Rotor((0.174, -0.174, -0.06), 1),
-)  # fmt: skip
-_X500_FEET = ((0.15, 0.15, 0.2), (-0.15, 0.15, 0.2), (-0.15, -0.15, 0.2), (0.15, -0.15, 0.2))
 
 
 class _Actions:
@@ -48,120 +41,14 @@ class _Actions:
 
 
 @record
-class Multirotor(Vehicle):
-    """A rigid body under any number of rotors; the defaults are those of the X500 of PX4's Gazebo models.
+class Multirotor(Airframe, Vehicle):
+    """A rigid body under any number of rotors, with its stabiliser; the defaults are those of the X500."""
 
-    A number is one for all, or one per vehicle (n,). Where rotors and contact points are is part of the program.
-    """
-
-    mass: Array = parameter(default=2.0643, unit="kg", doc="take-off mass", above=0.0)
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
-    inertia_x: Array = parameter(default=0.02166667, unit="kg m^2", doc="moment of inertia, roll", above=0.0)
-    inertia_y: Array = parameter(default=0.02166667, unit="kg m^2", doc="moment of inertia, pitch", above=0.0)
-    inertia_z: Array = parameter(default=0.04, unit="kg m^2", doc="moment of inertia, yaw", above=0.0)
-    thrust_coefficient: Array = parameter(
-        default=8.54858e-6, unit="N s^2", doc="thrust of a rotor over its speed squared (k_T)", above=0.0
-    )
-    torque_ratio: Array = parameter(
-        default=0.016, unit="m", doc="reaction torque of a rotor over its thrust (k_Q/k_T)", above=0.0
-    )
-    speed_max: Array = parameter(
-        default=1000.0, unit="rad/s", doc="largest rotor speed at the nominal voltage", above=0.0
-    )
-    spin_up: Array = parameter(default=0.0125, unit="s", doc="time constant of a rotor that speeds up", above=0.0)
-    spin_down: Array = parameter(default=0.025, unit="s", doc="time constant of a rotor that slows down", above=0.0)
-    rotor_radius: Array = parameter(default=0.128, unit="m", doc="radius of a rotor", above=0.0)
-    rotor_inertia: Array = parameter(
-        default=0.0, unit="kg m^2", doc="moment of inertia of a rotor about its axis", minimum=0.0
-    )
-    rotor_drag: Array = parameter(
-        default=8.06428e-5, unit="N s^2/m", doc="drag of a rotor in its plane over its speed and airspeed (k_d)",
-        minimum=0.0,
-    )  # fmt: skip
-    inflow_loss: Array = parameter(
-        default=0.0, unit="N s^2/m", doc="thrust that a rotor loses over its speed and the inflow (k_z)", minimum=0.0
-    )
-    translational_lift: Array = parameter(
-        default=0.0, unit="N s^2/m^2", doc="thrust that a rotor gains over its airspeed squared (k_h)", minimum=0.0
-    )
-    flapping: Array = parameter(
-        default=0.0, unit="N s^2", doc="moment of flapping blades over rotor speed and airspeed (k_flap)", minimum=0.0
-    )
-    drag_x: Array = parameter(default=0.02, unit="N s^2/m^2", doc="drag of the body, forward", minimum=0.0)
-    drag_y: Array = parameter(default=0.02, unit="N s^2/m^2", doc="drag of the body, sideways", minimum=0.0)
-    drag_z: Array = parameter(default=0.03, unit="N s^2/m^2", doc="drag of the body, vertical", minimum=0.0)
-    air_density: Array = parameter(default=1.225, unit="kg/m^3", doc="density of the air", above=0.0)
-    throttle_curve: Array = parameter(
-        default=1.0, unit="1", doc="a of thrust/largest thrust = a u^2 + (1 - a) u at throttle u",
-        minimum=0.0, maximum=1.0,
-    )  # fmt: skip
-    nominal_voltage: Array = parameter(
-        default=14.8, unit="V", doc="below it the largest rotor speed falls with the voltage of a battery", above=0.0
-    )
-    efficiency: Array = parameter(
-        default=0.75, unit="1", doc="power at the rotors' shafts over that from the battery", above=0.0, maximum=1.0
-    )
-    avionics_power: Array = parameter(default=5.0, unit="W", doc="power of all but the motors", minimum=0.0)
-    process_noise: Array = parameter(
-        default=0.0, unit="m/s^2, rad/s^2", doc="std of the six white accelerations at a step of 0.02 s", minimum=0.0
-    )
-    crash_speed: Array = parameter(
-        default=3.0, unit="m/s", doc="speed into the ground at which the vehicle breaks", above=0.0
-    )
-    stabiliser: Stabiliser = quantity(default=Stabiliser(), doc="the autopilot's inner loops")
-    contact: Contact = quantity(default=Contact(), doc="how the vehicle meets the ground")
-    rotors: tuple[Rotor, ...] = setting(default=_X500, doc="position [m], direction and axis of each rotor")
-    feet: tuple[Triple, ...] = setting(default=_X500_FEET, doc="contact points that carry it, body axes [m]")
-    top: Triple = setting(default=(0.0, 0.0, -0.1), doc="the highest point, which touches when it lies on its back [m]")
-    longest_substep: float = setting(
-        default=0.004, unit="s", doc="a time step is flown in equal parts of at most this length", above=0.0
-    )
-    on_failure: Literal["none", "reallocate"] = setting(
-        default="none", doc="what the stabiliser does 0.1 s after a rotor has failed"
-    )
-    crash: Literal["stop", "none"] = setting(
-        default="stop", doc="whether a rotor on the ground, or a touch above crash_speed, ends the flight"
-    )
     command_type: ClassVar[type[Any]] = AttitudeCommand
     actions: ClassVar[tuple[type[Any], ...]] = _Actions()  # type: ignore[assignment]
     normals: ClassVar[int] = 6
     reads: ClassVar[tuple[str, ...]] = ("ground", "air_rates", "downwash")
     default_controller: ClassVar[str] = "cascade"
-
-    @property
-    def inertia(self) -> Vec3:
-        """Moments of inertia [kg m^2]."""
-        return Vec3(self.inertia_x, self.inertia_y, self.inertia_z)
-
-    @property
-    def drag(self) -> Vec3:
-        """Drag coefficients of the body [N s^2/m^2]."""
-        return Vec3(self.drag_x, self.drag_y, self.drag_z)
-
-    @property
-    def others(self) -> tuple[Triple, ...]:
-        """Contact points that are no feet: the rotors' hubs and the top [m]."""
-        return (*(rotor.position for rotor in self.rotors), self.top)
-
-    @property
-    def lift_share(self) -> float:
-        """Collective thrust over the thrust of one rotor, if all turn alike."""
-        return -sum(rotor.axis[2] for rotor in self.rotors)
-
-    @property
-    def thrust_max(self) -> Array:
-        """Largest collective thrust at the nominal voltage [N]."""
-        return self.thrust_coefficient * (self.speed_max * self.speed_max * self.lift_share)
-
-    def thrust_of(self, throttle: Array) -> Array:
-        """Return the collective thrust [N] at a throttle (n,), 0 to 1 (V44)."""
-        a = self.throttle_curve
-        return self.thrust_max * throttle * (a * throttle + (1.0 - a))
-
-    def throttle_of(self, thrust: Array) -> Array:
-        """Return the throttle at a collective thrust [N]."""
-        a, share = self.throttle_curve, thrust / self.thrust_max
-        return 2.0 * share / ((1.0 - a) + jnp.sqrt((1.0 - a) * (1.0 - a) + 4.0 * a * share))
 
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
