@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -15,8 +14,6 @@ from qrsim.engine.backend import Extent, Function, Specialised
 from qrsim.engine.layout import Packer, Shared, aligned_copy
 from qrsim.models.vehicles.contracts import Around
 from qrsim.models.vehicles.multirotor.flight import Noises
-
-Step = Callable[[Any, Any, Any, float], Any]
 
 
 class Flown:
@@ -58,7 +55,7 @@ class Flown:
         self.wind = Vec3(*(np.full(count, speed, dtype) for speed in wind))
         self.failed = failed
 
-    def start(self, position: Any = (0.0, 0.0, -20.0), attitude: Any = (0.0, 0.0, 0.0), **more: Any) -> Any:
+    def start(self, position: Any = (0.0, 0.0, -20.0), attitude: Any = (0.0, 0.0, 0.0)) -> Any:
         """Return a state at rest at a place and an attitude."""
         each = [np.full(self.count, value, self.dtype) for value in (*position, *attitude)]
         zero = np.zeros(self.count, self.dtype)
