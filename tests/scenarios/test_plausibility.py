@@ -15,7 +15,7 @@ import pytest
 import qrsim
 from qrsim.cli import main
 from qrsim.models.atmosphere.turbulence import low_altitude_scales
-from qrsim.scenarios import plausibility
+from qrsim.scenarios import wind_limits
 from qrsim.scenarios.scenario import built_in_names, load_scenario
 
 VEHICLE = "fleets.pelicans.vehicle"
@@ -39,8 +39,8 @@ def test_what_comes_with_qrsim_flies(name: str) -> None:
     "overrides",
     [
         ["world.wind.speed_20ft=7", "world.turbulence=still"],
-        ["world.wind.speed_20ft=8.5"],
-        [f"{VEHICLE}.mass=2.4"],
+        ["world.wind.speed_20ft=8"],
+        [f"{VEHICLE}.mass=2.4", "world.wind.speed_20ft=4"],
         [f"{VEHICLE}={{type: quadrotor}}"],
         [f"{VEHICLE}={{type: expression, tilt_law: 179.8*(0.75*command - angle) - 24.4*rate}}"],
         ["fleets.pelicans.battery={type: lithium_polymer}"],
@@ -114,18 +114,35 @@ def test_the_law_of_the_warning_is_that_of_the_flight() -> None:
     commands = np.tile([-0.9, 0.0, 0.78, 0.0, 12.0], (1500, 1))
     flown = simulate_open_loop(vehicle, commands, start, dt=0.001)[-1]
     assert flown[4] == pytest.approx(-lean, abs=0.02)
-    (found,) = warned("world.wind.speed_20ft=50", "world.turbulence=still")
-    assert f"holds an airspeed of {9.81 * math.tan(lean) / 0.497391:.3g} m/s" in found
+    # With so much thrust that it is the lean that ends it.
+    (found,) = warned("world.wind.speed_20ft=50", "world.turbulence=still", f"{VEHICLE}.cvb0=100")
+    assert f"0.67 rad (38 deg), it holds an airspeed of {9.81 * math.tan(lean) / 0.497391:.3g} m/s" in found
 
 
 def test_wind_is_that_of_the_highest_place() -> None:
     # 12 ln(60 / 0.3048 / 0.15) / ln(20 / 0.15) and twice 1.2 / (0.177 + 0.000823 x 196.85)^0.4.
     (found,) = warned("world.wind.speed_20ft=12")
     assert "world.wind: 17.6 m/s and gusts of 3.7 m/s at 60 m, where fleets.pelicans.vehicles.4 is to fly" in found
-    assert "0.9 rad, it holds an airspeed of 15.6 m/s" in found
+    # Eq. 6 in balance, where the thrust ends: -18.0007 N + 4.23754 N/V x 12 V.
+    assert "with all its thrust, 32.8 N at 12 V, leaning 36 deg, it holds an airspeed of 14.5 m/s" in found
     # The published tilt limit.
-    (found,) = warned("fleets.pelicans.controller.tilt_limit=0.34")
+    (found,) = warned("fleets.pelicans.controller={type: waypoint, tilt_limit: 0.34}")
     assert "0.34 rad, it holds an airspeed of 5.11 m/s" in found
+
+
+@pytest.mark.parametrize(
+    ("speed", "words"),
+    [
+        # At 60 m 1.467 times as much, and gusts of 0.154 times as much: 12.8 and 13.0 m/s against 13.8.
+        (7.9, ""),
+        (8.6, "leaning as far as its controller lets it, 0.611 rad, it holds an airspeed of 13.8 m/s"),
+    ],
+)
+def test_a_cascade_leaves_room_for_gusts(speed: float, words: str) -> None:
+    more = f"{VEHICLE}.cvb0=100"
+    found = warned(f"world.wind.speed_20ft={speed}", "fleets.pelicans.controller={type: cascade}", more)
+    assert words in " ".join(found)
+    assert bool(found) == bool(words)
 
 
 def test_recorded_wind(tmp_path: Path) -> None:
@@ -190,6 +207,6 @@ def test_its_wind_and_gusts_are_those_of_the_models(wind: dict[str, Any]) -> Non
         air = world.wind.velocity_ned(jnp.asarray(heights), jnp.asarray(0), jnp.asarray(0.0))
         speed = np.sqrt(np.asarray(air.dot(air)))
         _, ratios = low_altitude_scales(jnp.asarray(heights))
-    np.testing.assert_allclose(plausibility.mean_wind(scenario.spec, heights), speed, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(wind_limits.mean_wind(scenario.spec, heights), speed, rtol=1e-9, atol=1e-12)
     sigma = 0.1 * wind.get("speed_20ft", 4.0) * np.asarray(ratios.x)
-    np.testing.assert_allclose(plausibility.gust_sigma(scenario.spec, heights), sigma, rtol=1e-9)
+    np.testing.assert_allclose(wind_limits.gust_sigma(scenario.spec, heights), sigma, rtol=1e-9)

@@ -65,6 +65,8 @@ class List:
 class Show:
     """Print a scenario with every default filled in, as YAML that can be saved and changed.
 
+    What follows from it stands at its end, as comments: the steady airspeed that each fleet holds.
+
     Example:
       qrsim show outdoor_patrol > mine.yaml
       qrsim show my_scenario.yaml --set world.wind.speed_20ft=7
@@ -84,7 +86,14 @@ class Show:
         from qrsim.scenarios.scenario import load_scenario
 
         scenario = load_scenario(self.scenario, self.set)
-        print(scenario.spec.model_dump_json(indent=2) if self.json else scenario.to_yaml().rstrip())
+        if self.json:
+            print(scenario.spec.model_dump_json(indent=2))
+            return
+        from qrsim.scenarios.wind_limits import envelope_lines
+
+        print(scenario.to_yaml().rstrip())
+        for line in envelope_lines(scenario.spec):
+            print(f"# {line}")
 
 
 @dataclass(frozen=True)

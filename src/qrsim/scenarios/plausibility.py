@@ -6,36 +6,28 @@ import cmath
 import dataclasses
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from qrsim.errors import UsageError
-from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT
-from qrsim.models.atmosphere.wind_series import read_wind
 from qrsim.models.vehicles.expression_quadrotor import value_at
 from qrsim.models.vehicles.quadrotor import (
     COMMAND_LIMITS,
-    PITCH_ROLL_RAD_PER_RAW,
     THROTTLE_RAW_PER_UNIT,
     Quadrotor,
 )
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.wind_limits import voltages, wind_warnings
 
 # Below this there is next to nothing left to climb, to lean and to fight gusts with.
 LEAST_THRUST_OVER_WEIGHT = 1.2
 # Gravity at sea level is 9.780 to 9.832 m/s^2; drag and thrust were identified on Earth.
 EARTH = (9.7, 9.9)
 LEAST_DAMPING = 0.1
-# A mean wind this much above what a controller's lean holds carries the vehicle away; gusts count twice their sigma.
-BLOWN_AWAY, GUST_SIGMAS = 4.0 / 3.0, 2.0
 # What the published thrust law was identified for [V].
 IDENTIFIED_V = COMMAND_LIMITS["battery"]
-# Of a controller that names no voltage [V].
-FULL_V = 12.0
 PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 
 
@@ -49,7 +41,7 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
             yield from _lift(path, fleet)
             yield from _battery(path, fleet)
             yield from _loops(path, fleet, scenario.time_step)
-            yield from _wind(path, fleet, scenario)
+        yield from wind_warnings(path, fleet, scenario)
         for sensor, spec in fleet.sensors.items():
             period = vars(spec).get("period", 0.0) or 0.0
             if period > scenario.duration:
@@ -73,16 +65,8 @@ def _worst(path: str, name: str, value: Any, score: Any) -> tuple[int, str]:
     return i, f"{path}.{name}" + (f".{i}" if isinstance(value, list) else "")
 
 
-def _voltages(fleet: FleetSpec) -> Any:
-    """Return the voltage (n,) of each vehicle's full battery [V]."""
-    own = vars(fleet.controller).get("battery", FULL_V)
-    if fleet.battery.type == "lithium_polymer":
-        own = fleet.battery.voltage_full
-    return np.broadcast_to(np.asarray(own, np.float64), (len(fleet.vehicles),))
-
-
 def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
-    of, volts = _Constants(fleet), _voltages(fleet)
+    of, volts = _Constants(fleet), voltages(fleet)
     if not ((of.gravity >= EARTH[0]) & (of.gravity <= EARTH[1])).all():
         i, where = _worst(path, "vehicle.gravity", fleet.vehicle.gravity, np.abs(of.gravity - 9.81))
         yield (
@@ -185,67 +169,3 @@ def _axes(fleet: FleetSpec, of: _Constants, i: int) -> Iterator[tuple[str, str, 
     yield "roll" if separate else "tilt", "kpq1", float(of.kpq1[i]), -float(of.kpq2[i])
     if separate:
         yield "pitch", "kq1", float(of.kq1[i]), -float(of.kq2[i])
-
-
-def _wind(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Compare the wind where a fleet starts and is sent with the airspeed that it can hold."""
-    of = _Constants(fleet)
-    points = [[v.position_ned, *v.waypoints_ned] for v in fleet.vehicles]
-    heights = np.array([max(-point[2] for point in own) for own in points])
-    mean = mean_wind(scenario, heights)
-    gusts = GUST_SIGMAS * gust_sigma(scenario, heights)
-    gain = of.kpq0 / PITCH_ROLL_RAD_PER_RAW
-
-    def held(command: Any) -> Any:
-        """Airspeed (n,) at which drag balances what a lean gives; infinite without drag."""
-        lean = np.minimum(np.abs(gain * command), 1.4)
-        with np.errstate(divide="ignore"):
-            return of.gravity * np.tan(lean) / np.abs(of.kuv)
-
-    if vars(fleet.vehicle).get("tilt_law", "") or not (of.kuv < 0.0).all() or not (of.gravity > 0.0).all():
-        return
-    most = held(COMMAND_LIMITS["pitch"][1])
-    own = np.broadcast_to(np.asarray(vars(fleet.controller).get("tilt_limit", 0.9), np.float64), (of.size,))
-    for speed, limit, words in (
-        (mean + gusts, most, "leaning as far as it can"),
-        (mean, BLOWN_AWAY * held(own), "leaning as far as its controller lets it"),
-    ):
-        if (speed > limit).any():
-            i = int(np.argmax(speed - limit))
-            lean = COMMAND_LIMITS["pitch"][1] if limit is most else own[i]
-            with_gusts = f" and gusts of {gusts[i]:.3g} m/s" if gusts[i] else ""
-            yield (
-                f"world.wind: {mean[i]:.3g} m/s{with_gusts} at {heights[i]:g} m, where {path}.vehicles.{i} is to fly; "
-                f"{words}, {lean:g} rad, it holds an airspeed of {held(lean)[i]:.3g} m/s and is carried away beyond"
-            )
-            return
-
-
-def mean_wind(scenario: ScenarioSpec, heights: Any) -> Any:
-    """Return the speed of the mean wind [m/s] at heights (n,) [m]; of a recorded one its largest."""
-    wind = scenario.world.wind
-    if is_outside("wind", wind.type):
-        return np.zeros(len(heights))
-    if wind.type == "series":
-        try:
-            _, air = read_wind(Path(wind.file), wind.max_gap)
-        except UsageError:
-            return np.zeros(len(heights))
-        return np.full(len(heights), np.linalg.norm(air[:, :2], axis=1).max())
-    speed = vars(wind).get("speed_20ft", 0.0)
-    feet = np.maximum(heights, 0.0) * FEET_PER_METRE
-    if vars(wind).get("profile", "log") == "power":
-        return speed * (feet / REFERENCE_FT) ** wind.exponent
-    return speed * np.log(np.maximum(feet / ROUGHNESS_FT, 1.0)) / math.log(REFERENCE_FT / ROUGHNESS_FT)
-
-
-def gust_sigma(scenario: ScenarioSpec, heights: Any) -> Any:
-    """Return the standard deviation [m/s] of the horizontal gusts at heights (n,) [m] (MIL-F-8785C, low altitude)."""
-    turbulence = scenario.world.turbulence
-    if is_outside("turbulence", turbulence.type):
-        return np.zeros(len(heights))
-    speed = vars(turbulence).get("speed_20ft", 0.0)
-    if speed is None:
-        speed = vars(scenario.world.wind).get("speed_20ft", 0.0)
-    feet = np.clip(heights * FEET_PER_METRE, 10.0, 1000.0)
-    return 0.1 * speed / (0.177 + 0.000823 * feet) ** 0.4

@@ -170,6 +170,13 @@ class Vehicle(Protocol):
         """
         raise TypeError(f"{type(self).__name__} takes no tilt and throttle; it has no tilt_command")
 
+    def leaning(self, tilt: Any) -> tuple[Any, Any] | None:
+        """Return the airspeed [m/s] and the thrust [N] at which it stays where it is, leaning by tilt (n,) [rad].
+
+        None where no formula says so; then envelope.py looks for them. Arguments and results are NumPy's.
+        """
+        return None
+
     @abstractmethod
     def load(self, state: Any) -> Load:
         """Return the load on its battery."""

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from qrsim.core.integrate import INTEGRATORS
@@ -142,6 +143,18 @@ class Quadrotor(Vehicle):
     def tilt_command(self, pitch: Array, roll: Array, throttle: Array, yaw_rate: Array) -> Command:
         """Return the command (n,) at the highest voltage that the thrust was identified for."""
         return Command(pitch, roll, throttle, yaw_rate, jnp.full_like(pitch, IDLE_BATTERY))
+
+    def leaning(self, tilt: Any) -> tuple[Any, Any]:
+        """Return airspeed [m/s] and thrust [N] at rest, leaning by tilt (n,) [rad] (eq. 6 with nothing moving).
+
+        Drag across the body pushes it down as well: kw w is larger than kuv u.
+        """
+        drag = np.abs(np.asarray(self.kuv, np.float64))
+        with np.errstate(divide="ignore"):
+            airspeed = np.asarray(self.gravity) * np.tan(tilt) / drag
+        # Without drag there is no airspeed that a lean holds.
+        down = np.where(np.isfinite(airspeed), (np.abs(self.kw) - drag) * airspeed * np.sin(tilt) * np.cos(tilt), 0.0)
+        return airspeed, self.mass * (self.gravity + down) / np.cos(tilt)
 
     def load(self, state: QuadrotorState) -> Load:
         """Return thrust and weight; the model has no power."""

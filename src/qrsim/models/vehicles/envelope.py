@@ -1,0 +1,138 @@
+"""The steady airspeed that a vehicle holds: the balance of weight, drag and thrust while it leans into the wind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qrsim.core.noise import Drawn
+from qrsim.core.tree import map_tree
+from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.vehicles.contracts import Around, Vehicle
+
+Floats = np.ndarray[Any, Any]
+# Nothing of this kind is that fast [m/s].
+FASTEST = 100.0
+HALVINGS, SECANTS = 25, 4
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """What vehicles (n,) hold steadily, gusts not counted.
+
+    Attributes:
+        airspeed: largest [m/s]; infinite without drag.
+        tilt: lean that it takes [rad].
+        thrust: and thrust [N].
+        by_thrust: bool, whether the thrust is what ends it, else the tilt.
+    """
+
+    airspeed: Floats
+    tilt: Floats
+    thrust: Floats
+    by_thrust: Floats
+
+
+def envelope(vehicle: Vehicle, tilt_limit: Any, thrust_limit: Any = None) -> Envelope | None:
+    """Return what vehicles (n,) hold at a tilt of at most ``tilt_limit`` (n,) [rad].
+
+    Args:
+        vehicle: with numbers, or arrays (n,).
+        tilt_limit: of the vehicle itself, not of its commands.
+        thrust_limit: (n,) [N]; None: the vehicle's own, at its nominal voltage.
+
+    Returns:
+        None where the vehicle takes no tilt and throttle.
+    """
+    known = vehicle.handling()
+    if known is None:
+        return None
+    most = known.thrust_max if thrust_limit is None else thrust_limit
+    tilt, most = (np.array(each, np.float64) for each in np.broadcast_arrays(np.atleast_1d(tilt_limit), most))
+    balance = _Balance(vehicle, len(tilt))
+    airspeed, thrust = balance(tilt)
+    by_thrust = thrust > most
+    if by_thrust.any():
+        low, high = np.zeros_like(tilt), tilt
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            too_much = balance(middle)[1] > most
+            low, high = np.where(too_much, low, middle), np.where(too_much, middle, high)
+        tilt = np.where(by_thrust, low, tilt)
+        airspeed, thrust = balance(tilt)
+    return Envelope(airspeed, tilt, thrust, by_thrust)
+
+
+class _Balance:
+    """Finds the airspeed and the thrust at which vehicles (n,) that lean stay where they are."""
+
+    def __init__(self, vehicle: Vehicle, size: int):
+        self.vehicle, self.size = vehicle, size
+        self._force: Any = None
+
+    def __call__(self, tilt: Floats) -> tuple[Floats, Floats]:
+        """Return airspeed [m/s] and thrust [N] for a tilt (n,) [rad]."""
+        own = self.vehicle.leaning(tilt)
+        if own is not None:
+            airspeed, thrust = (np.broadcast_to(np.asarray(each, np.float64), tilt.shape) for each in own)
+            return airspeed, thrust
+        low, high = np.zeros_like(tilt), np.full_like(tilt, FASTEST)
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            # Too fast: more drag than the lean makes up for.
+            blown = self._north(middle, tilt, self._lifting(middle, tilt)) < 0.0
+            low, high = np.where(blown, low, middle), np.where(blown, middle, high)
+        airspeed = np.where(high < FASTEST, low, np.inf)
+        return airspeed, self._lifting(low, tilt)
+
+    def _lifting(self, airspeed: Floats, tilt: Floats) -> Floats:
+        """Return the thrust (n,) [N] that carries the weight."""
+        known = self.vehicle.handling()
+        assert known is not None
+        weight = np.broadcast_to(np.asarray(known.mass * known.gravity, np.float64), tilt.shape)
+        wanted = -np.asarray(known.gravity, np.float64)
+        # All but linear in the thrust, so that a few secants find it.
+        before, now = weight, 1.5 * weight
+        at_before = self._at(airspeed, tilt, before)[1]
+        for _ in range(SECANTS):
+            at_now = self._at(airspeed, tilt, now)[1]
+            slope = (at_now - at_before) / np.where(now == before, 1.0, now - before)
+            step = np.where(slope == 0.0, 0.0, (wanted - at_now) / np.where(slope == 0.0, 1.0, slope))
+            before, at_before, now = now, at_now, np.maximum(now + step, 0.0)
+        return now
+
+    def _north(self, airspeed: Floats, tilt: Floats, thrust: Floats) -> Floats:
+        return self._at(airspeed, tilt, thrust)[0]
+
+    def _at(self, airspeed: Floats, tilt: Floats, thrust: Floats) -> tuple[Floats, Floats]:
+        """Return the specific force (n,) [m/s^2], north and down, in a wind from the north."""
+        if self._force is None:
+            self._force = jax.jit(lambda *given: _specific_force(self.vehicle, *given))
+        north, down = self._force(airspeed, tilt, thrust)
+        return np.asarray(north, np.float64), np.asarray(down, np.float64)
+
+
+def _specific_force(vehicle: Vehicle, airspeed: Any, tilt: Any, thrust: Any) -> tuple[Any, Any]:
+    """Return the specific force (n,), north and down, of a vehicle that stands still in a wind from the north."""
+    zero = jnp.zeros_like(airspeed)
+    none = Vec3(zero, zero, zero)
+    vehicle = map_tree(jnp.asarray, vehicle)
+    # High up, where no ground is felt.
+    at = vehicle.initial_state(Vec3(zero, zero, zero - 1000.0), Euler(zero, -tilt, zero), none, none)
+    state = vehicle.with_thrust(at, thrust)
+    noise = vehicle.draw_noise(Drawn((zero,) * vehicle.normals), 1.0)
+    around = Around(
+        ground=lambda place: (zero, Vec3(zero, zero, zero - 1.0)), air_rates=none, downwash=lambda place: none
+    )
+    more = (around,) if vehicle.reads else ()
+    wind = Vec3(-airspeed, zero, zero)
+    # A step so short that the thrust stays what it is.
+    force = vehicle.specific_force(
+        state, vehicle.idle_command(zero), lambda trig: trig.rotation().to_body(wind), noise, 1e-6, *more
+    )
+    sine, cosine = jnp.sin(-tilt), jnp.cos(tilt)
+    return cosine * force.x + sine * force.z, -sine * force.x + cosine * force.z

@@ -1,0 +1,180 @@
+"""What wind the vehicles of a scenario hold, and warnings of one that is stronger."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError
+from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT
+from qrsim.models.atmosphere.wind_series import read_wind
+from qrsim.models.vehicles.envelope import Envelope, envelope
+from qrsim.models.vehicles.quadrotor import Quadrotor
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.build import component
+from qrsim.scenarios.registry import is_outside
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+
+# Of a controller that names no voltage [V].
+FULL_V = 12.0
+# Gusts count twice their sigma against what a vehicle can do, and once against what a cascade lets it do. The published
+# loops stay near a place only up to what their lean holds; a mean wind this much above it carries the vehicle away.
+GUST_SIGMAS, BLOWN_AWAY = 2.0, 4.0 / 3.0
+
+Floats = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the vehicles (n,) of a fleet hold, and the wind where they are to fly.
+
+    Attributes:
+        own: by the vehicle alone.
+        lets: as far as the controller lets it lean; None: it has no limit of its own.
+        commanded: that limit as the scenario has it [rad].
+        volts: voltage of the full battery [V], NaN where the thrust does not depend on it.
+        heights: the highest place of each route [m].
+        mean, sigma: wind there, and standard deviation of its gusts [m/s].
+    """
+
+    own: Envelope
+    lets: Envelope | None
+    commanded: Floats
+    volts: Floats
+    heights: Floats
+    mean: Floats
+    sigma: Floats
+
+
+def voltages(fleet: FleetSpec) -> Any:
+    """Return the voltage (n,) of each vehicle's full battery [V]."""
+    own = vars(fleet.controller).get("battery", FULL_V)
+    if fleet.battery.type == "lithium_polymer":
+        own = fleet.battery.voltage_full
+    return np.broadcast_to(np.asarray(own, np.float64), (len(fleet.vehicles),))
+
+
+def limits_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Limits | None:
+    """Return what a fleet holds; None where its vehicle takes no tilt, or is from outside and has no envelope."""
+    size = len(fleet.vehicles)
+    try:
+        vehicle = component(fleet.vehicle, known.VEHICLES, scenario)
+        handling = vehicle.handling()
+    except UsageError:
+        return None
+    if handling is None or not np.all(np.asarray(handling.gravity) > 0.0):
+        return None
+    volts, most = np.full(size, math.nan), None
+    if isinstance(vehicle, Quadrotor):
+        volts = voltages(fleet)
+        full = sum(np.asarray(part, np.float64) for part in handling.throttle_curve)
+        most = np.minimum(full, vehicle.cvb0 + vehicle.cvb1 * volts)
+    farthest = np.broadcast_to(np.asarray(handling.tilt_gain * handling.tilt_max, np.float64), (size,))
+    own = envelope(vehicle, np.minimum(farthest, 1.4), most)
+    commanded = vars(fleet.controller).get("tilt_limit")
+    lets = None
+    if commanded is not None:
+        commanded = np.broadcast_to(np.asarray(commanded, np.float64), (size,))
+        gain = 1.0 if fleet.controller.type == "cascade" else np.asarray(handling.tilt_gain, np.float64)
+        lets = envelope(vehicle, np.minimum(gain * commanded, np.minimum(farthest, 1.4)), most)
+    points = [[each.position_ned, *each.waypoints_ned] for each in fleet.vehicles]
+    heights = np.array([max(-point[2] for point in own_points) for own_points in points])
+    if own is None:
+        return None
+    mean, sigma = mean_wind(scenario, heights), gust_sigma(scenario, heights)
+    return Limits(own, lets, np.asarray(commanded, np.float64), volts, heights, mean, sigma)
+
+
+def wind_warnings(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield a warning where the wind at the highest place of a route is more than a vehicle holds."""
+    if not _blows(scenario) or is_outside("vehicle", fleet.vehicle.type):
+        return
+    limits = limits_of(fleet, scenario)
+    if limits is None:
+        return
+    mean, gusts = limits.mean, GUST_SIGMAS * limits.sigma
+    cases = [(mean + gusts, limits.own.airspeed, limits.own, _by_itself)]
+    if limits.lets is not None and fleet.controller.type == "cascade":
+        cases.append((mean + limits.sigma, limits.lets.airspeed, limits.lets, _as_let))
+    elif limits.lets is not None:
+        cases.append((mean, BLOWN_AWAY * limits.lets.airspeed, limits.lets, _as_let))
+    for speed, limit, held, words in cases:
+        if (speed > limit).any():
+            i = int(np.argmax(speed - limit))
+            fast = _speed(held, i)
+            with_gusts = f" and gusts of {gusts[i]:.3g} m/s" if gusts[i] else ""
+            yield (
+                f"world.wind: {mean[i]:.3g} m/s{with_gusts} at {limits.heights[i]:g} m, where {path}.vehicles.{i} is "
+                f"to fly; {words(limits, held, i)}, it holds an airspeed of {fast} and is carried away beyond"
+            )
+            return
+
+
+def envelope_lines(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield for each fleet that flies what steady airspeed it holds, and the wind where it is to fly."""
+    for name, fleet in scenario.fleets.items():
+        limits = limits_of(fleet, scenario)
+        if limits is None:
+            continue
+        i = int(np.argmin(limits.own.airspeed - limits.mean))
+        own, lets = limits.own, limits.lets
+        parts = [f"{_speed(own, i)} {_by_itself(limits, own, i)}"]
+        if lets is not None and lets.airspeed[i] < own.airspeed[i]:
+            parts.insert(0, f"{_speed(lets, i)} {_as_let(limits, lets, i)}")
+        wind = f"the wind at {limits.heights[i]:g} m is {limits.mean[i]:.3g} m/s"
+        gusts = f" with gusts of {limits.sigma[i]:.3g} m/s (std)" if limits.sigma[i] else ""
+        yield f"fleets.{name}: holds a steady airspeed of {', '.join(parts)}; {wind}{gusts}"
+
+
+def _speed(held: Envelope, i: int) -> str:
+    return f"{held.airspeed[i]:.3g} m/s"
+
+
+def _by_itself(limits: Limits, held: Envelope, i: int) -> str:
+    if not held.by_thrust[i]:
+        return f"leaning as far as it can, {held.tilt[i]:.3g} rad ({math.degrees(held.tilt[i]):.0f} deg)"
+    volts = f" at {limits.volts[i]:g} V" if math.isfinite(limits.volts[i]) else ""
+    return f"with all its thrust, {held.thrust[i]:.3g} N{volts}, leaning {math.degrees(held.tilt[i]):.0f} deg"
+
+
+def _as_let(limits: Limits, held: Envelope, i: int) -> str:
+    return f"leaning as far as its controller lets it, {limits.commanded[i]:g} rad"
+
+
+def _blows(scenario: ScenarioSpec) -> bool:
+    return scenario.world.wind.type != "calm" or scenario.world.turbulence.type != "still"
+
+
+def mean_wind(scenario: ScenarioSpec, heights: Any) -> Any:
+    """Return the speed of the mean wind [m/s] at heights (n,) [m]; of a recorded one its largest."""
+    wind = scenario.world.wind
+    if is_outside("wind", wind.type):
+        return np.zeros(len(heights))
+    if wind.type == "series":
+        try:
+            _, air = read_wind(Path(wind.file), wind.max_gap)
+        except UsageError:
+            return np.zeros(len(heights))
+        return np.full(len(heights), np.linalg.norm(air[:, :2], axis=1).max())
+    speed = vars(wind).get("speed_20ft", 0.0)
+    feet = np.maximum(heights, 0.0) * FEET_PER_METRE
+    if vars(wind).get("profile", "log") == "power":
+        return speed * (feet / REFERENCE_FT) ** wind.exponent
+    return speed * np.log(np.maximum(feet / ROUGHNESS_FT, 1.0)) / math.log(REFERENCE_FT / ROUGHNESS_FT)
+
+
+def gust_sigma(scenario: ScenarioSpec, heights: Any) -> Any:
+    """Return the standard deviation [m/s] of the horizontal gusts at heights (n,) [m] (MIL-F-8785C, low altitude)."""
+    turbulence = scenario.world.turbulence
+    if is_outside("turbulence", turbulence.type):
+        return np.zeros(len(heights))
+    speed = vars(turbulence).get("speed_20ft", 0.0)
+    if speed is None:
+        speed = vars(scenario.world.wind).get("speed_20ft", 0.0)
+    feet = np.clip(heights * FEET_PER_METRE, 10.0, 1000.0)
+    return 0.1 * speed / (0.177 + 0.000823 * feet) ** 0.4
