@@ -22,6 +22,7 @@ from qrsim.control import (
     AttitudeSetpoint,
     CascadeController,
     Estimate,
+    MissionGuidance,
     NoSetpoint,
     PathSetpoint,
     Route,
@@ -29,6 +30,7 @@ from qrsim.control import (
     VelocitySetpoint,
     WaypointSetpoint,
 )
+from qrsim.control.paths import Leg, Limits, mission_of, plan
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import FieldInfo, cast, field_info, replace
 from qrsim.core.vectors import Euler, Vec3
@@ -444,8 +446,27 @@ def _controller(controller: Any, given: Any, draws: Draws) -> Any:
 def _guidance(guidance: Any, given: Any, draws: Draws) -> Any:
     yaw = jnp.zeros_like(given["waypoints"].x)
     route = Route(given["waypoints"], yaw, jnp.full(VEHICLES, 2, jnp.int32))
-    state, setpoint = guidance.step(guidance.init(route), route, given["scene"]["position_ned"])
+    place, velocity = given["scene"]["position_ned"], given["scene"]["velocity_ned"]
+    if isinstance(guidance, MissionGuidance):
+        return _mission(guidance, place, velocity)
+    state, setpoint = guidance.step(guidance.init(route), route, place)
     return {"state": state, "setpoint": setpoint, "zero": jnp.zeros_like(given["thrust"])}
+
+
+def _mission(guidance: MissionGuidance, place: Vec3, velocity: Vec3) -> Any:
+    """Fly the first ticks of a line, a circle and a landing."""
+    legs = [
+        [Leg((0.0, 3.0, -30.0), yaw=0.2), Leg((9.0, 3.0, -30.0), facing_ned=(50.0, 40.0))],
+        [Leg((0.0, 5.0, -30.0), "circle", centre_ned=(0.0, 0.0), angle=2.0)],
+        [Leg((0.0, 5.0, 0.0), "land")],
+    ]
+    plans = [plan((0.0, 5.0, -30.0), each, Limits()) for each in legs]
+    route = cast(mission_of(plans, [None] * VEHICLES, Limits()), place.x.dtype)
+    state, setpoints = guidance.init(route), []
+    for _ in range(2):
+        state, setpoint = guidance.step(state, route, place, velocity_ned=velocity, dt=DT)
+        setpoints.append(setpoint)
+    return {"state": state, "setpoints": setpoints}
 
 
 def _sensor(sensor: Any, given: Any, draws: Draws) -> Any:

@@ -203,8 +203,9 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
     wind = {"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 10.0}
     fleet = {"sensors": sensors, "vehicles": [{"position_ned": [30.0, 30.0, -10.0]}]}
     if group == "GUIDANCE":
-        # The one controller that takes whatever a guidance gives.
-        fleet["controller"] = {"type": "offboard"}
+        # Between them they take whatever a guidance gives.
+        mission = {"type": "cascade", "feed": "truth"}
+        fleet["controller"] = mission if part["type"] == "mission" else {"type": "offboard"}
     if group in ("CONTROLLERS", "GUIDANCE") and part["type"] == "none":
         fleet |= {"vehicle": {"type": "fixed_point"}, "controller": {"type": "none"}}
     world: dict[str, Any] = {"wind": wind, "obstacles": [None], "sky": {}}

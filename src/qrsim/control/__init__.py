@@ -25,6 +25,7 @@ from qrsim.control.guidance import (
     VelocityHeightGuidance,
 )
 from qrsim.control.loops import ClimbLoop, HeightLoop, HeightState, VelocityLoop, VelocityState
+from qrsim.control.mission import Mission, MissionGuidance, MissionState
 from qrsim.control.nothing import NoController, NoGuidance, NoSetpoint
 from qrsim.control.setpoints import (
     SETPOINTS,
@@ -54,6 +55,9 @@ __all__ = [
     "FleeGuidance",
     "HeightLoop",
     "HeightState",
+    "Mission",
+    "MissionGuidance",
+    "MissionState",
     "NoController",
     "NoGuidance",
     "NoSetpoint",

@@ -68,11 +68,13 @@ class Guidance(Protocol):
         sees_others: whether ``step`` is handed ``others_ned`` (m,) [m], where the vehicles of all other fleets say they
             are; NaN where one does not fly any more, and left out where there is no other fleet.
         sees_ground: whether ``step`` is handed ``on_ground`` (n,) bool, who stands on the ground now.
+        sees_motion: whether ``step`` is handed ``velocity_ned`` (n,) [m/s], as estimated, and ``dt`` [s].
     """
 
     gives: ClassVar[type[Any]]
     sees_others: ClassVar[bool] = False
     sees_ground: ClassVar[bool] = False
+    sees_motion: ClassVar[bool] = False
 
     @abstractmethod
     def init(self, route: Any) -> Any:

@@ -25,6 +25,7 @@ from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.faults import fault_problems, faults, reading_fields, vehicle_names
 from qrsim.scenarios.ground import standing_problems
 from qrsim.scenarios.hand_list import hand_lists, warn_of_hand_lists
+from qrsim.scenarios.missions import MISSION, mission, mission_problems
 from qrsim.scenarios.ranges import range_problems, ranges_of
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
@@ -105,6 +106,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
     starts: list[tuple[str, list[float]]] = []
     names: dict[str, str] = {}
     solids = [component(spec, known.OBSTACLES, scenario) for spec in scenario.world.obstacles]
+    ground = component(scenario.world.ground, known.GROUNDS, scenario)
     yield from area_problems(area)
     for fleet_name, fleet in scenario.fleets.items():
         yield from _name_problems(fleet_name, fleet)
@@ -114,6 +116,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield from _guidance_problems(fleet_name, fleet)
         yield from _fitting_problems(fleet_name, fleet, scenario)
         yield from _feed_problems(fleet_name, fleet)
+        yield from mission_problems(f"fleets.{fleet_name}", fleet, scenario, ground)
         for i, vehicle in enumerate(fleet.vehicles):
             path = f"fleets.{fleet_name}.vehicles.{i}"
             name = vehicle.name or f"{fleet_name}_{i}"
@@ -270,6 +273,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
     warn_of_hand_lists(scenario, ephemeris.satellite_ids)
     errors = component(world.sky.errors, known.SKY_ERRORS, scenario)
     sky = SharedSky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
+    ground = component(world.ground, known.GROUNDS, scenario)
     built = World(
         wind=wind_of(scenario),
         turbulence=component(world.turbulence, known.TURBULENCES, scenario),
@@ -277,7 +281,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         sky=sky,
         area=component(world.area, known.AREAS, scenario),
         obstacles=_obstacles(scenario),
-        fleets=tuple(_fleet(name, fleet, scenario) for name, fleet in scenario.fleets.items()),
+        fleets=tuple(_fleet(name, fleet, scenario, ground) for name, fleet in scenario.fleets.items()),
         collision_distance=world.collision_distance,  # type: ignore[arg-type]
         time_step=scenario.time_step,
         contents=Contents(
@@ -286,7 +290,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
             component(world.persons, known.PERSONS, scenario),
         ),
         ranges=ranges_of(scenario),
-        ground=component(world.ground, known.GROUNDS, scenario),
+        ground=ground,
     )
     return cast(built, dtype)
 
@@ -362,6 +366,7 @@ def _inside_obstacles(path: str, vehicle: VehicleSpec, solids: list[Any], cleara
     """No vehicle starts at an obstacle or is sent there."""
     points = {"position_ned": vehicle.position_ned}
     points |= {f"waypoints_ned.{j}": waypoint for j, waypoint in enumerate(vehicle.waypoints_ned)}
+    points |= {f"legs.{j}": vars(leg)["to_ned"] for j, leg in enumerate(vehicle.legs) if vars(leg).get("to_ned")}
     positions, names = _columns(list(points.values())), list(points)
     for i, solid in enumerate(solids):
         distances = solid.distance(positions)
@@ -373,13 +378,13 @@ def _inside_obstacles(path: str, vehicle: VehicleSpec, solids: list[Any], cleara
             )
 
 
-def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec) -> Fleet:
+def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Fleet:
     vehicle = component(spec.vehicle, known.VEHICLES, scenario)
     return Fleet(
         vehicle=vehicle,
         controller=component(spec.controller, known.CONTROLLERS, scenario).fitted(vehicle),
         guidance=component(spec.guidance, known.GUIDANCE, scenario),
-        route=_route(spec),
+        route=mission(spec, ground) if spec.guidance.type == MISSION else _route(spec),
         start=_start(spec),
         limits=component(spec.limits, StateLimits, scenario),
         sensors=tuple(component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()),

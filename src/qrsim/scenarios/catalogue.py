@@ -9,6 +9,7 @@ from qrsim.control import (
     AttitudeHeightGuidance,
     CascadeController,
     FleeGuidance,
+    MissionGuidance,
     NoController,
     NoGuidance,
     OffboardController,
@@ -105,6 +106,7 @@ GUIDANCE: Catalogue = {
     "attitude_height": AttitudeHeightGuidance,
     "attitude": AttitudeGuidance,
     "flee": FleeGuidance,
+    "mission": MissionGuidance,
     "none": NoGuidance,
 }
 SENSORS: Catalogue = {

@@ -8,6 +8,7 @@ from typing import Any
 from qrsim.errors import ScenarioError, UsageError, warn_user
 from qrsim.models.site import Site
 from qrsim.scenarios.fence_file import fence_corners
+from qrsim.scenarios.legs import GeodeticSpec
 from qrsim.scenarios.local import local_ned
 from qrsim.scenarios.plan import Ignored, Plan, Waypoint
 from qrsim.scenarios.plan_file import read_plan
@@ -15,7 +16,6 @@ from qrsim.scenarios.schema import (
     LONGEST_ROUTE,
     MOST_CORNERS,
     FleetSpec,
-    GeodeticSpec,
     PolygonModel,
     ScenarioSpec,
     VehicleSpec,

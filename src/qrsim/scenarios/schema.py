@@ -17,12 +17,13 @@ from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.component_schema import Finite, Strict, choice_of, component_model, slot_of
+from qrsim.scenarios.legs import Corner, GeodeticSpec, LegSpec, Position
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9_.-]+$"
-Position = Annotated[list[Finite], Field(min_length=3, max_length=3)]
-Corner = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 LONGEST_ROUTE, MOST_CORNERS = 2000, 1000
+# Where a vehicle flies is given in one of these.
+ROUTES = ("waypoints_ned", "waypoints_geodetic", "plan", "legs")
 # Kinds of components by where they stand: in the world, in its sky by another name, in a fleet.
 WORLD_KINDS = ("wind", "turbulence", "gust", "area", "ground", "plume", "terrain", "persons")
 SKY_KINDS = {"sky": "errors", "orbits": "orbits"}
@@ -76,14 +77,6 @@ def _area_slot() -> Any:
     return choice_of([*others, PolygonModel, _fence_model()])
 
 
-class GeodeticSpec(Strict):
-    """A position by latitude and longitude; its height is over the site's origin, like -z."""
-
-    latitude_deg: Finite = Field(description="geodetic latitude [deg]", ge=-90, le=90)
-    longitude_deg: Finite = Field(description="longitude [deg], east positive", ge=-180, le=180)
-    height: Finite = Field(description="height above the site's origin [m], positive up")
-
-
 class PlanSpec(Strict):
     """A QGroundControl plan as the route of a vehicle."""
 
@@ -107,12 +100,15 @@ class VehicleSpec(Strict):
     plan: PlanSpec | None = Field(
         None, description="route from a file, instead of waypoints; also the start, if none is given", exclude=True
     )
+    legs: list[LegSpec] = Field(
+        [], description="mission, instead of waypoints: flown by the guidance 'mission'", max_length=LONGEST_ROUTE
+    )
 
     @model_validator(mode="after")
     def _one_of_each(self) -> VehicleSpec:
         places, routes = (
-            [name for name in names if name in self.model_fields_set and getattr(self, name) is not None]
-            for names in (("position_ned", "position_geodetic"), ("waypoints_ned", "waypoints_geodetic", "plan"))
+            [name for name in names if name in self.model_fields_set and getattr(self, name)]
+            for names in (("position_ned", "position_geodetic"), ROUTES)
         )
         for given in (places, routes):
             if len(given) > 1:

@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeVar
 import jax.numpy as jnp
 from jax import Array, lax
 
-from qrsim.control import Estimate, Route, RouteState
+from qrsim.control import Estimate, Mission, MissionState, Route, RouteState
 from qrsim.control.contracts import Controller, Guidance
 from qrsim.core.noise import StreamKeys
 from qrsim.core.pairs import joined
@@ -55,7 +55,7 @@ class Fleet:
     vehicle: Vehicle = quantity(doc="vehicle model")
     controller: Controller = quantity(doc="control loops")
     guidance: Guidance = quantity(doc="what hands out set-points")
-    route: Route = quantity(doc="waypoints")
+    route: Route | Mission = quantity(doc="waypoints, or the legs of a mission")
     start: Start = quantity(doc="initial state")
     limits: StateLimits = quantity(doc="state limits")
     sensors: tuple[Sensor, ...] = quantity(doc="sensors, in the order of sensor_names")
@@ -166,7 +166,7 @@ class FleetState:
         doc="what the controller was last fed with; keeps its last value where a reading is NaN"
     )
     controller: object = quantity(doc="control loops")
-    guidance: RouteState = quantity(doc="progress along the route")
+    guidance: RouteState | MissionState = quantity(doc="progress along the route")
     setpoint: object = quantity(doc="last set-point")
     command: object = quantity(doc="last command, as flown")
     command_clipped: Array = quantity(doc="bool: the last command was outside its range and was clipped")

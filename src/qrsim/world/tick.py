@@ -177,7 +177,10 @@ def _fly(
         asked = action
         if asked is None:
             others = _others(world, whole.fleets, fleet) | seen_ground(fleet, standing)
-            guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others)
+            motion: dict[str, Any] = {}
+            if fleet.guidance.sees_motion:
+                motion = {"velocity_ned": estimate.velocity_ned, "dt": dt}
+            guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others, **motion)
         known = replace(estimate, position_low_ned=fed.position_low_ned)
         if standing is not None:
             # What it cannot move would fill its integrals, so it starts anew until it flies.

@@ -1,0 +1,297 @@
+"""Guidance along a mission: a path in time for each leg, which waits for a vehicle that falls behind."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal, TypeVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control.contracts import Guidance
+from qrsim.control.guidance import RouteState
+from qrsim.control.setpoints import PathSetpoint
+from qrsim.core.fastmath import sincos, wrap_angle
+from qrsim.core.pairs import two_sum
+from qrsim.core.tree import map_tree, parameter, quantity, record, setting
+from qrsim.core.vectors import Vec3
+
+T = TypeVar("T")
+
+
+@record
+class Orbits:
+    """Circles among the legs, (W, n)."""
+
+    flown: Array = quantity(doc="bool: the leg is a circle")
+    arm_north: Array = quantity(unit="m", doc="from the centre to where the circle begins")
+    arm_east: Array = quantity(unit="m", doc="from the centre to where the circle begins")
+    curvature: Array = quantity(unit="1/m", doc="one by the radius, clockwise positive")
+    along: Array = quantity(doc="bool: the heading is along the circle")
+
+
+@record
+class Facing:
+    """Legs during which a vehicle looks at a place, (W, n)."""
+
+    faced: Array = quantity(doc="bool: the leg has one")
+    north: Array = quantity(unit="m", doc="of the place")
+    east: Array = quantity(unit="m", doc="of the place")
+
+
+@record
+class Mission:
+    """Legs of each vehicle as planned (paths.py), padded to the longest mission: W legs, n vehicles."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="(W, n) where each leg ends")
+    yaw: Array = quantity(unit="rad", doc="(W, n) heading")
+    count: Array = quantity(doc="(n,) int32 number of legs")
+    following: Array = quantity(doc="(n,) int32 leg that follows the last; itself: none does")
+    begin_ned: Vec3 = quantity(unit="m", doc="(W, n) where the straight line begins")
+    direction: Vec3 = quantity(unit="1", doc="(W, n) of the line")
+    onward: Vec3 = quantity(unit="1", doc="(W, n) direction after the turn at its end")
+    enter: Array = quantity(unit="m/s", doc="(W, n) speed at the begin")
+    peak: Array = quantity(unit="m/s", doc="(W, n) largest speed; of a polynomial the mean")
+    leave: Array = quantity(unit="m/s", doc="(W, n) speed at the end")
+    rise_s: Array = quantity(unit="s", doc="(W, n) time of the ramp to the largest speed")
+    cruise_s: Array = quantity(unit="s", doc="(W, n) time at that speed")
+    fall_s: Array = quantity(unit="s", doc="(W, n) time of the ramp from it")
+    turn_s: Array = quantity(unit="s", doc="(W, n) time of the turn into the next leg")
+    accept_radius: Array = quantity(unit="m", doc="(W, n) distance at which the end counts as reached")
+    hold_s: Array = quantity(unit="s", doc="(W, n) time to stay there")
+    limit_s: Array = quantity(unit="s", doc="(W, n) time after which it is told that a leg is not reached")
+    stops: Array = quantity(doc="(W, n) bool: the leg ends at rest")
+    lands: Array = quantity(doc="(W, n) bool: the leg ends on the ground")
+    number: Array = quantity(doc="(W, n) int32 number of the leg as its author counts")
+    last: Array = quantity(doc="(W, n) bool: the last part of what its author wrote as one leg")
+    polynomial: Array | None = quantity(
+        default=None, doc="(W, n) bool: a polynomial of fifth degree, from rest to rest"
+    )
+    circle: Orbits | None = quantity(default=None, doc="circles, None without any")
+    facing: Facing | None = quantity(default=None, doc="places to look at, None without any")
+
+
+@record
+class MissionState:
+    """Progress of each vehicle (n,)."""
+
+    index: Array = quantity(doc="int32 leg that is flown")
+    reached: Array = quantity(doc="int32 legs reached so far, as their author counts")
+    time: Array = quantity(unit="s", doc="time on the path of the leg, which waits for the vehicle")
+    time_low: Array = quantity(unit="s", doc="what single precision leaves out of it")
+    ticks: Array = quantity(doc="int32 ticks on the leg until its end was reached")
+    waited: Array = quantity(doc="int32 ticks at its end; of a landing before that, on the ground")
+    near: Array = quantity(doc="bool: has been within the accept radius")
+    arrived: Array = quantity(doc="bool: its end was reached, and the vehicle stays")
+    late: Array = quantity(doc="int32 legs that took longer than allowed")
+    behind: Array = quantity(unit="m", doc="distance from the point of the path that is due")
+    finished: Array = quantity(doc="bool: the last leg was reached, and nothing follows")
+
+
+# Part of the progress that runs know from routes.
+ROUTE_STATE = (RouteState, MissionState)
+
+
+def _ramp(first: Array, last: Array, seconds: Array, time: Array) -> tuple[Array, Array, Array]:
+    """Return way, speed and acceleration at a time of a ramp between two speeds, held before and after it."""
+    whole = jnp.maximum(seconds, 1e-6)
+    x = jnp.clip(time / whole, 0.0, 1.0)
+    change = last - first
+    way = seconds * (first * x + change * (x * x * x * (1.0 - 0.5 * x)))
+    return way, first + change * (x * x * (3.0 - 2.0 * x)), change * (6.0 * x * (1.0 - x)) / whole
+
+
+@record
+class MissionGuidance(Guidance):
+    """Flies legs with speed, stop, hold and heading, take-offs, landings and circles, on a path in time."""
+
+    stretch_from: Array = parameter(
+        default=2.0, unit="m", doc="distance from the path's due point at which the path begins to wait", minimum=0.0
+    )
+    stretch_over: Array = parameter(default=3.0, unit="m", doc="distance beyond that at which it stands", above=0.0)
+    stop_speed: Array = parameter(default=0.5, unit="m/s", doc="speed below which a vehicle has stopped", above=0.0)
+    path: Literal["jerk_limited", "quintic"] = setting(
+        default="jerk_limited", doc="ramps and turns; or every leg from rest to rest by a polynomial of fifth degree"
+    )
+    speed: float = setting(default=5.0, unit="m/s", doc="speed of legs that give none", above=0.0, maximum=50.0)
+    accept_radius: float = setting(
+        default=2.0, unit="m", doc="distance at which a leg counts as reached, of legs that give none", above=0.0
+    )
+    acceleration: float = setting(default=3.0, unit="m/s^2", doc="largest acceleration of the path", above=0.0)
+    jerk: float = setting(default=8.0, unit="m/s^3", doc="largest jerk of the path", above=0.0)
+    climb_speed: float = setting(default=3.0, unit="m/s", doc="largest speed upwards", above=0.0)
+    sink_speed: float = setting(default=1.5, unit="m/s", doc="largest speed downwards", above=0.0)
+    take_off_speed: float = setting(default=1.5, unit="m/s", doc="speed of a take-off", above=0.0)
+    touchdown_speed: float = setting(default=0.7, unit="m/s", doc="speed of a landing near the ground", above=0.0)
+    slow_below: float = setting(default=10.0, unit="m", doc="height from which on a landing is slow", minimum=0.0)
+    settle: float = setting(default=1.0, unit="s", doc="time on the ground after which a vehicle has landed", above=0.0)
+    leg_timeout: float = setting(
+        default=30.0, unit="s", doc="how much longer than planned a leg may take before that is told", above=0.0
+    )
+    repeat: bool = setting(default=False, doc="start again after the last leg, else stay there")
+
+    gives: ClassVar[type] = PathSetpoint
+    sees_motion: ClassVar[bool] = True
+    sees_ground: ClassVar[bool] = True
+
+    def init(self, route: Mission) -> MissionState:
+        """Return the start of each mission."""
+        count, zero = jnp.zeros(route.count.shape, jnp.int32), jnp.zeros_like(route.enter[0])
+        no = jnp.zeros(count.shape, bool)
+        return MissionState(count, count, zero, zero, count, count, no, no, count, zero, no)
+
+    def step(
+        self,
+        state: MissionState,
+        route: Mission,
+        position_ned: Vec3,
+        others_ned: Vec3 | None = None,
+        *,
+        velocity_ned: Vec3 | None = None,
+        dt: float = 0.0,
+        on_ground: Array | None = None,
+    ) -> tuple[MissionState, PathSetpoint]:
+        """Return the new state and the set-point.
+
+        Args:
+            state, route, position_ned, others_ned: as of every guidance.
+            velocity_ned: as estimated (n,) [m/s].
+            dt: step [s].
+            on_ground: (n,) bool, whether a vehicle stands on the ground; None: none does.
+        """
+        assert velocity_ned is not None
+        standing = jnp.zeros(state.near.shape, bool) if on_ground is None else on_ground
+
+        def seconds(ticks: Array) -> Array:
+            return ticks.astype(state.time.dtype) * dt
+
+        leg = _leg_of(route, state.index)
+        due, ends = self._due(state, leg)
+        behind = (due.position_ned - position_ned).norm()
+        rate = jnp.clip(1.0 - (behind - self.stretch_from) / self.stretch_over, 0.0, 1.0)
+        asked = PathSetpoint(
+            due.position_ned, due.velocity_ned * rate, due.acceleration_ned * (rate * rate), due.yaw,
+            state.arrived & leg.lands,
+        )  # fmt: skip
+        distance = (leg.position_ned - position_ned).norm()
+        near = state.near | (distance < leg.accept_radius)
+        # A path that is flown through waits half-way round its corner for a vehicle that has not come near.
+        most = jnp.where(
+            leg.stops, jnp.where(leg.lands, jnp.inf, ends), jnp.where(near, jnp.inf, ends - 0.5 * leg.turn_s)
+        )
+        ahead = jnp.maximum(jnp.minimum(state.time + rate * dt, most) - state.time, 0.0)
+        time, low = two_sum(state.time, state.time_low + ahead)
+        waited = state.waited + 1
+        slow = velocity_ned.norm() < self.stop_speed
+        landed = standing & (seconds(waited) >= self.settle)
+        at_rest = jnp.where(leg.lands, landed, (distance < leg.accept_radius) & slow & (time >= ends - 0.05 * dt))
+        arrives = ~state.arrived & jnp.where(leg.stops, at_rest, near & (time >= ends))
+        arrived = state.arrived | arrives
+        kept = jnp.where(state.arrived | (leg.lands & standing & ~arrives), waited, 0)
+        final = (state.index + 1 >= route.count) & (route.following == state.index)
+        done = arrived & (seconds(kept) >= leg.hold_s)
+        moves = done & ~final
+        following = jnp.where(state.index + 1 >= route.count, route.following, state.index + 1)
+        ticks = state.ticks + (~arrived).astype(jnp.int32)
+        late = (seconds(ticks) > leg.limit_s) & (seconds(state.ticks) <= leg.limit_s)
+        none = jnp.zeros_like(ticks)
+        rest = jnp.where(leg.stops, 0.0, time - ends)
+        return MissionState(
+            index=jnp.where(moves, following, state.index),
+            reached=state.reached + (arrives & leg.last).astype(jnp.int32),
+            time=jnp.where(moves, rest, time),
+            time_low=jnp.where(moves, 0.0, low),
+            ticks=jnp.where(moves, none, ticks),
+            waited=jnp.where(moves, none, kept),
+            near=near & ~moves,
+            arrived=arrived & ~moves,
+            late=state.late + late.astype(jnp.int32),
+            behind=behind,
+            finished=done & final,
+        ), asked
+
+    def setpoint(self, state: MissionState, route: Mission) -> PathSetpoint:
+        """Return the point of the path that is due (n,)."""
+        leg = _leg_of(route, state.index)
+        due = self._due(state, leg)[0]
+        return PathSetpoint(
+            due.position_ned, due.velocity_ned, due.acceleration_ned, due.yaw, state.arrived & leg.lands
+        )
+
+    def _due(self, state: MissionState, leg: Mission) -> tuple[PathSetpoint, Array]:
+        """Return the point (n,) of the path that is due, and when each leg ends (n,) [s]."""
+        time = state.time
+        rises, falls = leg.rise_s, leg.rise_s + leg.cruise_s
+        turns = falls + leg.fall_s
+        up, speed, rising = _ramp(leg.enter, leg.peak, leg.rise_s, time)
+        down, slower, falling = _ramp(leg.peak, leg.leave, leg.fall_s, time - falls)
+        way = up + leg.peak * jnp.clip(time - rises, 0.0, leg.cruise_s) + down
+        speed, along = speed + (slower - leg.peak), rising + falling
+        if leg.polynomial is not None:
+            way, speed, along = _quintic(leg, time, (way, speed, along))
+        # Beyond its time a turn goes straight on, as the next leg does, and a landing goes down.
+        beyond = jnp.maximum(time - turns, 0.0)
+        _, share, swing = _ramp(jnp.zeros_like(time), jnp.ones_like(time), leg.turn_s, beyond)
+        turned = _ramp(jnp.zeros_like(time), jnp.ones_like(time), leg.turn_s, beyond)[0]
+        side = turned + jnp.maximum(beyond - leg.turn_s, 0.0)
+        bend = leg.onward - leg.direction
+        position = leg.begin_ned + leg.direction * (way + leg.leave * beyond) + bend * (leg.leave * side)
+        velocity = leg.direction * speed + bend * (leg.leave * share)
+        acceleration = leg.direction * along + bend * (leg.leave * swing)
+        due = PathSetpoint(position, velocity, acceleration, leg.yaw)
+        if leg.circle is not None:
+            due = _round(leg, leg.circle, way, speed, along, due)
+        if leg.facing is not None:
+            place = due.position_ned
+            ahead = jnp.where(leg.facing.faced, leg.facing.north - place.x, 1.0)
+            looks = jnp.arctan2(leg.facing.east - place.y, ahead)
+            due = PathSetpoint(
+                place, due.velocity_ned, due.acceleration_ned, jnp.where(leg.facing.faced, looks, due.yaw)
+            )
+        return due, turns + leg.turn_s
+
+
+def _leg_of(route: Mission, index: Array) -> Mission:
+    """Return the leg that each vehicle (n,) flies."""
+
+    def pick(values: Array) -> Array:
+        return values if values.ndim == 1 else jnp.take_along_axis(values, index[None, :], axis=0)[0]
+
+    return map_tree(pick, route)
+
+
+def _quintic(leg: Mission, time: Array, ramped: tuple[Array, Array, Array]) -> tuple[Array, ...]:
+    """Return way, speed and acceleration along a polynomial from rest to rest, where a leg is one."""
+    assert leg.polynomial is not None
+    seconds = jnp.maximum(leg.cruise_s, 1e-6)
+    x = jnp.clip(time / seconds, 0.0, 1.0)
+    rest = 1.0 - x
+    own = (
+        leg.peak * seconds * (x * x * x * (10.0 + x * (6.0 * x - 15.0))),
+        leg.peak * (30.0 * x * x * rest * rest),
+        leg.peak * (60.0 * x * rest * (1.0 - 2.0 * x)) / seconds,
+    )
+    return tuple(jnp.where(leg.polynomial, a, b) for a, b in zip(own, ramped, strict=True))
+
+
+def _round(leg: Mission, circle: Orbits, way: Array, speed: Array, along: Array, due: PathSetpoint) -> PathSetpoint:
+    """Return the point of a circle that is due, where a leg is one."""
+    angle = wrap_angle(way * circle.curvature)
+    sine, cosine = sincos(angle)
+    north = circle.arm_north * cosine - circle.arm_east * sine
+    east = circle.arm_north * sine + circle.arm_east * cosine
+    # Forward is across the arm; inwards is against it.
+    ahead_north, ahead_east = -east * circle.curvature, north * circle.curvature
+    # Of a leg without an arm the angle has no slope.
+    heading = jnp.arctan2(ahead_east, jnp.where(circle.flown, ahead_north, 1.0))
+    inward = circle.curvature * circle.curvature * speed * speed
+    zero = jnp.zeros_like(north)
+    begin = leg.begin_ned
+    place = Vec3(begin.x + north - circle.arm_north, begin.y + east - circle.arm_east, begin.z)
+    own = PathSetpoint(
+        place,
+        Vec3(speed * ahead_north, speed * ahead_east, zero),
+        Vec3(along * ahead_north - inward * north, along * ahead_east - inward * east, zero),
+        jnp.where(circle.along, heading, leg.yaw),
+    )
+    chosen: PathSetpoint = map_tree(lambda a, b: jnp.where(circle.flown, a, b), own, due)
+    return chosen

@@ -1,0 +1,375 @@
+"""From the legs of a mission to a path in time: speeds at corners, ramps between them; NumPy, once for each mission.
+
+A leg is a straight line, flown in three parts (a ramp from the speed at its begin to its peak, a cruise, a ramp to the
+speed at its end), then a turn into the next one. Every ramp of speed or direction follows b(x) = 3x^2 - 2x^3, whose
+slope is at most 1.5 and whose curvature at most 6, so that acceleration and jerk have their bounds everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from qrsim.control.mission import Facing, Mission, Orbits
+from qrsim.core.vectors import Vec3
+
+Floats = np.ndarray[Any, Any]
+# A duration that no flight reaches, and yet no infinity, so that no difference of two is NaN.
+FOREVER = 1e9
+# Shorter lines have no direction.
+SHORTEST = 1e-3
+BISECTIONS = 60
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a path may ask for.
+
+    Attributes:
+        acceleration, jerk: largest, of every ramp and turn [m/s^2], [m/s^3].
+        climb, sink: largest vertical speeds [m/s].
+        descent, touchdown: vertical speeds [m/s] of a landing, above and below ``slow_below``.
+        slow_below: height above the ground [m] from which on a landing is slow.
+        quintic: every leg from rest to rest by a polynomial of fifth degree, in place of ramps and turns.
+        timeout: how much longer than planned a leg may take before that is told [s].
+    """
+
+    acceleration: float = 3.0
+    jerk: float = 8.0
+    climb: float = 3.0
+    sink: float = 1.5
+    descent: float = 1.5
+    touchdown: float = 0.7
+    slow_below: float = 10.0
+    quintic: bool = False
+    timeout: float = 30.0
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One leg: a line to a place, a circle that ends there, or a descent from above it to the ground.
+
+    Attributes:
+        position_ned: where it ends [m]; of a landing the ground.
+        kind: what is flown.
+        speed: largest along the line or circle [m/s].
+        accept_radius: distance [m] within which its end counts as reached.
+        hold: seconds to stay after that; of a landing with idle motors.
+        stop: whether to come to rest there.
+        yaw: heading [rad]; None: along the way.
+        facing_ned: north and east [m] of what to look at instead, None for nothing.
+        centre_ned: of a circle.
+        angle: to turn through on a circle [rad], clockwise positive; infinite: for ever.
+        number: of the leg or mission item as its author counts, from 1.
+        last: whether it is the last part of what its author wrote as one.
+    """
+
+    position_ned: tuple[float, float, float]
+    kind: Literal["line", "circle", "land"] = "line"
+    speed: float = 5.0
+    accept_radius: float = 2.0
+    hold: float = 0.0
+    stop: bool = False
+    yaw: float | None = None
+    facing_ned: tuple[float, float] | None = None
+    centre_ned: tuple[float, float] = (0.0, 0.0)
+    angle: float = 0.0
+    number: int = 1
+    last: bool = True
+
+
+@dataclass
+class _Part:
+    """A leg with what is planned of it; see ``Mission`` for the meaning of what has the same name."""
+
+    leg: Leg
+    begin: Floats
+    direction: Floats = field(default_factory=lambda: np.zeros(3))
+    onward: Floats = field(default_factory=lambda: np.zeros(3))
+    length: float = 0.0
+    most: float = 0.0
+    cut_before: float = 0.0
+    cut_after: float = 0.0
+    enter: float = 0.0
+    leave: float = 0.0
+    peak: float = 0.0
+    rise: float = 0.0
+    cruise: float = 0.0
+    fall: float = 0.0
+    turn: float = 0.0
+
+    @property
+    def straight(self) -> float:
+        """Length [m] between the turns."""
+        return max(self.length - self.cut_before - self.cut_after, 0.0)
+
+
+def ramp_time(change: float, limits: Limits) -> float:
+    """Return the shortest time [s] in which a speed may change by so much [m/s]."""
+    return max(1.5 * abs(change) / limits.acceleration, math.sqrt(6.0 * abs(change) / limits.jerk))
+
+
+def ramp_length(first: float, last: float, limits: Limits) -> float:
+    """Return the way [m] of a ramp between two speeds [m/s]."""
+    return 0.5 * (first + last) * ramp_time(last - first, limits)
+
+
+def corner_speed(cut: float, turned: float, limits: Limits) -> float:
+    """Return the largest speed [m/s] through a turn by an angle [rad] that begins and ends ``cut`` [m] from the corner.
+
+    The direction goes over from one to the other along b in T = 2 cut / v, so that the acceleration is at most
+    1.5 v^2 sin(turned / 2) / cut and the jerk 3 v^3 sin(turned / 2) / cut^2. The turn passes the corner within
+    0.375 cut.
+    """
+    half = math.sin(0.5 * turned)
+    if half * half < 1e-12:
+        return math.inf
+    return min(math.sqrt(limits.acceleration * cut / (1.5 * half)), math.cbrt(limits.jerk * cut * cut / (3.0 * half)))
+
+
+def circle_speed(radius: float, most: float, limits: Limits) -> float:
+    """Return the speed [m/s] on a circle [m]: the acceleration is v^2 / r, and as it turns, the jerk v^3 / r^2."""
+    return min(most, math.sqrt(limits.acceleration * radius), math.cbrt(limits.jerk * radius * radius))
+
+
+def plan(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits, again: int | None = None) -> list[_Part]:
+    """Plan the path of one vehicle.
+
+    Args:
+        start_ned: where it begins (3,) [m].
+        legs: in the order of flight.
+        limits: what it may ask for.
+        again: index of the leg that follows the last one; None: none does.
+    """
+    parts = _lines(start_ned, legs, limits)
+    following = [*range(1, len(parts)), again]
+    if not limits.quintic:
+        _cut_corners(parts, following, limits)
+        _slow_down(parts, following, limits)
+    for part in parts:
+        _in_time(part, limits)
+    return parts
+
+
+def _lines(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits) -> list[_Part]:
+    place, parts = np.asarray(start_ned, np.float64), []
+    for leg in legs:
+        goal = np.asarray(leg.position_ned, np.float64)
+        way = goal - place
+        part = _Part(leg, place, length=float(np.linalg.norm(way)), most=leg.speed)
+        if leg.kind == "circle":
+            radius = math.hypot(place[0] - leg.centre_ned[0], place[1] - leg.centre_ned[1])
+            part.most = circle_speed(radius, leg.speed, limits)
+            part.length = min(abs(leg.angle) * radius, FOREVER)
+        elif part.length > SHORTEST:
+            part.direction = part.onward = way / part.length
+            up, down = max(-part.direction[2], 0.0), max(part.direction[2], 0.0)
+            vertical = ((limits.climb, up), (limits.sink, down))
+            part.most = min([leg.speed, *(most / share for most, share in vertical if share > 0.0)])
+        else:
+            part.length = 0.0
+        parts.append(part)
+        place = goal
+    return parts
+
+
+def _cut_corners(parts: list[_Part], following: list[int | None], limits: Limits) -> None:
+    """Let the path turn before and after the ends of legs that are flown through."""
+    for part, number in zip(parts, following, strict=True):
+        if number is None or not _flown_through(part, parts[number]):
+            continue
+        after = parts[number]
+        cut = min(part.leg.accept_radius, 0.5 * part.length, 0.5 * after.length)
+        turned = math.acos(float(np.clip(part.direction @ after.direction, -1.0, 1.0)))
+        part.onward = after.direction
+        part.cut_after = after.cut_before = cut
+        after.enter = min(part.most, after.most, corner_speed(cut, turned, limits))
+        after.begin = np.asarray(part.leg.position_ned, np.float64) + cut * after.direction
+
+
+def _flown_through(part: _Part, after: _Part) -> bool:
+    lines = part.leg.kind == after.leg.kind == "line" and min(part.length, after.length) > SHORTEST
+    return lines and not part.leg.stop and part.leg.hold == 0.0
+
+
+def _slow_down(parts: list[_Part], following: list[int | None], limits: Limits) -> None:
+    """Lower the speeds at corners until every leg is long enough for the ramp between its two."""
+    rest = _Part(parts[0].leg, parts[0].begin)
+    nexts = [
+        parts[number] if number is not None and part.cut_after else rest
+        for part, number in zip(parts, following, strict=True)
+    ]
+    # Backwards for brakes that begin a leg earlier, forwards for what is not reached, until nothing is left.
+    for _ in parts:
+        changed = False
+        for part, after in [*zip(parts[::-1], nexts[::-1], strict=True), *zip(parts, nexts, strict=True)]:
+            low, high = sorted((part.enter, after.enter))
+            if part.leg.kind == "line" and ramp_length(low, high, limits) > part.straight * (1.0 + 1e-9):
+                faster = part if part.enter > after.enter else after
+                faster.enter, changed = _highest(low, part.straight, limits, high), True
+        if not changed:
+            break
+    for part, after in zip(parts, nexts, strict=True):
+        part.leave = after.enter
+
+
+def _highest(low: float, length: float, limits: Limits, high: float) -> float:
+    """Return the highest speed that a ramp from ``low`` reaches within a length."""
+    first, last = low, high
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (first + last)
+        first, last = (middle, last) if ramp_length(low, middle, limits) <= length else (first, middle)
+    return first
+
+
+def _in_time(part: _Part, limits: Limits) -> None:
+    """Say how long each part of a leg takes."""
+    if part.leg.kind == "land":
+        _descend(part, limits)
+        return
+    if limits.quintic and part.leg.kind == "line":
+        # From rest to rest along 10 x^3 - 15 x^4 + 6 x^5, whose derivatives are at most 15/8, 10/sqrt(3) and 60.
+        length = part.length
+        part.cruise = max(
+            1.875 * length / part.most,
+            math.sqrt(10.0 / math.sqrt(3.0) * length / limits.acceleration),
+            math.cbrt(60.0 * length / limits.jerk),
+        )
+        part.peak = length / part.cruise if part.cruise else 0.0
+        return
+    slowest = max(part.enter, part.leave)
+    part.peak = part.most
+    ends = [ramp_length(part.enter, part.most, limits), ramp_length(part.most, part.leave, limits)]
+    if sum(ends) > part.straight:
+        first, last = slowest, part.most
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (first + last)
+            way = ramp_length(part.enter, middle, limits) + ramp_length(middle, part.leave, limits)
+            first, last = (middle, last) if way <= part.straight else (first, middle)
+        part.peak = first
+        ends = [ramp_length(part.enter, first, limits), ramp_length(first, part.leave, limits)]
+    part.rise = ramp_time(part.peak - part.enter, limits)
+    part.fall = ramp_time(part.peak - part.leave, limits)
+    part.cruise = max(part.straight - sum(ends), 0.0) / part.peak if part.peak > 0.0 else 0.0
+    part.turn = 2.0 * part.cut_after / part.leave if part.leave > 0.0 else 0.0
+
+
+def _descend(part: _Part, limits: Limits) -> None:
+    """Come down quickly first, then slowly and on, until the ground is felt: where it is, nobody knows exactly."""
+    part.direction = part.onward = np.array([0.0, 0.0, 1.0])
+    part.leave = limits.touchdown
+    high = part.length - limits.slow_below
+    whole = ramp_length(0.0, limits.descent, limits) + ramp_length(limits.descent, limits.touchdown, limits)
+    part.peak = limits.descent if high > whole else limits.touchdown
+    part.rise, part.fall = ramp_time(part.peak, limits), ramp_time(part.peak - part.leave, limits)
+    part.cruise = (high - whole) / part.peak if high > whole else 0.0
+
+
+def flown_seconds(part: _Part) -> float:
+    """Return how long a leg takes as planned [s]."""
+    line = part.rise + part.cruise + part.fall + part.turn
+    if part.leg.kind != "land":
+        return line
+    come_down = part.rise * 0.5 * part.peak + part.cruise * part.peak + part.fall * 0.5 * (part.peak + part.leave)
+    return line + max(part.length - come_down, 0.0) / part.leave
+
+
+def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], limits: Limits) -> Mission:
+    """Return the missions of vehicles as one record, padded to the longest.
+
+    Args:
+        plans: of each vehicle, as ``plan`` returns them.
+        again: for each the index of the leg that follows its last; None: none does.
+        limits: with which they were planned.
+    """
+    longest = max(map(len, plans))
+    rows = [[*parts, *[parts[-1]] * (longest - len(parts))] for parts in plans]
+
+    def table(pick: Any, dtype: Any = np.float64) -> Any:
+        return np.ascontiguousarray(np.array([[pick(part) for part in row] for row in rows], dtype).T)
+
+    def vector(pick: Any) -> Any:
+        return Vec3(*(table(lambda part, axis=axis: pick(part)[axis]) for axis in range(3)))
+
+    flat = [part.leg for row in rows for part in row]
+    circles = any(leg.kind == "circle" for leg in flat)
+    faces = any(leg.facing_ned for leg in flat)
+    counts = np.array([len(parts) for parts in plans], np.int32)
+    after = [len(parts) - 1 if number is None else number for parts, number in zip(plans, again, strict=True)]
+    return Mission(
+        position_ned=vector(lambda part: part.leg.position_ned),
+        yaw=_headings(rows),
+        count=counts,  # type: ignore[arg-type]
+        following=np.array(after, np.int32),  # type: ignore[arg-type]
+        begin_ned=vector(lambda part: part.begin),
+        direction=vector(lambda part: part.direction),
+        onward=vector(lambda part: part.onward),
+        **{name: table(lambda part, name=name: getattr(part, name)) for name in ("enter", "peak", "leave")},
+        **{f"{name}_s": table(lambda part, name=name: getattr(part, name)) for name in ("rise", "cruise", "fall")},
+        turn_s=table(lambda part: part.turn),
+        accept_radius=table(lambda part: part.leg.accept_radius),
+        hold_s=table(lambda part: min(part.leg.hold, FOREVER)),
+        limit_s=table(lambda part: min(flown_seconds(part) + limits.timeout, FOREVER)),
+        stops=table(lambda part: part.leg.kind != "line" or part.leave == 0.0, bool),
+        lands=table(lambda part: part.leg.kind == "land", bool),
+        polynomial=table(lambda part: limits.quintic and part.leg.kind == "line", bool) if limits.quintic else None,
+        number=table(lambda part: part.leg.number, np.int32),
+        last=table(lambda part: part.leg.last, bool),
+        circle=_circles(table) if circles else None,
+        facing=_facing(table) if faces else None,
+    )  # fmt: skip
+
+
+def _headings(rows: list[list[_Part]]) -> Any:
+    """Return the heading (W, n) [rad] along each leg; where it has none, that before it."""
+    columns = []
+    for row in rows:
+        ways = [math.atan2(p.direction[1], p.direction[0]) if _is_level(p) else None for p in row]
+        known = next((way for way in ways if way is not None), 0.0)
+        column = []
+        for part, way in zip(row, ways, strict=True):
+            known = known if way is None else way
+            column.append(known if part.leg.yaw is None else part.leg.yaw)
+        columns.append(column)
+    return np.ascontiguousarray(np.array(columns, np.float64).T)
+
+
+def _is_level(part: _Part) -> bool:
+    """Return whether a leg leads somewhere, and not just up or down."""
+    return part.leg.kind == "line" and math.hypot(part.direction[0], part.direction[1]) * part.length > SHORTEST
+
+
+def _circles(table: Any) -> Orbits:
+    def is_circle(part: _Part) -> bool:
+        return part.leg.kind == "circle"
+
+    def arm(part: _Part, axis: int) -> float:
+        return float(part.begin[axis] - part.leg.centre_ned[axis]) if is_circle(part) else 0.0
+
+    def curvature(part: _Part) -> float:
+        return math.copysign(1.0, part.leg.angle) / math.hypot(arm(part, 0), arm(part, 1)) if is_circle(part) else 0.0
+
+    return Orbits(
+        flown=table(is_circle, bool),
+        arm_north=table(lambda part: arm(part, 0)),
+        arm_east=table(lambda part: arm(part, 1)),
+        curvature=table(curvature),
+        along=table(lambda part: is_circle(part) and part.leg.yaw is None, bool),
+    )
+
+
+def _facing(table: Any) -> Facing:
+    return Facing(
+        faced=table(lambda part: part.leg.facing_ned is not None, bool),
+        north=table(lambda part: (part.leg.facing_ned or (0.0, 0.0))[0]),
+        east=table(lambda part: (part.leg.facing_ned or (0.0, 0.0))[1]),
+    )
+
+
+def renumbered(legs: Sequence[Leg], number: int) -> list[Leg]:
+    """Return the parts of what is one leg to its author."""
+    return [replace(leg, number=number, last=i == len(legs) - 1) for i, leg in enumerate(legs)]

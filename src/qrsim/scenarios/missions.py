@@ -1,0 +1,236 @@
+"""From the legs of vehicles to the mission of a fleet, and what is wrong with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from qrsim.control.mission import Mission
+from qrsim.control.paths import Leg, Limits, circle_speed, mission_of, plan, ramp_time, renumbered
+from qrsim.core.vectors import Vec3
+from qrsim.models.vehicles.contracts import Vehicle
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.checks import outside
+from qrsim.scenarios.legs import FlyLeg
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
+
+MISSION = "mission"
+# Closer places are one place.
+SAME_PLACE = 0.01
+
+
+def stands(fleet: FleetSpec) -> bool:
+    """Return whether the vehicles of a fleet can stand on the ground."""
+    vehicle: Any = known.VEHICLES[fleet.vehicle.type]
+    return vehicle.on_ground is not Vehicle.on_ground or vars(fleet).get("ground") == "parked"
+
+
+def limits_of(guidance: Any) -> Limits:
+    """Return what the paths of a fleet may ask for, as its guidance says."""
+    return Limits(
+        acceleration=guidance.acceleration,
+        jerk=guidance.jerk,
+        climb=guidance.climb_speed,
+        sink=guidance.sink_speed,
+        descent=guidance.sink_speed,
+        touchdown=min(guidance.touchdown_speed, guidance.sink_speed),
+        slow_below=guidance.slow_below,
+        quintic=guidance.path == "quintic",
+        timeout=guidance.leg_timeout,
+    )
+
+
+@dataclass
+class _Author:
+    """Writes legs one after the other, from where a vehicle is then; keeps what was found wrong."""
+
+    guidance: Any
+    ground: Any
+    can_stand: bool
+    start: tuple[float, float, float]
+    path: str
+
+    def __post_init__(self) -> None:
+        self.limits = limits_of(self.guidance)
+        self.place = self.start
+        self.landed = self.endless = ""
+        self.problems: list[str] = []
+
+    def ground_down(self, north: float, east: float) -> float:
+        """Return the down coordinate of the ground at a place [m]."""
+        place = Vec3(*(np.array([value], np.float64) for value in (north, east, 0.0)))  # type: ignore[arg-type]
+        return float(np.asarray(self.ground.down(place))[0])
+
+    def legs(self, specs: list[Any]) -> list[list[Leg]]:
+        """Return the parts of each leg."""
+        return [renumbered(self._parts(spec, j), spec.item or j + 1) for j, spec in enumerate(specs)]
+
+    def _parts(self, spec: Any, j: int) -> list[Leg]:
+        where = f"{self.path}.{j}"
+        if self.endless:
+            self.problems.append(f"{where}: is never flown, because {self.endless}, a loiter, does not end")
+            self.endless = ""
+        if self.landed and spec.type not in ("take_off", "land"):
+            self.problems.append(f"{where}: {self.landed} has landed; the next leg must be of type take_off")
+        self.landed = ""
+        parts: list[Leg] = getattr(self, f"_{spec.type}")(spec, where)
+        self.place = parts[-1].position_ned
+        return parts
+
+    def _own(self, spec: Any) -> dict[str, Any]:
+        """Return what every leg says about speed and heading."""
+        facing = tuple(spec.facing_ned) if spec.facing_ned else None
+        speed = spec.speed or self.guidance.speed
+        return {"speed": speed, "yaw": spec.yaw_rad, "facing_ned": facing, "accept_radius": self.guidance.accept_radius}
+
+    def _line(self, place: tuple[float, ...], spec: Any, **more: Any) -> Leg:
+        north, east, down = place
+        return Leg((north, east, down), **{**self._own(spec), **more})
+
+    def _fly(self, spec: Any, where: str) -> list[Leg]:
+        radius = spec.accept_radius or self.guidance.accept_radius
+        return [self._line(spec.to_ned, spec, hold=spec.hold, stop=spec.stop or spec.hold > 0.0, accept_radius=radius)]
+
+    def _take_off(self, spec: Any, where: str) -> list[Leg]:
+        north, east, down = self.place
+        if -spec.height > down + SAME_PLACE:
+            self.problems.append(
+                f"{where}.height: {spec.height:g} m is not above the vehicle, which is at {-down:g} m then"
+            )
+        speed = spec.speed or self.guidance.take_off_speed
+        return [self._line((north, east, -spec.height), spec, stop=True, speed=speed)]
+
+    def _land(self, spec: Any, where: str) -> list[Leg]:
+        north, east = spec.at_ned or self.place[:2]
+        return self._down_to(north, east, spec, where, hold=spec.hold)
+
+    def _down_to(self, north: float, east: float, spec: Any, where: str, hold: float = 0.0) -> list[Leg]:
+        """Return the way to above a place, and down."""
+        down = self.ground_down(north, east)
+        if not self.can_stand:
+            self.problems.append(
+                f"{where}: lands, but touching the ground ends the flight of this fleet; "
+                f"set {self.path.split('.vehicles')[0]}.ground to parked"
+            )
+        elif self.place[2] > down:
+            self.problems.append(f"{where}: lands from below the ground, whose height is {-down:g} m there")
+        self.landed = _short(where)
+        over = [] if math.dist(self.place[:2], (north, east)) < SAME_PLACE else [
+            self._line((north, east, self.place[2]), spec, stop=True)
+        ]  # fmt: skip
+        return [*over, self._line((north, east, down), spec, kind="land", hold=hold)]
+
+    def _loiter(self, spec: Any, where: str) -> list[Leg]:
+        centre = tuple(spec.to_ned or self.place)
+        ends = spec.time is not None or spec.turns is not None
+        if not ends:
+            self.endless = _short(where)
+        if spec.radius == 0.0:
+            return [self._line(centre, spec, stop=True, hold=spec.time if ends else math.inf)]
+        return self._circle(centre, spec)
+
+    def _circle(self, centre: tuple[float, ...], spec: Any) -> list[Leg]:
+        """Return the way to a circle and the circle; it begins where it is next to where the vehicle comes from."""
+        north, east = self.place[0] - centre[0], self.place[1] - centre[1]
+        first = math.atan2(east, north) if math.hypot(north, east) > SAME_PLACE else 0.0
+        radius = abs(spec.radius)
+        angle = math.inf if spec.turns is None else 2.0 * math.pi * spec.turns
+        if spec.time is not None:
+            speed = circle_speed(radius, spec.speed or self.guidance.speed, self.limits)
+            angle = speed * max(spec.time - ramp_time(speed, self.limits), 0.0) / radius
+        last = first + math.copysign(angle if math.isfinite(angle) else 0.0, spec.radius)
+        ends = [(centre[0] + radius * math.cos(a), centre[1] + radius * math.sin(a), centre[2]) for a in (first, last)]
+        to_it = self._line(ends[0], spec, stop=True)
+        turn = math.copysign(angle, spec.radius)
+        return [to_it, self._line(ends[1], spec, kind="circle", centre_ned=(centre[0], centre[1]), angle=turn)]
+
+    def _return(self, spec: Any, where: str) -> list[Leg]:
+        parts = []
+        if spec.height is not None and -spec.height < self.place[2] - SAME_PLACE:
+            parts.append(self._line((*self.place[:2], -spec.height), spec, stop=True))
+            self.place = parts[-1].position_ned
+        north, east = self.start[:2]
+        if spec.land:
+            return [*parts, *self._down_to(north, east, spec, where)]
+        return [*parts, self._line((north, east, self.place[2]), spec, stop=True)]
+
+
+def _short(path: str) -> str:
+    """Return the end of a path, such as legs.3."""
+    return ".".join(path.split(".")[-2:])
+
+
+def _specs(vehicle: VehicleSpec) -> tuple[str, list[Any]]:
+    """Return the legs of a vehicle and the name of their list; waypoints are legs too."""
+    if vehicle.legs:
+        return "legs", vehicle.legs
+    return "waypoints_ned", [FlyLeg.model_validate({"to_ned": waypoint}) for waypoint in vehicle.waypoints_ned]
+
+
+def _author(fleet: FleetSpec, vehicle: VehicleSpec, ground: Any, path: str) -> _Author:
+    north, east, down = vehicle.position_ned
+    return _Author(fleet.guidance, ground, stands(fleet), (north, east, down), path)
+
+
+def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Iterator[str]:
+    """Yield what is wrong with the missions of a fleet; ``ground`` is the world's."""
+    if fleet.guidance.type != MISSION:
+        for i, vehicle in enumerate(fleet.vehicles):
+            if vehicle.legs:
+                yield (
+                    f"{path}.vehicles.{i}.legs: the guidance '{fleet.guidance.type}' flies no legs; "
+                    f"set {path}.guidance to mission"
+                )
+        return
+    if fleet.placement.type != "given":
+        yield (
+            f"{path}.placement: '{fleet.placement.type}' does not go with the guidance 'mission', whose path begins "
+            "where the vehicle starts; allowed: given"
+        )
+    for i, vehicle in enumerate(fleet.vehicles):
+        name, specs = _specs(vehicle)
+        author = _author(fleet, vehicle, ground, f"{path}.vehicles.{i}.{name}")
+        legs = author.legs(specs)
+        if fleet.guidance.repeat:
+            author.legs(specs)
+        yield from dict.fromkeys(author.problems)
+        for j, parts in enumerate(legs if name == "legs" else ()):
+            for problem in _outside(f"{author.path}.{j}", parts, scenario.world.area):
+                yield problem
+                break
+
+
+def _outside(path: str, parts: list[Leg], area: Any) -> Iterator[str]:
+    """Yield where a leg leads out of the area; the ground, where it lands, may be its floor."""
+    for leg in parts:
+        north, east, down = leg.position_ned
+        points = [[north, east, down]]
+        if leg.kind == "circle":
+            middle, radius = leg.centre_ned, math.dist((north, east), leg.centre_ned)
+            turns = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
+            points = [[middle[0] + radius * math.cos(a), middle[1] + radius * math.sin(a), down] for a in turns]
+        for point in points if leg.kind != "land" else ():
+            yield from outside(path, point, area)
+
+
+def mission(fleet: FleetSpec, ground: Any) -> Mission:
+    """Return the mission of a fleet without problems; a vehicle without legs holds its start."""
+    limits = limits_of(fleet.guidance)
+    plans, again = [], []
+    for vehicle in fleet.vehicles:
+        author = _author(fleet, vehicle, ground, "")
+        _, specs = _specs(vehicle)
+        first = [leg for parts in author.legs(specs) for leg in parts]
+        legs = first or [Leg(author.start, yaw=vehicle.yaw_rad)]
+        following = None
+        if fleet.guidance.repeat and len(first) > 1:
+            # From the second time on the first leg begins where the last one ends.
+            following = len(legs)
+            legs = [*legs, *(leg for parts in author.legs(specs) for leg in parts)]
+        plans.append(plan(author.start, legs, limits, following))
+        again.append(following)
+    return mission_of(plans, again, limits)
