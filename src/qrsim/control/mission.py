@@ -252,9 +252,10 @@ class MissionGuidance(Guidance):
 
 def _leg_of(route: Mission, index: Array) -> Mission:
     """Return the leg that each vehicle (n,) flies."""
+    own = jnp.arange(index.shape[0], dtype=jnp.int32)
 
     def pick(values: Array) -> Array:
-        return values if values.ndim == 1 else jnp.take_along_axis(values, index[None, :], axis=0)[0]
+        return values if values.ndim == 1 else values.at[index, own].get(mode="promise_in_bounds")
 
     return map_tree(pick, route)
 
