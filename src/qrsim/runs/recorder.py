@@ -138,7 +138,10 @@ def fly(
         keep(first)
         # A page has a clock of its own.
         paced = realtime and view is None
-        return _loop(simulation, scenario.ticks, (start_up, first_tick), paced, pilot, keep, progress, view)
+        pace = _loop(simulation, scenario.ticks, (start_up, first_tick), paced, pilot, keep, progress, view)
+        for event in finder.ending(simulation.history):
+            writer.append_event(**event)
+        return pace
 
 
 def _pilot(simulation: Simulation, policy: Any, estimator: Any, policy_ticks: int) -> Pilot:

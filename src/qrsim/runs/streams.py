@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from qrsim.core.tree import walk
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.scene.area import REASONS, reason_text
 from qrsim.runs import Column
+from qrsim.runs.mission_events import Found, MissionWatch
 from qrsim.simulation.simulation import History, Simulation
 from qrsim.world.standing import on_ground
 from qrsim.world.state import Fleet, FleetState, World, position_of
@@ -99,6 +100,7 @@ class EventFinder:
         self.standing: list[Any] = [None] * len(self.world.fleets)
         start = simulation.history
         self.before = {key: pick(start)[-1] for key, pick in self._sources().items()}
+        self.missions = MissionWatch(self.world, start)
 
     @staticmethod
     def _sources() -> dict[str, Callable[[History], Any]]:
@@ -123,9 +125,27 @@ class EventFinder:
         found += self._faults(history)
         found += self._losses(history)
         found += self._persons(history)
+        found += self._of_missions(history, self.missions.events(history))
         found += self._landings(history)
         found.sort(key=lambda item: item[:2])
         return [event for _, _, event in found]
+
+    def ending(self, history: History) -> list[dict[str, Any]]:
+        """Return the events of the end of a run: missions that it does not finish."""
+        return [event for _, _, event in self._of_missions(history, self.missions.ending(history))]
+
+    def _of_missions(
+        self, history: History, found: Iterable[tuple[int, Found]]
+    ) -> list[tuple[int, int, dict[str, Any]]]:
+        """Return what a watch of missions found as events, each with its row and vehicle."""
+        firsts = np.cumsum([0, *(fleet.size for fleet in self.world.fleets)])
+        events = []
+        for number, (row, own, kind, value, message) in found:
+            vehicle = int(firsts[number]) + own
+            event = self._at(history, row, vehicle)
+            message = f"{message}, at {event['time']:.2f} s"
+            events.append((row, vehicle, {**event, "kind": kind, "field": "leg", "value": value, "message": message}))
+        return events
 
     def _faults(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
         """Return the scheduled faults that begin or end."""

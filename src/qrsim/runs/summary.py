@@ -25,6 +25,9 @@ NOT_A_STOP = (
     "fix_found",
     "wind_changed",
     "person_found",
+    "leg_timeout",
+    "mission_finished",
+    "mission_unfinished",
     "landed",
     "took_off",
 )

@@ -1,0 +1,97 @@
+"""Events of missions: finished, a leg that takes too long, and what a run ends with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from qrsim.control import Mission, MissionState
+from qrsim.simulation.simulation import History
+from qrsim.world.state import Fleet, FleetState, World
+
+FINISHED, LATE, UNFINISHED = "mission_finished", "leg_timeout", "mission_unfinished"
+# Row and vehicle in its fleet, kind, number of the leg, what is said of it.
+Found = tuple[int, int, str, float, str]
+
+
+class MissionWatch:
+    """Watches the missions of a run."""
+
+    def __init__(self, world: World, start: History):
+        self.fleets = world.fleets
+        self.before = [_progress(state, -1) for state in start.state.fleets]
+
+    def events(self, history: History) -> Iterator[tuple[int, Found]]:
+        """Yield what happened to missions in a history, each with the number of its fleet."""
+        for i, (fleet, state) in enumerate(zip(self.fleets, history.state.fleets, strict=True)):
+            progress, before = _progress(state), self.before[i]
+            if progress is None or before is None:
+                continue
+            self.before[i] = _progress(state, -1)
+            for kind, now, old in zip((LATE, FINISHED), progress, before, strict=True):
+                for row, vehicle in np.argwhere(now > np.concatenate([old[None], now[:-1]])):
+                    yield i, _told(fleet, state, int(row), int(vehicle), kind)
+
+    def ending(self, history: History) -> Iterator[tuple[int, Found]]:
+        """Yield the missions that a run ends before, at the last row of a history."""
+        for i, (fleet, state) in enumerate(zip(self.fleets, history.state.fleets, strict=True)):
+            now, route = state.guidance, fleet.route
+            if not isinstance(now, MissionState) or not isinstance(route, Mission):
+                continue
+            last = now.index[-1] >= route.count - 1
+            flies = (state.violation.code[-1] == 0) & ((now.ticks[-1] > 0) | (now.index[-1] > 0))
+            ends = np.asarray(route.following) == np.asarray(route.count) - 1
+            for vehicle in np.flatnonzero(flies & ends & ~(last & now.arrived[-1])):
+                yield i, _told(fleet, state, len(now.ticks) - 1, int(vehicle), UNFINISHED)
+
+
+def _progress(state: FleetState, row: int | slice = slice(None)) -> tuple[Any, Any] | None:
+    """Return legs that took too long, and whether the mission is finished; None without a mission."""
+    now = state.guidance
+    return (now.late[row], now.finished[row]) if isinstance(now, MissionState) else None
+
+
+def _told(fleet: Fleet, state: FleetState, row: int, vehicle: int, kind: str) -> Found:
+    now, route = state.guidance, fleet.route
+    assert isinstance(now, MissionState)
+    assert isinstance(route, Mission)
+    name = fleet.vehicle_names[vehicle]
+    if kind == FINISHED:
+        return row, vehicle, kind, float(now.reached[row, vehicle]), f"{name} finished its mission"
+    index = int(now.index[row, vehicle])
+    number = int(route.number[index, vehicle])
+    legs = int(np.max(np.asarray(route.number)[:, vehicle]))
+    said = f"leg {number} of {legs}, {_leg(route, index, vehicle)}: {_why(fleet, state, row, vehicle)}"
+    words = "has not reached" if kind == LATE else "has not finished its mission, it is at"
+    return row, vehicle, kind, float(number), f"{name} {words} {said}"
+
+
+def _leg(route: Mission, index: int, vehicle: int) -> str:
+    """Name a leg by where it leads."""
+    north, east, down = (float(getattr(route.position_ned, axis)[index, vehicle]) for axis in "xyz")
+    place = f"north {north:.4g} m, east {east:.4g} m"
+    return f"a landing at {place}" if route.lands[index, vehicle] else f"to {place}, {0.0 - down:.4g} m up"
+
+
+def _why(fleet: Fleet, state: FleetState, row: int, vehicle: int) -> str:
+    """Say how far a vehicle is from the end of its leg, and what keeps it from being there."""
+    now, route = state.guidance, fleet.route
+    index = int(now.index[row, vehicle])
+    axes = "xyz"
+    place = np.array([getattr(state.estimate.position_ned, axis)[row, vehicle] for axis in axes], float)
+    goal = np.array([getattr(route.position_ned, axis)[index, vehicle] for axis in axes], float)
+    speed = float(np.linalg.norm([getattr(state.estimate.velocity_ned, axis)[row, vehicle] for axis in axes]))
+    away, behind = float(np.linalg.norm(goal - place)), float(now.behind[row, vehicle])
+    radius = float(route.accept_radius[index, vehicle])
+    waits = float(np.max(fleet.guidance.stretch_from))
+    if route.lands[index, vehicle]:
+        return f"{goal[2] - place[2]:.3g} m above the ground and not standing on it, at {speed:.2g} m/s"
+    if behind > waits:
+        return f"{away:.3g} m to go, {behind:.3g} m from the path, which waits from {waits:g} m on"
+    if away >= radius:
+        return f"{away:.3g} m to go; reached within {radius:g} m"
+    if route.stops[index, vehicle] and speed >= float(np.max(fleet.guidance.stop_speed)):
+        return f"there, but at {speed:.2g} m/s; stopped below {float(np.max(fleet.guidance.stop_speed)):g} m/s"
+    return f"{away:.3g} m to go"
