@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.control import Mission, MissionState
+from qrsim.control import Mission, MissionGuidance, MissionState
 from qrsim.simulation.simulation import History
 from qrsim.world.state import Fleet, FleetState, World
 
@@ -77,7 +77,10 @@ def _leg(route: Mission, index: int, vehicle: int) -> str:
 
 def _why(fleet: Fleet, state: FleetState, row: int, vehicle: int) -> str:
     """Say how far a vehicle is from the end of its leg, and what keeps it from being there."""
-    now, route = state.guidance, fleet.route
+    guidance, now, route = fleet.guidance, state.guidance, fleet.route
+    assert isinstance(guidance, MissionGuidance)
+    assert isinstance(now, MissionState)
+    assert isinstance(route, Mission)
     index = int(now.index[row, vehicle])
     axes = "xyz"
     place = np.array([getattr(state.estimate.position_ned, axis)[row, vehicle] for axis in axes], float)
@@ -85,13 +88,13 @@ def _why(fleet: Fleet, state: FleetState, row: int, vehicle: int) -> str:
     speed = float(np.linalg.norm([getattr(state.estimate.velocity_ned, axis)[row, vehicle] for axis in axes]))
     away, behind = float(np.linalg.norm(goal - place)), float(now.behind[row, vehicle])
     radius = float(route.accept_radius[index, vehicle])
-    waits = float(np.max(fleet.guidance.stretch_from))
+    waits, slow = (float(np.max(value)) for value in (guidance.stretch_from, guidance.stop_speed))
     if route.lands[index, vehicle]:
         return f"{goal[2] - place[2]:.3g} m above the ground and not standing on it, at {speed:.2g} m/s"
     if behind > waits:
         return f"{away:.3g} m to go, {behind:.3g} m from the path, which waits from {waits:g} m on"
     if away >= radius:
         return f"{away:.3g} m to go; reached within {radius:g} m"
-    if route.stops[index, vehicle] and speed >= float(np.max(fleet.guidance.stop_speed)):
-        return f"there, but at {speed:.2g} m/s; stopped below {float(np.max(fleet.guidance.stop_speed)):g} m/s"
+    if route.stops[index, vehicle] and speed >= slow:
+        return f"there, but at {speed:.2g} m/s; stopped below {slow:g} m/s"
     return f"{away:.3g} m to go"

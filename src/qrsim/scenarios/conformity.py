@@ -52,7 +52,12 @@ CALLS: dict[str, dict[str, tuple[str, ...]]] = {
 # Of these an object is made without arguments, and what it is made of is its own affair.
 PLAIN = ("estimator", "metric")
 # What a guidance is handed by name, and what in its class asks for it.
-_HANDED = {"others_ned": "sees_others", "on_ground": "sees_ground"}
+_HANDED = {
+    "others_ned": "sees_others",
+    "on_ground": "sees_ground",
+    "velocity_ned": "sees_motion",
+    "dt": "sees_motion",
+}
 # What may be named in ``reads``.
 READABLE = {"sensor": SCENE, "vehicle": AROUND}
 
