@@ -76,6 +76,7 @@ def content(number: int) -> dict[str, Any]:
         if fleet["controller"]["type"] == "cascade":
             # With its filter, and what that reads.
             fleet["controller"]["feed"] = "filter"
+            fleet["guidance"] = {"type": "mission"}
             own = ("gnss_receiver", "barometer", "attitude_estimator", "accelerometer")
             sensors = {name: {"type": name} for name in own} | sensors
         fleets[f"fleet_{i}"] = {**fleet, "sensors": sensors, "faults": faults}

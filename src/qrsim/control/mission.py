@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control.contracts import Guidance
-from qrsim.control.guidance import RouteState
 from qrsim.control.setpoints import PathSetpoint
 from qrsim.core.fastmath import sincos, wrap_angle
 from qrsim.core.pairs import two_sum
@@ -85,10 +84,6 @@ class MissionState:
     late: Array = quantity(doc="int32 legs that took longer than allowed")
     behind: Array = quantity(unit="m", doc="distance from the point of the path that is due")
     finished: Array = quantity(doc="bool: the last leg was reached, and nothing follows")
-
-
-# Part of the progress that runs know from routes.
-ROUTE_STATE = (RouteState, MissionState)
 
 
 def _ramp(first: Array, last: Array, seconds: Array, time: Array) -> tuple[Array, Array, Array]:
@@ -255,7 +250,7 @@ def _leg_of(route: Mission, index: Array) -> Mission:
     own = jnp.arange(index.shape[0], dtype=jnp.int32)
 
     def pick(values: Array) -> Array:
-        return values if values.ndim == 1 else values.at[index, own].get(mode="promise_in_bounds")
+        return values if values.ndim == 1 else jnp.asarray(values).at[index, own].get(mode="promise_in_bounds")
 
     return map_tree(pick, route)
 

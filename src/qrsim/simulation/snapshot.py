@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.control import RouteState
+from qrsim.control import MissionState, RouteState
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.errors import RunError, UsageError
 from qrsim.models.gnss.receivers import SharedSky
@@ -244,7 +244,7 @@ def _ranges(world: World, state: State, tick: int) -> Iterator[tuple[str, Any, f
                 largest = np.max(np.abs(getattr(now.vehicle.position_ned, axis)), initial=1000.0)
                 most = 0.5 * float(np.spacing(largest))
                 yield f"the second part of a position {here}", getattr(now.position_low_ned, axis), -most, most
-        if isinstance(now.guidance, RouteState):
+        if isinstance(now.guidance, RouteState | MissionState):
             yield f"the number of a waypoint {here}", now.guidance.index, 0, last
             yield f"the number of waypoints reached {here}", now.guidance.reached, 0, tick + 1
     contents = state.contents
