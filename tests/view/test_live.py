@@ -58,7 +58,7 @@ def test_the_last_state_of_a_run_is_drawn(view: LiveView, scenario: Scenario, tm
     frame = view._page.scene.frame  # type: ignore[union-attr]
     truth = open_run(tmp_path / "run")["truth"]
     np.testing.assert_array_equal(frame.position_ned[:, 0], truth["position_ned.x"][-1])
-    drawn = view._page.scene.vehicles.handle.batched_positions  # type: ignore[union-attr]
+    drawn = view._page.scene.vehicles.bodies.batches[0][1].batched_positions  # type: ignore[union-attr]
     np.testing.assert_array_equal(drawn, frame.position_ned.astype(np.float32))
 
 

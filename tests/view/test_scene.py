@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from qrsim.models.vehicles.contracts import Outline
 from qrsim.view.frame import Cast, Frame
+from qrsim.view.layers import STOPPED_COLOUR
 from qrsim.view.scene import Scene
 from qrsim.view.server import start_server
 
@@ -53,3 +58,28 @@ def test_of_many_vehicles_only_what_can_be_told_apart_is_shown_at_first():
     finally:
         server.stop()
     assert hidden == ["estimated paths", "GNSS positions"]
+
+
+def test_each_kind_of_vehicle_is_drawn_as_what_it_is():
+    """Two quadrotors, a mast, and one with rotors of its own; each is clicked by its number."""
+    places = np.array([[0.0, 0.0, -10.0], [30.0, 0.0, 0.0], [0.0, 40.0, -20.0], [60.0, 0.0, -10.0]])
+    hexa = Outline(tuple((0.3 * math.cos(a), 0.3 * math.sin(a), 0.0) for a in np.arange(6) * math.pi / 3), 0.1)
+    seen = Cast(("a", "mast", "hexa", "b"), np.array([0, 1, 2, 0]), places, outlines=(None, Outline(), hexa))
+    server = start_server(0)
+    try:
+        scene = Scene(server, seen, None)
+        scene.draw(replace(frame(places), valid=np.array([True, True, False, True])))
+        batches = scene.vehicles.bodies.batches
+        assert [members.tolist() for members, _ in batches] == [[0, 3], [1], [2]]
+        for members, handle in batches:
+            np.testing.assert_array_equal(handle.batched_positions, places[members].astype(np.float32))
+        # Red is who has stopped.
+        np.testing.assert_array_equal(batches[2][1].batched_colors[0], STOPPED_COLOUR)
+        assert (batches[0][1].batched_colors != STOPPED_COLOUR).any()
+        clicked = []
+        scene.vehicles.on_click(lambda vehicle, event: clicked.append(vehicle))
+        for (_, handle), index in zip(batches, (1, 0, None), strict=True):
+            handle._impl.click_cb[-1].callback(SimpleNamespace(instance_index=index))
+    finally:
+        server.stop()
+    assert clicked == [3, 1, None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from qrsim.models.vehicles.contracts import Outline
 from qrsim.view import shapes
 from qrsim.view.ground import grid_cell
 
@@ -25,7 +26,15 @@ def test_arrows_point_along_their_vectors():
 
 
 @pytest.mark.parametrize(
-    "mesh", [shapes.quadrotor(), shapes.arrow(), shapes.prism(2.0, -1.0, 1.0), shapes.box((0, 0, 0), (1, 2, 3))]
+    "mesh",
+    [
+        shapes.quadrotor(),
+        shapes.arrow(),
+        shapes.prism(2.0, -1.0, 1.0),
+        shapes.box((0, 0, 0), (1, 2, 3)),
+        shapes.mast(),
+        shapes.multirotor(((0.3, 0.0, 0.0), (-0.3, 0.1, 0.0)), 0.1),
+    ],
 )
 def test_triangles_have_corners(mesh: shapes.Mesh):
     corners, faces = mesh
@@ -50,3 +59,31 @@ def test_colours_of_speeds_end_where_the_scale_does():
 @pytest.mark.parametrize(("extent", "cell"), [(10.0, 0.5), (127.0, 5.0), (400.0, 20.0), (999.0, 20.0), (1000.0, 50.0)])
 def test_grids_have_round_cells(extent: float, cell: float):
     assert grid_cell(extent) == pytest.approx(cell)
+
+
+def test_a_multirotor_is_drawn_by_its_rotors():
+    """Of span 1 whatever its size: hubs in their directions, rotors as large as they are beside the arms."""
+    hubs = ((0.2, 0.2, -0.05), (-0.2, 0.2, -0.05), (-0.2, -0.2, -0.05), (0.2, -0.2, -0.05))
+    corners, _ = shapes.multirotor(hubs, 0.1)
+    span = 2.0 * (0.2 * 2.0**0.5 + 0.1)
+    # Rotors reach 0.3 m ahead and aside; the beak reaches half a span ahead, and alone reaches so far on the axis.
+    assert np.abs(corners[:, 1]).max() == pytest.approx(0.3 / span, rel=0.02)
+    middles = [(x / span, y / span, z / span - 0.02) for x, y, z in hubs]
+    for middle in middles:
+        assert np.linalg.norm(corners - middle, axis=1).min() < 1e-9
+    six, _ = shapes.multirotor((*hubs, (0.0, 0.3, 0.0), (0.0, -0.3, 0.0)), 0.1)
+    assert len(six) > len(corners)
+
+
+def test_a_mast_stands_up_and_looks_ahead():
+    corners, _ = shapes.mast()
+    assert corners[:, 2].min() == pytest.approx(-0.8)
+    assert corners[:, 2].max() == pytest.approx(0.05)
+    assert corners[:, 0].max() > -corners[:, 0].min()
+
+
+def test_what_looks_like_what():
+    assert len(shapes.looks(None)[0]) == len(shapes.quadrotor()[0])
+    assert len(shapes.looks(Outline())[0]) == len(shapes.mast()[0])
+    two = Outline(((0.1, 0.0, 0.0), (-0.1, 0.0, 0.0)), 0.05)
+    np.testing.assert_array_equal(shapes.looks(two)[0], shapes.multirotor(two.rotors, 0.05)[0])

@@ -12,6 +12,7 @@ from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.scene.area import reason_text
 from qrsim.models.scene.contents import ContentsState
 from qrsim.models.sensors.camera import CameraReading
+from qrsim.models.vehicles.contracts import Outline
 from qrsim.world.state import FleetState, State, World, position_of
 
 Floats = np.ndarray[Any, Any]
@@ -73,12 +74,21 @@ class Cast:
         fleets: (n,) number of the fleet of each.
         start_ned: (n, 3) where they are at first [m].
         around: (K, 3) corners of what is to be seen beside them [m]; None: nothing.
+        outlines: looks of the vehicles of each fleet; none: all are quadrotors.
     """
 
     names: tuple[str, ...]
     fleets: Floats
     start_ned: Floats
     around: Floats | None = None
+    outlines: tuple[Outline | None, ...] = ()
+
+    @property
+    def kinds(self) -> list[tuple[Outline | None, Floats]]:
+        """Looks, and the numbers (k,) of the vehicles that have them."""
+        of_fleets = self.outlines or (None,) * (int(self.fleets.max(initial=0)) + 1)
+        each = [of_fleets[number] for number in self.fleets]
+        return [(kind, np.array([i for i, own in enumerate(each) if own == kind])) for kind in dict.fromkeys(each)]
 
     @property
     def size(self) -> int:
@@ -109,6 +119,7 @@ def cast_of(world: World, start_ned: Floats) -> Cast:
         np.repeat(np.arange(len(world.fleets)), [fleet.size for fleet in world.fleets]),
         np.nan_to_num(start_ned).astype(np.float64),
         _contents_corners(world),
+        tuple(fleet.vehicle.outline() for fleet in world.fleets),
     )
 
 

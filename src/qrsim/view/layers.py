@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -79,14 +81,15 @@ class Layer:
     def draw(self, frame: Frame) -> None:
         """Update the nodes."""
 
-    def batch(self, name: str, mesh: shapes.Mesh, colours: Any, **options: Any) -> Any:
-        """Add one instance of a mesh for each vehicle, at its start."""
-        count = self.stage.cast.size
+    def batch(self, name: str, mesh: shapes.Mesh, colours: Any, members: Any = slice(None), **options: Any) -> Any:
+        """Add one instance of a mesh for each vehicle, or for the members (k,) of all, at its start."""
+        start = self.stage.cast.start_ned[members]
+        count = len(start)
         return self.stage.scene.add_batched_meshes_simple(
             f"{self.path}/{name}",
             *mesh,
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
-            batched_positions=self.stage.cast.start_ned,
+            batched_positions=start,
             batched_scales=np.zeros((count, 3), np.float32),
             batched_colors=colours,
             lod="off",
@@ -98,6 +101,47 @@ class Layer:
         )
 
 
+class Bodies:
+    """The bodies of all vehicles, in one batch for each kind of looks.
+
+    Args:
+        layer: that they are in.
+        colours: (n, 3) of the vehicles, or one for all.
+
+    Attributes:
+        batches: numbers (k,) of vehicles of one kind, and their node.
+    """
+
+    def __init__(self, layer: Layer, colours: Any, **options: Any):
+        every, each = layer.stage.cast.kinds, np.ndim(colours) == 2
+        self._start = layer.stage.cast.start_ned
+        self.batches = [
+            (
+                members,
+                layer.batch(
+                    f"bodies{number or ''}", shapes.looks(kind), colours[members] if each else colours, members,
+                    **options,
+                ),
+            )
+            for number, (kind, members) in enumerate(every)
+        ]  # fmt: skip
+
+    def place(self, position_ned: Floats, attitude: Floats, span: Floats) -> None:
+        """Move all vehicles (n, 3) [m], turn them (n, 3) [rad], and give each (n,) a span [m]."""
+        position = _finite(position_ned, self._start)
+        turn = np.nan_to_num(quaternion_of(attitude)).astype(np.float32)
+        scales = np.repeat(np.asarray(span, np.float32), 3).reshape(-1, 3)
+        for members, handle in self.batches:
+            handle.batched_positions = position[members]
+            handle.batched_wxyzs = turn[members]
+            handle.batched_scales = scales[members]
+
+    def paint(self, colours: Floats) -> None:
+        """Give each vehicle a colour (n, 3)."""
+        for members, handle in self.batches:
+            handle.batched_colors = colours[members]
+
+
 class Vehicles(Layer):
     """The vehicles with their attitudes; red once they have stopped."""
 
@@ -106,16 +150,26 @@ class Vehicles(Layer):
     def begin(self) -> None:
         """Make one instance for each."""
         self._valid = np.ones(self.stage.cast.size, bool)
-        self.handle = self.batch("bodies", shapes.quadrotor(), self.stage.colours)
+        self.bodies = Bodies(self, self.stage.colours)
 
     def draw(self, frame: Frame) -> None:
         """Move and turn them."""
-        self.handle.batched_positions = _finite(frame.position_ned, self.stage.cast.start_ned)
-        self.handle.batched_wxyzs = np.nan_to_num(quaternion_of(frame.attitude)).astype(np.float32)
-        self.handle.batched_scales = np.full((self.stage.cast.size, 3), self.stage.span, np.float32)
+        size = self.stage.cast.size
+        self.bodies.place(frame.position_ned, frame.attitude, np.full(size, self.stage.span))
         if not np.array_equal(frame.valid, self._valid):
             self._valid = frame.valid.copy()
-            self.handle.batched_colors = np.where(frame.valid[:, None], self.stage.colours, STOPPED_COLOUR)
+            self.bodies.paint(np.where(frame.valid[:, None], self.stage.colours, STOPPED_COLOUR).astype(np.uint8))
+
+    def on_click(self, call: Callable[[int | None, Any], None]) -> None:
+        """Call a function with the number of a vehicle that is clicked (None: not known which), and the event."""
+
+        def clicked(members: Floats, event: Any) -> None:
+            # The outline of what the mouse is over has no number.
+            index = event.instance_index
+            call(None if index is None else int(members[index]), event)
+
+        for members, handle in self.bodies.batches:
+            handle.on_click(partial(clicked, members))
 
 
 class Poles(Layer):
@@ -145,14 +199,13 @@ class Ghosts(Layer):
 
     def begin(self) -> None:
         """Make one pale instance for each."""
-        self._handle = self.batch("bodies", shapes.quadrotor(), GHOST_COLOUR, opacity=0.4)
+        self._bodies = Bodies(self, GHOST_COLOUR, opacity=0.4)
 
     def draw(self, frame: Frame) -> None:
         """Move them; a vehicle without a fix has no ghost."""
         fixed = np.isfinite(frame.ghost_ned).all(axis=1)
-        self._handle.batched_positions = _finite(frame.ghost_ned, frame.position_ned)
-        self._handle.batched_wxyzs = np.nan_to_num(quaternion_of(frame.attitude)).astype(np.float32)
-        self._handle.batched_scales = np.repeat(np.where(fixed, self.stage.span, 0.0), 3).reshape(-1, 3)
+        place = _finite(frame.ghost_ned, frame.position_ned)
+        self._bodies.place(place, frame.attitude, np.where(fixed, self.stage.span, 0.0))
 
 
 class Wind(Layer):

@@ -241,5 +241,6 @@ def _measured(state: State, world: World, vehicle: int) -> dict[str, float]:
 def _true(state: State, world: World, vehicle: int) -> dict[str, float]:
     number, i = _place(world, vehicle)
     fleet = state.fleets[number]
-    items = [*walk(fleet.vehicle), *walk(fleet.specific_force, "specific_force.")]
+    pose = world.fleets[number].vehicle.pose(fleet.vehicle)
+    items = [*walk(fleet.vehicle), *walk(pose), *walk(fleet.specific_force, "specific_force.")]
     return {name: float(np.asarray(leaf)[i]) for name, leaf, _ in items if np.ndim(leaf) == 1}

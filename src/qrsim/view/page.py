@@ -58,7 +58,7 @@ class Page:
             self._add_clock(clock)
         self._add_vehicle()
         self._add_layers()
-        self.scene.vehicles.handle.on_click(self._clicked)
+        self.scene.vehicles.on_click(self._clicked)
 
     @property
     def chosen(self) -> int | None:
@@ -135,10 +135,9 @@ class Page:
 
     # ---- what happens ----
 
-    def _clicked(self, event: Any) -> None:
-        # The outline of what the mouse is over has no number.
-        by_ray = event.instance_index is None
-        self.choose(self.scene.nearest(event.ray_origin, event.ray_direction) if by_ray else event.instance_index)
+    def _clicked(self, vehicle: int | None, event: Any) -> None:
+        by_ray = vehicle is None
+        self.choose(self.scene.nearest(event.ray_origin, event.ray_direction) if by_ray else vehicle)
 
     def _show(self, title: str, event: Any) -> None:
         self.scene.show(title, event.target.value)

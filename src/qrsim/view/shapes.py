@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.models.vehicles.contracts import Outline
+
 Floats = np.ndarray[Any, Any]
 Mesh = tuple[Floats, Floats]
 
@@ -79,6 +81,48 @@ def quadrotor() -> Mesh:
     rotors = [disc(x, y, high, rotor) for x, y in ((reach, 0.0), (-reach, 0.0), (0.0, reach), (0.0, -reach))]
     arms = [box((-reach, -0.02, -0.04), (reach, 0.02, 0.0)), box((-0.02, -reach, -0.04), (0.02, reach, 0.0))]
     return merged(*rotors, *arms, box((-0.1, -0.07, -0.06), (0.1, 0.07, 0.06)), cone(0.08, 0.65, 0.06))
+
+
+def multirotor(rotors: tuple[tuple[float, float, float], ...], radius: float) -> Mesh:
+    """Return a multirotor of span 1 in body axes, with an arm to each of its rotors and a beak at its nose.
+
+    Args:
+        rotors: positions of the hubs [m].
+        radius: of the rotors [m].
+    """
+    hubs = np.array(rotors, np.float64)
+    span = 2.0 * float(np.max(np.hypot(hubs[:, 0], hubs[:, 1]) + radius))
+    parts = [box((-0.1, -0.07, -0.06), (0.1, 0.07, 0.06)), cone(0.08, 0.5, 0.06)]
+    for x, y, z in hubs / span:
+        parts.append(disc(x, y, z - 0.02, radius / span))
+        parts.append(_arm(x, y, z))
+    return merged(*parts)
+
+
+def _arm(x: float, y: float, z: float) -> Mesh:
+    """Return a flat arm from the middle to a hub."""
+    length = max(math.hypot(x, y), 1e-9)
+    corners, faces = box((0.0, -0.02, -0.02), (1.0, 0.02, 0.02))
+    across = np.array([-y / length, x / length, 0.0])
+    placed = (
+        corners[:, :1] * np.array([x, y, z]) + corners[:, 1:2] * across + corners[:, 2:] * np.array([0.0, 0.0, 1.0])
+    )
+    return placed, faces
+
+
+def mast() -> Mesh:
+    """Return a box with an antenna above it, of height 1, with a beak where it looks."""
+    antenna = box((-0.02, -0.02, -0.8), (0.02, 0.02, -0.1))
+    return merged(
+        box((-0.12, -0.12, -0.2), (0.12, 0.12, 0.0)), antenna, disc(0.0, 0.0, -0.8, 0.15), cone(0.1, 0.3, 0.05)
+    )
+
+
+def looks(outline: Outline | None) -> Mesh:
+    """Return a vehicle of span 1 in body axes."""
+    if outline is None:
+        return quadrotor()
+    return multirotor(outline.rotors, outline.rotor_radius) if outline.rotors else mast()
 
 
 def arrow() -> Mesh:

@@ -81,6 +81,19 @@ def velocity_of(pose: Pose) -> Vec3:
     return rotation(pose.attitude).to_ned(pose.velocity_body)
 
 
+@dataclass(frozen=True)
+class Outline:
+    """The looks of a vehicle, for pictures, in body axes.
+
+    Attributes:
+        rotors: position of the hub of each rotor [m]; none: it stands on a mast.
+        rotor_radius: of all rotors [m].
+    """
+
+    rotors: tuple[tuple[float, float, float], ...] = ()
+    rotor_radius: float = 0.0
+
+
 class VehicleState(Protocol):
     """What the state of every vehicle model has: a position; all else is read through ``pose``."""
 
@@ -232,6 +245,10 @@ class Vehicle(Protocol):
 
     def on_ground(self, state: Any) -> Array | None:
         """Return which vehicles (n,) stand on the ground by a contact of their own, bool; None: it has none."""
+        return None
+
+    def outline(self) -> Outline | None:
+        """Return what it looks like; None: a quadrotor with a rotor ahead."""
         return None
 
     def own_checks(self, state: Any) -> list[Check]:

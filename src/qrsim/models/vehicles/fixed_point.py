@@ -10,7 +10,7 @@ from jax import Array
 
 from qrsim.core.tree import parameter, quantity, record
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
-from qrsim.models.vehicles.contracts import Around, Load, Pose, Vehicle
+from qrsim.models.vehicles.contracts import Around, Load, Outline, Pose, Vehicle
 
 
 @record
@@ -76,3 +76,7 @@ class FixedPoint(Vehicle):
     def stopped(self, state: FixedPointState) -> FixedPointState:
         """Return the state as it is."""
         return state
+
+    def outline(self) -> Outline:
+        """Return a mast."""
+        return Outline()

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from qrsim.core.noise import Noise
@@ -15,7 +16,7 @@ from qrsim.core.tree import record, replace
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
 from qrsim.models.scene.area import reason_code
 from qrsim.models.vehicles.commands import clipped
-from qrsim.models.vehicles.contracts import Around, Check, Handling, Load, Pose, Vehicle
+from qrsim.models.vehicles.contracts import Around, Check, Handling, Load, Outline, Pose, Vehicle
 from qrsim.models.vehicles.multirotor.commands import (
     TILT_MAX_RAD,
     AttitudeCommand,
@@ -153,6 +154,11 @@ class Multirotor(Airframe, Vehicle):
         rest = Vec3.zeros(state.standing.shape, state.standing.dtype)
         still = tuple(jnp.zeros_like(rate) for rate in state.rotor_speed)
         return replace(state, velocity_body=rest, rates_body=rest, rotor_speed=still)
+
+    def outline(self) -> Outline:
+        """Return its rotors."""
+        radius = float(np.ravel(np.asarray(self.rotor_radius))[0])
+        return Outline(tuple(rotor.position for rotor in self.rotors), radius)
 
     def own_checks(self, state: MultirotorState) -> list[Check]:
         """Return the checks of a hard touch, and of a rotor or the top on the ground."""
