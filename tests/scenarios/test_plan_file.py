@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -74,7 +75,13 @@ def waypoints(read: Plan) -> list[tuple[float, float, float, int, str]]:
 
 
 def ignored(read: Plan) -> list[str]:
-    return [each.text for each in read.ignored]
+    """What a route does not fly."""
+    return [each.route_text for each in read.ignored]
+
+
+def missed(read: Plan) -> list[str]:
+    """What a mission does not fly."""
+    return [each.text for each in read.ignored if each.what]
 
 
 # Good plans
@@ -171,6 +178,62 @@ def test_what_an_item_asks_for_beside_its_place_is_noted(write: Write) -> None:
         "item 5, NAV_LAND: abort altitude 10 m, precision landing mode 2",
         "item 6, NAV_LOITER_UNLIM: loiter radius 25 m",
     ]
+
+
+def test_what_a_mission_is_asked_for_is_its_waypoints_own(write: Write) -> None:
+    """Speeds hold on, headings of CONDITION_YAW are those of the next item, delays those of the last one."""
+    content = plan(
+        item(93, 4, frame=MISSION),
+        item(22, 0, 0, 0, 90, 47.0, 8.0, 20.0),
+        item(178, 1, 6.5, -1, 0, 0, 0, 0, frame=MISSION),
+        item(16, 5, 2.5, 0, None, 47.1, 8.0, 20.0),
+        item(93, 7, 0, 0, 0, 0, 0, 0, frame=MISSION),
+        item(115, 350, 0, 0, 0, 0, 0, 0, frame=MISSION),
+        item(18, 3, 1, -50, 0, 47.1, 8.0, 20.0),
+        item(178, 0, -2, 0, 0, 0, 0, 0, frame=MISSION),
+        item(19, 30, 0, 50, 0, 47.1, 8.0, 20.0),
+        item(178, 2, 1, 0, 0, 0, 0, 0, frame=MISSION),
+        item(115, 30, 0, 0, 1, 0, 0, 0, frame=MISSION),
+        item(21, 0, 0, 0, None, 47.1, 8.0, 0.0),
+    )
+    content["mission"]["items"][0]["params"] = [4, 0, 0, 0, 0, 0, 0]
+    read = read_plan(write(content))
+    assert read.delay == 4.0
+    asked = [(w.item, w.hold, w.accept_radius, w.yaw_deg, w.speed, w.turns, w.radius) for w in read.waypoints]
+    assert asked == [
+        (2, 0.0, None, 90.0, None, 0.0, 0.0),
+        (4, 12.0, 2.5, None, 6.5, 0.0, 0.0),
+        (7, 0.0, None, -10.0, 6.5, 3.0, -50.0),
+        (9, 30.0, None, None, None, 0.0, 0.0),
+        (12, 0.0, None, None, None, 0.0, 0.0),
+    ]
+    assert missed(read) == [
+        "item 7, NAV_LOITER_TURNS: parameter 2 = 1",
+        "item 9, NAV_LOITER_TIME: loiter radius 50 m",
+        "item 10, DO_CHANGE_SPEED: speeds of climb and descent are not carried out",
+        "item 11, CONDITION_YAW: a heading relative to the present one is not carried out",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("bad", "expected"),
+    [
+        (
+            item(178, 1, 80, 0, 0, 0, 0, 0),
+            "mission.items.0.params.1 (speed): 80 is out of range; allowed: at most 50 m/s",
+        ),
+        (item(16, -5, 0, 0, 0, 47.0, 8.0, 9.0), "mission.items.0.params.0: -5 is out of range; allowed: 0 to 604800 s"),
+        (
+            item(18, 1e6, 0, 9, 0, 47.0, 8.0, 9.0),
+            "mission.items.0.params.0: 1e+06 is out of range; allowed: 0 to 10000",
+        ),
+        (item(93, "x", 0, 0, 0, 0, 0, 0), "mission.items.0.params.0: expected a number, found 'x'"),
+    ],
+)
+def test_what_no_mission_can_fly_is_refused(write: Write, bad: dict[str, Any], expected: str) -> None:
+    bad["params"] = bad["params"][:7]
+    with pytest.raises(ScenarioError, match=re.escape(expected)):
+        read_plan(write(plan(bad)))
 
 
 def test_every_command_that_changes_no_path_is_noted_by_name(write: Write) -> None:
@@ -270,10 +333,14 @@ BAD: dict[str, tuple[Any, str]] = {
     # What cannot be flown.
     "jump": (
         plan(item(16, *GOOD), item(177, 1, 3, 0)),
-        "mission.items.1.command: 177 (DO_JUMP) cannot be flown; flown: 16 (NAV_WAYPOINT), 17 (NAV_LOITER_UNLIM), "
-        "18 (NAV_LOITER_TURNS), 19 (NAV_LOITER_TIME), 20 (NAV_RETURN_TO_LAUNCH), 21 (NAV_LAND), 22 (NAV_TAKEOFF)",
+        "mission.items.1.command: 177 (DO_JUMP) cannot be flown (item 2); flown: 16 (NAV_WAYPOINT), "
+        "17 (NAV_LOITER_UNLIM), 18 (NAV_LOITER_TURNS), 19 (NAV_LOITER_TIME), 20 (NAV_RETURN_TO_LAUNCH), 21 (NAV_LAND), "
+        "22 (NAV_TAKEOFF), 31 (NAV_LOITER_TO_ALT), 93 (NAV_DELAY), 115 (CONDITION_YAW), 178 (DO_CHANGE_SPEED)",
     ),
-    "unknown command": (plan(item(999)), "mission.items.0.command: 999 cannot be flown; flown: 16 (NAV_WAYPOINT), 17"),
+    "unknown command": (
+        plan(item(999)),
+        "mission.items.0.command: 999 cannot be flown (item 1); flown: 16 (NAV_WAYPOINT), 17",
+    ),
     "terrain": (
         plan(item(16, *GOOD, frame=10)),
         f"mission.items.0.frame: 10 (GLOBAL_TERRAIN_ALT) is not supported; {SUPPORTED_FRAMES}",

@@ -118,7 +118,7 @@ class _Author:
             )
         elif self.place[2] > down:
             self.problems.append(f"{where}: lands from below the ground, whose height is {-down:g} m there")
-        self.landed = _short(where)
+        self.landed = f"item {spec.item}" if spec.item else _short(where)
         over = [] if math.dist(self.place[:2], (north, east)) < SAME_PLACE else [
             self._line((north, east, self.place[2]), spec, stop=True)
         ]  # fmt: skip
@@ -128,7 +128,7 @@ class _Author:
         centre = tuple(spec.to_ned or self.place)
         ends = spec.time is not None or spec.turns is not None
         if not ends:
-            self.endless = _short(where)
+            self.endless = f"item {spec.item}" if spec.item else _short(where)
         if spec.radius == 0.0:
             return [self._line(centre, spec, stop=True, hold=spec.time if ends else math.inf)]
         return self._circle(centre, spec)
@@ -183,7 +183,7 @@ def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground
             if vehicle.legs:
                 yield (
                     f"{path}.vehicles.{i}.legs: the guidance '{fleet.guidance.type}' flies no legs; "
-                    f"set {path}.guidance to mission"
+                    f"take the controller 'cascade' and the guidance 'mission'"
                 )
         return
     if fleet.placement.type != "given":

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from qrsim.errors import ScenarioError, UsageError, warn_user
 from qrsim.models.site import Site
 from qrsim.scenarios.fence_file import fence_corners
-from qrsim.scenarios.legs import GeodeticSpec
+from qrsim.scenarios.legs import GeodeticSpec, LegSpec
 from qrsim.scenarios.local import local_ned
+from qrsim.scenarios.missions import MISSION, stands
 from qrsim.scenarios.plan import Ignored, Plan, Waypoint
-from qrsim.scenarios.plan_file import read_plan
+from qrsim.scenarios.plan_file import NOT_FLOWN, read_plan
+from qrsim.scenarios.plan_legs import legs_of, stands_first, touches_ground
 from qrsim.scenarios.schema import (
     LONGEST_ROUTE,
     MOST_CORNERS,
@@ -45,7 +49,8 @@ def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, s
 
 
 def _is_elsewhere(vehicle: VehicleSpec) -> bool:
-    return bool(vehicle.position_geodetic or vehicle.waypoints_geodetic or vehicle.plan)
+    legs = any(vars(leg).get("to_geodetic") for leg in vehicle.legs)
+    return bool(vehicle.position_geodetic or vehicle.waypoints_geodetic or vehicle.plan or legs)
 
 
 def _triple(place: GeodeticSpec) -> tuple[float, float, float]:
@@ -63,6 +68,8 @@ class _Places:
         self.written: dict[str, str] = {}
         self.flown: dict[str, Plan] = {}
         self.fences: dict[str, Plan] = {}
+        self.by_route: set[str] = set()
+        self.on_ground = False
 
     def _attempt(self, path: str, convert: Callable[[], list[list[float]]]) -> list[list[float]]:
         """Return the points a function gives; where something is wrong, keep that and return none."""
@@ -75,16 +82,34 @@ class _Places:
         return []
 
     def fleet(self, path: str, fleet: FleetSpec) -> FleetSpec:
-        """Return a fleet in NED; one with a plan flies its routes once unless it says otherwise."""
-        vehicles = [self._vehicle(f"{path}.vehicles.{i}", vehicle) for i, vehicle in enumerate(fleet.vehicles)]
+        """Return a fleet in NED; one with a plan flies its routes once unless it says otherwise.
+
+        Where a plan takes off or lands and the fleet does not say what the ground does to it, its vehicles can stand.
+        """
+        planned = [vehicle.plan.file for vehicle in fleet.vehicles if vehicle.plan]
         guidance = fleet.guidance
-        has_plan = any(vehicle.plan for vehicle in fleet.vehicles)
-        if has_plan and guidance.type == "route" and "repeat" not in guidance.model_fields_set:
+        mission = guidance.type == MISSION
+        if planned and guidance.type == "route" and "repeat" not in guidance.model_fields_set:
             guidance = guidance.model_copy(update={"repeat": False})
+        plans = [plan for plan in map(self._read, planned if mission else ()) if plan is not None]
+        if any(map(touches_ground, plans)) and "ground" not in fleet.model_fields_set and not stands(fleet):
+            fleet = fleet.model_copy(update={"ground": "parked"})
+        self.on_ground = mission and stands(fleet)
+        vehicles = [self._vehicle(f"{path}.vehicles.{i}", each, mission) for i, each in enumerate(fleet.vehicles)]
         return fleet.model_copy(update={"vehicles": vehicles, "guidance": guidance})
 
-    def _vehicle(self, path: str, vehicle: VehicleSpec) -> VehicleSpec:
-        start, route = vehicle.position_ned, vehicle.waypoints_ned
+    def _read(self, file: str) -> Plan | None:
+        """Return a plan, None where it cannot be read, which is told of the vehicle that names it."""
+        try:
+            self.flown[file] = self.flown.get(file) or read_plan(file)
+        except UsageError:
+            return None
+        return self.flown[file]
+
+    def _vehicle(self, path: str, vehicle: VehicleSpec, mission: bool) -> VehicleSpec:
+        start, route, legs = vehicle.position_ned, vehicle.waypoints_ned, list(vehicle.legs)
+        for j, leg in enumerate(legs):
+            legs[j] = self._leg(f"{path}.legs.{j}", leg)
         if vehicle.waypoints_geodetic:
             places = list(map(_triple, vehicle.waypoints_geodetic))
             route = self._attempt(f"{path}.waypoints_geodetic", lambda: local_ned(self.site, places))
@@ -99,12 +124,40 @@ class _Places:
             for j in range(len(route)):
                 number = self.flown[file].waypoints[j].item
                 self.written[f"{path}.waypoints_ned.{j}"] = f"{path}.plan: {file}: item {number}"
+            if not mission:
+                self.by_route.add(file)
+            else:
+                route = []
+                if needs_start and start and self.on_ground and stands_first(self.flown[file]):
+                    start = [*start[:2], 0.0]
         if vehicle.position_geodetic:
             place = _triple(vehicle.position_geodetic)
             start = next(iter(self._attempt(f"{path}.position_geodetic", lambda: local_ned(self.site, [place]))), [])
             self.written[f"{path}.position_ned"] = f"{path}.position_geodetic"
-        changes = {"position_ned": start, "waypoints_ned": route}
+        if vehicle.plan and mission and start and vehicle.plan.file in self.flown:
+            legs = self._legs(path, vehicle.plan.file, start)
+        changes = {"position_ned": start, "waypoints_ned": route, "legs": legs}
         return vehicle.model_copy(update={**changes, "position_geodetic": None, "waypoints_geodetic": [], "plan": None})
+
+    def _leg(self, path: str, leg: Any) -> Any:
+        """Return a leg in NED."""
+        place = vars(leg).get("to_geodetic")
+        if place is None:
+            return leg
+        points = self._attempt(f"{path}.to_geodetic", lambda: local_ned(self.site, [_triple(place)]))
+        self.written[path] = f"{path}.to_geodetic"
+        return leg.model_copy(update={"to_ned": points[0] if points else [0.0, 0.0, 0.0], "to_geodetic": None})
+
+    def _legs(self, path: str, file: str, start: list[float]) -> list[Any]:
+        """Return the legs of a plan for a vehicle that starts at a place."""
+        plan, home = self.flown[file], self.flown[file].home
+        points = [(w.latitude_deg, w.longitude_deg, w.height_above_home) for w in plan.waypoints]
+        home_ned, *places = local_ned(self.site, [(home.latitude_deg, home.longitude_deg, 0.0), *points])
+        legs = TypeAdapter(list[LegSpec]).validate_python(legs_of(plan, start, places, home_ned))
+        for j, leg in enumerate(legs):
+            what = f"item {leg.item}" if leg.item else "a delay at the start"
+            self.written[f"{path}.legs.{j}"] = f"{path}.plan: {file}: {what}"
+        return legs
 
     def _plan(self, file: str, needs_start: bool) -> list[list[float]]:
         """Return the start of a plan, then its route."""
@@ -136,23 +189,40 @@ class _Places:
         return corners
 
     def warn(self) -> None:
-        """Tell what is not flown: one warning for each kind of item of each plan."""
+        """Tell what is not flown: one warning for each kind of item of each plan, one for all that change no path."""
         for file, plan in {**self.fences, **self.flown}.items():
+            by_route = file in self.by_route
             notes = [note for note in plan.ignored if note.item is None or file in self.flown]
             if file in self.flown:
-                notes += self._notes(plan)
+                notes += self._notes(plan, by_route)
+            if not by_route:
+                idle = [note for note in notes if note.name in NOT_FLOWN.values()]
+                notes = [note for note in notes if note.what and note not in idle]
+                if idle:
+                    warn_user(f"{file}: not carried out: {_listed(idle)}")
             for name in dict.fromkeys(note.name for note in notes):
                 first, *others = [note for note in notes if note.name == name]
                 more = f" (and {len(others)} more of its kind)" if others else ""
-                warn_user(f"{file}: {first.text}{more}")
+                warn_user(f"{file}: {first.route_text if by_route else first.text}{more}")
 
-    def _notes(self, plan: Plan) -> list[Ignored]:
+    def _notes(self, plan: Plan, by_route: bool) -> list[Ignored]:
         """Return the parts of the plan that are not flown as planned."""
-        notes = [Ignored(each.item, LAND, "not landed, but flown over") for each in plan.waypoints if _lands(each)]
+        lands = [each for each in plan.waypoints if _lands(each)] if by_route else []
+        notes = [Ignored(each.item, LAND, "not landed, but flown over") for each in lands]
         if (plan.polygons or plan.circles) and self.area_type != "fence":
             unused = f"not used, because world.area is '{self.area_type}'; give {{type: fence, file: ...}}"
             notes.append(Ignored(None, "geoFence", unused))
         return notes
+
+
+def _listed(notes: list[Ignored]) -> str:
+    """List items by their kinds: DO_GRIPPER (items 3, 5), DO_MOUNT_CONTROL (item 4)."""
+    numbers: dict[str, list[str]] = {}
+    for note in notes:
+        numbers.setdefault(note.name, []).append(str(note.item))
+    return ", ".join(
+        f"{name} ({'item' if len(own) == 1 else 'items'} {', '.join(own)})" for name, own in numbers.items()
+    )
 
 
 def _lands(waypoint: Waypoint) -> bool:

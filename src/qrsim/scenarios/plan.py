@@ -23,6 +23,11 @@ class Waypoint:
         height_above_home: [m].
         item: number of the mission item, from 1 as QGroundControl shows it; those inside a survey count.
         command: MAV_CMD without its prefix, for example NAV_LAND.
+        hold: time to stay there [s], with the delays that follow.
+        accept_radius: distance at which it counts as reached [m], None where the plan leaves it open.
+        yaw_deg: heading [deg], None where the plan leaves it open.
+        speed: of the way to it [m/s], None where the plan leaves it open.
+        turns, radius: of a circle round it, clockwise positive [m]; 0: none.
     """
 
     latitude_deg: float
@@ -30,6 +35,12 @@ class Waypoint:
     height_above_home: float
     item: int
     command: str
+    hold: float = 0.0
+    accept_radius: float | None = None
+    yaw_deg: float | None = None
+    speed: float | None = None
+    turns: float = 0.0
+    radius: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -52,30 +63,41 @@ class FenceCircle:
 
 @dataclass(frozen=True)
 class Ignored:
-    """An item of the plan that is neither waypoint nor fence.
+    """Something of the plan that is not flown, at least not by a route.
 
     Attributes:
         item: number of the mission item, None where it is not one.
         name: of its command, or of the part of the file.
-        what: the words for what is not flown.
+        what: the words for what a mission does not fly, "" where it flies all.
+        on_route: the same of a route; None: the same words.
     """
 
     item: int | None
     name: str
     what: str
+    on_route: str | None = None
 
     @property
     def text(self) -> str:
-        """A line for a warning."""
-        return f"{self.name}: {self.what}" if self.item is None else f"item {self.item}, {self.name}: {self.what}"
+        """A line for a warning of a mission."""
+        return self._line(self.what)
+
+    @property
+    def route_text(self) -> str:
+        """A line for a warning of a route."""
+        return self._line(self.what if self.on_route is None else self.on_route)
+
+    def _line(self, what: str) -> str:
+        return f"{self.name}: {what}" if self.item is None else f"item {self.item}, {self.name}: {what}"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Content of a .plan file; waypoints are in the order of flight."""
+    """Content of a .plan file; waypoints are in the order of flight, after a delay at the start [s]."""
 
     home: Home
     waypoints: tuple[Waypoint, ...]
     polygons: tuple[FencePolygon, ...]
     circles: tuple[FenceCircle, ...]
     ignored: tuple[Ignored, ...]
+    delay: float = 0.0

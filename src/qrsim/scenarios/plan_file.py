@@ -1,4 +1,4 @@
-"""Reads QGroundControl .plan files: home, waypoints, fence, and the items that are not flown.
+"""Reads QGroundControl .plan files: home, waypoints with what is asked at them, fence, and what is not flown.
 
 The format is that of QGroundControl's developer guide, "Plan File Format"; commands and frames are MAVLink's MAV_CMD
 and MAV_FRAME. Altitudes are taken from an item's parameters and frame, as a vehicle takes them.
@@ -8,28 +8,46 @@ from __future__ import annotations
 
 import errno
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.files.user_files import read_text
 from qrsim.models.scene.fence import polygon_problems
+from qrsim.scenarios.legs import LONGEST_HOLD
 from qrsim.scenarios.plan import FenceCircle, FencePolygon, Home, Ignored, Plan, Waypoint
 
 WAYPOINT, LOITER_FOREVER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
-# Commands that are flown, and what their first four parameters ask for, which is not; "" where nothing is defined.
+LOITER_TO_ALTITUDE, DELAY, YAW, SPEED = 31, 93, 115, 178
+_YAW = "yaw {:g} deg"
+# Commands that are flown, and what their first four parameters ask for; "" where nothing is defined.
 FLOWN: dict[int, tuple[str, tuple[str, str, str, str]]] = {
-    WAYPOINT: ("NAV_WAYPOINT", ("hold for {:g} s", "acceptance radius {:g} m", "pass at {:g} m", "yaw {:g} deg")),
-    LOITER_FOREVER: ("NAV_LOITER_UNLIM", ("", "", "loiter radius {:g} m", "yaw {:g} deg")),
+    WAYPOINT: ("NAV_WAYPOINT", ("hold for {:g} s", "acceptance radius {:g} m", "pass at {:g} m", _YAW)),
+    LOITER_FOREVER: ("NAV_LOITER_UNLIM", ("", "", "loiter radius {:g} m", _YAW)),
     LOITER_TURNS: ("NAV_LOITER_TURNS", ("{:g} turns", "", "loiter radius {:g} m", "")),
     LOITER_TIME: ("NAV_LOITER_TIME", ("loiter for {:g} s", "", "loiter radius {:g} m", "")),
     RETURN: ("NAV_RETURN_TO_LAUNCH", ("", "", "", "")),
-    LAND: ("NAV_LAND", ("abort altitude {:g} m", "precision landing mode {:g}", "", "yaw {:g} deg")),
-    TAKEOFF: ("NAV_TAKEOFF", ("pitch {:g} deg", "", "", "yaw {:g} deg")),
+    LAND: ("NAV_LAND", ("abort altitude {:g} m", "precision landing mode {:g}", "", _YAW)),
+    TAKEOFF: ("NAV_TAKEOFF", ("pitch {:g} deg", "", "", _YAW)),
+    LOITER_TO_ALTITUDE: ("NAV_LOITER_TO_ALT", ("", "loiter radius {:g} m", "", "")),
 }  # fmt: skip
+# Of these, what a mission flies: the number of a parameter, and the field of a waypoint that it becomes. Multicopters
+# do not circle but stay where they loiter for a time or for ever, so that these radii are not flown.
+_ASKED: dict[int, dict[int, str]] = {
+    WAYPOINT: {0: "hold", 1: "accept_radius", 3: "yaw_deg"},
+    LOITER_FOREVER: {3: "yaw_deg"},
+    LOITER_TURNS: {0: "turns", 2: "radius"},
+    LOITER_TIME: {0: "hold"},
+    LAND: {3: "yaw_deg"},
+    TAKEOFF: {3: "yaw_deg"},
+}
+# Commands that a mission carries out on its way, and a route does not.
+ON_THE_WAY = {DELAY: "NAV_DELAY", YAW: "CONDITION_YAW", SPEED: "DO_CHANGE_SPEED"}
 # Commands that change no path.
 NOT_FLOWN = {
-    93: "NAV_DELAY", 112: "CONDITION_DELAY", 114: "CONDITION_DISTANCE", 115: "CONDITION_YAW", 178: "DO_CHANGE_SPEED",
+    112: "CONDITION_DELAY", 114: "CONDITION_DISTANCE",
     181: "DO_SET_RELAY", 182: "DO_REPEAT_RELAY", 183: "DO_SET_SERVO", 184: "DO_REPEAT_SERVO", 189: "DO_LAND_START",
     195: "DO_SET_ROI_LOCATION", 196: "DO_SET_ROI_WPNEXT_OFFSET", 197: "DO_SET_ROI_NONE", 200: "DO_CONTROL_VIDEO",
     201: "DO_SET_ROI", 202: "DO_DIGICAM_CONFIGURE", 203: "DO_DIGICAM_CONTROL", 204: "DO_MOUNT_CONFIGURE",
@@ -40,7 +58,7 @@ NOT_FLOWN = {
 }  # fmt: skip
 # Names, for messages, of others that occur in plans.
 _OTHERS = {
-    31: "NAV_LOITER_TO_ALT", 82: "NAV_SPLINE_WAYPOINT", 84: "NAV_VTOL_TAKEOFF", 85: "NAV_VTOL_LAND",
+    82: "NAV_SPLINE_WAYPOINT", 84: "NAV_VTOL_TAKEOFF", 85: "NAV_VTOL_LAND",
     94: "NAV_PAYLOAD_PLACE", 113: "CONDITION_CHANGE_ALT", 176: "DO_SET_MODE", 177: "DO_JUMP", 179: "DO_SET_HOME",
     208: "DO_PARACHUTE", 3000: "DO_VTOL_TRANSITION",
 }  # fmt: skip
@@ -49,7 +67,11 @@ _FRAMES = {
     1: "LOCAL_NED", 2: "MISSION", 4: "LOCAL_ENU", 10: "GLOBAL_TERRAIN_ALT", 11: "GLOBAL_TERRAIN_ALT_INT",
 }  # fmt: skip
 _KINDS = {dict: "an object", list: "a list", bool: "true or false", int: "a whole number"}
-_LARGEST_LENGTH, _LARGEST_PARAMETER = 1e5, 1e9
+_LARGEST_LENGTH, _LARGEST_PARAMETER, _LARGEST_SPEED = 1e5, 1e9, 50.0
+_FLYABLE = {
+    "hold": (0.0, LONGEST_HOLD, "s"), "accept_radius": (0.0, 1000.0, "m"), "turns": (0.0, 10_000.0, "turns"),
+    "radius": (-10e3, 10e3, "m"),
+}  # fmt: skip
 
 
 class _FaultError(Exception):
@@ -60,7 +82,8 @@ def read_plan(path: str | Path) -> Plan:
     """Read a .plan file, version 1 with a mission of version 2 and a fence of version 2.
 
     A take-off without a place is above the last waypoint, or above home; a return is a waypoint above home at the
-    height of the last. Landings are waypoints at the height they have. Speeds, cameras and the like are in ``ignored``.
+    height of the last. Landings are waypoints at the height they have. What a mission does at its waypoints (speeds,
+    holds, delays, headings, circles) is theirs; cameras and the like are in ``ignored``.
 
     Raises:
         UsageError: the file cannot be read or is no JSON.
@@ -81,8 +104,9 @@ def read_plan(path: str | Path) -> Plan:
     if problems := route.problems + fence.problems:
         raise ScenarioError(source, problems)
     return Plan(
-        home, tuple(route.waypoints), tuple(fence.polygons), tuple(fence.circles), (*route.ignored, *fence.ignored)
-    )
+        home, tuple(route.waypoints), tuple(fence.polygons), tuple(fence.circles), (*route.ignored, *fence.ignored),
+        route.delay,
+    )  # fmt: skip
 
 
 def _content(source: str) -> Any:
@@ -183,6 +207,9 @@ class _Route:
         self.problems: list[str] = []
         self.number = 0
         self.ended_by = ""
+        self.delay = 0.0
+        self.speed: float | None = None
+        self.yaw_deg: float | None = None
 
     def add_all(self, items: list[Any], where: str, inside: bool = False) -> None:
         """Add mission items; those of a survey are ``inside`` another item."""
@@ -221,19 +248,24 @@ class _Route:
         if command in NOT_FLOWN:
             self.ignored.append(Ignored(self.number, NOT_FLOWN[command], "not carried out"))
             return
+        if command in ON_THE_WAY:
+            what = self._carry_out(command, _params(item, path), path)
+            self.ignored.append(Ignored(self.number, ON_THE_WAY[command], what, "not carried out"))
+            return
         if command not in FLOWN:
             name = f" ({_OTHERS[command]})" if command in _OTHERS else ""
-            flown = ", ".join(f"{each} ({words})" for each, (words, _) in FLOWN.items())
-            raise _FaultError(f"{path}.command: {command}{name} cannot be flown; flown: {flown}")
+            names = {**{each: words for each, (words, _) in FLOWN.items()}, **ON_THE_WAY}
+            flown = ", ".join(f"{each} ({words})" for each, words in names.items())
+            raise _FaultError(f"{path}.command: {command}{name} cannot be flown (item {self.number}); flown: {flown}")
         name, _ = FLOWN[command]
         if self.ended_by:
             raise _FaultError(f"{path}: {name} is never reached, because {self.ended_by} before it ends the route")
-        params = _get(item, "params", list, path)
-        if len(params) != 7:
-            raise _FaultError(f"{path}.params: expected 7 values, found {len(params)}")
+        params = _params(item, path)
         where = self._over_home(path) if command == RETURN else self._target(item, command, params, path)
-        self.waypoints.append(Waypoint(*where, self.number, name))
-        self._note_params(item, command, params, path)
+        asked = self._note_params(item, command, params, path)
+        more: dict[str, Any] = {"yaw_deg": self.yaw_deg, "speed": self.speed, **asked}
+        self.waypoints.append(Waypoint(*where, self.number, name, **more))
+        self.yaw_deg = None
         if command in (RETURN, LOITER_FOREVER):
             self.ended_by = f"{name} (item {self.number})"
 
@@ -267,18 +299,85 @@ class _Route:
         longitude = _number(params[5], f"{places[1]} (longitude)", 180.0, "deg")
         return latitude, longitude, height
 
-    def _note_params(self, item: dict[str, Any], command: int, params: list[Any], path: str) -> None:
-        """Record what an item asks for beside its place; null and 0 ask for nothing."""
+    def _note_params(self, item: dict[str, Any], command: int, params: list[Any], path: str) -> dict[str, float]:
+        """Return what an item asks a mission for beside its place, and record what it does not fly.
+
+        Null and 0 ask for nothing; but a heading of 0 is north.
+        """
         name, words = FLOWN[command]
-        asked = []
+        asked, missed, flown = [], [], {}
         for i, (value, word) in enumerate(zip(params, words, strict=False)):
-            if value is None or _number(value, f"{path}.params.{i}", _LARGEST_PARAMETER, "") == 0.0:
+            field = _ASKED.get(command, {}).get(i)
+            if value is None:
                 continue
-            asked.append((word or f"parameter {i + 1} = {{:g}}").format(value))
+            number = _number(value, f"{path}.params.{i}", _LARGEST_PARAMETER, "")
+            if field and (number != 0.0 or field == "yaw_deg"):
+                flown[field] = _asked_of(field, number, f"{path}.params.{i}")
+            if number != 0.0:
+                text = (word or f"parameter {i + 1} = {{:g}}").format(number)
+                asked.append(text)
+                missed += [] if field else [text]
         if item.get("autoContinue") is False:
             asked.append("stop after it (autoContinue is false)")
+            missed.append(asked[-1])
         if asked:
-            self.ignored.append(Ignored(self.number, name, ", ".join(asked)))
+            self.ignored.append(Ignored(self.number, name, ", ".join(missed), ", ".join(asked)))
+        return flown
+
+    def _carry_out(self, command: int, params: list[Any], path: str) -> str:
+        """Do what an item asks of the way to come; return what of it is not flown, "" for nothing."""
+        numbers = [
+            None if value is None else _number(value, f"{path}.params.{i}", _LARGEST_PARAMETER, "")
+            for i, value in enumerate(params[:4])
+        ]
+        first, second, _, fourth = (number or 0.0 for number in numbers)
+        if command == DELAY:
+            return self._wait(first)
+        if command == YAW:
+            if fourth != 0.0:
+                return "a heading relative to the present one is not carried out"
+            self.yaw_deg = _asked_of("yaw_deg", first, f"{path}.params.0")
+            return ""
+        if first not in (0.0, 1.0):
+            return "speeds of climb and descent are not carried out"
+        # MAVLink: -1 is no change, -2 the default.
+        if second == -2.0:
+            self.speed = None
+        elif second > _LARGEST_SPEED:
+            allowed = f"at most {_LARGEST_SPEED:g} m/s, -1 (no change) and -2 (default)"
+            raise _FaultError(f"{path}.params.1 (speed): {second:g} is out of range; allowed: {allowed}")
+        elif second > 0.0:
+            self.speed = second
+        elif second != -1.0:
+            return f"a speed of {second:g} m/s is not carried out"
+        return ""
+
+    def _wait(self, seconds: float) -> str:
+        if seconds < 0.0:
+            return "a delay until a time of day is not carried out"
+        if not self.waypoints:
+            self.delay += seconds
+        else:
+            last = self.waypoints[-1]
+            self.waypoints[-1] = replace(last, hold=last.hold + seconds)
+        return ""
+
+
+def _params(item: dict[str, Any], path: str) -> list[Any]:
+    params: list[Any] = _get(item, "params", list, path)
+    if len(params) != 7:
+        raise _FaultError(f"{path}.params: expected 7 values, found {len(params)}")
+    return params
+
+
+def _asked_of(field: str, number: float, where: str) -> float:
+    """Return a number that a mission is asked for, within what it can fly."""
+    if field == "yaw_deg":
+        return math.remainder(number, 360.0)
+    low, high, unit = _FLYABLE[field]
+    if not low <= number <= high:
+        raise _FaultError(f"{where}: {number:g} is out of range; allowed: {low:g} to {high:g} {unit}")
+    return number
 
 
 class _Fence:

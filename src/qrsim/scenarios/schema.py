@@ -13,6 +13,7 @@ from pydantic import (
     model_validator,
 )
 
+from qrsim.control import PathSetpoint
 from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
@@ -208,7 +209,8 @@ class FleetSpec(Strict):
     )
     guidance: GuidanceSlot = Field(
         {"type": "route"},
-        description="what hands out set-points; default: that of the controller's name, 'route' for waypoints",
+        description="what hands out set-points; default: 'mission' for legs and plans if the controller takes paths, "
+        "else that of the controller's name, 'route' for waypoints",
         validate_default=True,
     )
     limits: LimitsModel = Field(default_factory=LimitsModel, description="state limits")
@@ -233,10 +235,25 @@ class FleetSpec(Strict):
         data = _with_controller(data)
         if not isinstance(data, dict) or "guidance" in data:
             return data
-        controller = data.get("controller")
+        controller = data.get("controller", cls.model_fields["controller"].default)
         name = controller.get("type") if isinstance(controller, dict) else None
+        if _has_legs(data) and isinstance(name, str) and _takes_paths(name):
+            return {**data, "guidance": {"type": "mission"}}
         fits = isinstance(name, str) and name in known.GUIDANCE
         return {**data, "guidance": {"type": name if fits else "route"}}
+
+
+def _has_legs(fleet: dict[str, Any]) -> bool:
+    """Return whether a vehicle of a fleet has legs, or a plan."""
+    vehicles = fleet.get("vehicles")
+    each = vehicles if isinstance(vehicles, list) else []
+    return any(isinstance(vehicle, dict) and (vehicle.get("legs") or vehicle.get("plan")) for vehicle in each)
+
+
+def _takes_paths(controller: str) -> bool:
+    """Return whether a controller follows the points of a path."""
+    kind: Any = known.CONTROLLERS.get(controller)
+    return kind is not None and PathSetpoint in kind.setpoints
 
 
 def _with_controller(fleet: Any) -> Any:
