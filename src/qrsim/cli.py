@@ -34,6 +34,7 @@ from qrsim.apps.identify import Identify
 from qrsim.apps.openloop.command import OpenLoop
 from qrsim.apps.plot import Plot
 from qrsim.apps.run.command import Run
+from qrsim.apps.run.page import completed
 from qrsim.apps.scenario import List, Schema, Show
 from qrsim.apps.serve import Serve
 from qrsim.apps.slam import SlamCommand
@@ -203,7 +204,7 @@ def _parse(
             entry,
             prog=f"{program} {name}",
             description=_help_text(inspect.getdoc(entry) or ""),
-            args=arguments[1:],
+            args=completed(arguments[1:]) if entry is Run else arguments[1:],
             config=_TYRO_CONFIG,
         )
     if name and not name.startswith("-"):

@@ -110,6 +110,21 @@ def calling(do: Callable[[], None]) -> Iterator[None]:
         raise Interruption(came[0])
 
 
+@contextlib.contextmanager
+def ending() -> Iterator[threading.Event]:
+    """Make Ctrl-C and SIGTERM set the event that is returned, and raise nothing: the work is done already."""
+    came = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield came
+        return
+    before = _installed(lambda number, frame: came.set())
+    try:
+        yield came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def leave_at_once() -> None:
     """Make both signals exit at once, without a traceback, until ``heard`` begins: no work has been done yet."""
 

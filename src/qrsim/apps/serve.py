@@ -101,6 +101,7 @@ class Serve:
         def ready(host: str, port: int) -> None:
             log.say(f"qrsim serves on {host}:{port}")
             if options.view is not None:
+                options.view.wait_for(f"a client that connects to {host}:{port} and starts a task")
                 log.say(f"page: {options.view.address}")
 
         async def serve() -> None:

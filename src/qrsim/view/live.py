@@ -14,9 +14,11 @@ import numpy as np
 
 from qrsim.core.tree import walk
 from qrsim.simulation.simulation import History, Simulation
-from qrsim.view.clock import FRAME_S, Clock
+from qrsim.view.clock import FRAME_S, SPEEDS, Clock
 from qrsim.view.frame import Frame, cast_of, frame_of
 from qrsim.view.page import Page
+from qrsim.view.recording import Recording
+from qrsim.view.replay import Replay
 from qrsim.view.server import address, start_server
 from qrsim.view.steering import Wind, change_wind, wind_of
 from qrsim.view.truth import true_values
@@ -70,12 +72,30 @@ class LiveView:
         self._wished: Wind | None = None
         self._values: deque[tuple[float, dict[str, float], dict[str, float]]] = deque(maxlen=MOST_VALUES)
         self._kept: int | None = None
+        self._waiting: Any = None
+        self._ended = threading.Event()
+
+    @property
+    def browsers(self) -> int:
+        """How many browsers show the page."""
+        return len(self._server.get_clients())
+
+    def wait_for(self, what: str) -> None:
+        """Say on a page without a world what it waits for."""
+        if self._page is not None:
+            return
+        if self._waiting is None:
+            self._waiting = self._server.gui.add_markdown("")
+        self._waiting.content = f"**qrsim**  \nThis page waits for {what}."
+
+    def note(self, text: str) -> None:
+        """Say something about the run as a whole, one line."""
+        if self._page is not None:
+            self._page.say(text)
 
     def begin(self, simulation: Simulation, heading: str) -> None:
         """Show another world in place of the present one."""
-        self._end_drawing()
-        self._server.gui.reset()
-        self._server.scene.reset()
+        self._clear()
         world = simulation.world
         page = Page(self._server, cast_of(world, simulation.truth.position_ned), world, heading, self.clock)
         page.dropped = lambda: self._overtaken
@@ -88,6 +108,27 @@ class LiveView:
         self._closed = False
         self.offer(simulation.history)
         self._thread.start()
+
+    def replay(self, recording: Recording) -> None:
+        """Show a recording of what was flown, at its end, in place of the simulation; what was chosen stays so."""
+        before = self._page
+        self._clear()
+        live = self.clock.speed if self.clock is not None else 1.0
+        clock = Clock(min(live, SPEEDS[-2]), playing=False, speeds=SPEEDS[:-1])
+        page = Page(self._server, recording.cast, recording.world, recording.heading, clock)
+        page.note = f"The flight has ended, at {recording.end:g} s. This is its replay."
+        player = Replay(recording, page, clock, recording.end)
+        if before is not None:
+            page.adopt(before)
+        self._page, self.clock = page, clock
+        self._thread = threading.Thread(target=player.run, args=(self._ended,), name="view", daemon=True)
+        self._thread.start()
+
+    def _clear(self) -> None:
+        self._end_drawing()
+        self._server.gui.reset()
+        self._server.scene.reset()
+        self._waiting = None
 
     def wait(self, most: int) -> int:
         """Return the number of ticks to fly next, at most ``most``; waits while paused or ahead of the page's speed."""
@@ -119,6 +160,7 @@ class LiveView:
 
     def close(self) -> None:
         """Draw the last offered states, then close the page."""
+        self._ended.set()
         if self.clock is not None:
             self.clock.close()
         self._end_drawing()

@@ -41,6 +41,7 @@ class Page:
         time_folder: of the panel, where there is a clock.
         drawn: number of frames.
         dropped: returns how many frames were not drawn, because newer ones were there already.
+        note: what the panel says about the run as a whole, one line; "": nothing.
         plotted: returns for a vehicle and a measured quantity its (times, measured, true), each (K,).
         quantities: what can be plotted.
     """
@@ -51,6 +52,7 @@ class Page:
         self.dropped: Callable[[], int] = lambda: 0
         self.plotted: Callable[[int, str], tuple[Floats, Floats, Floats]] | None = None
         self.drawn = 0
+        self.note = ""
         self._delivery = Delivery(server)
         self._status = server.gui.add_markdown("")
         self._stopped = server.gui.add_markdown("")
@@ -95,7 +97,7 @@ class Page:
         self._vehicle_folder = gui.add_folder("Vehicle")
         with self._vehicle_folder:
             self._who: Any = gui.add_dropdown("Name", (NOBODY, *names), hint="or click a vehicle")
-            self._follow = gui.add_checkbox("Follow", False)
+            self._follow: Any = gui.add_checkbox("Follow", False)
             self._size = gui.add_slider("Size [m]", 0.5, 40.0, 0.5, _half(self.scene.stage.span))
         self._plots: list[tuple[Any, Any]] = []
 
@@ -113,9 +115,11 @@ class Page:
 
     def _add_layers(self) -> None:
         gui = self.server.gui
+        self._shown: dict[str, Any] = {}
         with gui.add_folder("Layers", expand_by_default=False):
             for title, layer in self.scene.layers.items():
-                gui.add_checkbox(title, layer.root.visible).on_update(partial(self._show, title))
+                self._shown[title] = gui.add_checkbox(title, layer.root.visible)
+                self._shown[title].on_update(partial(self._show, title))
             gui.add_markdown(f"Wind: blue is calm, red {STRONG_WIND:g} m/s and more; gusts are orange. Stopped: red.")
             if Cameras.title in self.scene.layers:
                 gui.add_markdown("Camera pictures: red speaks for a person, blue against.")
@@ -152,6 +156,22 @@ class Page:
             self.scene.follow(vehicle)
         self._plot()
 
+    def adopt(self, other: Page) -> None:
+        """Take over what was chosen, followed and shown on another page of the same vehicles."""
+        for title, layer in other.scene.layers.items():
+            if title in self.scene.layers and layer.root.visible != self.scene.layers[title].root.visible:
+                self._shown[title].value = layer.root.visible
+                self.scene.show(title, layer.root.visible)
+        self._follow.value = other.scene.followed is not None
+        if other.chosen is not None:
+            self.choose(other.chosen)
+
+    def say(self, note: str) -> None:
+        """Say something about the run as a whole, one line."""
+        self.note = note
+        if self.scene.frame is not None:
+            self._say(self.scene.frame)
+
     def draw(self, frame: Frame, everything: bool = False) -> None:
         """Show a frame."""
         self.scene.draw(frame, everything)
@@ -166,7 +186,8 @@ class Page:
         flying = f"{int(frame.valid.sum())} of {len(frame.valid)} vehicles fly{stopped}"
         paused = "" if self.clock is None or self.clock.playing else " (paused)"
         frames = f"{self.drawn} frames drawn, {self.dropped() + self._delivery.missed} dropped"
-        self._status.content = f"**{self.heading}**  \n**t = {frame.time:.2f} s**{paused}  \n{flying}  \n{frames}"
+        note = f"{self.note}  \n" if self.note else ""
+        self._status.content = f"**{self.heading}**  \n{note}**t = {frame.time:.2f} s**{paused}  \n{flying}  \n{frames}"
         names = self.scene.cast.names
         lines = [f"- {names[i]}: {why}" for i, why in list(frame.reasons.items())[:MOST_STOPPED]]
         if len(frame.reasons) > MOST_STOPPED:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from qrsim.apps.run.page import OFF, replay, shown, stay
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
 from qrsim.interruptions import word
@@ -79,9 +80,10 @@ class Run:
     """The policy is asked at every so-many-th tick."""
     realtime: bool = False
     """Fly at the speed of the wall clock instead of as fast as possible."""
-    view: bool = False
+    view: Literal["off", "now", "wait"] = "off"
     """Show the flight in three dimensions while it goes on, on a page for a browser; its address is printed. The page
-    sets the speed, at first that of the wall clock."""
+    sets the speed, at first that of the wall clock, and is a replay of the run afterwards: on a terminal until Ctrl-C,
+    else while a browser shows it. '--view' alone is '--view now'; 'wait' flies once a browser has opened the page."""
     view_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 8080
     """Port of the page; where it is taken, the next free one."""
     precision: Literal["float32", "float64"] = "float32"
@@ -118,17 +120,22 @@ class Run:
         scenario = load_scenario(self.scenario, overrides)
         every = parse_every(self.every)
         folder = self.out or _new_folder(scenario.name, self.seed)
-        pace = self._fly(scenario, folder, every)
-        self._report(folder, pace)
-
-    def _fly(self, scenario: Scenario, folder: Path, every: dict[str, int]) -> Pace:
-        from qrsim.runs.recorder import fly
-
         # The folder is checked before anything is compiled.
-        if self.view:
+        if self.view != OFF:
             require("view", "--view")
         if folder.exists():
             raise UsageError(f"run folder {folder} exists and is never overwritten; choose another --out")
+        with shown(self.view, self.view_port) as page:
+            pace = self._fly(scenario, folder, every, page)
+            if page is not None:
+                replay(page, folder)
+            self._report(folder, pace)
+            if page is not None:
+                stay(page)
+
+    def _fly(self, scenario: Scenario, folder: Path, every: dict[str, int], page: LiveView | None) -> Pace:
+        from qrsim.runs.recorder import fly
+
         functions: dict[str, Any] = {}
         if self.policy is not None or self.estimator is not None:
             from qrsim.interface.policies import load_function
@@ -144,7 +151,7 @@ class Run:
 
             functions["policy"], policy_ticks = baseline_policy(scenario, self.seed, self.precision)
         try:
-            with _progress(scenario) as progress, self._page() as page:
+            with _progress(scenario) as progress:
                 return fly(
                     scenario,
                     folder,
@@ -161,23 +168,6 @@ class Run:
             if folder.exists():
                 print(f"{word(error)}; the log so far is in {folder}", file=sys.stderr)
             raise
-
-    @contextmanager
-    def _page(self) -> Iterator[LiveView | None]:
-        """Show the flight while the context lasts, where that is asked for."""
-        if not self.view:
-            yield None
-            return
-        from qrsim.view.clock import Clock
-        from qrsim.view.live import LiveView
-
-        page = LiveView(self.view_port, Clock())
-        # Not on standard output, which belongs to the result.
-        print(f"page: {page.address}", file=sys.stderr, flush=True)
-        try:
-            yield page
-        finally:
-            page.close()
 
     def _report(self, folder: Path, pace: Pace) -> None:
         from qrsim.runs import open_run

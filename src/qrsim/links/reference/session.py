@@ -321,6 +321,8 @@ class Session:
     def end(self) -> None:
         """End the recording; call nothing after it."""
         self.close_recording()
+        if self._view is not None:
+            self._view.note("The session has ended. The page waits for the next client.")
         self.thread.shutdown(wait=False)
 
 
