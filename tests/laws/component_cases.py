@@ -106,7 +106,21 @@ def wind_file() -> str:
     return str(path)
 
 
-FILES = {("ORBITS", "sp3"): sp3_file, ("WINDS", "series"): wind_file}
+@cache
+def elevation_file(frame: str = "local") -> str:
+    """Write a hilly grid of 101 x 101 points, some 30 m apart around the origin, and return its path."""
+    path = Path(_FOLDER.name) / f"hills_{frame}.npz"
+    numbers = np.arange(-50.0, 51.0)
+    height = 20.0 * np.sin(numbers[:, None] / 5.0) * np.cos(numbers[None, :] / 6.0)
+    if frame == "local":
+        np.savez(path, north=25.0 * numbers, east=25.0 * numbers, height=height)
+    else:
+        places = {"latitude_deg": 51.7119 + 0.0004 * numbers, "longitude_deg": -0.21052 + 0.0004 * numbers}
+        np.savez(path, **places, height=height)
+    return str(path)
+
+
+FILES = {("ORBITS", "sp3"): sp3_file, ("WINDS", "series"): wind_file, ("GROUNDS", "dem"): elevation_file}
 # What a scenario must give where neither a default nor bounds say what is sensible.
 EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     ("OBSTACLES", "box"): {"x_min": -3.0, "x_max": 4.0, "y_min": -5.0, "y_max": 6.0, "z_min": -12.0},
@@ -187,11 +201,15 @@ def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> 
     given = parameters_needed(group, name)
     if "corners_ned" in given:
         given["north"], given["east"] = np.array(given.pop("corners_ned")).T
+    if settings.get("frame") == "geodetic":
+        given["file"] = elevation_file("geodetic")
     component = GROUPS[group][name](**given, **settings)
     if group == "CONTROLLERS":
         component = component.fitted(Quadrotor())
     if group == "ORBITS":
         return jax.tree.map(jnp.asarray, component.at(Site(), gps_seconds_from_utc(START), dtype))
+    if group == "GROUNDS":
+        component = component.at(Site(), (-1000.0, 1000.0, -1000.0, 1000.0))
     return jax.tree.map(jnp.asarray, cast(component.at(30.0) if group == "WINDS" else component, dtype))
 
 
@@ -200,10 +218,15 @@ def options(group: str, name: str) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = [{}]
     hints = typing.get_type_hints(GROUPS[group][name])
     for field in dataclasses.fields(GROUPS[group][name]):  # type: ignore[arg-type]
-        choices = (True, False) if hints[field.name] is bool else typing.get_args(hints[field.name])
+        hint = hints[field.name]
+        choices = (True, False) if hint is bool else typing.get_args(hint) if _is_literal(hint) else ()
         if field_info(field).static and choices:
             found += [{field.name: choice} for choice in choices if choice != field.default]
     return found
+
+
+def _is_literal(hint: Any) -> bool:
+    return typing.get_origin(hint) is typing.Literal
 
 
 class Recorder:
@@ -373,7 +396,11 @@ def _area(area: Any, given: Any, draws: Draws) -> Any:
 
 def _ground(ground: Any, given: Any, draws: Draws) -> Any:
     position = given["scene"]["position_ned"]
-    return {"down": ground.down(position), "normal": ground.normal(position)}
+    # Two satellites, to the north and overhead.
+    sight = Vec3(*(jnp.broadcast_to(jnp.asarray(v, position.x.dtype)[:, None], (2, *position.x.shape)) for v in (
+        [0.8, 0.0], [0.0, 0.1], [-0.6, -0.99])))  # fmt: skip
+    horizon = ground.horizon_sine(position, sight)
+    return {"down": ground.down(position), "normal": ground.normal(position), "horizon": horizon}
 
 
 def _vehicle(vehicle: Any, given: Any, draws: Draws) -> Any:

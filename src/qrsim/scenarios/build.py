@@ -23,7 +23,7 @@ from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.faults import fault_problems, faults, reading_fields, vehicle_names
-from qrsim.scenarios.ground import standing_problems
+from qrsim.scenarios.ground import below_ground, bounds_of, has_floor, standing_problems
 from qrsim.scenarios.hand_list import hand_lists, warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission, mission_problems
 from qrsim.scenarios.ranges import range_problems, ranges_of
@@ -81,6 +81,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_orbit_problems(scenario),
         *_obstacle_problems(scenario),
         *_fleet_problems(scenario),
+        *_ground_problems(scenario),
         *_standing_problems(scenario),
         *fault_problems(scenario),
         *contents_problems(scenario),
@@ -106,8 +107,9 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
     starts: list[tuple[str, list[float]]] = []
     names: dict[str, str] = {}
     solids = [component(spec, known.OBSTACLES, scenario) for spec in scenario.world.obstacles]
-    ground = component(scenario.world.ground, known.GROUNDS, scenario)
+    ground = _ground_if_any(scenario)
     yield from area_problems(area)
+    floor = has_floor(scenario)
     for fleet_name, fleet in scenario.fleets.items():
         yield from _name_problems(fleet_name, fleet)
         yield from _length_problems(fleet_name, fleet)
@@ -116,18 +118,19 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield from _guidance_problems(fleet_name, fleet)
         yield from _fitting_problems(fleet_name, fleet, scenario)
         yield from _feed_problems(fleet_name, fleet)
-        yield from mission_problems(f"fleets.{fleet_name}", fleet, scenario, ground)
+        if ground is not None:
+            yield from mission_problems(f"fleets.{fleet_name}", fleet, scenario, ground)
         for i, vehicle in enumerate(fleet.vehicles):
             path = f"fleets.{fleet_name}.vehicles.{i}"
             name = vehicle.name or f"{fleet_name}_{i}"
             if name in names:
                 yield f"{path}.name: '{name}' is also the name of {names[name]}"
             names[name] = path
-            yield from outside(f"{path}.position_ned", vehicle.position_ned, area)
+            yield from outside(f"{path}.position_ned", vehicle.position_ned, area, floor)
             yield from _inside_obstacles(path, vehicle, solids, scenario.world.collision_distance / 2)
             yield from _too_fast(f"{path}.velocity_body", vehicle.velocity_body, fleet, i)
             for j, waypoint in enumerate(vehicle.waypoints_ned):
-                yield from outside(f"{path}.waypoints_ned.{j}", waypoint, area)
+                yield from outside(f"{path}.waypoints_ned.{j}", waypoint, area, floor)
             starts.append((path, vehicle.position_ned))
     allowed = scenario.world.collision_distance
     for i, j, distance in _close_pairs(np.array([position for _, position in starts]), allowed):
@@ -135,6 +138,17 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
             f"{starts[j][0]}.position_ned: starts {distance:.3g} m from {starts[i][0]}; "
             f"allowed: at least {allowed:g} m (world.collision_distance)"
         )
+
+
+def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """The ground must be there, below all starts and waypoints."""
+    try:
+        ground = ground_of(scenario)
+    except UsageError as error:
+        yield f"world.ground: {error}"
+        return
+    if not ground.at_zero:
+        yield from below_ground(scenario, ground)
 
 
 def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
@@ -273,7 +287,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
     warn_of_hand_lists(scenario, ephemeris.satellite_ids)
     errors = component(world.sky.errors, known.SKY_ERRORS, scenario)
     sky = SharedSky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
-    ground = component(world.ground, known.GROUNDS, scenario)
+    ground = ground_of(scenario)
     built = World(
         wind=wind_of(scenario),
         turbulence=component(world.turbulence, known.TURBULENCES, scenario),
@@ -319,6 +333,21 @@ def wind_of(scenario: ScenarioSpec) -> Any:
     """Build the wind; a wind file is read for the length of the run."""
     wind = component(scenario.world.wind, known.WINDS, scenario)
     return wind.at(scenario.duration)
+
+
+def ground_of(scenario: ScenarioSpec) -> Any:
+    """Build the ground; a file of elevations is read for the site and the area."""
+    place = scenario.site
+    site = Site.from_degrees(place.latitude_deg, place.longitude_deg, place.height)
+    return component(scenario.world.ground, known.GROUNDS, scenario).at(site, bounds_of(scenario.world.area))
+
+
+def _ground_if_any(scenario: ScenarioSpec) -> Any:
+    """Return the ground, None where it cannot be built, which is a fault of its own."""
+    try:
+        return ground_of(scenario)
+    except UsageError:
+        return None
 
 
 def _wind_problems(scenario: ScenarioSpec) -> Iterator[str]:

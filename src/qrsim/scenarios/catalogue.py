@@ -31,7 +31,7 @@ from qrsim.models.gnss.receivers import GnssReceiver, IdealGnss, OrnsteinUhlenbe
 from qrsim.models.gnss.sp3 import Sp3Ephemeris
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.fence import PolygonArea
-from qrsim.models.scene.ground import FlatGround
+from qrsim.models.scene.ground import ElevationFile, FlatGround
 from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle
 from qrsim.models.scene.persons import NoPersons, Persons
 from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
@@ -63,7 +63,7 @@ SKY_ERRORS: Catalogue = {
 }
 OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}
 AREAS: Catalogue = {"box": BoxArea, "polygon": PolygonArea}
-GROUNDS: Catalogue = {"flat": FlatGround}
+GROUNDS: Catalogue = {"flat": FlatGround, "dem": ElevationFile}
 PLUMES: Catalogue = {
     "none": NoPlume,
     "gaussian": GaussianPlume,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -21,10 +22,12 @@ def area_problems(area: Any) -> Iterator[str]:
             yield f"world.area.corners_ned: {problem}"
 
 
-def outside(path: str, point: list[float], area: Any) -> Iterator[str]:
-    """Yield each limit of an area that a point [m] in NED breaks."""
+def outside(path: str, point: list[float], area: Any, floor: bool = True) -> Iterator[str]:
+    """Yield each limit of an area that a point [m] in NED breaks; ``floor``: z_max = 0 is one, and not the ground."""
     for axis, value in zip("xyz", point, strict=True):
         low, high = vars(area).get(f"{axis}_min"), vars(area).get(f"{axis}_max")
+        if axis == "z" and high == 0.0 and not floor:
+            high = math.inf
         if low is not None and high is not None and not low <= value <= high:
             yield f"{path}: {axis} = {value:g} m is outside world.area; allowed: {low:g} to {high:g}"
     if area.type == "polygon":

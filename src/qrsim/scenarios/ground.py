@@ -1,10 +1,60 @@
-"""Checks of the ground, and of who stands on it."""
+"""Checks of the ground, and of who stands on it or is sent below it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
+import numpy as np
+
+from qrsim.core.vectors import Vec3
+from qrsim.models.scene.contracts import Ground
 from qrsim.models.vehicles.contracts import Vehicle
+from qrsim.scenarios.schema import ScenarioSpec
+
+# A start or a waypoint so little below the ground [m] is meant to be on it.
+ON_IT = 0.01
+
+
+def bounds_of(area: Any) -> tuple[float, float, float, float] | None:
+    """Return south, north, west and east [m] of an area, None where it has no bounds that are known."""
+    if area.type == "box":
+        return area.x_min, area.x_max, area.y_min, area.y_max
+    if area.type == "polygon":
+        return min(area.north), max(area.north), min(area.east), max(area.east)
+    return None
+
+
+def has_floor(scenario: ScenarioSpec) -> bool:
+    """Return whether a floor of the area at z = 0 ends flights by itself, because the ground is there."""
+    ground = scenario.world.ground
+    return bool(ground.type == "flat" and ground.height == 0.0)
+
+
+def below_ground(scenario: ScenarioSpec, ground: Ground) -> Iterator[str]:
+    """Yield the starts and waypoints that are below the ground."""
+    points: dict[str, list[float]] = {}
+    for name, fleet in scenario.fleets.items():
+        for i, vehicle in enumerate(fleet.vehicles):
+            path = f"fleets.{name}.vehicles.{i}"
+            # Random places are at the height given above the ground, wherever that is.
+            if fleet.placement.type == "given":
+                points[f"{path}.position_ned"] = vehicle.position_ned
+            points |= {f"{path}.waypoints_ned.{j}": point for j, point in enumerate(vehicle.waypoints_ned)}
+    if not points:
+        return
+    places: Any = Vec3(*np.array(list(points.values()), np.float32).T)
+    for (path, point), down in zip(points.items(), np.asarray(ground.down(places)).tolist(), strict=True):
+        if point[2] > down + ON_IT:
+            yield below(path, point[2], down)
+
+
+def below(path: str, z: float, down: float) -> str:
+    """Return what is wrong with a place at z [m] below a ground at a down coordinate [m]."""
+    return (
+        f"{path}: z = {z:g} m is {z - down:.4g} m below the ground, which is at z = {down:.6g} m there; allowed: at "
+        "most that"
+    )
 
 
 def standing_problems(name: str, kind: str, vehicle: Vehicle) -> Iterator[str]:

@@ -15,6 +15,7 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import outside
+from qrsim.scenarios.ground import ON_IT, below, has_floor
 from qrsim.scenarios.legs import FlyLeg
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
 
@@ -199,13 +200,14 @@ def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground
             author.legs(specs)
         yield from dict.fromkeys(author.problems)
         for j, parts in enumerate(legs if name == "legs" else ()):
-            for problem in _outside(f"{author.path}.{j}", parts, scenario.world.area):
+            for problem in _outside(f"{author.path}.{j}", parts, scenario, author):
                 yield problem
                 break
 
 
-def _outside(path: str, parts: list[Leg], area: Any) -> Iterator[str]:
-    """Yield where a leg leads out of the area; the ground, where it lands, may be its floor."""
+def _outside(path: str, parts: list[Leg], scenario: ScenarioSpec, author: _Author) -> Iterator[str]:
+    """Yield where a leg leads out of the area or below the ground; the ground, where it lands, may be its floor."""
+    floor = has_floor(scenario)
     for leg in parts:
         north, east, down = leg.position_ned
         points = [[north, east, down]]
@@ -214,7 +216,10 @@ def _outside(path: str, parts: list[Leg], area: Any) -> Iterator[str]:
             turns = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
             points = [[middle[0] + radius * math.cos(a), middle[1] + radius * math.sin(a), down] for a in turns]
         for point in points if leg.kind != "land" else ():
-            yield from outside(path, point, area)
+            yield from outside(path, point, scenario.world.area, floor)
+            down = 0.0 if floor else author.ground_down(*point[:2])
+            if not floor and point[2] > down + ON_IT:
+                yield below(path, point[2], down)
 
 
 def mission(fleet: FleetSpec, ground: Any) -> Mission:

@@ -262,7 +262,7 @@ def _size(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[int, ...] | No
 
 def _reading(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
     yield from _pair(result, "the new state and the reading")
-    shape = _size((), {name: value for name, value in kwargs.items() if name not in ("sky", "surroundings")})
+    shape = _size((), {name: value for name, value in kwargs.items() if name not in ("sky", "surroundings", "ground")})
     if shape is None:
         leaves = [np.shape(leaf) for leaf in jax.tree.leaves(result[1])]
         shape = leaves[0] if leaves and len(leaves[0]) == 1 else (1,)

@@ -9,6 +9,7 @@ import numpy as np
 
 from qrsim.view import shapes
 from qrsim.view.frame import Beside, Frame
+from qrsim.view.ground import down_at
 from qrsim.view.layers import Layer, Stage
 from qrsim.world.state import World
 
@@ -59,10 +60,11 @@ class Cover(Contents):
         plain: dict[str, Any] = {"lod": "off", "flat_shading": True, "cast_shadow": False}
         where = np.argwhere(cells > 0)
         if len(where):
+            middle = low + (where + 0.5) * side
             self.stage.scene.add_batched_meshes_simple(
                 f"{self.path}/cells", *shapes.box((-0.5, -0.5, -1.0), (0.5, 0.5, 0.0)),
                 batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(where), 1)),
-                batched_positions=np.insert(low + (where + 0.5) * side, 2, 0.0, axis=1),
+                batched_positions=np.column_stack([middle, down_at(self.world.ground, *middle.T)]),
                 batched_scales=np.tile(np.array([*side, self.stage.lift], np.float32), (len(where), 1)),
                 batched_colors=COVER_COLOURS[cells[tuple(where.T)] - 1], **plain,
             )  # fmt: skip
@@ -87,10 +89,11 @@ class Persons(Contents):
         if self._handle is not None:
             self._handle.batched_colors, self._handle.batched_scales = colours, scales
             return
+        down = down_at(self.world.ground, np.asarray(persons.north), np.asarray(persons.east))
         self._handle = self.stage.scene.add_batched_meshes_simple(
             f"{self.path}/persons", *shapes.pin(),
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(there), 1)),
-            batched_positions=np.stack([persons.north, persons.east, np.zeros(len(there))], axis=1),
+            batched_positions=np.stack([persons.north, persons.east, down], axis=1),
             batched_scales=scales, batched_colors=colours, lod="off", flat_shading=True, cast_shadow=False,
         )  # fmt: skip
 

@@ -7,23 +7,30 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.vectors import Vec3
+from qrsim.models.scene import contracts
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.fence import PolygonArea
+from qrsim.models.scene.ground import FlatGround
 from qrsim.view import shapes
 from qrsim.view.layers import Layer, Stage
 from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
 AREA_COLOUR, OBSTACLE_COLOUR, NORTH_COLOUR = (90, 60, 160), (150, 130, 110), (190, 30, 30)
+GROUND_COLOUR = (205, 214, 186)
+# Points along each side of a surface that is drawn: 40000 make a page of half a megabyte.
+MOST_ALONG = 200
 
 
 class Ground(Layer):
-    """Ground at height 0 with a grid; an arrow points north from the origin."""
+    """Ground with a grid, at z = 0 or as a surface; an arrow points north from the origin."""
 
     title = "ground and north"
 
     def __init__(self, stage: Stage, world: World | None):
         self._area = None if world is None else world.area
+        self._ground = FlatGround() if world is None else world.ground
         super().__init__(stage)
 
     def begin(self) -> None:
@@ -34,17 +41,25 @@ class Ground(Layer):
         cell = grid_cell(max(extent, 0.8 * edge))
         size = 10.0 * cell * max(4, math.ceil(2.0 * reach / (10.0 * cell)))
         scene = self.stage.scene
-        scene.add_grid(
-            f"{self.path}/grid", width=size, height=size, plane="xy", cell_size=cell, section_size=10.0 * cell,
-            cell_color=(170, 180, 160), section_color=(120, 130, 110), plane_color=(226, 232, 214), plane_opacity=1.0,
-            fade_distance=20.0 * size, shadow_opacity=0.0, position=(0.0, 0.0, 0.0),
-        )  # fmt: skip
+        down = 0.0
+        if self._ground.at_zero:
+            scene.add_grid(
+                f"{self.path}/grid", width=size, height=size, plane="xy", cell_size=cell, section_size=10.0 * cell,
+                cell_color=(170, 180, 160), section_color=(120, 130, 110), plane_color=(226, 232, 214),
+                plane_opacity=1.0, fade_distance=20.0 * size, shadow_opacity=0.0, position=(0.0, 0.0, 0.0),
+            )  # fmt: skip
+        else:
+            down = float(down_at(self._ground, np.zeros(1), np.zeros(1))[0])
+            scene.add_mesh_simple(
+                f"{self.path}/surface", *surface(self._ground, found, reach), color=GROUND_COLOUR, flat_shading=True,
+                side="double", cast_shadow=False,
+            )  # fmt: skip
         length = 5.0 * cell
         scene.add_mesh_simple(
             f"{self.path}/north", *shapes.arrow(), color=NORTH_COLOUR, flat_shading=True, side="double",
-            scale=(length, 0.4 * length, 0.02 * length), cast_shadow=False,
+            scale=(length, 0.4 * length, 0.02 * length), cast_shadow=False, position=(0.0, 0.0, down),
         )  # fmt: skip
-        scene.add_label(f"{self.path}/n", f"N (grid {cell:g} m)", position=(1.1 * length, 0.0, 0.0))
+        scene.add_label(f"{self.path}/n", f"N (grid {cell:g} m)", position=(1.1 * length, 0.0, down))
 
 
 class Area(Layer):
@@ -92,6 +107,26 @@ class Obstacles(Layer):
                 batched_positions=middle, batched_scales=np.asarray(size, np.float32), batched_colors=OBSTACLE_COLOUR,
                 lod="off", flat_shading=True, side="double", opacity=0.8, cast_shadow=False,
             )  # fmt: skip
+
+
+def down_at(ground: contracts.Ground, north: Floats, east: Floats) -> Floats:
+    """Return the down coordinate [m] of a ground at places of any shape."""
+    places: Any = Vec3(np.float32(north), np.float32(east), np.zeros_like(north, np.float32))  # type: ignore[arg-type]
+    return np.asarray(ground.down(places))
+
+
+def surface(ground: contracts.Ground, outline: tuple[Floats, float, float] | None, reach: float) -> shapes.Mesh:
+    """Return a ground as a mesh over the area's outline, or as far as ``reach`` [m] where it has none."""
+    low, high = np.array([-reach, -reach]), np.array([reach, reach])
+    if outline is not None:
+        low, high = outline[0].min(axis=0), outline[0].max(axis=0)
+    north, east = (np.linspace(low[axis], high[axis], MOST_ALONG) for axis in (0, 1))
+    rows, columns = np.meshgrid(north, east, indexing="ij")
+    points = np.stack([rows, columns, down_at(ground, rows, columns)], axis=-1).reshape(-1, 3)
+    first = (np.arange(MOST_ALONG - 1)[:, None] * MOST_ALONG + np.arange(MOST_ALONG - 1)).ravel()
+    near, far = first + 1, first + MOST_ALONG
+    faces = np.concatenate([np.stack([first, far, near], axis=1), np.stack([near, far, far + 1], axis=1)])
+    return points.astype(np.float32), faces.astype(np.uint32)
 
 
 def grid_cell(extent: float) -> float:

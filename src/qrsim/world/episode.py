@@ -13,7 +13,7 @@ from jax import Array
 from qrsim.core.noise import Draw, Stream
 from qrsim.core.tree import Record, concatenated, replace
 from qrsim.errors import RunError
-from qrsim.models.scene.contents import ContentsState, Surroundings
+from qrsim.models.scene.contents import ContentsState, Surroundings, over_ground
 from qrsim.models.scene.contracts import GroundCover, People, Plume
 from qrsim.models.scene.placement import RingPlaces, UniformPlaces
 from qrsim.models.scene.uniform import uniform
@@ -122,12 +122,17 @@ def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Ar
     placed: tuple[Start, Array] = cast(RandomPlaces, fleet.placement).place(
         draws[f"{PLACEMENT}/{fleet.name}"], fleet.start, world.area
     )
-    return placed
+    start, found = placed
+    if not world.ground.at_zero:
+        # Nobody knows beforehand where that is, so the height given is that above the ground.
+        position = start.position_ned
+        start = replace(start, position_ned=replace(position, z=position.z + world.ground.down(position)))
+    return start, found
 
 
 def surroundings(world: World, contents: ContentsState, tick: Array) -> Surroundings:
     """Return the part of a world that sensors may read at a tick."""
-    return Surroundings(world.contents, contents, world.wind, world.area, tick, world.time_step)
+    return Surroundings(world.contents, contents, world.wind, world.area, tick, world.time_step, world.ground)
 
 
 def step_contents(
@@ -147,7 +152,7 @@ def step_contents(
     if contents.persons is not None:
         poses = [fleet.vehicle.pose(now.vehicle) for fleet, now in zip(world.fleets, fleets, strict=True)]
         vehicles = [
-            (pose.position_ned, pose.velocity_body.norm(), now.violation.code == 0)
+            (over_ground(world.ground, pose.position_ned), pose.velocity_body.norm(), now.violation.code == 0)
             for pose, now in zip(poses, fleets, strict=True)
         ]
         position, speed, valid = concatenated(vehicles)

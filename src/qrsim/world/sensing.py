@@ -104,6 +104,7 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
         "wind_ned": state.mean_wind_ned + state.gust_ned,
         "sky": sky,
         "surroundings": view,
+        "ground": None if view is None else view.ground,
     }
 
 

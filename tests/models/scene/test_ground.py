@@ -1,8 +1,10 @@
-"""The ground: heights above it, its normal, and who is told of it."""
+"""The ground: heights above it, its normal, its horizon, elevations from files, and who is told of it."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,12 +12,17 @@ import pytest
 
 import qrsim
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.scene.ground import FlatGround
-from qrsim.scenarios.making import make_world
+from qrsim.errors import ScenarioError, UsageError
+from qrsim.models.scene.ground import ElevationFile, FlatGround, GridGround
+from qrsim.models.site import Site
+from qrsim.scenarios.making import make_scenario, make_world
 from qrsim.world.air import around_of
 
 POINTS = Vec3(*np.array([[0.0, 3.0], [0.0, -4.0], [-12.5, 6.0]]))  # type: ignore[arg-type]
 LEVEL = Euler(jnp.zeros(2), jnp.zeros(2), jnp.zeros(2))
+AREA = {"type": "box", "x_min": -50, "x_max": 50, "y_min": -40, "y_max": 40}
+BOX = (-50.0, 50.0, -40.0, 40.0)
+SITE = Site()
 
 
 class TestFlat:
@@ -49,6 +56,180 @@ class TestFlat:
             np.testing.assert_allclose(simulation.state.fleets[0].mean_wind_ned.x, [expected], rtol=1e-5)
 
 
-def test_an_unknown_ground_is_named():
-    with pytest.raises(qrsim.errors.UsageError, match=r"world\.ground"):
-        make_world([[0.0, 0.0, -20.0]], ground="flatt")
+def slope(tmp_path: Path, **changes: Any) -> str:
+    """Write a slope that rises 1 m in 10 m to the north and falls 1 m in 20 m to the east, 105 m high at the origin."""
+    north, east = 10.0 * np.arange(-10, 11), 20.0 * np.arange(-5, 6)
+    height = 105.0 + north[:, None] / 10.0 - east[None, :] / 20.0
+    content = {"north": north, "east": east, "height": height} | changes
+    np.savez(tmp_path / "slope.npz", **{name: value for name, value in content.items() if value is not None})
+    return str(tmp_path / "slope.npz")
+
+
+def at(north: Any, east: Any, down: Any = 0.0) -> Any:
+    return Vec3(*np.broadcast_arrays(*(np.asarray(v, float) for v in (north, east, down))))  # type: ignore[arg-type]
+
+
+class TestGrid:
+    def test_is_bilinear_and_its_origin_is_z_0(self):
+        # One cell by hand: corners 0, 4 in the south and 2, 10 in the north; a quarter to the north, half to the east:
+        # 2 + (6 - 2) / 4 = 3.
+        grid = GridGround(
+            np.array([[0.0, 4.0], [2.0, 10.0]]), (0.0, 0.0), (10.0, 10.0), np.zeros((8, 180)), (0.0, -200.0)  # type: ignore[arg-type]
+        )  # fmt: skip
+        np.testing.assert_allclose(grid.down(at(2.5, 5.0)), 3.0)
+        np.testing.assert_allclose(grid.down(at([0.0, 10.0, -9.0, 99.0], [10.0, 0.0, -9.0, 99.0])), [4, 2, 0, 10])
+        # Slopes there: to the north (2 + 6)/2 / 10 = 0.4, to the east (4 + (8 - 4)/4) / 10 = 0.5.
+        normal = grid.normal(at(2.5, 5.0)).stack()
+        np.testing.assert_allclose(normal, np.array([0.4, 0.5, -1.0]) / math.sqrt(1.41), rtol=1e-6)
+
+    def test_of_a_file(self, tmp_path: Path):
+        ground = ElevationFile(slope(tmp_path)).at(SITE, BOX)
+        np.testing.assert_allclose(ground.down(at([0.0, 33.0, -50.0], [0.0, -7.0, 40.0])), [0.0, -3.65, 7.0], atol=1e-5)
+        normal = np.array([-0.1, 0.05, -1.0]) / math.sqrt(1.0125)
+        np.testing.assert_allclose(ground.normal(at(3.0, 4.0)).stack(), normal, rtol=1e-5)
+        assert not ground.at_zero
+        # Points beyond the cells of the area are left out: rows -50 to 50, columns -40 to 40.
+        assert ground.grid.shape == (11, 5)
+
+    def test_height_of_zero_and_an_origin_of_its_own(self, tmp_path: Path):
+        file = slope(tmp_path, north=5e6 + 10.0 * np.arange(-10, 11), east=4e5 + 20.0 * np.arange(-5, 6))
+        ground = ElevationFile(file, origin_north=5e6, origin_east=4e5, height_of_zero=100.0).at(SITE, BOX)
+        np.testing.assert_allclose(ground.down(at([0.0, 50.0], [0.0, 0.0])), [-5.0, -10.0], atol=1e-4)
+
+    def test_esri_ascii_grids_from_north_to_south(self, tmp_path: Path):
+        text = "ncols 3\nnrows 2\nxllcorner -150\nyllcorner -100\ncellsize 100\nNODATA_value -1\n7 8 9\n1 2 3\n"
+        (tmp_path / "a.asc").write_text(text)
+        box = (-50.0, 50.0, -100.0, 100.0)
+        ground = ElevationFile(str(tmp_path / "a.asc"), height_of_zero=0.0).at(SITE, box)
+        # The corner of the south-western cell; its middle is at north -50, east -100.
+        np.testing.assert_allclose(ground.down(at([-50, -50, 50, 0], [-100, 100, 0, 0])), [-1, -3, -8, -5], atol=1e-6)
+
+    def test_latitude_and_longitude(self, tmp_path: Path):
+        # 1 m up per 0.001 degrees north: a degree of latitude is 111.26 km at 51.7 degrees (WGS 84).
+        latitude, longitude = 51.7119 + 0.0005 * np.arange(-9, 10), -0.21052 + 0.0005 * np.arange(-9, 10)
+        height = (latitude - 51.7119)[:, None] * 1000.0 + 0.0 * longitude[None, :]
+        np.savez(tmp_path / "b.npz", latitude_deg=latitude[::-1], longitude_deg=longitude, height=height[::-1])
+        ground = ElevationFile(str(tmp_path / "b.npz"), frame="geodetic").at(Site.from_degrees(51.7119, -0.21052), BOX)
+        np.testing.assert_allclose(ground.down(at([0.0, 44.5], [0.0, 20.0])), [0.0, -0.4], atol=2e-4)
+
+    def test_the_horizon_is_what_stands_in_the_way(self, tmp_path: Path):
+        # Up 100 m, 500 m to the north, all the way from east to west.
+        north, east = 50.0 * np.arange(-20, 21), 50.0 * np.arange(-20, 21)
+        height = np.where(north[:, None] >= 500.0, 100.0, 0.0) + 0.0 * east[None, :]
+        np.savez(tmp_path / "wall.npz", north=north, east=east, height=height)
+        ground = ElevationFile(str(tmp_path / "wall.npz")).at(SITE, BOX)
+        bearings = ([1.0, 0.0, 0.7071], [0.0, 1.0, 0.7071], [0.0, 0.0, 0.0])
+        sight = Vec3(*(jnp.stack([jnp.asarray(v)] * 2, axis=1) for v in bearings))
+        seen = np.asarray(ground.horizon_sine(at([0.0, 0.0], [0.0, 0.0], [0.0, -100.0]), sight))
+        # atan(100/500) to the north and atan(100/707) to the north-east from the ground; level from the top.
+        expected = [100.0 / math.hypot(100.0, 500.0), 0.0, 100.0 / math.hypot(100.0, 707.1)]
+        np.testing.assert_allclose(seen[:, 0], expected, atol=0.005)
+        # Between the eyes of the table it is interpolated.
+        np.testing.assert_allclose(seen[[0, 2], 1], 0.0, atol=0.01)
+
+    def test_hides_satellites_and_moves_the_wind(self, tmp_path: Path):
+        north = 50.0 * np.arange(-20, 21)
+        height = np.where(north[:, None] >= 100.0, 400.0, 0.0) + 0.0 * north[None, :]
+        np.savez(tmp_path / "cliff.npz", north=north, east=north, height=height)
+        area = {**AREA, "z_min": -30}
+        found = []
+        for ground in ("flat", {"type": "dem", "file": str(tmp_path / "cliff.npz")}):
+            pilot = {"type": "waypoint", "feed": "truth"}
+            sensors = {"gnss": {"type": "gnss_receiver"}}
+            scenario = make_scenario([[0, 0, -10]], area=area, ground=ground, sensors=sensors, controller=pilot)
+            simulation = qrsim.Simulation(scenario.world())
+            found.append(float(simulation.reset().gnss.satellites[0]))
+        # The cliff fills the north up to 75 degrees, and of the satellites above 10 degrees some are there.
+        assert found[1] <= found[0] - 2.0
+
+    def test_who_flies_into_it_stops(self, tmp_path: Path):
+        # Above the valley to the south-east z = 3 is in the air; at the origin it is below the ground.
+        starts = [[-45.0, 30.0, 3.0], [0.0, 0.0, -2.0]]
+        world = make_world(starts, ground={"type": "dem", "file": slope(tmp_path)}, area=AREA)
+        np.testing.assert_allclose(world.height_agl(at([-45.0, 0.0], [30.0, 0.0], [3.0, -2.0])), [3.0, 2.0], atol=1e-5)
+        simulation = qrsim.Simulation(world)
+        simulation.reset()
+        simulation.step([[0.0, 0.0, 0.59, 0.0, 12.0], [0.0, 0.0, 0.3, 0.0, 12.0]], ticks=60)
+        assert simulation.reasons[0] == ""
+        assert simulation.reasons[1].startswith("hit_ground: position_ned.z = ")
+
+
+def without(where: int) -> Any:
+    """Return heights without one of them."""
+    return np.where(np.arange(231).reshape(21, 11) == where, np.nan, 1.0)
+
+
+HEADER = "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\n"
+
+
+class TestRefused:
+    @pytest.mark.parametrize(
+        ("changes", "words"),
+        [
+            ({"height": np.zeros((3, 3))}, "'north' has shape (21,), 'east' (11,) and 'height' (3, 3); expected (R,)"),
+            ({"north": 10.0 * np.arange(-4, 17)}, "covers north -40 to 160 and east -100 to 100 m; world.area asks for "
+             "north -50 to 50 and east -40 to 40 m"),
+            ({"height": without(115)},
+             "has no height at the site's origin"),
+            ({"height": without(127)},
+             "has no height at 1 of 55 points in world.area, the first at north 10 m, east 20 m"),
+            ({"east": np.array([-100, -90, -50, -40, -20, 0, 20, 40, 60, 80, 100.0])}, "its east are not evenly"),
+            ({"north": None, "norths": np.zeros(3)}, "has no 'north'; did you mean 'norths'?"),
+            ({"height": np.full((21, 11), "a")}, "'height' is of type <U1; expected numbers"),
+        ],
+    )  # fmt: skip
+    def test_archives(self, tmp_path: Path, changes: dict[str, Any], words: str):
+        with pytest.raises(UsageError) as caught:
+            ElevationFile(slope(tmp_path, **changes)).at(SITE, BOX)
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            (f"{HEADER}cellsize 10\n1 2 3\n4 5\n", "5 heights; its header says 2 rows of 3"),
+            (f"{HEADER}1 2 3\n4 5 6\n", "its header has no 'cellsize'"),
+            ("ncols 3\nnrows 2.5\n", "'nrows' of its header is 2.5; expected a whole number"),
+            (f"{HEADER}cellsize 10\n1 2 x 4 5 6\n", "a height is no number"),
+            ("", "its header has no 'ncols'"),
+        ],
+    )  # fmt: skip
+    def test_ascii_grids(self, tmp_path: Path, text: str, words: str):
+        (tmp_path / "a.asc").write_text(text)
+        with pytest.raises(UsageError) as caught:
+            ElevationFile(str(tmp_path / "a.asc")).at(SITE, BOX)
+        assert words in str(caught.value)
+
+    def test_files(self, tmp_path: Path):
+        file = slope(tmp_path)
+        (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 no archive")
+        for name, words in (
+            ("slopes.npz", "did you mean 'slope.npz'?"),
+            ("hill.tif", "gdal_translate -of AAIGrid 'hill.tif' 'hill.asc' makes one of it"),
+            ("bad.npz", "is no NumPy archive of numbers, or it is damaged"),
+        ):
+            with pytest.raises(UsageError) as caught:
+                ElevationFile(str(Path(file).parent / name)).at(SITE, BOX)
+            assert words in str(caught.value)
+
+    def test_starts_and_waypoints_below_it(self, tmp_path: Path):
+        vehicle = {"position_ned": [40.0, 0.0, -3.0], "waypoints_ned": [[-40.0, 0.0, 3.0], [0.0, -20.0, 0.0]]}
+        with pytest.raises(ScenarioError) as caught:
+            make_scenario([vehicle], ground={"type": "dem", "file": slope(tmp_path)}, area=AREA)
+        start, waypoint = caught.value.problems
+        assert start == (
+            "fleets.vehicles.vehicles.0.position_ned: z = -3 m is 1 m below the ground, which is at z = -4 m there; "
+            "allowed: at most that"
+        )
+        assert waypoint.startswith("fleets.vehicles.vehicles.0.waypoints_ned.1: z = 0 m is 1 m below the ground")
+
+    def test_a_file_that_does_not_cover_the_area(self, tmp_path: Path):
+        with pytest.raises(ScenarioError) as caught:
+            make_scenario([[0.0, 0.0, -20.0]], ground={"type": "dem", "file": slope(tmp_path)})
+        (problem,) = caught.value.problems
+        assert problem.startswith("world.ground: ")
+        assert "covers north -100 to 100 and east -100 to 100 m; world.area asks for north -1000 to 1000" in problem
+
+    def test_an_unknown_ground_is_named(self):
+        with pytest.raises(UsageError, match=r"world\.ground"):
+            make_world([[0.0, 0.0, -20.0]], ground="flatt")

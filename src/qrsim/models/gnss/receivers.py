@@ -213,25 +213,26 @@ class GnssReceiver(Sensor):
     period: float = setting(
         default=0.2, unit="s", doc="interval between fixes, a multiple of the sky's period", above=0.0
     )
-    reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky", "position_low_ned")
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky", "position_low_ned", "ground")
     draws_alone: ClassVar[bool] = True
 
     def init(
-        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState, position_low_ned: Vec3 | None = None
-    ) -> tuple[ReceiverState, GnssReading]:
+        self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState, position_low_ned: Vec3 | None = None,
+        ground: Any = None,
+    ) -> tuple[ReceiverState, GnssReading]:  # fmt: skip
         """Return the first fix, as if reported for some time already; its velocity is the true one."""
         listed = self._choose_listed(draw, sky) if self.satellites == "hand_list" else None
-        fix, _ = self._solve(draw, position_ned, sky, listed)
+        fix, _ = self._solve(draw, position_ned, sky, listed, ground)
         position, true, low = _solution(position_ned, fix, position_low_ned)
         reading = GnssReading(position, velocity_ned, fix.satellites, fix.hdop, fix.vdop)
         return ReceiverState(position, true, (reading,) * self.delay, listed, low), reading
 
     def restart(
         self, state: ReceiverState, draw: Draw, since: Array, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState,
-        position_low_ned: Vec3 | None = None,
+        position_low_ned: Vec3 | None = None, ground: Any = None,
     ) -> tuple[ReceiverState, GnssReading]:  # fmt: skip
         """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
-        fresh, reading = self.init(draw, position_ned, velocity_ned, sky, position_low_ned)
+        fresh, reading = self.init(draw, position_ned, velocity_ned, sky, position_low_ned, ground)
         # Where they would have been at that epoch, because the next velocity is that of a whole period.
         moved = velocity_ned * since
         if fresh.position_low_ned is None:
@@ -241,10 +242,10 @@ class GnssReceiver(Sensor):
 
     def step(
         self, state: ReceiverState, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState,
-        position_low_ned: Vec3 | None = None,
+        position_low_ned: Vec3 | None = None, ground: Any = None,
     ) -> tuple[ReceiverState, GnssReading]:  # fmt: skip
         """Compute a fix for receivers at position_ned (n,) and report the one of ``delay`` periods ago."""
-        fix, velocity_error = self._solve(draw, position_ned, sky, state.listed)
+        fix, velocity_error = self._solve(draw, position_ned, sky, state.listed, ground)
         position, true, low = _solution(position_ned, fix, position_low_ned)
         if velocity_error is not None:
             velocity = velocity_ned + velocity_error
@@ -261,9 +262,11 @@ class GnssReceiver(Sensor):
 
     def fix(self, draw: Draw, position_ned: Vec3, sky: SkyState) -> Fix:
         """Solve for the position of each receiver (n,) from the satellites above the mask."""
-        return self._solve(draw, position_ned, sky, None)[0]
+        return self._solve(draw, position_ned, sky, None, None)[0]
 
-    def _solve(self, draw: Draw, position_ned: Vec3, sky: SkyState, listed: Any) -> tuple[Fix, Vec3 | None]:
+    def _solve(
+        self, draw: Draw, position_ned: Vec3, sky: SkyState, listed: Any, ground: Any
+    ) -> tuple[Fix, Vec3 | None]:
         """Return the fix of each receiver (n,) and, for 'doppler', the error of its velocity."""
         # A satellite without a position is put somewhere and not used, so that no NaN comes near a gradient.
         present = jnp.isfinite(sky.satellites_ned.z)
@@ -277,6 +280,8 @@ class GnssReceiver(Sensor):
         shape, count = position_ned.x.shape, sky.range_error.shape[0]
         mask = jnp.broadcast_to(sincos(jnp.asarray(self.elevation_mask_rad))[0], shape)
         used = present[:, None] & (-line_of_sight.z > mask[None, :] if listed is None else listed)
+        if ground is not None and ground.hides and listed is None:
+            used = used & (-line_of_sight.z > ground.horizon_sine(position_ned, line_of_sight))
         noise = jnp.broadcast_to(jnp.asarray(self.range_noise_std), shape)
         doppler = self.velocity == "doppler"
         normals = draw.normal_rows(2 * count if doppler else count)

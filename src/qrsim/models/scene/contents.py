@@ -8,10 +8,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.clock import split_time
-from qrsim.core.tree import quantity, record, setting
+from qrsim.core.tree import quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere import contracts
-from qrsim.models.scene.contracts import Area, GroundCover, People
+from qrsim.models.scene.contracts import Area, Ground, GroundCover, People
+from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.persons import NoPersons
 from qrsim.models.scene.plume import NoPlume, Wind
 from qrsim.models.scene.terrain import ClearGround
@@ -53,6 +54,14 @@ class Surroundings:
     area: Area = quantity(doc="where vehicles may be")
     tick: Array = quantity(doc="() int32")
     time_step: float = setting(unit="s", doc="simulation step")
+    ground: Ground = quantity(default=FlatGround(), doc="what vehicles stand on")
+
+    def over_ground(self, position_ned: Vec3) -> Vec3:
+        """Return positions of any shape with minus the height above the ground for z.
+
+        Plumes, persons and cameras know a ground at z = 0: each vehicle sees it level, at the height of that below it.
+        """
+        return over_ground(self.ground, position_ned)
 
     def carrying_wind(self, dtype: Any) -> Wind:
         """Return the mean wind that carries a plume, in a floating-point type."""
@@ -61,7 +70,7 @@ class Surroundings:
 
     def concentration(self, position_ned: Vec3) -> Array:
         """Return the concentration at positions (n,)."""
-        plume = self.contents.plume
+        plume, position_ned = self.contents.plume, self.over_ground(position_ned)
         ticks = max(1, round(plume.period / self.time_step))
         dtype = position_ned.x.dtype
         since = (self.tick % ticks).astype(dtype) * self.time_step
@@ -70,3 +79,10 @@ class Surroundings:
     def ground_class(self, position_ned: Vec3) -> Array:
         """Return the class (int32) of the ground below positions of any shape."""
         return self.contents.terrain.class_at(self.state.terrain, position_ned, self.area)
+
+
+def over_ground(ground: Ground, position_ned: Vec3) -> Vec3:
+    """Return positions of any shape with minus the height above a ground for z."""
+    if ground.at_zero:
+        return position_ned
+    return replace(position_ned, z=position_ned.z - ground.down(position_ned))

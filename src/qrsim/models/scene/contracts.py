@@ -57,9 +57,19 @@ class Ground(Protocol):
 
     Attributes:
         at_zero: whether it is the plane z = 0, which areas take for their floor.
+        hides: whether it hides satellites, see ``horizon_sine``.
     """
 
     at_zero: bool = False
+    hides: ClassVar[bool] = False
+
+    def at(self, site: Any, box: Any) -> Ground:
+        """Return the ground for a site and the bounds of an area (south, north, west, east [m], or None)."""
+        return self
+
+    def horizon_sine(self, position_ned: Vec3, line_of_sight: Vec3) -> Array:
+        """Return the sine (S, n) of the horizon's elevation below lines of sight (S, n) from positions (n,) [m]."""
+        return jnp.full(line_of_sight.z.shape, -1.0, line_of_sight.z.dtype)
 
     @abstractmethod
     def down(self, position_ned: Vec3) -> Array:

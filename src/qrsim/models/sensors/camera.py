@@ -16,7 +16,7 @@ from jax import Array
 
 from qrsim.core.fastmath import log, sincos
 from qrsim.core.noise import Draw, Noise, Stream
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.scene.terrain import CLUTTER, OCCLUSION
@@ -194,7 +194,7 @@ class Camera(Sensor):
 
     def _develop(self, reading: CameraReading, around: Surroundings, tick: Array, noise: Array, size: Array) -> Picture:
         """Return the picture of one vehicle from the normals (R, C) of its windows."""
-        view = self._view(reading, size)
+        view = self._view(replace(reading, taken_at_ned=around.over_ground(reading.taken_at_ned)), size)
         row = jnp.arange(self.most_rows + 1).astype(noise.dtype)[:, None]
         column = jnp.arange(self.most_columns + 1).astype(noise.dtype)[None, :]
         corners = self._on_ground(view, view.left + column * view.width, view.top + row * view.height)

@@ -14,7 +14,7 @@ from jax import Array
 from qrsim.core.tree import Record
 from qrsim.core.vectors import Euler, Vec3
 
-# What a sensor may declare in ``reads``; each is (n,) but the last two.
+# What a sensor may declare in ``reads``; each is (n,) but the last three.
 SCENE = (
     "position_ned",
     "position_low_ned",
@@ -26,6 +26,7 @@ SCENE = (
     "wind_ned",
     "sky",
     "surroundings",
+    "ground",
 )
 
 
