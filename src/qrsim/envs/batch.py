@@ -103,7 +103,7 @@ class Batch:
 
     def checked(self, action: Any, who: str) -> FloatArray:
         """Check actions and return them as (B, n, A)."""
-        axes, agents = self.functional.play.task.axes, self.functional.agents
+        axes, agents = self.functional.play.axes, self.functional.agents
         shape = (self.size, len(agents), len(axes))
         try:
             array = np.asarray(action, self.dtype)

@@ -15,7 +15,7 @@ SAMPLES, VELOCITY = "samples", "velocity"
 def action_space(batch: Batch) -> spaces.Space[Any]:
     """Return the action space of one agent: numbers in [-1, 1], and the answer for tasks that have one."""
     play = batch.functional.play
-    flight = spaces.Box(-1.0, 1.0, (len(play.task.axes),), batch.dtype.type)
+    flight = spaces.Box(-1.0, 1.0, (len(play.axes),), batch.dtype.type)
     if not play.task.hands_in:
         return flight
     shape = play.task.answer_shape(play.world)

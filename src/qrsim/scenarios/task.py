@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from qrsim.errors import did_you_mean
+from qrsim.models.vehicles.commands import fields_of
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
@@ -12,6 +13,8 @@ from qrsim.scenarios.timing import is_multiple
 
 # Sensors by the field of a task that names one.
 SENSORS = {"camera": ("camera", "ideal_camera"), "sensor": ("concentration", "ideal_concentration")}
+# What the vehicles of tasks are commanded that ask for no set-point.
+COMMANDED = ("pitch", "roll", "throttle", "yaw_rate")
 # What has to be in the world.
 CONTENTS = {"search": "persons", "plume_mapping": "plume"}
 
@@ -46,6 +49,12 @@ def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
         yield (
             f"fleets.{task.fleet}.controller: '{fleet.controller.type}' does not take what the task '{task.type}' asks "
             f"for; allowed: {', '.join(fitting)}"
+        )
+    fields = fields_of(known.VEHICLES[fleet.vehicle.type].command_type)  # type: ignore[attr-defined]
+    if asks_for is None and not set(COMMANDED) <= set(fields) and not is_outside("task", task.type):
+        yield (
+            f"task.fleet: '{task.fleet}' has vehicles of type '{fleet.vehicle.type}', and the task '{task.type}' is "
+            f"flown by their {', '.join(COMMANDED)}"
         )
     for field, types in SENSORS.items():
         if field not in vars(task):

@@ -25,7 +25,7 @@ class Task(Protocol):
         fleet: name of that fleet; "": there is no task.
         period: time between two actions [s], a multiple of the time step.
         penalty: reward of the step in which a vehicle stops.
-        axes: the numbers of an action, with unit and range; an agent gives each in [-1, 1].
+        axes: the numbers of an action, with unit and range, where they do not depend on the world (see ``acts``).
         asks_for: kind of set-points that its fleet's controller must take; None: its actions are commands.
         hands_in: whether an agent hands in an answer at the end, which has a ``score``.
     """
@@ -33,7 +33,7 @@ class Task(Protocol):
     fleet: str
     period: float
     penalty: Array
-    axes: ClassVar[tuple[Axis, ...]]
+    axes: ClassVar[tuple[Axis, ...]] = ()
     asks_for: ClassVar[type[Any] | None] = None
     hands_in: ClassVar[bool] = False
 
@@ -41,6 +41,10 @@ class Task(Protocol):
     def ids(self) -> int:
         """Numbers of what ``init`` draws for."""
         return 0
+
+    def acts(self, world: World) -> tuple[Axis, ...]:
+        """Describe the numbers of an action, with unit and range; an agent gives each in [-1, 1]."""
+        return self.axes
 
     @abstractmethod
     def init(self, world: World, state: State, draw: Draw) -> Any:

@@ -71,7 +71,7 @@ class Episodes:
         step = Function("step of an episode", _tick, (task,), text)
         self._worlds = Worlds(start, step, self._play, extent)
         keys = play.keys(Key.roots(np.zeros(1, np.int64), np.zeros(1, np.int64)))
-        self._worlds.prepare(keys, np.zeros((1, len(play.agents), len(play.task.axes)), dtype))
+        self._worlds.prepare(keys, np.zeros((1, len(play.agents), len(play.axes)), dtype))
 
     def __getstate__(self) -> dict[str, Any]:
         # Programs are in memory of this process, and are loaded or made again in another.

@@ -11,7 +11,7 @@ from jax import Array, lax
 from qrsim.control.setpoints import library
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import quantity, record, replace, setting
-from qrsim.tasks.agents import all_fly, fleet_of, number_of
+from qrsim.tasks.agents import Axis, all_fly, fleet_of, number_of
 from qrsim.tasks.contracts import Task
 from qrsim.world import tick as ticks_of
 from qrsim.world.state import State, World, WorldKeys, period_ticks
@@ -68,6 +68,11 @@ class Play:
     def agents(self) -> tuple[str, ...]:
         """Names of the vehicles that are commanded."""
         return self.world.fleets[number_of(self.world, self.task.fleet)].vehicle_names
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The numbers of an action of each agent."""
+        return self.task.acts(self.world)
 
     @property
     def ticks(self) -> int:
@@ -138,7 +143,7 @@ class Play:
         """Start an episode for ``tick``; its last step holds observations only."""
         episode, seen = self.reset(keys)
         dtype = self.world.fleets[0].start.position_ned.x.dtype
-        action = jnp.zeros((len(self.agents), len(self.task.axes)), dtype)
+        action = jnp.zeros((len(self.agents), len(self.axes)), dtype)
         commands = jax.eval_shape(self._commands, episode, action)
         _, step = jax.eval_shape(self._judged, episode)
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), (commands, step))
@@ -169,8 +174,8 @@ class Play:
     def scaled(self, action: Any) -> Any:
         """Scale actions (n, A), clipped to [-1, 1], to their units; NumPy or JAX."""
         lib = library(action)
-        low = lib.asarray([axis.low for axis in self.task.axes], action.dtype)[None]
-        high = lib.asarray([axis.high for axis in self.task.axes], action.dtype)[None]
+        low = lib.asarray([axis.low for axis in self.axes], action.dtype)[None]
+        high = lib.asarray([axis.high for axis in self.axes], action.dtype)[None]
         return low + 0.5 * (lib.clip(action, -1.0, 1.0) + 1.0) * (high - low)
 
     def truth(self, episode: Episode) -> dict[str, Array]:

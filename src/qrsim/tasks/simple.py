@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
-from typing import ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
@@ -19,8 +19,9 @@ from jax import Array
 from qrsim.core.noise import Draw
 from qrsim.core.tree import field_info, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.vehicles.commands import limits_of
 from qrsim.models.vehicles.contracts import velocity_of
-from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS, COMMAND_LIMITS, Command
+from qrsim.models.vehicles.quadrotor import Command
 from qrsim.tasks.agents import (
     BELIEVED,
     Axis,
@@ -35,10 +36,15 @@ from qrsim.tasks.agents import (
 from qrsim.tasks.contracts import Task
 from qrsim.world.state import Action, Fleet, FleetState, State, World
 
-AXES = tuple(Axis(field.name, field_info(field).unit, *COMMAND_LIMITS[field.name]) for field in fields(Command))
 Crash = Literal["worst", "published"]
 # Of a goal at a limit of its area, or beyond it [m].
 SHORTEST_REACH = 1.0
+
+
+def axes_of(kind: type[Any]) -> tuple[Axis, ...]:
+    """Return the fields of a command record as axes of an action."""
+    limits = limits_of(kind)
+    return tuple(Axis(field.name, field_info(field).unit, *limits[field.name]) for field in fields(kind))
 
 
 @record
@@ -79,15 +85,16 @@ class Effort:
         default=0.59, unit="1", doc="throttle that costs nothing", minimum=0.0, maximum=1.0
     )
 
-    def rate(self, command: Command) -> Array:
-        """Return the cost per second of commands (n,)."""
+    def rate(self, command: Any) -> Array:
+        """Return the cost per second of commands (n,) of tilt, throttle and yaw rate."""
         tilt = self.tilt * self.tilt * (command.pitch * command.pitch + command.roll * command.roll)
         throttle, yaw = self.throttle * (command.throttle - self.hover_throttle), self.yaw_rate * command.yaw_rate
         return tilt + throttle * throttle + yaw * yaw
 
-    def highest_rate(self) -> Array:
-        """Return () the cost per second of the command that costs most."""
-        low, high = (Command(*(jnp.full(1, COMMAND_LIMITS[name][end]) for name in COMMAND_FIELDS)) for end in (0, 1))
+    def highest_rate(self, kind: type[Any] = Command) -> Array:
+        """Return () the cost per second of the command of a kind that costs most."""
+        limits = limits_of(kind).values()
+        low, high = (kind(*(jnp.full(1, each[end]) for each in limits)) for end in (0, 1))
         low = replace(low, pitch=high.pitch, roll=high.roll, yaw_rate=high.yaw_rate)
         return jnp.maximum(self.rate(low), self.rate(high))[0]
 
@@ -120,7 +127,8 @@ class Commanded(Task):
     fleet: str = setting(default="pelicans", doc="name of the fleet whose vehicles are the agents")
     period: float = action_period(0.02)
 
-    axes: ClassVar[tuple[Axis, ...]] = AXES
+    # Of quadrotors; ``acts`` has those of the fleet.
+    axes: ClassVar[tuple[Axis, ...]] = axes_of(Command)
     asks_for: ClassVar[type | None] = None
 
     def init(self, world: World, state: State, draw: Draw) -> SimpleMemory:
@@ -134,9 +142,17 @@ class Commanded(Task):
         """Return the squared distance (n,) from the goal that costs the whole stake [m^2]."""
         return jnp.full_like(start_ned.x, math.inf)
 
+    def acts(self, world: World) -> tuple[Axis, ...]:
+        """Describe the command of the fleet's vehicles."""
+        return axes_of(self.command_type(world))
+
+    def command_type(self, world: World) -> type[Any]:
+        """Return the command record of the fleet's vehicles."""
+        return world.fleets[number_of(world, self.fleet)].vehicle.command_type
+
     def commands(self, memory: SimpleMemory, world: World, action: Array) -> tuple[Action, ...]:
-        """Convert actions (n, 5) to commands."""
-        return only(world, self.fleet, Command(*(action[:, i] for i in range(len(COMMAND_FIELDS)))))
+        """Convert actions (n, A) to commands."""
+        return only(world, self.fleet, self.command_type(world)(*(action[:, i] for i in range(action.shape[1]))))
 
     def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:
         """Add the cost of a tick."""
@@ -145,7 +161,7 @@ class Commanded(Task):
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
         """Return each vehicle's cost per second (n,)."""
-        return self.effort.rate(cast(Command, fleet.command))
+        return self.effort.rate(fleet.command)
 
     def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
         """Return each vehicle's extra cost (n,) if the episode ended now."""
@@ -180,7 +196,7 @@ class Commanded(Task):
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
         """Return an upper bound of each vehicle's cost (n,) in an episode [s] without a crash."""
-        return jnp.broadcast_to(self.effort.highest_rate() * duration, memory.owed.shape)
+        return jnp.broadcast_to(self.effort.highest_rate(self.command_type(world)) * duration, memory.owed.shape)
 
 
 @record
@@ -242,7 +258,7 @@ class KeepVelocity(Commanded):
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
         """Return the effort, and the squared error of the velocity (n,)."""
         error = velocity_of(model.vehicle.pose(fleet.vehicle)) - self._wanted()
-        return self.effort.rate(cast(Command, fleet.command)) + square(error)
+        return self.effort.rate(fleet.command) + square(error)
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
         """Return the highest effort, and the largest error (n,) of a velocity within the limits of the state."""

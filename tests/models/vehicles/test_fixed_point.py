@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.envs import parallel_env
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.metrics import FLIGHT_METRICS
@@ -20,6 +21,7 @@ from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.rollout import rollout
 from qrsim.simulation.simulation import Simulation
+from qrsim.tasks import Play
 from qrsim.world.state import World
 
 SENSORS = {name: {"type": name} for name in catalogue.SENSORS}
@@ -176,3 +178,36 @@ def test_its_model_alone() -> None:
     after, force = FixedPoint(gravity=1.62).step(state, NoCommand(), lambda trig: Vec3(one, one, one), None, 0.02)  # type: ignore[arg-type]
     assert after is state
     np.testing.assert_allclose(force.z, -1.62)
+
+
+def test_a_task_beside_fixed_points_acts_as_alone() -> None:
+    base = {"vehicle": {"type": "fixed_point"}, "vehicles": [{"name": "base", "position_ned": [5.0, 6.0, 0.0]}]}
+    content = {"name": "beside", "extends": "keep_spot", "fleets": {"base": base}}
+    beside, alone = (load_scenario(source) for source in (content, "keep_spot"))
+    plays = [Play(each.task(), each.world(), each.steps) for each in (beside, alone)]
+    assert plays[0].axes == plays[1].axes
+    assert [(axis.name, axis.low, axis.high) for axis in plays[0].axes][2:4] == [
+        ("throttle", 0.0, 1.0), ("yaw_rate", -4.5, 4.5),
+    ]  # fmt: skip
+    assert plays[0].agents == ("pelicans_0",)
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario({**content, "task": {"type": "keep_spot", "fleet": "base"}})
+    assert caught.value.problems == [
+        "task.fleet: 'base' has vehicles of type 'fixed_point', and the task 'keep_spot' is flown by their pitch, "
+        "roll, throttle, yaw_rate"
+    ]
+
+
+@pytest.mark.long
+def test_an_episode_beside_fixed_points_is_the_same_episode() -> None:
+    base = {"vehicle": {"type": "fixed_point"}, "vehicles": [{"name": "base", "position_ned": [5.0, 6.0, 0.0]}]}
+    content = {"name": "beside", "extends": "keep_spot", "fleets": {"base": base}}
+    seen = []
+    for source in (content, "keep_spot"):
+        env = parallel_env(source)
+        observation, _ = env.reset(seed=4)
+        for _ in range(5):
+            observation, reward, *_ = env.step({agent: np.full(5, 0.1, np.float32) for agent in env.agents})
+        seen.append((observation, reward))
+    np.testing.assert_array_equal(seen[0][0]["pelicans_0"], seen[1][0]["pelicans_0"])
+    assert seen[0][1] == seen[1][1]

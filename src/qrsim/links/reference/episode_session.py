@@ -144,7 +144,7 @@ class EpisodeSession:
 
     def _action(self, given: Sequence[Arrayd]) -> Array:
         """Return the actions (n, A) of a request."""
-        axes, agents = self.play.task.axes, self.play.agents
+        axes, agents = self.play.axes, self.play.agents
         with np.errstate(over="ignore"):
             action = np.array(rows_of(given, (len(axes),), "action", agents), PRECISION)
         wrong = ~(np.abs(action) <= 1.0 + ROUNDING)

@@ -270,7 +270,7 @@ async def play(connection: Client, message: Message) -> bool:
         seed=session.seed,
         number=session.episode,
         agent=session.play.agents,
-        axis=[pb.Episode.Axis(**vars(axis)) for axis in session.play.task.axes],
+        axis=[pb.Episode.Axis(**vars(axis)) for axis in session.play.axes],
         period=session.play.ticks * session.play.world.time_step,
         steps=session.play.steps,
         answer_shape=session.answer_shape,

@@ -35,7 +35,7 @@ class Chasing:
     def __init__(self, play: Play, seed: int = 0):
         area: Any = play.world.area
         self._middle = 0.5 * np.array([float(area.x_min + area.x_max), float(area.y_min + area.y_max)])
-        self._limit = float(play.task.axes[0].high)
+        self._limit = float(play.axes[0].high)
         self._left = play.steps
         self._asked: Array | None = None
         self._drift = np.zeros(2)

@@ -40,7 +40,7 @@ class Descending:
         self._target = np.full((count, 2), np.nan)
         self._waited = np.zeros(count, int)
         self._height: Array | None = None
-        self._limit = float(play.task.axes[0].high)
+        self._limit = float(play.axes[0].high)
 
     def act(self, seen: dict[str, Array]) -> Array:
         """Return the actions (n, 3)."""

@@ -70,7 +70,7 @@ class Mapping:
         self._locations = np.zeros((0, 3))
         self._target = np.zeros((0, 3))
         self._drift: Array | None = None
-        self._limit = float(play.task.axes[0].high)
+        self._limit = float(play.axes[0].high)
 
     def act(self, seen: dict[str, Array]) -> Array:
         """Return the actions (n, 3)."""
