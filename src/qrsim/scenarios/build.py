@@ -28,7 +28,8 @@ from qrsim.scenarios.hand_list import hand_lists, warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission, mission_problems
 from qrsim.scenarios.ranges import range_problems, ranges_of
 from qrsim.scenarios.registry import is_outside
-from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.spacing import clearance_of, close_starts, columns, inside_obstacles, obstacle_problems
 from qrsim.scenarios.task import task_problems
 from qrsim.scenarios.timing import timing_problems
 from qrsim.scenarios.vehicle_checks import controller_problems
@@ -79,7 +80,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_inheritance_problems(scenario),
         *_wind_problems(scenario),
         *_orbit_problems(scenario),
-        *_obstacle_problems(scenario),
+        *obstacle_problems(scenario),
         *_fleet_problems(scenario),
         *_ground_problems(scenario),
         *_standing_problems(scenario),
@@ -104,7 +105,6 @@ def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
     area = scenario.world.area
-    starts: list[tuple[str, list[float]]] = []
     names: dict[str, str] = {}
     solids = [component(spec, known.OBSTACLES, scenario) for spec in scenario.world.obstacles]
     ground = _ground_if_any(scenario)
@@ -127,17 +127,11 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
                 yield f"{path}.name: '{name}' is also the name of {names[name]}"
             names[name] = path
             yield from outside(f"{path}.position_ned", vehicle.position_ned, area, floor)
-            yield from _inside_obstacles(path, vehicle, solids, scenario.world.collision_distance / 2)
+            yield from inside_obstacles(path, vehicle, solids, *clearance_of(fleet, scenario))
             yield from _too_fast(f"{path}.velocity_body", vehicle.velocity_body, fleet, i)
             for j, waypoint in enumerate(vehicle.waypoints_ned):
                 yield from outside(f"{path}.waypoints_ned.{j}", waypoint, area, floor)
-            starts.append((path, vehicle.position_ned))
-    allowed = scenario.world.collision_distance
-    for i, j, distance in _close_pairs(np.array([position for _, position in starts]), allowed):
-        yield (
-            f"{starts[j][0]}.position_ned: starts {distance:.3g} m from {starts[i][0]}; "
-            f"allowed: at least {allowed:g} m (world.collision_distance)"
-        )
+    yield from close_starts(scenario)
 
 
 def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
@@ -155,25 +149,6 @@ def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
     for name, fleet in scenario.fleets.items():
         if fleet.ground == "parked":
             yield from standing_problems(name, fleet.vehicle.type, component(fleet.vehicle, known.VEHICLES, scenario))
-
-
-def _close_pairs(points: Any, distance: float) -> list[tuple[int, int, float]]:
-    """Return i < j and their distance of all pairs of points (n, 3) that are less than ``distance`` apart."""
-    if len(points) < 2:
-        return []
-    # In the order of one coordinate, whoever is close by is a few places further on.
-    along = int(np.argmax(np.ptp(points, axis=0)))
-    order = np.argsort(points[:, along], kind="stable")
-    ordered, found = points[order], []
-    for ahead in range(1, len(points)):
-        apart = ordered[ahead:] - ordered[:-ahead]
-        if not (apart[:, along] < distance).any():
-            break
-        apart = np.linalg.norm(apart, axis=1)
-        for first in np.flatnonzero(apart < distance):
-            i, j = sorted((int(order[first]), int(order[first + ahead])))
-            found.append((i, j, float(apart[first])))
-    return sorted(found)
 
 
 def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
@@ -383,30 +358,6 @@ def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
             )
 
 
-def _obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    for i, obstacle in enumerate(scenario.world.obstacles):
-        for axis in "xyz":
-            low, high = vars(obstacle).get(f"{axis}_min"), vars(obstacle).get(f"{axis}_max")
-            if low is not None and high is not None and low >= high:
-                yield f"world.obstacles.{i}.{axis}_min: {low:g} m is not below {axis}_max, {high:g} m"
-
-
-def _inside_obstacles(path: str, vehicle: VehicleSpec, solids: list[Any], clearance: float) -> Iterator[str]:
-    """No vehicle starts at an obstacle or is sent there."""
-    points = {"position_ned": vehicle.position_ned}
-    points |= {f"waypoints_ned.{j}": waypoint for j, waypoint in enumerate(vehicle.waypoints_ned)}
-    points |= {f"legs.{j}": vars(leg)["to_ned"] for j, leg in enumerate(vehicle.legs) if vars(leg).get("to_ned")}
-    positions, names = _columns(list(points.values())), list(points)
-    for i, solid in enumerate(solids):
-        distances = solid.distance(positions)
-        for j in np.flatnonzero((distances < clearance) | (distances == 0.0)):
-            where = f"{distances[j]:.3g} m from" if distances[j] else "inside"
-            yield (
-                f"{path}.{names[j]}: {where} world.obstacles.{i}; "
-                f"allowed: at least {clearance:g} m from it (half of world.collision_distance)"
-            )
-
-
 def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Fleet:
     vehicle = component(spec.vehicle, known.VEHICLES, scenario)
     return Fleet(
@@ -424,21 +375,17 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> F
         vehicle_names=vehicle_names(name, spec),
         placement=component(spec.placement, known.PLACEMENTS, scenario),
         ground=spec.ground,
+        radius=spec.radius,  # type: ignore[arg-type]
     )
-
-
-def _columns(rows: list[list[float]]) -> Vec3:
-    array = np.asarray(rows, np.float64)
-    return Vec3(*(np.ascontiguousarray(array[:, axis]) for axis in range(3)))  # type: ignore[arg-type]
 
 
 def _start(spec: FleetSpec) -> Start:
     yaw = np.array([vehicle.yaw_rad for vehicle in spec.vehicles])
     zero = np.zeros_like(yaw)
     return Start(
-        _columns([vehicle.position_ned for vehicle in spec.vehicles]),
+        columns([vehicle.position_ned for vehicle in spec.vehicles]),
         Euler(zero, zero, yaw),  # type: ignore[arg-type]
-        _columns([vehicle.velocity_body for vehicle in spec.vehicles]),
+        columns([vehicle.velocity_body for vehicle in spec.vehicles]),
         Vec3(zero, zero, zero),  # type: ignore[arg-type]
     )
 

@@ -22,7 +22,18 @@ WORLD_PARTS = (
     "area", "ground", "wind", "turbulence", "gust", "sky", "plume", "terrain", "persons", "obstacles",
     "collision_distance",
 )  # fmt: skip
-FLEET_PARTS = ("vehicle", "controller", "guidance", "limits", "sensors", "battery", "faults", "placement", "ground")
+FLEET_PARTS = (
+    "vehicle",
+    "controller",
+    "guidance",
+    "limits",
+    "sensors",
+    "battery",
+    "faults",
+    "placement",
+    "ground",
+    "radius",
+)
 # What a fleet does at the ground has the name of the ground itself, and is told from it by its value.
 AT_THE_GROUND = ("stop", "parked")
 SENSORS = {

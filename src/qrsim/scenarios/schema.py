@@ -222,6 +222,9 @@ class FleetSpec(Strict):
         description="where the vehicles start in an episode; their given positions count otherwise, and their heights",
         validate_default=True,
     )
+    radius: Finite | None = Field(
+        None, description="of the sphere that collides [m]; default: half of world.collision_distance", ge=0
+    )
     ground: Literal["stop", "parked"] = Field(
         "stop",
         description="what touching the ground does to vehicles without a contact of their own: it ends the flight, or "

@@ -61,7 +61,7 @@ def _vehicles(fleet: Fleet, rows: Any) -> Any:
 def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple[FleetState, ...]:
     """Return the fleets with what is wrong with each vehicle that was placed."""
     together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *(fleet.vehicle.position_ned for fleet in fleets))
-    collided = collisions(together, world.collision_distance)
+    collided = collisions(together, world.collision_distance, world.radii)
     checked, first = [], 0
     for fleet, state in zip(world.fleets, fleets, strict=True):
         mine = slice(first, first + fleet.size)

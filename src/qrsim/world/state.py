@@ -67,6 +67,9 @@ class Fleet:
     placement: GivenPlaces | UniformPlaces | RingPlaces = quantity(
         default=GivenPlaces(), doc="where the vehicles start in an episode"
     )
+    radius: Array | None = quantity(
+        default=None, unit="m", doc="of the sphere that collides; None: half of the world's collision_distance"
+    )
     ground: Literal["stop", "parked"] = setting(
         default="stop", doc="what touching the ground does to vehicles without a contact of their own"
     )
@@ -112,6 +115,17 @@ class World:
     contents: Contents = quantity(default=Contents(), doc="plume, cover of the ground, persons")
     ranges: tuple[Range, ...] = quantity(default=(), doc="numbers that every episode draws anew")
     ground: Ground = quantity(default=FlatGround(), doc="what vehicles stand on")
+
+    @property
+    def radii(self) -> Array | None:
+        """Radius (n,) [m] of all vehicles, None where no fleet has one of its own."""
+        if all(fleet.radius is None for fleet in self.fleets):
+            return None
+        return jnp.concatenate([jnp.broadcast_to(self.radius_of(fleet), (fleet.size,)) for fleet in self.fleets])
+
+    def radius_of(self, fleet: Fleet) -> Array:
+        """Return the radius [m] of a fleet's vehicles."""
+        return 0.5 * self.collision_distance if fleet.radius is None else jnp.asarray(fleet.radius)
 
     def ground_down(self, position_ned: Vec3) -> Array:
         """Return the down coordinate (n,) [m] of the ground below positions (n,)."""

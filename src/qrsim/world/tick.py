@@ -233,7 +233,7 @@ def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState
         moving = old.violation.code == 0
         positions.append(select(moving, new.vehicle.position_ned, old.vehicle.position_ned))
     together = concatenated(positions)
-    collided = collisions(together, world.collision_distance)
+    collided = collisions(together, world.collision_distance, world.radii)
     checked, first = [], 0
     for fleet, old, new in zip(world.fleets, before, flown, strict=True):
         own = Violation.first(own_checks(world, fleet, new), new.vehicle.position_ned.x)
@@ -263,7 +263,7 @@ def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int,
         (reason_code("not_finite", "state"), jnp.zeros_like(pose.position_ned.x), ~finite),
         *ground_checks(world, fleet, state),
         *world.area.check(over_the_floor(world, fleet, pose.position_ned)),
-        _hits_obstacle(world, pose.position_ned),
+        _hits_obstacle(world, fleet, pose.position_ned),
         *_empty_battery(fleet, state),
         *fleet.limits.check(pose.attitude, pose.velocity_body, pose.rates_body),
         *fleet.vehicle.own_checks(state.vehicle),
@@ -278,11 +278,11 @@ def _empty_battery(fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Ar
     return [(reason_code("battery_empty", "charge"), charge, charge <= 0.0)]
 
 
-def _hits_obstacle(world: World, position_ned: Vec3) -> tuple[int, Array, Array]:
+def _hits_obstacle(world: World, fleet: Fleet, position_ned: Vec3) -> tuple[int, Array, Array]:
     """Return the check (code, number of the obstacle, hit) of positions (n,)."""
     distance, number = world.obstacles.nearest(position_ned)
     # Whatever the distance kept from obstacles is, none can be touched or flown through.
-    hit = (distance < 0.5 * world.collision_distance) | (distance <= 0.0)
+    hit = (distance < world.radius_of(fleet)) | (distance <= 0.0)
     return reason_code("collision", "obstacle"), number, hit
 
 

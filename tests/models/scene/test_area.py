@@ -14,8 +14,10 @@ import pytest
 from qrsim.core.noise import Key
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.errors import ScenarioError
 from qrsim.models.scene.area import REASONS, BoxArea, StateLimits, Violation, collisions, reason_code
 from qrsim.models.vehicles.quadrotor import Command
+from qrsim.scenarios.making import make_world
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.world.state import State, World
 from qrsim.world.tick import reset, step
@@ -353,3 +355,45 @@ class TestInAWorld:
         # The other was stopped for its own reason, which is kept.
         yaw = list(WRONG).index(("state_limit", "attitude.yaw"))
         assert REASONS[trouble[1][-1].fleets[0].violation.code[yaw]] == ("state_limit", "attitude.yaw")
+
+
+class TestRadii:
+    """Vehicles of different sizes collide where their spheres touch."""
+
+    def test_who_reaches_into_whom(self):
+        # 3 m apart in a row: 1 + 1.9 is less and 1.9 + 1.2 is more; the last one is nowhere.
+        east = np.array([0.0, 3.0, 6.0, np.nan], F32)
+        zero = np.zeros(4, F32)
+        found = collisions(Vec3(zero, east, zero), F32(2.0), np.array([1.0, 1.9, 1.2, 99.0], F32))  # type: ignore[arg-type]
+        assert [REASONS[code] for code in found.code] == [
+            ("valid", ""),
+            *[("collision", "distance")] * 2,
+            ("valid", ""),
+        ]
+        np.testing.assert_array_equal(found.value, [0.0, 3.0, 3.0, 0.0])
+
+    def test_equal_ones_are_as_by_the_distance(self):
+        rng = np.random.default_rng(5)
+        place = Vec3(*rng.uniform(0.0, 12.0, (3, 40)).astype(F32))  # type: ignore[arg-type]
+        by_distance = collisions(place, F32(2.0))  # type: ignore[arg-type]
+        by_radius = collisions(place, F32(9.0), np.full(40, 1.0, F32))  # type: ignore[arg-type]
+        assert 0 < np.count_nonzero(by_distance.code) < 40
+        np.testing.assert_array_equal(by_radius.code, by_distance.code)
+        np.testing.assert_allclose(by_radius.value, by_distance.value, rtol=1e-6)
+
+    def test_of_a_fleet_in_a_world(self):
+        fleets = {
+            "large": {"vehicles": [[0.0, 0.0, -20.0]], "radius": 3.0},
+            "small": {"vehicles": [[0.0, 3.5, -20.0], [0.0, 4.7, -20.0]], "radius": 0.4},
+        }
+        world = make_world(fleets=fleets)
+        np.testing.assert_allclose(world.radii, [3.0, 0.4, 0.4])
+        obstacle = {"type": "cylinder", "x": 0, "y": -2.5, "radius": 1.0, "z_min": -40}
+        with pytest.raises(ScenarioError) as caught:
+            make_world(fleets=fleets | {"third": {"vehicles": [[0.0, 6.0, -20.0]]}}, obstacles=[obstacle])
+        assert caught.value.problems == [
+            "fleets.large.vehicles.0.position_ned: 1.5 m from world.obstacles.0; allowed: at least 3 m from it "
+            "(radius of the fleet)",
+            "fleets.third.vehicles.0.position_ned: starts 1.3 m from fleets.small.vehicles.1; allowed: at least 1.4 m "
+            "(the sum of their radii)",
+        ]

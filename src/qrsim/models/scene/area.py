@@ -153,12 +153,33 @@ class StateLimits:
         return [(reason_code("state_limit", field), value, jnp.abs(value) > limit) for field, value, limit in limited]
 
 
-def collisions(position_ned: Vec3, collision_distance: Array) -> Violation:
+def collisions(position_ned: Vec3, collision_distance: Array, radius: Array | None = None) -> Violation:
     """Return which vehicles (n,) of a world are closer to another than collision_distance [m].
 
     Looks at all positions together, so the result does not depend on the order of the vehicles, and counts
     vehicles that have already stopped.
+
+    Args:
+        position_ned: of all vehicles (n,) [m].
+        collision_distance: () [m].
+        radius: (n,) [m], where they differ: two vehicles collide closer than the sum of theirs, whatever the distance.
     """
     x, y, z = position_ned.x, position_ned.y, position_ned.z
+    if radius is not None:
+        return _overlaps(position_ned, radius)
     nearest = jnp.sqrt(nearest_squared(x, y, z, jnp.asarray(collision_distance, x.dtype)))
     return Violation.first([(reason_code("collision", "distance"), nearest, nearest < collision_distance)], x)
+
+
+def _overlaps(position_ned: Vec3, radius: Array) -> Violation:
+    """Return which spheres (n,) reach into another, with the distance [m] to that into which they reach furthest."""
+    dx, dy, dz = (axis[:, None] - axis[None, :] for axis in (position_ned.x, position_ned.y, position_ned.z))
+    index = jnp.arange(position_ned.x.shape[0])
+    squared = dx * dx + dy * dy + dz * dz
+    # A NaN position, which compares false, counts as far away.
+    other = (squared >= 0.0) & (index[:, None] != index[None, :])
+    distance = jnp.sqrt(jnp.where(other, squared, 1.0))
+    gap = jnp.where(other, distance - (radius[:, None] + radius[None, :]), math.inf)
+    least = jnp.min(gap, axis=0)
+    value = jnp.min(jnp.where(gap <= least[None, :], distance, math.inf), axis=0)
+    return Violation.first([(reason_code("collision", "distance"), value, least < 0.0)], position_ned.x)

@@ -1,0 +1,90 @@
+"""Checks of who starts too close to whom, and of obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.vectors import Vec3
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
+
+
+def clearance_of(fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[float, str]:
+    """Return how far [m] the vehicles of a fleet keep from obstacles, and what says so."""
+    if fleet.radius is None:
+        return scenario.world.collision_distance / 2, "half of world.collision_distance"
+    return fleet.radius, "radius of the fleet"
+
+
+def close_starts(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the vehicles that would collide at their starts."""
+    starts: list[tuple[str, list[float], float]] = []
+    for name, fleet in scenario.fleets.items():
+        radius, _ = clearance_of(fleet, scenario)
+        starts += [
+            (f"fleets.{name}.vehicles.{i}", vehicle.position_ned, radius) for i, vehicle in enumerate(fleet.vehicles)
+        ]
+    source = "world.collision_distance"
+    if any(fleet.radius is not None for fleet in scenario.fleets.values()):
+        source = "the sum of their radii"
+    points = np.array([position for _, position, _ in starts])
+    for i, j, distance in _close_pairs(points, 2.0 * max(radius for _, _, radius in starts)):
+        allowed = starts[i][2] + starts[j][2]
+        if distance < allowed:
+            yield (
+                f"{starts[j][0]}.position_ned: starts {distance:.3g} m from {starts[i][0]}; "
+                f"allowed: at least {allowed:g} m ({source})"
+            )
+
+
+def columns(rows: list[list[float]]) -> Vec3:
+    """Return rows [m] of three as columns."""
+    array = np.asarray(rows, np.float64)
+    return Vec3(*(np.ascontiguousarray(array[:, axis]) for axis in range(3)))  # type: ignore[arg-type]
+
+
+def _close_pairs(points: Any, distance: float) -> list[tuple[int, int, float]]:
+    """Return i < j and their distance of all pairs of points (n, 3) that are less than ``distance`` apart."""
+    if len(points) < 2:
+        return []
+    # In the order of one coordinate, whoever is close by is a few places further on.
+    along = int(np.argmax(np.ptp(points, axis=0)))
+    order = np.argsort(points[:, along], kind="stable")
+    ordered, found = points[order], []
+    for ahead in range(1, len(points)):
+        apart = ordered[ahead:] - ordered[:-ahead]
+        if not (apart[:, along] < distance).any():
+            break
+        apart = np.linalg.norm(apart, axis=1)
+        for first in np.flatnonzero(apart < distance):
+            i, j = sorted((int(order[first]), int(order[first + ahead])))
+            found.append((i, j, float(apart[first])))
+    return sorted(found)
+
+
+def obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the obstacles that have no extent."""
+    for i, obstacle in enumerate(scenario.world.obstacles):
+        for axis in "xyz":
+            low, high = vars(obstacle).get(f"{axis}_min"), vars(obstacle).get(f"{axis}_max")
+            if low is not None and high is not None and low >= high:
+                yield f"world.obstacles.{i}.{axis}_min: {low:g} m is not below {axis}_max, {high:g} m"
+
+
+def inside_obstacles(
+    path: str, vehicle: VehicleSpec, solids: list[Any], clearance: float, source: str
+) -> Iterator[str]:
+    """No vehicle starts at an obstacle or is sent there."""
+    points = {"position_ned": vehicle.position_ned}
+    points |= {f"waypoints_ned.{j}": waypoint for j, waypoint in enumerate(vehicle.waypoints_ned)}
+    points |= {f"legs.{j}": vars(leg)["to_ned"] for j, leg in enumerate(vehicle.legs) if vars(leg).get("to_ned")}
+    positions, names = columns(list(points.values())), list(points)
+    for i, solid in enumerate(solids):
+        distances = solid.distance(positions)
+        for j in np.flatnonzero((distances < clearance) | (distances == 0.0)):
+            where = f"{distances[j]:.3g} m from" if distances[j] else "inside"
+            yield (
+                f"{path}.{names[j]}: {where} world.obstacles.{i}; allowed: at least {clearance:g} m from it ({source})"
+            )
