@@ -9,17 +9,28 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
-from flight import GNSS_ERROR, HEIGHT, STEP, write_flight
+from flight import HEIGHT, STEP, write_flight
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
 
+from qrsim.core.noise import Key
 from qrsim.errors import RunError, UsageError
 from qrsim.runs import open_run
 from qrsim.runs.figure import draw_run, save_figure
+from qrsim.runs.picture import binned, path_rows
+from qrsim.runs.recorder import fly
 from qrsim.runs.summary import gnss_error
+from qrsim.runs.surroundings import surroundings_of
+from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation.simulation import Simulation
+from qrsim.tasks.play import Play
 
-PLAN, HEIGHTS, GNSS, WIND = range(4)
+PLAN, HEIGHTS, WIND, NORTH, EAST, UP = range(6)
+GNSS = NORTH, EAST, UP
 
 
 def drawn(folder: Path, **options: Any) -> Figure:
@@ -71,18 +82,18 @@ def test_every_kind_of_run_can_be_drawn(kind, tmp_path):
         warnings.simplefilter("error")
         figure.canvas.draw()
     width, height = figure.canvas.get_width_height()
-    assert len(figure.axes) == 4
-    for axes in figure.axes:
-        assert axes.get_title()
-        assert "[" in axes.get_xlabel()
+    assert len(figure.axes) == 6
+    for panel, axes in enumerate(figure.axes):
+        assert axes.get_title() or panel in (EAST, UP)
+        assert "[" in axes.get_xlabel() or panel in (NORTH, EAST)
         assert "[" in axes.get_ylabel()
         low, high = axes.get_ylim()
         assert np.isfinite([low, high]).all()
         assert high > low
         box = axes.title.get_window_extent()
-        assert 0 <= box.x0 < box.x1 <= width
-        assert 0 <= box.y0 < box.y1 <= height
-    for left, right in ((PLAN, HEIGHTS), (GNSS, WIND)):
+        assert 0 <= box.x0 <= box.x1 <= width
+        assert 0 <= box.y0 <= box.y1 <= height
+    for left, right in ((PLAN, HEIGHTS), (NORTH, WIND)):
         first, second = (figure.axes[panel].title.get_window_extent() for panel in (left, right))
         assert first.x1 < second.x0
 
@@ -115,22 +126,24 @@ def test_height_is_up(tmp_path):
     np.testing.assert_array_equal(wanted.get_ydata(), HEIGHT)
 
 
-def test_the_gnss_panel_shows_the_error_of_the_summary(tmp_path):
+def test_the_gnss_panels_show_the_error_along_each_axis_with_its_sign(tmp_path):
     figure = drawn(tmp_path, vehicles=2)
     times, error = gnss_error(open_run(tmp_path / "run"))
-    for i, line in enumerate(lines(figure, GNSS)):
-        np.testing.assert_array_equal(line.get_xdata(), times)
-        np.testing.assert_allclose(line.get_ydata(), np.hypot(error[:, i, 0], error[:, i, 1]), rtol=1e-12)
-    for i, line in enumerate(lines(figure, GNSS, ":")):
-        np.testing.assert_allclose(line.get_ydata(), np.abs(error[:, i, 2]), rtol=1e-12)
-    assert len(lines(figure, GNSS)) == len(lines(figure, GNSS, ":")) == 2
+    # The receiver is 1 m too far north, 2 m too far east and 3 m too high: GNSS_ERROR, whose z is down.
+    for panel, expected in zip(GNSS, (1.0, 2.0, 3.0), strict=True):
+        found = [line for line in lines(figure, panel) if len(line.get_xdata()) > 2]
+        assert len(found) == 2
+        for line in found:
+            np.testing.assert_array_equal(line.get_xdata(), times)
+            np.testing.assert_allclose(np.broadcast_to(line.get_ydata(), len(error)), expected, rtol=1e-9)
+    assert [figure.axes[panel].get_ylabel() for panel in GNSS] == ["north [m]", "east [m]", "up [m]"]
 
 
 def test_many_vehicles_have_median_and_range(tmp_path):
     figure = drawn(tmp_path, vehicles=30)
-    [horizontal], [vertical] = lines(figure, GNSS), lines(figure, GNSS, ":")
-    np.testing.assert_allclose(horizontal.get_ydata(), np.hypot(*GNSS_ERROR[:2]))
-    np.testing.assert_allclose(vertical.get_ydata(), abs(GNSS_ERROR[2]))
+    for panel, expected in zip(GNSS, (1.0, 2.0, 3.0), strict=True):
+        [line] = [line for line in lines(figure, panel) if len(line.get_xdata()) > 2]
+        np.testing.assert_allclose(line.get_ydata(), expected)
     [with_gusts], [mean] = lines(figure, WIND), lines(figure, WIND, ":")
     np.testing.assert_allclose(with_gusts.get_ydata(), 13.0)
     np.testing.assert_allclose(mean.get_ydata(), 5.0)
@@ -187,8 +200,8 @@ def test_what_is_not_there_is_said(tmp_path):
     figure = drawn(tmp_path, wind=0.0, sensors=())
     assert "no mean wind" in texts(figure, PLAN)
     assert "still air" in texts(figure, WIND)
-    assert "no GNSS receiver" in texts(figure, GNSS)
-    assert not lines(figure, GNSS)
+    assert "no GNSS receiver" in texts(figure, EAST)
+    assert not [line for panel in GNSS for line in lines(figure, panel) if len(line.get_xdata()) > 2]
     for panel in (PLAN, HEIGHTS):
         assert "thin" not in figure.axes[panel].get_title()
 
@@ -218,6 +231,108 @@ def test_nothing_recorded_is_an_error_in_words(tmp_path):
     with pytest.raises(RunError, match=r"run: nothing to draw, because no tick was recorded \(state: running\)"):
         save_figure(run, tmp_path / "figure.png")
     assert not (tmp_path / "figure.png").exists()
+
+
+# ---------------------------------------------------------------- surroundings, long and large runs
+
+BOX = "{type: box, x_min: -10.0, x_max: 20.0, y_min: -5.0, y_max: 45.0, z_min: -50.0, z_max: 0.0}"
+
+
+def outlines(axes: Any) -> list[Any]:
+    return [item.get_xy() for item in axes.get_children() if isinstance(item, Polygon) and item.get_label() == "area"]
+
+
+def test_an_area_that_the_flight_fills_is_drawn_whole(tmp_path):
+    figure = drawn(tmp_path, scenario_yaml=f"world: {{area: {BOX}}}\n")
+    [corners] = outlines(figure.axes[PLAN])
+    assert {tuple(corner) for corner in corners} == {(-5.0, -10.0), (-5.0, 20.0), (45.0, 20.0), (45.0, -10.0)}
+    (west, east), (south, north) = figure.axes[PLAN].get_xlim(), figure.axes[PLAN].get_ylim()
+    assert west < -5.0 < 45.0 < east
+    assert south < -10.0 < 20.0 < north
+
+
+def test_a_large_area_is_drawn_beside_the_flight(tmp_path):
+    corners = "[[-900.0, -900.0], [900.0, -900.0], [900.0, 1100.0]]"
+    area = f"{{type: polygon, corners_ned: {corners}, z_min: -50.0, z_max: 0.0}}"
+    obstacle = "{type: cylinder, x: 3.0, y: 4.0, radius: 2.0, z_min: -9.0, z_max: 0.0}"
+    figure = drawn(tmp_path, scenario_yaml=f"world: {{area: {area}, obstacles: [{obstacle}]}}\n")
+    plan = figure.axes[PLAN]
+    west, east = plan.get_xlim()
+    assert -100 < west < east < 130
+    [inset] = plan.child_axes
+    assert inset.get_title() == "area 2000 x 1800 m"
+    assert inset.get_xlim()[0] < -900 < 1100 < inset.get_xlim()[1]
+    [mast] = [item for item in plan.get_children() if isinstance(item, Circle)]
+    assert (mast.center, mast.radius) == ((4.0, 3.0), 2.0)
+
+
+def test_a_long_line_is_drawn_as_mean_and_range_and_loses_no_extreme(tmp_path):
+    time = np.arange(50_000) * 0.02
+    values = np.sin(time)[:, None]
+    values[12_345] = 9.0
+    values[40_000:40_400] = np.nan
+    bins = binned(time, values)
+    assert len(bins.time) == 400
+    assert np.nanmax(bins.high) == 9.0
+    # 125 ticks a bin: the peak is in bin 98; bins 320 to 322 have no value at all.
+    assert np.flatnonzero(bins.high[:, 0] == 9.0).tolist() == [98]
+    assert np.isnan(bins.mean[320:323]).all()
+    assert bins.mean[0, 0] == pytest.approx(np.mean(np.sin(time[:125])))
+    assert bins.low[0, 0] == 0.0
+
+
+def test_a_thinned_path_keeps_its_corners():
+    # A square of 10 m flown around 50 times, with a spike and a gap.
+    along = np.arange(100_000) / 500.0
+    side, part = along.astype(int) % 4, along % 1.0
+    north = np.choose(side, [part, 1.0 + 0 * part, 1.0 - part, 0 * part])
+    east = np.choose(side, [0 * part, part, 1.0 + 0 * part, 1.0 - part])
+    points = 10.0 * np.stack([north, east], axis=1)
+    points[777] = 50.0, -50.0
+    points[5000:5100] = np.nan
+    rows = path_rows(points, 4000)
+    assert len(rows) <= 4004
+    assert {0, 777, 99_999} <= set(rows.tolist())
+    far = points[rows]
+    # Each of the 200 corners is there to 3 cm: 100 ticks of 2 cm a bin, in which it is an extreme.
+    for corner in range(500, 100_000, 500):
+        if not 5000 <= corner < 5100:
+            assert np.nanmin(np.linalg.norm(far - points[corner], axis=1)) < 0.03
+
+
+def test_a_thousand_vehicles_are_one_collection_of_paths(tmp_path):
+    figure = drawn(tmp_path, vehicles=200, ticks=20)
+    [paths] = [item for item in figure.axes[PLAN].collections if isinstance(item, LineCollection)]
+    assert len(paths.get_segments()) == 200
+    assert len(figure.axes[HEIGHTS].lines) == 2
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("scenario", "task"), [("plume_mapping/3C", "plume_mapping"), ("search_and_rescue/2A", "search")]
+)
+def test_persons_sources_and_places_are_those_of_the_flight(scenario, task, tmp_path):
+    flown = load_scenario(scenario, ["duration=2.0"])
+    fly(flown, tmp_path / "run", seed=3, precision="float32")
+    around = surroundings_of(open_run(tmp_path / "run"))
+    simulation = Simulation(flown.world(), seed=3)
+    simulation.reset()
+    assert (around.task, around.unknown) == (task, "")
+    contents = simulation.state.contents
+    if task == "search":
+        there = np.asarray(contents.persons.there)
+        np.testing.assert_allclose(around.persons[:, 0], np.asarray(contents.persons.north)[there], rtol=1e-6)
+        assert np.isinf(around.found).all()
+        assert "task search: 0 of" in draw_run(open_run(tmp_path / "run")).get_suptitle()
+        return
+    strong = np.asarray(contents.plume.strength) > 0
+    np.testing.assert_allclose(around.sources[:, 0], np.asarray(contents.plume.position_ned.x)[strong], rtol=1e-6)
+    play = Play(flown.task(), flown.world(), flown.steps)
+    episode, _ = jax.jit(play.reset)(play.keys(Key.root(3, 0)))
+    places = episode.memory.locations_ned
+    np.testing.assert_allclose(around.locations, np.stack([places.x, places.y, places.z], axis=1), rtol=1e-5)
+    assert around.plume is not None
+    assert around.plume.values.max() > 0
 
 
 # ---------------------------------------------------------------- files

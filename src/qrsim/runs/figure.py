@@ -1,4 +1,4 @@
-"""The figure of a run: plan view, height, GNSS error and wind."""
+"""The figure of a run: plan view in its surroundings, height, GNSS error and wind."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.transforms import ScaledTranslation
 
 from qrsim.errors import RunError
 from qrsim.runs.layout import Event
 from qrsim.runs.picture import (
     MOST_NAMED,
     Floats,
+    binned_text,
     colours_of,
     from_zero,
     name_vehicles,
@@ -23,11 +23,17 @@ from qrsim.runs.picture import (
     spread,
     time_limits,
     title_of,
+    trace,
 )
+from qrsim.runs.plan import Paths, draw_plan, span
 from qrsim.runs.reader import Run
 from qrsim.runs.summary import STREAMS, common_rows, gnss_error, gnss_sensor, stops_of, vectors, waypoints_of
+from qrsim.runs.surroundings import Surroundings, surroundings_of
 
-MOST_NUMBERED = 60
+# More vehicles than these have no line of their own anywhere.
+MOST_LINES = 60
+# Signed errors of a position, as a person names them: (axis of NED, sign, name).
+ERRORS = ((0, 1.0, "north"), (1, 1.0, "east"), (2, -1.0, "up"))
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,7 @@ class _Data:
         stops: vehicle -> the event that ended its flight.
         time_step: [s].
         colours: (n, 4).
+        around: what there was besides vehicles.
     """
 
     names: tuple[str, ...]
@@ -60,6 +67,7 @@ class _Data:
     stops: dict[int, Event]
     time_step: float
     colours: Floats
+    around: Surroundings
 
     @property
     def few(self) -> bool:
@@ -81,19 +89,29 @@ class _Data:
 def draw_run(run: Run) -> Figure:
     """Draw the figure of a run (needs no display).
 
+    Its axes: plan, height, wind, and one each for the error of GNSS north, east and up.
+
     Raises:
         RunError: nothing was recorded yet, or a part of the log is damaged.
     """
     data = _read(run)
     figure = new_figure(13, 9)
-    axes = figure.subplots(2, 2, width_ratios=(1.15, 1))
-    _plan(axes[0, 0], data)
-    _height(axes[0, 1], data)
-    _gnss(axes[1, 0], data)
-    _wind(axes[1, 1], data)
-    figure.suptitle(title_of(run, data.names, len(data.stops), data.span[1]))
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1))
+    plan, height, wind = (figure.add_subplot(grid[place]) for place in ((0, 0), (0, 1), (1, 1)))
+    draw_plan(plan, _paths(data), data.around)
+    _height(height, data)
+    _wind(wind, data)
+    errors: Any = grid[1, 0].subgridspec(len(ERRORS), 1, hspace=0.05).subplots(sharex=True, sharey=True)
+    _gnss(errors, data)
+    figure.align_ylabels(list(errors))
+    title = title_of(run, data.names, len(data.stops), data.span[1]) + binned_text(data.time["truth"])
+    task = _task_text(run, data)
+    figure.suptitle(f"{title}\n{task}" if task else title)
     if data.few:
-        name_vehicles(figure, *axes[0, 0].get_legend_handles_labels())
+        # In the legend of the plan are other things too.
+        handles, labels = plan.get_legend_handles_labels()
+        named = dict(zip(labels, handles, strict=True))
+        name_vehicles(figure, [named[name] for name in data.names], data.names)
     return figure
 
 
@@ -128,96 +146,73 @@ def _read(run: Run) -> _Data:
         stops=stops_of(run),
         time_step=run.info.time_step,
         colours=colours_of(len(run.vehicles)),
+        around=surroundings_of(run),
     )
 
 
-def _plan(axes: Any, data: _Data) -> None:
-    """Draw the paths from above, and the legs that were flown."""
-    for i, name in enumerate(data.names):
-        colour = data.colours[i]
-        north, east = data.position[:, i, 0], data.position[:, i, 1]
-        legs = _without_repeats(data.setpoint[:, i, :2])
-        axes.plot(legs[:, 1], legs[:, 0], "--", color=colour, lw=0.8, alpha=0.4)
-        axes.plot(legs[:, 1], legs[:, 0], "+", color=colour, ms=10 if data.few else 5, zorder=3)
-        if data.few and data.reported is not None:
-            axes.plot(data.reported[:, i, 1], data.reported[:, i, 0], color=colour, lw=0.7, alpha=0.7)
-        axes.plot(east, north, color=colour, lw=1.8 if data.few else 1.0, label=name)
-        axes.plot(east[:1], north[:1], "o", color=colour, ms=7 if data.few else 4, mec="white")
-        if not data.few and len(data.names) <= MOST_NUMBERED:
-            axes.annotate(
-                str(i), (east[0], north[0]), (4, 3), textcoords="offset points", fontsize=8, color="black", zorder=6
-            )
-        if i in data.stops:
-            axes.plot(east[-1:], north[-1:], "X", color=colour, ms=11 if data.few else 7, mec="black", zorder=5)
-    _wind_arrow(axes, data)
-    path = "true path (thick), GNSS (thin)" if data.few and data.reported is not None else "true path"
-    numbers = ", numbers: order" if not data.few and len(data.names) <= MOST_NUMBERED else ""
-    title = f"plan: {path}, start o, waypoints +{numbers}"
-    seen = [data.position, data.setpoint, *([] if data.reported is None or not data.few else [data.reported])]
-    south_north, west_east = (_span(np.concatenate(seen)[..., axis], 4.0) for axis in (0, 1))
-    axes.update_datalim(list(zip(west_east, south_north, strict=True)))
-    axes.margins(0.0)
-    axes.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", adjustable="datalim", title=title)
-    axes.grid(alpha=0.3)
+def _paths(data: _Data) -> Paths:
+    wind = data.mean.mean(axis=(0, 1))
+    return Paths(data.names, data.position, data.setpoint, data.reported, tuple(data.stops), wind, data.colours)
 
 
-def _span(values: Floats, least: float) -> tuple[float, float]:
-    """Return limits around all values, at least so far apart that noise does not fill the panel."""
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    half = 0.55 * max(high - low, least)
-    return (low + high) / 2 - half, (low + high) / 2 + half
+def _task_text(run: Run, data: _Data) -> str:
+    """Return what became of the task, as far as a run can say it; "" without one."""
+    around = data.around
+    if around.task == "search" and len(around.persons):
+        found = int(np.isfinite(around.found).sum())
+        return f"task search: {found} of {len(around.persons)} persons found"
+    if around.task == "plume_mapping" and len(around.locations):
+        return f"task plume_mapping: {len(around.locations)} places asked for, scored by what is handed in for them"
+    if around.task == "pursuit" and (distances := _nearest_prey(run, data)):
+        told = ", ".join(f"{distance:.1f}" for distance in distances)
+        return f"task pursuit: at the end the cats are {told} m from the nearest mouse"
+    return f"task {around.task}" if around.task else ""
 
 
-def _without_repeats(points: Floats) -> Floats:
-    """Return (L, 2) points in the order in which they were flown to."""
-    points = points[np.isfinite(points).all(axis=1)]
-    fresh = np.ones(len(points), bool)
-    fresh[1:] = np.any(points[1:] != points[:-1], axis=1)
-    return np.asarray(points[fresh])
-
-
-def _wind_arrow(axes: Any, data: _Data) -> None:
-    """Show where the mean wind blows to, in the corner of the plan."""
-    mean = data.mean.mean(axis=(0, 1))
-    speed = float(np.hypot(mean[0], mean[1]))
-    if speed == 0.0:
-        axes.text(0.02, 0.98, "no mean wind", transform=axes.transAxes, va="top", fontsize=9)
-        return
-    # In inches from the upper left corner: in fractions of the axes, the arrow would turn with their shape.
-    inches = axes.figure.dpi_scale_trans + ScaledTranslation(0.0, 1.0, axes.transAxes)
-    step = 0.45 * np.array([mean[1], mean[0]]) / speed
-    middle = np.array([0.7, -0.55])
-    arrow = {"arrowstyle": "-|>", "lw": 2, "color": "dimgray"}
-    axes.annotate("", middle + step / 2, middle - step / 2, xycoords=inches, textcoords=inches, arrowprops=arrow)
-    white = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 2}
-    text = f"mean wind {speed:.1f} m/s"
-    axes.text(0.7, -0.08, text, transform=inches, ha="center", va="top", fontsize=9, bbox=white)
+def _nearest_prey(run: Run, data: _Data) -> list[float]:
+    """Return the distance of each hunter from the nearest prey at the last tick [m]."""
+    task, fleets = run.scenario["task"], run.scenario["fleets"]
+    own = np.repeat(list(fleets), [len(fleet["vehicles"]) for fleet in fleets.values()])
+    if len(own) != len(data.names):
+        return []
+    hunters, prey = (data.position[-1, own == task[role]] for role in ("fleet", "prey"))
+    return [float(np.linalg.norm(prey - place, axis=-1).min()) for place in hunters] if len(prey) else []
 
 
 def _height(axes: Any, data: _Data) -> None:
-    height = -data.position[..., 2] * data.flying("truth")
+    height, wanted = -data.position[..., 2] * data.flying("truth"), -data.setpoint[..., 2]
+    if len(data.names) > MOST_LINES:
+        spread(axes, data.time["commands"], wanted, "tab:orange", "--")
+        spread(axes, data.time["truth"], height, "tab:blue")
+        _over_time(axes, data, "height [m]", "height: true (blue), set-point (orange); quartiles, range")
+        return
     for i, colour in enumerate(data.colours):
-        axes.plot(data.time["commands"], -data.setpoint[:, i, 2], "--", color=colour, lw=0.8, alpha=0.5)
+        trace(axes, data.time["commands"], wanted[:, i], ls="--", color=colour, lw=0.8, alpha=0.5)
         if data.few and data.barometer is not None:
-            axes.plot(data.time["measurements"], data.barometer[:, i], color=colour, lw=0.7, alpha=0.7)
-        axes.plot(data.time["truth"], height[:, i], color=colour, lw=1.6 if data.few else 0.9)
+            trace(axes, data.time["measurements"], data.barometer[:, i], color=colour, lw=0.7, alpha=0.7)
+        trace(axes, data.time["truth"], height[:, i], color=colour, lw=1.6 if data.few else 0.9)
         if i in data.stops:
             axes.plot(data.stops[i].time, -data.position[-1, i, 2], "X", color=colour, ms=11, mec="black", zorder=5)
     lines = "true (thick), barometer (thin)" if data.few and data.barometer is not None else "true (solid)"
     _over_time(axes, data, "height [m]", f"height: {lines}, set-point (dashed)")
-    seen = [height, -data.setpoint[..., 2], *([] if data.barometer is None or not data.few else [data.barometer])]
-    axes.set_ylim(_span(np.concatenate(seen), 1.0))
+    seen = [height, wanted, *([] if data.barometer is None or not data.few else [data.barometer])]
+    axes.set_ylim(span(np.concatenate(seen), 1.0))
 
 
-def _gnss(axes: Any, data: _Data) -> None:
+def _gnss(panels: Any, data: _Data) -> None:
+    """Draw the error along each axis, with its sign."""
     if data.reported is None:
-        axes.text(0.5, 0.5, "no GNSS receiver", transform=axes.transAxes, ha="center", fontsize=12)
-        _over_time(axes, data, "reported minus true [m]", "GNSS error")
-        return
-    horizontal, vertical = np.linalg.norm(data.gnss_error[..., :2], axis=-1), np.abs(data.gnss_error[..., 2])
-    _lines(axes, data, data.gnss_time, horizontal, vertical)
-    _over_time(axes, data, "reported minus true [m]", f"GNSS error: {_key(data, 'horizontal', 'vertical')}")
-    from_zero(axes)
+        panels[1].text(0.5, 0.5, "no GNSS receiver", transform=panels[1].transAxes, ha="center", fontsize=12)
+    for axes, (axis, sign, name) in zip(panels, ERRORS, strict=True):
+        axes.axhline(0.0, color="gray", lw=0.8)
+        if data.reported is not None:
+            _lines(axes, data, data.gnss_time, sign * data.gnss_error[..., axis])
+        axes.set_ylabel(f"{name} [m]")
+        time_limits(axes, *data.span)
+        axes.grid(alpha=0.3)
+    many = "" if data.few else "; median, quartiles and range"
+    panels[0].set_title(f"GNSS error: reported minus true{many}")
+    panels[-1].set_xlabel("time [s]")
 
 
 def _wind(axes: Any, data: _Data) -> None:
@@ -226,26 +221,22 @@ def _wind(axes: Any, data: _Data) -> None:
     total = np.linalg.norm(data.mean + data.gust, axis=-1) * flying
     if not np.nansum(total):
         axes.text(0.5, 0.5, "still air", transform=axes.transAxes, ha="center", fontsize=12)
-    _lines(axes, data, data.time["wind"], total, mean)
-    _over_time(axes, data, "wind speed [m/s]", f"wind: {_key(data, 'with gusts', 'mean')}")
+    _lines(axes, data, data.time["wind"], mean, ":", "tab:orange")
+    _lines(axes, data, data.time["wind"], total)
+    key = "with gusts (solid), mean (dotted)"
+    if not data.few:
+        key = "with gusts (blue), mean (orange); quartiles, range"
+    _over_time(axes, data, "wind speed [m/s]", f"wind: {key}")
     from_zero(axes)
 
 
-def _lines(axes: Any, data: _Data, time: Floats, solid: Floats, dotted: Floats) -> None:
-    """Draw two quantities (E, n): per vehicle, or the range and median over many vehicles."""
-    if data.few:
-        for i, colour in enumerate(data.colours):
-            axes.plot(time, dotted[:, i], ":", color=colour, lw=1.1)
-            axes.plot(time, solid[:, i], color=colour, lw=1.1)
+def _lines(axes: Any, data: _Data, time: Floats, values: Floats, style: str = "-", colour: str = "tab:blue") -> None:
+    """Draw a quantity (E, n): per vehicle, or its spread over many vehicles."""
+    if not data.few:
+        spread(axes, time, values, colour, style)
         return
-    spread(axes, time, dotted, "tab:orange", ":")
-    spread(axes, time, solid, "tab:blue")
-
-
-def _key(data: _Data, solid: str, dotted: str) -> str:
-    if data.few:
-        return f"{solid} (solid), {dotted} (dotted)"
-    return f"median, range; {solid} (blue), {dotted} (orange)"
+    for i, own in enumerate(data.colours):
+        trace(axes, time, values[:, i], ls=style, color=own, lw=1.1)
 
 
 def _over_time(axes: Any, data: _Data, label: str, title: str) -> None:

@@ -21,6 +21,8 @@ FORMAT = 1
 # Ticks are counted in 32 bits.
 LARGEST_EVERY = 2**31 - 1
 RUN_FILE, SCENARIO_FILE, EVENTS = "run.json", "scenario.yaml", "events"
+# Kind of the event that says that a person was found; its value is the number of the person.
+PERSON_FOUND = "person_found"
 
 FinalState = Literal["finished", "failed", "interrupted"]
 RunState = Literal["running", "finished", "failed", "interrupted"]

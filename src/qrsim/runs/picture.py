@@ -6,7 +6,7 @@ import io
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -21,6 +21,8 @@ Floats = np.ndarray[Any, Any]
 FORMATS = ("png", "pdf", "svg")
 # More vehicles have the range over all of them in place of single noisy lines, and no legend.
 MOST_NAMED = 10
+# A line of more ticks than these is drawn as mean and range in so many bins, about one to two pixels of a panel.
+MOST_TICKS, BINS = 2000, 400
 _ENDED = {
     "running": "still running or killed, drawn up to",
     "interrupted": "interrupted at",
@@ -76,15 +78,84 @@ def name_vehicles(figure: Figure, handles: Sequence[Any], names: Sequence[str]) 
     figure.legend(handles, names, loc="outside lower center", ncols=columns, fontsize=9)
 
 
+class Bins(NamedTuple):
+    """Values in bins of time: lowest, mean and highest, (B, n) each, at the middles (B,) [s]; NaN in empty bins."""
+
+    time: Floats
+    low: Floats
+    mean: Floats
+    high: Floats
+
+
+def binned(time: Floats, values: Floats) -> Bins:
+    """Put values (T, n) at times (T,) into BINS bins of as many ticks each.
+
+    No value is lost to a picture by this: the lowest and the highest of each bin stay what they were.
+    """
+    first = np.linspace(0, len(time), BINS, endpoint=False).astype(int)
+    last = np.append(first[1:], len(time)) - 1
+    there = np.isfinite(values)
+    with np.errstate(invalid="ignore"):
+        mean = np.add.reduceat(np.where(there, values, 0.0), first) / np.add.reduceat(there, first, dtype=np.int64)
+    low, high = (over.reduceat(np.where(there, values, np.nan), first) for over in (np.fmin, np.fmax))
+    return Bins(0.5 * (time[first] + time[last]), low, mean, high)
+
+
+def is_long(time: Floats) -> bool:
+    """Return whether so many ticks are drawn in bins."""
+    return len(time) > MOST_TICKS
+
+
+def binned_text(time: Floats) -> str:
+    """Return how the ticks of a long line are drawn, "" for others."""
+    return f"; lines: mean and range of {(time[-1] - time[0]) / BINS:.2g} s each" if is_long(time) else ""
+
+
+def trace(axes: Any, time: Floats, values: Floats, **look: Any) -> Any:
+    """Draw values (T,) as a line; of a long one mean and range in bins. Return the line."""
+    if not is_long(time):
+        return axes.plot(time, values, **look)[0]
+    bins = binned(time, values[:, None])
+    # What jumps does so at the ticks, not at the middles of bins.
+    look.pop("drawstyle", None)
+    [line] = axes.plot(bins.time, bins.mean[:, 0], **look)
+    band = {"color": look.get("color"), "alpha": 0.3 * look.get("alpha", 1.0), "lw": 0}
+    axes.fill_between(bins.time, bins.low[:, 0], bins.high[:, 0], **band)
+    return line
+
+
+def path_rows(points: Floats, most: int) -> Any:
+    """Return rows of a path (T, 2) that show it: about ``most`` of them, all its extremes in bins of time among them.
+
+    Every so-many-th point would cut the corners off.
+    """
+    count = len(points)
+    if count <= most:
+        return np.arange(count)
+    width = -(-count // max(1, most // 4))
+    # The last point again, where the last bin is not full.
+    rows = np.minimum(np.arange(-(-count // width) * width), count - 1).reshape(-1, width)
+    inside = points[rows]
+    there = np.isfinite(inside)
+    ends = [np.where(there, inside, np.inf).argmin(axis=1), np.where(there, inside, -np.inf).argmax(axis=1)]
+    kept = [np.take_along_axis(rows, end, axis=1).ravel() for end in ends]
+    return np.unique(np.concatenate([*kept, [0, count - 1]]))
+
+
 def spread(axes: Any, time: Floats, values: Floats, colour: Any, style: Any = "-") -> Any:
-    """Draw the range and the median of (T, n) values over many vehicles; return the line of the median."""
+    """Draw range, quartiles and median of (T, n) values over many vehicles; return the line of the median."""
     # Once all vehicles have stopped there is no value left, and no range; the gap stays a gap.
     some = np.isfinite(values).any(axis=1)
-    low, middle, high = (np.full(len(time), np.nan) for _ in range(3))
-    low[some], high[some] = np.nanmin(values[some], axis=1), np.nanmax(values[some], axis=1)
-    middle[some] = np.nanmedian(values[some], axis=1)
-    axes.fill_between(time, low, high, color=colour, alpha=0.25, lw=0)
-    return axes.plot(time, middle, linestyle=style, color=colour, lw=1.6)[0]
+    five = np.full((5, len(time)), np.nan)
+    if some.any():
+        five[:, some] = np.nanpercentile(values[some], [0, 25, 50, 75, 100], axis=1)
+    if is_long(time):
+        bins = binned(time, five.T)
+        time = bins.time
+        five = np.concatenate([bins.low[:, :1], bins.mean[:, 1:4], bins.high[:, 4:]], axis=1).T
+    axes.fill_between(time, five[0], five[4], color=colour, alpha=0.18, lw=0)
+    axes.fill_between(time, five[1], five[3], color=colour, alpha=0.3, lw=0)
+    return axes.plot(time, five[2], linestyle=style, color=colour, lw=1.6)[0]
 
 
 def time_limits(axes: Any, first: float, last: float) -> None:

@@ -11,6 +11,7 @@ from qrsim.core.tree import walk
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.scene.area import REASONS, reason_text
 from qrsim.runs import Column
+from qrsim.runs.layout import PERSON_FOUND
 from qrsim.runs.mission_events import Found, MissionWatch
 from qrsim.simulation.simulation import History, Simulation
 from qrsim.world.standing import on_ground
@@ -18,8 +19,6 @@ from qrsim.world.state import Fleet, FleetState, World, position_of
 
 Values = dict[str, np.ndarray[Any, Any]]
 STREAMS = ("truth", "measurements", "commands", "wind")
-# Kind of the event that says that a person was found; its value is the number of the person.
-PERSON_FOUND = "person_found"
 
 
 def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, str, str]]:

@@ -17,18 +17,16 @@ from jax import lax
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.scene.contents import ContentsState
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.runs import Run
-from qrsim.runs.layout import EVENTS
-from qrsim.runs.streams import PERSON_FOUND
+from qrsim.runs.layout import EVENTS, PERSON_FOUND
+from qrsim.runs.surroundings import drawn_contents
 from qrsim.view.cameras import camera_places
 from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Beside
 from qrsim.view.steering import WIND_CHANGED, with_wind
 from qrsim.view.truth import ANGLES, AXES
-from qrsim.world.episode import draw_ranges, episode_draws, start_contents
-from qrsim.world.state import World, WorldKeys, period_ticks
+from qrsim.world.state import World, period_ticks
 from qrsim.world.tick import keys_of
 
 Floats = np.ndarray[Any, Any]
@@ -47,7 +45,7 @@ class Rebuilt:
         self._wide = run.info.precision == "float64"
         with self._precision():
             self._keys = keys_of(world, Key.root(run.info.seed, 0))
-            self._drawn, self._start = jax.jit(_drawn)(world, self._keys)
+            self._drawn, self._start = jax.jit(drawn_contents)(world, self._keys)
         self._puffs, self._puffs_ticks = self._start.plume, 0
         self._blow = jax.jit(_blown)
         events = run.events if EVENTS in run else []
@@ -99,13 +97,6 @@ def rebuilt(run: Run, world: World | None) -> Rebuilt | None:
         return None
     parts = world.contents.random
     return Rebuilt(run, world) if parts or camera_places(world) else None
-
-
-def _drawn(world: World, keys: WorldKeys) -> tuple[tuple[Any, ...], ContentsState]:
-    """Draw the ranges of an episode, and its contents at the start."""
-    draws = episode_draws(world, keys, jnp.zeros((), world.fleets[0].start.position_ned.x.dtype))
-    drawn = draw_ranges(world, draws)
-    return drawn, start_contents(world.with_drawn(drawn), draws)
 
 
 def _blown(world: World, keys: Any, puffs: Any, done: Any, wanted: Any) -> Any:

@@ -1,0 +1,234 @@
+"""The plan view of a run: paths from above, in their surroundings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.patches import Circle, Polygon, Rectangle
+from matplotlib.transforms import ScaledTranslation
+
+from qrsim.runs.picture import MOST_NAMED, MOST_TICKS, Floats, path_rows
+from qrsim.runs.surroundings import Surroundings
+
+MOST_NUMBERED = 60
+# Points of all paths together: more are more than a picture can show.
+MOST_POINTS, MOST_OF_ONE = 200_000, 4_000
+# Where the flight is a smaller part of its area, it is drawn in full and the area beside it.
+SMALLEST_PART = 0.5
+PLUME = "Purples"
+
+
+@dataclass(frozen=True)
+class Paths:
+    """What flew: n vehicles at T ticks.
+
+    Attributes:
+        names: (n,).
+        position: (T, n, 3) true [m], NED.
+        setpoint: (T1, n, 3) waypoints [m], NED; NaN under other commands.
+        reported: (T2, n, 3) [m], what GNSS says; None without a receiver.
+        stopped: numbers of those that stopped.
+        wind: (3,) mean over all ticks and vehicles [m/s], NED.
+        colours: (n, 4).
+    """
+
+    names: tuple[str, ...]
+    position: Floats
+    setpoint: Floats
+    reported: Floats | None
+    stopped: Sequence[int]
+    wind: Floats
+    colours: Floats
+
+    @property
+    def few(self) -> bool:
+        """Whether each vehicle has a colour of its own."""
+        return len(self.names) <= MOST_NAMED
+
+    @property
+    def many(self) -> bool:
+        """Whether there are too many for anything but their paths."""
+        return len(self.names) > MOST_NUMBERED
+
+
+def draw_plan(axes: Any, paths: Paths, around: Surroundings) -> None:
+    """Draw the paths from above, the legs that were flown, and what there was besides vehicles."""
+    seen = [paths.position, paths.setpoint]
+    seen += [paths.reported] if paths.few and paths.reported is not None else []
+    flown = np.concatenate([part[..., :2].reshape(-1, 2) for part in seen])
+    low, high = _limits(flown)
+    whole = _is_whole(around, low, high)
+    if whole:
+        low, high = (over([edge, corner], axis=0) for over, edge, corner in (
+            (np.min, low, around.outline.min(axis=0)), (np.max, high, around.outline.max(axis=0))))  # fmt: skip
+        low, high = low - 0.03 * (high - low), high + 0.03 * (high - low)
+    _surroundings(axes, around)
+    most = min(MOST_OF_ONE, max(40, MOST_POINTS // len(paths.names)))
+    if paths.many:
+        _swarm(axes, paths, most)
+    else:
+        _vehicles(axes, paths, most)
+    _wind_arrow(axes, paths.wind)
+    axes.update_datalim([low[::-1], high[::-1]])
+    axes.margins(0.0)
+    axes.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", adjustable="datalim", title=_title(paths))
+    axes.grid(alpha=0.3)
+    if len(around.outline) and not whole:
+        _overview(axes, flown, around)
+
+
+def _title(paths: Paths) -> str:
+    path = "true path (thick), GNSS (thin)" if paths.few and paths.reported is not None else "true path"
+    numbers = ", numbers: order" if not paths.few and not paths.many else ""
+    return f"plan: {path}, start o, waypoints +{numbers}"
+
+
+def span(values: Floats, least: float) -> tuple[float, float]:
+    """Return limits around all values, at least so far apart that noise does not fill the panel."""
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    half = 0.55 * max(high - low, least)
+    return (low + high) / 2 - half, (low + high) / 2 + half
+
+
+def _limits(points: Floats) -> tuple[Floats, Floats]:
+    """Return the lowest and highest north and east (2,) around points (P, 2)."""
+    limits = [span(points[:, axis], 4.0) for axis in (0, 1)]
+    return np.array([limit[0] for limit in limits]), np.array([limit[1] for limit in limits])
+
+
+def _is_whole(around: Surroundings, low: Floats, high: Floats) -> bool:
+    """Return whether the whole area is drawn: the flight fills much of it, or there is something to see in it."""
+    if not len(around.outline):
+        return False
+    part = np.max(high - low) / np.max(np.ptp(around.outline, axis=0))
+    return bool(around.drawn or part >= SMALLEST_PART)
+
+
+def _surroundings(axes: Any, around: Surroundings) -> None:
+    """Draw area, obstacles, plume, persons and places."""
+    if around.plume is not None and around.plume.values.max() > 0:
+        # Over three decades: a plume falls off like a power of the distance.
+        values = np.log10(np.maximum(around.plume.values / around.plume.values.max(), 1e-30))
+        shown = np.ma.masked_less(values, -3.0)
+        east, north = around.plume.east, around.plume.north
+        axes.pcolormesh(east, north, shown, cmap=PLUME, vmin=-3.5, vmax=0.5, alpha=0.75, zorder=0, rasterized=True)
+    for obstacle in around.obstacles:
+        axes.add_artist(_footprint(obstacle))
+    # As artists, not as patches: what is cut off, such as a large area, does not make the limits.
+    if len(around.outline):
+        axes.add_artist(Polygon(around.outline[:, ::-1], fill=False, ec="black", lw=1.3, label="area"))
+    marks = _marks(around)
+    for label, points, look in marks:
+        axes.plot(points[:, 1], points[:, 0], ls="none", zorder=4, label=label, **look)
+    if around.unknown:
+        axes.text(0.98, 0.02, "not everything of the scenario is drawn: it cannot be built any more",
+                  transform=axes.transAxes, ha="right", fontsize=8)  # fmt: skip
+    if marks:
+        handles = [line for line in axes.lines if line.get_label() in {label for label, _, _ in marks}]
+        axes.legend(handles=handles, loc="upper right", fontsize=8, framealpha=0.85)
+
+
+def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
+    """Return what there is at single places: label, points (P, 2 or 3) and look."""
+    found = np.isfinite(around.found)
+    small = {"marker": "s", "ms": 3, "mfc": "none", "mec": "dimgray", "mew": 0.8}
+    every = [
+        ("source; its plume, mean", around.sources, {"marker": "*", "ms": 13, "c": "magenta", "mec": "k"}),
+        ("asked for by the task", around.locations, small),
+        ("person not found", around.persons[~found], {"marker": "v", "ms": 8, "mfc": "white", "mec": "k", "mew": 1.5}),
+        ("person found", around.persons[found], {"marker": "v", "ms": 8, "c": "k"}),
+    ]  # fmt: skip
+    return [item for item in every if len(item[1])]
+
+
+def _footprint(obstacle: Any) -> Any:
+    """Return an obstacle from above."""
+    look: dict[str, Any] = {"fc": "0.75", "ec": "0.35", "lw": 1.0, "zorder": 1}
+    if "radius" in obstacle:
+        return Circle((obstacle["y"], obstacle["x"]), obstacle["radius"], **look)
+    corner = obstacle["y_min"], obstacle["x_min"]
+    return Rectangle(corner, obstacle["y_max"] - corner[0], obstacle["x_max"] - corner[1], **look)
+
+
+def _vehicles(axes: Any, paths: Paths, most: int) -> None:
+    few = paths.few
+    # Many laps over each other are told apart by thin lines only.
+    width = 0.5 if len(paths.position) > 10 * MOST_TICKS else 1.8 if few else 1.0
+    for i, name in enumerate(paths.names):
+        colour = paths.colours[i]
+        legs = _without_repeats(paths.setpoint[:, i, :2])
+        axes.plot(legs[:, 1], legs[:, 0], "--", color=colour, lw=0.8, alpha=0.4)
+        axes.plot(legs[:, 1], legs[:, 0], "+", color=colour, ms=10 if few else 5, zorder=3)
+        if few and paths.reported is not None:
+            reported = paths.reported[:, i, :2]
+            reported = reported[path_rows(reported, most)]
+            axes.plot(reported[:, 1], reported[:, 0], color=colour, lw=0.7, alpha=0.7)
+        own = paths.position[:, i, :2]
+        own = own[path_rows(own, most)]
+        axes.plot(own[:, 1], own[:, 0], color=colour, lw=width, label=name)
+        axes.plot(own[:1, 1], own[:1, 0], "o", color=colour, ms=7 if few else 4, mec="white", zorder=3)
+        if not few:
+            axes.annotate(str(i), own[0, ::-1], (4, 3), textcoords="offset points", fontsize=8, color="black", zorder=6)
+        if i in paths.stopped:
+            axes.plot(own[-1:, 1], own[-1:, 0], "X", color=colour, ms=11 if few else 7, mec="black", zorder=5)
+
+
+def _swarm(axes: Any, paths: Paths, most: int) -> None:
+    """Draw very many vehicles: thin paths, small points."""
+    own = [paths.position[:, i, :2] for i in range(len(paths.names))]
+    lines = [path[path_rows(path, most)][:, ::-1] for path in own]
+    axes.add_collection(LineCollection(lines, colors=paths.colours, linewidths=0.6, alpha=0.7, rasterized=True))
+    targets = np.concatenate([_without_repeats(paths.setpoint[:, i, :2]) for i in range(len(paths.names))])
+    targets = np.unique(targets, axis=0)
+    axes.plot(targets[:, 1], targets[:, 0], "+", color="0.6", ms=2, mew=0.5, zorder=0.5, rasterized=True)
+    starts = paths.position[0, :, :2]
+    axes.scatter(starts[:, 1], starts[:, 0], c=paths.colours, s=4, zorder=3, rasterized=True)
+    ends = paths.position[-1, list(paths.stopped), :2]
+    axes.plot(ends[:, 1], ends[:, 0], "X", color="black", ms=4, mec="white", mew=0.4, zorder=5)
+
+
+def _without_repeats(points: Floats) -> Floats:
+    """Return (L, 2) points in the order in which they were flown to."""
+    points = points[np.isfinite(points).all(axis=1)]
+    fresh = np.ones(len(points), bool)
+    fresh[1:] = np.any(points[1:] != points[:-1], axis=1)
+    return np.asarray(points[fresh])
+
+
+def _overview(axes: Any, flown: Floats, around: Surroundings) -> None:
+    """Draw the whole area, small, in the upper right corner, and the flight in it as a rectangle."""
+    inset = axes.inset_axes((0.76, 0.69, 0.23, 0.24))
+    inset.add_patch(Polygon(around.outline[:, ::-1], fc="white", ec="black", lw=1.0))
+    for obstacle in around.obstacles:
+        inset.add_patch(_footprint(obstacle))
+    low, high = np.nanmin(flown, axis=0), np.nanmax(flown, axis=0)
+    inset.add_patch(Rectangle(low[::-1], *(high - low)[::-1], fc="0.6", ec="0.3", lw=0.8))
+    size = np.ptp(around.outline, axis=0)
+    inset.set_title(f"area {size[1]:.4g} x {size[0]:.4g} m", fontsize=7, pad=2)
+    corners = np.concatenate([around.outline, [low, high]])
+    low, high = corners.min(axis=0) - 0.04 * size, corners.max(axis=0) + 0.04 * size
+    inset.set(xlim=(low[1], high[1]), ylim=(low[0], high[0]), aspect="equal", xticks=[], yticks=[])
+    inset.patch.set_alpha(0.85)
+    for side in inset.spines.values():
+        side.set_visible(False)
+
+
+def _wind_arrow(axes: Any, mean: Floats) -> None:
+    """Show where the mean wind blows to, in the corner of the plan."""
+    speed = float(np.hypot(mean[0], mean[1]))
+    if speed == 0.0:
+        axes.text(0.02, 0.98, "no mean wind", transform=axes.transAxes, va="top", fontsize=9)
+        return
+    # In inches from the upper left corner: in fractions of the axes, the arrow would turn with their shape.
+    inches = axes.figure.dpi_scale_trans + ScaledTranslation(0.0, 1.0, axes.transAxes)
+    step = 0.45 * np.array([mean[1], mean[0]]) / speed
+    middle = np.array([0.7, -0.55])
+    arrow = {"arrowstyle": "-|>", "lw": 2, "color": "dimgray"}
+    axes.annotate("", middle + step / 2, middle - step / 2, xycoords=inches, textcoords=inches, arrowprops=arrow)
+    white = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 2}
+    text = f"mean wind {speed:.1f} m/s"
+    axes.text(0.7, -0.08, text, transform=inches, ha="center", va="top", fontsize=9, bbox=white)

@@ -1,0 +1,207 @@
+"""What a run had besides its vehicles: area, obstacles, persons, plume, and the places that its task asks about.
+
+A log holds none of this. Area and obstacles are in the scenario; persons, sources and places follow from the seed alone
+and are drawn again; who was found when, the events say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from qrsim.errors import QrsimError
+from qrsim.runs.layout import EVENTS, PERSON_FOUND
+from qrsim.runs.reader import Run
+
+Floats = np.ndarray[Any, Any]
+# Of the picture of a plume: cells along north and east, and heights of which the strongest counts.
+CELLS, HEIGHTS = 100, 12
+ABSENT = ("none", "clear")
+
+
+class Field(NamedTuple):
+    """A plume from above: edges north and east (CELLS + 1,) [m], and values (CELLS, CELLS).
+
+    A value is the mean over time of the concentration, at the height where that is largest.
+    """
+
+    north: Floats
+    east: Floats
+    values: Floats
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What there was.
+
+    Attributes:
+        outline: (V, 2) corners of the area, north and east [m]; none where it is unknown.
+        down: top and bottom of the area [m], down; NaN where it is unknown.
+        obstacles: as in the scenario.
+        persons: (P, 2) north and east [m].
+        found: (P,) time at which each was found [s], infinite where it was not.
+        sources: (S, 3) of the plume [m], NED.
+        locations: (L, 3) at which the task asks for the concentration [m], NED.
+        plume: from above; None without one.
+        task: type of the task, "" without one.
+        unknown: why persons, plume and places are not known although there are some, "" otherwise.
+    """
+
+    outline: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    down: tuple[float, float] = (np.nan, np.nan)
+    obstacles: tuple[Mapping[str, Any], ...] = ()
+    persons: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    found: Floats = field(default_factory=lambda: np.zeros(0))
+    sources: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    locations: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    plume: Field | None = None
+    task: str = ""
+    unknown: str = ""
+
+    @property
+    def drawn(self) -> bool:
+        """Whether there is anything that was drawn at random."""
+        return bool(len(self.persons) or len(self.sources) or len(self.locations))
+
+
+def surroundings_of(run: Run) -> Surroundings:
+    """Return what a run had besides its vehicles, as far as its scenario says so.
+
+    Raises:
+        RunError: the events are damaged, or the scenario is no YAML.
+    """
+    content = run.scenario if isinstance(run.scenario, dict) else {}
+    world, task = content.get("world"), content.get("task")
+    kind = str(task.get("type", "none")) if isinstance(task, dict) else "none"
+    if not isinstance(world, dict):
+        return Surroundings()
+    try:
+        outline, down = _area(world.get("area"))
+        known: dict[str, Any] = {"outline": outline, "down": down, "obstacles": tuple(world.get("obstacles") or ())}
+    except (KeyError, TypeError, ValueError):  # of another version of qrsim
+        known = {}
+    known["task"] = "" if kind == "none" else kind
+    parts = [world.get(name) for name in ("plume", "terrain", "persons")]
+    if all(not isinstance(part, dict) or part.get("type") in ABSENT for part in parts):
+        return Surroundings(**known)
+    try:
+        return Surroundings(**known, **_drawn_again(run, content))
+    except (QrsimError, OSError) as error:
+        return Surroundings(**known, unknown=f"the recorded scenario cannot be built: {error}")
+
+
+def _area(area: Any) -> tuple[Floats, tuple[float, float]]:
+    """Return the corners (V, 2) of a scenario's area, and its top and bottom."""
+    down = (float(area["z_min"]), float(area["z_max"]))
+    if "corners_ned" in area:
+        return np.asarray(area["corners_ned"], float).reshape(-1, 2), down
+    (south, north), (west, east) = ((float(area[f"{axis}_min"]), float(area[f"{axis}_max"])) for axis in "xy")
+    return np.array([[south, west], [north, west], [north, east], [south, east]]), down
+
+
+def _drawn_again(run: Run, content: Any) -> dict[str, Any]:
+    """Draw again what the seed alone decides."""
+    import jax
+
+    from qrsim.core.noise import Key
+    from qrsim.scenarios.scenario import load_scenario
+    from qrsim.world.tick import keys_of
+
+    scenario = load_scenario(content, quiet=True)
+    precision = run.info.precision
+    world, task = scenario.world(precision), scenario.task(precision)
+    key = Key.root(run.info.seed, 0)
+    with jax.enable_x64(precision == "float64"):
+        places = _grid(world.area) if world.contents.plume.random else None
+        found = jax.jit(_begin)(world, task, keys_of(world, key), _task_stream(task, key), places)
+        contents, locations, values = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), found)
+    result: dict[str, Any] = {}
+    if locations is not None:
+        result["locations"] = np.stack([locations.x, locations.y, locations.z], axis=-1)
+    if contents.persons is not None:
+        there = contents.persons.there > 0
+        result["persons"] = np.stack([contents.persons.north, contents.persons.east], axis=-1)[there]
+        result["found"] = _found(run, len(there))[there]
+    if contents.plume is not None:
+        sources = getattr(contents.plume, "sources", contents.plume)
+        position = np.stack([getattr(sources.position_ned, axis) for axis in "xyz"], axis=-1)
+        result["sources"] = position[sources.strength > 0]
+        result["plume"] = Field(*_edges(world.area), values.reshape(HEIGHTS, CELLS, CELLS).max(axis=0))
+    return result
+
+
+def _task_stream(task: Any, key: Any) -> Any:
+    """Return the stream of what a task draws, None where it draws nothing."""
+    import jax.numpy as jnp
+
+    from qrsim.tasks.play import TASK
+
+    return key.stream(TASK, jnp.arange(task.ids, dtype=jnp.uint32)) if task.ids else None
+
+
+class _Beginning(NamedTuple):
+    """The part of a state that a task may look at to draw its places."""
+
+    drawn: Any
+    contents: Any
+
+
+def _begin(world: Any, task: Any, keys: Any, stream: Any, places: Any) -> tuple[Any, Any, Any]:
+    """Return contents at the start, the places of a task, and the mean concentration at some places (or None)."""
+    import jax.numpy as jnp
+
+    from qrsim.core.noise import Draw
+    from qrsim.world.episode import surroundings
+
+    drawn, contents = drawn_contents(world, keys)
+    like = jnp.zeros((), world.fleets[0].start.position_ned.x.dtype)
+    locations = values = None
+    if stream is not None:
+        memory = task.init(world, _Beginning(drawn, contents), Draw(stream, jnp.int32(0), like))
+        locations = getattr(memory, "locations_ned", None)
+    if places is not None:
+        around = surroundings(world.with_drawn(drawn), contents, jnp.int32(0))
+        values = world.contents.plume.mean(contents.plume, places, around.carrying_wind(like.dtype))
+    return contents, locations, values
+
+
+def drawn_contents(world: Any, keys: Any) -> tuple[tuple[Any, ...], Any]:
+    """Draw the ranges of an episode, and its contents at the start; a pure function of JAX."""
+    import jax.numpy as jnp
+
+    from qrsim.world.episode import draw_ranges, episode_draws, start_contents
+
+    draws = episode_draws(world, keys, jnp.zeros((), world.fleets[0].start.position_ned.x.dtype))
+    drawn = draw_ranges(world, draws)
+    return drawn, start_contents(world.with_drawn(drawn), draws)
+
+
+def _edges(area: Any) -> tuple[Floats, Floats]:
+    """Return the edges (CELLS + 1,) of the cells, north and east."""
+    bounds = [(float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max"))) for axis in "xy"]
+    north, east = (np.linspace(low, high, CELLS + 1) for low, high in bounds)
+    return north, east
+
+
+def _grid(area: Any) -> Any:
+    """Return the middles of the cells at all heights, (HEIGHTS * CELLS * CELLS,)."""
+    from qrsim.core.vectors import Vec3
+
+    north, east = (0.5 * (edges[1:] + edges[:-1]) for edges in _edges(area))
+    down = np.linspace(float(area.z_min), float(area.z_max), HEIGHTS)
+    z, x, y = np.meshgrid(down, north, east, indexing="ij")
+    dtype = np.asarray(area.z_min).dtype
+    north_east_down: list[Any] = [axis.ravel().astype(dtype) for axis in (x, y, z)]
+    return Vec3(*north_east_down)
+
+
+def _found(run: Run, persons: int) -> Floats:
+    """Return when each person (P,) was found [s], infinite where it was not."""
+    found = np.full(persons, np.inf)
+    for event in run.events if EVENTS in run else ():
+        if event.kind == PERSON_FOUND and event.value is not None and 0 <= int(event.value) < persons:
+            found[int(event.value)] = event.time
+    return found
