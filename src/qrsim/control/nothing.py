@@ -9,7 +9,7 @@ from qrsim.control.guidance import Route, RouteState
 from qrsim.control.setpoints import Estimate
 from qrsim.core.tree import record
 from qrsim.core.vectors import Vec3
-from qrsim.models.vehicles.fixed_point import NoCommand
+from qrsim.models.vehicles.no_command import NoCommand
 
 
 @record

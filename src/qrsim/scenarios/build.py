@@ -19,6 +19,7 @@ from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.contents import Contents
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.site import Site, gps_seconds_from_utc, utc_from_gps_seconds
+from qrsim.models.vehicles.carried_point import CarriedPoint
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
@@ -91,6 +92,26 @@ def problems(scenario: ScenarioSpec) -> list[str]:
     ]
 
 
+def _path_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec, floor: bool) -> Iterator[str]:
+    """Yield why a path cannot carry a fleet's vehicles."""
+    path = f"fleets.{fleet_name}.vehicle.moves_on"
+    try:
+        vehicle = component(fleet.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
+    except UsageError as error:
+        yield f"{path}: {error}"
+        return
+    if not isinstance(vehicle, CarriedPoint):
+        return
+    for i, each in enumerate(fleet.vehicles):
+        for second, place, speed in vehicle.path.carried(each.position_ned):
+            where = f"{path}: at {second:g} s it carries vehicle {i}"
+            problems = list(outside(where, place, scenario.world.area, floor))
+            problems += _too_fast(where, [speed, 0.0, 0.0], fleet, i)
+            if problems:
+                yield problems[0]
+                return
+
+
 def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
     turbulence = scenario.world.turbulence
     cls = known.TURBULENCES[turbulence.type]
@@ -114,6 +135,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield from _name_problems(fleet_name, fleet)
         yield from _length_problems(fleet_name, fleet)
         yield from _battery_problems(fleet_name, fleet)
+        yield from _path_problems(fleet_name, fleet, scenario, floor)
         yield from controller_problems(fleet_name, fleet)
         yield from _guidance_problems(fleet_name, fleet)
         yield from _fitting_problems(fleet_name, fleet, scenario)
@@ -359,7 +381,7 @@ def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Fleet:
-    vehicle = component(spec.vehicle, known.VEHICLES, scenario)
+    vehicle = component(spec.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
     return Fleet(
         vehicle=vehicle,
         controller=component(spec.controller, known.CONTROLLERS, scenario).fitted(vehicle),

@@ -16,7 +16,8 @@ from qrsim.envs import parallel_env
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.metrics import FLIGHT_METRICS
-from qrsim.models.vehicles.fixed_point import FixedPoint, NoCommand
+from qrsim.models.vehicles.fixed_point import FixedPoint
+from qrsim.models.vehicles.no_command import NoCommand
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.rollout import rollout
@@ -151,7 +152,7 @@ def test_it_is_placed_where_it_is_put() -> None:
         ),
         (
             {"vehicle": {"type": "fixed_point", "mass": 3.0}},
-            "fleets.posts.vehicle.mass: no such parameter of 'fixed_point'; known: gravity",
+            "fleets.posts.vehicle.mass: no such parameter of 'fixed_point'; known: gravity, moves_on",
         ),
     ],
 )

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import array
-import csv
 import math
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,16 +13,12 @@ from jax import Array, lax
 from qrsim.core.fastmath import exp, log
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
-from qrsim.files.user_files import LARGEST_TABLE, open_text
+from qrsim.errors import UsageError
+from qrsim.files.time_series import read_series
 from qrsim.models.atmosphere.contracts import Wind
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT, wind_to_ned
 
-COLUMNS = ("time", "north", "east", "down")
-# A row every simulation step at the smallest step; in single precision rows much closer would coincide.
-SHORTEST_INTERVAL_S = 1e-4
-# Whole seconds are kept as int32.
-LARGEST_TIME_S = 2e9
+COLUMNS = ("north", "east", "down")
 
 
 @record
@@ -110,86 +104,15 @@ class WindFile:
 def read_wind(path: Path, max_gap: float) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     """Return times (K,) [s] and the air's velocities (K, 3) [m/s, NED] of a CSV file, K at least 2.
 
-    Columns are found by name, others are ignored.
-
     Args:
         path: the file.
         max_gap: longest interval allowed between two rows [s].
 
     Raises:
-        UsageError: no such file, not CSV, a missing column, a field that is no finite number, times that do not
-            increase, a gap; names the line and the column.
+        UsageError: as ``read_series``.
     """
-    rows, before = array.array("d"), None
-    try:
-        with open_text(path, LARGEST_TABLE) as file:
-            reader = csv.reader(file, strict=True)
-            header = [name.strip() for name in next(reader, [])]
-            places = _places(path, header)
-            for fields in reader:
-                row = _numbers(path, reader.line_num, header, places, fields)
-                _check_time(path, reader.line_num, before, row[0], max_gap)
-                rows.extend(row)
-                before = row[0]
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}{did_you_mean_file(path)}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: byte 0x{error.object[error.start]:02x} is not UTF-8 text") from error
-    except csv.Error as error:
-        _fail(path, reader.line_num, f"not CSV: {error}")
-    table = np.array(rows).reshape(-1, len(COLUMNS))
-    if len(table) < 2:
-        raise UsageError(f"{path}: {len(table)} rows under the header; at least 2 are needed to interpolate")
-    return table[:, 0], table[:, 1:]
-
-
-def _places(path: Path, header: list[str]) -> list[int]:
-    """Return where the four columns are."""
-    for name in COLUMNS:
-        if name not in header:
-            _fail(path, 1, f"no column '{name}'{did_you_mean(name, [other for other in header if other])}")
-        if header.count(name) > 1:
-            _fail(path, 1, f"the column '{name}' is there {header.count(name)} times")
-    return [header.index(name) for name in COLUMNS]
-
-
-def _numbers(path: Path, line: int, header: list[str], places: list[int], fields: list[str]) -> list[float]:
-    """Return the four numbers of a row."""
-    if len(fields) != len(header):
-        _fail(path, line, f"{len(fields)} fields, the header has {len(header)}")
-    numbers = []
-    for name, place in zip(COLUMNS, places, strict=True):
-        text = fields[place].strip()
-        try:
-            number = float(text)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number) or "_" in text:
-            _fail(path, line, f"column '{name}': {text[:40]!r} is not a finite number")
-        numbers.append(number)
-    return numbers
-
-
-def _check_time(path: Path, line: int, before: float | None, time: float, max_gap: float) -> None:
-    """Check one time against the one of the row before."""
-    if abs(time) > LARGEST_TIME_S:
-        _fail(path, line, f"column 'time': {time:g} s is beyond {LARGEST_TIME_S:g} s; give seconds since the start")
-    if before is None:
-        return
-    if time <= before:
-        _fail(path, line, f"column 'time': {time:g} s does not come after {before:g} s; times must increase")
-    if time - before < SHORTEST_INTERVAL_S:
-        _fail(path, line, f"column 'time': {time:.9g} s follows within {SHORTEST_INTERVAL_S:g} s of {before:.9g} s")
-    if time - before > max_gap:
-        _fail(
-            path,
-            line,
-            f"column 'time': a gap of {time - before:g} s after {before:g} s; allowed: {max_gap:g} s (max_gap)",
-        )
-
-
-def _fail(path: Path, line: int, problem: str) -> NoReturn:
-    raise UsageError(f"{path}: line {line}: {problem}")
+    times, columns = read_series(path, COLUMNS, max_gap)
+    return times, np.column_stack([columns[name] for name in COLUMNS])
 
 
 @record

@@ -142,6 +142,14 @@ class Vehicle(Protocol):
     reads: ClassVar[tuple[str, ...]] = ()
     default_controller: ClassVar[str] = "waypoint"
 
+    def prepared(self, duration: float) -> Vehicle:
+        """Return the vehicle of a run of a length [s], with the files read that it names.
+
+        Raises:
+            UsageError: a file cannot be used.
+        """
+        return self
+
     @abstractmethod
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> VehicleState:
         """Return the state of vehicles (n,) placed at a pose: [m], [rad], [m/s], [rad/s]."""

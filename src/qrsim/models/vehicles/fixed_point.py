@@ -10,12 +10,10 @@ from jax import Array
 
 from qrsim.core.tree import parameter, quantity, record
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
+from qrsim.models.vehicles.carried_point import CarriedPoint
 from qrsim.models.vehicles.contracts import Around, Load, Outline, Pose, Vehicle
-
-
-@record
-class NoCommand:
-    """The command of a vehicle that takes none: a record without fields."""
+from qrsim.models.vehicles.no_command import NoCommand
+from qrsim.models.vehicles.recorded_path import PathFile
 
 
 @record
@@ -31,9 +29,20 @@ class FixedPoint(Vehicle):
     """A level platform at rest, which carries any sensor; it has no drive, no battery and takes no commands."""
 
     gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    moves_on: PathFile = quantity(
+        default=PathFile(), doc="path of what carries it, as a ship or a car; none: it stands"
+    )
     command_type: ClassVar[type[Any]] = NoCommand
     actions: ClassVar[tuple[type[Any], ...]] = (NoCommand,)
     default_controller: ClassVar[str] = "none"
+
+    def prepared(self, duration: float) -> Vehicle:
+        """Return itself, or the point that a path of its own carries.
+
+        Raises:
+            UsageError: the file of the path cannot be used.
+        """
+        return CarriedPoint(self.moves_on.at(duration), self.gravity) if self.moves_on.file else self
 
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3

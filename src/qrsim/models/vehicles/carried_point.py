@@ -1,0 +1,117 @@
+"""A point on something that moves on a recorded path: on the deck of a ship, on the roof of a car."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.clock import split_time
+from qrsim.core.fastmath import sincos, wrap_angle
+from qrsim.core.tree import parameter, quantity, record
+from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
+from qrsim.models.vehicles.contracts import Around, Load, Outline, Pose, Vehicle
+from qrsim.models.vehicles.no_command import NoCommand
+from qrsim.models.vehicles.recorded_path import RecordedPath
+
+
+@record
+class CarriedPointState:
+    """Position, heading and how they change; each array of shape (n,)."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="position in the local tangent plane")
+    heading: Array = quantity(unit="rad", doc="heading, clockwise from north")
+    velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity")
+    turn_rate: Array = quantity(unit="rad/s", doc="rate of the heading")
+    lever_ned: Vec3 = quantity(unit="m", doc="place on what carries it, at the heading of the start")
+    ticks: Array = quantity(unit="1", doc="int32 steps since the start")
+
+
+@record
+class CarriedPoint(Vehicle):
+    """A level platform that is carried along a path and turns with it; ``FixedPoint.prepared`` makes it."""
+
+    path: RecordedPath = quantity(doc="of what carries it")
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    command_type: ClassVar[type[Any]] = NoCommand
+    actions: ClassVar[tuple[type[Any], ...]] = (NoCommand,)
+    default_controller: ClassVar[str] = "none"
+
+    def initial_state(
+        self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
+    ) -> CarriedPointState:
+        """Return the state at a place on what carries it; its velocity is that of the path at time 0."""
+        like = jnp.asarray(position_ned.x)
+        place = self.path.at(jnp.int32(0), jnp.zeros((), like.dtype))
+        lever = position_ned - place.position_ned
+        ticks = jnp.zeros(like.shape, jnp.int32)
+        still = CarriedPointState(position_ned, attitude.yaw, lever, place.turn_rate + 0.0 * like, lever, ticks)
+        return replace(still, velocity_ned=_velocity(place.velocity_ned, place.turn_rate, lever))
+
+    def idle_command(self, like: Array) -> NoCommand:
+        """Return the command without fields."""
+        return NoCommand()
+
+    def clip(self, command: NoCommand, powered: bool = False) -> tuple[NoCommand, Array]:
+        """Return the command: there is nothing that could be out of its limits."""
+        return command, jnp.zeros((), bool)
+
+    def load(self, state: CarriedPointState) -> Load:
+        """Return that it has neither thrust nor a weight that one would carry."""
+        nothing = jnp.full_like(state.heading, jnp.nan)
+        return Load(nothing, nothing)
+
+    def pose(self, state: CarriedPointState) -> Pose:
+        """Return a level pose (n,), moving and turning with what carries it."""
+        zero = jnp.zeros_like(state.heading)
+        velocity = _turned(state.velocity_ned, -state.heading)
+        return Pose(state.position_ned, Euler(zero, zero, state.heading), velocity, Vec3(zero, zero, state.turn_rate))
+
+    def step(
+        self,
+        state: CarriedPointState,
+        command: NoCommand,
+        air_velocity: Callable[[AttitudeTrig], Vec3],
+        noise: Any,
+        dt: float,
+        around: Around | None = None,
+    ) -> tuple[CarriedPointState, Vec3]:
+        """Advance along the path; the specific force is the mean acceleration minus gravity."""
+        # Who has stopped has stopped counting; the path goes on for the others.
+        tick, dtype = jnp.max(state.ticks), state.heading.dtype
+        old, new = (self.path.at(*split_time(each, dt, dtype)) for each in (tick, tick + 1))
+        begun = self.path.at(jnp.int32(0), jnp.zeros((), dtype)).heading
+        before, after = (_turned(state.lever_ned, place.heading - begun) for place in (old, new))
+        way = (new.position_ned - old.position_ned) + (after - before)
+        velocity = _velocity(new.velocity_ned, new.turn_rate, after)
+        turn = new.heading - old.heading
+        gained = (velocity - state.velocity_ned) * (1.0 / dt)
+        force = _turned(Vec3(gained.x, gained.y, gained.z - self.gravity), -(state.heading + 0.5 * turn))
+        moved = CarriedPointState(
+            state.position_ned + way, wrap_angle(state.heading + turn), velocity,
+            new.turn_rate + jnp.zeros_like(state.heading), state.lever_ned, jnp.full_like(state.ticks, 1) + tick,
+        )  # fmt: skip
+        return moved, force
+
+    def stopped(self, state: CarriedPointState) -> CarriedPointState:
+        """Return the state at rest."""
+        zero = jnp.zeros_like(state.heading)
+        return replace(state, velocity_ned=Vec3(zero, zero, zero), turn_rate=zero)
+
+    def outline(self) -> Outline:
+        """Return a mast."""
+        return Outline()
+
+
+def _turned(vector: Vec3, angle: Array) -> Vec3:
+    """Return a vector (n,) turned about down, clockwise from above [rad]."""
+    sine, cosine = sincos(angle)
+    return Vec3(cosine * vector.x - sine * vector.y, sine * vector.x + cosine * vector.y, vector.z)
+
+
+def _velocity(velocity: Vec3, turn_rate: Array, lever: Vec3) -> Vec3:
+    """Return the velocity (n,) of points on something that moves and turns about down."""
+    return Vec3(velocity.x - turn_rate * lever.y, velocity.y + turn_rate * lever.x, velocity.z + 0.0 * lever.z)
