@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from qrsim.models.scene.ground import FlatGround, GridGround
-from qrsim.view.ground import MOST_ALONG, down_at, surface
+from qrsim.scenarios.making import make_world
+from qrsim.view.frame import Cast
+from qrsim.view.ground import MOST_ALONG, surface
+from qrsim.view.layers import down_at
+from qrsim.view.scene import Scene
+from qrsim.view.server import start_server
 
 
 def test_a_surface_is_the_ground_over_the_outline_of_the_area() -> None:
@@ -25,3 +32,20 @@ def test_a_surface_is_the_ground_over_the_outline_of_the_area() -> None:
 
 def test_heights_of_a_flat_ground() -> None:
     np.testing.assert_array_equal(down_at(FlatGround(height=3.0), np.zeros(2), np.zeros(2)), [-3.0, -3.0])
+
+
+def test_the_page_shows_the_surface_in_place_of_the_plane(tmp_path: Path) -> None:
+    places = 50.0 * np.arange(-3, 4)
+    np.savez(tmp_path / "hill.npz", north=places, east=places, height=100.0 - np.hypot(places[:, None], places) / 10.0)
+    area = {"type": "box", "x_min": -100, "x_max": 100, "y_min": -120, "y_max": 120}
+    start = np.array([[0.0, 0.0, -20.0]])
+    shown = {}
+    for ground in ({"type": "flat"}, {"type": "dem", "file": str(tmp_path / "hill.npz")}):
+        world = make_world(start.tolist(), ground=ground, area=area)
+        server = start_server(0)
+        try:
+            Scene(server, Cast(("a",), np.zeros(1, int), start), world)
+            shown[ground["type"]] = set(server.scene._handle_from_node_name)
+        finally:
+            server.stop()
+    assert {name.rpartition("/")[2] for name in shown["flat"] ^ shown["dem"]} == {"grid", "surface"}

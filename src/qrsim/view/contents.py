@@ -9,8 +9,7 @@ import numpy as np
 
 from qrsim.view import shapes
 from qrsim.view.frame import Beside, Frame
-from qrsim.view.ground import down_at
-from qrsim.view.layers import Layer, Stage
+from qrsim.view.layers import Layer, Stage, down_at
 from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]

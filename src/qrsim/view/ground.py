@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.core.vectors import Vec3
 from qrsim.models.scene import contracts
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.ground import FlatGround
 from qrsim.view import shapes
-from qrsim.view.layers import Layer, Stage
+from qrsim.view.layers import Layer, Stage, down_at
 from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
@@ -107,12 +106,6 @@ class Obstacles(Layer):
                 batched_positions=middle, batched_scales=np.asarray(size, np.float32), batched_colors=OBSTACLE_COLOUR,
                 lod="off", flat_shading=True, side="double", opacity=0.8, cast_shadow=False,
             )  # fmt: skip
-
-
-def down_at(ground: contracts.Ground, north: Floats, east: Floats) -> Floats:
-    """Return the down coordinate [m] of a ground at places of any shape."""
-    places: Any = Vec3(np.float32(north), np.float32(east), np.zeros_like(north, np.float32))  # type: ignore[arg-type]
-    return np.asarray(ground.down(places))
 
 
 def surface(ground: contracts.Ground, outline: tuple[Floats, float, float] | None, reach: float) -> shapes.Mesh:

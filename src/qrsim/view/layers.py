@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from viser import SceneApi
 
+from qrsim.core.vectors import Vec3
 from qrsim.interface.readings import quaternion_of
+from qrsim.models.scene.contracts import Ground
 from qrsim.view import shapes
 from qrsim.view.frame import Cast, Frame
 
@@ -36,12 +38,14 @@ class Stage:
         cast: who is in it.
         span: how large a vehicle is drawn [m].
         chosen: number of the vehicle that somebody looks at; None: nobody.
+        ground: what vehicles fly over; None: the plane z = 0.
     """
 
     scene: SceneApi
     cast: Cast
     span: float
     chosen: int | None = None
+    ground: Ground | None = None
 
     @property
     def lift(self) -> float:
@@ -54,6 +58,12 @@ class Stage:
         few = self.cast.size <= len(shapes.PALETTE)
         numbers = np.arange(self.cast.size) if few else self.cast.fleets
         return shapes.PALETTE[numbers % len(shapes.PALETTE)]
+
+
+def down_at(ground: Ground, north: Floats, east: Floats) -> Floats:
+    """Return the down coordinate [m] of a ground at places of any shape."""
+    places: Any = Vec3(np.float32(north), np.float32(east), np.zeros_like(north, np.float32))  # type: ignore[arg-type]
+    return np.asarray(ground.down(places))
 
 
 class Layer:
@@ -183,11 +193,12 @@ class Poles(Layer):
         self._handle = self.batch("poles", shapes.box((-0.5, -0.5, 0.0), (0.5, 0.5, 1.0)), POLE_COLOUR, opacity=0.35)
 
     def draw(self, frame: Frame) -> None:
-        """Stretch them from the vehicles down to height 0."""
-        top = _finite(frame.position_ned, self.stage.cast.start_ned)
+        """Stretch them from the vehicles down to the ground."""
+        top, ground = _finite(frame.position_ned, self.stage.cast.start_ned), self.stage.ground
+        down = 0.0 if ground is None or ground.at_zero else down_at(ground, top[:, 0], top[:, 1])
         wide = np.full(len(top), 0.03 * self.stage.span)
         self._handle.batched_positions = top
-        self._handle.batched_scales = np.stack([wide, wide, np.maximum(-top[:, 2], 0.0)], axis=1)
+        self._handle.batched_scales = np.stack([wide, wide, np.maximum(down - top[:, 2], 0.0)], axis=1)
 
 
 class Ghosts(Layer):

@@ -50,7 +50,7 @@ class Scene:
         scene.set_up_direction((0.0, 0.0, -1.0))
         scene.add_light_ambient("/light", intensity=1.2)
         self._root = scene.add_frame("/world", show_axes=False)
-        self.stage = Stage(scene, self.cast, _span(cast))
+        self.stage = Stage(scene, self.cast, _span(cast), ground=None if world is None else world.ground)
         self.vehicles = Vehicles(self.stage)
         self.paths = (Paths(self.stage), EstimatedPaths(self.stage))
         others = (Poles, Ghosts, Wind, Gusts, Names)

@@ -6,17 +6,21 @@ import math
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import qrsim
+from qrsim.core.noise import Key
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.scene.ground import ElevationFile, FlatGround, GridGround
 from qrsim.models.site import Site
 from qrsim.scenarios.making import make_scenario, make_world
 from qrsim.world.air import around_of
+from qrsim.world.episode import surroundings
+from qrsim.world.tick import reset
 
 POINTS = Vec3(*np.array([[0.0, 3.0], [0.0, -4.0], [-12.5, 6.0]]))  # type: ignore[arg-type]
 LEVEL = Euler(jnp.zeros(2), jnp.zeros(2), jnp.zeros(2))
@@ -141,6 +145,21 @@ class TestGrid:
             found.append(float(simulation.reset().gnss.satellites[0]))
         # The cliff fills the north up to 75 degrees, and of the satellites above 10 degrees some are there.
         assert found[1] <= found[0] - 2.0
+
+    def test_random_places_and_what_looks_at_the_ground_count_from_it(self, tmp_path: Path):
+        vehicles = [[0.0, 0.0, -15.0], [0.0, 20.0, -15.0]]
+        fleet = {
+            "vehicles": vehicles,
+            "placement": {"type": "uniform"},
+            "controller": {"type": "waypoint", "feed": "truth"},
+        }
+        world = make_world(fleets={"a": fleet}, ground={"type": "dem", "file": slope(tmp_path)}, area=AREA)
+        state = jax.jit(reset)(world, Key.root(3))
+        place = state.fleets[0].vehicle.position_ned
+        # The slope, as it was written: 1 m up in 10 m to the north, 1 m down in 20 m to the east.
+        np.testing.assert_allclose(place.z, -15.0 - place.x / 10.0 + place.y / 20.0, atol=1e-4)
+        seen = surroundings(world, state.contents, jnp.int32(0)).over_ground(place)
+        np.testing.assert_allclose(seen.stack(), np.stack([place.x, place.y, [-15.0, -15.0]], axis=-1), atol=1e-4)
 
     def test_who_flies_into_it_stops(self, tmp_path: Path):
         # Above the valley to the south-east z = 3 is in the air; at the origin it is below the ground.
