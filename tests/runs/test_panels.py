@@ -83,7 +83,11 @@ def test_panels(text, names, label, run):
             r"truth\.position_ned\.x is in m and wind\.gust_ned\.x is in m/s; give each unit a panel of its own",
         ),
         (
-            "truth.position_ned,measurements.gnss.position_ned,commands.setpoint.position_ned",
+            ",".join(
+                f"{name}.{axis}"
+                for axis in "xyz"
+                for name in ("truth.position_ned", "measurements.gnss.position_ned", "commands.setpoint.position_ned")
+            ),
             "9 quantities are too many",
         ),
     ],
@@ -125,12 +129,32 @@ def test_several_quantities_differ_in_style_and_vehicles_in_colour(run):
 
 
 def test_one_vehicle_has_colours_for_the_quantities(run):
-    figure = drawn(run, "wind.gust_ned", vehicles=["v2"])
+    figure = drawn(run, "wind.gust_ned.x,wind.gust_ned.y,wind.gust_ned.z", vehicles=["v2"])
     found = lines(figure.axes[0])
     assert {line.get_linestyle() for line in found} == {"-"}
     assert len({tuple(line.get_color()) for line in found}) == 3
     assert figure.get_suptitle() == "made_up, seed 5: v2, 1.18 s"
     assert not figure.legends
+
+
+def test_a_vector_has_an_axis_of_its_own_for_each_part(run):
+    every = drawn(run, "truth.position_ned, measurements.gnss.position_ned", "truth.valid", vehicles=["v0"]).axes
+    assert len(every) == 4
+    for axes, column, label in zip(every, "xyz", ("north", "east", "down"), strict=False):
+        true, reported = lines(axes)
+        np.testing.assert_array_equal(true.get_ydata(), run["truth"][f"position_ned.{column}"][:, 0])
+        np.testing.assert_array_equal(reported.get_ydata(), run["measurements"][f"gnss.position_ned.{column}"][:, 0])
+        assert axes.get_ylabel() == f"position_ned.{column} ({label}) [m]"
+    assert every[3].get_title(loc="left") == "truth.valid"
+
+
+def test_a_long_run_is_drawn_in_bins(tmp_path):
+    run = open_run(write_flight(tmp_path / "run", vehicles=1, ticks=3000))
+    figure = drawn(run, "truth.position_ned.x")
+    [line] = lines(figure.axes[0])
+    assert len(line.get_xdata()) == 400
+    # 3000 ticks of 0.02 s in 400 bins.
+    assert figure.get_suptitle().endswith("59.98 s; lines: mean and range of 0.15 s each")
 
 
 def test_a_span_and_chosen_vehicles(run):
@@ -170,8 +194,9 @@ def test_many_vehicles_have_median_and_range(tmp_path):
     np.testing.assert_allclose(true.get_ydata()[:21], np.median(values[:21], axis=1))
     assert np.isnan(true.get_ydata()[21:]).all()
     assert len(reported.get_ydata()) == 60
-    assert len(axes.collections) == 2
-    assert "30 vehicles, 30 stopped, 1.18 s; median and range" in figure.get_suptitle()
+    # Range and quartiles of each.
+    assert len(axes.collections) == 4
+    assert "30 vehicles, 30 stopped, 1.18 s; median, quartiles, range" in figure.get_suptitle()
 
 
 def test_streams_of_different_decimation_share_the_axis_of_time(tmp_path):

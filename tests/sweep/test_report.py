@@ -14,6 +14,7 @@ from tests.sweep.conftest import flown, planned
 from qrsim.cli import main
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.sweep import analysis
+from qrsim.sweep.figures import edges
 from qrsim.sweep.report import find, replay, write
 from qrsim.sweep.results import Results
 from qrsim.sweep.store import Store
@@ -43,6 +44,57 @@ def test_a_response_is_the_mean_over_all_else_with_the_interval_of_the_seeds(tmp
     half = 2.045 * noise.std(ddof=1) / np.sqrt(30)
     np.testing.assert_allclose(found.mean, 2.0 * found.parameter.levels + noise.mean(), atol=1e-4)
     np.testing.assert_allclose(found.high - found.mean, half, rtol=1e-3)
+
+
+def _folder(tmp_path: Path) -> Path:
+    (tmp_path / "flags").mkdir()
+    return tmp_path / "flags"
+
+
+def test_a_share_has_an_exact_interval() -> None:
+    # Clopper and Pearson (1934): of 10 trials, 0 and 3 successes, at 95 %.
+    np.testing.assert_allclose(analysis.share_interval(0.0, np.zeros(10), 10), (0.0, 0.30850), atol=1e-5)
+    flags = np.repeat([1.0, 0.0], [3, 7])
+    np.testing.assert_allclose(analysis.share_interval(0.3, flags, 10), (0.06674, 0.65245), atol=1e-5)
+    # Ten seeds that each fail at all of 5 points or at none know no more than ten episodes do, if not quite as much:
+    # 9 of variance p (1 - p)/9, times (t_49/t_9)^2 = (2.0096/2.2622)^2.
+    low, high = analysis.share_interval(0.3, flags, 50)
+    np.testing.assert_allclose((low, high), (0.0427, 0.7183), atol=1e-4)
+    # Where no seed ever failed, the points of a seed say nothing new.
+    np.testing.assert_allclose(analysis.share_interval(0.0, np.zeros(10), 50), (0.0, 0.30850), atol=1e-5)
+    # 50 independent episodes: half of the seeds' variance would say more than 50, which there are not.
+    np.testing.assert_allclose(analysis.share_interval(0.4, np.full(10, 0.4) + [0, 1e-6] * 5, 50)[0], 0.245, atol=0.01)
+
+
+def test_no_interval_leaves_its_metric_and_shares_stay_above_0(tmp_path: Path) -> None:
+    # Next to 0 in most episodes: Student's t would go below it.
+    path = made(tmp_path, lambda wind, mass, noise: np.where(noise > 1.0, 3.0, 0.0), seeds=12)
+    report = find(path, None, [])
+    for items in report.responses.values():
+        for item in items:
+            assert (item.low >= 0.0).all()
+            assert (item.high > item.mean).all()
+    flags = made(_folder(tmp_path), lambda wind, mass, noise: (noise > 5.0).astype(float), seeds=12)
+    [wind, *_] = find(flags, None, []).responses["tracking_error_rms_m"]
+    # None of 12 seeds: 1 - 0.025^(1/12).
+    np.testing.assert_allclose(wind.high, 0.26465, atol=1e-4)
+    np.testing.assert_array_equal(wind.low, 0.0)
+
+
+def test_a_map_ends_where_the_data_do(tmp_path: Path) -> None:
+    path = made(tmp_path, lambda wind, mass, noise: wind, seeds=2)
+    results = Results(path)
+    for parameter in results.parameters.values():
+        found = edges(parameter)
+        assert len(found) == len(parameter.levels) + 1
+        assert (found[0], found[-1]) == pytest.approx((parameter.levels[0], parameter.levels[-1]))
+
+
+def test_pictures_of_another_format(tmp_path: Path) -> None:
+    path = made(tmp_path, lambda wind, mass, noise: wind, seeds=2)
+    files = write(find(path, None, []), tmp_path / "report", "svg")
+    assert {"response.svg", "map.svg"} <= {file.name for file in files}
+    assert (tmp_path / "report" / "map.svg").read_bytes().startswith(b"<?xml")
 
 
 def test_sobol_indices_are_those_of_the_function(tmp_path: Path) -> None:

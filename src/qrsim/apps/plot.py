@@ -37,7 +37,7 @@ class Plot:
     panel: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="QUANTITY[,QUANTITY...]")] = field(
         default_factory=list
     )
-    """Draw these quantities, of one unit, in a panel; given again, in another panel below."""
+    """Draw these quantities, of one unit, in a panel, vectors in one for each axis; given again, below."""
     vehicle: Annotated[
         tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")
     ] = field(default_factory=list)

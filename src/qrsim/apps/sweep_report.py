@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -39,6 +39,8 @@ class SweepReport:
         Path | None, tyro.conf.arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(default: STORE-report)")
     ] = None
     """Folder for pictures and report.json."""
+    format: Literal["png", "pdf", "svg"] = "png"
+    """Of the pictures."""
     json: bool = False
     """Print the tables as JSON."""
 
@@ -54,7 +56,7 @@ class SweepReport:
         folder = self.out or self.store.with_name(f"{self.store.name.removesuffix('.zarr')}-report")
         report = find(self.store, self.metric, self.map)
         try:
-            files = write(report, folder)
+            files = write(report, folder, self.format)
         except OSError as error:
             raise RunError(f"--out {folder}: {error.strerror or error}") from None
         if self.json:
@@ -63,4 +65,4 @@ class SweepReport:
             print(json.dumps({**to_json(report, folder), "files": [str(file) for file in files]}, indent=2))
             return
         print_report(report, folder)
-        print(f"pictures: {', '.join(str(file) for file in files if file.suffix == '.png')}")
+        print(f"pictures: {', '.join(str(file) for file in files if file.suffix == f'.{self.format}')}")

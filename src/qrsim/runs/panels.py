@@ -1,4 +1,4 @@
-"""Plots of any logged quantities over time, one panel below the other."""
+"""Plots of any logged quantities over time, one panel below the other; vectors have one for each axis."""
 
 from __future__ import annotations
 
@@ -14,7 +14,19 @@ from matplotlib.ticker import MaxNLocator
 
 from qrsim.errors import RunError, UsageError, did_you_mean
 from qrsim.runs.layout import Event
-from qrsim.runs.picture import MOST_NAMED, Floats, colours_of, name_vehicles, new_figure, spread, time_limits, title_of
+from qrsim.runs.picture import (
+    MOST_NAMED,
+    Floats,
+    binned_text,
+    colours_of,
+    is_long,
+    name_vehicles,
+    new_figure,
+    spread,
+    time_limits,
+    title_of,
+    trace,
+)
 from qrsim.runs.quantities import Quantity, find_quantities
 from qrsim.runs.reader import Run
 from qrsim.runs.summary import stops_of
@@ -81,9 +93,23 @@ def parse_panel(run: Run, text: str) -> Panel:
         if (item.column.unit or "1") != (found[0].column.unit or "1"):
             units = [f"{other.name} is in {other.column.unit or '1'}" for other in (found[0], item)]
             raise UsageError(f"{where}: {' and '.join(units)}; give each unit a panel of its own")
-    if len(found) > len(STYLES):
-        raise UsageError(f"{where}: {len(found)} quantities are too many to tell apart; at most {len(STYLES)}")
-    return Panel(text, tuple(found))
+    panel = Panel(text, tuple(found))
+    most = max(len(axis.quantities) for axis in per_axis(panel))
+    if most > len(STYLES):
+        raise UsageError(f"{where}: {most} quantities are too many to tell apart; at most {len(STYLES)}")
+    return panel
+
+
+def per_axis(panel: Panel) -> list[Panel]:
+    """Return a panel for each axis of the vectors in a panel; itself where it has none."""
+    asked = [word.strip() for word in panel.text.split(",")]
+    if all(item.name in asked for item in panel.quantities):
+        return [panel]
+    axes = dict.fromkeys(item.name.rpartition(".")[2] for item in panel.quantities)
+    return [
+        Panel(f"{panel.text}: {axis}", tuple(item for item in panel.quantities if item.name.endswith(f".{axis}")))
+        for axis in axes
+    ]
 
 
 def draw_panels(
@@ -93,7 +119,7 @@ def draw_panels(
     start: float | None = None,
     end: float | None = None,
 ) -> Figure:
-    """Draw a figure with one panel for each text (needs no display).
+    """Draw a figure with one panel for each text, or for each axis of the vectors in it (needs no display).
 
     Args:
         run: the run.
@@ -105,7 +131,7 @@ def draw_panels(
         UsageError: unknown names, different units in a panel, or a span without a tick.
         RunError: nothing was recorded yet, or a part of the log is damaged.
     """
-    parsed = [parse_panel(run, text) for text in panels]
+    parsed = [axis for text in panels for axis in per_axis(parse_panel(run, text))]
     data = _read(run, [item for panel in parsed for item in panel.quantities], vehicles, start, end)
     figure = new_figure(12, max(4.0, 1.2 + 2.4 * len(parsed)))
     every = figure.subplots(len(parsed), 1, sharex=True, squeeze=False)[:, 0]
@@ -116,7 +142,8 @@ def draw_panels(
     few = len(data.names) <= MOST_NAMED
     title = title_of(run, data.names, len(data.stops), data.last, " (X)" if few else "")
     shown = "" if start is None and end is None else f"; shown: {data.span[0]:g} to {data.span[1]:g} s"
-    figure.suptitle(f"{title}{'' if few else '; median and range'}{shown}")
+    binned = max((binned_text(time) for time, _ in data.series.values()), key=len)
+    figure.suptitle(f"{title}{'' if few else '; median, quartiles, range'}{shown}{binned}")
     figure.align_ylabels(every)
     if 1 < len(data.names) <= MOST_NAMED:
         name_vehicles(figure, [Line2D([], [], color=c) for c in colours_of(len(data.names))], data.names)
@@ -194,9 +221,10 @@ def _lines(axes: Any, number: int, item: Quantity, data: _Data) -> Iterator[Any]
     form |= {"linestyle": STYLES[number] if several else "-", "lw": 1.2}
     for i, own in enumerate(colours_of(len(data.names))):
         shade = own if several else colour
-        axes.plot(time, values[:, i], color=shade, **form)
-        lone = _lone(values[:, i])
-        axes.plot(time[lone], values[lone, i], ".", color=shade, ms=4)
+        trace(axes, time, values[:, i], color=shade, **form)
+        if not is_long(time):
+            lone = _lone(values[:, i])
+            axes.plot(time[lone], values[lone, i], ".", color=shade, ms=4)
         there = np.flatnonzero(np.isfinite(values[:, i]))
         if i in data.stops and len(there):
             axes.plot(data.stops[i].time, values[there[-1], i], "X", color=shade, ms=9, mec="black", zorder=5)

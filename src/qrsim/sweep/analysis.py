@@ -33,11 +33,14 @@ class Response:
     high: Array
 
 
-def response(results: Results, parameter: Parameter, values: Array) -> Response:
-    """Compute the response of values (E,).
+def response(
+    results: Results, parameter: Parameter, values: Array, limits: tuple[float, float] = (-np.inf, np.inf)
+) -> Response:
+    """Compute the response of values (E,), which are within limits whatever is flown.
 
     At each level the means of the seeds (of sampled points: of the points) are what is independent; their Student t
-    interval is the band. All points of a study share their seeds, so that episodes are not independent.
+    interval is the band, cut where the metric ends. All points of a study share their seeds, so that episodes are not
+    independent. Where every value is 0 or 1, it is a share and has an exact interval; see ``share_interval``.
     """
     groups = results.points if parameter.sampled else results.seeds
     found = np.full((3, len(parameter.levels)), np.nan)
@@ -45,23 +48,53 @@ def response(results: Results, parameter: Parameter, values: Array) -> Response:
     for i in range(len(parameter.levels)):
         at = fine & (parameter.level == i)
         if at.any():
-            found[:, i] = _mean(values[at], groups[at])
+            found[:, i] = _mean(values[at], groups[at], limits)
     return Response(parameter, *found)
 
 
-def _mean(values: Array, groups: Array) -> tuple[float, float, float]:
-    """Return mean and interval of values whose groups are independent."""
+def _mean(values: Array, groups: Array, limits: tuple[float, float]) -> tuple[float, float, float]:
+    """Return mean and interval of values whose groups are independent; the interval stays within limits."""
     from scipy.stats import t
 
     mean = float(values.mean())
     _, index = np.unique(groups, return_inverse=True)
     counts = np.bincount(index)
     means = np.bincount(index, values) / counts
+    if np.isin(values, (0.0, 1.0)).all():
+        return mean, *share_interval(mean, means, len(values))
     if len(means) < 2:
         return mean, np.nan, np.nan
     # Every group counts as much, which is the mean itself where all are complete.
     half = t.ppf(0.5 + CONFIDENCE / 2, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means))
-    return mean, mean - half, mean + half
+    return mean, max(mean - half, limits[0]), min(mean + half, limits[1])
+
+
+def share_interval(share: float, shares: Array, count: int) -> tuple[float, float]:
+    """Return the exact interval (Clopper and Pearson 1934) of a share of ``count`` episodes.
+
+    Episodes of one group are not independent: as many count as would give the variance between the groups (Korn and
+    Graubard, Survey Methodology 24, 1998, with their correction by Student's t), and none beyond the number of groups
+    where all groups are equal.
+
+    Args:
+        share: of all episodes.
+        shares: (G,) of the groups.
+        count: episodes.
+    """
+    from scipy.stats import beta, t
+
+    groups, effective = len(shares), float(count)
+    if count > groups:
+        between = float(shares.var(ddof=1)) / groups if groups > 1 else 0.0
+        effective = min(effective, share * (1.0 - share) / between) if between > 0.0 else float(groups)
+        if groups > 1:
+            middle = 0.5 + CONFIDENCE / 2
+            # The ratio is for the lost degrees of freedom of the variance.
+            effective *= (t.ppf(middle, count - 1) / t.ppf(middle, groups - 1)) ** 2 if between > 0.0 else 1.0
+    hits, tail = share * effective, 0.5 - CONFIDENCE / 2
+    low = 0.0 if share == 0.0 else float(beta.ppf(tail, hits, effective - hits + 1.0))
+    high = 1.0 if share == 1.0 else float(beta.ppf(1.0 - tail, hits + 1.0, effective - hits))
+    return low, high
 
 
 def heat_map(one: Parameter, other: Parameter, values: Array) -> Array:

@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from qrsim.runs.picture import new_figure
-from qrsim.sweep.analysis import CONFIDENCE, Boundary, Response, Sensitivity, heat_map
+from qrsim.sweep.analysis import CONFIDENCE, Boundary, Response, Sensitivity, heat_map, share_interval
 from qrsim.sweep.results import Parameter, Results
 
 Array = np.ndarray[Any, Any]
+NOT_FLOWN = "0.85"
 BAND = f"{100 * CONFIDENCE:.0f} % interval"
 
 
@@ -31,17 +32,24 @@ def _places(parameter: Parameter) -> Array:
     return np.asarray(parameter.levels, float) if parameter.numeric else np.arange(len(parameter.levels), dtype=float)
 
 
-def _edges(parameter: Parameter) -> Array:
-    """Return the limits (L + 1,) of the levels of a parameter on an axis."""
+def edges(parameter: Parameter) -> Array:
+    """Return the limits (L + 1,) of the levels of a parameter on an axis.
+
+    Of numbers the outermost are the lowest and the highest that were flown: a map says nothing beyond them.
+    """
     places = _places(parameter)
     if parameter.numeric:
         places = parameter.even(places)
     if len(places) == 1:
-        edges = places + np.array([-0.5, 0.5])
+        found = places + np.array([-0.5, 0.5])
     else:
         between = 0.5 * (places[1:] + places[:-1])
-        edges = np.concatenate([[2 * places[0] - between[0]], between, [2 * places[-1] - between[-1]]])
-    return parameter.uneven(edges) if parameter.numeric else edges
+        ends = [2 * places[0] - between[0], 2 * places[-1] - between[-1]]
+        if parameter.numeric:
+            values = parameter.even(parameter.values)
+            ends = [float(values.min()), float(values.max())]
+        found = np.concatenate([ends[:1], between, ends[1:]])
+    return parameter.uneven(found) if parameter.numeric else found
 
 
 def _name_levels(axis: Any, parameter: Parameter) -> None:
@@ -89,7 +97,9 @@ def draw_map(results: Results, pair: tuple[Parameter, Parameter], metric: str) -
 def _mesh(axes: Any, pair: tuple[Parameter, Parameter], values: Array, colours: str, **limits: Any) -> Any:
     """Draw a map, the first parameter to the right."""
     one, other = pair
-    image = axes.pcolormesh(_edges(one), _edges(other), values.T, cmap=colours, **limits)
+    image = axes.pcolormesh(edges(one), edges(other), values.T, cmap=colours, **limits)
+    # What was not flown has no colour of the scale.
+    axes.set_facecolor(NOT_FLOWN)
     _scale(axes, one, other)
     axes.set(xlabel=one.label, ylabel=other.label)
     _name_levels(axes.xaxis, one)
@@ -112,14 +122,16 @@ def draw_boundary(results: Results, found: Boundary, pair: tuple[Parameter, Para
         return _failure_curves(results, found)
     figure = new_figure(7.2, 5.6)
     axes = figure.subplots()
-    image = _mesh(axes, pair, heat_map(*pair, results.failed.astype(float)), "YlOrRd", vmin=0.0, vmax=1.0)
+    shares = heat_map(*pair, results.failed.astype(float))
+    image = _mesh(axes, pair, shares, "YlOrRd", vmin=0.0, vmax=1.0)
     figure.colorbar(image, ax=axes, label="part of the episodes that failed")
     which = [numbers[parameter.name] for parameter in pair]
     lines = [found.line(number, 120)[:, number] for number in which]
     grid = np.tile(found.middle, (120, 120, 1))
     grid[..., which[0]], grid[..., which[1]] = np.meshgrid(*lines)
     shown = [parameter.uneven(line) for parameter, line in zip(pair, lines, strict=True)]
-    curves = axes.contour(*shown, found.probability(grid), [0.1, 0.5, 0.9], colors="black",
+    chances = np.where(_is_flown(pair, shown, shares), found.probability(grid), np.nan)
+    curves = axes.contour(*shown, chances, [0.1, 0.5, 0.9], colors="black",
                           linestyles=["dotted", "solid", "dashed"])  # fmt: skip
     axes.clabel(curves, fmt=lambda part: f"{100 * part:.0f} %")
     others = " (the others at their middle)" if len(found.parameters) > 2 else ""
@@ -127,12 +139,23 @@ def draw_boundary(results: Results, found: Boundary, pair: tuple[Parameter, Para
     return figure
 
 
+def _is_flown(pair: tuple[Parameter, Parameter], lines: list[Array], values: Array) -> Array:
+    """Return for places (Y, X) whether they are in a cell of a map (L1, L2) that has episodes."""
+    cells = [
+        np.clip(np.searchsorted(edges(parameter), line, side="right") - 1, 0, len(parameter.levels) - 1)
+        for parameter, line in zip(pair, lines, strict=True)
+    ]
+    return np.asarray(np.isfinite(values[np.ix_(*cells)]).T)
+
+
 def _failure_curves(results: Results, found: Boundary) -> Figure:
     """Draw the part that failed against each parameter."""
     figure = new_figure(4.8 * len(found.parameters) + 1.0, 4.2)
     panels = figure.subplots(1, len(found.parameters), squeeze=False, sharey=True)[0]
     for i, (axes, parameter) in enumerate(zip(panels, found.parameters, strict=True)):
-        low, middle, high = failure_parts(parameter, results.failed)
+        low, middle, high = failure_parts(
+            parameter, results.failed, results.points if parameter.sampled else results.seeds
+        )
         axes.errorbar(
             _places(parameter), middle, yerr=[middle - low, high - middle], fmt="o", color="tab:red", capsize=3,
             label=f"part that failed, {BAND}",
@@ -153,16 +176,19 @@ def _failure_curves(results: Results, found: Boundary) -> Figure:
     return figure
 
 
-def failure_parts(parameter: Parameter, failed: Array) -> tuple[Array, Array, Array]:
-    """Return low end, share and high end of the failed share at each level (L,), with its exact interval."""
-    from scipy.stats import binomtest
+def failure_parts(parameter: Parameter, failed: Array, groups: Array) -> tuple[Array, Array, Array]:
+    """Return low end, share and high end of the failed share at each level (L,), with its exact interval.
 
+    ``groups`` (E,) are what is independent; see ``share_interval``.
+    """
     found = np.full((3, len(parameter.levels)), np.nan)
     for i in range(len(parameter.levels)):
         own = failed[parameter.level == i]
         if len(own):
-            interval = binomtest(int(own.sum()), len(own)).proportion_ci(CONFIDENCE, method="exact")
-            found[:, i] = interval.low, own.mean(), interval.high
+            _, index = np.unique(groups[parameter.level == i], return_inverse=True)
+            shares = np.bincount(index, own) / np.bincount(index)
+            low, high = share_interval(float(own.mean()), shares, len(own))
+            found[:, i] = low, own.mean(), high
     return found[0], found[1], found[2]
 
 

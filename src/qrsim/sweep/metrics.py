@@ -23,6 +23,7 @@ class Metric:
         of: from the metrics of all vehicles (W, n, ...) to that of the episodes (W,); NaN where it is not defined.
         low_is_bad: whether small values are the bad ones.
         task: whether only a task that its baseline flies has it.
+        limits: between which it is, whatever is flown.
     """
 
     unit: str
@@ -30,6 +31,7 @@ class Metric:
     of: Callable[[Found], Array]
     low_is_bad: bool = False
     task: bool = False
+    limits: tuple[float, float] = (0.0, np.inf)
 
 
 def _over(reduce: Callable[..., Array], name: str) -> Callable[[Found], Array]:
@@ -81,8 +83,10 @@ METRICS: dict[str, Metric] = {
     "separation_min_m": Metric("m", "smallest distance between two vehicles", _over(np.nanmin, "separation_min_m"),
                                low_is_bad=True),
     "fence_distance_min_m": Metric("m", "smallest distance to the edge of the area",
-                                   _over(np.nanmin, "fence_distance_min_m"), low_is_bad=True),
-    "charge_min": Metric("1", "lowest charge of a battery", _over(np.nanmin, "charge_min"), low_is_bad=True),
+                                   _over(np.nanmin, "fence_distance_min_m"), low_is_bad=True,
+                                   limits=(-np.inf, np.inf)),
+    "charge_min": Metric("1", "lowest charge of a battery", _over(np.nanmin, "charge_min"), low_is_bad=True,
+                         limits=(0.0, 1.0)),
     "flown_s": Metric("s", "time until the first vehicle stopped, or the end", _over(np.nanmin, "flown_s"),
                       low_is_bad=True),
     "stopped": Metric("1", "vehicles that stopped, for whatever reason", _stopped()),
@@ -90,7 +94,7 @@ METRICS: dict[str, Metric] = {
     "left_area": Metric("1", "vehicles that left the area", _stopped("out_of_area")),
     "persons_found": Metric("1", "persons found", lambda found: found["persons_found"], low_is_bad=True, task=True),
     "found_share": Metric("1", "part of the persons that were found", lambda found: found["found_share"],
-                          low_is_bad=True, task=True),
+                          low_is_bad=True, task=True, limits=(0.0, 1.0)),
     "first_found_s": Metric("s", "time of the first find", lambda found: found["first_found_s"], task=True),
 }  # fmt: skip
 

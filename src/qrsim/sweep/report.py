@@ -66,7 +66,10 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
     values = results.metric(chosen)
     metrics = metrics if chosen in metrics else (chosen, *metrics)
     responses = {
-        name: [analysis.response(results, parameter, results.metric(name)) for parameter in results.parameters.values()]
+        name: [
+            analysis.response(results, parameter, results.metric(name), results.limits(name))
+            for parameter in results.parameters.values()
+        ]
         for name in metrics
     }
     return Report(
@@ -130,21 +133,21 @@ def _write_scenarios(report: Report, folder: Path) -> list[str]:
     return list(contents)
 
 
-def write(report: Report, folder: Path) -> list[Path]:
-    """Write pictures, the tables as JSON, and the scenario; return the files."""
+def write(report: Report, folder: Path, form: str = "png") -> list[Path]:
+    """Write pictures (png, pdf or svg), the tables as JSON, and the scenario; return the files."""
     from qrsim.runs.picture import save_picture
     from qrsim.sweep import figures
 
     results = report.results
     folder.mkdir(parents=True, exist_ok=True)
-    pictures = {"response.png": lambda: figures.draw_responses(results, report.metrics, report.responses)}
+    pictures = {f"response.{form}": lambda: figures.draw_responses(results, report.metrics, report.responses)}
     pair, boundary, indices = report.pair, report.boundary, report.sensitivity
     if pair is not None:
-        pictures["map.png"] = lambda: figures.draw_map(results, pair, report.metric)
+        pictures[f"map.{form}"] = lambda: figures.draw_map(results, pair, report.metric)
     if not isinstance(boundary, str):
-        pictures["boundary.png"] = lambda: figures.draw_boundary(results, boundary, pair)
+        pictures[f"boundary.{form}"] = lambda: figures.draw_boundary(results, boundary, pair)
     if not isinstance(indices, str):
-        pictures["sensitivity.png"] = lambda: figures.draw_sensitivity(results, indices, report.metric)
+        pictures[f"sensitivity.{form}"] = lambda: figures.draw_sensitivity(results, indices, report.metric)
     for name, draw in pictures.items():
         save_picture(draw, folder / name)
     scenarios = _write_scenarios(report, folder)

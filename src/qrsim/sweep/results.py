@@ -136,6 +136,10 @@ class Results:
         """Return the unit of a metric."""
         return str(self.dataset[metric].attrs["units"])
 
+    def limits(self, metric: str) -> tuple[float, float]:
+        """Return between which numbers a metric is, whatever is flown."""
+        return METRICS[metric].limits if metric in METRICS else (-math.inf, math.inf)
+
     def low_is_bad(self, metric: str) -> bool:
         """Return whether small values of a metric are the bad ones."""
         # A store of an earlier version does not say so itself.
