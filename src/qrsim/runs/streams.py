@@ -160,6 +160,13 @@ class EventFinder:
                             )
                             event |= {"kind": f"fault_{word}", "field": fault.sensor, "message": message}
                             found.append((int(row), first + int(i), event))
+            for broken in fleet.rotor_faults:
+                for row in np.flatnonzero(history.ticks == int(broken.start_tick)):
+                    for i in np.flatnonzero(broken.affected):
+                        event = self._at(history, int(row), first + int(i))
+                        message = f"{event['vehicle']}: rotor {broken.rotor} fails at {event['time']:.2f} s"
+                        event |= {"kind": "fault_begins", "field": f"rotor_{broken.rotor}", "message": message}
+                        found.append((int(row), first + int(i), event))
             first += fleet.size
         return found
 

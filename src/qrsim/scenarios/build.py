@@ -23,7 +23,7 @@ from qrsim.models.vehicles.carried_point import CarriedPoint
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
-from qrsim.scenarios.faults import fault_problems, faults, reading_fields, vehicle_names
+from qrsim.scenarios.faults import fault_problems, faults, reading_fields, rotor_faults, vehicle_names
 from qrsim.scenarios.ground import below_ground, bounds_of, has_floor, standing_problems
 from qrsim.scenarios.hand_list import hand_lists, warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission, mission_problems
@@ -195,7 +195,13 @@ def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """A battery's voltage falls as it empties."""
+    """A battery's voltage falls as it empties, and some are drained by what only some vehicles say."""
+    battery, vehicle = known.BATTERIES[fleet.battery.type], known.VEHICLES[fleet.vehicle.type]
+    if battery.needs_power and not vehicle.gives_power:  # type: ignore[attr-defined]
+        yield (
+            f"fleets.{fleet_name}.battery: '{fleet.battery.type}' is drained by electrical power, which a "
+            f"'{fleet.vehicle.type}' has not; allowed: given, lithium_polymer"
+        )
     if fleet.battery.type != "lithium_polymer":
         return
     size = len(fleet.vehicles)
@@ -398,6 +404,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> F
         placement=component(spec.placement, known.PLACEMENTS, scenario),
         ground=spec.ground,
         radius=spec.radius,  # type: ignore[arg-type]
+        rotor_faults=rotor_faults(name, spec, scenario),
     )
 
 

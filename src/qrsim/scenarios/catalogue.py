@@ -45,6 +45,8 @@ from qrsim.models.sensors.inertial import Accelerometer, Gyroscope, IdealAcceler
 from qrsim.models.vehicles.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
 from qrsim.models.vehicles.fixed_point import FixedPoint
+from qrsim.models.vehicles.lithium_cells import LithiumCells
+from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
 from qrsim.tasks import KeepSpot, KeepVelocity, NoTask, PlumeMapping, Pursuit, ReachWaypoint, Search
@@ -87,8 +89,9 @@ VEHICLES: Catalogue = {
     "quadrotor": SeparateQuadrotor,
     "expression": ExpressionQuadrotor,
     "fixed_point": FixedPoint,
+    "multirotor": Multirotor,
 }
-BATTERIES: Catalogue = {"given": GivenVoltage, "lithium_polymer": LithiumPolymer}
+BATTERIES: Catalogue = {"given": GivenVoltage, "lithium_polymer": LithiumPolymer, "lithium_cells": LithiumCells}
 CONTROLLERS: Catalogue = {
     "waypoint": WaypointController,
     "velocity": VelocityController,

@@ -13,11 +13,17 @@ import numpy as np
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import did_you_mean
 from qrsim.models.sensors.faults import Fault
+from qrsim.models.vehicles.faults import RotorFault
+from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.schema import FaultSpec, FleetSpec, ScenarioSpec
+from qrsim.scenarios.schema import FaultSpec, FleetSpec, RotorFaultSpec, ScenarioSpec
 from qrsim.scenarios.timing import is_multiple
 
 LAST_TICK = 2**31 - 1
+# An autopilot that looks at its motors' currents or speeds knows of a failed rotor after so long [s].
+NOTICED_S = 0.1
+# Rotors of a fleet that may fail; its mixer is prepared for every set of them.
+MOST_FAILED_ROTORS = 4
 
 
 def vehicle_names(fleet_name: str, fleet: FleetSpec) -> tuple[str, ...]:
@@ -45,7 +51,20 @@ def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[F
             field=spec.field or "",
         )
         for spec in fleet.faults
+        if isinstance(spec, FaultSpec)
     )
+
+
+def rotor_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[RotorFault, ...]:
+    """Build the faults of a fleet's rotors."""
+    names, dt = vehicle_names(fleet_name, fleet), scenario.time_step
+    found = []
+    for spec in fleet.faults:
+        if isinstance(spec, RotorFaultSpec):
+            ticks = [min(round(seconds / dt), LAST_TICK) for seconds in (spec.at, spec.at + NOTICED_S)]
+            start, known_ = (np.array(tick, np.int32) for tick in ticks)
+            found.append(RotorFault(start, known_, _mask(names, spec.vehicles), _number(spec.health), spec.rotor))  # type: ignore[arg-type]
+    return tuple(found)
 
 
 def _mask(names: tuple[str, ...], chosen: list[str] | None) -> Any:
@@ -76,9 +95,38 @@ def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield the errors in the faults of a scenario."""
     for fleet_name, fleet in scenario.fleets.items():
         for i, fault in enumerate(fleet.faults):
-            path = f"fleets.{fleet_name}.faults.{i}"
-            yield from _time_problems(path, fault, scenario)
-            yield from _problems(path, fault, fleet, vehicle_names(fleet_name, fleet))
+            path, names = f"fleets.{fleet_name}.faults.{i}", vehicle_names(fleet_name, fleet)
+            yield from _name_problems(path, fault.vehicles, names)
+            if isinstance(fault, RotorFaultSpec):
+                yield from _rotor_problems(path, fault, fleet, scenario)
+            else:
+                yield from _time_problems(path, fault, scenario)
+                yield from _problems(path, fault, fleet)
+        rotors = {fault.rotor for fault in fleet.faults if isinstance(fault, RotorFaultSpec)}
+        if len(rotors) > MOST_FAILED_ROTORS:
+            yield f"fleets.{fleet_name}.faults: {len(rotors)} rotors fail; allowed: at most {MOST_FAILED_ROTORS}"
+
+
+def _name_problems(path: str, chosen: list[str] | None, names: tuple[str, ...]) -> Iterator[str]:
+    for name in chosen or []:
+        if name not in names:
+            yield f"{path}.vehicles: no vehicle of the fleet is called '{name}'{did_you_mean(name, names)}"
+
+
+def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield what is wrong with the fault of a rotor."""
+    if not is_multiple(fault.at, scenario.time_step, math.inf):
+        yield f"{path}.at: {fault.at:g} s is not a multiple of the time step {scenario.time_step:g} s"
+    if fault.at >= scenario.duration:
+        yield (
+            f"{path}.at: {fault.at:g} s is not within the run; "
+            f"allowed: from 0 s to before its end at {scenario.duration:g} s (duration)"
+        )
+    if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
+        yield f"{path}.type: a '{fleet.vehicle.type}' has no rotors of its own that could fail; a 'multirotor' has"
+    elif fault.rotor >= len(fleet.vehicle.rotors):
+        last = len(fleet.vehicle.rotors) - 1
+        yield f"{path}.rotor: the vehicle has no rotor {fault.rotor}; allowed: 0 to {last}"
 
 
 def _time_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Iterator[str]:
@@ -95,10 +143,7 @@ def _time_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Itera
         yield f"{path}.end: {fault.end:g} s is not after the start, {fault.start:g} s"
 
 
-def _problems(path: str, fault: FaultSpec, fleet: FleetSpec, names: tuple[str, ...]) -> Iterator[str]:
-    for name in fault.vehicles or []:
-        if name not in names:
-            yield f"{path}.vehicles: no vehicle of the fleet is called '{name}'{did_you_mean(name, names)}"
+def _problems(path: str, fault: FaultSpec, fleet: FleetSpec) -> Iterator[str]:
     if fault.sensor not in fleet.sensors:
         yield f"{path}.sensor: no sensor is called '{fault.sensor}'{did_you_mean(fault.sensor, fleet.sensors)}"
         return

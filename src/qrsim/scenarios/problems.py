@@ -72,17 +72,17 @@ class _Fault:
 
     def _locate(self, data: Any) -> None:
         for part in self.details["loc"]:
-            models = _models(self.annotation)
-            if len(models) > 1:
-                # pydantic puts the type of a component into the path; the file does not.
-                self.annotation = next(model for model in models if model.__name__ == part)
-                continue
             if part == "[key]":
                 continue
             branch = _tagged(self.annotation, part)
             if branch is not None:
-                # Likewise whether one number is given or one for each vehicle.
+                # pydantic puts into the path whether one number is given or one for each vehicle; the file does not.
                 self.annotation = branch
+                continue
+            models = _models(self.annotation)
+            if len(models) > 1:
+                # Likewise the type of a component.
+                self.annotation = next(model for model in models if model.__name__ == part)
                 continue
             if models:
                 self.owner, self.owner_name = models[0], self._name_of(models[0])

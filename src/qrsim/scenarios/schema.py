@@ -9,7 +9,9 @@ from pydantic import (
     AfterValidator,
     AwareDatetime,
     BeforeValidator,
+    Discriminator,
     Field,
+    Tag,
     model_validator,
 )
 
@@ -191,6 +193,7 @@ class WorldSpec(Strict):
 class FaultSpec(Strict):
     """A time during which the readings of a sensor are lost, frozen or biased."""
 
+    type: Literal["sensor"] = Field("sensor", description="what fails; may be left out")
     sensor: str = Field(description="name of the sensor")
     kind: Literal["lost", "frozen", "biased"] = Field(description="what happens to its readings")
     start: Finite = Field(description="start [s]", ge=0)
@@ -198,6 +201,29 @@ class FaultSpec(Strict):
     vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
     field: str | None = Field(None, description="what is biased, for example position_ned.x or height")
     bias: Finite | None = Field(None, description="what is added, in the unit of the field")
+
+
+class RotorFaultSpec(Strict):
+    """A rotor that turns slower than it is told from some time on, or stands still."""
+
+    type: Literal["rotor"] = Field(description="what fails")
+    rotor: int = Field(description="number of the rotor, from 0", ge=0, strict=True)
+    at: Finite = Field(description="when [s]", ge=0)
+    health: Finite = Field(
+        0.0, description="the part of its speed that it still reaches; 0: it stands still", ge=0, le=1
+    )
+    vehicles: list[str] | None = Field(None, description="names; default: all vehicles of the fleet", min_length=1)
+
+
+def _what_fails(fault: Any) -> str:
+    """Return the type of a fault as a scenario writes it; those of sensors need not say it."""
+    kind = fault.get("type", "sensor") if isinstance(fault, dict) else getattr(fault, "type", "sensor")
+    return kind if isinstance(kind, str) else "sensor"
+
+
+AnyFault = Annotated[
+    Annotated[FaultSpec, Tag("sensor")] | Annotated[RotorFaultSpec, Tag("rotor")], Discriminator(_what_fails)
+]
 
 
 class FleetSpec(Strict):
@@ -216,7 +242,9 @@ class FleetSpec(Strict):
     limits: LimitsModel = Field(default_factory=LimitsModel, description="state limits")
     sensors: dict[str, SensorSlot] = Field({}, description="sensors by name")
     battery: BatterySlot = Field({"type": "given"}, description="battery", validate_default=True)
-    faults: list[FaultSpec] = Field([], description="sensor faults, applied in this order", max_length=100)
+    faults: list[AnyFault] = Field(
+        [], description="faults of rotors, and of sensors, applied in this order", max_length=100
+    )
     placement: PlacementSlot = Field(
         {"type": "given"},
         description="where the vehicles start in an episode; their given positions count otherwise, and their heights",
@@ -235,7 +263,7 @@ class FleetSpec(Strict):
     @model_validator(mode="before")
     @classmethod
     def _guidance_of_the_controller(cls, data: Any) -> Any:
-        data = _with_controller(data)
+        data = _with_limits(_with_controller(data))
         if not isinstance(data, dict) or "guidance" in data:
             return data
         controller = data.get("controller", cls.model_fields["controller"].default)
@@ -257,6 +285,17 @@ def _takes_paths(controller: str) -> bool:
     """Return whether a controller follows the points of a path."""
     kind: Any = known.CONTROLLERS.get(controller)
     return kind is not None and PathSetpoint in kind.setpoints
+
+
+def _with_limits(fleet: Any) -> Any:
+    """Return a fleet with the state limits of its vehicle where it gives none."""
+    vehicle = fleet.get("vehicle") if isinstance(fleet, dict) else None
+    name = vehicle.get("type") if isinstance(vehicle, dict) else None
+    limits = fleet.get("limits", {}) if isinstance(fleet, dict) else None
+    if not isinstance(name, str) or name not in known.VEHICLES or not isinstance(limits, dict):
+        return fleet
+    own = known.VEHICLES[name].default_limits  # type: ignore[attr-defined]
+    return {**fleet, "limits": {**own, **limits}} if own else fleet
 
 
 def _with_controller(fleet: Any) -> Any:

@@ -26,6 +26,7 @@ from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.faults import Fault
 from qrsim.models.vehicles.contracts import Battery, Vehicle, VehicleState
+from qrsim.models.vehicles.faults import RotorFault
 
 S = TypeVar("S")
 # What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, or nothing.
@@ -73,6 +74,8 @@ class Fleet:
     ground: Literal["stop", "parked"] = setting(
         default="stop", doc="what touching the ground does to vehicles without a contact of their own"
     )
+
+    rotor_faults: tuple[RotorFault, ...] = quantity(default=(), doc="faults of rotors")
 
     @property
     def size(self) -> int:

@@ -24,8 +24,9 @@ from qrsim.models.scene.area import Violation, collisions, reason_code
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.vehicles.contracts import Charged, Vehicle, VehicleState
+from qrsim.models.vehicles.faults import failed_rotors
 from qrsim.models.vehicles.moving import move
-from qrsim.world.air import around_of, gust_at, gust_rates_at
+from qrsim.world.air import around_of, gust_at, gust_rates_at, wakes_at
 from qrsim.world.episode import (
     draw_field,
     draw_ranges,
@@ -194,7 +195,8 @@ def _fly(
     drawn = model.draw_noise(noise[PROCESS], dt)
     around = None
     if model.reads:
-        around = around_of(world, pose.attitude, gust_rates)
+        wakes, failed = wakes_at(world, whole.fleets, fleet), failed_rotors(fleet.rotor_faults, tick)
+        around = around_of(world, pose.attitude, gust_rates, wakes, failed)
     vehicle, low, force = move(
         model, state.vehicle, state.position_low_ned, command, lambda trig: trig.rotation().to_body(air), drawn, dt,
         around,
@@ -265,6 +267,7 @@ def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int,
         *world.area.check(over_the_floor(world, fleet, pose.position_ned)),
         _hits_obstacle(world, fleet, pose.position_ned),
         *_empty_battery(fleet, state),
+        *fleet.battery.own_checks(state.battery),
         *fleet.limits.check(pose.attitude, pose.velocity_body, pose.rates_body),
         *fleet.vehicle.own_checks(state.vehicle),
     ]

@@ -7,8 +7,9 @@ variables, have the defaults that stand here. An argument with a default may be 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from qrsim.core.noise import Noise
 from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, rotation
 from qrsim.models.vehicles.commands import clipped
+from qrsim.models.vehicles.wake import Wake
 
 # A check of vehicles: the code of a reason (scene/area.py), the value (n,) that is looked at, and whether it is broken.
 Check = tuple[int, Array, Array]
@@ -110,8 +112,8 @@ class Around:
     Attributes:
         ground: positions (n,) [m] -> the down coordinate (n,) [m] of the ground below, and its normal (n,), upwards.
         air_rates: rotation of the air (n,) [rad/s] in body axes; zero where the turbulence gives none.
-        downwash: positions (n,) [m] -> the velocity (n,) [m/s] in NED that wakes of other vehicles add to the air.
-            Zero: no wake is modelled.
+        downwash: positions (n,) [m] -> the velocity (n,) [m/s] in NED that wakes of other vehicles add to the air,
+            as these were at the end of the step before.
         failed_rotors: of each rotor that a fault may concern its number, how fast it still turns (n,), 1 where it is
             well, and whether that is known to the autopilot (n,) bool.
     """
@@ -133,6 +135,8 @@ class Vehicle(Protocol):
         actions: command records that it accepts from a user, ``command_type`` among them.
         normals: standard normals that ``draw_noise`` draws for each vehicle.
         reads: what it wants of ``Around``; where that is empty, ``step`` is called without ``around``.
+        gives_power: whether its ``load`` has an electrical power.
+        default_limits: state limits where a scenario gives none, by name; those that are left out are the published.
         default_controller: name in the catalogue of what flies it where a scenario names no controller.
     """
 
@@ -140,6 +144,8 @@ class Vehicle(Protocol):
     actions: ClassVar[tuple[type[Any], ...]]
     normals: ClassVar[int] = 0
     reads: ClassVar[tuple[str, ...]] = ()
+    gives_power: ClassVar[bool] = False
+    default_limits: ClassVar[Mapping[str, float]] = MappingProxyType({})
     default_controller: ClassVar[str] = "waypoint"
 
     def prepared(self, duration: float) -> Vehicle:
@@ -196,6 +202,10 @@ class Vehicle(Protocol):
 
         None where no formula says so; then envelope.py looks for them. Arguments and results are NumPy's.
         """
+        return None
+
+    def wake(self) -> Wake | None:
+        """Return what its wake depends on, None if it leaves none; the thrust is that of its ``load``."""
         return None
 
     @abstractmethod
@@ -279,9 +289,11 @@ class Battery(Protocol):
 
     Attributes:
         drains: whether its state has a ``charge`` (n,), 1 full and 0 empty, which is logged and ends a flight at 0.
+        needs_power: whether it is for vehicles only whose ``load`` has an electrical power.
     """
 
     drains: ClassVar[bool] = False
+    needs_power: ClassVar[bool] = False
 
     @abstractmethod
     def init(self, like: Array) -> object:
@@ -294,3 +306,7 @@ class Battery(Protocol):
     @abstractmethod
     def voltage(self, state: Any, load: Load) -> Array | None:
         """Return the voltage under load (n,) [V], None for that of the command."""
+
+    def own_checks(self, state: Any) -> list[Check]:
+        """Return its own stop conditions (n,), besides that of an empty battery."""
+        return []

@@ -22,6 +22,7 @@ from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, euler_rates
 from qrsim.models.vehicles.commands import clipped, fields_of, limits_of
 from qrsim.models.vehicles.contracts import Around, Handling, Load, Pose, Vehicle, smaller
+from qrsim.models.vehicles.wake import Wake
 
 PITCH_ROLL_RAD_PER_RAW = -math.radians(0.025)
 THROTTLE_RAW_PER_UNIT = 4097.0
@@ -155,6 +156,11 @@ class Quadrotor(Vehicle):
         # Without drag there is no airspeed that a lean holds.
         down = np.where(np.isfinite(airspeed), (np.abs(self.kw) - drag) * airspeed * np.sin(tilt) * np.cos(tilt), 0.0)
         return airspeed, self.mass * (self.gravity + down) / np.cos(tilt)
+
+    def wake(self) -> Wake:
+        """Return the wake of the Pelican: rotors of 10 inches, 0.42 m apart."""
+        one = jnp.ones_like(jnp.asarray(self.mass))
+        return Wake(0.42 * one, 4.0 * math.pi * 0.127**2 * one)
 
     def load(self, state: QuadrotorState) -> Load:
         """Return thrust and weight; the model has no power."""

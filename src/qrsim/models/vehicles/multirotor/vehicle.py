@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -25,9 +26,11 @@ from qrsim.models.vehicles.multirotor.commands import (
     RateCommand,
     shown,
 )
+from qrsim.models.vehicles.multirotor.contact import LANDED_S
 from qrsim.models.vehicles.multirotor.flight import Noises, at_an_instant, fly
 from qrsim.models.vehicles.multirotor.parameters import Airframe
 from qrsim.models.vehicles.multirotor.state import Brush, MultirotorState
+from qrsim.models.vehicles.wake import Wake
 
 # The process noise is quoted per step of this length, as that of the identified quadrotor.
 PROCESS_NOISE_STEP_S = 0.02
@@ -49,6 +52,11 @@ class Multirotor(Airframe, Vehicle):
     actions: ClassVar[tuple[type[Any], ...]] = _Actions()  # type: ignore[assignment]
     normals: ClassVar[int] = 6
     reads: ClassVar[tuple[str, ...]] = ("ground", "air_rates", "downwash")
+    gives_power: ClassVar[bool] = True
+    # Those of the published model are where it was identified; this one is limited by what it is made of.
+    default_limits: ClassVar[Mapping[str, float]] = MappingProxyType(
+        {"pitch": math.pi / 2.0, "velocity": 40.0, "rate": 30.0}
+    )
     default_controller: ClassVar[str] = "cascade"
 
     def initial_state(
@@ -105,6 +113,17 @@ class Multirotor(Airframe, Vehicle):
     def tilt_command(self, pitch: Array, roll: Array, throttle: Array, yaw_rate: Array) -> AttitudeCommand:
         """Return its own command (n,) of tilt [rad], throttle [0, 1] and yaw rate [rad/s]."""
         return AttitudeCommand(pitch, roll, throttle, yaw_rate)
+
+    def wake(self) -> Wake:
+        """Return what its wake depends on."""
+        hubs = [rotor.position for rotor in self.rotors]
+        radius = jnp.asarray(self.rotor_radius)
+        size = 2.0 * max(math.hypot(x, y) for x, y, _ in hubs)
+        return Wake(size * jnp.ones_like(radius), (len(hubs) * math.pi) * (radius * radius))
+
+    def on_ground(self, state: MultirotorState) -> Array:
+        """Return which vehicles (n,) stand: all feet have borne for half a second, at less than 0.1 m/s."""
+        return state.standing >= LANDED_S
 
     def load(self, state: MultirotorState) -> Load:
         """Return thrust, weight and electrical power (V29)."""
