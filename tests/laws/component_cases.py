@@ -415,7 +415,7 @@ def _vehicle(vehicle: Any, given: Any, draws: Draws) -> Any:
 
 
 def _battery(battery: Any, given: Any, draws: Draws) -> Any:
-    load = Load(given["thrust"], jnp.full_like(given["thrust"], 16.4808))
+    load = Load(given["thrust"], jnp.full_like(given["thrust"], 16.4808), 16.0 * jnp.abs(given["thrust"]))
     after = battery.step(battery.init(load.thrust), load, DT)
     flown = Quadrotor().powered(given["command"], battery.voltage(after, load))
     return {"after": after, "voltage": flown.battery}

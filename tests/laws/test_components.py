@@ -36,13 +36,16 @@ WORLDS = (0, 1)
 every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-".join(case) for case in COMPONENTS])
 
 
+SLOW = [("VEHICLES", "multirotor")]
+
+
 def option_cases() -> list[Any]:
     cases = []
     for group, name in COMPONENTS:
         for settings in options(group, name):
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
-            # Every component by its defaults is in the short tier.
-            marks = (pytest.mark.long,) if settings else ()
+            # Every component by its defaults is in the short tier, but for one whose slopes take minutes to compile.
+            marks = (pytest.mark.long,) if settings or (group, name) in SLOW else ()
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases
 
@@ -139,7 +142,10 @@ def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: d
 OF_A_FLEET = [case for case in COMPONENTS if SLOTS[case[0]].startswith("fleets.") and case[0] != "PLACEMENTS"]
 
 
-@pytest.mark.parametrize(("group", "name"), OF_A_FLEET, ids=["-".join(case) for case in OF_A_FLEET])
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [pytest.param(*case, id="-".join(case), marks=(pytest.mark.long,) if case in SLOW else ()) for case in OF_A_FLEET],
+)
 def test_numbers_may_differ_from_vehicle_to_vehicle(group: str, name: str) -> None:
     """With a list in place of each number, every vehicle is as in a fleet where all have its numbers."""
     component, given, keys = example(group, name), inputs(0), stream_keys(0)
@@ -208,6 +214,8 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
         fleet["controller"] = mission if part["type"] == "mission" else {"type": "offboard"}
     if group in ("CONTROLLERS", "GUIDANCE") and part["type"] == "none":
         fleet |= {"vehicle": {"type": "fixed_point"}, "controller": {"type": "none"}}
+    if group == "BATTERIES" and part["type"] == "lithium_cells":
+        fleet["vehicle"] = {"type": "multirotor"}
     world: dict[str, Any] = {"wind": wind, "obstacles": [None], "sky": {}}
     if group == "TASKS":
         fleet["controller"] = {"type": "offboard"}

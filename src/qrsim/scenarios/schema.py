@@ -217,8 +217,10 @@ class RotorFaultSpec(Strict):
 
 def _what_fails(fault: Any) -> str:
     """Return the type of a fault as a scenario writes it; those of sensors need not say it."""
-    kind = fault.get("type", "sensor") if isinstance(fault, dict) else getattr(fault, "type", "sensor")
-    return kind if isinstance(kind, str) else "sensor"
+    if isinstance(fault, dict):
+        fault_type = fault.get("type", "sensor")
+        return fault_type if isinstance(fault_type, str) else "sensor"
+    return "rotor" if isinstance(fault, RotorFaultSpec) else "sensor"
 
 
 AnyFault = Annotated[

@@ -47,7 +47,8 @@ def move(
     if position_low_ned is None:
         moved, force = step(state.position_ned)
         return moved, None, force
-    if only_adds(step, position_low_ned):
+    # Whoever reads the ground looks at where it is.
+    if "ground" not in vehicle.reads and only_adds(step, position_low_ned):
         moved, force = step(position_low_ned)
         change = moved.position_ned
     else:
