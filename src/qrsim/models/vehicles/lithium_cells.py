@@ -45,13 +45,13 @@ class LithiumCells(Battery):
         return CellsState(jnp.broadcast_to(jnp.asarray(self.initial_charge), like.shape), zero, zero)
 
     def open_circuit(self, charge: Array) -> Array:
-        """Return the voltage (n,) [V] without a load, at a state of charge (n,) (V34)."""
+        """Return the voltage (n,) [V] without a load, at a state of charge (n,) (V26)."""
         s = charge
         cell = 3.685 - 1.031 * exp(-35.0 * s) + s * (0.2156 + s * (-0.1178 + s * 0.3201))
         return self.cells * cell
 
     def step(self, state: CellsState, load: Load, dt: float) -> CellsState:
-        """Drain for dt [s] at the power of a load (n,) (V35)."""
+        """Drain for dt [s] at the power of a load (n,) (V27)."""
         asked = _power(load)
         current = asked / self.voltage(state, load)
         charge = state.charge - current * (dt / 3600.0) / self.capacity

@@ -32,7 +32,7 @@ class Wake:
 
 
 def jet_velocity(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3, offset_ned: Vec3) -> Vec3:
-    """Return the velocity [m/s] that a wake adds to the air at an offset from its vehicle (A19, A20).
+    """Return the velocity [m/s] that a wake adds to the air at an offset from its vehicle (V32).
 
     Its axis is that of the flow through the rotors: twice the induced velocity of hover along body down, and the
     relative wind.

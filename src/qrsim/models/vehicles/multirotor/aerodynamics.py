@@ -34,7 +34,7 @@ def forces(
     air_rates: Vec3,
     ground: Ground,
 ) -> tuple[Vec3, Vec3]:
-    """Return force [N] and moment [N m] of the air, and of the rotors as gyros, in body axes (V22 to V27).
+    """Return force [N] and moment [N m] of the air, and of the rotors as gyros, in body axes (V17, V19 to V21).
 
     Args:
         model: parameters.
@@ -78,7 +78,7 @@ def forces(
 
 
 def _near_ground(static: Array, sideways: Array, above: Array, radius: Array, per_disc: Array) -> Array:
-    """Return the thrust (n,) [N] of a rotor at a height over the ground (V24), in one division.
+    """Return the thrust (n,) [N] of a rotor at a height over the ground (V19), in one division.
 
     I. C. Cheeseman, W. E. Bennett, "The effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021,
     1955.

@@ -48,7 +48,7 @@ class Touch:
 
 
 def stiffness(contact: Contact, weight: Array, mass: Array, feet: int) -> tuple[Array, Array]:
-    """Return spring [N/m] and damper [N s/m] of one point (equation V31)."""
+    """Return spring [N/m] and damper [N s/m] of one point (V23)."""
     spring = weight / contact.sink / feet
     return spring, 2.0 * contact.damping * jnp.sqrt(feet * spring * mass) / feet
 
@@ -71,7 +71,7 @@ def touch(
     turned: Rotation,
     ground: Ground,
 ) -> Touch:
-    """Return what the ground does to vehicles in motion (equations V31 and V32).
+    """Return what the ground does to vehicles in motion (V23 and V24).
 
     Args:
         contact: parameters.

@@ -37,7 +37,7 @@ class Mixer:
     holds_yaw: Number
 
     def share(self, thrust: Array, torque: Vec3, yaw_share: Array) -> list[Array]:
-        """Return the thrust (n,) [N] of each rotor (V43).
+        """Return the thrust (n,) [N] of each rotor (V30).
 
         Roll and pitch come first, scaled together if they do not fit; the collective is shifted to keep them; yaw gets
         what is left, but at least ``yaw_share`` of itself.

@@ -89,6 +89,9 @@ class Airframe:
     longest_substep: float = setting(
         default=0.004, unit="s", doc="a time step is flown in equal parts of at most this length", above=0.0
     )
+    downwash: Literal["felt", "ignored"] = setting(
+        default="felt", doc="whether the wakes of other vehicles are felt; in a large world they cost most of the time"
+    )
     on_failure: Literal["none", "reallocate"] = setting(
         default="none", doc="what the stabiliser does 0.1 s after a rotor has failed"
     )
@@ -122,7 +125,7 @@ class Airframe:
         return self.thrust_coefficient * (self.speed_max * self.speed_max * self.lift_share)
 
     def thrust_of(self, throttle: Array) -> Array:
-        """Return the collective thrust [N] at a throttle (n,), 0 to 1 (V44)."""
+        """Return the collective thrust [N] at a throttle (n,), 0 to 1 (V31)."""
         a = self.throttle_curve
         return self.thrust_max * throttle * (a * throttle + (1.0 - a))
 

@@ -50,7 +50,7 @@ class Surroundings:
 def slope_of(
     model: Airframe, motion: Motion, targets: tuple[Array, ...], around: Surroundings
 ) -> tuple[Motion, Vec3, Touch | None]:
-    """Return the slope of a motion, the specific force [m/s^2] (V21, V28), and what touches the ground.
+    """Return the slope of a motion, the specific force [m/s^2] (V18, V22), and what touches the ground.
 
     Args:
         model: parameters.

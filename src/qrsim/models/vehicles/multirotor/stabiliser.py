@@ -41,7 +41,7 @@ class Stabiliser:
 
 
 def rates_wanted(gains: Stabiliser, attitude: Quaternion, wanted: Quaternion, yaw_rate: Array) -> Vec3:
-    """Return the body rates (n,) [rad/s] that turn an attitude into another, tilt first (V41).
+    """Return the body rates (n,) [rad/s] that turn an attitude into another, tilt first (V28).
 
     D. Brescianini, M. Hehn, R. D'Andrea, "Nonlinear quadrocopter attitude control", ETH Zurich, 2013.
 
@@ -79,7 +79,7 @@ def rotor_thrusts(
     thrust: Array,
     dt: float,
 ) -> tuple[list[Array], Vec3]:
-    """Return the thrust of each rotor (n,) [N] that brings body rates to what is wanted, and the next integral (V42).
+    """Return the thrust of each rotor (n,) [N] that brings body rates to what is wanted, and the next integral (V29).
 
     Args:
         gains, inertia: parameters.

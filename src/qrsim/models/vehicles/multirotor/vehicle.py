@@ -126,7 +126,7 @@ class Multirotor(Airframe, Vehicle):
         return state.standing >= LANDED_S
 
     def load(self, state: MultirotorState) -> Load:
-        """Return thrust, weight and electrical power (V29)."""
+        """Return thrust, weight and electrical power (V25)."""
         square = sum(rate * rate for rate in state.rotor_speed)
         cube = sum(rate * rate * rate for rate in state.rotor_speed)
         shafts = self.torque_ratio * self.thrust_coefficient * cube
