@@ -40,7 +40,7 @@ PLACES = np.array(
     ]
 )
 # Those that fly at velocities.
-TYPES = [name for name, kind in GROUPS["VEHICLES"].items() if kind.default_controller != "none"]  # type: ignore[attr-defined]
+TYPES = [name for name, kind in GROUPS["VEHICLES"].items() if issubclass(kind, Quadrotor)]
 SLOW = 0.02
 BOX = {"type": "box", "x_min": -5e4, "x_max": 5e4, "y_min": -5e4, "y_max": 5e4, "z_min": -5e4}
 

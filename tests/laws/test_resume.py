@@ -66,6 +66,10 @@ def content(number: int) -> dict[str, Any]:
         fleet = {key: part(group, i) for group, key in OF_A_FLEET.items()}
         fleet["vehicles"] = [{"position_ned": [0.0, 5.0 * i - 30.0, -30.0]}]
         fleet["vehicle"] = flown_by(fleet["controller"]["type"], i)
+        if fleet["controller"]["type"] == "cascade":
+            fleet |= {"vehicle": {"type": "multirotor"}, "battery": {"type": "lithium_cells"}}
+        elif fleet["battery"]["type"] == "lithium_cells":
+            fleet["battery"] = {"type": "lithium_polymer"}
         if fleet["controller"]["type"] == "none":
             fleet["battery"] = {"type": "given"}
         else:

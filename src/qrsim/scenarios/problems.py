@@ -96,10 +96,10 @@ class _Fault:
 
     def _name_of(self, model: type[BaseModel]) -> str:
         """Return the user's name of a part: its type, its kind, or its field."""
+        if model.__name__.endswith("Spec"):
+            return re.sub(r"(?<!^)(?=[A-Z])", " ", model.__name__.removesuffix("Spec")).lower()
         if "type" in model.model_fields:
             return model.__name__
-        if model.__name__.endswith("Spec"):
-            return model.__name__.removesuffix("Spec").lower()
         return self.path[-1]
 
     def _descend(self, part: Any, data: Any) -> Any:

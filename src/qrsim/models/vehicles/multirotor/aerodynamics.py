@@ -62,7 +62,7 @@ def forces(
         sideways = sum(part * part for part in plane if not isinstance(part, float))
         static = model.thrust_coefficient * (rate * rate)
         above = height + dot_known(up, rotor.position)
-        thrust = _near_ground(static, sideways, above, model.rotor_radius, per_disc)
+        thrust = near_ground(static, sideways, above, model.rotor_radius, per_disc)
         thrust = thrust - model.inflow_loss * rate * axial + model.translational_lift * sideways
         push = _along(rotor.axis, thrust) - _vec([_times(model.rotor_drag * rate, part) for part in plane], speed)
         force = force + push
@@ -77,7 +77,7 @@ def forces(
     return force, moment + flap * model.flapping - gyro * model.rotor_inertia
 
 
-def _near_ground(static: Array, sideways: Array, above: Array, radius: Array, per_disc: Array) -> Array:
+def near_ground(static: Array, sideways: Array, above: Array, radius: Array, per_disc: Array) -> Array:
     """Return the thrust (n,) [N] of a rotor at a height over the ground (V19), in one division.
 
     I. C. Cheeseman, W. E. Bennett, "The effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021,

@@ -191,13 +191,15 @@ def stabilised(
     mixer = mixer_of(model.rotors, model.torque_ratio, most, known)
     thrust = model.thrust_of(command.throttle)
     per_thrust = 1.0 / model.thrust_coefficient
+    # Without throttle the motors are off: nothing is to be stabilised on the ground or in a tumble.
+    runs = command.throttle > 0.0
 
     def speeds_for(motion: Motion, wanted: Vec3, loops: Loops) -> tuple[tuple[Array, ...], Loops]:
         thrusts, integral = rotor_thrusts(
             model.stabiliser, model.inertia, mixer, motion.rates, wanted, loops.integral, thrust, dt / count
         )
-        speeds = [jnp.sqrt(jnp.maximum(each * per_thrust, 1e-12)) for each in thrusts]
-        return told(speeds), replace(loops, integral=integral)
+        speeds = [jnp.where(runs, jnp.sqrt(jnp.maximum(each * per_thrust, 1e-12)), 0.0) for each in thrusts]
+        return told(speeds), replace(loops, integral=integral.map(lambda axis: jnp.where(runs, axis, 0.0)))
 
     if isinstance(command, RateCommand):
         rates = Vec3(command.roll_rate, command.pitch_rate, command.yaw_rate)
