@@ -118,3 +118,12 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path) -> None:
         assert words in caught.value.problems[0]
     with pytest.raises(ScenarioError, match=r"moves_on: .*nowhere\.csv: cannot be read: No such file"):
         load_scenario(content(str(tmp_path / "nowhere.csv")))
+
+
+def test_a_scenario_that_is_written_out_is_the_same_again(tmp_path: Path) -> None:
+    """As in a run folder and in a server: a fixed point without a path has no file to look for."""
+    for file in (deck(tmp_path), None):
+        scenario = load_scenario(content(file) if file else content("x", vehicle={"type": "fixed_point"}))
+        path = tmp_path / "again.yaml"
+        path.write_text(scenario.to_yaml(), encoding="utf-8")
+        assert load_scenario(path).spec == scenario.spec

@@ -24,7 +24,9 @@ HEADING = "heading_deg"
 class PathFile:
     """A path in a CSV file with the columns time [s], north, east, down [m] and, if it turns, heading_deg."""
 
-    file: str = setting(default="", doc="CSV file with a header, time 0 is the start of the run; none: no path")
+    file: str | None = setting(
+        default=None, doc="CSV file with a header, time 0 is the start of the run; none: no path"
+    )
     max_gap: float = setting(
         default=10.0, unit="s", doc="longest interval between two rows that is interpolated", above=0.0
     )
@@ -38,7 +40,7 @@ class PathFile:
         Raises:
             UsageError: the file is missing, is no such table, has a gap, or does not cover the run.
         """
-        times, columns = read_series(Path(self.file), AXES, self.max_gap, (HEADING,))
+        times, columns = read_series(Path(str(self.file)), AXES, self.max_gap, (HEADING,))
         if times[0] > 0.0 or times[-1] < duration:
             raise UsageError(
                 f"{self.file}: the path goes from {times[0]:g} s to {times[-1]:g} s, which does not cover the run, 0 s "
