@@ -53,6 +53,7 @@ TAKE_OFF, LAND = {"type": "take_off", "height": 30.0}, {"type": "land"}
         ([LAND, to(1.0, 0.0, -9.0)], {}, "legs.1: legs.0 has landed; the next leg must be of type take_off"),
         ([LAND], {"ground": "stop"}, "legs.0: lands, but touching the ground ends the flight of this fleet; set "),
         ([{"type": "take_off", "height": 5.0}], {}, "legs.0.height: 5 m is not above the vehicle, which is at 20 m"),
+        ([to(0.0, 0.0, 3.0)], {}, "legs.0: z = 3 m is outside world.area; allowed: -120 to 0"),
         ([to(0.0, 0.0, -500.0)], {}, "legs.0: z = -500 m is outside world.area; allowed: -120 to 0"),
         ([{"type": "loiter", "turns": 1.0, "radius": 9e3}], {}, "legs.0: x = 9000 m is outside world.area"),
         ([TAKE_OFF], {"guidance": {"type": "route"}}, "legs: the guidance 'route' flies no legs"),

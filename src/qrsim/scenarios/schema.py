@@ -120,6 +120,19 @@ class VehicleSpec(Strict):
             raise ValueError("the start is missing; give position_ned, position_geodetic or plan")
         return self
 
+    @property
+    def places_ned(self) -> dict[str, list[float]]:
+        """Where the vehicle is sent to [m], by the path of each waypoint or leg; landings are on the ground."""
+        places = {f"waypoints_ned.{j}": point for j, point in enumerate(self.waypoints_ned)}
+        here = self.position_ned
+        for j, leg in enumerate(self.legs):
+            there = vars(leg).get("to_ned") or here
+            height = vars(leg).get("height")
+            here = there if height is None else [*there[:2], -height]
+            if leg.type != "land":
+                places[f"legs.{j}"] = here
+        return places
+
 
 if TYPE_CHECKING:
     # Made at run time from the catalogue, so a type checker cannot see into them.

@@ -77,9 +77,7 @@ def inside_obstacles(
     path: str, vehicle: VehicleSpec, solids: list[Any], clearance: float, source: str
 ) -> Iterator[str]:
     """No vehicle starts at an obstacle or is sent there."""
-    points = {"position_ned": vehicle.position_ned}
-    points |= {f"waypoints_ned.{j}": waypoint for j, waypoint in enumerate(vehicle.waypoints_ned)}
-    points |= {f"legs.{j}": vars(leg)["to_ned"] for j, leg in enumerate(vehicle.legs) if vars(leg).get("to_ned")}
+    points = {"position_ned": vehicle.position_ned, **vehicle.places_ned}
     positions, names = columns(list(points.values())), list(points)
     for i, solid in enumerate(solids):
         distances = solid.distance(positions)

@@ -82,7 +82,7 @@ def limits_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Limits | None:
         commanded = np.broadcast_to(np.asarray(commanded, np.float64), (size,))
         gain = 1.0 if fleet.controller.type == "cascade" else np.asarray(handling.tilt_gain, np.float64)
         lets = envelope(vehicle, np.minimum(gain * commanded, np.minimum(farthest, 1.4)), most)
-    points = [[each.position_ned, *each.waypoints_ned] for each in fleet.vehicles]
+    points = [[each.position_ned, *each.places_ned.values()] for each in fleet.vehicles]
     heights = np.array([max(-point[2] for point in own_points) for own_points in points])
     if own is None:
         return None

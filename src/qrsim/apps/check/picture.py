@@ -43,7 +43,7 @@ def _plan(axes: Any, scenario: Scenario, flown: Rollout) -> None:
     axes.plot(closed[:, 1], closed[:, 0], color="gray", lw=1.5, label="area")
     for fleet in scenario.spec.fleets.values():
         for vehicle in fleet.vehicles:
-            route = np.array([vehicle.position_ned, *vehicle.waypoints_ned])
+            route = np.array([vehicle.position_ned, *vehicle.places_ned.values()])
             axes.plot(route[:, 1], route[:, 0], "--", color="tab:green", lw=0.9, alpha=0.6)
             axes.plot(route[:1, 1], route[:1, 0], "o", color="tab:green", ms=5)
     kinds = np.array([kind for kind, _ in REASONS])[flown["reason"]]
