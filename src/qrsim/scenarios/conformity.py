@@ -13,8 +13,6 @@ import sys
 from collections.abc import Iterator
 from typing import Any, get_type_hints
 
-import jax
-
 from qrsim.control.contracts import Controller, Guidance
 from qrsim.core.tree import INFO, FieldInfo, field_info
 from qrsim.errors import nearest
@@ -24,6 +22,7 @@ from qrsim.models.scene.contracts import Area, Ground
 from qrsim.models.sensors.contracts import SCENE, Sensor
 from qrsim.models.vehicles.contracts import AROUND, Battery, Vehicle
 from qrsim.scenarios import catalogue
+from qrsim.scenarios.class_attributes import attribute_type_problems, is_record
 from qrsim.tasks.contracts import Task
 
 CONTRACTS: dict[str, type] = {
@@ -80,17 +79,8 @@ def file_of_class(component: type) -> str:
 
 
 def _record_problems(kind: str, component: type) -> Iterator[str]:
-    own = vars(component).get("__dataclass_params__")
-    if own is None or not own.frozen or not _is_tree(component):
+    if not is_record(component):
         yield f"class {component.__name__} is no record; write @qrsim.record above it"
-
-
-def _is_tree(component: type) -> bool:
-    """Return whether JAX looks into objects of a dataclass."""
-    item: Any = object.__new__(component)
-    for field in dataclasses.fields(component):
-        object.__setattr__(item, field.name, 0)
-    return not jax.tree_util.all_leaves([item])
 
 
 def _field_problems(kind: str, component: type, prefix: str = "") -> Iterator[str]:
@@ -163,6 +153,8 @@ def _method_problems(kind: str, component: type) -> Iterator[str]:
                 f"{component.__name__}.{name} takes {takes}; expected ({', '.join(arguments)}), with which "
                 f"{_a(kind)} is called"
             )
+    for name in sorted(getattr(component, "__abstractmethods__", ())):
+        yield f"class {component.__name__} lacks '{name}', which is abstract in a class that it inherits from"
 
 
 def _a(kind: str) -> str:
@@ -183,6 +175,7 @@ def _attribute_problems(kind: str, component: type) -> Iterator[str]:
                 f"class {component.__name__} lacks '{name}' that {_a(kind)} has (see {contract.__module__})"
                 f"{_meant(component, name)}"
             )
+    yield from attribute_type_problems(kind, component, contract)
     reads = getattr(component, "reads", ())
     if not isinstance(reads, tuple | list):
         yield f'{component.__name__}.reads is {reads!r:.60}; expected a tuple of names, as ("position_ned",)'

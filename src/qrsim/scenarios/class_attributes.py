@@ -1,0 +1,82 @@
+"""Checks of the class attributes of a component against those that its contract names."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+
+from qrsim.core.tree import INFO
+from qrsim.tasks.agents import Axis
+
+
+def is_record(value: Any) -> bool:
+    """Return whether a class is a record: a frozen dataclass that JAX looks into."""
+    own = vars(value).get("__dataclass_params__") if isinstance(value, type) else None
+    if own is None or not own.frozen:
+        return False
+    if inspect.isabstract(value):
+        return True  # no object can be made of it; what it lacks is a fault of its own
+    item: Any = object.__new__(value)
+    for field in dataclasses.fields(value):
+        object.__setattr__(item, field.name, 0)
+    return not jax.tree_util.all_leaves([item])
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def _tuple_of(kind: type) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, tuple) and all(isinstance(part, kind) for part in value)
+
+
+def _feed(value: Any) -> bool:
+    return value in ("measurements", "truth", "filter")
+
+
+# What an attribute is that a contract declares in these words: whether a value is one, and how that is said.
+_DECLARED: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "ClassVar[int]": (_whole, "a whole number, 0 or more"),
+    "int": (_whole, "a whole number, 0 or more"),
+    "ClassVar[bool]": (lambda value: isinstance(value, bool), "True or False"),
+    "bool": (lambda value: isinstance(value, bool), "True or False"),
+    "ClassVar[str]": (lambda value: isinstance(value, str), "a text"),
+    "ClassVar[type[Any]]": (lambda value: isinstance(value, type), "a class"),
+    "ClassVar[type[Any] | None]": (lambda value: value is None or isinstance(value, type), "a class or None"),
+    "ClassVar[tuple[type[Any], ...]]": (_tuple_of(type), "a tuple of classes, as (qrsim.WaypointSetpoint,)"),
+    "ClassVar[tuple[Axis, ...]]": (_tuple_of(Axis), "a tuple of Axis (qrsim.tasks.agents)"),
+    "Literal['measurements', 'truth', 'filter']": (_feed, "'measurements', 'truth' or 'filter'"),
+}
+
+
+def attribute_type_problems(kind: str, component: type, contract: type | None) -> Iterator[str]:
+    """Yield the class attributes of a component that are not what its contract says, in one sentence each."""
+    fields = getattr(component, "__dataclass_fields__", {})
+    for name, declared in getattr(contract, "__annotations__", {}).items():
+        fits, words = _DECLARED.get(str(declared).replace('"', "'"), (None, ""))
+        value = inspect.getattr_static(component, name, inspect.Parameter.empty)
+        own = name not in fields and value is not inspect.Parameter.empty and not isinstance(value, property)
+        if fits is not None and own and not fits(value):
+            yield _wrong(component, name, value, words)
+    if kind == "vehicle":
+        yield from _command_problems(component)
+
+
+def _command_problems(component: Any) -> Iterator[str]:
+    """Yield what is wrong with the commands of a vehicle; that they are a class and a tuple of classes is known."""
+    own, actions = component.command_type, component.actions
+    for name, value in (("command_type", own), *(("actions", action) for action in actions)):
+        if not is_record(value):
+            yield _wrong(component, name, value, "a record (@qrsim.record) of arrays (n,), as qrsim.Command")
+        elif any(INFO not in field.metadata for field in dataclasses.fields(value)):
+            yield _wrong(component, name, value, "fields made by qrsim.quantity(unit=..., doc=...)")
+    if own not in actions:
+        yield _wrong(component, "actions", actions, f"{own.__name__}, its command_type, among them")
+
+
+def _wrong(component: type, name: str, value: Any, words: str) -> str:
+    return f"{component.__name__}.{name} is {value!r:.80}; expected {words}"
