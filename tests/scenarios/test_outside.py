@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import sys
 import textwrap
 from importlib import metadata
@@ -102,6 +103,23 @@ class TestByFile:
             assert reading.gauge.height_agl.dtype == precision
             np.testing.assert_allclose(reading.gauge.height_agl, 20.0, rtol=1e-6)
             np.testing.assert_allclose(simulation.step(ticks=5).gauge.height_agl, 20.0, atol=0.5)
+
+    def test_a_pickled_simulation_loads_the_file_itself(self, tmp_path: Path):
+        """In a process that has not seen the scenario; not where the file has changed."""
+        file = written(tmp_path)
+        simulation = qrsim.load(with_gauge(f"{file}:Gauge"), seed=3)
+        simulation.reset()
+        simulation.step(ticks=3)
+        pickled = pickle.dumps(simulation)
+        for name in [name for name in sys.modules if name.startswith("qrsim_file_gauge_")]:
+            del sys.modules[name]
+        again = pickle.loads(pickled)
+        np.testing.assert_array_equal(again.step(ticks=9).gauge.height_agl, simulation.step(ticks=9).gauge.height_agl)
+        for name in [name for name in sys.modules if name.startswith("qrsim_file_gauge_")]:
+            del sys.modules[name]
+        written(tmp_path, SENSOR + "\n")
+        with pytest.raises(UsageError, match=r"gauge.py: it has changed since what names it was pickled"):
+            pickle.loads(pickled)
 
     def test_in_python_and_by_an_override(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         """Relative to the working folder."""

@@ -8,7 +8,7 @@ import importlib.util
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -18,6 +18,9 @@ from qrsim.files.user_files import check_file
 
 # Modules of files have names of their own, so that a file hides no installed package.
 PREFIX = "qrsim_file_"
+Way = tuple[Callable[[str, str], object], str, str]
+FileModules = dict[str, tuple[str, tuple[Way, ...]]]
+_TAKEN_IN: dict[str, list[Way]] = {}
 
 
 def is_code(source: Any) -> bool:
@@ -68,6 +71,35 @@ def load_object(what: str, source: str, words: Sequence[str] = (), *, kind: str 
         public = [other for other in own_names if kind == "function" or isinstance(getattr(module, other), type)]
         raise UsageError(f"{what} {source}: {place} has no '{name}'{did_you_mean(name, public)}")
     return getattr(module, name)
+
+
+def taken_in(module: str, again: Callable[[str, str], object], kind: str, source: str) -> None:
+    """Note how another process takes in a component of a file's module: by ``again(kind, source)``."""
+    ways = _TAKEN_IN.setdefault(module, [])
+    if (again, kind, source) not in ways:
+        ways.append((again, kind, source))
+
+
+def files_of(classes: Iterable[type]) -> FileModules:
+    """Return, by the module's name, file and components of each module of a file that classes are from."""
+    names = {each.__module__ for each in classes if each.__module__.startswith(PREFIX)}
+    return {name: (str(sys.modules[name].__file__), tuple(_TAKEN_IN.get(name, ()))) for name in sorted(names)}
+
+
+def load_files(files: FileModules) -> None:
+    """Load what ``files_of`` has found in another process.
+
+    Raises:
+        UsageError: a file is not there, or has changed since.
+    """
+    for name, (file, ways) in files.items():
+        if name in sys.modules:
+            continue
+        _import_file("component", Path(file))
+        if name not in sys.modules:
+            raise UsageError(f"component {file}: it has changed since what names it was pickled")
+        for again, kind, source in ways:
+            again(kind, source)
 
 
 def digest(path: Path) -> str:

@@ -217,6 +217,8 @@ def _check_class(kind: str, component: Any, what: str) -> None:
 
 
 def _take_in(kind: str, name: str, component: type, origin: Origin) -> None:
+    if code.is_code(name):
+        code.taken_in(component.__module__, provide, kind, name)
     group = catalogue.KINDS[kind]
     before = group.get(name)
     group[name] = component

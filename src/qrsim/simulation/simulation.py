@@ -22,6 +22,7 @@ from qrsim.models.site import Site
 from qrsim.simulation.alone import Alone, alone
 from qrsim.simulation.arguments import checked_number, checked_seed
 from qrsim.simulation.one_world import OneWorld
+from qrsim.simulation.pickling import with_files
 from qrsim.simulation.placing import checked_rows, refuse_misplaced
 from qrsim.simulation.snapshot import LARGEST_TICK, SavedState, fingerprint, write
 from qrsim.world.episode import refuse_unplaced
@@ -107,6 +108,9 @@ class Simulation(Alone):
         self._numbers: Any = None
         self._state: Buffers | None = None
         self._host: _Snapshot | None = None
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        return with_files(self, self.world, protocol) or super().__reduce_ex__(protocol)
 
     def __getstate__(self) -> dict[str, Any]:
         # Programs are those of the world, and made again; locks are nobody else's.

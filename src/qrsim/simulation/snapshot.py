@@ -21,7 +21,7 @@ from qrsim.models.gnss.sp3 import Sp3Orbits
 from qrsim.models.scene.area import REASONS
 from qrsim.models.scene.terrain import OCCLUSION
 from qrsim.simulation.archive import DamagedError, OtherNamesError, read_archive
-from qrsim.world.state import FleetState, State, World
+from qrsim.world.state import Fleet, FleetState, State, World
 
 FORMAT = 4
 NAMES = ("format", "floats", "integers", "tick", "seed", "number", "name", "world")
@@ -224,6 +224,22 @@ def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, np.ndarray
                 here = f"the {name.replace('_', ' ')} of fleet {number}"
                 stopped = name in MAY_BE_NAN_ONCE_STOPPED
                 yield from _floats(here, getattr(fleet, name), flies if stopped else None)
+        for name, part in _without_infinity(world.fleets[number], fleet):
+            for here, leaf in _floats(f"what the {name} of fleet {number} remembers", part, flies):
+                # Of one that has stopped because a number was not finite, that number may be left.
+                if flies.all() or leaf.shape[:1] == (flies.sum(),):
+                    yield here, leaf[~np.isnan(leaf)]
+
+
+def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Any]]:
+    """Yield what may be NaN and is infinite in no built-in component; a user's own may mean something by it."""
+    for sensor, memory, reading, true in zip(
+        fleet.sensors, state.sensors, state.readings, state.true_readings, strict=True
+    ):
+        if type(sensor).__module__.startswith("qrsim."):
+            yield "sensors", (memory, reading, true)
+    if type(fleet.controller).__module__.startswith("qrsim."):
+        yield "controller", (state.controller, state.setpoint)
 
 
 def _floats(where: str, tree: Any, flies: Any = None) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:

@@ -120,9 +120,9 @@ def _roll_out(job: Job) -> dict[str, Array]:
 def _beside_built_in(own_metrics: Any) -> Any:
     """Return a user's metrics with the built-in ones, the same object for all batches, so that it is compiled once."""
     from qrsim.interface.metrics import FLIGHT_METRICS
-    from qrsim.sweep.own_metrics import Together
+    from qrsim.sweep.own_metrics import BothMetrics
 
-    return Together(FLIGHT_METRICS, own_metrics)
+    return BothMetrics(FLIGHT_METRICS, own_metrics)
 
 
 def _stacked(group: Any, job: Job, functions: dict[str, Any]) -> Any:

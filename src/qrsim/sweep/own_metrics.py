@@ -73,7 +73,7 @@ def _episode(source: str, name: str, reduce: Callable[..., Array]) -> Callable[[
     return of
 
 
-class Together:
+class BothMetrics:
     """Two sets of metrics as one; where both have a name, it is the first one's.
 
     Args:

@@ -1,0 +1,31 @@
+"""Pickles of objects whose classes are in files of a user: another process loads the files first."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import jax
+
+from qrsim.core.structure import kinds
+from qrsim.files.code import FileModules, files_of, load_files
+
+
+def with_files(item: Any, tree: Any, protocol: Any) -> tuple[Any, ...] | None:
+    """Return how an object is pickled, None where no class of its tree is in a file.
+
+    Args:
+        item: with ``__getstate__`` and ``__setstate__``.
+        tree: whose classes it holds.
+        protocol: of the pickle.
+    """
+    files = files_of(kinds(jax.tree.structure(tree)))
+    # As bytes, so that nothing of them is read before the files are loaded.
+    return (_unpickled, (files, type(item), pickle.dumps(item.__getstate__(), protocol))) if files else None
+
+
+def _unpickled(files: FileModules, kind: Any, kept: bytes) -> Any:
+    load_files(files)
+    item = kind.__new__(kind)
+    item.__setstate__(pickle.loads(kept))
+    return item
