@@ -24,7 +24,7 @@ from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.faults import fault_problems, faults, reading_fields, rotor_faults, vehicle_names
-from qrsim.scenarios.ground import below_ground, bounds_of, has_floor, standing_problems
+from qrsim.scenarios.ground import below_ground, bounds_of, has_floor, put_on_ground, standing_problems
 from qrsim.scenarios.hand_list import hand_lists, warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission, mission_problems
 from qrsim.scenarios.ranges import range_problems, ranges_of
@@ -169,6 +169,10 @@ def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
     for name, fleet in scenario.fleets.items():
+        for i, vehicle in enumerate(fleet.vehicles):
+            if vehicle.on_ground:
+                path = f"fleets.{name}.vehicles.{i}.on_ground"
+                yield f"{path}: is for a fleet with ground: parked; it is '{fleet.ground}'"
         if fleet.ground == "parked":
             yield from standing_problems(name, fleet.vehicle.type, component(fleet.vehicle, known.VEHICLES, scenario))
 
@@ -343,6 +347,14 @@ def ground_of(scenario: ScenarioSpec) -> Any:
     place = scenario.site
     site = Site.from_degrees(place.latitude_deg, place.longitude_deg, place.height)
     return component(scenario.world.ground, known.GROUNDS, scenario).at(site, bounds_of(scenario.world.area))
+
+
+def on_ground(scenario: ScenarioSpec) -> ScenarioSpec:
+    """Return a scenario with the starts on the ground in NED; as it is where the ground cannot be built."""
+    ground = (
+        _ground_if_any(scenario) if any(v.on_ground for f in scenario.fleets.values() for v in f.vehicles) else None
+    )
+    return scenario if ground is None else put_on_ground(scenario, ground)
 
 
 def _ground_if_any(scenario: ScenarioSpec) -> Any:

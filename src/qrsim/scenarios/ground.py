@@ -31,6 +31,23 @@ def has_floor(scenario: ScenarioSpec) -> bool:
     return bool(ground.type == "flat" and ground.height == 0.0)
 
 
+def put_on_ground(scenario: ScenarioSpec, ground: Ground) -> ScenarioSpec:
+    """Return a scenario whose vehicles that start on the ground have its down coordinate there."""
+    fleets = {}
+    for name, fleet in scenario.fleets.items():
+        vehicles = []
+        for vehicle in fleet.vehicles:
+            if vehicle.on_ground and fleet.ground == "parked":
+                north, east, _ = vehicle.position_ned
+                place: Any = Vec3(*np.array([[north], [east], [0.0]], np.float32))
+                # Added to zero, because a ground at z = 0 may be at -0.
+                down = float(np.asarray(ground.down(place))[0]) + 0.0
+                vehicle = vehicle.model_copy(update={"position_ned": [north, east, down], "on_ground": False})
+            vehicles.append(vehicle)
+        fleets[name] = fleet.model_copy(update={"vehicles": vehicles})
+    return scenario.model_copy(update={"fleets": fleets})
+
+
 def below_ground(scenario: ScenarioSpec, ground: Ground) -> Iterator[str]:
     """Yield the starts and waypoints that are below the ground."""
     points: dict[str, list[float]] = {}

@@ -134,6 +134,7 @@ def load_scenario(
     except ValidationError as error:
         raise ScenarioError(name, describe(error, ScenarioSpec, content)) from None
     spec, found, written = in_ned(spec)
+    spec = spec if found else build.on_ground(spec)
     found = found or [_as_written(problem, written) for problem in build.problems(spec)]
     found = found or list(trial_problems(spec))
     if found:

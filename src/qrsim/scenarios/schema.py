@@ -92,6 +92,9 @@ class VehicleSpec(Strict):
     name: str | None = Field(None, description="default: the fleet's name and a number", pattern=NAME, max_length=64)
     position_ned: Position = Field(default_factory=list, description="start position [m]: north, east, down")
     position_geodetic: GeodeticSpec | None = Field(None, description="start position, instead of NED", exclude=True)
+    on_ground: bool = Field(
+        False, description="start on the ground at north and east; down is not looked at", strict=True, exclude=True
+    )
     yaw_rad: Finite = Field(0.0, description="heading at the start and along the route [rad]", ge=-6.3, le=6.3)
     velocity_body: Position = Field([0.0, 0.0, 0.0], description="initial velocity in body axes [m/s]")
     waypoints_ned: list[Position] = Field(

@@ -161,6 +161,16 @@ class TestGrid:
         seen = surroundings(world, state.contents, jnp.int32(0)).over_ground(place)
         np.testing.assert_allclose(seen.stack(), np.stack([place.x, place.y, [-15.0, -15.0]], axis=-1), atol=1e-4)
 
+    def test_a_start_on_it(self, tmp_path: Path):
+        vehicles = [{"position_ned": [40.0, -20.0, 0.0], "on_ground": True}, {"position_ned": [0.0, 0.0, -20.0]}]
+        fleet = {"vehicles": vehicles, "ground": "parked", "controller": {"type": "waypoint", "feed": "truth"}}
+        ground = {"type": "dem", "file": slope(tmp_path)}
+        scenario = make_scenario(fleets={"a": fleet}, ground=ground, area=AREA)
+        # 4 m up to the north, 1 m up to the west.
+        np.testing.assert_allclose(scenario.spec.fleets["a"].vehicles[0].position_ned, [40.0, -20.0, -5.0], atol=1e-5)
+        state = jax.jit(reset)(scenario.world(), Key.root(3))
+        np.testing.assert_array_equal(state.fleets[0].parked, [True, False])
+
     def test_who_flies_into_it_stops(self, tmp_path: Path):
         # Above the valley to the south-east z = 3 is in the air; at the origin it is below the ground.
         starts = [[-45.0, 30.0, 3.0], [0.0, 0.0, -2.0]]
@@ -241,6 +251,12 @@ class TestRefused:
             "allowed: at most that"
         )
         assert waypoint.startswith("fleets.vehicles.vehicles.0.waypoints_ned.1: z = 0 m is 1 m below the ground")
+
+    def test_a_start_on_the_ground_of_a_fleet_whose_flights_end_there(self):
+        with pytest.raises(
+            ScenarioError, match=r"vehicles\.0\.on_ground: is for a fleet with ground: parked; it is 'stop'"
+        ):
+            make_scenario([{"position_ned": [0, 0, 0], "on_ground": True}])
 
     def test_a_file_that_does_not_cover_the_area(self, tmp_path: Path):
         with pytest.raises(ScenarioError) as caught:
