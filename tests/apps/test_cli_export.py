@@ -20,6 +20,9 @@ from scipy.spatial.transform import Rotation
 
 from qrsim import cli
 from qrsim.runs import Column, RunInfo, RunWriter, open_run
+from qrsim.runs.export.mcap_scene import scene
+from qrsim.runs.export.place import place_of
+from qrsim.runs.surroundings import Surroundings
 
 NAMES = ('a/b <"é">&', "plain")
 LATITUDE, LONGITUDE, HEIGHT = 51.5, -0.25, 120.0
@@ -364,12 +367,15 @@ def test_mcap_topics_counts_and_times(recorded, tmp_path, capsys):
         **{f"/{name}/location": "foxglove.LocationFix" for name in (odd, "plain")},
         **{f"/{name}/gps/fix": "foxglove.LocationFix" for name in (odd, "plain")},
         **{f"/{name}/wind": "qrsim.Wind" for name in (odd, "plain")},
+        **{f"/{name}/gps": "qrsim.gps" for name in (odd, "plain")},
     }
     assert [time for time, _ in messages["/plain/pose"]] == [nanoseconds(tick) for tick in range(TICKS)]
     assert [time for time, _ in messages["/plain/gps/fix"]] == [nanoseconds(tick) for tick in (0, 10, 40, 50)]
     assert len(messages["/tf"]) == 2 * TICKS
     total = sum(map(len, messages.values()))
-    assert total == 2 * TICKS * 4 + 6 + 4 + 3
+    # Six readings of the one that keeps its fix; of the other at ticks 0, 10, 20 (lost: satellites only), 40, 50.
+    assert [time for time, _ in messages["/plain/gps"]] == [nanoseconds(tick) for tick in (0, 10, 20, 40, 50)]
+    assert total == 2 * TICKS * 4 + 6 + 4 + 3 + 6 + 5
     assert capsys.readouterr().out == f"{path}: {total} messages\n"
     with open(path, "rb") as file:
         reader = make_reader(file)
@@ -394,6 +400,76 @@ def test_mcap_poses_are_east_north_up(recorded, tmp_path):
     frame = [item for _, item in messages["/tf"] if item["child_frame_id"] == "plain"][3]
     assert frame["parent_frame_id"] == "map"
     assert (frame["translation"], frame["rotation"]) == (pose["position"], pose["orientation"])
+
+
+def check_all_of_a_run(run: Any, path: Path) -> None:
+    """A patrol's file has all that was logged and all that its scenario says."""
+    messages, schemas = read_mcap(path)
+    name = run.vehicles[0]
+    sensors = ("gnss", "barometer", "attitude", "gyroscope", "accelerometer")
+    words = ("pose", "location", "wind", "gnss/fix", "command", "setpoint", "waypoints", *sensors)
+    assert set(schemas) == {"/tf", "/events", "/scene"} | {f"/{own}/{word}" for own in run.vehicles for word in words}
+    first = messages[f"/{name}/setpoint"][0][1]
+    assert [first["position_ned"][axis] for axis in "xyz"] == [-60.0, -20.0, -20.0]
+    command = messages[f"/{name}/command"][5][1]
+    assert command["throttle"] == pytest.approx(run["commands"]["throttle"][5, 0])
+    assert command["clipped"] is False
+    assert command["waypoint"] == 0
+    barometer = messages[f"/{name}/barometer"]
+    assert barometer[7][1]["height"] == pytest.approx(run["measurements"]["barometer.height"][7, 0])
+    # The range errors have a std of 1.5 m, the receiver's own of 0.02 m: 2.2504 m^2 together.
+    fix = messages[f"/{name}/gnss/fix"][0][1]
+    hdop, vdop = (float(run["measurements"][f"gnss.{axis}dop"][0, 0]) for axis in "hv")
+    diagonal = [fix["position_covariance"][i] for i in (0, 4, 8)]
+    assert diagonal == pytest.approx([1.1252 * hdop**2, 1.1252 * hdop**2, 2.2504 * vdop**2])
+    assert sum(map(bool, fix["position_covariance"])) == 3
+    assert fix["position_covariance_type"] == 1
+    route = messages[f"/{name}/waypoints"][0][1]["poses"]
+    assert [tuple(pose["position"].values()) for pose in route][:2] == [(-20.0, -60.0, 20.0), (-20.0, -20.0, 20.0)]
+    entities = {entity["id"]: entity for entity in messages["/scene"][0][1]["entities"]}
+    assert set(entities) == {"area"} | {f"waypoints {own}" for own in run.vehicles}
+    corners = {tuple(point.values()) for line in entities["area"]["lines"] for point in line["points"]}
+    assert corners == {(east, north, up) for east in (-200, 200) for north in (-200, 200) for up in (0, 100)}
+    layout = json.loads(path.with_name("first.layout.json").read_text())
+    panels = set(layout["configById"])
+    assert {"3D!space", "map!place", "Plot!height", "RosOut!events"} <= panels
+    plotted = [line["value"] for line in layout["configById"]["Plot!height"]["paths"]]
+    assert plotted == [f"/{own}/pose.pose.position.z" for own in run.vehicles]
+    assert set(layout["configById"]["3D!space"]["topics"]) <= set(schemas)
+
+
+@pytest.mark.long
+def test_mcap_has_the_estimate_of_a_filter(tmp_path):
+    folder = tmp_path / "run"
+    words = ["--duration", "0.2", "--set", "fleets.pelicans.controller={type: cascade}", "--no-figure"]
+    assert cli.main(["run", "outdoor_patrol", *words, "--out", str(folder)]) == 0
+    messages, schemas = read_mcap(exported(folder, "mcap", tmp_path / "x.mcap"))
+    assert schemas["/pelicans_0/estimate"] == "qrsim.estimate"
+    _, last = messages["/pelicans_0/estimate"][-1]
+    # Five vehicles start still at known places; GNSS and barometer are off by a few metres at most.
+    assert [last["position_ned"][axis] for axis in "xyz"] == pytest.approx([-60.0, -60.0, -20.0], abs=6.0)
+    assert set(last) == {"timestamp", "position_ned", "velocity_ned", "attitude"}
+
+
+def test_mcap_scene_has_obstacles_persons_and_places(tmp_path):
+    mast = {"radius": 2.0, "x": 10.0, "y": 20.0, "z_min": -30.0, "z_max": 0.0}
+    shed = {"x_min": 0.0, "x_max": 4.0, "y_min": 10.0, "y_max": 20.0, "z_min": -6.0, "z_max": 0.0}
+    around = Surroundings(
+        obstacles=(mast, shed), persons=np.array([[1.0, 2.0], [3.0, 4.0]]), found=np.array([np.inf, 0.5]),
+        sources=np.array([[5.0, 6.0, -7.0]]), locations=np.array([[8.0, 9.0, -1.0]]),
+    )  # fmt: skip
+    run = open_run(write_run(tmp_path / "run"))
+    begin, later = scene(run, place_of(run), around, "map")
+    found = {entity["id"]: entity for entity in begin.content["entities"]}
+    assert set(found) == {"obstacle 0", "obstacle 1", "source 0", "asked for", "person 0", "person 1"}
+    [cylinder], [box] = found["obstacle 0"]["cylinders"], found["obstacle 1"]["cubes"]
+    assert cylinder["pose"]["position"] == {"x": 20.0, "y": 10.0, "z": 15.0}
+    assert cylinder["size"] == {"x": 4.0, "y": 4.0, "z": 30.0}
+    assert (box["pose"]["position"], box["size"]) == ({"x": 15.0, "y": 2.0, "z": 3.0}, {"x": 10.0, "y": 4.0, "z": 6.0})
+    assert found["source 0"]["spheres"][0]["pose"]["position"] == {"x": 6.0, "y": 5.0, "z": 7.0}
+    [entity] = later.content["entities"]
+    assert (entity["id"], later.time_ns) == ("person 1", begin.time_ns + 500_000_000)
+    assert entity["spheres"][0]["color"] != found["person 1"]["spheres"][0]["color"]
 
 
 def test_mcap_places_wind_and_events(recorded, tmp_path):
@@ -430,6 +506,7 @@ def test_a_flown_run_in_its_default_place(form, flown, tmp_path, capsys):
     run = open_run(folder)
     names = [f"{stream}.csv" for stream in run.streams] if form == "csv" else [f"first.{form}"]
     assert [item["path"] for item in said["files"]] == [str(folder / "export" / name) for name in names]
+    names += ["first.layout.json"] if form == "mcap" else []
     assert sorted(path.name for path in (folder / "export").iterdir()) == sorted(names)
     ticks, vehicles = len(run["truth"].time), len(run.vehicles)
     fixes = 10.0 / 0.2  # the receiver's first report is repeated once
@@ -437,8 +514,7 @@ def test_a_flown_run_in_its_default_place(form, flown, tmp_path, capsys):
         expected = [run.table(stream).num_rows for stream in run.streams]
         assert [item["rows"] for item in said["files"]] == expected
     elif form == "mcap":
-        count = vehicles * (4 * ticks + fixes) + len(run.events)
-        assert said["files"][0]["messages"] == count
+        check_all_of_a_run(run, folder / "export" / "first.mcap")
     else:
         assert said["files"][0]["points"] == vehicles * (math.ceil(ticks / 10) + fixes)
         assert said["files"][0]["events"] == len(run.events)

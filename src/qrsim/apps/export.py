@@ -23,8 +23,8 @@ class Export:
     """Write a recorded run for other programs: csv, geojson, gpx, kml or mcap.
 
     csv: one table per stream, every column with its unit, full precision. geojson, gpx and kml: the true and the
-    GNSS-reported track of every vehicle and the events, on WGS-84. mcap: poses, fixes, wind and events for Foxglove,
-    east-north-up.
+    GNSS-reported track of every vehicle and the events, on WGS-84. mcap: poses, fixes, sensors, commands, wind, scene
+    and events for Foxglove, east-north-up, and a layout for it in NAME.layout.json.
 
     Heights are above the WGS-84 ellipsoid in every format. A run that is running, was interrupted or killed is
     exported up to its last flush; what is damaged is left out with a warning.
@@ -103,8 +103,13 @@ class Export:
         if self.format == "mcap":
             require("export", "an MCAP file")
             from qrsim.runs.export import mcap_file
+            from qrsim.runs.export.foxglove_layout import layout_path, write_layout
 
-            return mcap_file.write(recorded, place, target, every)
+            layout = layout_path(target)
+            check_target(layout, self.force)
+            written = mcap_file.write(recorded, place, target, every)
+            write_layout(recorded, layout)
+            return written
         write = {"geojson": geojson.write, "gpx": gpx.write, "kml": kml.write}[self.format]
         return write(read_tracks(recorded, place, every), target)
 

@@ -35,11 +35,23 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
         "commands": [("", state.command), ("setpoint.", state.setpoint)],
         "wind": [("mean_ned.", state.mean_wind_ned), ("gust_ned.", state.gust_ned)],
     }
+    if state.belief is not None:
+        # Without an estimator of its own a controller is fed with the readings, which are logged.
+        parts = ("position_ned", "velocity_ned", "attitude")
+        roots["commands"] += [(f"estimate.{part}.", getattr(state.estimate, part)) for part in parts]
     if state.gust_rates_ned is not None:
         roots["wind"].append(("gust_rates_ned.", state.gust_rates_ned))
     if fleet.battery.drains:
         roots["truth"].append(("battery.", state.battery))
-    units = {"specific_force.": "m/s^2", "mean_ned.": "m/s", "gust_ned.": "m/s", "gust_rates_ned.": "rad/s"}
+    units = {
+        "specific_force.": "m/s^2",
+        "mean_ned.": "m/s",
+        "gust_ned.": "m/s",
+        "gust_rates_ned.": "rad/s",
+        "estimate.position_ned.": "m",
+        "estimate.velocity_ned.": "m/s",
+        "estimate.attitude.": "rad",
+    }
     items = [
         (name, leaf, info.unit or units.get(prefix, ""), info.doc)
         for prefix, root in roots[stream]

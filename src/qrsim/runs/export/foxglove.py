@@ -22,15 +22,65 @@ def _vector(doc: str = "", **extra: Any) -> Schema:
 
 TIME = {"title": "time", **_object("UTC since 1970", sec=INTEGER, nsec=INTEGER)}
 QUATERNION = _object(x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER)
+BODY = _object(position=_vector(), orientation=QUATERNION)
+COLOUR = _object(r=NUMBER, g=NUMBER, b=NUMBER, a=NUMBER)
 
-POSE, FRAME, FIX, WIND, LOG = (
+
+def _list(items: Schema) -> Schema:
+    return {"type": "array", "items": items}
+
+
+_SOLID: dict[str, Any] = {"pose": BODY, "size": _vector(), "color": COLOUR}
+_ENTITY = _object(
+    timestamp=TIME,
+    frame_id=TEXT,
+    id=TEXT,
+    lifetime={"title": "duration", **_object("0: for ever", sec=INTEGER, nsec=INTEGER)},
+    frame_locked={"type": "boolean"},
+    metadata=_list(_object(key=TEXT, value=TEXT)),
+    arrows=_list(_object()),
+    cubes=_list(_object(**_SOLID)),
+    spheres=_list(_object(**_SOLID)),
+    cylinders=_list(_object(**_SOLID, bottom_scale=NUMBER, top_scale=NUMBER)),
+    lines=_list(
+        _object(
+            type={**INTEGER, "description": "0: a strip, 1: a loop"},
+            pose=BODY,
+            thickness=NUMBER,
+            scale_invariant={"type": "boolean"},
+            points=_list(_vector()),
+            color=COLOUR,
+            colors=_list(COLOUR),
+            indices=_list(INTEGER),
+        )
+    ),
+    triangles=_list(_object()),
+    texts=_list(_object()),
+    models=_list(_object()),
+)
+
+POSE, FRAME, FIX, WIND, LOG, SCENE, POSES = (
     "foxglove.PoseInFrame",
     "foxglove.FrameTransform",
     "foxglove.LocationFix",
     "qrsim.Wind",
     "foxglove.Log",
+    "foxglove.SceneUpdate",
+    "foxglove.PosesInFrame",
 )
 SCHEMAS: dict[str, Schema] = {
+    SCENE: _object(
+        "Area, obstacles, waypoints, persons, sources of a plume and places of a task, east, north, up [m].",
+        timestamp=TIME,
+        deletions=_list(_object(timestamp=TIME, type=INTEGER, id=TEXT)),
+        entities=_list(_ENTITY),
+    ),
+    POSES: _object(
+        "Waypoints of a vehicle in their order, east, north, up [m].",
+        timestamp=TIME,
+        frame_id=TEXT,
+        poses=_list(BODY),
+    ),
     POSE: _object(
         "True pose of the vehicle's axes (forward, left, up) [m], in the frame of frame_id.",
         timestamp=TIME,
@@ -53,7 +103,7 @@ SCHEMAS: dict[str, Schema] = {
         longitude=NUMBER,
         altitude=NUMBER,
         position_covariance={"type": "array", "items": NUMBER, "minItems": 9, "maxItems": 9},
-        position_covariance_type={**INTEGER, "description": "0: the covariance is unknown"},
+        position_covariance_type={**INTEGER, "description": "0: unknown, 1: approximated"},
     ),
     WIND: _object(
         "Velocity of the air at the vehicle, where it blows to: x north, y east, z down [m/s].",

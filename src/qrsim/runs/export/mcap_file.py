@@ -1,11 +1,12 @@
-"""mcap: poses, fixes, wind and events for Foxglove and other robot viewers (MCAP, JSON messages).
+"""mcap: a whole run for Foxglove and other robot viewers (MCAP, JSON messages).
 
 qrsim's axes are north, east, down and, of a vehicle, forward, right, down. Foxglove draws z upwards, so poses are
 given in frame "map", east, north, up, with the run's origin, of axes forward, left, up of the vehicle: position
-(y, x, -z); Euler angles (roll, -pitch, 90 deg - yaw). The wind keeps the names and axes of the log.
+(y, x, -z); Euler angles (roll, -pitch, 90 deg - yaw). Wind, commands and readings keep the names and axes of the log.
 
 Topics, with V a vehicle and S a sensor: /V/pose and /tf (true pose), /V/location (true place, for the map),
-/V/S/fix (each new report of a receiver), /V/wind, /events. In topics, characters of V and S other than letters,
+/V/S/fix (each new report of a receiver), /V/wind, /V/command, /V/setpoint, /V/estimate, /V/S (readings), /V/waypoints,
+/scene (what else there is), /events. In topics, characters of V and S other than letters,
 digits and _.-~ are percent-encoded.
 """
 
@@ -14,9 +15,9 @@ from __future__ import annotations
 import heapq
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -28,22 +29,18 @@ from qrsim.errors import RunError
 from qrsim.interface.readings import quaternion_of
 from qrsim.runs import Event, Run
 from qrsim.runs.export import foxglove
+from qrsim.runs.export.mcap_messages import Group, Message, groups_of, messages_of, topics_of
+from qrsim.runs.export.mcap_scene import scene
 from qrsim.runs.export.output import Written, is_readable, replacing
 from qrsim.runs.export.place import Floats, Place
 from qrsim.runs.export.tracks import Samples, axes, is_fresh, position_sensors, read_samples
 from qrsim.runs.summary import NOT_A_STOP
+from qrsim.runs.surroundings import surroundings_of
 
 WORLD = "map"
 # Foxglove's timestamps count the seconds since 1970 in 32 bits.
 LAST_START_US = 2**32 * 1_000_000
 WARNINGS = ("command_clipped", "fault_begins", "no_fix", "fix_lost")
-
-
-class _Message(NamedTuple):
-    time_ns: int
-    topic: str
-    schema: str
-    content: dict[str, Any]
 
 
 def write(run: Run, place: Place, path: Path, every: int) -> Written:
@@ -60,8 +57,9 @@ def write(run: Run, place: Place, path: Path, every: int) -> Written:
     with replacing(path) as file:
         writer = Writer(file)
         writer.start(library="qrsim")
-        channels = _Channels(writer)
-        for message in heapq.merge(*_sources(run, place, every), key=lambda message: message.time_ns):
+        groups = groups_of(run)
+        channels = _Channels(writer, {group.schema: group.describe() for group in groups})
+        for message in heapq.merge(*_sources(run, place, every, groups), key=lambda message: message.time_ns):
             content = {"timestamp": _timestamp(message.time_ns), **message.content}
             data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
             writer.add_message(channels.number(message), message.time_ns, data, message.time_ns)
@@ -76,16 +74,16 @@ def write(run: Run, place: Place, path: Path, every: int) -> Written:
 class _Channels:
     """The numbers of the file's channels, which are made when they are first used."""
 
-    def __init__(self, writer: Writer):
-        self._writer = writer
+    def __init__(self, writer: Writer, schemas: dict[str, foxglove.Schema]):
+        self._writer, self._known = writer, {**schemas, **foxglove.SCHEMAS}
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
 
-    def number(self, message: _Message) -> int:
+    def number(self, message: Message) -> int:
         """Return the number of a message's channel."""
         topic, schema = message.topic, message.schema
         if schema not in self._schemas:
-            data = json.dumps({"title": schema, **foxglove.SCHEMAS[schema]}).encode()
+            data = json.dumps({"title": schema, **self._known[schema]}).encode()
             self._schemas[schema] = self._writer.register_schema(schema, SchemaEncoding.JSONSchema, data)
         if topic not in self._channels:
             number = self._writer.register_channel(topic, MessageEncoding.JSON, self._schemas[schema])
@@ -93,8 +91,10 @@ class _Channels:
         return self._channels[topic]
 
 
-def _sources(run: Run, place: Place, every: int) -> list[Iterator[_Message]]:
-    sources = [_fixes(run, place, every, sensor) for sensor in position_sensors(run)]
+def _sources(run: Run, place: Place, every: int, groups: list[Group]) -> list[Iterator[Message]]:
+    sources = [messages_of(run, place, every, group) for group in groups]
+    sources.append(scene(run, place, surroundings_of(run), WORLD))
+    sources += [_fixes(run, place, every, sensor) for sensor in position_sensors(run)]
     if is_readable(run, "truth"):
         sources.insert(0, _poses(run, place, every))
     if is_readable(run, "wind"):
@@ -104,9 +104,9 @@ def _sources(run: Run, place: Place, every: int) -> list[Iterator[_Message]]:
     return sources
 
 
-def _poses(run: Run, place: Place, every: int) -> Iterator[_Message]:
+def _poses(run: Run, place: Place, every: int) -> Iterator[Message]:
     columns = axes("position_ned") + [f"attitude.{angle}" for angle in ("roll", "pitch", "yaw")]
-    topics = _topics(run, "pose"), _topics(run, "location")
+    topics = topics_of(run, "pose"), topics_of(run, "location")
     for samples in _finite(run, "truth", columns, every):
         north, east, down, roll, pitch, yaw = samples.values.T
         places = place.geodetic(samples.values[:, :3]).tolist()
@@ -117,22 +117,44 @@ def _poses(run: Run, place: Place, every: int) -> Iterator[_Message]:
             name, position = run.vehicles[vehicle], dict(zip("xyz", positions[i], strict=True))
             rotation = dict(zip("wxyz", rotations[i], strict=True))
             pose = {"frame_id": WORLD, "pose": {"position": position, "orientation": rotation}}
-            yield _Message(times[i], topics[0][vehicle], foxglove.POSE, pose)
+            yield Message(times[i], topics[0][vehicle], foxglove.POSE, pose)
             frames = {"parent_frame_id": WORLD, "child_frame_id": name}
-            yield _Message(times[i], "/tf", foxglove.FRAME, {**frames, "translation": position, "rotation": rotation})
-            yield _Message(times[i], topics[1][vehicle], foxglove.FIX, _fix(name, places[i]))
+            yield Message(times[i], "/tf", foxglove.FRAME, {**frames, "translation": position, "rotation": rotation})
+            yield Message(times[i], topics[1][vehicle], foxglove.FIX, _fix(name, places[i]))
 
 
-def _fixes(run: Run, place: Place, every: int, sensor: str) -> Iterator[_Message]:
+def _fixes(run: Run, place: Place, every: int, sensor: str) -> Iterator[Message]:
     """Yield a receiver's reports when they differ from the one before: between fixes the log repeats the last."""
-    topics = _topics(run, quote(sensor, safe=""), "fix")
+    topics = topics_of(run, quote(sensor, safe=""), "fix")
     last = np.full((len(run.vehicles), 3), np.nan)
-    for samples in read_samples(run, "measurements", axes(f"{sensor}.position_ned"), lambda ticks: ticks % every == 0):
-        rows = _fresh_rows(samples, last)
-        places = place.geodetic(samples.values[rows]).tolist()
+    known = {column.name for column in run.describe("measurements")}
+    dops = [name for name in (f"{sensor}.hdop", f"{sensor}.vdop") if name in known]
+    spread = _range_spread(run, sensor) if len(dops) == 2 else math.nan
+    wanted = [*axes(f"{sensor}.position_ned"), *dops]
+    for samples in read_samples(run, "measurements", wanted, lambda ticks: ticks % every == 0):
+        places_ned = Samples(samples.vehicles, samples.ticks, samples.times, samples.values[:, :3])
+        rows = _fresh_rows(places_ned, last)
+        places = place.geodetic(samples.values[rows, :3]).tolist()
         times = place.nanoseconds(samples.times[rows]).tolist()
+        factors = samples.values[rows, 3:].tolist()
         for i, vehicle in enumerate(samples.vehicles[rows].tolist()):
-            yield _Message(times[i], topics[vehicle], foxglove.FIX, _fix(run.vehicles[vehicle], places[i]))
+            errors = [spread * factor for factor in factors[i]] if math.isfinite(spread) else []
+            yield Message(times[i], topics[vehicle], foxglove.FIX, _fix(run.vehicles[vehicle], places[i], errors))
+
+
+def _range_spread(run: Run, sensor: str) -> float:
+    """Return the std of a pseudorange's error [m] by the scenario, shared and own; NaN where it does not say so.
+
+    With fleets of different receivers it is the largest.
+    """
+    content = run.scenario if isinstance(run.scenario, dict) else {}
+    try:
+        shared = float(content["world"]["sky"]["errors"].get("std", math.nan))
+        own = [float(fleet["sensors"][sensor].get("range_noise_std", 0.0))
+               for fleet in content["fleets"].values() if sensor in fleet["sensors"]]  # fmt: skip
+        return math.hypot(shared, max(own))
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return math.nan
 
 
 def _fresh_rows(samples: Samples, last: Floats) -> npt.NDArray[np.int64]:
@@ -146,23 +168,23 @@ def _fresh_rows(samples: Samples, last: Floats) -> npt.NDArray[np.int64]:
     return np.flatnonzero(fresh)
 
 
-def _winds(run: Run, place: Place, every: int) -> Iterator[_Message]:
-    topics = _topics(run, "wind")
+def _winds(run: Run, place: Place, every: int) -> Iterator[Message]:
+    topics = topics_of(run, "wind")
     for samples in _finite(run, "wind", axes("mean_ned") + axes("gust_ned"), every):
         times, values = place.nanoseconds(samples.times).tolist(), samples.values.tolist()
         for i, vehicle in enumerate(samples.vehicles.tolist()):
             mean, gust = (dict(zip("xyz", part, strict=True)) for part in (values[i][:3], values[i][3:]))
-            yield _Message(times[i], topics[vehicle], foxglove.WIND, {"mean_ned": mean, "gust_ned": gust})
+            yield Message(times[i], topics[vehicle], foxglove.WIND, {"mean_ned": mean, "gust_ned": gust})
 
 
-def _events(events: list[Event], place: Place) -> Iterator[_Message]:
+def _events(events: list[Event], place: Place) -> Iterator[Message]:
     for event in sorted(events, key=lambda event: event.time):
         level = 4 if event.kind not in NOT_A_STOP else 3 if event.kind in WARNINGS else 2
         content = {"level": level, "message": event.message or event.kind, "name": event.vehicle or "", "file": ""}
         content |= {"line": 0, "tick": event.tick, "kind": event.kind, "field": event.field or ""}
         if event.value is not None and math.isfinite(event.value):
             content["value"] = event.value
-        yield _Message(int(place.nanoseconds(event.time)), "/events", foxglove.LOG, content)
+        yield Message(int(place.nanoseconds(event.time)), "/events", foxglove.LOG, content)
 
 
 def _finite(run: Run, stream: str, columns: list[str], every: int) -> Iterator[Samples]:
@@ -172,20 +194,24 @@ def _finite(run: Run, stream: str, columns: list[str], every: int) -> Iterator[S
         yield Samples(samples.vehicles[rows], samples.ticks[rows], samples.times[rows], samples.values[rows])
 
 
-def _topics(run: Run, *words: str) -> list[str]:
-    """Return the topic of every vehicle."""
-    return ["/".join(("", quote(vehicle, safe=""), *words)) for vehicle in run.vehicles]
+def _fix(frame: str, geodetic: list[float], errors: Sequence[float] = ()) -> dict[str, Any]:
+    """Return a fix; ``errors`` are its horizontal and vertical std [m], by DOP, where they are known.
 
-
-def _fix(frame: str, geodetic: list[float]) -> dict[str, Any]:
+    The covariance is of east, north, up: the horizontal variance is shared evenly by its two axes, an approximation.
+    """
     latitude, longitude, altitude = geodetic
+    covariance = [0.0] * 9
+    if known := len(errors) == 2 and all(map(math.isfinite, errors)):
+        horizontal, vertical = errors
+        covariance[0] = covariance[4] = 0.5 * horizontal * horizontal
+        covariance[8] = vertical * vertical
     return {
         "frame_id": frame,
         "latitude": latitude,
         "longitude": longitude,
         "altitude": altitude,
-        "position_covariance": [0.0] * 9,
-        "position_covariance_type": 0,
+        "position_covariance": covariance,
+        "position_covariance_type": int(known),
     }
 
 

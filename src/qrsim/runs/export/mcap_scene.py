@@ -1,0 +1,141 @@
+"""What stands in a run's world, as Foxglove's scene entities: area, obstacles, waypoints, persons, sources, places."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from qrsim.runs import Run
+from qrsim.runs.export import foxglove
+from qrsim.runs.export.mcap_messages import Content, Message, topics_of
+from qrsim.runs.export.place import Floats, Place
+from qrsim.runs.surroundings import Surroundings
+
+SCENE, WAYPOINTS = "/scene", "waypoints"
+# A loop of lines, and lines from point to point [Foxglove's numbers].
+STRIP, LOOP = 0, 1
+GREY, PURPLE, MISSING, FOUND = (0.4, 0.4, 0.4), (0.43, 0.0, 0.47), (0.85, 0.37, 0.0), (0.0, 0.45, 0.70)
+STILL = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+
+
+def scene(run: Run, place: Place, around: Surroundings, frame: str) -> Iterator[Message]:
+    """Yield the scene at the start, the waypoints of every vehicle, and each person once more when it is found."""
+    begin = int(place.nanoseconds(0.0))
+    routes = waypoints(run)
+    entities = [*_area(around), *_obstacles(around), *_places(around), *_persons(around, -1.0)]
+    entities += [
+        _entity(f"waypoints {name}", lines=[_line(route, STRIP, GREY)], spheres=[_sphere(p, 0.8, GREY) for p in route])
+        for name, route in zip(run.vehicles, routes, strict=True)
+        if len(route)
+    ]
+    if entities:
+        yield Message(begin, SCENE, foxglove.SCENE, _update(entities, frame, begin))
+    for topic, route in zip(topics_of(run, WAYPOINTS), routes, strict=True):
+        if len(route):
+            poses = [{"position": _point(point), "orientation": STILL} for point in route]
+            yield Message(begin, topic, foxglove.POSES, {"frame_id": frame, "poses": poses})
+    for time in sorted(set(around.found[np.isfinite(around.found)].tolist())):
+        now = int(place.nanoseconds(time))
+        yield Message(now, SCENE, foxglove.SCENE, _update(_persons(around, time), frame, now))
+
+
+def waypoints(run: Run) -> list[Floats]:
+    """Return the route (W, 3) [m] of every vehicle, NED, (0, 3) without one or where the scenario does not say."""
+    content = run.scenario if isinstance(run.scenario, dict) else {}
+    try:
+        vehicles = [own for fleet in content["fleets"].values() for own in fleet["vehicles"]]
+        routes = [np.asarray(own.get("waypoints_ned") or np.zeros((0, 3)), float).reshape(-1, 3) for own in vehicles]
+    except (KeyError, TypeError, ValueError, AttributeError):
+        routes = []
+    return routes if len(routes) == len(run.vehicles) else [np.zeros((0, 3))] * len(run.vehicles)
+
+
+def _update(entities: Sequence[Content], frame: str, now: int) -> Content:
+    seconds, rest = divmod(now, 1_000_000_000)
+    about = {"timestamp": {"sec": seconds, "nsec": rest}, "frame_id": frame, "lifetime": {"sec": 0, "nsec": 0}}
+    return {"deletions": [], "entities": [{**about, **entity} for entity in entities]}
+
+
+def _entity(name: str, **parts: Any) -> Content:
+    kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+    return {"id": name, "frame_locked": False, "metadata": [], **{kind: parts.get(kind, []) for kind in kinds}}
+
+
+def _point(ned: Any) -> Content:
+    north, east, down = (float(value) for value in ned)
+    return {"x": east, "y": north, "z": -down}
+
+
+def _colour(colour: tuple[float, float, float], opacity: float = 1.0) -> Content:
+    return {**dict(zip("rgb", colour, strict=True)), "a": opacity}
+
+
+def _line(points: Any, kind: int, colour: tuple[float, float, float]) -> Content:
+    return {
+        "type": kind,
+        "pose": {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": STILL},
+        "thickness": 2.0,
+        "scale_invariant": True,
+        "points": [_point(point) for point in points],
+        "color": _colour(colour),
+        "colors": [],
+        "indices": [],
+    }
+
+
+def _solid(middle: Any, size: tuple[float, float, float], colour: tuple[float, float, float], **more: Any) -> Content:
+    """Return a body by its middle, NED [m], and its sizes along east, north and up [m]."""
+    extent = dict(zip("xyz", size, strict=True))
+    return {
+        "pose": {"position": _point(middle), "orientation": STILL},
+        "size": extent,
+        "color": _colour(colour, 0.8),
+        **more,
+    }
+
+
+def _sphere(middle: Any, size: float, colour: tuple[float, float, float]) -> Content:
+    return _solid(middle, (size, size, size), colour)
+
+
+def _area(around: Surroundings) -> list[Content]:
+    if not len(around.outline):
+        return []
+    top, bottom = around.down
+    levels = [np.column_stack([around.outline, np.full(len(around.outline), down)]) for down in (bottom, top)]
+    lines = [_line(level, LOOP, GREY) for level in levels]
+    lines += [_line(pair, STRIP, GREY) for pair in zip(*levels, strict=True)]
+    return [_entity("area", lines=lines)]
+
+
+def _obstacles(around: Surroundings) -> list[Content]:
+    found = []
+    for number, item in enumerate(around.obstacles):
+        middle, tall = 0.5 * (item["z_min"] + item["z_max"]), item["z_max"] - item["z_min"]
+        if "radius" in item:
+            wide = 2.0 * item["radius"]
+            body = _solid((item["x"], item["y"], middle), (wide, wide, tall), GREY, bottom_scale=1.0, top_scale=1.0)
+            found.append(_entity(f"obstacle {number}", cylinders=[body]))
+            continue
+        north, east = (0.5 * (item[f"{axis}_min"] + item[f"{axis}_max"]) for axis in "xy")
+        deep, wide = (item[f"{axis}_max"] - item[f"{axis}_min"] for axis in "xy")
+        found.append(_entity(f"obstacle {number}", cubes=[_solid((north, east, middle), (wide, deep, tall), GREY)]))
+    return found
+
+
+def _places(around: Surroundings) -> list[Content]:
+    found = [_entity(f"source {i}", spheres=[_sphere(place, 4.0, PURPLE)]) for i, place in enumerate(around.sources)]
+    if len(around.locations):
+        found.append(_entity("asked for", cubes=[_sphere(place, 1.0, GREY) for place in around.locations]))
+    return found
+
+
+def _persons(around: Surroundings, time: float) -> list[Content]:
+    """Return the persons as they are at a time [s]; after the start only those that are found then."""
+    return [
+        _entity(f"person {i}", spheres=[_sphere((*place, 0.0), 2.0, FOUND if found <= time else MISSING)])
+        for i, (place, found) in enumerate(zip(around.persons, around.found, strict=True))
+        if time < 0.0 or found == time
+    ]
