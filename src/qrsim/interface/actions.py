@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Literal, TypeVar, cast
@@ -122,7 +123,8 @@ class ActionChecker:
     def _checked(self, command: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
         if type(command) in _NAME_OF:
             return self._setpoint(command, names, fleets, flying)
-        given = type(command) if type(command) in self._kinds else None
+        # A command of another vehicle is no array either; who takes what is said below.
+        given = type(command) if dataclasses.is_dataclass(command) else None
         kind = self._kind(given, fleets)
         if given is not None:
             columns = self._cast(command, "command", len(names))

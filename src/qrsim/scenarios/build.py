@@ -27,6 +27,7 @@ from qrsim.scenarios.faults import fault_problems, faults, reading_fields, rotor
 from qrsim.scenarios.ground import below_ground, bounds_of, has_floor, put_on_ground, standing_problems
 from qrsim.scenarios.hand_list import hand_lists, warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission, mission_problems
+from qrsim.scenarios.multirotor_checks import multirotor_problems
 from qrsim.scenarios.ranges import range_problems, ranges_of
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
@@ -137,6 +138,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield from _battery_problems(fleet_name, fleet)
         yield from _path_problems(fleet_name, fleet, scenario, floor)
         yield from controller_problems(fleet_name, fleet)
+        yield from multirotor_problems(fleet_name, fleet, scenario)
         yield from _guidance_problems(fleet_name, fleet)
         yield from _fitting_problems(fleet_name, fleet, scenario)
         yield from _feed_problems(fleet_name, fleet)

@@ -1,0 +1,86 @@
+"""Checks of the geometry of a multirotor, of its thrust, and of where it stands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from qrsim.models.vehicles.multirotor import Multirotor
+from qrsim.models.vehicles.multirotor.commands import MOST_ROTORS
+from qrsim.models.vehicles.multirotor.geometry import rank_of
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+
+# Below this ratio of the weakest to the strongest of thrust and three torques a mixer has no authority.
+LEAST_AUTHORITY = 0.02
+# A start so little below where it stands [m] is meant to be there.
+ON_IT = 0.01
+
+
+def multirotor_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield why the vehicles of a fleet cannot fly, if they are multirotors."""
+    if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
+        return
+    path, wrong = f"fleets.{name}.vehicle", False
+    for problem in _geometry(path, fleet):
+        wrong = True
+        yield problem
+    if not wrong:
+        yield from _lift(path, fleet)
+        yield from _standing(name, fleet, scenario)
+
+
+def _geometry(path: str, fleet: FleetSpec) -> Iterator[str]:
+    rotors, feet = fleet.vehicle.rotors, fleet.vehicle.feet
+    if not 4 <= len(rotors) <= MOST_ROTORS:
+        yield f"{path}.rotors: {len(rotors) or 'no'} rotors; allowed: 4 to {MOST_ROTORS}"
+        return
+    if len(feet) < 3:
+        yield f"{path}.feet: {len(feet) or 'no'} contact points to stand on; allowed: at least 3"
+    for i, rotor in enumerate(rotors):
+        length = math.hypot(*rotor.axis)
+        if abs(length - 1.0) > 1e-3:
+            yield f"{path}.rotors.{i}.axis: its length is {length:.4g}; expected a unit vector, as [0, 0, -1]"
+        if rotor.direction not in (1, -1):
+            yield f"{path}.rotors.{i}.direction: {rotor.direction}; allowed: 1 (clockwise seen from above) or -1"
+    authority = rank_of(rotors, float(np.min(fleet.vehicle.torque_ratio)))
+    if authority < LEAST_AUTHORITY:
+        yield (
+            f"{path}.rotors: the rotors cannot command thrust, roll, pitch and yaw by themselves: the weakest has "
+            f"{authority:.2g} of the authority of the strongest; allowed: at least {LEAST_AUTHORITY:g}"
+        )
+
+
+def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
+    """A vehicle must carry itself at its largest rotor speed, with something left to steer by."""
+    spec = fleet.vehicle
+    each = [np.asarray(getattr(spec, key), float) for key in ("thrust_coefficient", "speed_max", "mass", "gravity")]
+    # Lists of the wrong length are a problem of their own.
+    if len({part.size for part in each if part.ndim}) > 1:
+        return
+    coefficient, speed, mass, gravity = each
+    most = coefficient * speed**2 * -sum(rotor.axis[2] for rotor in spec.rotors)
+    weight = mass * gravity
+    i = int(np.argmin(np.atleast_1d(most / weight)))
+    lift, heavy = (float(np.broadcast_to(part, (i + 1,))[i]) for part in (most, weight))
+    if lift <= heavy:
+        yield (
+            f"{path}: cannot hover: {len(spec.rotors)} rotors lift {lift:.4g} N at speed_max, and it weighs "
+            f"{heavy:.4g} N; lower mass, or raise thrust_coefficient or speed_max"
+        )
+
+
+def _standing(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """No foot starts in the ground, from where it would be thrown up."""
+    if scenario.world.ground.type != "flat" or fleet.placement.type != "given":
+        return
+    high, ground = max(foot[2] for foot in fleet.vehicle.feet), -scenario.world.ground.height
+    for i, vehicle in enumerate(fleet.vehicles):
+        z = vehicle.position_ned[2]
+        if ground + ON_IT >= z > ground - high + ON_IT:
+            yield (
+                f"fleets.{name}.vehicles.{i}.position_ned: z = {z:g} m is below where it stands on its feet; allowed: "
+                f"at most {ground - high:g}"
+            )
