@@ -36,7 +36,8 @@ class Case:
         speed: its speed, before and after ``change``; ALONG: that of the path.
         stands: it never moves.
         ground: down coordinate that it does not pass, and from which on it stands on the ground.
-        bounces: it leaves the ground for 0.15 s in 0.8 s.
+        bounces: it leaves the ground for 0.15 s in 0.8 s, at 1 m/s.
+        hangs: it does not move up or down, and stands on the ground only from 60 s on.
         again: index of the leg after the last.
     """
 
@@ -47,6 +48,7 @@ class Case:
     stands: bool = False
     ground: float = 1e6
     bounces: bool = False
+    hangs: bool = False
     again: int | None = None
 
 
@@ -76,6 +78,7 @@ CASES = {
     "near enough": Case(NEAR, beside=(1.1, 1.1)),
     "lands": Case(LANDING, ground=1.0),
     "bounces": Case(LANDING, ground=0.0, bounces=True),
+    "hangs": Case(LANDING, ground=0.0, hangs=True),
 }
 
 
@@ -98,8 +101,12 @@ def fly(legs: Mission, cases: list[Case], dt: float, **own: Any) -> Any:
         place = Vec3(*(jnp.where(rests, a, b) for a, b in zip(START, (place.x, place.y, place.z), strict=True)))
         speed = jnp.where(late, each(lambda case: case.speed[1]), each(lambda case: case.speed[0]))
         own = jnp.where(jnp.isnan(speed), asked.velocity_ned.x, speed)
-        velocity = Vec3(own, asked.velocity_ned.y, asked.velocity_ned.z)
-        now = guidance.step(state, legs, place, velocity_ned=velocity, dt=dt, on_ground=place.z >= ground)
+        low = (each(lambda case: case.bounces) > 0) & (place.z > -5.0)
+        sinks = jnp.where(low, 1.0, asked.velocity_ned.z)
+        sinks = jnp.where(each(lambda case: case.hangs) > 0, 0.0, sinks)
+        velocity = Vec3(own, asked.velocity_ned.y, sinks)
+        stands = (place.z >= ground) & ((time >= 60.0) | ~(each(lambda case: case.hangs) > 0))
+        now = guidance.step(state, legs, place, velocity_ned=velocity, dt=dt, on_ground=stands)
         return now, now
 
     state = guidance.init(legs)
@@ -288,11 +295,20 @@ class TestLanding:
         assert sink[comes & (down > -10.0) & (down < 1.0)] == pytest.approx(0.7, abs=1e-3)
         touches = np.argmax(comes & (down >= 1.0))
         idle = np.flatnonzero(one.of("idle"))
-        # It has landed after a second on the ground, and stays for two more.
-        assert (idle[0] - touches) * DT == pytest.approx(1.0, abs=0.11)
-        assert (idle[-1] - idle[0]) * DT == pytest.approx(2.0, abs=0.11)
+        # After half a second on the ground its motors idle; it has landed after a second, and stays for two more.
+        assert (idle[0] - touches) * DT == pytest.approx(0.5, abs=0.11)
+        assert (idle[-1] - idle[0]) * DT == pytest.approx(2.5, abs=0.11)
         assert down[idle].max() < 1.0 + 5.0
         assert np.argmax(index == 2) == idle[-1]
+
+    def test_who_is_held_by_the_ground_idles_until_it_stands(self, flown: dict[str, Flown]) -> None:
+        """At 0.7 m/s the point that is due is 0.6 m below after 0.86 s, and half a second later motors idle."""
+        one = flown["hangs"]
+        idle = np.flatnonzero(one.of("idle"))
+        comes = (one.of("index") == 1) & (one.rows("position")[:, 2] > 0.0)
+        assert (idle[0] - np.argmax(comes)) * DT == pytest.approx(0.6 / 0.7 + 0.5, abs=0.15)
+        assert one.of("index")[round(59.0 / DT)] == 1
+        assert np.argmax(one.of("index") == 2) * DT == pytest.approx(62.0, abs=0.15)
 
     def test_a_bounce_does_not_count(self, flown: dict[str, Flown]) -> None:
         assert flown["bounces"].of("index")[-1] == 1

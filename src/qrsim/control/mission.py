@@ -15,6 +15,8 @@ from qrsim.core.tree import map_tree, parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 
 T = TypeVar("T")
+# A landing vehicle so far above the point that is due [m], and not faster than this [m/s], is held by the ground.
+HELD, HELD_SPEED = 0.6, 0.25
 
 
 @record
@@ -78,7 +80,7 @@ class MissionState:
     time: Array = quantity(unit="s", doc="time on the path of the leg, which waits for the vehicle")
     time_low: Array = quantity(unit="s", doc="what single precision leaves out of it")
     ticks: Array = quantity(doc="int32 ticks on the leg until its end was reached")
-    waited: Array = quantity(doc="int32 ticks at its end; of a landing before that, on the ground")
+    waited: Array = quantity(doc="int32 ticks at its end; of a landing before that, held by the ground")
     near: Array = quantity(doc="bool: has been within the accept radius")
     arrived: Array = quantity(doc="bool: its end was reached, and the vehicle stays")
     late: Array = quantity(doc="int32 legs that took longer than allowed")
@@ -165,7 +167,7 @@ class MissionGuidance(Guidance):
         rate = jnp.clip(1.0 - (behind - self.stretch_from) / self.stretch_over, 0.0, 1.0)
         asked = PathSetpoint(
             due.position_ned, due.velocity_ned * rate, due.acceleration_ned * (rate * rate), due.yaw,
-            state.arrived & leg.lands,
+            leg.lands & (state.arrived | (seconds(state.waited) >= 0.5 * self.settle)),
         )  # fmt: skip
         distance = (leg.position_ned - position_ned).norm()
         near = state.near | (distance < leg.accept_radius)
@@ -177,11 +179,14 @@ class MissionGuidance(Guidance):
         time, low = two_sum(state.time, state.time_low + ahead)
         waited = state.waited + 1
         slow = velocity_ned.norm() < self.stop_speed
+        # Asked to come down and not coming down: what holds it is the ground. Idle motors then let its feet bear.
+        held = (due.position_ned.z - position_ned.z > HELD) & (jnp.abs(velocity_ned.z) < HELD_SPEED)
+        touches = leg.lands & (standing | held)
         landed = standing & (seconds(waited) >= self.settle)
         at_rest = jnp.where(leg.lands, landed, (distance < leg.accept_radius) & slow & (time >= ends - 0.05 * dt))
         arrives = ~state.arrived & jnp.where(leg.stops, at_rest, near & (time >= ends))
         arrived = state.arrived | arrives
-        kept = jnp.where(state.arrived | (leg.lands & standing & ~arrives), waited, 0)
+        kept = jnp.where(state.arrived | (touches & ~arrives), waited, 0)
         final = (state.index + 1 >= route.count) & (route.following == state.index)
         done = arrived & (seconds(kept) >= leg.hold_s)
         moves = done & ~final
