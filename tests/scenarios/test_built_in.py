@@ -53,7 +53,8 @@ def test_every_default_is_written_out(name: str) -> None:
         assert {"vehicle", "controller", "guidance", "limits", "sensors", "vehicles"} <= set(fleet)
         assert "mass" in fleet["vehicle"]
         loops = [part for part in fleet["controller"].values() if isinstance(part, dict)]
-        assert any("kp" in loop for loop in loops)
+        # The loops of a published controller, the filter of a cascade.
+        assert any("kp" in loop or "bias_gain" in loop for loop in loops)
     assert {"area", "wind", "turbulence", "sky", "collision_distance"} <= set(content["world"])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import qrsim
-from qrsim.control import HeightLoop, VelocityController, WaypointController
+from qrsim.control import CascadeController, HeightLoop, VelocityController, WaypointController
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.atmosphere.turbulence import DrydenFirstOrder
 from qrsim.models.atmosphere.wind import LogShear
@@ -75,9 +75,9 @@ def outdoor_patrol() -> Any:
     fleet = {
         "vehicles": [{"position_ned": start, "waypoints_ned": route} for start, route in PATROL.items()],
         "vehicle": Quadrotor(),
-        "controller": WaypointController(tilt_limit=0.6),  # type: ignore[arg-type]
+        "controller": CascadeController(speed_limit=5.0, tilt_limit=0.67),  # type: ignore[arg-type]
         "limits": {"rate": 6.0},
-        "guidance": {"type": "route", "acceptance_radius": 8.0},
+        "guidance": {"type": "route", "acceptance_radius": 3.0},
         "sensors": {**SENSORS["noisy"], "gnss": GnssReceiver(range_noise_std=0.02)},  # type: ignore[arg-type]
     }
     return make_scenario(

@@ -18,7 +18,6 @@ from qrsim.control.setpoints import (
     AttitudeHeightSetpoint,
     AttitudeSetpoint,
     Estimate,
-    OffboardSetpoint,
     PathSetpoint,
     Setpoint,
     VelocityHeightSetpoint,
@@ -111,9 +110,24 @@ class CascadeController(Controller):
         zero, never = Vec3(none, none, none), jnp.full_like(none, NEVER)
         return CascadeState(zero, Vec3(never, never, never), zero)
 
-    def shown(self, setpoint: Setpoint) -> OffboardSetpoint:
-        """Return a set-point as stored in a world's state: the same fields for all kinds."""
-        return OffboardSetpoint.of(setpoint)
+    def shown(self, setpoint: Setpoint) -> PathSetpoint:
+        """Return a set-point as stored in a world's state: the fields of a path, NaN in those that it leaves free."""
+        zero = jnp.zeros_like(setpoint.yaw)
+        none = jnp.full_like(zero, jnp.nan)
+        nothing, still = Vec3(none, none, none), Vec3(zero, zero, zero)
+        if isinstance(setpoint, PathSetpoint):
+            return replace(setpoint, idle=None)
+        if isinstance(setpoint, WaypointSetpoint):
+            return PathSetpoint(setpoint.position_ned, still, still, setpoint.yaw)
+        if isinstance(setpoint, VelocitySetpoint):
+            return PathSetpoint(nothing, setpoint.velocity_ned, still, setpoint.yaw)
+        if isinstance(setpoint, AttitudeSetpoint):
+            return PathSetpoint(nothing, nothing, nothing, setpoint.yaw)
+        height = Vec3(none, none, setpoint.z)
+        if isinstance(setpoint, VelocityHeightSetpoint):
+            level = Vec3(setpoint.velocity_north, setpoint.velocity_east, none)
+            return PathSetpoint(height, level, still, setpoint.yaw)
+        return PathSetpoint(height, nothing, nothing, setpoint.yaw)
 
     def step(self, state: CascadeState, estimate: Estimate, setpoint: Any, dt: float) -> tuple[CascadeState, object]:
         """Return the new state and the vehicle's own command (n,)."""

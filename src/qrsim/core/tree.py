@@ -186,12 +186,12 @@ def concatenated(trees: Sequence[T]) -> T:
 def walk(item: Any, prefix: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
     """Yield (dotted name, leaf, metadata) for each array in a tree of records.
 
-    The axes of a Vec3 inherit its unit; the parts of a tuple are numbered from 0.
+    The axes of a Vec3 inherit its unit; the parts of a tuple are numbered from 0; a field that is None has none.
     """
     for field in dataclasses.fields(item):
         info = field_info(field)
         value = getattr(item, field.name)
-        if not info.static:
+        if not info.static and value is not None:
             yield from _walked(value, f"{prefix}{field.name}", info)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from jax import Array
 
-from qrsim.control import OffboardSetpoint, WaypointSetpoint
+from qrsim.control import OffboardSetpoint, PathSetpoint, WaypointSetpoint
 from qrsim.core.pairs import joined, two_sum
 from qrsim.core.tree import concatenated, quantity, record, replace, select
 from qrsim.core.vectors import Vec3
@@ -225,7 +225,10 @@ def _goal(world: World, state: State) -> Vec3:
     for fleet in state.fleets:
         nowhere = fleet.vehicle.position_ned.map(lambda axis: jnp.full_like(axis, jnp.nan))
         setpoint = fleet.setpoint
-        goals.append(setpoint.position_ned if isinstance(setpoint, WaypointSetpoint | OffboardSetpoint) else nowhere)
+        if isinstance(setpoint, WaypointSetpoint | OffboardSetpoint | PathSetpoint):
+            goals.append(setpoint.position_ned)
+        else:
+            goals.append(nowhere)
     return concatenated(goals)
 
 

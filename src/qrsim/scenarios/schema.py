@@ -249,7 +249,7 @@ class FleetSpec(Strict):
 
     vehicle: VehicleSlot = Field({"type": "pelican"}, description="vehicle model", validate_default=True)
     controller: ControllerSlot = Field(
-        {"type": "waypoint"}, description="control loops; default: those of the vehicle", validate_default=True
+        {"type": "cascade"}, description="control loops; default: those of the vehicle", validate_default=True
     )
     guidance: GuidanceSlot = Field(
         {"type": "route"},

@@ -233,7 +233,12 @@ def test_a_reference_client_can_hold_thirty_six_vehicles():
     assert state_size(36) <= 10_000 < state_size(37)
 
 
-@pytest.mark.parametrize("name", ["keep_spot", "keep_velocity", "outdoor_patrol"])
+def test_a_served_cascade_takes_all_commands_as_it_is():
+    """Its gains have other units than those of the published loops."""
+    assert offboard(load_scenario("outdoor_patrol")).spec == load_scenario("outdoor_patrol").spec
+
+
+@pytest.mark.parametrize("name", ["keep_spot", "keep_velocity", "patrol_published"])
 def test_a_served_scenario_takes_all_commands_and_keeps_its_gains(name):
     before, after = load_scenario(name).spec, offboard(load_scenario(name)).spec
     for fleet in before.fleets:

@@ -11,7 +11,7 @@ import yaml
 
 from qrsim.control.controllers import OffboardController
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
-from qrsim.scenarios.catalogue import VEHICLES
+from qrsim.scenarios.catalogue import CONTROLLERS, VEHICLES
 from qrsim.scenarios.providing import outside_problems
 from qrsim.scenarios.reading import built_in_names, parse_yaml
 from qrsim.scenarios.scenario import Scenario, load_scenario
@@ -49,11 +49,14 @@ _GAINS = [field.name for field in dataclasses.fields(OffboardController)]
 def offboard(scenario: Scenario) -> Scenario:
     """Return a scenario whose fleets accept every kind of set-point; gains are kept by name.
 
-    Fleets of vehicles that this controller does not fly keep their own.
+    Fleets whose controller takes them all keep it, as do vehicles that this one does not fly.
     """
     content = scenario.spec.model_dump(mode="json")
     for fleet in content["fleets"].values():
         if OffboardController.gives not in VEHICLES[fleet["vehicle"]["type"]].actions:  # type: ignore[attr-defined]
+            continue
+        own: Any = CONTROLLERS[fleet["controller"]["type"]]
+        if set(own.setpoints) >= set(OffboardController.setpoints):
             continue
         gains = {name: value for name, value in fleet["controller"].items() if name in _GAINS}
         fleet["controller"] = {"type": "offboard", **gains}

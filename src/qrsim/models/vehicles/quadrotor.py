@@ -102,7 +102,7 @@ class Quadrotor(Vehicle):
     command_type: ClassVar[type[Any]] = Command
     actions: ClassVar[tuple[type[Any], ...]] = (Command,)
     normals: ClassVar[int] = 6
-    default_controller: ClassVar[str] = "waypoint"
+    default_controller: ClassVar[str] = "cascade"
 
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
         """Return a state whose thrust carries the weight."""
