@@ -65,7 +65,8 @@ class List:
 class Show:
     """Print a scenario with every default filled in, as YAML that can be saved and changed.
 
-    What follows from it stands at its end, as comments: the steady airspeed that each fleet holds.
+    What follows from it stands at its end, as comments: hover throttle, thrust over weight and the steady airspeed that
+    each fleet holds.
 
     Example:
       qrsim show outdoor_patrol > mine.yaml
@@ -79,21 +80,33 @@ class Show:
     )
     """Change one value of the scenario; can be given several times."""
     json: bool = False
-    """Print JSON instead."""
+    """Print JSON instead; without what follows, unless --derived asks for it."""
+    derived: bool = False
+    """Print only what follows from the parameters of each fleet's vehicles."""
 
     def run(self) -> None:
-        """Print the resolved scenario."""
-        from qrsim.scenarios.scenario import load_scenario
+        """Print the resolved scenario, and what follows from the parameters of its vehicles."""
+        import json
 
-        scenario = load_scenario(self.scenario, self.set)
-        if self.json:
-            print(scenario.spec.model_dump_json(indent=2))
-            return
+        from qrsim.scenarios.derived import derived_of
+        from qrsim.scenarios.scenario import load_scenario
         from qrsim.scenarios.wind_limits import envelope_lines
 
-        print(scenario.to_yaml().rstrip())
+        scenario = load_scenario(self.scenario, self.set)
+        derived = derived_of(scenario)
+        if self.json:
+            print(json.dumps(derived, indent=2) if self.derived else scenario.spec.model_dump_json(indent=2))
+            return
+        if not self.derived:
+            print(scenario.to_yaml().rstrip())
+        # Comments of YAML, so that what is printed can be saved and flown.
+        mark = "" if self.derived else "# "
+        for fleet, numbers in derived.items():
+            print(f"{mark}What follows for fleet '{fleet}':")
+            for name, value in numbers.items():
+                print(f"{mark}  {name}: {value:.4g}")
         for line in envelope_lines(scenario.spec):
-            print(f"# {line}")
+            print(f"{mark}{line}")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Multirotors by the name of a parameter set: ``vehicle: {type: multirotor, model: x500}``."""
+"""Multirotors by a parameter set, ``vehicle: {type: multirotor, model: x500}``, or by six numbers, ``own: {...}``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import dataclasses
 from typing import Any
 
 from qrsim.core.tree import field_info
-from qrsim.errors import ScenarioError, did_you_mean
+from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.models.vehicles.multirotor.geometry import Rotor
+from qrsim.models.vehicles.multirotor.own import GEOMETRIES, SIX, own_multirotor, rotors_of
 from qrsim.models.vehicles.multirotor.sets import SETS
 
 
@@ -34,22 +36,97 @@ def _written(value: Any) -> Any:
 
 
 def insert_vehicle_models(content: dict[str, Any], source: str) -> None:
-    """Replace, in place, the ``model`` of each multirotor of a scenario by its parameters; others beside it count.
+    """Replace, in place, what names or derives the parameters of each multirotor by these; others beside it count.
+
+    That is ``model`` (a set of parameters), ``own`` (six numbers) and ``geometry`` (where the rotors are).
 
     Raises:
-        ScenarioError: no model has that name.
+        ScenarioError: no model or arrangement has that name, or numbers are wrong.
     """
     fleets = content.get("fleets")
+    problems = []
     for name, fleet in fleets.items() if isinstance(fleets, dict) else ():
         vehicle = fleet.get("vehicle") if isinstance(fleet, dict) else None
-        if not isinstance(vehicle, dict) or vehicle.get("type") != "multirotor" or "model" not in vehicle:
+        if not isinstance(vehicle, dict) or vehicle.get("type") != "multirotor" or not SHORT & set(vehicle):
             continue
+        try:
+            fleet["vehicle"] = _written_out(vehicle)
+        except UsageError as error:
+            problems.append(f"fleets.{name}.vehicle.{error}")
+            continue
+        if "own" in vehicle:
+            _slow_down(fleet, float(vehicle["own"]["attitude_bandwidth"]))
+    if problems:
+        raise ScenarioError(source, problems)
+
+
+# Written in a scenario in place of parameters.
+SHORT = {"model", "own", "geometry", "arm", "rotor_height"}
+
+
+def _written_out(vehicle: dict[str, Any]) -> dict[str, Any]:
+    """Return a multirotor with its parameters in place of what stands for them.
+
+    Raises:
+        UsageError: its message begins with the path below the vehicle.
+    """
+    beside = {key: value for key, value in vehicle.items() if key not in SHORT}
+    found: dict[str, Any] = {}
+    if "own" in vehicle:
+        if "model" in vehicle:
+            raise UsageError("own: gives both 'own' and 'model'; give one")
+        found = numbers_of(_own(vehicle["own"], vehicle.get("geometry"), beside))
+    elif "model" in vehicle:
         model = vehicle["model"]
         if not isinstance(model, str) or model not in SETS:
-            hint = did_you_mean(str(model), SETS)
-            raise ScenarioError(source, [f"fleets.{name}.vehicle.model: no multirotor is called '{model}'{hint}"])
-        beside = {key: value for key, value in vehicle.items() if key != "model"}
-        fleet["vehicle"] = _over(numbers_of(SETS[model]()), beside)
+            raise UsageError(f"model: no multirotor is called '{model}'{did_you_mean(str(model), SETS)}")
+        found = numbers_of(SETS[model]())
+    if "own" not in vehicle and {"geometry", "arm", "rotor_height"} & set(vehicle):
+        found["rotors"] = [_written(rotor) for rotor in _arranged(vehicle)]
+    return _over(found, beside)
+
+
+def _slow_down(fleet: dict[str, Any], attitude_bandwidth: float) -> None:
+    """Give a cascade, in place, the gains that a vehicle can follow which leans as fast as it does, where none are."""
+    controller = fleet.setdefault("controller", {"type": "cascade"})
+    if isinstance(controller, dict) and controller.get("type") == "cascade":
+        controller.setdefault("position_gain", min(1.2, attitude_bandwidth / 7.0))
+        controller.setdefault("velocity_gain", min(2.2, attitude_bandwidth / 3.6))
+
+
+def _own(own: Any, geometry: Any, beside: dict[str, Any]) -> Any:
+    """Return the multirotor of the six numbers of a scenario."""
+    if not isinstance(own, dict):
+        raise UsageError(f"own: expected {', '.join(SIX)}, found {own!r:.100}")
+    for key in own:
+        if key not in (*SIX, "geometry"):
+            raise UsageError(f"own.{key}: no such number{did_you_mean(str(key), SIX)}")
+    missing = [key for key in SIX if key not in own]
+    if missing:
+        raise UsageError(f"own: {' and '.join(missing)} missing; expected {', '.join(SIX)}")
+    given: dict[str, Any] = {"geometry": geometry, **own}
+    spin_up = beside.get("spin_up")
+    if isinstance(spin_up, int | float) and not isinstance(spin_up, bool):
+        given["spin_up"] = spin_up
+    try:
+        return own_multirotor(**given)
+    except UsageError as error:
+        raise UsageError(f"own.{error}") from None
+
+
+def _arranged(vehicle: dict[str, Any]) -> tuple[Rotor, ...]:
+    """Return the rotors of a usual arrangement."""
+    if "geometry" not in vehicle:
+        raise UsageError(f"arm: without geometry; give one of {', '.join(GEOMETRIES)}, or rotors")
+    if "rotors" in vehicle:
+        raise UsageError("geometry: gives both 'geometry' and 'rotors'; give one")
+    numbers = {"arm": vehicle.get("arm"), "rotor_height": vehicle.get("rotor_height", 0.0)}
+    for name, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 10.0:
+            raise UsageError(f"{name}: expected a length [m], found {value!r}")
+    if numbers["arm"] <= 0.0:
+        raise UsageError(f"arm: {numbers['arm']:g} m; allowed: above 0")
+    return rotors_of(vehicle["geometry"], float(numbers["arm"]), float(numbers["rotor_height"]))
 
 
 def _over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from qrsim.models.vehicles.multirotor.geometry import Rotor, ring
+from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 
 
@@ -40,7 +41,43 @@ def hexa4() -> Multirotor:
     )  # fmt: skip
 
 
-SETS = {"x500": x500, "hummingbird": hummingbird, "hexa4": hexa4}
+def pelican() -> Multirotor:
+    """Return RotorS' AscTec Pelican as a rigid body: pelican.xacro.
+
+    It weighs 1 kg there; the identified one (``type: pelican``) weighs 1.68 kg and has its own autopilot in it.
+    """
+    return _made(
+        mass=1.0, inertia_x=0.01, inertia_y=0.01, inertia_z=0.02,
+        thrust_coefficient=9.9865e-6, torque_ratio=0.016, speed_max=838.0,
+        spin_up=0.0125, spin_down=0.025, rotor_radius=0.128,
+        rotor_drag=8.06428e-5, drag_x=0.0, drag_y=0.0, drag_z=0.0,
+        nominal_voltage=11.1, top=(0.0, 0.0, -0.12),
+        rotors=ring(4, 0.21, 0.0, direction=1, down=-0.05), feet=_feet(0.1, 0.12),
+    )  # fmt: skip
+
+
+def crazyflie() -> Multirotor:
+    """Return the Crazyflie 2.x with the L250 propellers: drone-models 0.1.0.
+
+    Its thrust is fitted there by a quadratic with a linear term; here it is in proportion to the square of the speed,
+    equal in hover (1986 rad/s) and at the largest thrust, 0.12 N a rotor. Drag after J. Foerster, "System
+    identification of the Crazyflie 2.0 nano quadrocopter", ETH Zurich, 2015.
+    """
+    c = 0.046 / math.sqrt(2.0)
+    return _made(
+        mass=0.0319, inertia_x=1.68e-5, inertia_y=1.68e-5, inertia_z=2.98e-5,
+        thrust_coefficient=1.983e-8, torque_ratio=0.00735, speed_max=2460.0,
+        spin_up=0.05, spin_down=0.1, rotor_radius=0.0231,
+        rotor_drag=1.03e-6, inflow_loss=7.55e-7, drag_x=0.0, drag_y=0.0, drag_z=0.0,
+        nominal_voltage=3.7, avionics_power=0.5, top=(0.0, 0.0, -0.02),
+        rotors=(Rotor((c, c, 0.0), -1), Rotor((-c, c, 0.0), 1), Rotor((-c, -c, 0.0), -1), Rotor((c, -c, 0.0), 1)),
+        feet=_feet(0.7 * c, 0.015),
+        # Its rotors are slow: at 8 rad/s it overshoots.
+        stabiliser=_stabiliser(attitude_gain=6.0, rate_gain=18.0),
+    )  # fmt: skip
+
+
+SETS = {"x500": x500, "hummingbird": hummingbird, "pelican": pelican, "crazyflie": crazyflie, "hexa4": hexa4}
 
 
 def _feet(side: float, down: float) -> tuple[tuple[float, float, float], ...]:
@@ -51,3 +88,8 @@ def _feet(side: float, down: float) -> tuple[tuple[float, float, float], ...]:
 def _made(**values: Any) -> Multirotor:
     """Return a vehicle of numbers that are turned into arrays where a world is built."""
     return Multirotor(**values)
+
+
+def _stabiliser(**gains: Any) -> Stabiliser:
+    """Return loops of numbers."""
+    return Stabiliser(**gains)

@@ -18,6 +18,7 @@ from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
 from qrsim.models.scene.area import reason_code
 from qrsim.models.vehicles.commands import clipped
 from qrsim.models.vehicles.contracts import Around, Check, Handling, Load, Outline, Pose, Vehicle
+from qrsim.models.vehicles.multirotor.balance import leaning
 from qrsim.models.vehicles.multirotor.commands import (
     TILT_MAX_RAD,
     AttitudeCommand,
@@ -173,6 +174,10 @@ class Multirotor(Airframe, Vehicle):
         rest = Vec3.zeros(state.standing.shape, state.standing.dtype)
         still = tuple(jnp.zeros_like(rate) for rate in state.rotor_speed)
         return replace(state, velocity_body=rest, rates_body=rest, rotor_speed=still)
+
+    def leaning(self, tilt: Any) -> tuple[Any, Any] | None:
+        """Return airspeed [m/s] and thrust [N] (n,) of balance at a tilt (n,) [rad]."""
+        return leaning(self, tilt)
 
     def outline(self) -> Outline:
         """Return its rotors."""

@@ -1,0 +1,261 @@
+"""A multirotor of one's own from six numbers that its builder knows, by rules of thumb with stated ranges.
+
+docs/scenarios.md lists the rules, with the range that vehicles with published parameters (sets.py) have.
+Whatever is known better replaces what is derived here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.vehicles.multirotor.geometry import Rotor, ring
+from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser
+from qrsim.models.vehicles.multirotor.vehicle import Multirotor
+
+AIR_DENSITY, GRAVITY = 1.225, 9.81
+# Radius over the distance between neighbours, so that propellers just clear each other; and at most over the arm.
+OF_SPACING, OF_ARM = 0.45, 0.6
+# Thrust coefficient T/(rho A (W R)^2) of two-bladed propellers: 0.009 to 0.015.
+THRUST_COEFFICIENT = 0.0125
+# Torque over thrust, in radii: 0.12 of large propellers to 0.3 of a Crazyflie's.
+TORQUE_IN_RADII = 0.15
+# Moment of inertia over mass times arm squared: roll and pitch 0.17 to 0.25, yaw 1.8 to 2 times as much.
+INERTIA, INERTIA_YAW = 0.23, 0.43
+# Time constant of a rotor that speeds up [s/m of radius], and the shortest [s]; it slows down half as fast.
+SPIN_UP_PER_M, SPIN_UP_LEAST = 0.12, 0.012
+# Deceleration for each m/s of airspeed by drag of the rotors [1/s].
+ROTOR_DRAG = 0.3
+# Share of the textbook's loss of thrust to axial inflow.
+INFLOW = 0.5
+# Drag coefficient of a body of half an arm across, twice as large from above.
+BODY_DRAG = 0.6
+# The stabiliser's rate loop is three times as fast as that of the angles, and as fast as the rotors allow at most.
+RATE_OVER_ATTITUDE, RATE_TIMES_SPIN_UP = 3.0, 0.45
+# Thrust of two rotors on one axis over that of two apart: the lower one works in the wake of the upper one.
+COAXIAL = 0.9
+# Number -> unit, least and largest of what is sensible.
+RANGES: dict[str, tuple[str, float, float]] = {
+    "mass": ("kg", 0.01, 100.0),
+    "arm": ("m", 0.02, 3.0),
+    "hover_throttle": ("", 0.1, 0.95),
+    "thrust_to_weight": ("", 1.2, 20.0),
+    "attitude_bandwidth": ("rad/s", 1.0, 40.0),
+}
+SIX = ("mass", "arm", "rotors", "hover_throttle", "thrust_to_weight", "attitude_bandwidth")
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """A usual arrangement of rotors.
+
+    Attributes:
+        arms: number of arms.
+        first_deg: angle of the first one from the nose, clockwise from above.
+        coaxial: two rotors on each arm.
+    """
+
+    arms: int
+    first_deg: float
+    coaxial: bool = False
+
+    @property
+    def count(self) -> int:
+        """Number of rotors."""
+        return self.arms * (2 if self.coaxial else 1)
+
+
+GEOMETRIES = {
+    "quad_x": Geometry(4, 45.0),
+    "quad_plus": Geometry(4, 0.0),
+    "hexa_x": Geometry(6, 30.0),
+    "hexa_plus": Geometry(6, 0.0),
+    "octo_x": Geometry(8, 22.5),
+    "coaxial_x8": Geometry(4, 45.0, coaxial=True),
+}
+# Where only the number of rotors is said.
+USUAL = {4: "quad_x", 6: "hexa_x", 8: "octo_x"}
+
+
+def rotors_of(geometry: str, arm: float, height: float = 0.0) -> tuple[Rotor, ...]:
+    """Return the rotors of a usual arrangement, clockwise from the nose; neighbours turn opposite ways.
+
+    Args:
+        geometry: one of GEOMETRIES.
+        arm: distance of each hub from the middle [m].
+        height: of the hubs over the centre of mass [m].
+
+    Raises:
+        UsageError: no arrangement is called so.
+    """
+    kind = _arrangement(geometry)
+    # The first one, right of the nose, turns counterclockwise: as the front right one of common autopilots.
+    upper = ring(kind.arms, arm, math.radians(kind.first_deg), direction=-1, down=-height)
+    if not kind.coaxial:
+        return upper
+    below = 0.2 * arm
+    lower = ring(kind.arms, arm, math.radians(kind.first_deg), direction=1, down=below - height)
+    return (*upper, *lower)
+
+
+def own_parameters(
+    mass: float,
+    arm: float,
+    rotors: int,
+    hover_throttle: float,
+    thrust_to_weight: float,
+    attitude_bandwidth: float,
+    geometry: str | None = None,
+    spin_up: float | None = None,
+) -> dict[str, Any]:
+    """Derive the parameters of a multirotor by the rules of docs/scenarios.md.
+
+    Args:
+        mass: take-off mass [kg].
+        arm: distance of the rotors' hubs from the middle [m].
+        rotors: how many.
+        hover_throttle: throttle at which it hovers, 0 to 1.
+        thrust_to_weight: largest thrust over weight.
+        attitude_bandwidth: 1 over the time in which it reaches 63 % of a step of roll [rad/s].
+        geometry: one of GEOMETRIES; None: the usual one of the number of rotors.
+        spin_up: time constant of the rotors [s], where it is known; None: derived.
+
+    Raises:
+        UsageError: a number out of its range, or numbers that contradict each other.
+    """
+    given = {
+        "mass": mass, "arm": arm, "hover_throttle": hover_throttle, "thrust_to_weight": thrust_to_weight,
+        "attitude_bandwidth": attitude_bandwidth,
+    }  # fmt: skip
+    _check(given)
+    kind = _geometry(rotors, geometry)
+    weight, radius = mass * GRAVITY, _radius(arm, kind.arms)
+    pairs = COAXIAL if kind.coaxial else 1.0
+    # The larger coefficient is that of a propeller alone.
+    thrust = THRUST_COEFFICIENT * AIR_DENSITY * math.pi * radius**4 * pairs
+    fastest = math.sqrt(thrust_to_weight * weight / (rotors * thrust))
+    hovering = math.sqrt(weight / (rotors * thrust))
+    induced = math.sqrt(weight / (2.0 * AIR_DENSITY * rotors * math.pi * radius**2))
+    if spin_up is None:
+        spin_up = max(SPIN_UP_LEAST, SPIN_UP_PER_M * radius)
+    _check_bandwidth(attitude_bandwidth, spin_up)
+    drag = 0.5 * AIR_DENSITY * BODY_DRAG * arm**2
+    gains: dict[str, Any] = {
+        "attitude_gain": attitude_bandwidth, "rate_gain": RATE_OVER_ATTITUDE * attitude_bandwidth,
+    }  # fmt: skip
+    return {
+        "mass": mass,
+        "inertia_x": INERTIA * mass * arm**2,
+        "inertia_y": INERTIA * mass * arm**2,
+        "inertia_z": INERTIA_YAW * mass * arm**2,
+        "thrust_coefficient": thrust,
+        "torque_ratio": TORQUE_IN_RADII * radius / pairs,
+        "speed_max": fastest,
+        "spin_up": spin_up,
+        "spin_down": 2.0 * spin_up,
+        "rotor_radius": radius,
+        "rotor_inertia": 0.0,
+        "rotor_drag": ROTOR_DRAG * mass / (rotors * hovering),
+        "inflow_loss": INFLOW * weight / (2.0 * rotors * induced * hovering),
+        "translational_lift": 0.0,
+        "drag_x": drag,
+        "drag_y": drag,
+        "drag_z": 2.0 * drag,
+        "throttle_curve": _curve(hover_throttle, thrust_to_weight),
+        "stabiliser": Stabiliser(**gains),
+        "rotors": rotors_of(geometry or USUAL[rotors], arm),
+        "feet": _feet(0.5 * arm, 0.3 * arm + 0.02),
+        "top": (0.0, 0.0, -0.3 * arm - (0.2 * arm if kind.coaxial else 0.0)),
+    }
+
+
+def own_multirotor(
+    *,
+    mass: float,
+    arm: float,
+    rotors: int,
+    hover_throttle: float,
+    thrust_to_weight: float,
+    attitude_bandwidth: float,
+    geometry: str | None = None,
+    **parameters: Any,
+) -> Multirotor:
+    """Return a multirotor of six numbers, for ``make_scenario(vehicle=...)``.
+
+    >>> vehicle = qrsim.own_multirotor(mass=1.2, arm=0.225, rotors=4, hover_throttle=0.5, thrust_to_weight=2.2,
+    ...                                attitude_bandwidth=8.0)
+
+    Args:
+        mass, arm, rotors, hover_throttle, thrust_to_weight, attitude_bandwidth, geometry: see ``own_parameters``.
+        parameters: fields of ``Multirotor`` that are known better than by a rule.
+
+    Raises:
+        UsageError: a number out of its range, numbers that contradict each other, or an unknown parameter.
+    """
+    derived = own_parameters(
+        mass, arm, rotors, hover_throttle, thrust_to_weight, attitude_bandwidth, geometry, parameters.get("spin_up")
+    )
+    for name in parameters:
+        if name not in Multirotor.__dataclass_fields__:
+            known = list(Multirotor.__dataclass_fields__)
+            raise UsageError(f"own_multirotor: no such parameter '{name}'{did_you_mean(name, known)}")
+    return Multirotor(**(derived | parameters))
+
+
+def _check(given: dict[str, float]) -> None:
+    for name, value in given.items():
+        unit, low, high = RANGES[name]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            shown = f"{value:g} {unit}".strip() if isinstance(value, int | float) else repr(value)
+            raise UsageError(f"{name}: {shown}; allowed: {low:g} to {high:g}{f' {unit}' if unit else ''}")
+
+
+def _arrangement(name: Any) -> Geometry:
+    if not isinstance(name, str) or name not in GEOMETRIES:
+        raise UsageError(f"geometry: no arrangement is called '{name}'{did_you_mean(str(name), GEOMETRIES)}")
+    return GEOMETRIES[name]
+
+
+def _geometry(rotors: int, geometry: str | None) -> Geometry:
+    if isinstance(rotors, bool) or not isinstance(rotors, int) or rotors < 3:
+        raise UsageError(f"rotors: {rotors!r}; a multirotor needs 4, 6 or 8, or a geometry")
+    if geometry is None:
+        if rotors not in USUAL:
+            raise UsageError(f"rotors: {rotors}; allowed: {', '.join(map(str, USUAL))}")
+        geometry = USUAL[rotors]
+    kind = _arrangement(geometry)
+    if kind.count != rotors:
+        raise UsageError(f"rotors: {rotors}; '{geometry}' has {kind.count}")
+    return kind
+
+
+def _radius(arm: float, arms: int) -> float:
+    spacing = 2.0 * arm * math.sin(math.pi / arms)
+    return min(OF_SPACING * spacing, OF_ARM * arm)
+
+
+def _curve(hover: float, ratio: float) -> float:
+    """Return a of thrust/largest thrust = a u^2 + (1 - a) u, so that it hovers at a throttle."""
+    low, high = 1.0 / ratio, 1.0 / math.sqrt(ratio)
+    # Numbers are given to two digits.
+    if not low - 0.005 <= hover <= high + 0.005:
+        raise UsageError(
+            f"hover_throttle: {hover:g}; with thrust_to_weight {ratio:g} a vehicle hovers at {low:.3g} (thrust in "
+            f"proportion to the throttle) to {high:.3g} (to its square)"
+        )
+    return min(1.0, max(0.0, (hover - low) / (hover - hover * hover)))
+
+
+def _check_bandwidth(attitude: float, spin_up: float) -> None:
+    fastest = RATE_TIMES_SPIN_UP / (RATE_OVER_ATTITUDE * spin_up)
+    if attitude > 1.02 * fastest:
+        raise UsageError(
+            f"attitude_bandwidth: {attitude:g} rad/s; rotors of a time constant of {spin_up:.3g} s allow {fastest:.3g} "
+            "rad/s at most; give spin_up if yours are faster"
+        )
+
+
+def _feet(side: float, down: float) -> tuple[tuple[float, float, float], ...]:
+    return ((side, side, down), (-side, side, down), (-side, -side, down), (side, -side, down))

@@ -1,0 +1,33 @@
+"""What follows from the parameters of the vehicles of a scenario, for people: hover, reserves, the wind they hold."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.models.vehicles.multirotor import Multirotor
+from qrsim.models.vehicles.multirotor.derived import derived
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.build import component
+from qrsim.scenarios.scenario import Scenario
+from qrsim.scenarios.wind_limits import limits_of
+
+
+def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
+    """Return derived quantities of each fleet that has some, by name; units end the names."""
+    found = {}
+    for name, fleet in scenario.spec.fleets.items():
+        vehicle: Any = component(fleet.vehicle, known.VEHICLES, scenario.spec)
+        if isinstance(vehicle, Multirotor):
+            found[name] = derived(vehicle)
+        elif (handling := vehicle.handling()) is not None:
+            mass, gravity, most = (
+                float(np.ravel(value)[0]) for value in (handling.mass, handling.gravity, handling.thrust_max)
+            )
+            throttle = float(np.ravel(handling.throttle(mass * gravity))[0])
+            found[name] = {"mass_kg": mass, "hover_throttle": throttle, "thrust_to_weight": most / (mass * gravity)}
+        if name in found and (limits := limits_of(fleet, scenario.spec)) is not None:
+            held = [each.airspeed.min() for each in (limits.own, limits.lets) if each is not None]
+            found[name]["wind_held_m_s"] = float(min(held))
+    return found

@@ -1,0 +1,174 @@
+"""Parameter sets, usual arrangements, and multirotors of six numbers: what is derived, and that it flies so."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from qrsim.core.tree import cast
+from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
+from qrsim.errors import UsageError
+from qrsim.models.vehicles.multirotor import AttitudeCommand, Multirotor
+from qrsim.models.vehicles.multirotor.derived import derived
+from qrsim.models.vehicles.multirotor.flight import Noises
+from qrsim.models.vehicles.multirotor.own import SIX, own_multirotor, rotors_of
+from qrsim.models.vehicles.multirotor.sets import SETS
+
+QUAD = {
+    "mass": 1.2, "arm": 0.225, "rotors": 4, "hover_throttle": 0.5, "thrust_to_weight": 2.2, "attitude_bandwidth": 8.0,
+}  # fmt: skip
+OTHERS = [
+    QUAD,
+    dict(zip(SIX, (4.0, 0.45, 6, 0.55, 2.0, 6.0), strict=True)),
+    dict(zip(SIX, (0.6, 0.12, 4, 0.25, 5.0, 12.0), strict=True)),
+    dict(zip(SIX, (9.0, 0.6, 8, 0.5, 2.0, 4.0), strict=True)),
+]
+
+
+def test_a_quadrotor_by_the_rules_of_thumb() -> None:
+    """Worked out by hand from the rules in docs/scenarios.md, with R = 0.6 of the arm and 1.225 kg/m^3."""
+    found = own_multirotor(**QUAD)
+    numbers = {
+        "mass": 1.2, "inertia_x": 0.0139725, "inertia_y": 0.0139725, "inertia_z": 0.02612250, "rotor_radius": 0.135,
+        "thrust_coefficient": 1.597832e-5, "torque_ratio": 0.02025, "speed_max": 636.5623, "spin_up": 0.0162,
+        "spin_down": 0.0324, "rotor_drag": 2.097070e-4, "inflow_loss": 3.742806e-4, "throttle_curve": 0.1818182,
+        "drag_x": 0.018604688, "drag_z": 0.037209375,
+    }  # fmt: skip
+    for name, value in numbers.items():
+        assert getattr(found, name) == pytest.approx(value, rel=1e-6), name
+    assert (found.stabiliser.attitude_gain, found.stabiliser.rate_gain) == (8.0, 24.0)
+    # What was asked for comes out again.
+    told = derived(found)
+    assert told["hover_throttle"] == pytest.approx(0.5, rel=1e-9)
+    assert told["thrust_to_weight"] == pytest.approx(2.2, rel=1e-9)
+    assert told["roll_time_constant_s"] == 0.125
+    assert told["hover_speed_rad_s"] == pytest.approx(429.1702, rel=1e-6)
+
+
+def test_whatever_is_known_better_replaces_what_is_derived() -> None:
+    found = own_multirotor(**QUAD, inertia_x=0.02, spin_up=0.01)
+    assert (found.inertia_x, found.spin_up, found.spin_down) == (0.02, 0.01, 0.02)
+    with pytest.raises(UsageError, match=r"no such parameter 'inertia'; did you mean 'inertia_[xyz]'\?"):
+        own_multirotor(**QUAD, inertia=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "ratio", "throttle"),
+    # Largest thrust over weight, and hover: N k_T w_max^2/(m g) of the sources, its root (a throttle that is a speed).
+    [
+        ("x500", 1.6886, 0.7696),
+        ("hummingbird", 10.220, 0.3128),
+        ("pelican", 2.8596, 0.5914),
+        ("crazyflie", 1.5338, 0.8074),
+        ("hexa4", 2.2477, 0.6670),
+    ],
+)
+def test_published_sets_carry_their_weight_as_published(name: str, ratio: float, throttle: float) -> None:
+    told = derived(SETS[name]())
+    assert told["thrust_to_weight"] == pytest.approx(ratio, rel=1e-4)
+    assert told["hover_throttle"] == pytest.approx(throttle, rel=2e-4)
+
+
+def test_the_rigid_pelican_at_the_weight_of_the_identified_one_hovers_at_77_percent() -> None:
+    heavy = Multirotor(**{**vars(SETS["pelican"]()), "mass": 1.68})
+    told = derived(heavy)
+    assert told["hover_speed_rad_s"] / told["speed_max_rad_s"] == pytest.approx(0.7665, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("geometry", "count", "first"),
+    [
+        ("quad_x", 4, (0.2121, 0.2121)), ("quad_plus", 4, (0.3, 0.0)), ("hexa_x", 6, (0.2598, 0.15)),
+        ("hexa_plus", 6, (0.3, 0.0)), ("octo_x", 8, (0.2772, 0.1148)), ("coaxial_x8", 8, (0.2121, 0.2121)),
+    ],
+)  # fmt: skip
+def test_usual_arrangements(geometry: str, count: int, first: tuple[float, float]) -> None:
+    rotors = rotors_of(geometry, 0.3, 0.05)
+    assert len(rotors) == count
+    np.testing.assert_allclose(rotors[0].position, (*first, -0.05), atol=5e-5)
+    # The front right one turns counterclockwise, torques cancel, and every hub is an arm away.
+    assert rotors[0].direction == -1
+    assert sum(rotor.direction for rotor in rotors) == 0
+    np.testing.assert_allclose([math.hypot(*rotor.position[:2]) for rotor in rotors], 0.3)
+    if geometry == "coaxial_x8":
+        assert [rotor.direction for rotor in rotors[:4]] == [-rotor.direction for rotor in rotors[4:]]
+        assert rotors[4].position[:2] == rotors[0].position[:2]
+        assert rotors[4].position[2] == pytest.approx(-0.05 + 0.06)
+
+
+def test_a_pair_on_one_axis_gives_nine_tenths_of_two() -> None:
+    eight = {**QUAD, "mass": 4.0, "rotors": 8, "thrust_to_weight": 2.0, "attitude_bandwidth": 6.0, "arm": 0.3}
+    alone, pairs = own_multirotor(**eight, spin_up=0.02), own_multirotor(**eight, geometry="coaxial_x8", spin_up=0.02)
+    disc = (pairs.rotor_radius / alone.rotor_radius) ** 4
+    assert pairs.thrust_coefficient / alone.thrust_coefficient / disc == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mass": 0.0}, r"mass: 0 kg; allowed: 0\.01 to 100 kg"),
+        ({"thrust_to_weight": 0.9}, r"thrust_to_weight: 0\.9; allowed: 1\.2 to 20"),
+        ({"hover_throttle": 0.7}, r"hover_throttle: 0\.7; with thrust_to_weight 2\.2 .* at 0\.455 .* to 0\.674 "),
+        ({"hover_throttle": 0.4}, r"hover_throttle: 0\.4; with thrust_to_weight 2\.2"),
+        ({"attitude_bandwidth": 20.0}, r"attitude_bandwidth: 20 rad/s; rotors of .* 0\.0162 s allow 9\.26"),
+        ({"rotors": 5}, r"rotors: 5; allowed: 4, 6, 8"),
+        ({"rotors": 6, "geometry": "quad_x"}, r"rotors: 6; 'quad_x' has 4"),
+        ({"geometry": "quadx"}, r"geometry: no arrangement is called 'quadx'; did you mean 'quad_x'\?"),
+        ({"arm": True}, r"arm: .*; allowed: 0\.02 to 3 m"),
+    ],
+)  # fmt: skip
+def test_numbers_that_cannot_be_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        own_multirotor(**{**QUAD, **changes})
+
+
+@pytest.mark.parametrize("name", ["x500", "hummingbird", "hexa4"])
+def test_it_stays_where_it_is_at_the_airspeed_of_its_lean(name: str) -> None:
+    """The forces of the model itself, at the lean and the thrust of balance, are its weight."""
+    vehicle, lean = SETS[name](), 0.4
+    wind, thrust = vehicle.leaning(np.array([lean]))  # type: ignore[misc]
+    with jax.enable_x64(True):
+        model = cast(vehicle, np.float64)
+        zero = jnp.zeros(1)
+        still, level = Vec3(zero, zero, zero), Euler(zero, zero - lean, zero)
+        state = model.initial_state(Vec3(zero, zero, zero - 5000.0), level, still, still)
+        state = model.with_thrust(state, jnp.asarray(thrust))
+        # A wind from the north, into which it leans.
+        air = Vec3(zero - wind, zero, zero)
+
+        def air_velocity(trig: AttitudeTrig) -> Vec3:
+            return trig.rotation().to_body(air)
+
+        force = model.specific_force(state, model.idle_command(zero), air_velocity, Noises(still, still), 0.02)
+        found = AttitudeTrig.of(level).rotation().to_ned(force)
+    np.testing.assert_allclose(found.stack()[0], [0.0, 0.0, -9.81], atol=1e-6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("six", OTHERS, ids=lambda six: f"{six['mass']} kg")
+def test_it_leans_as_fast_as_was_asked_for(six: dict[str, Any]) -> None:
+    """63 % of a step of roll after 1/bandwidth, within 5 %, and hardly any overshoot."""
+    vehicle, dt, roll = cast(own_multirotor(**six), np.float32), 0.004, 0.3
+    zero = jnp.zeros(1)
+    still = Vec3(zero, zero, zero)
+    start = vehicle.initial_state(Vec3(zero, zero, zero - 50.0), Euler(zero, zero, zero), still, still)
+    throttle = vehicle.throttle_of(vehicle.mass * vehicle.gravity / math.cos(roll))
+    command = AttitudeCommand(zero, zero + roll, zero + throttle, zero)
+
+    @jax.jit
+    def fly(state: Any) -> Any:
+        def step(state: Any, _: Any) -> Any:
+            after, _ = vehicle.step(state, command, lambda trig: still, Noises(still, still), dt)
+            return after, after.quaternion.euler().roll[0]
+
+        return jax.lax.scan(step, state, None, length=300)[1]
+
+    flown = np.concatenate([[0.0], np.asarray(fly(start))])
+    time = np.interp(0.632 * roll, flown[: np.argmax(flown) + 1], dt * np.arange(np.argmax(flown) + 1))
+    assert time == pytest.approx(1.0 / six["attitude_bandwidth"], rel=0.05)
+    assert flown.max() < 1.05 * roll
