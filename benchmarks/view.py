@@ -10,10 +10,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import _common
+from _slow_link import slow_link
 
 HEADINGS = {
     "what": "what",
@@ -23,11 +25,13 @@ HEADINGS = {
     "cpu_ms": "CPU [ms/update]",
     "client_bytes_per_second": "bytes/s, each",
     "missed": "missed",
+    "lag_s": "lag [s]",
     "lowest": "lowest",
     "highest": "highest",
 }
 CLIENT = Path(__file__).with_name("_view_client.py")
 FRAMES_HZ = 30.0
+SLOW_BITS_PER_SECOND = 1e6
 
 
 @contextlib.contextmanager
@@ -53,8 +57,10 @@ def simulation(count: int) -> Any:
     return found
 
 
-def updates(count: int, browsers: int, seconds: float, pace: float | None) -> dict[str, Any]:
-    """Draw frames that all differ, at a pace [Hz] or as fast as can be."""
+def updates(
+    count: int, browsers: int, seconds: float, pace: float | None, bits_per_second: float | None = None
+) -> dict[str, Any]:
+    """Draw frames that all differ, at a pace [Hz] or as fast as can be, for browsers behind a link or none."""
     from qrsim.view.frame import cast_of, frame_of
     from qrsim.view.page import Page
     from qrsim.view.server import address, start_server
@@ -66,7 +72,11 @@ def updates(count: int, browsers: int, seconds: float, pace: float | None) -> di
     server = start_server(0)
     page = Page(server, cast_of(flown.world, first.position_ned), flown.world, "benchmark", None)
     page.draw(first, everything=True)
-    with clients(address(server), browsers) as got:
+    with contextlib.ExitStack() as stack:
+        to = address(server)
+        if bits_per_second is not None:
+            to = stack.enter_context(slow_link(to, bits_per_second))
+        got = stack.enter_context(clients(to, browsers))
         deadline = time.perf_counter() + 30.0
         while len(page._delivery._buffer.generator_cursors) < browsers and time.perf_counter() < deadline:
             time.sleep(0.05)
@@ -74,19 +84,21 @@ def updates(count: int, browsers: int, seconds: float, pace: float | None) -> di
         while (now := time.perf_counter() - begun) < seconds:
             if pace is not None and now * pace < drawn:
                 time.sleep(drawn / pace - now)
-            page.draw(second if drawn % 2 else first)
+            page.draw(replace(second if drawn % 2 else first, time=first.time + drawn / FRAMES_HZ))
             drawn += 1
         elapsed, spent = time.perf_counter() - begun, time.process_time() - cpu
     server.stop()
     fetched = sum(client["bytes"] / client["seconds"] for client in got)
     return {
-        "what": "as fast as can be" if pace is None else f"{pace:g} Hz",
+        "what": ("as fast as can be" if pace is None else f"{pace:g} Hz")
+        + (f", {1e-6 * bits_per_second:g} Mbit/s" if bits_per_second else ""),
         "vehicles": count,
         "clients": browsers,
         "per_second": drawn / elapsed,
         "cpu_ms": 1e3 * spent / drawn,
         "client_bytes_per_second": fetched / browsers if browsers else None,
         "missed": page._delivery.missed,
+        "lag_s": max((client["lag_s"] for client in got if client["lag_s"] is not None), default=None),
         "lowest": None,
         "highest": None,
     }
@@ -125,7 +137,7 @@ def slowdown(count: int, duration: float, repeats: int) -> list[dict[str, Any]]:
     return [
         {
             "what": what, "vehicles": count, "clients": browsers, "cpu_ms": None,
-            "client_bytes_per_second": None, "missed": None,
+            "client_bytes_per_second": None, "missed": None, "lag_s": None,
             "per_second": statistics.median(found), "lowest": min(found), "highest": max(found),
         }
         for what, browsers, found in named
@@ -136,9 +148,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     chosen = _common.options(__doc__ or "", arguments)
     on = _common.machine()
-    sizes, seconds = ((2,), 0.5) if chosen.quick else ((1, 100, 1000, 10_000), 4.0)
+    sizes, seconds = ((2,), 0.5) if chosen.quick else ((1, 5, 50, 51, 1000, 10_000), 10.0)
     results = [
         updates(count, browsers, seconds, pace) for count in sizes for browsers in (0, 2) for pace in (FRAMES_HZ, None)
+    ]
+    results += [
+        updates(count, 1, seconds if chosen.quick else 20.0, FRAMES_HZ, SLOW_BITS_PER_SECOND)
+        for count in (sizes if chosen.quick else (5, 1000))
     ]
     results += slowdown(2, 2.0, 1) if chosen.quick else slowdown(1000, 60.0, 5)
     title = "The 3-D page, server side; every frame differs from the last"

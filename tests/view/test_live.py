@@ -118,7 +118,7 @@ def test_a_browser_that_fetches_nothing_keeps_nobody_waiting(scenario: Scenario)
         end = time.monotonic() + 60.0
         # What each frame weighs is made large, so that the buffers are soon full.
         page._page.scene.paths[0].every = 1
-        page._page.scene.paths[0]._handle.points = np.zeros((400_000, 2, 3), np.float32)
+        page._page.scene.paths[0]._nodes[0].points = np.zeros((400_000, 2, 3), np.float32)
         while delivery.missed < 5:
             assert time.monotonic() < end, "no frame was dropped"
             history = simulation.record(1)
@@ -126,7 +126,7 @@ def test_a_browser_that_fetches_nothing_keeps_nobody_waiting(scenario: Scenario)
             page.offer(history)
             slowest = max(slowest, time.perf_counter() - begun)
             time.sleep(0.02)
-            page._page.scene.paths[0]._handle.points = np.full((400_000, 2, 3), simulation.tick, np.float32)
+            page._page.scene.paths[0]._nodes[0].points = np.full((400_000, 2, 3), simulation.tick, np.float32)
         eventually(lambda: shown(page) == pytest.approx(simulation.time))
         stop.set()
         reader.join()

@@ -23,6 +23,8 @@ GHOST_COLOUR, GUST_COLOUR, POLE_COLOUR = (60, 70, 100), (200, 70, 0), (40, 40, 4
 MOST_LABELS = 20
 # Of more vehicles than this, what shows where they are believed to be cannot be told apart from where they are.
 MANY = 200
+# Of more vehicles than this, what is beside them is drawn less often, as the root of their number.
+FULL_RATE = 100
 # The strongest wind that has a colour of its own [m/s].
 STRONG_WIND = 12.0
 # Lengths of arrows, in spans of a vehicle for each m/s.
@@ -71,17 +73,21 @@ class Layer:
 
     Attributes:
         title: what the page calls it.
-        every: it is drawn anew at every so-many-th frame.
+        every: it is drawn anew at every so-many-th frame, on average.
         most: of more vehicles than these it is hidden at first.
+        beside: whether it shows something about each vehicle beside the vehicle itself; of many it is drawn less often.
     """
 
     title = ""
-    every = 1
+    every: float = 1
     most = 1_000_000
+    beside = False
 
     def __init__(self, stage: Stage):
         self.stage = stage
         self.path = f"/world/{type(self).__name__.lower()}"
+        if self.beside:
+            self.every *= max(1.0, stage.cast.size / FULL_RATE) ** 0.5
         self.root = stage.scene.add_frame(self.path, show_axes=False, visible=stage.cast.size <= self.most)
         self.begin()
 
@@ -186,7 +192,7 @@ class Poles(Layer):
     """Vertical lines from the vehicles to the ground."""
 
     title = "poles"
-    every = 3
+    every, beside = 3.0, True
 
     def begin(self) -> None:
         """Make one for each vehicle."""
@@ -205,7 +211,7 @@ class Ghosts(Layer):
     """GNSS positions of the vehicles."""
 
     title = "GNSS positions"
-    every = 3
+    every, beside = 3.0, True
     most = MANY
 
     def begin(self) -> None:
@@ -223,7 +229,7 @@ class Wind(Layer):
     """The mean wind at each vehicle, its strength as length and colour."""
 
     title = "mean wind"
-    every = 3
+    every, beside = 3.0, True
 
     def begin(self) -> None:
         """Make one arrow for each vehicle."""
@@ -240,7 +246,7 @@ class Gusts(Layer):
     """The gust at each vehicle, from the tip of the mean wind; their sum is the wind at the vehicle."""
 
     title = "gusts"
-    every = 3
+    every, beside = 3.0, True
 
     def begin(self) -> None:
         """Make one arrow for each vehicle."""

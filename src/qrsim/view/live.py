@@ -25,8 +25,8 @@ from qrsim.view.truth import true_values
 from qrsim.world.state import State, World
 
 Floats = np.ndarray[Any, Any]
-# How many values a plot keeps: a minute, at every frame.
-MOST_VALUES = 1800
+# What a plot keeps: a minute of simulated time, in so many values.
+PLOT_S, MOST_VALUES = 60.0, 900
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class LiveView:
         self._thread: threading.Thread | None = None
         self._overtaken = 0
         self._wished: Wind | None = None
-        self._values: deque[tuple[float, dict[str, float], dict[str, float]]] = deque(maxlen=MOST_VALUES)
+        self._values: deque[tuple[float, dict[str, float], dict[str, float]]] = deque()
         self._kept: int | None = None
         self._waiting: Any = None
         self._ended = threading.Event()
@@ -227,8 +227,14 @@ class LiveView:
         if chosen != self._kept or (self._values and frame.time < self._values[-1][0]):
             self._values.clear()
             self._kept = chosen
-        if chosen is not None:
-            self._values.append((frame.time, _measured(state, self._world, chosen), _true(state, self._world, chosen)))
+        if chosen is None:
+            return
+        # The newest is always kept, and closer to it than this nothing else.
+        if len(self._values) > 1 and self._values[-1][0] - self._values[-2][0] < PLOT_S / MOST_VALUES:
+            self._values.pop()
+        while self._values and self._values[0][0] < frame.time - PLOT_S:
+            self._values.popleft()
+        self._values.append((frame.time, _measured(state, self._world, chosen), _true(state, self._world, chosen)))
 
     def _plotted(self, vehicle: int, quantity: str) -> tuple[Floats, Floats, Floats]:
         rows = list(self._values) if vehicle == self._kept else []

@@ -13,6 +13,7 @@ from viser import ViserServer
 from qrsim.view.cameras import Cameras
 from qrsim.view.clock import Clock
 from qrsim.view.frame import Cast, Frame
+from qrsim.view.gate import NOTABLE_S
 from qrsim.view.layers import STRONG_WIND
 from qrsim.view.scene import Scene
 from qrsim.view.server import Delivery
@@ -20,8 +21,8 @@ from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
 NOBODY = "(nobody)"
-# Status and plot are renewed at every so-many-th frame.
-STATUS_FRAMES = 6
+# Status and plots are renewed at every so-many-th frame; a plot has at most so many points.
+STATUS_FRAMES, PLOT_FRAMES, MOST_POINTS = 6, 15, 300
 MOST_STOPPED = 10
 PLOTS = 2
 
@@ -54,6 +55,7 @@ class Page:
         self.drawn = 0
         self.note = ""
         self._delivery = Delivery(server)
+        self.scene.lag_s = lambda: self._delivery.lag_s
         self._status = server.gui.add_markdown("")
         self._stopped = server.gui.add_markdown("")
         if clock is not None:
@@ -177,6 +179,7 @@ class Page:
         self.scene.draw(frame, everything)
         if everything or self.drawn % STATUS_FRAMES == 0:
             self._say(frame)
+        if everything or self.drawn % PLOT_FRAMES == 0:
             self._plot()
         self.drawn += 1
         self._delivery.sent()
@@ -186,6 +189,8 @@ class Page:
         flying = f"{int(frame.valid.sum())} of {len(frame.valid)} vehicles fly{stopped}"
         paused = "" if self.clock is None or self.clock.playing else " (paused)"
         frames = f"{self.drawn} frames drawn, {self.dropped() + self._delivery.missed} dropped"
+        if (lag := self._delivery.lag_s) > NOTABLE_S:
+            frames += f"  \n**slow link: {lag:.1f} s behind**"
         note = f"{self.note}  \n" if self.note else ""
         self._status.content = f"**{self.heading}**  \n{note}**t = {frame.time:.2f} s**{paused}  \n{flying}  \n{frames}"
         names = self.scene.cast.names
@@ -200,7 +205,9 @@ class Page:
         for choice, plot in self._plots:
             found = self.plotted(self.chosen, choice.value)
             if len(found[0]) > 1:
-                plot.data = found
+                every = math.ceil(len(found[0]) / MOST_POINTS)
+                # The newest is always one of them.
+                plot.data = tuple(values[::-every][::-1].astype(np.float64) for values in found)
 
 
 def _speed_name(speed: float) -> str:

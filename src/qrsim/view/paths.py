@@ -1,4 +1,4 @@
-"""The last minute of the vehicles' true and estimated paths."""
+"""The last minute of the vehicles' true and estimated paths, in pieces: only those that changed are sent."""
 
 from __future__ import annotations
 
@@ -11,62 +11,111 @@ from qrsim.view.layers import MANY, Layer
 
 Floats = np.ndarray[Any, Any]
 LENGTH_S = 60.0
-# Of all vehicles together; each has at least the second and at most the third of these.
-SEGMENTS, FEWEST, MOST = 40_000, 8, 600
+# Corners of the paths of all vehicles together; of each path the fewest and most pieces, and the most corners of one.
+SEGMENTS, FEWEST_PIECES, MOST_PIECES, MOST_CORNERS = 20_000, 8, 40, 15
 ESTIMATE_COLOUR = (30, 30, 30)
 
 
 class Paths(Layer):
-    """The true path of each vehicle, in its colour."""
+    """The true path of each vehicle, in its colour.
+
+    A path is a ring of pieces, and each piece of all vehicles is one node of the page. The newest piece grows and is
+    sent as it does; the others lie still, and the oldest vanishes after a minute of simulated time.
+    """
 
     title = "true paths"
-    every = 30
+    every = 10
     thickness = 3.0
 
     def begin(self) -> None:
         """Begin all paths at the start."""
         cast = self.stage.cast
-        self._count = int(np.clip(SEGMENTS // cast.size, FEWEST, MOST))
-        self._points = np.repeat(cast.start_ned[None].astype(np.float32), self._count + 1, axis=0)
-        self._time, self._begun = np.zeros(self._count + 1), False
-        if cast.size <= 50:
-            self.every = 5
-        self._handle = self.stage.scene.add_line_segments(
-            f"{self.path}/lines", self._segments(), self._colours(), thickness=self.thickness, thickness_units="screen"
-        )
+        each = SEGMENTS // cast.size
+        pieces = int(np.clip(each, FEWEST_PIECES, MOST_PIECES))
+        self._corners = int(np.clip(each // pieces, 1, MOST_CORNERS))
+        self._piece_s, self._corner_s = LENGTH_S / pieces, LENGTH_S / (pieces * self._corners)
+        # One more than a minute needs, for the one that grows.
+        self._points = np.repeat(cast.start_ned[None].astype(np.float32), (pieces + 1) * (self._corners + 1), axis=0)
+        self._points = self._points.reshape(pieces + 1, self._corners + 1, cast.size, 3)
+        self._from, self._to = np.zeros(pieces + 1), np.full(pieces + 1, -np.inf)
+        self._newest, self._known, self._corner_at = 0, 1, 0.0
+        self._time: float | None = None
+        self._changed: set[int] = set()
+        self._nodes: dict[int, Any] = {}
 
     def note(self, frame: Frame) -> None:
         """Append a frame; an earlier time restarts the paths."""
-        position = self.position(frame)
-        if frame.time < self._time[-1] or not self._begun:
-            self._begun = True
-            self._time[:] = frame.time
-            self._points[:] = np.where(np.isfinite(position), position, self.stage.cast.start_ned)
-        elif frame.time - self._time[-2] >= LENGTH_S / self._count:
-            self._points[:-1], self._time[:-1] = self._points[1:].copy(), self._time[1:].copy()
-        self._points[-1], self._time[-1] = np.where(np.isfinite(position), position, self._points[-1]), frame.time
+        self.extend(np.array([frame.time]), self.position(frame)[None])
 
-    def remember(self, time: Floats, points: Floats) -> None:
-        """Set the paths from a recording: times (K,) [s] of ``sample`` and positions (K, n, 3) [m]."""
-        self._time[:], self._points[:], self._begun = time, points, True
+    def missing(self, time: float) -> Floats:
+        """Return times (K,) [s] up to a time at which positions are wanted: since the last, or of a whole minute."""
+        if self._time is not None and self._time <= time <= self._time + LENGTH_S:
+            return np.arange(self._time + self._corner_s, time, self._corner_s)
+        self._time = None
+        return np.append(np.arange(max(0.0, time - LENGTH_S), time, self._corner_s), time)
 
-    def sample(self, time: float) -> Floats:
-        """Return the times [s] of the corners of paths that end at a time."""
-        return np.linspace(max(0.0, time - LENGTH_S), time, self._count + 1)
+    def extend(self, times: Floats, points: Floats) -> None:
+        """Append positions (K, n, 3) [m] at times (K,) [s]; an earlier time than the last restarts the paths."""
+        for time, point in zip(times.tolist(), points, strict=True):
+            if self._time is None or time < self._time:
+                self._restart(time, point)
+            tip = self._points[self._newest, -1]
+            self._points[self._newest, self._known :] = np.where(np.isfinite(point), point, tip)
+            self._time = self._to[self._newest] = time
+            self._changed.add(self._newest)
+            if time - self._corner_at >= self._corner_s * (1.0 - 1e-6):
+                self._keep_corner(time)
+        self._forget()
+
+    def _restart(self, time: float, point: Floats) -> None:
+        self._points[:] = np.where(np.isfinite(point), point, self.stage.cast.start_ned)
+        self._from[:], self._to[:] = time, -np.inf
+        self._newest, self._known, self._corner_at = 0, 1, time
+        self._changed = set(range(len(self._points)))
+
+    def _keep_corner(self, time: float) -> None:
+        """Let what was the tip be a corner; a piece that is full, or long enough, is the newest no more."""
+        self._known, self._corner_at = self._known + 1, time
+        if self._known > self._corners or time - self._from[self._newest] >= self._piece_s * (1.0 - 1e-6):
+            tip = self._points[self._newest, -1]
+            self._newest, self._known = (self._newest + 1) % len(self._points), 1
+            self._points[self._newest] = tip
+            self._from[self._newest] = self._to[self._newest] = time
+            self._changed.add(self._newest)
+
+    def _forget(self) -> None:
+        """Let pieces vanish that ended more than a minute ago."""
+        assert self._time is not None
+        for number in np.flatnonzero(np.isfinite(self._to) & (self._to < self._time - LENGTH_S)).tolist():
+            self._points[number], self._to[number] = self._points[number, -1], -np.inf
+            self._changed.add(number)
 
     def position(self, frame: Frame) -> Floats:
         """Return the positions (n, 3) [m] to draw of a frame."""
         return frame.position_ned
 
     def draw(self, frame: Frame) -> None:
-        """Draw the paths."""
-        self._handle.points = self._segments()
+        """Send the pieces that changed."""
+        for number in self._changed:
+            if number in self._nodes:
+                self._nodes[number].points = self._segments(number)
+            # What has no length yet would weigh as much as a path.
+            elif np.isfinite(self._to[number]):
+                self._nodes[number] = self.stage.scene.add_line_segments(
+                    f"{self.path}/{number}", self._segments(number), self._colours(),
+                    thickness=self.thickness, thickness_units="screen",
+                )  # fmt: skip
+        self._changed.clear()
 
-    def _segments(self) -> Floats:
-        return np.stack([self._points[:-1], self._points[1:]], axis=2).reshape(-1, 2, 3)
+    def _segments(self, number: int) -> Floats:
+        points = self._points[number]
+        return np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
 
     def _colours(self) -> Any:
-        return np.repeat(np.tile(self.stage.colours, (self._count, 1))[:, None], 2, axis=1)
+        colours = self.stage.colours
+        if (colours == colours[0]).all():
+            return tuple(colours[0].tolist())
+        return np.repeat(np.tile(colours, (self._corners, 1))[:, None], 2, axis=1)
 
 
 class EstimatedPaths(Paths):

@@ -80,8 +80,8 @@ class Replay:
 
 
 def remember_paths(scene: Scene, recording: Recording, time: float) -> None:
-    """Redraw the paths of a scene so that they end at a time [s]."""
+    """Extend the paths of a scene to a time [s], or after a jump redraw them so that they end at it."""
     for paths, read in zip(scene.paths, (recording.positions, recording.estimates), strict=True):
-        if paths.root.visible:
-            times = paths.sample(time)
-            paths.remember(times, read(times))
+        times = paths.missing(time)
+        if len(times):
+            paths.extend(times, read(times))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,9 @@ from qrsim.world.state import World
 Floats = np.ndarray[Any, Any]
 # Spans of a drawn vehicle [m]: that of a Pelican, and the largest of a few; of many, a part of the room that each has.
 SMALLEST_SPAN, LARGEST_SPAN, SHARE_OF_ROOM, MANY = 0.65, 12.0, 0.35, 50
+# Lag of a browser [s] that spares it nothing; how much less often it may come to; what is left of that a frame later.
+LAG_S, MOST_STRAIN, STRAIN_LEFT = 0.15, 16.0, 0.99
+GOLDEN = 0.618034
 # Where pages look from at first.
 SOUTH = (-0.85, -0.3, -0.45)
 
@@ -36,6 +40,7 @@ class Scene:
         layers: what can be shown or hidden, by title.
         followed: number of the vehicle in the middle; None: the world stands still.
         frame: the last one drawn; None before the first.
+        lag_s: returns how far behind the slowest browser is [s].
     """
 
     def __init__(self, server: ViserServer, cast: Cast, world: World | None):
@@ -43,7 +48,8 @@ class Scene:
         self.cast = cast
         self.followed: int | None = None
         self.frame: Frame | None = None
-        self._count = 0
+        self.lag_s: Callable[[], float] = lambda: 0.0
+        self._strain = 1.0
         # Drawn by one thread, changed by those of the panel.
         self._lock = threading.RLock()
         scene = server.scene
@@ -61,6 +67,8 @@ class Scene:
             solid += camera_layers(self.stage, world)
         layers: list[Layer] = [Ground(self.stage, world), *solid, self.vehicles, *moving]
         self.layers = {layer.title: layer for layer in layers}
+        # Parts of the way to their next drawing, spread so that not all are due at the same frame.
+        self._due = [1.0 - GOLDEN * number % 1.0 for number in range(len(layers))]
         self._look()
 
     def _look(self) -> None:
@@ -84,16 +92,23 @@ class Scene:
             everything: also what is otherwise drawn at some frames only.
         """
         with self._lock, self._server.atomic():
-            self.frame = frame
+            everything, self.frame = everything or self.frame is None, frame
             for paths in self.paths:
                 paths.note(frame)
             if self.followed is not None:
                 self._root.position = -_known(frame.position_ned[self.followed])
+            strain = self._strained()
             for number, layer in enumerate(self.layers.values()):
                 # Not all at the same frame.
-                if layer.root.visible and (everything or (self._count + number) % layer.every == 0):
+                self._due[number] += 1.0 if everything else 1.0 / (layer.every * (strain if layer.every > 1.0 else 1.0))
+                if layer.root.visible and self._due[number] >= 1.0:
+                    self._due[number] %= 1.0
                     layer.draw(frame)
-            self._count += 1
+
+    def _strained(self) -> float:
+        """Return how many times less often than usual things beside the vehicles are drawn, for slow links."""
+        self._strain = min(MOST_STRAIN, max(1.0, self.lag_s() / LAG_S, STRAIN_LEFT * self._strain))
+        return self._strain
 
     def show(self, title: str, visible: bool) -> None:
         """Show or hide a layer; hidden layers are not drawn."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import TYPE_CHECKING
 
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
+from qrsim.view.gate import Gate
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -44,13 +46,19 @@ def start_server(port: int = PORT, label: str = "qrsim") -> ViserServer:
     console.quiet = True
     # Browsers open connections that they close without a word.
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-    server = ViserServer(LOOPBACK, port, label=label, verbose=False)
+    gate = Gate()
+    with gate.installed():
+        server = ViserServer(LOOPBACK, port, label=label, verbose=False)
+    _gates[server] = gate
     # Sharing would send the scene to a server elsewhere.
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
     # Lights alone: reflections of a sky and shadows would cost a computer without graphics card most of its time.
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(enabled=True, cast_shadow=False)
     return server
+
+
+_gates: weakref.WeakKeyDictionary[ViserServer, Gate] = weakref.WeakKeyDictionary()
 
 
 class Delivery:
@@ -65,6 +73,12 @@ class Delivery:
         self._buffer = server._websock_server._broadcast_buffer
         self._last = self._buffer.message_counter - 1
         self.missed = 0
+        self._gate = _gates[server]
+
+    @property
+    def lag_s(self) -> float:
+        """How far behind the slowest browser is [s]."""
+        return self._gate.lag_s
 
     def sent(self) -> None:
         """Count a drawn frame."""

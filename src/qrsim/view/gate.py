@@ -1,0 +1,124 @@
+"""What stands between browsers and the page's server: each gets a frame once it has the one before.
+
+viser sends every window of messages as soon as the last one is in the system's buffers, which on a slow link hold many
+seconds of them. Here a window is sent when the browser has acknowledged the one before (its answer to a WebSocket
+ping that follows each), and viser composes it only then, from the newest values: what is older was never sent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from qrsim.view.clock import FRAME_S
+
+# Lag [s] from which a page says that a browser is behind.
+NOTABLE_S = 0.3
+# Of a link whose answers take longer [s] this is because it is narrow.
+LONGEST_WAY_S = 0.3
+
+
+class Link:
+    """A browser's connection, with the methods of one that viser uses; ``send`` returns when the next may be sent.
+
+    Attributes:
+        answer_s: how long the last acknowledgement took [s].
+    """
+
+    def __init__(self, connection: Any):
+        self._connection = connection
+        # When the windows were sent that are not acknowledged yet.
+        self._sent: deque[float] = deque()
+        self._freed = asyncio.Condition()
+        self.answer_s = 0.0
+        self._quickest_s: float | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._connection, name)
+
+    @property
+    def lag_s(self) -> float:
+        """How far behind the browser is [s]: the age of what it has not acknowledged, else of what it has."""
+        oldest = next(iter(tuple(self._sent)), None)
+        return self.answer_s if oldest is None else max(self.answer_s, time.perf_counter() - oldest)
+
+    @property
+    def _most(self) -> int:
+        # Of a link that is far but not narrow, as many as fill the time of its answers.
+        return 1 + int((self._quickest_s or 0.0) / FRAME_S)
+
+    async def send(self, window: bytes) -> None:
+        """Send a window, and wait until another may follow."""
+        if self._quickest_s is None:
+            # How far it is while nothing else is on its way.
+            begun = time.perf_counter()
+            await (await self._connection.ping())
+            self._quickest_s = min(LONGEST_WAY_S, time.perf_counter() - begun)
+        self._sent.append(time.perf_counter())
+        await self._connection.send(window)
+        answer = await self._connection.ping()
+        answer.add_done_callback(self._acknowledged)
+        async with self._freed:
+            await self._freed.wait_for(lambda: len(self._sent) < self._most)
+
+    def _acknowledged(self, answer: asyncio.Future[float]) -> None:
+        # Also where the connection has ended.
+        if not answer.cancelled() and answer.exception() is None:
+            self.answer_s = time.perf_counter() - self._sent[0]
+            self._quickest_s = min(self._quickest_s or LONGEST_WAY_S, self.answer_s)
+        self._sent.popleft()
+        self._waking = asyncio.ensure_future(self._wake())
+
+    async def _wake(self) -> None:
+        async with self._freed:
+            self._freed.notify_all()
+
+
+class Gate:
+    """The links of the browsers that look at a page."""
+
+    def __init__(self) -> None:
+        self._links: set[Link] = set()
+
+    @property
+    def lag_s(self) -> float:
+        """How far behind the slowest browser is [s]; 0 without browsers."""
+        return max((link.lag_s for link in tuple(self._links)), default=0.0)
+
+    def _guarded(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        async def handle(connection: Any) -> None:
+            link = Link(connection)
+            self._links.add(link)
+            try:
+                await handler(link)
+            finally:
+                self._links.discard(link)
+
+        return handle
+
+    @contextlib.contextmanager
+    def installed(self) -> Iterator[None]:
+        """Guard the server that viser starts in this context; it takes no handlers of others."""
+        import websockets.asyncio.server as library
+
+        with _installing:
+            plain = library.serve
+
+            def serve(handler: Any, *place: Any, **options: Any) -> Any:
+                if not getattr(handler, "__module__", "").startswith("viser."):
+                    return plain(handler, *place, **options)
+                return plain(self._guarded(handler), *place, **options)
+
+            library.serve = serve  # type: ignore[assignment,misc]
+            try:
+                yield
+            finally:
+                library.serve = plain  # type: ignore[misc]
+
+
+_installing = threading.Lock()
