@@ -106,6 +106,15 @@ class TestParked:
         assert [reason.partition(" =")[0] for reason in reasons] == ["", "hit_ground: speed", "", "hit_ground: tilt"]
         np.testing.assert_array_equal(parked.truth.on_ground, [True, False, True, False])
 
+    def test_who_is_to_lean_needs_the_thrust_for_it_first(self, parked: Simulation):
+        parked.reset()
+        # Pitch and roll of 0.9 rad settle at 0.745 x 0.9 = 0.67 rad, where cos(0.67)^2 = 61.5 % of the thrust lift.
+        # At 11.8 V it ends at -18.0007 + 4.23754 x 11.8 = 32.0 N, of which that is 19.7 N: enough for 1.68 kg, which
+        # weigh 16.5 N, and not for 2.05 kg, which weigh 20.1 N and which the whole of it would lift.
+        lean = [0.9, 0.9, 1.0, 0.0, 11.8]
+        parked.step([lean] * 4, ticks=60)
+        np.testing.assert_array_equal(parked.truth.on_ground, [False, False, True, True])
+
     def test_who_cannot_lift_its_weight_stays(self, parked: Simulation):
         parked.reset()
         parked.step([[0.0, 0.0, 1.0, 0.0, 9.0]] * 4, ticks=100)

@@ -54,13 +54,14 @@ def started(
 
 
 def settled(
-    world: World, fleet: Fleet, before: FleetState, moved: VehicleState, low: Vec3 | None, force: Vec3
+    world: World, fleet: Fleet, before: FleetState, command: object, moved: VehicleState, low: Vec3 | None, force: Vec3
 ) -> tuple[VehicleState, Vec3 | None, Vec3, Array]:
     """Hold on the ground who stands there or touches down softly, after a step of a fleet that can be parked.
 
     Args:
         world, fleet: parameters.
         before: the fleet before the step.
+        command: what was flown.
         moved, low, force: state, second part of the position and specific force after the step, as if there were no
             ground.
 
@@ -70,7 +71,8 @@ def settled(
     model = fleet.vehicle
     assert before.parked is not None
     load, pose = model.load(moved), model.pose(moved)
-    stays = before.parked & ~(load.thrust > load.weight)
+    # Who would lean before it has the thrust for that would come down again, and lean when it touches.
+    stays = before.parked & ~(load.thrust * model.upright_share(command) > load.weight)
     lands = (_depth(world, pose, low) > 0.0) & _softly(*_touch(world, pose))
     # Whoever stays is where it was, and whoever lands where it came down.
     stood = model.pose(before.vehicle)

@@ -203,7 +203,7 @@ def _fly(
     )  # fmt: skip
     parked = state.parked
     if parked is not None:
-        vehicle, low, force, parked = settled(world, fleet, state, vehicle, low, force)
+        vehicle, low, force, parked = settled(world, fleet, state, command, vehicle, low, force)
     return replace(
         state, vehicle=vehicle, position_low_ned=low, specific_force=force, parked=parked,
         turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,

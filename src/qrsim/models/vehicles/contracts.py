@@ -261,6 +261,10 @@ class Vehicle(Protocol):
     def stopped(self, state: Any) -> VehicleState:
         """Return the state of vehicles that are held where they are, at rest."""
 
+    def upright_share(self, command: Any) -> Array | float:
+        """Return the vertical part (n,) of the thrust, 1 where all of it, at the settled tilt of a command."""
+        return 1.0
+
     def on_ground(self, state: Any) -> Array | None:
         """Return which vehicles (n,) stand on the ground by a contact of their own, bool; None: it has none."""
         return None

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.fastmath import sincos
 from qrsim.core.integrate import INTEGRATORS
 from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
@@ -161,6 +162,11 @@ class Quadrotor(Vehicle):
         """Return the wake of the Pelican: rotors of 10 inches, 0.42 m apart."""
         one = jnp.ones_like(jnp.asarray(self.mass))
         return Wake(0.42 * one, 4.0 * math.pi * 0.127**2 * one)
+
+    def upright_share(self, command: Command) -> Array:
+        """Return the cosine of the tilt at which a command settles."""
+        gain = self.kpq0 * (1.0 / PITCH_ROLL_RAD_PER_RAW)
+        return sincos(gain * command.pitch)[1] * sincos(gain * command.roll)[1]
 
     def load(self, state: QuadrotorState) -> Load:
         """Return thrust and weight; the model has no power."""
