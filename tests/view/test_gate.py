@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from qrsim.view.gate import Link
+from qrsim.view.gate import Gate, Link
+from qrsim.view.server import address, start_server
 
 
 class Slow:
@@ -60,3 +61,57 @@ def test_a_link_that_ends_holds_nobody():
         await asyncio.wait_for(sending, 5.0)
 
     asyncio.run(go())
+
+
+def status(address: str, **headers: str) -> int:
+    """Return the status of a WebSocket handshake."""
+    import viser
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    protocol: Any = f"viser-v{viser.__version__}"
+    wanted = {name.capitalize(): value for name, value in headers.items()}
+    try:
+        with connect(
+            address.replace("http", "ws"), subprotocols=[protocol], additional_headers=wanted, proxy=None
+        ) as found:
+            found.recv(20.0)
+            return 101
+    except InvalidStatus as error:
+        return error.response.status_code
+
+
+def test_other_origins_and_other_names_are_refused():
+    server = start_server(0)
+    try:
+        own = address(server)
+        assert status(own) == 101
+        assert status(own, origin=own) == 101
+        for origin in ("http://evil.example", "null", own.replace("127.0.0.1", "evil.example"), own + "1"):
+            assert status(own, origin=origin) == 403, origin
+    finally:
+        server.stop()
+    # A name of somebody else's that leads here.
+    assert Gate().refusal("/", "evil.example:8080", "http://evil.example:8080") is not None
+    assert Gate().refusal("/", "localhost:8080", "http://localhost:8080") is None
+
+
+def test_elsewhere_the_address_has_a_token():
+    from urllib.error import HTTPError
+    from urllib.request import urlopen
+
+    server = start_server(0, host="127.0.0.2")
+    try:
+        own = address(server)
+        place, token = own.rsplit("/", 1)
+        assert len(token) >= 20
+        with urlopen(f"{own}/") as answer:
+            assert b"<html" in answer.read(2000)
+        assert status(own, origin=place) == 101
+        assert status(own, origin="http://evil.example") == 403
+        for wrong in (place, f"{place}/{token[:-1]}", f"{place}/{token}x"):
+            assert status(wrong) == 403
+            with pytest.raises(HTTPError, match="403"):
+                urlopen(f"{wrong}/")
+    finally:
+        server.stop()

@@ -82,6 +82,9 @@ class Serve:
     """Show the simulation in three dimensions on a page for a browser; its address is printed. Not with --sessions."""
     view_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 8080
     """Port of the page; where it is taken, the next free one."""
+    view_host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address of this machine that the page listens on. Where it is not 127.0.0.1, the printed address
+    has a token, and only who knows it can look and steer; nothing is encrypted."""
 
     def run(self) -> None:
         """Check, compile, serve."""
@@ -151,7 +154,7 @@ class Serve:
         require("view", "--view")
         from qrsim.view.live import LiveView
 
-        return LiveView(self.view_port)
+        return LiveView(self.view_port, host=self.view_host)
 
     def _check_host(self) -> None:
         if self.host == "localhost":

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class View:
     """Replay a recorded run in three dimensions, in a browser.
 
-    Opens a web page that only this machine can reach: vehicles, true and estimated paths, GNSS positions, wind and
+    Opens a web page, by default for this machine alone: vehicles, true and estimated paths, GNSS positions, wind and
     gusts, area and obstacles; with a time slider, layers, a camera that follows, and plots of readings against the
     truth. Works on running, interrupted and killed runs too, up to the last flush. Ctrl-C ends it.
 
@@ -44,6 +44,9 @@ class View:
     """Time to begin at, or of the picture; by default the begin, and for a picture the end."""
     port: int = 8080
     """Port of the page; where it is taken, the next free one. 0: any that is free."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address of this machine that the page listens on. Where it is not 127.0.0.1, the printed address
+    has a token, and only who knows it can look and steer; nothing is encrypted."""
 
     def run(self) -> None:
         """Check, and show."""
@@ -105,7 +108,7 @@ class View:
         from qrsim.view.replay import Replay
         from qrsim.view.server import address, start_server
 
-        server = start_server(self.port)
+        server = start_server(self.port, host=self.host)
         clock = Clock(playing=False, speeds=SPEEDS[:-1])
         try:
             page = Page(server, recording.cast, recording.world, recording.heading, clock)

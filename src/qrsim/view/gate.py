@@ -9,14 +9,19 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from hmac import compare_digest
+from http import HTTPStatus
 from typing import Any
+from urllib.parse import urlsplit
 
 from qrsim.view.clock import FRAME_S
 
+LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
 # Lag [s] from which a page says that a browser is behind.
 NOTABLE_S = 0.3
 # Of a link whose answers take longer [s] this is because it is narrow.
@@ -80,10 +85,43 @@ class Link:
 
 
 class Gate:
-    """The links of the browsers that look at a page."""
+    """The links of the browsers that look at a page, and who may look.
 
-    def __init__(self) -> None:
+    A page of any other site can open a WebSocket to this machine; its browser says so, by the Origin, and is refused.
+
+    Args:
+        token: that an address has to begin with; "": the server is of this machine alone, and so are the names that it
+            may be called by.
+    """
+
+    def __init__(self, token: str = "") -> None:
+        self.token = token
         self._links: set[Link] = set()
+
+    def refusal(self, path: str, host: str | None, origin: str | None) -> str | None:
+        """Return why a request is refused; None: it is not."""
+        if self.token and not compare_digest(path.split("/")[1].split("?")[0].encode(), self.token.encode()):
+            return "the address lacks the token that qrsim has printed"
+        name = urlsplit(f"//{host or ''}").hostname
+        if not self.token and name not in LOCAL_NAMES:
+            return f"this page is at one of {', '.join(LOCAL_NAMES)}, not at {name}"
+        if origin is not None and urlsplit(origin).netloc != host:
+            return f"pages of {origin} may not look"
+        return None
+
+    def _request(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        def process(connection: Any, request: Any) -> Any:
+            headers = request.headers
+            found = [headers.get_all(name) for name in ("Host", "Origin")]
+            host, origin = (values[0] if len(values) == 1 else None for values in found)
+            why = "it names several origins" if len(found[1]) > 1 else self.refusal(request.path, host, origin)
+            if why is not None:
+                return connection.respond(HTTPStatus.FORBIDDEN, f"refused: {why}\n")
+            if self.token:
+                request = dataclasses.replace(request, path=request.path[len(self.token) + 1 :] or "/")
+            return answer(connection, request)
+
+        return process
 
     @property
     def lag_s(self) -> float:
@@ -112,6 +150,7 @@ class Gate:
             def serve(handler: Any, *place: Any, **options: Any) -> Any:
                 if not getattr(handler, "__module__", "").startswith("viser."):
                     return plain(handler, *place, **options)
+                options["process_request"] = self._request(options["process_request"])
                 return plain(self._guarded(handler), *place, **options)
 
             library.serve = serve  # type: ignore[assignment,misc]

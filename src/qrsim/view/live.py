@@ -19,7 +19,7 @@ from qrsim.view.frame import Frame, cast_of, frame_of
 from qrsim.view.page import Page
 from qrsim.view.recording import Recording
 from qrsim.view.replay import Replay
-from qrsim.view.server import address, start_server
+from qrsim.view.server import LOOPBACK, address, start_server
 from qrsim.view.steering import Wind, change_wind, wind_of
 from qrsim.view.truth import true_values
 from qrsim.world.state import State, World
@@ -54,14 +54,15 @@ class LiveView:
     Args:
         port: to listen on; where it is taken, the next free one.
         clock: by which the simulation goes; None where it goes by another.
+        host: address of this machine to listen on.
 
     Attributes:
         address: to open in a browser.
     """
 
-    def __init__(self, port: int, clock: Clock | None = None):
+    def __init__(self, port: int, clock: Clock | None = None, host: str = LOOPBACK):
         self.clock = clock
-        self._server = start_server(port)
+        self._server = start_server(port, host=host)
         self.address = address(self._server)
         self._newest: _Offered | None = None
         self._there = threading.Condition()

@@ -1,7 +1,8 @@
-"""The web server of a page: loopback only, at a free port, silent."""
+"""The web server of a page: at a free port, silent, of this machine alone unless another address is asked for."""
 
 from __future__ import annotations
 
+import secrets
 import weakref
 from typing import TYPE_CHECKING
 
@@ -20,16 +21,17 @@ def require_viser() -> None:
     require("view", "the 3-D page")
 
 
-def start_server(port: int = PORT, label: str = "qrsim") -> ViserServer:
-    """Start a server on the loopback interface; if its port is taken, use the next free one.
+def start_server(port: int = PORT, label: str = "qrsim", host: str = LOOPBACK) -> ViserServer:
+    """Start a server, for this machine alone or with a token in its address; if its port is taken, use the next free.
 
     Args:
         port: to listen on; 0: any that is free.
         label: heading of the page's panel.
+        host: address of this machine to listen on.
 
     Raises:
         MissingExtraError: viser is not installed.
-        UsageError: it is no port.
+        UsageError: it is no port, or no address of this machine.
         RunError: no port is free.
     """
     require_viser()
@@ -40,15 +42,15 @@ def start_server(port: int = PORT, label: str = "qrsim") -> ViserServer:
     import rich
     from viser import ViserServer
 
-    port = free_port(port)
+    port = free_port(port, host)
     # viser announces itself on standard output, which belongs to the command.
     console = rich.get_console()
     console.quiet = True
     # Browsers open connections that they close without a word.
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-    gate = Gate()
+    gate = Gate("" if host == LOOPBACK else secrets.token_urlsafe(16))
     with gate.installed():
-        server = ViserServer(LOOPBACK, port, label=label, verbose=False)
+        server = ViserServer(host, port, label=label, verbose=False)
     _gates[server] = gate
     # Sharing would send the scene to a server elsewhere.
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
@@ -86,7 +88,7 @@ class Delivery:
         self._last = self._buffer.message_counter - 1
 
 
-def free_port(port: int) -> int:
+def free_port(port: int, host: str = LOOPBACK) -> int:
     """Return the port, or the next free one if it is taken; 0 stays 0."""
     import errno
     import socket
@@ -95,15 +97,18 @@ def free_port(port: int) -> int:
         with socket.socket() as trial:
             trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
-                trial.bind((LOOPBACK, candidate))
+                trial.bind((host, candidate))
+            except socket.gaierror:
+                raise UsageError(f"{host}: expected an IPv4 address of this machine, such as 0.0.0.0 for all") from None
             except OSError as error:
                 if error.errno in (errno.EADDRINUSE, errno.EACCES):
                     continue
-                raise RunError(f"cannot listen on {LOOPBACK}:{candidate}: {error.strerror or error}") from None
+                raise RunError(f"cannot listen on {host}:{candidate}: {error.strerror or error}") from None
             return candidate
-    raise RunError(f"cannot listen on {LOOPBACK}: ports {port} to {min(port + 99, 65535)} are all in use")
+    raise RunError(f"cannot listen on {host}: ports {port} to {min(port + 99, 65535)} are all in use")
 
 
 def address(server: ViserServer) -> str:
     """Return the address to open in a browser."""
-    return f"http://{server.get_host()}:{server.get_port()}"
+    token = _gates[server].token
+    return f"http://{server.get_host()}:{server.get_port()}" + (f"/{token}" if token else "")

@@ -86,6 +86,9 @@ class Run:
     else while a browser shows it. '--view' alone is '--view now'; 'wait' flies once a browser has opened the page."""
     view_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 8080
     """Port of the page; where it is taken, the next free one."""
+    view_host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address of this machine that the page listens on. Where it is not 127.0.0.1, the printed address
+    has a token, and only who knows it can look and steer; nothing is encrypted."""
     precision: Literal["float32", "float64"] = "float32"
     """Arithmetic."""
     no_figure: bool = False
@@ -125,7 +128,7 @@ class Run:
             require("view", "--view")
         if folder.exists():
             raise UsageError(f"run folder {folder} exists and is never overwritten; choose another --out")
-        with shown(self.view, self.view_port) as page:
+        with shown(self.view, self.view_port, self.view_host) as page:
             pace = self._fly(scenario, folder, every, page)
             if page is not None:
                 replay(page, folder)

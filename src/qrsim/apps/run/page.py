@@ -32,7 +32,7 @@ def completed(arguments: Sequence[str]) -> list[str]:
 
 
 @contextmanager
-def shown(how: str, port: int) -> Iterator[LiveView | None]:
+def shown(how: str, port: int, host: str) -> Iterator[LiveView | None]:
     """Open the page while the context lasts; with "wait", first wait for a browser."""
     if how == OFF:
         yield None
@@ -40,7 +40,7 @@ def shown(how: str, port: int) -> Iterator[LiveView | None]:
     from qrsim.view.clock import Clock
     from qrsim.view.live import LiveView
 
-    page = LiveView(port, Clock())
+    page = LiveView(port, Clock(), host)
     # Not on standard output, which belongs to the result.
     print(f"page: {page.address}", file=sys.stderr, flush=True)
     try:
