@@ -11,7 +11,7 @@ from qrsim.errors import UsageError
 # Extra -> the modules that it installs.
 EXTRAS: dict[str, tuple[str, ...]] = {
     "data": ("pooch",),
-    "export": ("mcap",),
+    "export": ("mcap", "simplekml", "gpxpy"),
     "serve": ("google.protobuf",),
     "identify": ("pyulog", "pymavlink", "deap", "sympy"),
     "view": ("viser",),

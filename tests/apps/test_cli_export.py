@@ -289,32 +289,53 @@ def test_gpx(recorded, tmp_path, capsys):
 
 def test_kml(recorded, tmp_path):
     root = ElementTree.parse(exported(recorded, "kml", tmp_path / "x.kml")).getroot()
-    *folders, events = root.findall("Document/Folder", KML)
+    folders, [events] = root.findall("Document/Document", KML), root.findall("Document/Folder", KML)
     assert [folder.findtext("name", None, KML) for folder in folders] == list(NAMES)
-    styles = {f"#{style.get('id')}": style for style in root.findall("Document/Style", KML)}
+    styles = {f"#{style.get('id')}": style for style in root.findall("Document/Document/Style", KML)}
     colours = set()
     for vehicle, folder in enumerate(folders):
         true, gps = folder.findall("Placemark", KML)
         used = [styles[placemark.findtext("styleUrl", None, KML)] for placemark in (true, gps)]
         colours |= {style.findtext("LineStyle/color", None, KML) for style in used}
-        assert true.findtext("gx:MultiTrack/altitudeMode", None, KML) == "absolute"
+        assert true.findtext("gx:MultiTrack/gx:Track/altitudeMode", None, KML) == "relativeToGround"
         (line,) = true.findall("gx:MultiTrack/gx:Track", KML)
         assert [datetime.fromisoformat(when.text) for when in line.findall("when", KML)] == [
             utc(tick) for tick in range(0, TICKS, 10)
         ]
         for tick, coord in zip(range(0, TICKS, 10), line.findall("gx:coord", KML), strict=True):
             longitude, latitude, height = map(float, coord.text.split(" "))
-            assert near((latitude, longitude, height), true_position(tick, vehicle))
+            # The site is 120 m above the ellipsoid, and its ground at z = 0.
+            assert height == pytest.approx(20.0 + 0.1 * tick)
+            _, _, above_ellipsoid = geodetic(true_position(tick, vehicle))
+            assert near((latitude, longitude, above_ellipsoid), true_position(tick, vehicle))
         assert [len(part.findall("gx:coord", KML)) for part in gps.findall("gx:MultiTrack/gx:Track", KML)] == (
             [6] if vehicle == 0 else [2, 2]
         )
     assert len(colours) == 2
     reached, clouds, left = events.findall("Placemark", KML)
     longitude, latitude, height = map(float, left.findtext("Point/coordinates", None, KML).split(","))
-    assert near((latitude, longitude, height), true_position(41, 1))
+    assert near((latitude, longitude, geodetic(true_position(41, 1))[2]), true_position(41, 1))
+    assert height == pytest.approx(24.1)
     assert clouds.find("Point", KML) is None
     assert clouds.findtext("TimeStamp/when", None, KML) == "2026-06-21T10:00:00.900000Z"
     assert reached.findtext("description", None, KML) == 'reached <"1"> & on'
+
+
+def test_kml_heights_above_the_ellipsoid_or_a_higher_ground(recorded, tmp_path, refused, capsys):
+    def heights(folder: Path, *words: str) -> tuple[str, float]:
+        root = ElementTree.parse(exported(folder, "kml", tmp_path / "h.kml", "--force", *words)).getroot()
+        track = next(root.iter(f"{{{KML['gx']}}}Track"))
+        return track.findtext("altitudeMode", None, KML), float(track.find("gx:coord", KML).text.split(" ")[2])
+
+    mode, height = heights(recorded, "--heights", "ellipsoid")
+    assert (mode, height) == ("absolute", pytest.approx(140.0, abs=1e-3))
+    site = f"site: {{latitude_deg: {LATITUDE}, longitude_deg: {LONGITUDE}, height: {HEIGHT}}}"
+    content = f"start_time: '{START}'\n{site}\nworld: {{ground: {{type: flat, height: 5.0}}}}\n"
+    mode, height = heights(write_run(tmp_path / "hill", scenario=content))
+    assert (mode, height) == ("relativeToGround", pytest.approx(15.0))
+    capsys.readouterr()
+    words = ["export", str(recorded), "--format", "gpx", "--heights", "ellipsoid"]
+    refused(words, "--heights ellipsoid: only kml has this choice")
 
 
 @pytest.mark.parametrize("form", ["gpx", "kml"])

@@ -26,8 +26,8 @@ class Export:
     GNSS-reported track of every vehicle and the events, on WGS-84. mcap: poses, fixes, sensors, commands, wind, scene
     and events for Foxglove, east-north-up, and a layout for it in NAME.layout.json.
 
-    Heights are above the WGS-84 ellipsoid in every format. A run that is running, was interrupted or killed is
-    exported up to its last flush; what is damaged is left out with a warning.
+    Heights are above the WGS-84 ellipsoid, those of kml above the ground unless --heights says otherwise. A run that is
+    running, was interrupted or killed is exported up to its last flush; what is damaged is left out with a warning.
 
     Example:
       qrsim export runs/first --format csv
@@ -51,6 +51,8 @@ class Export:
         tyro.conf.arg(metavar="N", help_behavior_hint="(default: 1 for csv and mcap, 5 Hz for the others)"),
     ] = None
     """Keep the ticks that N divides; events are all kept."""
+    heights: Literal["ground", "ellipsoid"] = "ground"
+    """Heights of kml: above the ground, or above the WGS-84 ellipsoid."""
     force: bool = False
     """Overwrite files that exist."""
     json: bool = False
@@ -63,6 +65,8 @@ class Export:
 
         if self.every is not None and not 1 <= self.every <= LARGEST_EVERY:
             raise UsageError(f"--every {self.every}: expected an integer from 1 to 2**31 - 1")
+        if self.heights != "ground" and self.format != "kml":
+            raise UsageError(f"--heights {self.heights}: only kml has this choice; {self.format} has the ellipsoid's")
         if self.stream is not None and self.format != "csv":
             raise UsageError(f"--stream chooses among the tables of csv; {self.format} has no such choice")
         recorded = open_run(self.run_folder, skip_damaged=True)
@@ -100,8 +104,11 @@ class Export:
         target = self.out or self.run_folder / "export" / f"{self.run_folder.resolve().name}.{self.format}"
         check_target(target, self.force)
         place = place_of(recorded)
+        if self.format != "geojson":
+            require(
+                "export", f"a file of {self.format}", {"mcap": "mcap", "kml": "simplekml", "gpx": "gpxpy"}[self.format]
+            )
         if self.format == "mcap":
-            require("export", "an MCAP file")
             from qrsim.runs.export import mcap_file
             from qrsim.runs.export.foxglove_layout import layout_path, write_layout
 
@@ -110,8 +117,10 @@ class Export:
             written = mcap_file.write(recorded, place, target, every)
             write_layout(recorded, layout)
             return written
-        write = {"geojson": geojson.write, "gpx": gpx.write, "kml": kml.write}[self.format]
-        return write(read_tracks(recorded, place, every), target)
+        tracks = read_tracks(recorded, place, every)
+        if self.format == "kml":
+            return kml.write(tracks, target, self.heights)
+        return (geojson.write if self.format == "geojson" else gpx.write)(tracks, target)
 
     def _report(self, written: list[Written], every: int) -> None:
         import json

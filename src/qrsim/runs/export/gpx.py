@@ -1,14 +1,14 @@
-"""gpx: tracks and events for GPS tools (GPX 1.1, topografix.com/GPX/1/1)."""
+"""gpx: tracks and events for GPS tools (GPX 1.1, topografix.com/GPX/1/1), by gpxpy."""
 
 from __future__ import annotations
 
 import warnings
+from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from qrsim.runs.export.output import Written, replacing
-from qrsim.runs.export.place import Floats
-from qrsim.runs.export.tracks import Mark, Segment, Tracks
-from qrsim.runs.export.xml_text import XmlText
+from qrsim.runs.export.tracks import Tracks, said_in_xml
 
 
 def write(content: Tracks, path: Path) -> Written:
@@ -20,42 +20,35 @@ def write(content: Tracks, path: Path) -> Written:
     Raises:
         RunError: the file cannot be written.
     """
+    from gpxpy.gpx import GPX, GPXTrack, GPXTrackPoint, GPXTrackSegment, GPXWaypoint
+
     placed = [(mark, mark.geodetic) for mark in content.marks if mark.geodetic is not None]
     if missing := len(content.marks) - len(placed):
         warnings.warn(f"{path}: events of unknown place left out: {missing}", stacklevel=2)
+    document: Any = GPX()
+    document.creator, document.name = "qrsim", said_in_xml(content.name)
+    for mark, geodetic in placed:
+        point: Any = GPXWaypoint(*_place(geodetic), time=_time(mark.utc), name=said_in_xml(mark.title))
+        point.description, point.type = said_in_xml(mark.event.message), said_in_xml(mark.event.kind)
+        document.waypoints.append(point)
+    for track in content.tracks:
+        found: Any = GPXTrack(name=said_in_xml(track.title))
+        found.type = track.kind
+        document.tracks.append(found)
+        for segment in track.segments:
+            points = zip(segment.geodetic.tolist(), segment.utc, strict=True)
+            piece = [GPXTrackPoint(*_place(geodetic), time=_time(utc)) for geodetic, utc in points]
+            found.segments.append(GPXTrackSegment(piece))
     with replacing(path) as file:
-        xml = XmlText(file)
-        attributes = {"version": "1.1", "creator": "qrsim", "xmlns": "http://www.topografix.com/GPX/1/1"}
-        with xml.element("gpx", attributes):
-            with xml.element("metadata"):
-                xml.leaf("name", content.name)
-            for mark, geodetic in placed:
-                _waypoint(xml, mark, geodetic)
-            for track in content.tracks:
-                with xml.element("trk"):
-                    xml.leaf("name", track.title)
-                    xml.leaf("type", track.kind)
-                    for segment in track.segments:
-                        _segment(xml, segment)
+        file.write(document.to_xml("1.1").encode())
     return Written(path, {**content.counts, "events": len(placed)})
 
 
-def _waypoint(xml: XmlText, mark: Mark, geodetic: Floats) -> None:
-    with xml.element("wpt", _place(geodetic)):
-        xml.leaf("ele", f"{geodetic[2]:.4f}")
-        xml.leaf("time", mark.utc)
-        xml.leaf("name", mark.title)
-        xml.leaf("desc", mark.event.message)
-        xml.leaf("type", mark.event.kind)
+def _place(geodetic: Any) -> tuple[float, float, float]:
+    """Return latitude and longitude [deg] to 0.1 mm, and height [m]."""
+    latitude, longitude, height = (float(value) for value in geodetic)
+    return round(latitude, 9), round(longitude, 9), round(height, 4)
 
 
-def _segment(xml: XmlText, segment: Segment) -> None:
-    with xml.element("trkseg"):
-        for utc, geodetic in zip(segment.utc, segment.geodetic, strict=True):
-            with xml.element("trkpt", _place(geodetic)):
-                xml.leaf("ele", f"{geodetic[2]:.4f}")
-                xml.leaf("time", utc)
-
-
-def _place(geodetic: Floats) -> dict[str, str]:
-    return {"lat": f"{geodetic[0]:.9f}", "lon": f"{geodetic[1]:.9f}"}
+def _time(utc: str) -> datetime:
+    return datetime.fromisoformat(utc)

@@ -1,95 +1,86 @@
-"""kml: tracks and events for Google Earth and other globes (OGC KML 2.2 with Google's gx:Track)."""
+"""kml: tracks and events for Google Earth and other globes (OGC KML 2.2 with Google's gx:Track), by simplekml."""
 
 from __future__ import annotations
 
 from itertools import groupby
 from pathlib import Path
+from typing import Any, Literal
 
 import matplotlib as mpl
 
 from qrsim.runs.export.output import Written, replacing
 from qrsim.runs.export.place import Floats
-from qrsim.runs.export.tracks import Mark, Segment, Track, Tracks
-from qrsim.runs.export.xml_text import XmlText
+from qrsim.runs.export.tracks import Mark, Track, Tracks, said_in_xml
 
 # As in the figure of a run: a colour per vehicle, the true track thick and the reported one thin.
 PALETTE = "tab10"
 WIDTHS = {"true": 3, "gnss": 1}
+Heights = Literal["ground", "ellipsoid"]
+MODES: dict[Heights, str] = {"ground": "relativeToGround", "ellipsoid": "absolute"}
 
 
-def write(content: Tracks, path: Path) -> Written:
+def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
     """Write a folder per vehicle with its tracks, which play over time, and a folder of events.
 
-    KML's absolute altitudes are above the geoid; here they are heights above the WGS-84 ellipsoid, because qrsim has
-    no geoid: give the scenario's site its height above the sea, and the tracks stand where they should.
+    Args:
+        content: what to write.
+        path: the file.
+        heights: "ground": above the run's ground, drawn by the globe above its own; "ellipsoid": above the WGS-84
+            ellipsoid, as KML's absolute altitudes, which are meant to be above the geoid: qrsim has none, so give the
+            scenario's site its height above the sea.
 
     Raises:
         RunError: the file cannot be written.
     """
+    import simplekml
+
+    document = simplekml.Kml(name=said_in_xml(content.name))
+    for _, tracks in groupby(content.tracks, key=lambda track: track.number):
+        own = list(tracks)
+        # A document, because simplekml keeps shared styles there, where KML wants them.
+        folder = document.newdocument(name=said_in_xml(own[0].vehicle))
+        styles = {kind: _style(simplekml, own[0].number, kind) for kind in {track.kind: None for track in own}}
+        for track in own:
+            _track(folder, track, styles[track.kind], heights)
+    events = document.newfolder(name="events")
+    for mark in content.marks:
+        _event(events, mark, heights)
     with replacing(path) as file:
-        xml = XmlText(file)
-        spaces = {"xmlns": "http://www.opengis.net/kml/2.2", "xmlns:gx": "http://www.google.com/kml/ext/2.2"}
-        with xml.element("kml", spaces), xml.element("Document"):
-            xml.leaf("name", content.name)
-            vehicles = [list(tracks) for _, tracks in groupby(content.tracks, key=lambda track: track.number)]
-            for tracks in vehicles:
-                for kind in {track.kind: None for track in tracks}:
-                    _style(xml, tracks[0].number, kind)
-            for tracks in vehicles:
-                with xml.element("Folder"):
-                    xml.leaf("name", tracks[0].vehicle)
-                    for track in tracks:
-                        _track(xml, track)
-            with xml.element("Folder"):
-                xml.leaf("name", "events")
-                for mark in content.marks:
-                    _event(xml, mark)
+        file.write(b'<?xml version="1.0" encoding="UTF-8"?>\n')
+        file.write(document.kml(format=False).encode())
     return Written(path, content.counts)
 
 
-def _style(xml: XmlText, number: int, kind: str) -> None:
+def _style(simplekml: Any, number: int, kind: str) -> Any:
     colours = mpl.colormaps[PALETTE]
     red, green, blue, _ = colours(number % colours.N, bytes=True)
-    with xml.element("Style", {"id": f"{kind}-{number}"}):
-        with xml.element("IconStyle"):
-            xml.leaf("scale", "0.6")
-        with xml.element("LineStyle"):
-            xml.leaf("color", f"ff{blue:02x}{green:02x}{red:02x}")
-            xml.leaf("width", str(WIDTHS[kind]))
+    style = simplekml.Style()
+    style.iconstyle.scale = 0.6
+    style.linestyle.color = f"ff{blue:02x}{green:02x}{red:02x}"
+    style.linestyle.width = WIDTHS[kind]
+    return style
 
 
-def _track(xml: XmlText, track: Track) -> None:
-    with xml.element("Placemark"):
-        xml.leaf("name", track.title)
-        xml.leaf("styleUrl", f"#{track.kind}-{track.number}")
-        with xml.element("gx:MultiTrack"):
-            xml.leaf("altitudeMode", "absolute")
-            xml.leaf("gx:interpolate", "0")
-            for segment in track.segments:
-                _segment(xml, segment)
+def _track(folder: Any, track: Track, style: Any, heights: Heights) -> None:
+    found = folder.newgxmultitrack(name=said_in_xml(track.title), gxinterpolate=0)
+    found.style = style
+    for segment in track.segments:
+        piece = found.newgxtrack(altitudemode=MODES[heights])
+        piece.newwhen(segment.utc)
+        places = zip(segment.geodetic, segment.above_ground, strict=True)
+        piece.newgxcoord([_coordinates(geodetic, height, heights) for geodetic, height in places])
 
 
-def _segment(xml: XmlText, segment: Segment) -> None:
-    with xml.element("gx:Track"):
-        xml.leaf("altitudeMode", "absolute")
-        for utc in segment.utc:
-            xml.leaf("when", utc)
-        for geodetic in segment.geodetic:
-            xml.leaf("gx:coord", _coordinates(geodetic, " "))
+def _event(folder: Any, mark: Mark, heights: Heights) -> None:
+    said = {"name": said_in_xml(mark.title), "description": said_in_xml(mark.event.message)}
+    # Without a place it has no geometry, which is not the same as one at 0, 0.
+    found = folder.newmultigeometry(**said) if mark.geodetic is None else folder.newpoint(**said)
+    found.timestamp.when = mark.utc
+    if mark.geodetic is not None:
+        found.altitudemode = MODES[heights]
+        found.coords = [_coordinates(mark.geodetic, mark.above_ground, heights)]
 
 
-def _event(xml: XmlText, mark: Mark) -> None:
-    with xml.element("Placemark"):
-        xml.leaf("name", mark.title)
-        xml.leaf("description", mark.event.message)
-        with xml.element("TimeStamp"):
-            xml.leaf("when", mark.utc)
-        if mark.geodetic is not None:
-            with xml.element("Point"):
-                xml.leaf("altitudeMode", "absolute")
-                xml.leaf("coordinates", _coordinates(mark.geodetic, ","))
-
-
-def _coordinates(geodetic: Floats, separator: str) -> str:
-    latitude, longitude, height = geodetic
-    return separator.join((f"{longitude:.9f}", f"{latitude:.9f}", f"{height:.4f}"))
+def _coordinates(geodetic: Floats, above_ground: float, heights: Heights) -> tuple[float, float, float]:
+    latitude, longitude, height = (float(value) for value in geodetic)
+    return round(longitude, 9), round(latitude, 9), round(float(above_ground) if heights == "ground" else height, 4)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,12 +14,15 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from qrsim.errors import RunError
+from qrsim.errors import QrsimError, RunError
 from qrsim.runs import Event, Run
 from qrsim.runs.export.output import is_readable
 from qrsim.runs.export.place import Floats, Place
 
 AXES = "xyz"
+# Positions (R, 3) -> the down coordinate (R,) of the ground there.
+Ground = Callable[[Floats], Floats]
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 @dataclass(frozen=True)
@@ -39,10 +44,17 @@ class Samples:
 
 @dataclass(frozen=True)
 class Segment:
-    """An unbroken piece of a track: (T,) UTC times and (T, 3) latitude [deg], longitude [deg], height [m]."""
+    """An unbroken piece of a track.
+
+    Attributes:
+        utc: (T,) times.
+        geodetic: (T, 3) latitude [deg], longitude [deg], height above the ellipsoid [m].
+        above_ground: (T,) height above the run's ground [m].
+    """
 
     utc: list[str]
     geodetic: Floats
+    above_ground: Floats
 
 
 @dataclass(frozen=True)
@@ -74,11 +86,14 @@ class Track:
 
 @dataclass(frozen=True)
 class Mark:
-    """An event: its UTC time, and the true place (3,) [deg, deg, m] of its vehicle, None where that is unknown."""
+    """An event: its UTC time, the true place (3,) [deg, deg, m] of its vehicle, None where that is unknown, and its
+    height above the run's ground [m].
+    """
 
     event: Event
     utc: str
     geodetic: Floats | None
+    above_ground: float = 0.0
 
     @property
     def title(self) -> str:
@@ -112,19 +127,48 @@ def read_tracks(run: Run, place: Place, every: int) -> Tracks:
     """
     sources: list[tuple[str, str | None, str]] = [("truth", None, "position_ned")] if is_readable(run, "truth") else []
     sources += [("measurements", sensor, f"{sensor}.position_ned") for sensor in position_sensors(run)]
+    ground = ground_of(run)
     found: list[Track] = []
     for stream, sensor, column in sources:
         samples = _joined(read_samples(run, stream, axes(column), lambda ticks: ticks % every == 0))
         for number, vehicle in enumerate(run.vehicles):
             rows = samples.vehicles == number
             own = Samples(samples.vehicles[rows], samples.ticks[rows], samples.times[rows], samples.values[rows])
-            segments = _segments(own, place, every, fresh_only=sensor is not None)
+            segments = _segments(own, place, every, ground, fresh_only=sensor is not None)
             if segments:
                 found.append(Track(vehicle, number, sensor, segments))
-    marks = _marks(run, place)
+    marks = _marks(run, place, ground)
     if not found and not marks:
         raise RunError(f"{run.folder}: nothing to export, because no tick was recorded (state: {run.info.state})")
     return Tracks(run.info.scenario, sorted(found, key=lambda track: track.number), marks)
+
+
+def ground_of(run: Run) -> Ground:
+    """Return what gives the down coordinate (R,) [m] of the ground at positions (R, 3).
+
+    Where the scenario's ground is not known any more, it is z = 0, with a warning.
+    """
+    content = run.scenario if isinstance(run.scenario, dict) else {}
+    world = content.get("world")
+    about = world.get("ground") if isinstance(world, dict) else None
+    if not isinstance(about, dict):
+        return lambda position: np.zeros(len(position))
+    if about.get("type") == "flat":
+        return lambda position: np.full(len(position), -float(about.get("height", 0.0)))
+    from qrsim.core.vectors import Vec3
+    from qrsim.scenarios.scenario import load_scenario
+
+    try:
+        surface = load_scenario(content, quiet=True).world("float64").ground
+    except (QrsimError, OSError) as error:
+        warnings.warn(f"heights are above z = 0, because the ground cannot be built: {error}", stacklevel=2)
+        return lambda position: np.zeros(len(position))
+    return lambda position: np.asarray(surface.down(Vec3(*position.T)), np.float64)
+
+
+def said_in_xml(text: str) -> str:
+    """Return a text whose characters XML can say; others become U+FFFD."""
+    return _NOT_XML.sub("\ufffd", text)
 
 
 def axes(name: str) -> list[str]:
@@ -174,7 +218,7 @@ def _joined(batches: Iterator[Samples]) -> Samples:
     )
 
 
-def _segments(samples: Samples, place: Place, every: int, fresh_only: bool) -> list[Segment]:
+def _segments(samples: Samples, place: Place, every: int, ground: Ground, fresh_only: bool) -> list[Segment]:
     """Return the unbroken pieces of one vehicle's track."""
     if not len(samples.ticks):
         return []
@@ -185,10 +229,11 @@ def _segments(samples: Samples, place: Place, every: int, fresh_only: bool) -> l
         return []
     times, pieces = samples.times[kept], pieces[kept]
     geodetic = place.geodetic(samples.values[kept])
+    above = ground(samples.values[kept]) - samples.values[kept, 2]
     # RFC 7946, section 3.1.9: a line that crosses the antimeridian is cut there.
     cut = (np.diff(pieces) > 0) | (np.abs(np.diff(geodetic[:, 1])) > 180.0)
     bounds = [0, *(1 + np.flatnonzero(cut)), len(times)]
-    return [Segment(place.utc(times[a:b]), geodetic[a:b]) for a, b in pairwise(bounds)]
+    return [Segment(place.utc(times[a:b]), geodetic[a:b], above[a:b]) for a, b in pairwise(bounds)]
 
 
 def _is_gap(ticks: npt.NDArray[np.int64], every: int) -> npt.NDArray[np.bool_]:
@@ -198,7 +243,7 @@ def _is_gap(ticks: npt.NDArray[np.int64], every: int) -> npt.NDArray[np.bool_]:
     return np.concatenate([[False], steps > usual])
 
 
-def _marks(run: Run, place: Place) -> list[Mark]:
+def _marks(run: Run, place: Place, ground: Ground) -> list[Mark]:
     if not is_readable(run, "events"):
         return []
     events = run.events
@@ -209,7 +254,11 @@ def _marks(run: Run, place: Place) -> list[Mark]:
     marks = []
     for event, utc in zip(events, place.utc([event.time for event in events]), strict=True):
         position = places.get((ticks[event.tick], event.vehicle))
-        marks.append(Mark(event, utc, None if position is None else place.geodetic(position)))
+        if position is None:
+            marks.append(Mark(event, utc, None))
+        else:
+            above = float(ground(position[None])[0] - position[2])
+            marks.append(Mark(event, utc, place.geodetic(position), above))
     return marks
 
 
