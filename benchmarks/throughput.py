@@ -2,7 +2,8 @@
 
 The stages are cumulative: the dynamics of quadrotors that hold their attitude; + mean wind and full Dryden turbulence;
 + process noise; + barometer, attitude, gyroscope and accelerometer and the waypoint controller fed with them; + a GNSS
-receiver at 5 Hz; + collisions between all vehicles, which is everything.
+receiver at 5 Hz; + collisions between all vehicles, which is everything. The last stage is that of the wind for a
+multirotor by its rotors (an X500 in substeps of 4 ms) in place of the identified quadrotor.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ import _common
 VEHICLES = (1, 10, 100, 1000, 4096, 65536)
 MANY_WORLDS = (512, 8)
 STAGES = ("dynamics", "wind", "noise", "sensors", "gnss", "everything")
+# Not cumulative: beside the stage of the wind, whose world it has.
+ROTORS = "rotors"
 HEADINGS = {
     "stage": "stage",
     "worlds": "worlds",
@@ -50,7 +53,7 @@ def stage_world(count: int, stage: str) -> Any:
     world["turbulence"] = {"type": "dryden"}
     world["obstacles"] = [{"type": "cylinder", "x": 1e4, "y": 1e4, "radius": 1.0, "z_min": -10.0, "z_max": 0.0}]
     world["area"].update(x_min=-1e5, x_max=1e5, y_min=-1e5, y_max=1e5)
-    place = STAGES.index(stage)
+    place = STAGES.index("wind" if stage == ROTORS else stage)
     if place < STAGES.index("wind"):
         world["turbulence"], world["wind"] = {"type": "still"}, {"type": "calm"}
     if place < STAGES.index("noise"):
@@ -61,6 +64,12 @@ def stage_world(count: int, stage: str) -> Any:
         fleet["guidance"] = {"type": "attitude"}
     elif place < STAGES.index("gnss"):
         fleet["sensors"]["gnss"] = {"type": "ideal_gnss"}
+    if stage == ROTORS:
+        # The cascade, since the published loops are of the identified quadrotor; both are fed with the truth.
+        # Wakes cost the square of the vehicles of a world.
+        wakes = "felt" if count <= 64 else "ignored"
+        fleet["vehicle"] = {"type": "multirotor", "model": "x500", "downwash": wakes}
+        fleet["controller"], fleet["guidance"] = {"type": "cascade", "feed": "truth"}, {"type": "route"}
     return load_scenario(content, quiet=True).world()
 
 
@@ -73,7 +82,7 @@ def no_collisions(off: bool) -> Iterator[None]:
 
     before = ticks_of.collisions
     if off:
-        ticks_of.collisions = lambda position_ned, collision_distance: Violation.first([], position_ned.x)
+        ticks_of.collisions = lambda position_ned, *_: Violation.first([], position_ned.x)
     forget()
     try:
         yield
@@ -142,7 +151,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--vehicles", type=int, nargs="*", metavar="N", help="in one world (default: 1 to 65 536)")
-    parser.add_argument("--stages", nargs="*", choices=STAGES, default=STAGES, help="which stages (default: all)")
+    parser.add_argument(
+        "--stages", nargs="*", choices=(*STAGES, ROTORS), default=(*STAGES, ROTORS), help="which stages (default: all)"
+    )
     parser.add_argument("--no-many-worlds", action="store_true", help="leave out the 512 worlds of 8 vehicles")
     parser.add_argument("--json", action="store_true", help="print JSON in place of a table")
     parser.add_argument("--quick", action="store_true", help="the smallest form; its numbers mean nothing")
