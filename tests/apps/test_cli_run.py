@@ -187,6 +187,8 @@ def test_json_agrees_with_the_log(flown):
                 legs[vehicle] += 1
             distances[tick, vehicle] = from_leg(position[:, tick, vehicle], start, end)
     np.testing.assert_allclose(said("tracking_error_rms_m"), rms(distances), rtol=1e-9)
+    np.testing.assert_allclose(said("height_error_rms_m"), rms((position - target)[2]), rtol=1e-9)
+    assert said("charge_least") == [None] * VEHICLES
     # Each waypoint reached brings the next set-point, and the test would be empty without one.
     assert said("waypoints") == legs.tolist()
     assert legs.sum() > 0
@@ -214,6 +216,9 @@ def test_the_table_has_the_numbers_of_the_json(flown, flown_again):
             f"{vehicle['waypoints']}",
             "-",
         ]
+    worst = max(flown.json["vehicles"], key=lambda vehicle: vehicle["height_error_rms_m"])
+    height, of = f"{worst['height_error_rms_m']:.2f}", worst["vehicle"]
+    assert f"height: RMS {height} m from that of the waypoint, at most, of {of}" in lines
     assert f"run folder: {flown_again.folder}" in lines
     assert any(re.fullmatch(r"10 s flown in \S+ s \(\d+ times real time\), start-up \S+ s", line) for line in lines)
     assert "figure" not in flown_again.printed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from functools import reduce
 from itertools import pairwise
@@ -15,6 +16,7 @@ from qrsim.runs.reader import Run, Stream
 Floats = np.ndarray[Any, Any]
 Rows = np.ndarray[Any, Any]
 STREAMS = ("truth", "measurements", "commands", "wind")
+CHARGE = "battery.charge"
 NOT_A_STOP = (
     "waypoint_reached",
     "command_clipped",
@@ -49,6 +51,8 @@ class VehicleSummary:
         worst_wind_m_s: largest speed of the air at the vehicle while it flies, gusts included.
         waypoints: how many it reached.
         stopped: why it stopped flying, "" if it did not.
+        height_error_rms_m: true height minus that of the waypoint, or of the point of a path; NaN without one.
+        charge_least: lowest charge of the battery, 1 full and 0 empty; NaN without one that drains.
     """
 
     vehicle: str
@@ -59,6 +63,8 @@ class VehicleSummary:
     worst_wind_m_s: float
     waypoints: int
     stopped: str
+    height_error_rms_m: float = math.nan
+    charge_least: float = math.nan
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields by name, None in place of NaN (JSON has no NaN)."""
@@ -161,12 +167,17 @@ def summarise(run: Run) -> list[VehicleSummary]:
     [rows] = common_rows(run, "truth")
     distance = np.linalg.norm(np.diff(position[rows], axis=0), axis=-1).sum(axis=0)
     rows, commanded = common_rows(run, "truth", "commands")
-    tracking = _rms(tracking_error(position[rows], waypoints_of(run, commanded)) * flying[rows])
+    waypoints = waypoints_of(run, commanded)
+    tracking = _rms(tracking_error(position[rows], waypoints) * flying[rows])
+    too_low = _rms((position[rows, :, 2] - waypoints[..., 2]) * flying[rows])
     _, gnss = gnss_error(run)
     horizontal, vertical = _rms(np.linalg.norm(gnss[..., :2], axis=-1)), _rms(gnss[..., 2])
     rows, windy = common_rows(run, "truth", "wind")
     air = vectors(run["wind"], "mean_ned", windy) + vectors(run["wind"], "gust_ned", windy)
     wind = np.linalg.norm(air, axis=-1) * flying[rows]
+    charge = np.full(len(run.vehicles), math.nan)
+    if CHARGE in run["truth"]:
+        charge = np.fmin.reduce(np.asarray(run["truth"][CHARGE], np.float64), axis=0, initial=math.nan)
     events = run.events
     summaries = []
     for i, name in enumerate(run.vehicles):
@@ -182,6 +193,8 @@ def summarise(run: Run) -> list[VehicleSummary]:
                 float(np.nanmax(wind[:, i], initial=0.0)),
                 sum(event.kind == "waypoint_reached" for event in own),
                 f"{stops[0].kind} at {stops[0].time:.2f} s" if stops else "",
+                float(too_low[i]),
+                float(charge[i]),
             )
         )
     return summaries

@@ -282,7 +282,21 @@ def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None
     with console.capture() as captured:  # printed here, because rich ends the process where the reader is gone
         console.print(table)
     print(f"{captured.get()}\n{LEGEND}")
+    for line in _worst(summaries):
+        print(line)
     _print_events(recorded)
+
+
+def _worst(summaries: list[VehicleSummary]) -> Iterator[str]:
+    """Yield a line each for the largest error of height and the lowest charge, where there are any."""
+    heights = [row for row in summaries if math.isfinite(row.height_error_rms_m)]
+    if heights:
+        row = max(heights, key=lambda each: each.height_error_rms_m)
+        yield f"height: RMS {row.height_error_rms_m:.2f} m from that of the waypoint, at most, of {row.vehicle}"
+    charged = [row for row in summaries if math.isfinite(row.charge_least)]
+    if charged:
+        row = min(charged, key=lambda each: each.charge_least)
+        yield f"battery: {100.0 * row.charge_least:.0f} % left, at least, of {row.vehicle}"
 
 
 def _print_events(recorded: RecordedRun) -> None:
