@@ -180,7 +180,10 @@ class MissionGuidance(Guidance):
         waited = state.waited + 1
         slow = velocity_ned.norm() < self.stop_speed
         # Asked to come down and not coming down: what holds it is the ground. Idle motors then let its feet bear.
-        held = (due.position_ned.z - position_ned.z > HELD) & (jnp.abs(velocity_ned.z) < HELD_SPEED)
+        above = due.position_ned.z - position_ned.z
+        # Twice so far above, it may rattle on its feet.
+        calm = jnp.where(above > 2.0 * HELD, 4.0 * HELD_SPEED, HELD_SPEED)
+        held = (above > HELD) & (jnp.abs(velocity_ned.z) < calm)
         touches = leg.lands & (standing | held)
         landed = standing & (seconds(waited) >= self.settle)
         at_rest = jnp.where(leg.lands, landed, (distance < leg.accept_radius) & slow & (time >= ends - 0.05 * dt))
