@@ -34,7 +34,7 @@ TRUTH = {"feed": "truth"}
 TILTED = {"type": "waypoint", "tilt_limit": 0.6}
 HELD: dict[str, dict[str, Any]] = {
     "waypoint": {"controller": {"type": "waypoint", **TRUTH}},
-    "waypoint_tilt_0.6": {"controller": {**TILTED, **TRUTH}},
+    "waypoint_tilted": {"controller": {**TILTED, **TRUTH}},
     "cascade": {"controller": {"type": "cascade", **TRUTH}},
     "cascade_tilt_45": {"controller": {"type": "cascade", "tilt_limit": math.radians(45.0), **TRUTH}},
     "waypoint_measurements": {"controller": TILTED},
@@ -43,7 +43,7 @@ HELD: dict[str, dict[str, Any]] = {
 }
 SQUARES: dict[str, dict[str, Any]] = {
     "waypoint_square": {**HELD["waypoint"], "guidance": {"type": "route", "repeat": False}},
-    "waypoint_tilt_0.6_square": {**HELD["waypoint_tilt_0.6"], "guidance": {"type": "route", "repeat": False}},
+    "waypoint_tilted_square": {**HELD["waypoint_tilted"], "guidance": {"type": "route", "repeat": False}},
     # From rest to rest along each side, 15 s each: a peak of 1.875 x 40 m / 15 s.
     "cascade_square": {**HELD["cascade"], "guidance": {"type": "mission", "path": "quintic", "speed": 5.0}},
 }
@@ -59,7 +59,7 @@ def world_of(speed: float, names: Sequence[str], duration: float, precision: str
             corners = ((SIDE, 0.0), (SIDE, SIDE), (0.0, SIDE), (0.0, 0.0))
             start["waypoints_ned"] = [[north + n, east + e, -HEIGHT] for n, e in corners]
         parts = {**HELD, **SQUARES}[name]
-        fleets[name.replace(".", "_")] = {**parts, "sensors": "noisy", "limits": {"rate": 8.0}, "vehicles": [start]}
+        fleets[name] = {**parts, "sensors": "noisy", "limits": {"rate": 8.0}, "vehicles": [start]}
     area = {
         "type": "box",
         **{f"{axis}_{end}": sign * 4000.0 for axis in "xy" for end, sign in (("min", -1), ("max", 1))},
@@ -155,6 +155,6 @@ def run(full: bool) -> dict[str, Any]:
     """Return the flights in each wind, and the patrol."""
     speeds, worlds, left_out, duration, names, seeds, seconds = FULL if full else SMALL
     chosen = tuple({**HELD, **SQUARES}) if names is None else names
-    winds = {f"{speed:g}": in_wind(speed, chosen, worlds, left_out, duration) for speed in speeds}
+    winds = {f"{speed:g}".replace(".", "_"): in_wind(speed, chosen, worlds, left_out, duration) for speed in speeds}
     found: dict[str, Any] = {"worlds": worlds, "seconds": duration, "left_out": left_out, "winds": winds}
     return found | ({"patrol": patrol(seeds, seconds)} if seeds else {})
