@@ -14,6 +14,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "export": ("mcap", "simplekml", "gpxpy"),
     "serve": ("google.protobuf",),
     "identify": ("pyulog", "pymavlink", "deap", "sympy"),
+    "validate": ("jinja2",),
     "view": ("viser",),
     "envs": ("gymnasium", "pettingzoo"),
     "sweep": ("distributed", "xarray", "zarr", "SALib"),

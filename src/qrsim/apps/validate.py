@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from qrsim.errors import RunError
+from qrsim.extras import require
 
 if TYPE_CHECKING:
     from qrsim.validate.parts import Result
@@ -50,6 +51,7 @@ class Validate:
         from qrsim.validate.parts import choose, find_recordings, run_parts
 
         parts = choose(self.only)
+        require("validate", "qrsim validate")
         found = find_recordings(parts)
         _check_folder(self.out)
         use_compilation_cache()
