@@ -126,7 +126,11 @@ def _drawn_again(run: Run, content: Any) -> dict[str, Any]:
         result["persons"] = np.stack([contents.persons.north, contents.persons.east], axis=-1)[there]
         result["found"] = _found(run, len(there))[there]
     if contents.plume is not None:
-        sources = getattr(contents.plume, "sources", contents.plume)
+        from qrsim.models.scene.plume import Sources
+
+        # A plume that moves keeps its sources beside what they have let out.
+        plume = contents.plume
+        sources = plume if isinstance(plume, Sources) else plume.sources
         position = np.stack([getattr(sources.position_ned, axis) for axis in "xyz"], axis=-1)
         result["sources"] = position[sources.strength > 0]
         result["plume"] = Field(*_edges(world.area), values.reshape(HEIGHTS, CELLS, CELLS).max(axis=0))
@@ -154,6 +158,7 @@ def _begin(world: Any, task: Any, keys: Any, stream: Any, places: Any) -> tuple[
     import jax.numpy as jnp
 
     from qrsim.core.noise import Draw
+    from qrsim.tasks.plume_mapping import PlumeMemory
     from qrsim.world.episode import surroundings
 
     drawn, contents = drawn_contents(world, keys)
@@ -161,7 +166,7 @@ def _begin(world: Any, task: Any, keys: Any, stream: Any, places: Any) -> tuple[
     locations = values = None
     if stream is not None:
         memory = task.init(world, _Beginning(drawn, contents), Draw(stream, jnp.int32(0), like))
-        locations = getattr(memory, "locations_ned", None)
+        locations = memory.locations_ned if isinstance(memory, PlumeMemory) else None
     if places is not None:
         around = surroundings(world.with_drawn(drawn), contents, jnp.int32(0))
         values = world.contents.plume.mean(contents.plume, places, around.carrying_wind(like.dtype))
