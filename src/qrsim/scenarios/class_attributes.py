@@ -68,12 +68,12 @@ def attribute_type_problems(kind: str, component: type, contract: type | None) -
 
 def _command_problems(component: Any) -> Iterator[str]:
     """Yield what is wrong with the commands of a vehicle; that they are a class and a tuple of classes is known."""
+    # Of the actions one may be a base class of records.
     own, actions = component.command_type, component.actions
-    for name, value in (("command_type", own), *(("actions", action) for action in actions)):
-        if not is_record(value):
-            yield _wrong(component, name, value, "a record (@qrsim.record) of arrays (n,), as qrsim.Command")
-        elif any(INFO not in field.metadata for field in dataclasses.fields(value)):
-            yield _wrong(component, name, value, "fields made by qrsim.quantity(unit=..., doc=...)")
+    if not is_record(own):
+        yield _wrong(component, "command_type", own, "a record (@qrsim.record) of arrays (n,), as qrsim.Command")
+    elif any(INFO not in field.metadata for field in dataclasses.fields(own)):
+        yield _wrong(component, "command_type", own, "fields made by qrsim.quantity(unit=..., doc=...)")
     if own not in actions:
         yield _wrong(component, "actions", actions, f"{own.__name__}, its command_type, among them")
 

@@ -18,7 +18,7 @@ from qrsim.core.tree import INFO, FieldInfo, field_info
 from qrsim.errors import nearest
 from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
 from qrsim.models.gnss.contracts import RangeErrors
-from qrsim.models.scene.contracts import Area, Ground
+from qrsim.models.scene.contracts import Area, Ground, Placement
 from qrsim.models.sensors.contracts import SCENE, Sensor
 from qrsim.models.vehicles.contracts import AROUND, Battery, Vehicle
 from qrsim.scenarios import catalogue
@@ -37,6 +37,7 @@ CONTRACTS: dict[str, type] = {
     "battery": Battery,
     "area": Area,
     "ground": Ground,
+    "placement": Placement,
     "task": Task,
 }
 # What is called of kinds without a contract, with the arguments.

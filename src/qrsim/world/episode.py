@@ -15,7 +15,6 @@ from qrsim.core.tree import Record, concatenated, replace
 from qrsim.errors import RunError
 from qrsim.models.scene.contents import ContentsState, Surroundings, over_ground
 from qrsim.models.scene.contracts import GroundCover, People, Plume
-from qrsim.models.scene.placement import RingPlaces, UniformPlaces
 from qrsim.models.scene.uniform import uniform
 from qrsim.models.sensors.camera import Picture, TakesPictures
 from qrsim.world.state import (
@@ -34,9 +33,6 @@ from qrsim.world.state import (
     period_ticks,
     when_due,
 )
-
-# What places that are drawn have; those from outside are like the built-in ones.
-RandomPlaces = UniformPlaces | RingPlaces
 
 
 def episode_streams(world: World) -> list[str]:
@@ -79,16 +75,12 @@ def refuse_unplaced(world: World, placed: Sequence[npt.ArrayLike]) -> None:
     Raises:
         RunError: it names the fleet, the tries and the distance.
     """
-    random = [(fleet, cast(RandomPlaces, fleet.placement)) for fleet in world.fleets if fleet.placement.random]
-    for (fleet, place), found in zip(random, placed, strict=True):
+    random = [fleet for fleet in world.fleets if fleet.placement.random]
+    for fleet, found in zip(random, placed, strict=True):
         if not np.all(found):
             number = int(np.argmin(np.ravel(found)))
             where = f" of world {number} of the batch" if np.ndim(found) else ""
-            raise RunError(
-                f"fleets.{fleet.name}.placement{where}: no place for {fleet.size} vehicles at least "
-                f"{float(place.apart):g} m apart in {place.tries} tries; take another seed, fewer vehicles, more tries "
-                "or less distance"
-            )
+            raise RunError(f"fleets.{fleet.name}.placement{where}: {fleet.placement.unplaced(fleet.size)}")
 
 
 def draw_ranges(world: World, draws: dict[str, Draw]) -> tuple[Array, ...]:
@@ -119,10 +111,8 @@ def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Ar
     """Place a fleet at its start; also return whether positions were found, None for given ones."""
     if not fleet.placement.random:
         return fleet.start, None
-    placed: tuple[Start, Array] = cast(RandomPlaces, fleet.placement).place(
-        draws[f"{PLACEMENT}/{fleet.name}"], fleet.start, world.area
-    )
-    start, found = placed
+    start: Start
+    start, found = fleet.placement.place(draws[f"{PLACEMENT}/{fleet.name}"], fleet.start, world.area)
     if not world.ground.at_zero:
         # Nobody knows beforehand where that is, so the height given is that above the ground.
         position = start.position_ned

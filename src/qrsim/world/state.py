@@ -19,10 +19,10 @@ from qrsim.models.gnss.contracts import Sky
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.area import StateLimits, Violation
 from qrsim.models.scene.contents import Contents, ContentsState
-from qrsim.models.scene.contracts import Area, Ground
+from qrsim.models.scene.contracts import Area, Ground, Placement
 from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.obstacles import Obstacles
-from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
+from qrsim.models.scene.placement import GivenPlaces
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.faults import Fault
 from qrsim.models.vehicles.contracts import Battery, Vehicle, VehicleState
@@ -65,9 +65,7 @@ class Fleet:
     name: str = setting(doc="name, part of the names of its noise streams")
     sensor_names: tuple[str, ...] = setting(doc="names of the sensors, part of the names of their streams")
     vehicle_names: tuple[str, ...] = setting(doc="name of each vehicle")
-    placement: GivenPlaces | UniformPlaces | RingPlaces = quantity(
-        default=GivenPlaces(), doc="where the vehicles start in an episode"
-    )
+    placement: Placement = quantity(default=GivenPlaces(), doc="where the vehicles start in an episode")
     radius: Array | None = quantity(
         default=None, unit="m", doc="of the sphere that collides; None: half of the world's collision_distance"
     )

@@ -174,3 +174,28 @@ class People(Protocol):
     def step(self, state: Any, position_ned: Vec3, speed: Array, valid: Array, tick: Array) -> object:
         """Mark whom the vehicles (n,) find at a tick."""
         return state
+
+
+@runtime_checkable
+class Placement(Protocol):
+    """Start positions of the n vehicles of a fleet in an episode.
+
+    Attributes:
+        random: whether ``place`` draws them anew for each episode; else each starts where the scenario says.
+    """
+
+    random: ClassVar[bool] = True
+
+    @abstractmethod
+    def place(self, draw: Draw, start: Any, area: Any) -> tuple[Any, Array]:
+        """Return the start of vehicles (n,), and () bool whether one was found.
+
+        Args:
+            draw: for n ids.
+            start: the ``Start`` (world/state.py) that the scenario gives, of which some fields are replaced.
+            area: of the world.
+        """
+
+    def unplaced(self, size: int) -> str:
+        """Say, for an error, that no place was found for this many vehicles."""
+        return f"no place for {size} vehicles; take another seed or fewer vehicles"

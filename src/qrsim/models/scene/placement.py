@@ -12,19 +12,24 @@ from qrsim.core.fastmath import sincos
 from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, record, replace, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.scene.contracts import Placement
 from qrsim.models.scene.plume import inner_box
 from qrsim.models.scene.uniform import uniform
 
 
 @record
-class GivenPlaces:
+class GivenPlaces(Placement):
     """Every vehicle starts at its position in the scenario."""
 
     random: ClassVar[bool] = False
 
+    def place(self, draw: Draw, start: Any, area: Any) -> tuple[Any, Array]:
+        """Return the start that is given."""
+        return start, jnp.ones((), bool)
+
 
 @record
-class UniformPlaces:
+class UniformPlaces(Placement):
     """Uniform in the inner part of the area, at the height and attitude given, with a random heading."""
 
     inner: Array = parameter(default=0.9, unit="1", doc="part of the area along each axis", minimum=0.0, maximum=1.0)
@@ -50,9 +55,13 @@ class UniformPlaces:
         attitude = replace(start.attitude, yaw=yaw)
         return replace(start, position_ned=Vec3(north, east, start.position_ned.z), attitude=attitude), found
 
+    def unplaced(self, size: int) -> str:
+        """Say that no place was found; see ``_unplaced``."""
+        return _unplaced(size, self.apart, self.tries)
+
 
 @record
-class RingPlaces:
+class RingPlaces(Placement):
     """Uniform in angle and distance around a point, at the height and attitude given, some distance apart."""
 
     north: Array = parameter(default=0.0, unit="m", doc="north coordinate of the point")
@@ -74,6 +83,10 @@ class RingPlaces:
         north, east, found = _first_apart(candidate, self.apart, self.tries)
         return replace(start, position_ned=Vec3(north, east, start.position_ned.z)), found
 
+    def unplaced(self, size: int) -> str:
+        """Say that no place was found; see ``_unplaced``."""
+        return _unplaced(size, self.apart, self.tries)
+
     def most_vehicles(self) -> int:
         """Return how many vehicles fit on the outer circle: an upper bound for random placement."""
         # Of distances next to nothing any number fits, and an angle too small to divide by.
@@ -81,6 +94,14 @@ class RingPlaces:
             return 10**9
         half = float(self.apart) / (2.0 * max(float(self.farthest), 1e-300))
         return 1 if half > 1.0 else int(math.pi / math.asin(half) + 1e-9)
+
+
+def _unplaced(size: int, apart: Array, tries: int) -> str:
+    """Say that so many tries found no place for so many vehicles, some distance [m] apart."""
+    return (
+        f"no place for {size} vehicles at least {float(apart):g} m apart in {tries} tries; take another seed, fewer "
+        "vehicles, more tries or less distance"
+    )
 
 
 def _first_apart(candidate: Any, apart: Array, tries: int) -> tuple[Array, Array, Array]:

@@ -289,7 +289,7 @@ class Charged(Protocol):
 
 @runtime_checkable
 class Battery(Protocol):
-    """Source of the voltage of n vehicles.
+    """Source of the voltage of n vehicles; one whose state is None has a voltage.
 
     Attributes:
         drains: whether its state has a ``charge`` (n,), 1 full and 0 empty, which is logged and ends a flight at 0.

@@ -1,0 +1,348 @@
+"""Checks of what the methods of a component return: shapes, types, records; values are those of a trace."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qrsim.core.tree import field_info
+from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.scene.area import REASONS
+from qrsim.models.vehicles.contracts import Load, Pose
+from qrsim.tasks.agents import Axis
+from qrsim.world.state import Start
+
+
+def _shape(value: Any) -> str:
+    try:
+        return f"shape {tuple(np.shape(value))}"
+    except (TypeError, ValueError):
+        return f"{type(value).__name__}"
+
+
+def _array(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
+    """Yield what is wrong with a value that is to be an array of numbers of some shape."""
+    if value is None or isinstance(value, str | bytes | type):
+        yield f"{what} is {value!r:.60}; expected an array of shape {shape}"
+        return
+    try:
+        found, kind = tuple(np.shape(value)), jnp.result_type(value)
+    except (TypeError, ValueError):
+        yield f"{what} is {type(value).__name__}; expected an array of shape {shape}"
+        return
+    if found != shape:
+        yield f"{what} has shape {found}; expected {shape}, one number for each vehicle"
+    elif not jnp.issubdtype(kind, jnp.floating):
+        yield f"{what} has numbers of type {kind}; expected floating-point ones"
+
+
+def _number(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
+    """Yield what is wrong with a value that is to be an array, or one number for all vehicles."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return
+    try:
+        one = value is not None and not isinstance(value, str) and np.shape(value) == ()
+    except (TypeError, ValueError):
+        one = False
+    yield from _array(what, value, () if one else shape)
+
+
+def _vector(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
+    if not isinstance(value, Vec3):
+        yield f"{what} is {_name(value)}; expected a qrsim.Vec3 of arrays of shape {shape}"
+        return
+    for axis in "xyz":
+        yield from _array(f"{what}.{axis}", getattr(value, axis), shape)
+
+
+def _name(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"a tuple of {len(value)}"
+    return f"an array of {_shape(value)}" if hasattr(value, "shape") else type(value).__name__
+
+
+def _pair(value: Any, what: str) -> Iterator[str]:
+    if not isinstance(value, tuple) or len(value) != 2:
+        yield f"it returned {_name(value)}; expected a pair, {what}"
+
+
+def _each(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
+    """Yield what is wrong with a record of arrays."""
+    if not dataclasses.is_dataclass(value) or isinstance(value, type) or jax.tree_util.all_leaves([value]):
+        yield f"{what} is {_name(value)}; expected a record (@qrsim.record) of arrays of shape {shape}"
+        return
+    # A None would be no leaf; what is logged has no place for it.
+    for path, leaf in jax.tree_util.tree_flatten_with_path(value, is_leaf=lambda leaf: leaf is None)[0]:
+        yield from _array(f"{what}{jax.tree_util.keystr(path)}", leaf, shape)
+
+
+def _posed(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
+    """Yield what is wrong with a ``Pose`` or a ``Start``."""
+    for name in ("position_ned", "velocity_body", "rates_body"):
+        yield from _vector(f"{what}.{name}", getattr(value, name), shape)
+    if not isinstance(value.attitude, Euler):
+        yield f"{what}.attitude is {_name(value.attitude)}; expected a qrsim.Euler of arrays of shape {shape}"
+    yield from _each(what, value, shape)
+
+
+def unchanged(what: str, before: Any, after: Any) -> Iterator[str]:
+    """Yield in what a state is of another kind after a step than before."""
+    old: Any = jax.tree.structure(before)
+    new: Any = jax.tree.structure(after)
+    if old != new:
+        yield f"{what} was {_tree(before)} and is now {_tree(after)}; expected the same structure"
+        return
+    for (path, one), other in zip(jax.tree_util.tree_flatten_with_path(before)[0], jax.tree.leaves(after), strict=True):
+        was, now = (f"{jnp.result_type(leaf)} of shape {tuple(np.shape(leaf))}" for leaf in (one, other))
+        if was != now:
+            yield f"{what}{jax.tree_util.keystr(path)} was {was} and is now {now}; expected no change"
+
+
+def _tree(value: Any) -> str:
+    return "nothing" if value is None else _name(value)
+
+
+Check = Callable[[Any, tuple[Any, ...], dict[str, Any], Any], Iterator[str]]
+
+
+def _size(args: tuple[Any, ...]) -> tuple[int, ...] | None:
+    """Return (n,) of the first vector, angles or array with one number for each vehicle among some arguments."""
+    for value in args:
+        for leaf in jax.tree.leaves(value):
+            if len(np.shape(leaf)) == 1:
+                return tuple(np.shape(leaf))
+    return None
+
+
+def _own(self: Any) -> tuple[int, ...]:
+    """Return (n,) of the fleet that a component belongs to, () if it belongs to the whole world."""
+    return () if self._size is None else (self._size,)
+
+
+def _reading(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    yield from _pair(result, "the new state and the reading")
+    yield from _each("the reading", result[1], _own(self))
+    for field in dataclasses.fields(result[1]):
+        if not field_info(field).unit:
+            name = f"{type(result[1]).__name__}.{field.name}"
+            yield f"{name} has no unit; expected {field.name}: ... = qrsim.quantity(unit=..., doc=...)"
+
+
+def _next_reading(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    yield from _reading(self, args, kwargs, result)
+    yield from unchanged("the state", args[0], result[0])
+
+
+def _vector_of(position: int) -> Check:
+    def check(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+        shape = _size(args[position : position + 1])
+        assert shape is not None
+        yield from _vector("the result", result, shape)
+
+    return check
+
+
+def _array_of(position: int) -> Check:
+    def check(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+        shape = _size(args[position : position + 1])
+        if shape is not None:
+            yield from _array("the result", result, shape)
+
+    return check
+
+
+def _state_only(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    yield from unchanged("the state", args[0], result)
+
+
+def _commanding(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    yield from _state_and_given(self, "the command", args, result)
+    yield from _each("the command", result[1], _own(self))
+
+
+def _guiding(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    yield from _state_and_given(self, "the set-point", args, result)
+
+
+def _state_and_given(self: Any, what: str, args: Any, result: Any) -> Iterator[str]:
+    yield from _pair(result, f"the new state and {what}")
+    yield from unchanged("the state", args[0], result[0])
+    gives = getattr(type(self), "gives", None)
+    if gives is not None and not isinstance(result[1], gives):
+        yield f"{what} is {_name(result[1])}; expected {gives.__name__}, which '{type(self).__name__}.gives' names"
+
+
+def _idle(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    own = getattr(type(self), "command_type", object)
+    if not isinstance(result, own):
+        yield f"the command is {_name(result)}; expected {own.__name__}, the command_type of {type(self).__name__}"
+    yield from _each("the command", result, _own(self))
+
+
+def _vehicle_step(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    yield from _pair(result, "the new state and the specific force")
+    yield from unchanged("the state", args[0], result[0])
+    yield from _vector("the specific force", result[1], _own(self))
+
+
+def _vehicle_state(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    if isinstance(result, Pose):
+        yield from _posed("the state", result, _own(self))
+    yield from _each("the state", result, _own(self))
+    if not isinstance(getattr(result, "position_ned", None), Vec3):
+        yield "the state has no position_ned, a qrsim.Vec3"
+
+
+def _pose(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    if not isinstance(result, Pose):
+        yield f"it returned {_name(result)}; expected a Pose (qrsim.models.vehicles.contracts)"
+    yield from _posed("the pose", result, _own(self))
+
+
+def _load(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    if not isinstance(result, Load):
+        yield f"it returned {_name(result)}; expected a Load (qrsim.models.vehicles.contracts)"
+    yield from _number("the load.thrust", result.thrust, _own(self))
+    yield from _number("the load.weight", result.weight, _own(self))
+    if result.power is not None:
+        yield from _number("the load.power", result.power, _own(self))
+
+
+def _force(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    yield from _vector("the specific force", result, _own(self))
+
+
+def _charged(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    if self.drains and not hasattr(result, "charge"):
+        yield f"the state is {_name(result)}; expected a record with the field charge, since drains is True"
+    elif self.drains:
+        yield from _array("the state.charge", result.charge, _own(self))
+
+
+def _voltage(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    if result is not None:
+        yield from _array("the voltage", result, _own(self))
+    elif args[0] is None:
+        # By contract either may be None, but both are only where a return was forgotten.
+        yield (
+            f"it returned None, and so did init; expected a voltage, an array of shape {_own(self)}, or a state (a "
+            "battery without either is the type 'given')"
+        )
+
+
+def _checks(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    shape = _size(args[:1])
+    assert shape is not None
+    if not isinstance(result, list | tuple):
+        yield f"it returned {_name(result)}; expected a list of (code, value, broken)"
+        return
+    for number, check in enumerate(result):
+        if not isinstance(check, tuple) or len(check) != 3:
+            yield f"check {number} is {_name(check)}; expected (code, value, broken)"
+            return
+        code, value, broken = check
+        if not isinstance(code, int) or not 0 < code < len(REASONS):
+            yield f"the code of check {number} is {code!r:.60}; expected reason_code(...) of qrsim.models.scene.area"
+        yield from _array(f"the value of check {number}", value, shape)
+        if getattr(broken, "shape", None) != shape or broken.dtype != bool:
+            yield f"broken of check {number} is {_name(broken)}; expected an array of bool of shape {shape}"
+
+
+def _placed(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    yield from _pair(result, "the start and whether a place was found")
+    if not isinstance(result[0], Start):
+        yield f"the start is {_name(result[0])}; expected the Start that it was handed, by qrsim.core.tree.replace"
+    yield from _posed("the start", result[0], _own(self))
+    if getattr(result[1], "shape", None) != () or result[1].dtype != bool:
+        yield f"whether a place was found is {_name(result[1])}; expected one bool"
+
+
+def _judged(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    yield from _pair(result, "the new memory and the reward")
+    yield from unchanged("the memory", args[0], result[0])
+    yield from _array("the reward", result[1], (_agents(self, args[1]),))
+
+
+def _seen(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    n = _agents(self, args[1])
+    parts = result if isinstance(result, dict) else {"": result}
+    for name, part in parts.items():
+        what = f"the observation{f' {name!r}' if name else ''}"
+        found = tuple(np.shape(part)) if hasattr(part, "shape") else None
+        if found is None:
+            yield f"{what} is {_name(part)}; expected an array whose first axis has {n} entries, one for each vehicle"
+        elif found[:1] != (n,) or (not name and len(found) != 2):
+            yield f"{what} has shape {found}; expected ({n}, O), a row for each vehicle"
+
+
+def _named(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    """The names of an observation are axes, as many as it has numbers."""
+    for axes in result.values() if isinstance(result, dict) else (result,):
+        if not isinstance(axes, tuple | list) or not all(isinstance(axis, Axis) for axis in axes):
+            yield f"it returned {_name(axes)}; expected a tuple of Axis (qrsim.tasks.agents), one for each number"
+
+
+def _agreed(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    yield from _seen(self, args, kwargs, result)
+    names = self.sees(args[1])
+    if isinstance(names, dict) != isinstance(result, dict):
+        yield f"the observation is {_name(result)}, but {type(self).__name__}.sees returns {_name(names)}"
+    for name, axes in names.items() if isinstance(result, dict) else (("", names),):
+        what = f"the observation{f' {name!r}' if name else ''}"
+        if name and name not in result:
+            yield f"{what} is not there, but {type(self).__name__}.sees names it"
+            return
+        count = math.prod((result[name] if name else result).shape[1:])
+        if len(axes) != count:
+            yield f"{what} has {count} numbers, but {type(self).__name__}.sees names {len(axes)}; expected as many"
+
+
+def _commanded(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
+    count = len(args[1].fleets)
+    if not isinstance(result, tuple) or len(result) != count:
+        yield f"it returned {_name(result)}; expected a tuple of {count}, one action or None for each fleet"
+
+
+def _agents(task: Any, world: Any) -> int:
+    return next(fleet.size for fleet in world.fleets if fleet.name == task.fleet)
+
+
+CHECKS: dict[tuple[str, str], Check] = {
+    ("sensor", "init"): _reading,
+    ("sensor", "step"): _next_reading,
+    ("wind", "velocity_ned"): _vector_of(0),
+    ("gust", "velocity_ned"): _vector_of(0),
+    ("turbulence", "step"): _state_only,
+    ("turbulence", "gust_ned"): _vector_of(1),
+    ("turbulence", "gust_rates_ned"): _vector_of(1),
+    ("vehicle", "initial_state"): _vehicle_state,
+    ("vehicle", "pose"): _pose,
+    ("vehicle", "idle_command"): _idle,
+    ("vehicle", "load"): _load,
+    ("vehicle", "specific_force"): _force,
+    ("vehicle", "step"): _vehicle_step,
+    ("vehicle", "stopped"): _state_only,
+    ("battery", "init"): _charged,
+    ("battery", "step"): _state_only,
+    ("battery", "voltage"): _voltage,
+    ("controller", "idle_command"): _idle,
+    ("controller", "step"): _commanding,
+    ("guidance", "step"): _guiding,
+    ("area", "check"): _checks,
+    ("area", "margin"): _array_of(0),
+    ("area", "height_agl"): _array_of(0),
+    ("ground", "down"): _array_of(0),
+    ("ground", "normal"): _vector_of(0),
+    ("sky", "step"): _state_only,
+    ("placement", "place"): _placed,
+    ("task", "judge"): _judged,
+    ("task", "observe"): _agreed,
+    ("task", "sees"): _named,
+    ("task", "commands"): _commanded,
+}
