@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import json
 import threading
 import time
 from collections import deque
@@ -22,6 +23,8 @@ from urllib.parse import urlsplit
 from qrsim.view.clock import FRAME_S
 
 LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
+# Where the timeline of a page asks.
+WISHES = "/timeline"
 # Lag [s] from which a page says that a browser is behind.
 NOTABLE_S = 0.3
 # Of a link whose answers take longer [s] this is because it is narrow.
@@ -97,6 +100,7 @@ class Gate:
     def __init__(self, token: str = "") -> None:
         self.token = token
         self._links: set[Link] = set()
+        self.wish: Callable[[Any], None] = lambda wish: None
 
     def refusal(self, path: str, host: str | None, origin: str | None) -> str | None:
         """Return why a request is refused; None: it is not."""
@@ -130,6 +134,8 @@ class Gate:
 
     def _guarded(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
         async def handle(connection: Any) -> None:
+            if connection.request.path.partition("?")[0].endswith(WISHES):
+                return await self._listen(connection)
             link = Link(connection)
             self._links.add(link)
             try:
@@ -138,6 +144,14 @@ class Gate:
                 self._links.discard(link)
 
         return handle
+
+    async def _listen(self, connection: Any) -> None:
+        """Do what the script of a page asks for, one wish after the other."""
+        loop = asyncio.get_running_loop()
+        async for text in connection:
+            with contextlib.suppress(ValueError):
+                wish = json.loads(text)
+                await loop.run_in_executor(None, lambda: self.wish(wish))  # noqa: B023
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:

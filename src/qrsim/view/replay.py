@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.runs.layout import EVENTS
 from qrsim.view.clock import FRAME_S, SPEEDS, Clock
 from qrsim.view.page import Page
 from qrsim.view.recording import Recording
 from qrsim.view.scene import Scene
+from qrsim.view.timeline import Timeline
 
 # The slider is moved at every so-many-th frame.
 SLIDER_FRAMES = 5
@@ -38,6 +40,8 @@ class Replay:
         with page.time_folder:
             self._slider: Any = page.server.gui.add_slider("t [s]", 0.0, max(end, step), step, min(time, end))
         self._slider.on_update(self._scrub)
+        events = recording.run.events if EVENTS in recording.run else []
+        self._timeline = Timeline(page.server, end, list(events), clock, self.seek)
         if recording.quantities:
             page.plotted = lambda vehicle, quantity: recording.plotted(vehicle, quantity, self.time)
             page.add_plots(recording.quantities)
@@ -60,6 +64,7 @@ class Replay:
         self.page.draw(frame, everything)
         if everything or self.page.drawn % SLIDER_FRAMES == 0:
             self._slider.value = self.time
+            self._timeline.show(self.time)
 
     def run(self, stop: threading.Event) -> None:
         """Play until ``stop`` is set and the clock is closed; restart at the end."""

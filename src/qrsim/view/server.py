@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import secrets
 import weakref
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
@@ -106,6 +107,11 @@ def free_port(port: int, host: str = LOOPBACK) -> int:
                 raise RunError(f"cannot listen on {host}:{candidate}: {error.strerror or error}") from None
             return candidate
     raise RunError(f"cannot listen on {host}: ports {port} to {min(port + 99, 65535)} are all in use")
+
+
+def listen(server: ViserServer, wish: Callable[[Any], None]) -> None:
+    """Call a function with what the page's own script asks for, in a thread."""
+    _gates[server].wish = wish
 
 
 def address(server: ViserServer) -> str:

@@ -1,0 +1,76 @@
+// The timeline of a replay: over the full width, with marks of events; keys. Its data stands before it as `data`.
+(() => {
+  document.getElementById("qrsim-timeline")?.remove();
+  window.qrsimTimelineEnds?.();
+  const bar = document.createElement("div");
+  bar.id = "qrsim-timeline";
+  bar.style.cssText = "position:fixed;left:0;right:0;bottom:0;height:34px;z-index:50;background:rgba(250,250,250,.92);" +
+    "font:12px sans-serif;color:#222;display:flex;align-items:center;gap:8px;padding:0 10px;box-sizing:border-box;" +
+    "border-top:1px solid #bbb;touch-action:none;user-select:none";
+  const button = document.createElement("button"), label = document.createElement("span");
+  const track = document.createElement("div"), done = document.createElement("div");
+  button.style.cssText = "border:0;background:none;font:16px sans-serif;width:26px;cursor:pointer;color:inherit";
+  button.title = "play or pause (space)";
+  label.style.cssText = "min-width:120px;text-align:right;font-variant-numeric:tabular-nums";
+  track.style.cssText = "position:relative;flex:1;height:18px;background:#d5d9de;cursor:pointer;border-radius:3px";
+  done.style.cssText = "position:absolute;left:0;top:0;bottom:0;width:0;background:#7d8fa3;border-radius:3px";
+  track.append(done);
+  for (const [time, text] of data.marks) {
+    const mark = document.createElement("div");
+    mark.className = "qrsim-mark";
+    mark.title = text;
+    mark.style.cssText = "position:absolute;top:-4px;bottom:-4px;width:3px;margin-left:-1px;background:#222;left:" +
+      100 * time / Math.max(data.end, 1e-9) + "%";
+    track.append(mark);
+  }
+  bar.append(button, track, label);
+  document.body.append(bar);
+  const at = location.href.split(/[?#]/)[0].replace(/^http/, "ws").replace(/\/$/, "") + "/timeline";
+  let socket = null, ended = false, playing = false, now = 0, last = 0;
+  const connect = () => {
+    if (ended) return;
+    socket = new WebSocket(at);
+    socket.onclose = () => setTimeout(connect, 1000);
+  };
+  connect();
+  const say = (wish) => socket?.readyState === 1 && socket.send(JSON.stringify(wish));
+  const clock = (t) => {
+    const whole = Math.floor(t), two = (n) => String(n).padStart(2, "0");
+    const rest = two(Math.floor(whole / 60) % 60) + ":" + two(whole % 60);
+    return data.end >= 3600 ? Math.floor(whole / 3600) + ":" + rest : rest;
+  };
+  window.qrsimTime = (time, plays, speed) => {
+    now = time; playing = plays;
+    done.style.width = 100 * time / Math.max(data.end, 1e-9) + "%";
+    button.textContent = plays ? "||" : "\u25B6";
+    label.textContent = clock(time) + " / " + clock(data.end) + "  " + speed + " x";
+  };
+  const seek = (event, always) => {
+    if (!always && performance.now() - last < 80) return;
+    last = performance.now();
+    const box = track.getBoundingClientRect();
+    say({time: data.end * Math.min(1, Math.max(0, (event.clientX - box.left) / box.width))});
+  };
+  track.onpointerdown = (event) => { track.setPointerCapture(event.pointerId); seek(event, true); };
+  track.onpointermove = (event) => { if (event.buttons) seek(event, false); };
+  track.onpointerup = (event) => seek(event, true);
+  button.onclick = () => { say({play: !playing}); button.blur(); };
+  const key = (event) => {
+    const typing = event.target.closest?.("input, textarea, select, [contenteditable]");
+    if (typing || event.ctrlKey || event.altKey || event.metaKey) return;
+    const far = event.shiftKey ? 60 : 5;
+    if (event.key === " ") say({play: !playing});
+    else if (event.key === "ArrowLeft") say({time: now - far});
+    else if (event.key === "ArrowRight") say({time: now + far});
+    else if (event.key === "ArrowUp") say({faster: 1});
+    else if (event.key === "ArrowDown") say({faster: -1});
+    else if (/^[1-9]$/.test(event.key)) say({time: data.end * Number(event.key) / 10});
+    else return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+  };
+  window.addEventListener("keydown", key, true);
+  window.qrsimTimelineEnds = () => {
+    ended = true; socket?.close(); bar.remove(); window.removeEventListener("keydown", key, true);
+  };
+})();

@@ -1,0 +1,88 @@
+"""The timeline of a replay: a bar over the full width of the page, with marks of events, and keys.
+
+viser has no such widget. The page runs a script of ours (timeline.js), which speaks to a WebSocket of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from importlib.resources import files
+from typing import Any
+
+from viser import ViserServer
+from viser._messages import RunJavascriptMessage
+
+from qrsim.runs.layout import Event
+from qrsim.view.clock import Clock
+from qrsim.view.server import listen
+
+# Of so many events a bar has no room for more; these kinds come too often to be marks.
+MOST_MARKS, NO_MARKS = 300, ("waypoint_reached", "command_clipped")
+
+
+class _Script(RunJavascriptMessage, include_in_scene_serialization=False):
+    """A script of which only the last of its kind is kept for browsers that come later."""
+
+    kind = ""
+
+    def redundancy_key(self) -> str:
+        return f"qrsim-{self.kind}"
+
+
+# It goes by this name in the browser.
+_Script.__name__ = RunJavascriptMessage.__name__
+
+
+class Timeline:
+    """The bar of a page.
+
+    Args:
+        server: of the page.
+        end: the last time [s].
+        events: of the run.
+        clock: says how fast it plays.
+        seek: goes to a time [s].
+    """
+
+    def __init__(
+        self, server: ViserServer, end: float, events: list[Event], clock: Clock, seek: Callable[[float], None]
+    ):
+        self._server, self._end, self._clock, self._seek = server, end, clock, seek
+        self._time = 0.0
+        listen(server, self.wish)
+        data = {"end": end, "marks": marks(events)}
+        script = files("qrsim.view").joinpath("timeline.js").read_text("utf-8")
+        self._run("timeline", f"window.qrsimTimeline = 1; const data = {json.dumps(data)};\n{script}")
+
+    def _run(self, kind: str, source: str) -> None:
+        script = _Script(f"{{{source}}}")
+        script.kind = kind
+        self._server._websock_server.queue_message(script)
+
+    def show(self, time: float) -> None:
+        """Move the bar to a time [s]."""
+        self._time = time
+        playing = "true" if self._clock.playing else "false"
+        self._run("time", f"window.qrsimTime?.({time:.3f}, {playing}, {self._clock.speed:g})")
+
+    def wish(self, wish: Any) -> None:
+        """Do what a browser asks for; nonsense is not heard."""
+        if not isinstance(wish, dict):
+            return
+        time, clock = wish.get("time"), self._clock
+        if isinstance(time, int | float) and math.isfinite(time):
+            self._seek(min(max(0.0, float(time)), self._end))
+        if isinstance(wish.get("play"), bool):
+            clock.playing = wish["play"]
+        if wish.get("faster") in (1, -1):
+            nearest = min(range(len(clock.speeds)), key=lambda i: abs(clock.speeds[i] - clock.speed))
+            clock.speed = clock.speeds[min(max(0, nearest + wish["faster"]), len(clock.speeds) - 1)]
+        self.show(self._time)
+
+
+def marks(events: list[Event]) -> list[tuple[float, str]]:
+    """Return times [s] and words of the events that are marked, evenly thinned where there are very many."""
+    found = [(event.time, event.message or event.kind) for event in events if event.kind not in NO_MARKS]
+    return found[:: math.ceil(len(found) / MOST_MARKS) or 1]
