@@ -428,7 +428,7 @@ def check_all_of_a_run(run: Any, path: Path) -> None:
     messages, schemas = read_mcap(path)
     name = run.vehicles[0]
     sensors = ("gnss", "barometer", "attitude", "gyroscope", "accelerometer")
-    words = ("pose", "location", "wind", "gnss/fix", "command", "setpoint", "waypoints", *sensors)
+    words = ("pose", "location", "wind", "gnss/fix", "command", "setpoint", "estimate", "waypoints", *sensors)
     assert set(schemas) == {"/tf", "/events", "/scene"} | {f"/{own}/{word}" for own in run.vehicles for word in words}
     first = messages[f"/{name}/setpoint"][0][1]
     assert [first["position_ned"][axis] for axis in "xyz"] == [-60.0, -20.0, -20.0]
