@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.request import urlopen
 
 import numpy as np
@@ -218,3 +219,23 @@ def test_without_looking_nothing_of_the_page_is_imported():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False False\n"
     assert cli.COMMANDS["view"] is not None
+
+
+def test_an_export_that_does_not_fit_and_what_is_thinned_are_said(
+    flown: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr("qrsim.view.film.MOST_FRAMES", 11)
+    monkeypatch.setattr("qrsim.view.film.shutil.disk_usage", lambda _: SimpleNamespace(free=1000))
+    assert cli.main(["view", str(flown.folder), "--export", str(tmp_path / "page")]) == 1
+    said = capsys.readouterr().err
+    assert "so long a run is exported at every 1 s" in said
+    assert "MB, 0 MB are free" in said
+    assert not (tmp_path / "page" / "index.html").exists()
+
+
+def test_a_run_that_is_being_written_is_said(copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    info = json.loads((copy / "run.json").read_text("utf-8"))
+    (copy / "run.json").write_text(json.dumps({**info, "state": "running"}), encoding="utf-8")
+    monkeypatch.setattr("qrsim.view.film.MOST_FRAMES", 2)
+    assert cli.main(["view", str(copy), "--export", str(tmp_path / "page")]) == 0
+    assert "the run has not ended; shown up to 10 s, the last flush" in capsys.readouterr().err

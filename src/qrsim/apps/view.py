@@ -63,9 +63,14 @@ class View:
             raise UsageError(f"--at {self.at:g}: the recording ends at {end:g} s")
         if recording.shown > 1:
             print(f"so long a log is shown at every {recording.shown}th of its ticks", file=sys.stderr)
+        if recording.run.info.state == "running":
+            print(f"the run has not ended; shown up to {end:g} s, the last flush", file=sys.stderr)
         if self.export is not None:
-            from qrsim.view.film import export
+            from qrsim.view.film import FASTEST_HZ, export, times_of
 
+            times = times_of(recording)
+            if len(times) > 1 and times[1] - times[0] > max(1.0 / FASTEST_HZ, recording.run.info.time_step) + 1e-6:
+                print(f"so long a run is exported at every {times[1] - times[0]:.2g} s", file=sys.stderr)
             print(export(recording, self.export))
         if self.screenshot is not None:
             self._photograph(recording, self.screenshot, end if self.at is None else self.at)

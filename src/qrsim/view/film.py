@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from qrsim.view.scene import Scene
 from qrsim.view.server import start_server
 
 PAGE = "index.html"
-# Of the film: at most so many pictures a second, and so many positions of vehicles in all.
-FASTEST_HZ, MOST_POSES = 20.0, 1_500_000
+# Of the film: at most so many pictures a second, positions of vehicles and pictures in all: viser keeps it in memory.
+FASTEST_HZ, MOST_POSES, MOST_FRAMES = 20.0, 1_500_000, 12_000
 
 
 def export(recording: Recording, folder: Path) -> Path:
@@ -30,7 +31,11 @@ def export(recording: Recording, folder: Path) -> Path:
         raise UsageError(f"--export {folder}: it exists and is not empty; choose another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        path.write_text(film(recording), encoding="utf-8")
+        text = film(recording)
+        free = shutil.disk_usage(folder).free
+        if len(text) > free:
+            raise RunError(f"--export {folder}: the page has {len(text) / 1e6:.0f} MB, {free / 1e6:.0f} MB are free")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise RunError(f"cannot write {path}: {error.strerror or error}") from None
     return path
@@ -38,7 +43,7 @@ def export(recording: Recording, folder: Path) -> Path:
 
 def times_of(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Return the times [s] of the frames of a film."""
-    most = max(2, MOST_POSES // recording.cast.size)
+    most = min(MOST_FRAMES, max(2, MOST_POSES // recording.cast.size))
     count = min(most, int(recording.end * FASTEST_HZ) + 1, len(recording.time))
     return np.linspace(float(recording.time[0]), recording.end, max(1, count))
 
