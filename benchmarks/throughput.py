@@ -111,11 +111,11 @@ def _measured(world: Any, worlds: int, count: int, stage: str, seconds: float, r
     from qrsim.core.noise import Key
     from qrsim.simulation.many_worlds import Flight
     from qrsim.simulation.rollout import setup_of
-    from qrsim.world import tick as ticks_of
+    from qrsim.world.draws import keys_of
 
     begun = time.perf_counter()
     setup, fixed, own = setup_of([world], metrics=Nothing())
-    keys = ticks_of.keys_of(world, Key.roots(np.zeros(worlds, np.int64), np.arange(worlds)))
+    keys = keys_of(world, Key.roots(np.zeros(worlds, np.int64), np.arange(worlds)))
     flight = Flight(setup, fixed, own, keys, count, 1)
     flight.advance(0, 1, ((), ()))
     compiled, tick = time.perf_counter() - begun, 1

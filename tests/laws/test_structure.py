@@ -18,8 +18,8 @@ import qrsim
 from qrsim.core.noise import Draw, Drawn, Key
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
+from qrsim.world.draws import draw_fleet, stream_keys
 from qrsim.world.state import World
-from qrsim.world.tick import _draw_fleet, _stream_keys
 from small_worlds import noisy, simulate
 
 SEED, TICKS, OBSERVED = 3, 25, 5
@@ -86,7 +86,7 @@ def drawing(change: str = "nothing") -> Any:
 
     def draw(key: Key, tick: Any) -> dict[str, Any]:
         drawn = {}
-        for name, noise in _draw_fleet(world, fleet, _stream_keys(fleet, key), tick).items():
+        for name, noise in draw_fleet(world, fleet, stream_keys(fleet, key), tick).items():
             assert isinstance(noise, Draw | Drawn)
             rows = jnp.stack(noise.rows) if isinstance(noise, Drawn) else noise.normal_rows(SATELLITES)
             drawn[name] = rows[:, :OBSERVED]

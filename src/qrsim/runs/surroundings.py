@@ -108,7 +108,7 @@ def _drawn_again(run: Run, content: Any) -> dict[str, Any]:
 
     from qrsim.core.noise import Key
     from qrsim.scenarios.scenario import load_scenario
-    from qrsim.world.tick import keys_of
+    from qrsim.world.draws import keys_of
 
     scenario = load_scenario(content, quiet=True)
     precision = run.info.precision

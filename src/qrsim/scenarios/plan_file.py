@@ -6,18 +6,28 @@ and MAV_FRAME. Altitudes are taken from an item's parameters and frame, as a veh
 
 from __future__ import annotations
 
-import errno
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from qrsim.errors import ScenarioError, UsageError
-from qrsim.files.user_files import read_text
+from qrsim.errors import ScenarioError
 from qrsim.models.scene.fence import polygon_problems
 from qrsim.scenarios.legs import LONGEST_HOLD
 from qrsim.scenarios.plan import FenceCircle, FencePolygon, Home, Ignored, Plan, Waypoint
+from qrsim.scenarios.plan_parts import (
+    LARGEST_LENGTH,
+    PlanFaultError,
+    check_kind,
+    check_version,
+    number_of,
+    of_kind,
+    part_of,
+    place_of,
+    plan_content,
+    section_of,
+    shown,
+)
 
 WAYPOINT, LOITER_FOREVER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
 LOITER_TO_ALTITUDE, DELAY, YAW, SPEED = 31, 93, 115, 178
@@ -66,16 +76,11 @@ _ABOVE_SEA, _ABOVE_HOME = (0, 5), (3, 6)
 _FRAMES = {
     1: "LOCAL_NED", 2: "MISSION", 4: "LOCAL_ENU", 10: "GLOBAL_TERRAIN_ALT", 11: "GLOBAL_TERRAIN_ALT_INT",
 }  # fmt: skip
-_KINDS = {dict: "an object", list: "a list", bool: "true or false", int: "a whole number"}
-_LARGEST_LENGTH, _LARGEST_PARAMETER, _LARGEST_SPEED = 1e5, 1e9, 50.0
+_LARGEST_PARAMETER, _LARGEST_SPEED = 1e9, 50.0
 _FLYABLE = {
     "hold": (0.0, LONGEST_HOLD, "s"), "accept_radius": (0.0, 1000.0, "m"), "turns": (0.0, 10_000.0, "turns"),
     "radius": (-10e3, 10e3, "m"),
 }  # fmt: skip
-
-
-class _FaultError(Exception):
-    """One fault: the path of a value, and what is wrong with it."""
 
 
 def read_plan(path: str | Path) -> Plan:
@@ -90,13 +95,15 @@ def read_plan(path: str | Path) -> Plan:
         ScenarioError: it is no plan, of another version, or asks for what cannot be flown; every fault with its path.
     """
     source = str(path)
-    content = _content(source)
+    content = plan_content(source)
     try:
-        _check_kind(content)
-        mission = _section(content, "mission", 2)
-        home = Home(*_place(_get(mission, "plannedHomePosition", list, "mission"), "mission.plannedHomePosition", 3))
-        items = _get(mission, "items", list, "mission")
-    except _FaultError as fault:
+        check_kind(content)
+        mission = section_of(content, "mission", 2)
+        home = Home(
+            *place_of(part_of(mission, "plannedHomePosition", list, "mission"), "mission.plannedHomePosition", 3)
+        )
+        items = part_of(mission, "items", list, "mission")
+    except PlanFaultError as fault:
         raise ScenarioError(source, [str(fault)]) from None
     route, fence = _Route(home), _Fence()
     route.add_all(items, "mission.items")
@@ -107,94 +114,6 @@ def read_plan(path: str | Path) -> Plan:
         home, tuple(route.waypoints), tuple(fence.polygons), tuple(fence.circles), (*route.ignored, *fence.ignored),
         route.delay,
     )  # fmt: skip
-
-
-def _content(source: str) -> Any:
-    try:
-        text = read_text(source)
-    except OSError as error:
-        if error.errno == errno.EILSEQ:
-            raise UsageError(f"{source}: is not JSON: it is no UTF-8 text") from None
-        raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
-    try:
-        return json.loads(text, object_pairs_hook=_without_twins)
-    except json.JSONDecodeError as error:
-        raise UsageError(f"{source}: is not JSON: line {error.lineno}, column {error.colno}: {error.msg}") from None
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"{source}: is no plan: {error}") from None
-    except _FaultError as fault:
-        raise ScenarioError(source, [str(fault)]) from None
-
-
-def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in found:
-            raise _FaultError(f"'{key}' is given twice in one object")
-        found[key] = value
-    return found
-
-
-def _check_kind(content: Any) -> None:
-    if not isinstance(content, dict) or "fileType" not in content:
-        raise _FaultError("is no plan; expected an object with fileType 'Plan'")
-    if content["fileType"] != "Plan":
-        raise _FaultError(f"fileType: is {_shown(content['fileType'])}; supported: 'Plan'")
-    _check_version(content, 1, "")
-
-
-def _shown(value: Any) -> str:
-    """Return a value for a message: short, and null as JSON writes it."""
-    return "null" if value is None else f"{value!r:.60}"
-
-
-def _get(parent: dict[str, Any], key: str, kind: type, where: str) -> Any:
-    """Return a value of an object at a path, checked to be of a kind."""
-    path = f"{where}.{key}" if where else key
-    if key not in parent:
-        raise _FaultError(f"{path}: is missing; expected {_KINDS[kind]}")
-    return _of_kind(parent[key], kind, path)
-
-
-def _of_kind(value: Any, kind: type, where: str) -> Any:
-    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-        raise _FaultError(f"{where}: expected {_KINDS[kind]}, found {_shown(value)}")
-    return value
-
-
-def _check_version(parent: dict[str, Any], supported: int, where: str) -> None:
-    found = _get(parent, "version", int, where)
-    if found != supported:
-        path = f"{where}.version" if where else "version"
-        raise _FaultError(f"{path}: version {found} is not supported; supported: {supported}")
-
-
-def _section(content: dict[str, Any], key: str, version: int) -> dict[str, Any]:
-    section: dict[str, Any] = _get(content, key, dict, "")
-    _check_version(section, version, key)
-    return section
-
-
-def _number(value: Any, where: str, limit: float, unit: str) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        meaning = ", which stands for 'the current one'" if value is None else ""
-        raise _FaultError(f"{where}: expected a number, found {_shown(value)}{meaning}")
-    # NaN fails this comparison too.
-    if not -limit <= value <= limit:
-        raise _FaultError(f"{where}: {_shown(value)} is out of range; allowed: {-limit:g} to {limit:g} {unit}")
-    return float(value)
-
-
-def _place(values: list[Any], where: str, count: int) -> tuple[float, ...]:
-    """Return latitude, longitude and, where ``count`` is 3, altitude."""
-    if len(values) != count:
-        words = "latitude, longitude, altitude" if count == 3 else "latitude, longitude"
-        raise _FaultError(f"{where}: expected [{words}], found {len(values)} values")
-    kinds = (("latitude", 90.0, "deg"), ("longitude", 180.0, "deg"), ("altitude", _LARGEST_LENGTH, "m"))
-    return tuple(
-        _number(value, f"{where}: {name}", limit, unit)
-        for value, (name, limit, unit) in zip(values, kinds, strict=False)
-    )
 
 
 class _Route:
@@ -216,7 +135,7 @@ class _Route:
         for i, item in enumerate(items):
             path = f"{where}.{i}"
             try:
-                kind = _of_kind(item, dict, path).get("type")
+                kind = of_kind(item, dict, path).get("type")
                 if kind == "ComplexItem" and not inside:
                     self._add_survey(item, path)
                 elif kind == "SimpleItem":
@@ -224,27 +143,27 @@ class _Route:
                     self._add(item, path)
                 else:
                     supported = "'SimpleItem'" if inside else "'SimpleItem', 'ComplexItem'"
-                    raise _FaultError(f"{path}.type: is {_shown(kind)}; supported: {supported}")
-            except _FaultError as fault:
+                    raise PlanFaultError(f"{path}.type: is {shown(kind)}; supported: {supported}")
+            except PlanFaultError as fault:
                 self.problems.append(str(fault))
 
     def _add_survey(self, item: dict[str, Any], path: str) -> None:
         key = "TransectStyleComplexItem"
         if key not in item:
-            raise _FaultError(
-                f"{path}: a ComplexItem of type {_shown(item.get('complexItemType'))} cannot be flown; "
+            raise PlanFaultError(
+                f"{path}: a ComplexItem of type {shown(item.get('complexItemType'))} cannot be flown; "
                 f"supported: those with {key}.Items, such as 'survey' and 'CorridorScan'"
             )
-        inner = _get(item, key, dict, path)
+        inner = part_of(item, key, dict, path)
         if inner.get("version", 1) not in (1, 2):
-            raise _FaultError(
-                f"{path}.{key}.version: version {_shown(inner['version'])} is not supported; supported: 1, 2"
+            raise PlanFaultError(
+                f"{path}.{key}.version: version {shown(inner['version'])} is not supported; supported: 1, 2"
             )
-        self.add_all(_get(inner, "Items", list, f"{path}.{key}"), f"{path}.{key}.Items", inside=True)
+        self.add_all(part_of(inner, "Items", list, f"{path}.{key}"), f"{path}.{key}.Items", inside=True)
 
     def _add(self, item: dict[str, Any], path: str) -> None:
         """Add a simple item: a waypoint, or something not flown."""
-        command = _get(item, "command", int, path)
+        command = part_of(item, "command", int, path)
         if command in NOT_FLOWN:
             self.ignored.append(Ignored(self.number, NOT_FLOWN[command], "not carried out"))
             return
@@ -256,10 +175,12 @@ class _Route:
             name = f" ({_OTHERS[command]})" if command in _OTHERS else ""
             names = {**{each: words for each, (words, _) in FLOWN.items()}, **ON_THE_WAY}
             flown = ", ".join(f"{each} ({words})" for each, words in names.items())
-            raise _FaultError(f"{path}.command: {command}{name} cannot be flown (item {self.number}); flown: {flown}")
+            raise PlanFaultError(
+                f"{path}.command: {command}{name} cannot be flown (item {self.number}); flown: {flown}"
+            )
         name, _ = FLOWN[command]
         if self.ended_by:
-            raise _FaultError(f"{path}: {name} is never reached, because {self.ended_by} before it ends the route")
+            raise PlanFaultError(f"{path}: {name} is never reached, because {self.ended_by} before it ends the route")
         params = _params(item, path)
         where = self._over_home(path) if command == RETURN else self._target(item, command, params, path)
         asked = self._note_params(item, command, params, path)
@@ -271,32 +192,32 @@ class _Route:
 
     def _over_home(self, path: str) -> tuple[float, float, float]:
         if not self.waypoints:
-            raise _FaultError(f"{path}: NAV_RETURN_TO_LAUNCH has no waypoint before it, whose height it would keep")
+            raise PlanFaultError(f"{path}: NAV_RETURN_TO_LAUNCH has no waypoint before it, whose height it would keep")
         return self.home.latitude_deg, self.home.longitude_deg, self.waypoints[-1].height_above_home
 
     def _target(self, item: dict[str, Any], command: int, params: list[Any], path: str) -> tuple[float, float, float]:
         """Return latitude, longitude [deg] and height above home [m] of an item."""
-        frame = _get(item, "frame", int, path)
+        frame = part_of(item, "frame", int, path)
         if frame not in (*_ABOVE_SEA, *_ABOVE_HOME):
             name = f" ({_FRAMES[frame]})" if frame in _FRAMES else ""
-            raise _FaultError(
+            raise PlanFaultError(
                 f"{path}.frame: {frame}{name} is not supported; "
                 "supported: 0 and 5 (altitude above sea level), 3 and 6 (above home)"
             )
         places = [f"{path}.params.{i}" for i in (4, 5, 6)]
-        altitude = _number(params[6], f"{places[2]} (altitude)", _LARGEST_LENGTH, "m")
+        altitude = number_of(params[6], f"{places[2]} (altitude)", LARGEST_LENGTH, "m")
         height = altitude - self.home.altitude_amsl if frame in _ABOVE_SEA else altitude
         # MAVLink has two ways to say 'where the vehicle is'.
         if (params[4] is None and params[5] is None) or (params[4] == 0.0 and params[5] == 0.0):
             if command != TAKEOFF:
-                raise _FaultError(
-                    f"{places[0]}: latitude and longitude are {_shown(params[4])}, which stands for the current "
+                raise PlanFaultError(
+                    f"{places[0]}: latitude and longitude are {shown(params[4])}, which stands for the current "
                     "place; only NAV_TAKEOFF may leave its place out"
                 )
             here: Home | Waypoint = self.waypoints[-1] if self.waypoints else self.home
             return here.latitude_deg, here.longitude_deg, height
-        latitude = _number(params[4], f"{places[0]} (latitude)", 90.0, "deg")
-        longitude = _number(params[5], f"{places[1]} (longitude)", 180.0, "deg")
+        latitude = number_of(params[4], f"{places[0]} (latitude)", 90.0, "deg")
+        longitude = number_of(params[5], f"{places[1]} (longitude)", 180.0, "deg")
         return latitude, longitude, height
 
     def _note_params(self, item: dict[str, Any], command: int, params: list[Any], path: str) -> dict[str, float]:
@@ -310,7 +231,7 @@ class _Route:
             field = _ASKED.get(command, {}).get(i)
             if value is None:
                 continue
-            number = _number(value, f"{path}.params.{i}", _LARGEST_PARAMETER, "")
+            number = number_of(value, f"{path}.params.{i}", _LARGEST_PARAMETER, "")
             if field and (number != 0.0 or field == "yaw_deg"):
                 flown[field] = _asked_of(field, number, f"{path}.params.{i}")
             if number != 0.0:
@@ -327,7 +248,7 @@ class _Route:
     def _carry_out(self, command: int, params: list[Any], path: str) -> str:
         """Do what an item asks of the way to come; return what of it is not flown, "" for nothing."""
         numbers = [
-            None if value is None else _number(value, f"{path}.params.{i}", _LARGEST_PARAMETER, "")
+            None if value is None else number_of(value, f"{path}.params.{i}", _LARGEST_PARAMETER, "")
             for i, value in enumerate(params[:4])
         ]
         first, second, _, fourth = (number or 0.0 for number in numbers)
@@ -345,7 +266,7 @@ class _Route:
             self.speed = None
         elif second > _LARGEST_SPEED:
             allowed = f"at most {_LARGEST_SPEED:g} m/s, -1 (no change) and -2 (default)"
-            raise _FaultError(f"{path}.params.1 (speed): {second:g} is out of range; allowed: {allowed}")
+            raise PlanFaultError(f"{path}.params.1 (speed): {second:g} is out of range; allowed: {allowed}")
         elif second > 0.0:
             self.speed = second
         elif second != -1.0:
@@ -364,9 +285,9 @@ class _Route:
 
 
 def _params(item: dict[str, Any], path: str) -> list[Any]:
-    params: list[Any] = _get(item, "params", list, path)
+    params: list[Any] = part_of(item, "params", list, path)
     if len(params) != 7:
-        raise _FaultError(f"{path}.params: expected 7 values, found {len(params)}")
+        raise PlanFaultError(f"{path}.params: expected 7 values, found {len(params)}")
     return params
 
 
@@ -376,7 +297,7 @@ def _asked_of(field: str, number: float, where: str) -> float:
         return math.remainder(number, 360.0)
     low, high, unit = _FLYABLE[field]
     if not low <= number <= high:
-        raise _FaultError(f"{where}: {number:g} is out of range; allowed: {low:g} to {high:g} {unit}")
+        raise PlanFaultError(f"{where}: {number:g} is out of range; allowed: {low:g} to {high:g} {unit}")
     return number
 
 
@@ -393,19 +314,21 @@ class _Fence:
         """Add the fence of a plan; plans may have none, and no rally points."""
         has_rally = "rallyPoints" in content
         try:
-            fence = _section(content, "geoFence", 2) if "geoFence" in content else {"polygons": [], "circles": []}
-            polygons, circles = (_get(fence, key, list, "geoFence") for key in ("polygons", "circles"))
-            rally = _get(_get(content, "rallyPoints", dict, ""), "points", list, "rallyPoints") if has_rally else []
-        except _FaultError as fault:
+            fence = section_of(content, "geoFence", 2) if "geoFence" in content else {"polygons": [], "circles": []}
+            polygons, circles = (part_of(fence, key, list, "geoFence") for key in ("polygons", "circles"))
+            rally = (
+                part_of(part_of(content, "rallyPoints", dict, ""), "points", list, "rallyPoints") if has_rally else []
+            )
+        except PlanFaultError as fault:
             self.problems.append(str(fault))
             return
         for key, entries, add in (("polygons", polygons, self._add_polygon), ("circles", circles, self._add_circle)):
             for i, entry in enumerate(entries):
                 path = f"geoFence.{key}.{i}"
                 try:
-                    _check_version(_of_kind(entry, dict, path), 1, path)
+                    check_version(of_kind(entry, dict, path), 1, path)
                     add(entry, path)
-                except _FaultError as fault:
+                except PlanFaultError as fault:
                     self.problems.append(str(fault))
         if fence.get("breachReturn"):
             self.ignored.append(Ignored(None, "geoFence.breachReturn", "not used"))
@@ -413,22 +336,22 @@ class _Fence:
             self.ignored.append(Ignored(None, "rallyPoints.points", f"{len(rally)} not used"))
 
     def _add_polygon(self, entry: dict[str, Any], path: str) -> None:
-        inclusion = _get(entry, "inclusion", bool, path)
+        inclusion = part_of(entry, "inclusion", bool, path)
         where = f"{path}.polygon"
         corners = []
-        for i, corner in enumerate(_get(entry, "polygon", list, path)):
-            latitude, longitude = _place(_of_kind(corner, list, f"{where}.{i}"), f"{where}.{i}", 2)
+        for i, corner in enumerate(part_of(entry, "polygon", list, path)):
+            latitude, longitude = place_of(of_kind(corner, list, f"{where}.{i}"), f"{where}.{i}", 2)
             corners.append((latitude, longitude))
         for problem in polygon_problems(corners):
-            raise _FaultError(f"{where}: {problem}")
+            raise PlanFaultError(f"{where}: {problem}")
         self.polygons.append(FencePolygon(inclusion, tuple(corners)))
 
     def _add_circle(self, entry: dict[str, Any], path: str) -> None:
-        inclusion = _get(entry, "inclusion", bool, path)
-        circle = _get(entry, "circle", dict, path)
+        inclusion = part_of(entry, "inclusion", bool, path)
+        circle = part_of(entry, "circle", dict, path)
         where = f"{path}.circle"
-        latitude, longitude = _place(_get(circle, "center", list, where), f"{where}.center", 2)
-        radius = _number(circle.get("radius"), f"{where}.radius", _LARGEST_LENGTH, "m")
+        latitude, longitude = place_of(part_of(circle, "center", list, where), f"{where}.center", 2)
+        radius = number_of(circle.get("radius"), f"{where}.radius", LARGEST_LENGTH, "m")
         if radius <= 0.0:
-            raise _FaultError(f"{where}.radius: {radius:g} m is not above 0")
+            raise PlanFaultError(f"{where}.radius: {radius:g} m is not above 0")
         self.circles.append(FenceCircle(inclusion, latitude, longitude, radius))

@@ -21,7 +21,7 @@ from qrsim.interface.policies import UserFunction
 from qrsim.interface.readings import Reading
 from qrsim.simulation.block_parts import Carry, Setup
 from qrsim.simulation.many_worlds import Flight, begin_function
-from qrsim.world import tick as ticks_of
+from qrsim.world.draws import keys_of
 from qrsim.world.episode import refuse_unplaced
 from qrsim.world.state import State, World
 
@@ -78,7 +78,7 @@ class Engine:
 
     def bytes_per_world(self) -> int:
         """Return the size [bytes] of a world's carry."""
-        keys = jax.tree.map(lambda leaf: np.asarray(leaf)[None], ticks_of.keys_of(self.example, Key.root(0)))
+        keys = jax.tree.map(lambda leaf: np.asarray(leaf)[None], keys_of(self.example, Key.root(0)))
         fixed = Packer([np.asarray(leaf) for leaf in self.fixed])
         return state_bytes(begin_function(self.setup.compiled), fixed, layout_of_each((self.varied, keys)))
 
@@ -87,7 +87,7 @@ class Engine:
         real = len(np.unique(rows))
         own = [part[rows] for part in self.varied]
         # On the host: in the program, the keys' own rounds would be compiled into everything that draws.
-        keys = ticks_of.keys_of(self.example, Key.roots(seeds[rows], numbers[rows]))
+        keys = keys_of(self.example, Key.roots(seeds[rows], numbers[rows]))
         flight = Flight(self.setup.compiled, self.fixed, own, keys, len(self.names), self.devices)
         placed = jax.tree.map(np.asarray, flight.get(lambda carry: carry.state.placed))
         refuse_unplaced(self.example, placed)

@@ -25,9 +25,9 @@ from qrsim.simulation.one_world import OneWorld
 from qrsim.simulation.pickling import with_files
 from qrsim.simulation.placing import checked_rows, refuse_misplaced
 from qrsim.simulation.snapshot import LARGEST_TICK, SavedState, fingerprint, write
+from qrsim.world.draws import keys_of
 from qrsim.world.episode import refuse_unplaced
 from qrsim.world.state import FleetState, State, World, WorldKeys
-from qrsim.world.tick import keys_of
 
 FloatArray = np.ndarray[Any, Any]
 # Ticks that a program of ``record`` is for where the user does not say.

@@ -14,6 +14,7 @@ from qrsim.core.tree import quantity, record, replace, setting
 from qrsim.tasks.agents import Axis, all_fly, fleet_of, number_of
 from qrsim.tasks.contracts import Task
 from qrsim.world import tick as ticks_of
+from qrsim.world.draws import keys_of
 from qrsim.world.state import State, World, WorldKeys, period_ticks
 
 TASK = "/task"
@@ -89,7 +90,7 @@ class Play:
 
     def keys(self, key: Key) -> EpisodeKeys:
         """Return the keys of an episode, or of many; on the host if the key is there."""
-        return EpisodeKeys(ticks_of.keys_of(self.world, key), key.streams([TASK]))
+        return EpisodeKeys(keys_of(self.world, key), key.streams([TASK]))
 
     def reset(self, keys: EpisodeKeys) -> tuple[Episode, Any]:
         """Start an episode; return it and the observations."""

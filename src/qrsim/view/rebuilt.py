@@ -26,8 +26,8 @@ from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Beside
 from qrsim.view.steering import WIND_CHANGED, with_wind
 from qrsim.view.truth import ANGLES, AXES
+from qrsim.world.draws import keys_of
 from qrsim.world.state import World, period_ticks
-from qrsim.world.tick import keys_of
 
 Floats = np.ndarray[Any, Any]
 

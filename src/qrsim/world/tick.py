@@ -15,23 +15,21 @@ from jax import Array
 
 from qrsim.control import Estimate
 from qrsim.core.clock import split_time
-from qrsim.core.noise import Draw, Drawn, Key, Noise, Stream, StreamKeys, draw_together
+from qrsim.core.noise import Drawn, Key, Noise, StreamKeys
 from qrsim.core.tree import Record, concatenated, map_tree, replace, select
 from qrsim.core.vectors import Vec3, rotation
-from qrsim.models.atmosphere.contracts import Turbulence
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.area import Violation, collisions, reason_code
 from qrsim.models.scene.contents import Surroundings
-from qrsim.models.sensors.contracts import Sensor
-from qrsim.models.vehicles.contracts import Charged, Vehicle, VehicleState
+from qrsim.models.vehicles.contracts import Charged, VehicleState
 from qrsim.models.vehicles.faults import failed_rotors
 from qrsim.models.vehicles.moving import move
 from qrsim.world.air import around_of, gust_at, gust_rates_at, wakes_at
+from qrsim.world.draws import draw_fleet, draw_sky, keys_of
 from qrsim.world.episode import (
     draw_field,
     draw_ranges,
     episode_draws,
-    episode_streams,
     place,
     start_contents,
     step_contents,
@@ -40,9 +38,7 @@ from qrsim.world.episode import (
 from qrsim.world.sensing import estimate_of, faulted, scene_of, sense
 from qrsim.world.standing import ground_checks, on_ground, over_the_floor, seen_ground, settled, started
 from qrsim.world.state import (
-    PLUME,
     PROCESS,
-    SKY,
     TURBULENCE,
     Action,
     Belief,
@@ -57,18 +53,6 @@ from qrsim.world.state import (
 )
 
 
-def keys_of(world: World, key: Key) -> WorldKeys:
-    """Return the keys of all streams of a world; on the host if the key is there."""
-    return WorldKeys(
-        key.streams([SKY]),
-        key.streams([f"{SKY}/start"]),
-        tuple(_stream_keys(fleet, key) for fleet in world.fleets),
-        tuple(_stream_keys(fleet, key, "/start") for fleet in world.fleets),
-        key.streams(episode_streams(world)) if episode_streams(world) else None,
-        key.streams([PLUME]) if world.contents.plume.changes else None,
-    )
-
-
 def reset(world: World, key: Key | WorldKeys) -> State:
     """Return the state at tick 0: noise processes stationary, every sensor with a first reading.
 
@@ -81,7 +65,7 @@ def reset(world: World, key: Key | WorldKeys) -> State:
     draws = episode_draws(world, keys, like)
     drawn = draw_ranges(world, draws)
     world = world.with_drawn(drawn)
-    sky = world.sky.init(_draw_sky(world, keys.sky_start, jnp.int32(0), like))
+    sky = world.sky.init(draw_sky(world, keys.sky_start, jnp.int32(0), like))
     contents = start_contents(world, draws)
     placed = [place(world, fleet, draws) for fleet in world.fleets]
     view = surroundings(world, contents, jnp.int32(0))
@@ -118,7 +102,7 @@ def step(
     if before is not None:
         tick, after = tick + before, after + before
     sky = _step_sky(world, state, due, after)
-    noise = [_draw_fleet(world, fleet, keys, after) for fleet, keys in zip(world.fleets, state.fleet_keys, strict=True)]
+    noise = [draw_fleet(world, fleet, keys, after) for fleet, keys in zip(world.fleets, state.fleet_keys, strict=True)]
     flown = tuple(
         _fly(world, state, fleet, fleet_state, tick, drawn, action, estimate)
         for fleet, fleet_state, drawn, action, estimate in zip(
@@ -136,7 +120,7 @@ def step(
 
 
 def _step_sky(world: World, state: State, due: Array, after: Array) -> SkyState:
-    draw = _draw_sky(world, state.sky_keys, after, state.sky.range_error[0])
+    draw = draw_sky(world, state.sky_keys, after, state.sky.range_error[0])
     seconds, fraction = split_time(after, world.time_step, draw.like.dtype)
     ticks = period_ticks(world.sky.period, world.time_step)
     return when_due(ticks, due, lambda: world.sky.step(state.sky, draw, seconds, fraction), state.sky)
@@ -318,7 +302,7 @@ def start_fleet(
         low = low or Vec3.zeros(like.shape, like.dtype)
     vehicle, low, parked = started(world, fleet, vehicle, low)
     pose = fleet.vehicle.pose(vehicle)
-    draws = _draw_fleet(world, fleet, keys, tick)
+    draws = draw_fleet(world, fleet, keys, tick)
     height = world.height_agl(pose.position_ned)
     time = split_time(tick, world.time_step, height.dtype)
     mean_wind = world.wind.velocity_ned(height, *time)
@@ -391,33 +375,3 @@ def start_fleet(
 
 def _vehicle_at(fleet: Fleet, start: Start) -> VehicleState:
     return fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
-
-
-def _stream_keys(fleet: Fleet, key: Key, suffix: str = "") -> StreamKeys:
-    return key.streams([f"{fleet.name}/{name}{suffix}" for name in fleet.stream_names])
-
-
-def _streams(fleet: Fleet, keys: StreamKeys) -> dict[str, Stream]:
-    """Return the streams of a fleet; a vehicle's id is its number in its own fleet."""
-    ids = jnp.arange(fleet.size, dtype=jnp.uint32)
-    return {name: keys.stream(i, ids) for i, name in enumerate(fleet.stream_names)}
-
-
-def _draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array) -> dict[str, Noise]:
-    """Return the noise of one tick: drawn together for what steps at every tick, on demand for the others."""
-    like = jnp.zeros((), fleet.start.position_ned.x.dtype)
-    streams = _streams(fleet, keys)
-    most: dict[str, int | None] = {}
-    users: dict[str, Turbulence | Vehicle | Sensor] = {TURBULENCE: world.turbulence, PROCESS: fleet.vehicle}
-    for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
-        every_tick = period_ticks(sensor.period, world.time_step) == 1
-        if every_tick and not sensor.draws_alone:
-            users[name] = sensor
-        most[name] = None if sensor.draws_alone else sensor.normals
-    drawn = draw_together([streams[name] for name in users], [user.normals for user in users.values()], tick, like)
-    on_demand = {name: Draw(stream, tick, like, most[name]) for name, stream in streams.items() if name not in users}
-    return {**dict(zip(users, drawn, strict=True)), **on_demand}
-
-
-def _draw_sky(world: World, keys: StreamKeys, tick: Array, like: Array) -> Draw:
-    return Draw(keys.stream(0, world.sky.ids), tick, jnp.zeros((), like.dtype))

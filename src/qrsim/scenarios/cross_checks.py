@@ -1,0 +1,290 @@
+"""Checks of a scenario's parts against each other."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import BaseModel
+
+from qrsim.core.tree import field_info
+from qrsim.errors import UsageError
+from qrsim.models.site import gps_seconds_from_utc, utc_from_gps_seconds
+from qrsim.models.vehicles.carried_point import CarriedPoint
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.build import component, ground_if_any, ground_of, inherited, wind_of
+from qrsim.scenarios.checks import area_problems, outside
+from qrsim.scenarios.contents import contents_problems
+from qrsim.scenarios.faults import fault_problems, reading_fields
+from qrsim.scenarios.ground import below_ground, has_floor, standing_problems
+from qrsim.scenarios.hand_list import hand_lists
+from qrsim.scenarios.missions import mission_problems
+from qrsim.scenarios.multirotor_checks import multirotor_problems
+from qrsim.scenarios.ranges import range_problems
+from qrsim.scenarios.registry import is_outside
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.spacing import clearance_of, close_starts, inside_obstacles, obstacle_problems
+from qrsim.scenarios.task import task_problems
+from qrsim.scenarios.timing import timing_problems
+from qrsim.scenarios.vehicle_checks import controller_problems
+from qrsim.world.state import PROCESS, TURBULENCE
+
+# What a controller fed with measurements needs, and the sensors that measure it.
+NEEDED = {"position_ned": "gnss_receiver", "height": "barometer", "attitude": "attitude_estimator"}
+
+
+PROVIDED = {
+    "position_ned": {"gnss_receiver", "ideal_gnss"},
+    "height": {"barometer", "ideal_barometer"},
+    "attitude": {"attitude_estimator", "ideal_attitude"},
+    "specific_force": {"accelerometer", "ideal_accelerometer"},
+}
+
+
+FED = {"measurements": "measurements", "filter": "a filter of measurements"}
+
+
+def problems(scenario: ScenarioSpec) -> list[str]:
+    """Check the parameters against each other; one sentence per fault."""
+    return [
+        *timing_problems(scenario),
+        *_inheritance_problems(scenario),
+        *_wind_problems(scenario),
+        *_orbit_problems(scenario),
+        *obstacle_problems(scenario),
+        *_fleet_problems(scenario),
+        *_ground_problems(scenario),
+        *_standing_problems(scenario),
+        *fault_problems(scenario),
+        *contents_problems(scenario),
+        *range_problems(scenario),
+        *task_problems(scenario),
+    ]
+
+
+def _path_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec, floor: bool) -> Iterator[str]:
+    """Yield why a path cannot carry a fleet's vehicles."""
+    path = f"fleets.{fleet_name}.vehicle.moves_on"
+    try:
+        vehicle = component(fleet.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
+    except UsageError as error:
+        yield f"{path}: {error}"
+        return
+    if not isinstance(vehicle, CarriedPoint):
+        return
+    for i, each in enumerate(fleet.vehicles):
+        for second, place, speed in vehicle.path.carried(each.position_ned):
+            where = f"{path}: at {second:g} s it carries vehicle {i}"
+            problems = list(outside(where, place, scenario.world.area, floor))
+            problems += _too_fast(where, [speed, 0.0, 0.0], fleet, i)
+            if problems:
+                yield problems[0]
+                return
+
+
+def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    turbulence = scenario.world.turbulence
+    cls = known.TURBULENCES[turbulence.type]
+    for field in dataclasses.fields(cls):
+        path = field_info(field).inherits
+        if path and getattr(turbulence, field.name) is None and inherited(scenario, path) is None:
+            yield (
+                f"world.turbulence.{field.name}: missing; it would be taken from {path}, "
+                f"but world.wind is '{scenario.world.wind.type}', which has none"
+            )
+
+
+def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    area = scenario.world.area
+    names: dict[str, str] = {}
+    solids = [component(spec, known.OBSTACLES, scenario) for spec in scenario.world.obstacles]
+    ground = ground_if_any(scenario)
+    yield from area_problems(area)
+    floor = has_floor(scenario)
+    for fleet_name, fleet in scenario.fleets.items():
+        yield from _name_problems(fleet_name, fleet)
+        yield from _length_problems(fleet_name, fleet)
+        yield from _battery_problems(fleet_name, fleet)
+        yield from _path_problems(fleet_name, fleet, scenario, floor)
+        yield from controller_problems(fleet_name, fleet)
+        yield from multirotor_problems(fleet_name, fleet, scenario)
+        yield from _guidance_problems(fleet_name, fleet)
+        yield from _fitting_problems(fleet_name, fleet, scenario)
+        yield from _feed_problems(fleet_name, fleet)
+        if ground is not None:
+            yield from mission_problems(f"fleets.{fleet_name}", fleet, scenario, ground)
+        for i, vehicle in enumerate(fleet.vehicles):
+            path = f"fleets.{fleet_name}.vehicles.{i}"
+            name = vehicle.name or f"{fleet_name}_{i}"
+            if name in names:
+                yield f"{path}.name: '{name}' is also the name of {names[name]}"
+            names[name] = path
+            yield from outside(f"{path}.position_ned", vehicle.position_ned, area, floor)
+            yield from inside_obstacles(path, vehicle, solids, *clearance_of(fleet, scenario))
+            yield from _too_fast(f"{path}.velocity_body", vehicle.velocity_body, fleet, i)
+            for j, waypoint in enumerate(vehicle.waypoints_ned):
+                yield from outside(f"{path}.waypoints_ned.{j}", waypoint, area, floor)
+    yield from close_starts(scenario)
+
+
+def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """The ground must be there, below all starts and waypoints."""
+    try:
+        ground = ground_of(scenario)
+    except UsageError as error:
+        yield f"world.ground: {error}"
+        return
+    if not ground.at_zero:
+        yield from below_ground(scenario, ground)
+
+
+def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    for name, fleet in scenario.fleets.items():
+        for i, vehicle in enumerate(fleet.vehicles):
+            if vehicle.on_ground:
+                path = f"fleets.{name}.vehicles.{i}.on_ground"
+                yield f"{path}: is for a fleet with ground: parked; it is '{fleet.ground}'"
+        if fleet.ground == "parked":
+            yield from standing_problems(name, fleet.vehicle.type, component(fleet.vehicle, known.VEHICLES, scenario))
+
+
+def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
+    """Names become parts of paths, columns and noise streams."""
+    for path, name in [("fleets", fleet_name), *((f"fleets.{fleet_name}.sensors", name) for name in fleet.sensors)]:
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+            yield f"{path}.{name}: '{name}' is no name; allowed: letters, digits, '_' and '-'"
+    for name in fleet.sensors:
+        if name in (TURBULENCE, PROCESS, "sensors", "fleets", "time"):
+            yield f"fleets.{fleet_name}.sensors.{name}: the name '{name}' is taken by the simulator; choose another"
+
+
+def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
+    """A list of numbers has one for each vehicle."""
+    size = len(fleet.vehicles)
+    parts = {name: getattr(fleet, name) for name in ("vehicle", "controller", "guidance", "limits", "battery")}
+    parts |= {f"sensors.{name}": sensor for name, sensor in fleet.sensors.items()}
+    for name, part in parts.items():
+        for path, value in _numbers(part, f"fleets.{fleet_name}.{name}"):
+            if isinstance(value, list) and len(value) != size:
+                yield f"{path}: {len(value)} numbers in a list; allowed: {size}, one for each vehicle, or a number"
+
+
+def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
+    """A battery's voltage falls as it empties, and some are drained by what only some vehicles say."""
+    battery, vehicle = known.BATTERIES[fleet.battery.type], known.VEHICLES[fleet.vehicle.type]
+    if battery.needs_power and not vehicle.gives_power:  # type: ignore[attr-defined]
+        yield (
+            f"fleets.{fleet_name}.battery: '{fleet.battery.type}' is drained by electrical power, which a "
+            f"'{fleet.vehicle.type}' has not; allowed: given, lithium_polymer"
+        )
+    if fleet.battery.type != "lithium_polymer":
+        return
+    size = len(fleet.vehicles)
+    full, empty = fleet.battery.voltage_full, fleet.battery.voltage_empty
+    each = [values if isinstance(values, list) else [values] * size for values in (full, empty)]
+    # Lists of the wrong length are a problem of their own.
+    for i, (high, low) in enumerate(zip(*each, strict=False)):
+        if high <= low:
+            path = f"fleets.{fleet_name}.battery.voltage_full" + (f".{i}" if isinstance(full, list) else "")
+            yield f"{path}: {high:g} V; allowed: above voltage_empty, {low:g} V"
+            return
+
+
+def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, Any]]:
+    for name in type(part).model_fields:
+        value = getattr(part, name)
+        if isinstance(value, BaseModel):
+            yield from _numbers(value, f"{path}.{name}")
+        else:
+            yield f"{path}.{name}", value
+
+
+def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
+    """The controller must take what the guidance gives."""
+    accepted = known.CONTROLLERS[fleet.controller.type].setpoints  # type: ignore[attr-defined]
+    fitting = [name for name, cls in known.GUIDANCE.items() if cls.gives in accepted]  # type: ignore[attr-defined]
+    if fleet.guidance.type not in fitting:
+        yield (
+            f"fleets.{fleet_name}.guidance: '{fleet.guidance.type}' does not fit the controller "
+            f"'{fleet.controller.type}'; allowed: {', '.join(fitting)}"
+        )
+
+
+def _fitting_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """The controller must be able to fly the vehicle; what is wrong with the vehicle alone is said elsewhere."""
+    if any(controller_problems(fleet_name, fleet)):
+        return
+    try:
+        vehicle = component(fleet.vehicle, known.VEHICLES, scenario)
+    except UsageError:
+        return
+    try:
+        component(fleet.controller, known.CONTROLLERS, scenario).fitted(vehicle)
+    except UsageError as error:
+        yield f"fleets.{fleet_name}.controller: {error}"
+
+
+def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -> Iterator[str]:
+    limits = fleet.limits.velocity
+    limit = limits[i] if isinstance(limits, list) and i < len(limits) else limits
+    if isinstance(limit, list):
+        return
+    for axis, value in zip("uvw", velocity_body, strict=True):
+        if abs(value) > limit:
+            yield f"{path}: {axis} = {value:g} m/s; allowed: -{limit:g} to {limit:g} (limits.velocity of the fleet)"
+
+
+def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
+    kind: Any = known.CONTROLLERS[fleet.controller.type]
+    # A controller that cannot be told has it as an attribute of its class (control/contracts.py).
+    feed = fleet.controller.feed if "feed" in type(fleet.controller).model_fields else kind.feed
+    if feed == "truth":
+        return
+    needed = NEEDED | ({"specific_force": "accelerometer"} if feed == "filter" else {})
+    others = "measurements or truth" if feed == "filter" else "truth"
+    types = {sensor.type for sensor in fleet.sensors.values()}
+    own = [reading_fields(kind) for kind in types if is_outside("sensor", kind)]
+    given = {name.partition(".")[0] for names in own for name in names}
+    if not all(own):
+        return  # what a sensor from outside reports is seen when it is traced
+    for quantity, suggestion in needed.items():
+        if not types & PROVIDED[quantity] and quantity not in given:
+            yield (
+                f"fleets.{name}.sensors: the controller is fed with {FED[feed]}, but no sensor gives {quantity}; "
+                f"add one of type {suggestion}, or set fleets.{name}.controller.feed to {others}"
+            )
+
+
+def _wind_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    try:
+        wind_of(scenario)
+    except UsageError as error:
+        yield f"world.wind: {error}"
+
+
+def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Read the ephemeris and see that it spans the run."""
+    orbits = scenario.world.sky.orbits
+    try:
+        ephemeris = component(orbits, known.ORBITS, scenario)
+        first, last = ephemeris.span_gps_seconds
+        _ = ephemeris.satellites
+        start = gps_seconds_from_utc(scenario.start_time)
+    except UsageError as error:
+        yield f"world.sky.orbits: {error}"
+        return
+    if not first <= start <= start + scenario.duration <= last:
+        span = f"{utc_from_gps_seconds(first):%Y-%m-%d %H:%M:%S} to {utc_from_gps_seconds(last):%Y-%m-%d %H:%M:%S} UTC"
+        cut_off = ephemeris.cut_off if orbits.type == "sp3" else ""
+        yield (
+            f"start_time: the run, {scenario.start_time:%Y-%m-%d %H:%M:%S} and {scenario.duration:g} s, is not inside "
+            f"what world.sky.orbits covers; allowed: {span}{cut_off}"
+        )
+    if orbits.type == "nominal_constellation":
+        for path in hand_lists(scenario):
+            yield (
+                f"{path}: 'hand_list' names satellites by PRN, "
+                "which the nominal constellation has not; use world.sky.orbits of type sp3"
+            )

@@ -1,0 +1,113 @@
+"""Parts of a QGroundControl plan: what is there, of which kind, and numbers within their bounds."""
+
+from __future__ import annotations
+
+import errno
+import json
+from typing import Any
+
+from qrsim.errors import ScenarioError, UsageError
+from qrsim.files.user_files import read_text
+
+KINDS = {dict: "an object", list: "a list", bool: "true or false", int: "a whole number"}
+
+
+LARGEST_LENGTH = 1e5
+
+
+class PlanFaultError(Exception):
+    """One fault: the path of a value, and what is wrong with it."""
+
+
+def plan_content(source: str) -> Any:
+    """Return the JSON content of a plan's file."""
+    try:
+        text = read_text(source)
+    except OSError as error:
+        if error.errno == errno.EILSEQ:
+            raise UsageError(f"{source}: is not JSON: it is no UTF-8 text") from None
+        raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
+    try:
+        return json.loads(text, object_pairs_hook=_without_twins)
+    except json.JSONDecodeError as error:
+        raise UsageError(f"{source}: is not JSON: line {error.lineno}, column {error.colno}: {error.msg}") from None
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{source}: is no plan: {error}") from None
+    except PlanFaultError as fault:
+        raise ScenarioError(source, [str(fault)]) from None
+
+
+def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise PlanFaultError(f"'{key}' is given twice in one object")
+        found[key] = value
+    return found
+
+
+def check_kind(content: Any) -> None:
+    """Refuse what is no plan."""
+    if not isinstance(content, dict) or "fileType" not in content:
+        raise PlanFaultError("is no plan; expected an object with fileType 'Plan'")
+    if content["fileType"] != "Plan":
+        raise PlanFaultError(f"fileType: is {shown(content['fileType'])}; supported: 'Plan'")
+    check_version(content, 1, "")
+
+
+def shown(value: Any) -> str:
+    """Return a value for a message: short, and null as JSON writes it."""
+    return "null" if value is None else f"{value!r:.60}"
+
+
+def part_of(parent: dict[str, Any], key: str, kind: type, where: str) -> Any:
+    """Return a value of an object at a path, checked to be of a kind."""
+    path = f"{where}.{key}" if where else key
+    if key not in parent:
+        raise PlanFaultError(f"{path}: is missing; expected {KINDS[kind]}")
+    return of_kind(parent[key], kind, path)
+
+
+def of_kind(value: Any, kind: type, where: str) -> Any:
+    """Return a value checked to be of a kind."""
+    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+        raise PlanFaultError(f"{where}: expected {KINDS[kind]}, found {shown(value)}")
+    return value
+
+
+def check_version(parent: dict[str, Any], supported: int, where: str) -> None:
+    """Refuse an object of another version."""
+    found = part_of(parent, "version", int, where)
+    if found != supported:
+        path = f"{where}.version" if where else "version"
+        raise PlanFaultError(f"{path}: version {found} is not supported; supported: {supported}")
+
+
+def section_of(content: dict[str, Any], key: str, version: int) -> dict[str, Any]:
+    """Return a section of a plan, of a version."""
+    section: dict[str, Any] = part_of(content, key, dict, "")
+    check_version(section, version, key)
+    return section
+
+
+def number_of(value: Any, where: str, limit: float, unit: str) -> float:
+    """Return a number whose size is at most a limit."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        meaning = ", which stands for 'the current one'" if value is None else ""
+        raise PlanFaultError(f"{where}: expected a number, found {shown(value)}{meaning}")
+    # NaN fails this comparison too.
+    if not -limit <= value <= limit:
+        raise PlanFaultError(f"{where}: {shown(value)} is out of range; allowed: {-limit:g} to {limit:g} {unit}")
+    return float(value)
+
+
+def place_of(values: list[Any], where: str, count: int) -> tuple[float, ...]:
+    """Return latitude, longitude and, where ``count`` is 3, altitude."""
+    if len(values) != count:
+        words = "latitude, longitude, altitude" if count == 3 else "latitude, longitude"
+        raise PlanFaultError(f"{where}: expected [{words}], found {len(values)} values")
+    kinds = (("latitude", 90.0, "deg"), ("longitude", 180.0, "deg"), ("altitude", LARGEST_LENGTH, "m"))
+    return tuple(
+        number_of(value, f"{where}: {name}", limit, unit)
+        for value, (name, limit, unit) in zip(values, kinds, strict=False)
+    )

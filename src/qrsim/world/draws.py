@@ -1,0 +1,68 @@
+"""The noise of a world: its streams' keys, and what is drawn at a tick."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.noise import Draw, Key, Noise, Stream, StreamKeys, draw_together
+from qrsim.models.atmosphere.contracts import Turbulence
+from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.vehicles.contracts import Vehicle
+from qrsim.world.episode import (
+    episode_streams,
+)
+from qrsim.world.state import (
+    PLUME,
+    PROCESS,
+    SKY,
+    TURBULENCE,
+    Fleet,
+    World,
+    WorldKeys,
+    period_ticks,
+)
+
+
+def keys_of(world: World, key: Key) -> WorldKeys:
+    """Return the keys of all streams of a world; on the host if the key is there."""
+    return WorldKeys(
+        key.streams([SKY]),
+        key.streams([f"{SKY}/start"]),
+        tuple(stream_keys(fleet, key) for fleet in world.fleets),
+        tuple(stream_keys(fleet, key, "/start") for fleet in world.fleets),
+        key.streams(episode_streams(world)) if episode_streams(world) else None,
+        key.streams([PLUME]) if world.contents.plume.changes else None,
+    )
+
+
+def stream_keys(fleet: Fleet, key: Key, suffix: str = "") -> StreamKeys:
+    """Return the keys of a fleet's streams; with a suffix, those of its first values."""
+    return key.streams([f"{fleet.name}/{name}{suffix}" for name in fleet.stream_names])
+
+
+def _streams(fleet: Fleet, keys: StreamKeys) -> dict[str, Stream]:
+    """Return the streams of a fleet; a vehicle's id is its number in its own fleet."""
+    ids = jnp.arange(fleet.size, dtype=jnp.uint32)
+    return {name: keys.stream(i, ids) for i, name in enumerate(fleet.stream_names)}
+
+
+def draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array) -> dict[str, Noise]:
+    """Return the noise of one tick: drawn together for what steps at every tick, on demand for the others."""
+    like = jnp.zeros((), fleet.start.position_ned.x.dtype)
+    streams = _streams(fleet, keys)
+    most: dict[str, int | None] = {}
+    users: dict[str, Turbulence | Vehicle | Sensor] = {TURBULENCE: world.turbulence, PROCESS: fleet.vehicle}
+    for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
+        every_tick = period_ticks(sensor.period, world.time_step) == 1
+        if every_tick and not sensor.draws_alone:
+            users[name] = sensor
+        most[name] = None if sensor.draws_alone else sensor.normals
+    drawn = draw_together([streams[name] for name in users], [user.normals for user in users.values()], tick, like)
+    on_demand = {name: Draw(stream, tick, like, most[name]) for name, stream in streams.items() if name not in users}
+    return {**dict(zip(users, drawn, strict=True)), **on_demand}
+
+
+def draw_sky(world: World, keys: StreamKeys, tick: Array, like: Array) -> Draw:
+    """Return the noise of the sky at a tick, in the precision of ``like``."""
+    return Draw(keys.stream(0, world.sky.ids), tick, jnp.zeros((), like.dtype))
