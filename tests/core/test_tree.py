@@ -153,7 +153,8 @@ class TestWalk:
         assert found[0][2].doc.startswith("first axis")
 
     def test_settings_are_not_walked(self):
-        assert [name for name, _, _ in walk(Wind())] == ["speed", "tau", "direction"]
+        assert [name for name, _, _ in walk(Wind())] == ["speed", "tau"]
+        assert [name for name, _, _ in walk(Wind(direction=1.0))] == ["speed", "tau", "direction"]
 
     def test_prefix_and_depth(self):
         @record

@@ -26,7 +26,7 @@ def test_points_that_move_as_asked_keep_a_fleeing_mouse_in_the_area_and_end_near
     With errors of measured places [m] that change slowly, and a wind that carries all of them [m/s].
     """
     game, carried = play("cats_and_mouse/1A"), np.array([wind, 0.0])
-    short: Any = SimpleNamespace(world=game.world, task=game.task, agents=game.agents, steps=300)
+    short: Any = SimpleNamespace(world=game.world, task=game.task, agents=game.agents, axes=game.axes, steps=300)
     for seed in (0, 1, 2):
         numbers = np.random.default_rng(seed)
         angle = numbers.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi / 3.0 * np.arange(3)

@@ -20,6 +20,7 @@ from qrsim.core.tree import parameter, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import RunError
 from qrsim.models.gnss.receivers import GnssReading
+from qrsim.models.sensors.contracts import Sensor
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.rollout import rollout
 from qrsim.slam import ranging
@@ -36,7 +37,7 @@ CENTRE = np.zeros(2)
 
 
 @record
-class CorrelatedGnss:
+class CorrelatedGnss(Sensor):
     """A receiver with Ornstein-Uhlenbeck errors north and east; white for time constants far below a period.
 
     Down and the velocity are true: the published white noise is in latitude and longitude only.
@@ -47,6 +48,7 @@ class CorrelatedGnss:
     time_constant: Array = parameter(unit="s", doc="of both errors", above=0.0)
     period: float = setting(default=0.2, unit="s", doc="interval between fixes", above=0.0)
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky")
+    normals: ClassVar[int] = 2
 
     def init(
         self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: Any

@@ -49,7 +49,7 @@ def test_a_client_flies_one_fleet_beside_another_that_stands(serving: Running) -
 
 def test_who_is_not_flown_by_set_points_keeps_its_controller() -> None:
     fleets = offboard(uploaded(MIXED)).spec.fleets
-    assert [fleet.controller.type for fleet in fleets.values()] == ["offboard", "none"]
+    assert [fleet.controller.type for fleet in fleets.values()] == ["cascade", "none"]
 
 
 def test_a_state_far_away_has_both_parts_of_its_position() -> None:

@@ -28,10 +28,14 @@ class Rotor:
     """
 
     position: Triple
+    """hub in body axes [m], from the centre of mass: forward, right, down"""
     direction: int
+    """+1 turns clockwise seen from above, -1 the other way"""
     axis: Triple = (0.0, 0.0, -1.0)
+    """unit vector of the thrust in body axes"""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+    # The schema of scenarios describes the fields by the texts below them.
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "use_attribute_docstrings": True}
 
 
 def ring(count: int, arm: float, first_rad: float, direction: int = 1, down: float = 0.0) -> tuple[Rotor, ...]:
