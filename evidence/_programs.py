@@ -331,6 +331,24 @@ def _loops(draw: Draw) -> None:
     draw.put(left, a, b, total)
 
 
+def _counted_loops(draw: Draw) -> None:
+    """Make a loop of a fixed number of turns: few are written out, more are a loop."""
+    x = draw.some("f")
+    y, turns, kind = draw.like(x), draw.choose.randrange(8), draw.choose.randrange(3)
+
+    def body(turn: Any, carry: Any) -> Any:
+        a, b, total = carry
+        if kind == 0:
+            a, b = b, a * 0.5
+        elif kind == 1:
+            a = jnp.where(a > b, a, b + 0.25 * turn.astype(x.dtype))
+        else:
+            b = lax.cond(turn % 2 == 0, lambda: b + x, lambda: b)
+        return a, b, total + turn.astype(draw.words)
+
+    draw.put(*lax.fori_loop(0, turns, body, (x, y, jnp.zeros((), draw.words))))
+
+
 def _nested_loops(draw: Draw) -> None:
     turns, x = jnp.abs(draw.shaped(draw.some("i"), ())) % 4, draw.shaped(draw.some("f"), ())
 
@@ -390,7 +408,7 @@ def _handed_over(draw: Draw) -> None:
     """Make something that is XLA's to compute."""
     x = draw.some("f", (draw.size,))
     draw.put(draw.choose.choice([
-        lambda: jnp.sort(x), lambda: jnp.outer(x, x) @ x, lambda: lax.fori_loop(0, 3, lambda i, v: v * 0.5, x),
+        lambda: jnp.sort(x), lambda: jnp.outer(x, x) @ x, lambda: lax.scan(lambda c, v: (c + v, c), x[0], x)[1],
         lambda: x[::-1], lambda: jnp.pad(x, 1), lambda: lax.reduce_precision(x, 5, 10),
         lambda: x.astype(jnp.float16).astype(x.dtype), lambda: jnp.stack([x, x])[draw.place((2,))].sum(0),
         lambda: x.at[0].apply(jnp.sin), lambda: lax.nextafter(x, x + 1.0), lambda: x[::2],
@@ -401,8 +419,8 @@ def _handed_over(draw: Draw) -> None:
 MAKERS: tuple[Maker, ...] = (
     _arithmetic, _sums_of_products, _unary, _unsigned, _steps, _library, _powers, _divisions, _integers, _logic,
     _comparisons, _choices, _clamps, _conversions, _bits, _reductions, _places_of_extremes, _running, _shapes, _joining,
-    _counting, _parts_from_anywhere, _gathers, _scatters, _segments, _branches, _loops, _nested_loops, _neighbours,
-    _derivatives,
+    _counting, _parts_from_anywhere, _gathers, _scatters, _segments, _branches, _loops, _counted_loops,
+    _nested_loops, _neighbours, _derivatives,
 )  # fmt: skip
 HANDED_OVER: Maker = _handed_over
 

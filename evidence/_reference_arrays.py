@@ -281,6 +281,17 @@ def _repeated(inputs: list[Value], parameters: Any, out: Any) -> list[Value]:
     raise AmbiguousError("a loop without an end")
 
 
+def _counted(inputs: list[Value], parameters: Any, out: Any) -> list[Value]:
+    from evidence._reference import evaluate
+
+    constants = parameters["num_consts"]
+    carry = inputs[constants:]
+    assert len(carry) == parameters["num_carry"]
+    for _ in range(parameters["length"]):
+        carry = evaluate(parameters["jaxpr"], [*inputs[:constants], *carry])
+    return carry
+
+
 def _nearest(inputs: list[Value], parameters: Any, out: Any) -> Value:
     """Return the least squared distance to another point; NaN is far from all."""
     x, y, z = inputs[:3]
@@ -317,6 +328,6 @@ RULES: dict[str, Callable[..., Any]] = {
     "stop_gradient": _handed_on, "select_n": _selected,
     "dynamic_slice": _part, "gather": _gathered, "scatter": _scattered("set"), "scatter-add": _scattered("add"),
     "scatter-mul": _scattered("mul"), "scatter-min": _scattered("min"), "scatter-max": _scattered("max"),
-    "cond": _branched, "while": _repeated, "nearest_squared": _nearest, "copy": _handed_on, "copy_p": _handed_on,
+    "cond": _branched, "while": _repeated, "scan": _counted, "nearest_squared": _nearest, "copy": _handed_on, "copy_p": _handed_on,
     "optimization_barrier": _handed_on,
 }  # fmt: skip
