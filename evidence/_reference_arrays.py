@@ -328,6 +328,7 @@ RULES: dict[str, Callable[..., Any]] = {
     "stop_gradient": _handed_on, "select_n": _selected,
     "dynamic_slice": _part, "gather": _gathered, "scatter": _scattered("set"), "scatter-add": _scattered("add"),
     "scatter-mul": _scattered("mul"), "scatter-min": _scattered("min"), "scatter-max": _scattered("max"),
-    "cond": _branched, "while": _repeated, "scan": _counted, "nearest_squared": _nearest, "copy": _handed_on, "copy_p": _handed_on,
+    "cond": _branched, "while": _repeated, "scan": _counted,
+    "nearest_squared": _nearest, "copy": _handed_on, "copy_p": _handed_on,
     "optimization_barrier": _handed_on,
 }  # fmt: skip
