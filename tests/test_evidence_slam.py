@@ -26,6 +26,7 @@ def test_fixes_are_alike_in_size_and_differ_in_colour(small: dict[str, Any]) -> 
     assert coloured["allan"]["low"] > 0.0
 
 
+@pytest.mark.long
 def test_with_gnss_factors_coloured_errors_are_larger(small: dict[str, Any]) -> None:
     """Every pair: Wilcoxon's two-sided p of eight pairs is then 0.008."""
     found = small["gnss"]["paired"]["plain"]["trajectory_m"]
@@ -33,6 +34,7 @@ def test_with_gnss_factors_coloured_errors_are_larger(small: dict[str, Any]) -> 
     assert found["p"] < 0.01
 
 
+@pytest.mark.long
 def test_the_published_graph_forgets_the_noise_once_it_has_converged(small: dict[str, Any]) -> None:
     """There the noises differ by less than a fifth of what they differ by with GNSS factors."""
     differences = {graph: small[graph]["paired"] for graph in ("paper", "gnss")}

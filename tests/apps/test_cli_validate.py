@@ -161,6 +161,7 @@ def test_windows_are_told_as_spans():
     assert gnss._spans(windows, windows) == "0.4-2.4 s"
 
 
+@pytest.mark.long
 def test_without_jsbsim_it_is_said(quick: Callable[[str], Outcome], monkeypatch):
     monkeypatch.setattr(turbulence, "is_installed", lambda: False)
     outcome = quick("turbulence")

@@ -36,7 +36,7 @@ WORLDS = (0, 1)
 every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-".join(case) for case in COMPONENTS])
 
 
-SLOW = [("VEHICLES", "multirotor")]
+SLOW = [("VEHICLES", "multirotor"), ("CONTROLLERS", "cascade")]
 
 
 def option_cases() -> list[Any]:
@@ -44,7 +44,7 @@ def option_cases() -> list[Any]:
     for group, name in COMPONENTS:
         for settings in options(group, name):
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
-            # Every component by its defaults is in the short tier, but for one whose slopes take minutes to compile.
+            # Every component by its defaults is in the short tier, but for those whose slopes take long to compile.
             marks = (pytest.mark.long,) if settings or (group, name) in SLOW else ()
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases

@@ -90,6 +90,7 @@ def test_a_map_ends_where_the_data_do(tmp_path: Path) -> None:
         assert (found[0], found[-1]) == pytest.approx((parameter.levels[0], parameter.levels[-1]))
 
 
+@pytest.mark.long
 def test_pictures_of_another_format(tmp_path: Path) -> None:
     path = made(tmp_path, lambda wind, mass, noise: wind, seeds=2)
     files = write(find(path, None, []), tmp_path / "report", "svg")

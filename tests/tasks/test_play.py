@@ -165,6 +165,7 @@ def test_the_noise_of_worlds_at_different_ticks_is_the_same_bits_alone_and_in_a_
             np.testing.assert_array_equal(one, many[row])
 
 
+@pytest.mark.long
 def test_a_step_of_several_ticks_is_those_ticks_of_a_simulation() -> None:
     """Slow sensors and puffs are due at their own times although a batch counts its ticks together."""
     game = play("plume_mapping/3E", "world.plume.gap=0.4", "world.plume.puffs=1500")

@@ -116,6 +116,7 @@ class TestGrid:
         ground = ElevationFile(str(tmp_path / "b.npz"), frame="geodetic").at(Site.from_degrees(51.7119, -0.21052), BOX)
         np.testing.assert_allclose(ground.down(at([0.0, 44.5], [0.0, 20.0])), [0.0, -0.4], atol=2e-4)
 
+    @pytest.mark.long
     def test_the_horizon_is_what_stands_in_the_way(self, tmp_path: Path):
         # Up 100 m, 500 m to the north, all the way from east to west.
         north, east = 50.0 * np.arange(-20, 21), 50.0 * np.arange(-20, 21)
@@ -131,6 +132,7 @@ class TestGrid:
         # Between the eyes of the table it is interpolated.
         np.testing.assert_allclose(seen[[0, 2], 1], 0.0, atol=0.01)
 
+    @pytest.mark.long
     def test_hides_satellites_and_moves_the_wind(self, tmp_path: Path):
         north = 50.0 * np.arange(-20, 21)
         height = np.where(north[:, None] >= 100.0, 400.0, 0.0) + 0.0 * north[None, :]
@@ -146,6 +148,7 @@ class TestGrid:
         # The cliff fills the north up to 75 degrees, and of the satellites above 10 degrees some are there.
         assert found[1] <= found[0] - 2.0
 
+    @pytest.mark.long
     def test_random_places_and_what_looks_at_the_ground_count_from_it(self, tmp_path: Path):
         vehicles = [[0.0, 0.0, -15.0], [0.0, 20.0, -15.0]]
         fleet = {
