@@ -46,6 +46,7 @@ from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.inertial import AccelerometerReading
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.contracts import Load
+from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor
 from qrsim.scenarios import catalogue
 from qrsim.world.sensing import scene_of
@@ -405,7 +406,11 @@ def _ground(ground: Any, given: Any, draws: Draws) -> Any:
 
 def _vehicle(vehicle: Any, given: Any, draws: Draws) -> Any:
     scene = given["scene"]
-    start = vehicle.initial_state(scene["position_ned"], scene["attitude"], scene["velocity_body"], scene["rates_body"])
+    place = scene["position_ned"]
+    if isinstance(vehicle, Multirotor):
+        # The first one is at the origin: its feet would be deep in the ground, in forces beyond any law.
+        place = replace(place, z=place.z - 1.0)
+    start = vehicle.initial_state(place, scene["attitude"], scene["velocity_body"], scene["rates_body"])
     wind = given["mean_wind_ned"]
     noise = vehicle.draw_noise(draws("step"), DT)
     like = given["thrust"]

@@ -96,7 +96,7 @@ class CascadeController(Controller):
         if vehicle.handling() is None:
             raise UsageError(
                 f"a cascade commands tilt and throttle, and {type(vehicle).__name__} says of none how it answers "
-                "(handling)"
+                "(handling); give the fleet another controller, as waypoint for an identified quadrotor"
             )
         return replace(self, nominal=vehicle)
 

@@ -11,7 +11,7 @@ import pytest
 import qrsim
 from qrsim.errors import ScenarioError
 
-DT, FAILS_AT = 0.02, 4.0
+DT, FAILS_AT = 0.02, 10.0
 
 
 def scenario(vehicle: dict[str, Any], faults: list[dict[str, Any]], controller: str = "cascade") -> dict[str, Any]:
@@ -28,7 +28,7 @@ def flown(vehicle: dict[str, Any]) -> tuple[np.ndarray[Any, Any], float, str, fl
     simulation = qrsim.load(scenario(vehicle, [{"type": "rotor", "rotor": 0, "at": FAILS_AT}]), seed=1)
     simulation.reset()
     places = []
-    for k in range(round(16.0 / DT)):
+    for k in range(round(22.0 / DT)):
         simulation.step()
         if not simulation.valid[0]:
             return np.array(places), (k + 1) * DT - FAILS_AT, simulation.reasons[0], math.nan
@@ -41,7 +41,8 @@ def flown(vehicle: dict[str, Any]) -> tuple[np.ndarray[Any, Any], float, str, fl
 @pytest.mark.parametrize(("model", "seconds"), [("x500", 2.3), ("hexa4", 4.1)])
 def test_without_a_new_allocation_it_falls(model: str, seconds: float) -> None:
     _, after, why, _ = flown({"type": "multirotor", "model": model})
-    assert 1.5 < after < seconds
+    # To the digit that is stated.
+    assert 1.5 < after < seconds + 0.05
     assert why.startswith("crashed: impact_speed")
 
 
