@@ -75,7 +75,7 @@ def test_nothing_is_looked_for_by_name() -> None:
 @pytest.mark.parametrize("group", CONTRACTS)
 def test_every_component_has_its_contract(group: str) -> None:
     for name, cls in getattr(catalogue, group).items():
-        if name not in READ_BEFORE:
+        if name not in READ_BEFORE and ":" not in name:
             assert CONTRACTS[group] in inspect.getmro(cls), name
             assert not inspect.isabstract(cls), name
 
