@@ -233,8 +233,7 @@ class MissionGuidance(Guidance):
             way, speed, along = _quintic(leg, time, (way, speed, along))
         # Beyond its time a turn goes straight on, as the next leg does, and a landing goes down.
         beyond = jnp.maximum(time - turns, 0.0)
-        _, share, swing = _ramp(jnp.zeros_like(time), jnp.ones_like(time), leg.turn_s, beyond)
-        turned = _ramp(jnp.zeros_like(time), jnp.ones_like(time), leg.turn_s, beyond)[0]
+        turned, share, swing = _ramp(jnp.zeros_like(time), jnp.ones_like(time), leg.turn_s, beyond)
         side = turned + jnp.maximum(beyond - leg.turn_s, 0.0)
         bend = leg.onward - leg.direction
         position = leg.begin_ned + leg.direction * (way + leg.leave * beyond) + bend * (leg.leave * side)

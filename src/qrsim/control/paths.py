@@ -8,7 +8,7 @@ slope is at most 1.5 and whose curvature at most 6, so that acceleration and jer
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -210,20 +210,29 @@ def _slow_down(parts: list[_Part], following: list[int | None], limits: Limits) 
             low, high = sorted((part.enter, after.enter))
             if part.leg.kind == "line" and ramp_length(low, high, limits) > part.straight * (1.0 + 1e-9):
                 faster = part if part.enter > after.enter else after
-                faster.enter, changed = _highest(low, part.straight, limits, high), True
+                faster.enter, changed = _highest(low, high, _within(low, part.straight, limits)), True
         if not changed:
             break
     for part, after in zip(parts, nexts, strict=True):
         part.leave = after.enter
 
 
-def _highest(low: float, length: float, limits: Limits, high: float) -> float:
-    """Return the highest speed that a ramp from ``low`` reaches within a length."""
-    first, last = low, high
+def _within(low: float, length: float, limits: Limits) -> Callable[[float], bool]:
+    """Return whether a ramp from ``low`` [m/s] to a speed is at most so long [m]."""
+    return lambda speed: ramp_length(low, speed, limits) <= length
+
+
+def _highest(low: float, high: float, fits: Callable[[float], bool]) -> float:
+    """Return the highest speed between two that fits, where all below one do and none above it."""
     for _ in range(BISECTIONS):
-        middle = 0.5 * (first + last)
-        first, last = (middle, last) if ramp_length(low, middle, limits) <= length else (first, middle)
-    return first
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
+
+
+def _ramps(part: _Part, peak: float, limits: Limits) -> list[float]:
+    """Return the ways [m] of the ramps of a leg to a largest speed [m/s] and from it."""
+    return [ramp_length(part.enter, peak, limits), ramp_length(peak, part.leave, limits)]
 
 
 def _in_time(part: _Part, limits: Limits) -> None:
@@ -243,15 +252,10 @@ def _in_time(part: _Part, limits: Limits) -> None:
         return
     slowest = max(part.enter, part.leave)
     part.peak = part.most
-    ends = [ramp_length(part.enter, part.most, limits), ramp_length(part.most, part.leave, limits)]
+    ends = _ramps(part, part.most, limits)
     if sum(ends) > part.straight:
-        first, last = slowest, part.most
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (first + last)
-            way = ramp_length(part.enter, middle, limits) + ramp_length(middle, part.leave, limits)
-            first, last = (middle, last) if way <= part.straight else (first, middle)
-        part.peak = first
-        ends = [ramp_length(part.enter, first, limits), ramp_length(first, part.leave, limits)]
+        part.peak = _highest(slowest, part.most, lambda peak: sum(_ramps(part, peak, limits)) <= part.straight)
+        ends = _ramps(part, part.peak, limits)
     part.rise = ramp_time(part.peak - part.enter, limits)
     part.fall = ramp_time(part.peak - part.leave, limits)
     part.cruise = max(part.straight - sum(ends), 0.0) / part.peak if part.peak > 0.0 else 0.0
