@@ -21,7 +21,8 @@ from qrsim.control.setpoints import Estimate, VelocityHeightSetpoint, WaypointSe
 from qrsim.core.fastmath import sincos
 from qrsim.core.tree import record, replace
 from qrsim.core.vectors import AttitudeTrig, Vec3, rotation
-from qrsim.models.vehicles.quadrotor import Command, ProcessNoise, Quadrotor, QuadrotorState
+from qrsim.models.vehicles.process_noise import ProcessNoise
+from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
 
 DOC = "what the departures of controllers and wind from the reference implementation change in a flight"
 

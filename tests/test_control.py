@@ -23,7 +23,8 @@ from qrsim.control import (
 )
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Euler, Vec3, rotation
-from qrsim.models.vehicles.quadrotor import Command, ProcessNoise, Quadrotor, QuadrotorState
+from qrsim.models.vehicles.process_noise import ProcessNoise
+from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
 
 Array = np.ndarray[Any, Any]
 F32, DT = np.float32, 0.02

@@ -12,7 +12,8 @@ from evidence import departures
 from qrsim.control.controllers import VelocityHeightController, WaypointController
 from qrsim.control.setpoints import Estimate, VelocityHeightSetpoint, WaypointSetpoint
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.vehicles.quadrotor import Command, ProcessNoise, Quadrotor, QuadrotorState
+from qrsim.models.vehicles.process_noise import ProcessNoise
+from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
 
 EVIDENCE = Path(__file__).resolve().parent.parent / "docs" / "evidence" / "departures.json"
 # Nose up by 0.3 rad and climbing at 2 m/s: u = 2 sin 0.3 = 0.591040 m/s, though nothing moves over the ground.

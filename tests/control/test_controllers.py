@@ -30,7 +30,8 @@ from qrsim.control import (
 )
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3, rotation
-from qrsim.models.vehicles.quadrotor import ProcessNoise, Quadrotor
+from qrsim.models.vehicles.process_noise import ProcessNoise
+from qrsim.models.vehicles.quadrotor import Quadrotor
 
 Array = np.ndarray[Any, Any]
 DT = 0.02

@@ -21,7 +21,8 @@ from qrsim.core.tree import cast, record, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.engine.settings import _chosen
 from qrsim.models.vehicles.moving import move, only_adds
-from qrsim.models.vehicles.quadrotor import ProcessNoise, Quadrotor, QuadrotorState
+from qrsim.models.vehicles.process_noise import ProcessNoise
+from qrsim.models.vehicles.quadrotor import Quadrotor, QuadrotorState
 from qrsim.scenarios.making import make_scenario
 from qrsim.simulation.rollout import rollout
 from qrsim.simulation.simulation import Simulation

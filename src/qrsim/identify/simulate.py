@@ -13,7 +13,8 @@ from qrsim.core.integrate import heun
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.identify.constants import CHANNELS
-from qrsim.models.vehicles.quadrotor import Command, ProcessNoise, Quadrotor, QuadrotorState
+from qrsim.models.vehicles.process_noise import ProcessNoise
+from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
 
 _WIDTH = len(CHANNELS)
 PLACE = {name: i for i, name in enumerate(CHANNELS)}

@@ -13,7 +13,8 @@ from qrsim.core.pairs import parts_of
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.vehicles.moving import move
-from qrsim.models.vehicles.quadrotor import Command, ProcessNoise, Quadrotor, QuadrotorState
+from qrsim.models.vehicles.process_noise import ProcessNoise
+from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
 
 
 @partial(jax.jit, static_argnames="dt")

@@ -24,7 +24,7 @@ from jax import Array
 from qrsim.core.tree import quantity, record, replace, setting
 from qrsim.engine.settings import quick_jit
 from qrsim.errors import UsageError
-from qrsim.models.vehicles.quadrotor import PROCESS_NOISE_STEP_S
+from qrsim.models.vehicles.process_noise import PROCESS_NOISE_STEP_S
 from qrsim.slam.flight import SIZE, Flight, Floats, advance, dead_reckon
 from qrsim.slam.ranging import Ranging
 

@@ -13,7 +13,8 @@ import numpy as np
 from qrsim.core.integrate import heun
 from qrsim.core.tree import cast
 from qrsim.core.vectors import AttitudeTrig, Vec3, rotation
-from qrsim.models.vehicles.quadrotor import Command, ProcessNoise, Quadrotor, QuadrotorState
+from qrsim.models.vehicles.process_noise import ProcessNoise
+from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
 from qrsim.simulation.openloop import simulate_open_loop
 from qrsim.validate.recorded import BATTERY_V, DT, Match, Table, command_rows, mean_square, read_table, state_of
 

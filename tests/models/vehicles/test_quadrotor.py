@@ -17,12 +17,12 @@ from evidence import recordings as study
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
+from qrsim.models.vehicles.process_noise import ProcessNoise
 from qrsim.models.vehicles.quadrotor import (
     COMMAND_FIELDS,
     COMMAND_LIMITS,
     THROTTLE_RAW_PER_UNIT,
     Command,
-    ProcessNoise,
     Quadrotor,
     QuadrotorState,
     raw_to_command,

@@ -23,13 +23,12 @@ from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, euler_rates
 from qrsim.models.vehicles.commands import clipped, fields_of, limits_of
 from qrsim.models.vehicles.contracts import Around, Handling, Load, Pose, Vehicle, smaller
+from qrsim.models.vehicles.process_noise import NORMALS, ProcessNoise, white_accelerations
 from qrsim.models.vehicles.wake import Wake
 
 PITCH_ROLL_RAD_PER_RAW = -math.radians(0.025)
 THROTTLE_RAW_PER_UNIT = 4097.0
 YAW_RATE_RAD_S_PER_RAW = -math.radians(254.760 / 2047.0)
-# The process noise is quoted per step of this length; as a spectral density it holds for any step.
-PROCESS_NOISE_STEP_S = 0.02
 
 
 @record
@@ -60,14 +59,6 @@ class QuadrotorState:
     velocity_body: Vec3 = quantity(unit="m/s", doc="velocity over ground in body axes (u, v, w)")
     rates_body: Vec3 = quantity(unit="rad/s", doc="body rates (p, q, r)")
     thrust: Array = quantity(unit="N", doc="collective thrust, positive up")
-
-
-@record
-class ProcessNoise:
-    """White accelerations of one step; each of shape (n,)."""
-
-    linear: Vec3 = quantity(unit="m/s^2", doc="in body axes")
-    angular: Vec3 = quantity(unit="rad/s^2", doc="in body axes")
 
 
 @record
@@ -102,7 +93,7 @@ class Quadrotor(Vehicle):
     integrator: Literal["heun", "rk4"] = setting(default="heun", doc="fixed-step rule")
     command_type: ClassVar[type[Any]] = Command
     actions: ClassVar[tuple[type[Any], ...]] = (Command,)
-    normals: ClassVar[int] = 6
+    normals: ClassVar[int] = NORMALS
     default_controller: ClassVar[str] = "cascade"
 
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
@@ -195,9 +186,7 @@ class Quadrotor(Vehicle):
 
     def draw_noise(self, draw: Noise, dt: float) -> ProcessNoise:
         """Draw the process noise of one step: a white spectral density, sigma(T) = sigma sqrt(0.02/T)."""
-        scale = self.process_noise * math.sqrt(PROCESS_NOISE_STEP_S / dt)
-        drawn = [normal * scale for normal in draw.normals(6)]
-        return ProcessNoise(Vec3(*drawn[:3]), Vec3(*drawn[3:]))
+        return white_accelerations(draw, self.process_noise, dt)
 
     def step(
         self,

@@ -13,7 +13,7 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.engine.backend import Extent, Function, Specialised
 from qrsim.engine.layout import Packer, Shared, aligned_copy
 from qrsim.models.vehicles.contracts import Around
-from qrsim.models.vehicles.multirotor.flight import Noises
+from qrsim.models.vehicles.process_noise import ProcessNoise
 
 
 class Flown:
@@ -46,7 +46,7 @@ class Flown:
             lost = tuple(zip(failed, health, known, strict=True))
             around = Around(lambda p: (zero, Vec3(zero, zero, zero - 1.0)), still, lambda p: still, lost)
             after, force = model.step(
-                state[0], command, lambda trig: trig.rotation().to_body(air), Noises(still, still), dt, around
+                state[0], command, lambda trig: trig.rotation().to_body(air), ProcessNoise(still, still), dt, around
             )
             return after, force
 

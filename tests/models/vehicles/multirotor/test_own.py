@@ -15,9 +15,9 @@ from qrsim.core.vectors import AttitudeTrig, Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.vehicles.multirotor import AttitudeCommand, Multirotor
 from qrsim.models.vehicles.multirotor.derived import derived
-from qrsim.models.vehicles.multirotor.flight import Noises
 from qrsim.models.vehicles.multirotor.own import SIX, own_multirotor, rotors_of
 from qrsim.models.vehicles.multirotor.sets import SETS
+from qrsim.models.vehicles.process_noise import ProcessNoise
 
 QUAD = {
     "mass": 1.2, "arm": 0.225, "rotors": 4, "hover_throttle": 0.5, "thrust_to_weight": 2.2, "attitude_bandwidth": 8.0,
@@ -144,7 +144,7 @@ def test_it_stays_where_it_is_at_the_airspeed_of_its_lean(name: str) -> None:
         def air_velocity(trig: AttitudeTrig) -> Vec3:
             return trig.rotation().to_body(air)
 
-        force = model.specific_force(state, model.idle_command(zero), air_velocity, Noises(still, still), 0.02)
+        force = model.specific_force(state, model.idle_command(zero), air_velocity, ProcessNoise(still, still), 0.02)
         found = AttitudeTrig.of(level).rotation().to_ned(force)
     np.testing.assert_allclose(found.stack()[0], [0.0, 0.0, -9.81], atol=1e-6)
 
@@ -163,7 +163,7 @@ def test_it_leans_as_fast_as_was_asked_for(six: dict[str, Any]) -> None:
     @jax.jit
     def fly(state: Any) -> Any:
         def step(state: Any, _: Any) -> Any:
-            after, _ = vehicle.step(state, command, lambda trig: still, Noises(still, still), dt)
+            after, _ = vehicle.step(state, command, lambda trig: still, ProcessNoise(still, still), dt)
             return after, after.quaternion.euler().roll[0]
 
         return jax.lax.scan(step, state, None, length=300)[1]

@@ -23,17 +23,10 @@ from qrsim.models.vehicles.multirotor.parameters import Airframe
 from qrsim.models.vehicles.multirotor.rigid_body import Outcome, Surroundings, slope_of, substep
 from qrsim.models.vehicles.multirotor.stabiliser import rates_wanted, rotor_thrusts
 from qrsim.models.vehicles.multirotor.state import Motion, MultirotorState
+from qrsim.models.vehicles.process_noise import ProcessNoise
 
 # Contact is looked for from so far above the ground on, and from where it may be in two steps [m].
 CLEAR_M = 0.1
-
-
-@record
-class Noises:
-    """White accelerations of one step; each of shape (n,)."""
-
-    linear: Vec3 = quantity(unit="m/s^2", doc="in body axes")
-    angular: Vec3 = quantity(unit="rad/s^2", doc="in body axes")
 
 
 @record
@@ -54,7 +47,7 @@ def fly(
     state: MultirotorState,
     command: Any,
     air_velocity: Callable[[AttitudeTrig], Vec3],
-    noise: Noises,
+    noise: ProcessNoise,
     dt: float,
     around: Around | None,
 ) -> tuple[MultirotorState, Vec3]:
@@ -114,7 +107,7 @@ def at_an_instant(
     model: Airframe,
     state: MultirotorState,
     air_velocity: Callable[[AttitudeTrig], Vec3],
-    noise: Noises,
+    noise: ProcessNoise,
     around: Around | None,
 ) -> Vec3:
     """Return the specific force (n,) [m/s^2] in body axes at the present rotor speeds."""
@@ -134,7 +127,7 @@ def surroundings(
     model: Airframe,
     state: MultirotorState,
     air_velocity: Callable[[AttitudeTrig], Vec3],
-    noise: Noises,
+    noise: ProcessNoise,
     around: Around | None,
 ) -> Surroundings:
     """Return what acts on vehicles (n,) during a step: the air, and the plane below, are those where it begins."""

@@ -28,13 +28,11 @@ from qrsim.models.vehicles.multirotor.commands import (
     shown,
 )
 from qrsim.models.vehicles.multirotor.contact import LANDED_S
-from qrsim.models.vehicles.multirotor.flight import Noises, at_an_instant, fly
+from qrsim.models.vehicles.multirotor.flight import at_an_instant, fly
 from qrsim.models.vehicles.multirotor.parameters import Airframe
 from qrsim.models.vehicles.multirotor.state import Brush, MultirotorState
+from qrsim.models.vehicles.process_noise import NORMALS, ProcessNoise, white_accelerations
 from qrsim.models.vehicles.wake import Wake
-
-# The process noise is quoted per step of this length, as that of the identified quadrotor.
-PROCESS_NOISE_STEP_S = 0.02
 
 
 class _Actions:
@@ -51,7 +49,7 @@ class Multirotor(Airframe, Vehicle):
 
     command_type: ClassVar[type[Any]] = AttitudeCommand
     actions: ClassVar[tuple[type[Any], ...]] = _Actions()  # type: ignore[assignment]
-    normals: ClassVar[int] = 6
+    normals: ClassVar[int] = NORMALS
     reads: ClassVar[tuple[str, ...]] = ("ground", "air_rates", "downwash")
     gives_power: ClassVar[bool] = True
     # Those of the published model are where it was identified; this one is limited by what it is made of.
@@ -139,18 +137,16 @@ class Multirotor(Airframe, Vehicle):
         """Return position, attitude, velocity and rates (n,)."""
         return Pose(state.position_ned, state.quaternion.euler(), state.velocity_body, state.rates_body)
 
-    def draw_noise(self, draw: Noise, dt: float) -> Noises:
+    def draw_noise(self, draw: Noise, dt: float) -> ProcessNoise:
         """Draw the process noise of one step: a white spectral density, sigma(T) = sigma sqrt(0.02/T)."""
-        scale = self.process_noise * math.sqrt(PROCESS_NOISE_STEP_S / dt)
-        drawn = [normal * scale for normal in draw.normals(6)]
-        return Noises(Vec3(*drawn[:3]), Vec3(*drawn[3:]))
+        return white_accelerations(draw, self.process_noise, dt)
 
     def step(
         self,
         state: MultirotorState,
         command: Any,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Noises,
+        noise: ProcessNoise,
         dt: float,
         around: Around | None = None,
     ) -> tuple[MultirotorState, Vec3]:
@@ -162,7 +158,7 @@ class Multirotor(Airframe, Vehicle):
         state: MultirotorState,
         command: Any,
         air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: Noises,
+        noise: ProcessNoise,
         dt: float,
         around: Around | None = None,
     ) -> Vec3:
