@@ -63,6 +63,23 @@ def read_series(
     return table[:, 0], {name: table[:, i] for i, name in enumerate(names) if i}
 
 
+def check_covers(what: str, times: np.ndarray[Any, Any], duration: float) -> None:
+    """Refuse a series that does not reach from 0 s to the end of a run.
+
+    Args:
+        what: it is, for the message.
+        times: of its rows (K,) [s].
+        duration: length of the run [s].
+
+    Raises:
+        UsageError: it begins later, or ends before.
+    """
+    if times[0] > 0.0 or times[-1] < duration:
+        raise UsageError(
+            f"{what} goes from {times[0]:g} s to {times[-1]:g} s, which does not cover the run, 0 s to {duration:g} s"
+        )
+
+
 def _places(path: Path, header: list[str], names: Sequence[str]) -> dict[str, int]:
     """Return where the columns are."""
     for name in names:

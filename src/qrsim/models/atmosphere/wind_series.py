@@ -8,13 +8,13 @@ from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 
 from qrsim.core.fastmath import exp, log
+from qrsim.core.series import interval_at, split_seconds
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.errors import UsageError
-from qrsim.files.time_series import read_series
+from qrsim.files.time_series import check_covers, read_series
 from qrsim.models.atmosphere.contracts import Wind
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT, wind_to_ned
 
@@ -40,32 +40,14 @@ class WindSeries(Wind):
             seconds, fraction: () int32 and float, time since the start of the run [s].
         """
         rows, parts = jnp.asarray(self.seconds), jnp.asarray(self.fraction)
-        before = _last_before(rows, parts, seconds, fraction)
-
-        def since(index: Array, seconds: Array, fraction: Array) -> Array:
-            return (seconds - rows[index]).astype(parts.dtype) + (fraction - parts[index])
-
-        interval = since(before, rows[before + 1], parts[before + 1])
-        share = jnp.clip(since(before, seconds, fraction) / interval, 0.0, 1.0)
+        before, since, interval = interval_at(rows, parts, seconds, fraction)
+        share = jnp.clip(since / interval, 0.0, 1.0)
 
         def at(axis: Array) -> Array:
             axis = jnp.asarray(axis)
             return jnp.broadcast_to(axis[before] + share * (axis[before + 1] - axis[before]), height_agl.shape)
 
         return self.air_ned.map(at)
-
-
-def _last_before(rows: Array, parts: Array, seconds: Array, fraction: Array) -> Array:
-    """Return the last row, but for the very last, that is not after a time; bisection on both parts of it."""
-
-    def halve(_: Any, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = bounds
-        middle = (low + high) // 2
-        passed = (rows[middle] < seconds) | ((rows[middle] == seconds) & (parts[middle] <= fraction))
-        return jnp.where(passed, middle, low), jnp.where(passed, high, middle)
-
-    last = rows.shape[0] - 1
-    return lax.fori_loop(0, last.bit_length(), halve, (jnp.int32(0), jnp.int32(last)))[0]
 
 
 @record
@@ -91,14 +73,9 @@ class WindFile:
             UsageError: the file is missing, is no such table, has a gap, or does not cover the run.
         """
         times, air = read_wind(Path(self.file), self.max_gap)
-        if times[0] > 0.0 or times[-1] < duration:
-            raise UsageError(
-                f"{self.file}: the series goes from {times[0]:g} s to {times[-1]:g} s, "
-                f"which does not cover the run, 0 s to {duration:g} s"
-            )
-        whole = np.floor(times)
+        check_covers(f"{self.file}: the series", times, duration)
         columns: Any = (np.ascontiguousarray(air[:, axis]) for axis in range(3))
-        return WindSeries(whole.astype(np.int32), times - whole, Vec3(*columns))
+        return WindSeries(*split_seconds(times), Vec3(*columns))
 
 
 def read_wind(path: Path, max_gap: float) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:

@@ -9,12 +9,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 
+from qrsim.core.series import interval_at, split_seconds
 from qrsim.core.tree import quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.errors import UsageError
-from qrsim.files.time_series import read_series
+from qrsim.files.time_series import check_covers, read_series
 
 AXES = ("north", "east", "down")
 HEADING = "heading_deg"
@@ -41,11 +41,7 @@ class PathFile:
             UsageError: the file is missing, is no such table, has a gap, or does not cover the run.
         """
         times, columns = read_series(Path(str(self.file)), AXES, self.max_gap, (HEADING,))
-        if times[0] > 0.0 or times[-1] < duration:
-            raise UsageError(
-                f"{self.file}: the path goes from {times[0]:g} s to {times[-1]:g} s, which does not cover the run, 0 s "
-                f"to {duration:g} s"
-            )
+        check_covers(f"{self.file}: the path", times, duration)
         # Imported here, because few flights need it.
         from scipy.interpolate import CubicSpline
 
@@ -53,9 +49,8 @@ class PathFile:
         values = np.stack([*(columns[axis] for axis in AXES), turned])
         # A spline, so that accelerations are continuous; of two rows it is a straight line.
         slopes = CubicSpline(times, values, axis=1)(times, 1)
-        whole = np.floor(times)
         parts: Any = (Vec3(*values[:3]), Vec3(*slopes[:3]), values[3], slopes[3])
-        return RecordedPath(whole.astype(np.int32), times - whole, *parts)
+        return RecordedPath(*split_seconds(times), *parts)
 
 
 @record
@@ -100,21 +95,8 @@ class RecordedPath:
     def at(self, seconds: Array, fraction: Array) -> Place:
         """Return the place at a time [s], () int32 whole seconds and the rest; beyond the path its ends, at rest."""
         rows, parts = jnp.asarray(self.seconds), jnp.asarray(self.fraction)
-
-        def halve(_: Any, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-            low, high = bounds
-            middle = (low + high) // 2
-            passed = (rows[middle] < seconds) | ((rows[middle] == seconds) & (parts[middle] <= fraction))
-            return jnp.where(passed, middle, low), jnp.where(passed, high, middle)
-
-        last = rows.shape[0] - 1
-        before = lax.fori_loop(0, last.bit_length(), halve, (jnp.int32(0), jnp.int32(last)))[0]
-
-        def since(seconds: Array, fraction: Array) -> Array:
-            return (seconds - rows[before]).astype(parts.dtype) + (fraction - parts[before])
-
-        interval = since(rows[before + 1], parts[before + 1])
-        along = since(seconds, fraction) / interval
+        before, since, interval = interval_at(rows, parts, seconds, fraction)
+        along = since / interval
         s = jnp.clip(along, 0.0, 1.0)
         moves = jnp.where((along >= 0.0) & (along <= 1.0), 1.0, 0.0).astype(s.dtype)
 
