@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -220,6 +221,11 @@ class TestRefused:
         ("text", "words"),
         [
             (f"{HEADER}cellsize 10\n1 2 3\n4 5\n", "5 heights; its header says 2 rows of 3"),
+            (f"{HEADER}cellsize 10\n1 2 3\n4 5 6\n7\n", "more heights; its header says 2 rows of 3, which are 6"),
+            (
+                f"{HEADER}cellsize 10\n".replace("ncols 3", "ncols 30000").replace("nrows 2", "nrows 30000"),
+                "30000 rows of 30000, 9e+08 heights; allowed: 8e+06",
+            ),
             (f"{HEADER}1 2 3\n4 5 6\n", "its header has no 'cellsize'"),
             ("ncols 3\nnrows 2.5\n", "'nrows' of its header is 2.5; expected a whole number"),
             (f"{HEADER}cellsize 10\n1 2 x 4 5 6\n", "a height is no number"),
@@ -235,10 +241,18 @@ class TestRefused:
     def test_files(self, tmp_path: Path):
         file = slope(tmp_path)
         (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 no archive")
+        # Nine million heights in nine kilobytes, and a header that says more than there is.
+        along = np.arange(3000.0)
+        np.savez_compressed(tmp_path / "bomb.npz", height=np.zeros((3000, 3000), np.uint8), north=along, east=along)
+        with zipfile.ZipFile(tmp_path / "claims.npz", "w") as archive, archive.open("height.npy", "w") as stream:
+            said = {"descr": "<f8", "fortran_order": False, "shape": (2000, 2000)}
+            np.lib.format.write_array_header_1_0(stream, said)
         for name, words in (
             ("slopes.npz", "did you mean 'slope.npz'?"),
             ("hill.tif", "gdal_translate -of AAIGrid 'hill.tif' 'hill.asc' makes one of it"),
             ("bad.npz", "is no NumPy archive of numbers, or it is damaged"),
+            ("bomb.npz", "'height' has shape (3000, 3000), 9e+06 numbers; allowed: 8e+06"),
+            ("claims.npz", "is no NumPy archive of numbers, or it is damaged"),
         ):
             with pytest.raises(UsageError) as caught:
                 ElevationFile(str(Path(file).parent / name)).at(SITE, BOX)

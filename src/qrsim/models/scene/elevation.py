@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import math
 import os
-import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
+from qrsim.files.numpy_file import read_arrays
 from qrsim.files.user_files import LARGEST_TABLE, read_bytes
 from qrsim.models.site import Site
 
@@ -27,6 +26,9 @@ KEYS: dict[Frame, tuple[str, str]] = {"local": ("north", "east"), "geodetic": ("
 # No grid in metres has cells so small, and none in degrees so large.
 LARGEST_DEGREES = 0.1
 EARTH_RADIUS = 6_371_000.0
+# 2 800 rows of as many: finer, an area is described by an excerpt or by larger cells.
+MOST_HEIGHTS = 8_000_000
+LONGEST_HEADER = 4096
 
 
 @dataclass(frozen=True)
@@ -236,11 +238,7 @@ def _upwards(found: Elevations) -> Elevations:
 
 
 def _from_archive(file: str, data: bytes) -> Elevations:
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, KeyError):
-        raise UsageError(f"{file}: is no NumPy archive of numbers, or it is damaged") from None
+    content = read_arrays(file, data, MOST_HEIGHTS)
     frame: Frame = "geodetic" if "latitude_deg" in content else "local"
     wanted = (*KEYS[frame], "height")
     for name in wanted:
@@ -262,7 +260,8 @@ def _from_archive(file: str, data: bytes) -> Elevations:
 
 def _from_text(file: str, data: bytes, frame: str) -> Elevations:
     """Read an ESRI ASCII grid: its header, then rows from north to south."""
-    words = data.decode("latin-1").split()
+    # No header is longer; of the rest no more is taken apart than it says.
+    words = data[:LONGEST_HEADER].decode("latin-1").split()
     header: dict[str, float] = {}
     while 2 * len(header) + 1 < len(words) and words[2 * len(header)][:1].isalpha():
         name, text = words[2 * len(header)].lower(), words[2 * len(header) + 1]
@@ -280,11 +279,16 @@ def _from_text(file: str, data: bytes, frame: str) -> Elevations:
             raise UsageError(f"{file}: its header has no '{name}'{did_you_mean(name, list(header))}")
     width, height = int(needed["ncols"]), int(needed["nrows"])
     dx, dy = (float(header.get(name, needed["cellsize"])) for name in ("dx", "dy"))
-    values = words[2 * len(header) :]
-    if len(values) != width * height:
+    asked = width * height
+    if asked > MOST_HEIGHTS:
         raise UsageError(
-            f"{file}: {len(values)} heights; its header says {height} rows of {width}, which are {width * height}"
+            f"{file}: its header says {height} rows of {width}, {asked:.3g} heights; allowed: {MOST_HEIGHTS:.3g}"
         )
+    # Whatever is left over is one more.
+    values = data.decode("latin-1").split(None, 2 * len(header) + asked)[2 * len(header) :]
+    if len(values) != asked:
+        many = "more" if len(values) > asked else str(len(values))
+        raise UsageError(f"{file}: {many} heights; its header says {height} rows of {width}, which are {asked}")
     try:
         heights = np.array(values, np.float64).reshape(height, width)
     except ValueError as error:
