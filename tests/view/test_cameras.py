@@ -74,5 +74,5 @@ def test_colours_of_ratios():
     found = shapes.ratio_colours(np.array([-99.0, -10.0, 0.0, 10.0]), 10.0).astype(int)
     np.testing.assert_array_equal(found[0], found[1])
     assert found[0][2] > found[0][0] + 100, "against: blue"
-    assert found[3][0] > found[3][2] + 100, "for: red"
+    assert found[3][0] > found[3][2] + 100, "for: yellow"
     assert np.ptp(found[2]) == 0

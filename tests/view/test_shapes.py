@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from qrsim.models.vehicles.contracts import Outline
+from qrsim.runs.colours import WIND
 from qrsim.view import shapes
 from qrsim.view.ground import grid_cell
 
@@ -51,8 +52,8 @@ def test_a_quadrotor_has_span_one_and_looks_ahead():
 
 def test_colours_of_speeds_end_where_the_scale_does():
     found = shapes.speed_colours(np.array([0.0, 6.0, 12.0, 99.0]), 12.0)
-    np.testing.assert_array_equal(found[0], shapes.SPEED_COLOURS[0])
-    np.testing.assert_array_equal(found[2:], np.tile(shapes.SPEED_COLOURS[-1], (2, 1)))
+    np.testing.assert_array_equal(found[0], WIND[0])
+    np.testing.assert_array_equal(found[2:], np.tile(WIND[-1], (2, 1)))
     assert not np.array_equal(found[1], found[0])
 
 

@@ -88,7 +88,7 @@ def _distance(axes: Any, data: _Data, colours: Floats) -> None:
         for i, colour in enumerate(colours):
             axes.plot(data.time, data.apart[:, i], color=colour, lw=1.3)
     else:
-        spread(axes, data.time, data.apart, "tab:blue")
+        spread(axes, data.time, data.apart, colours_of(1)[0])
         title += "; median, range"
     axes.set(xlabel="time [s]", ylabel="distance [m]", title=title)
     time_limits(axes, data.time[0], data.time[-1])

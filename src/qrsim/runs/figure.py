@@ -32,6 +32,8 @@ from qrsim.runs.surroundings import Surroundings, surroundings_of
 
 # More vehicles than these have no line of their own anywhere.
 MOST_LINES = 60
+# What is drawn of very many vehicles: what is, and what was wanted.
+FIRST, SECOND = colours_of(2)
 # Signed errors of a position, as a person names them: (axis of NED, sign, name).
 ERRORS = ((0, 1.0, "north"), (1, 1.0, "east"), (2, -1.0, "up"))
 
@@ -182,8 +184,8 @@ def _nearest_prey(run: Run, data: _Data) -> list[float]:
 def _height(axes: Any, data: _Data) -> None:
     height, wanted = -data.position[..., 2] * data.flying("truth"), -data.setpoint[..., 2]
     if len(data.names) > MOST_LINES:
-        spread(axes, data.time["commands"], wanted, "tab:orange", "--")
-        spread(axes, data.time["truth"], height, "tab:blue")
+        spread(axes, data.time["commands"], wanted, SECOND, "--")
+        spread(axes, data.time["truth"], height, FIRST)
         _over_time(axes, data, "height [m]", "height: true (blue), set-point (orange); quartiles, range")
         return
     for i, colour in enumerate(data.colours):
@@ -221,7 +223,7 @@ def _wind(axes: Any, data: _Data) -> None:
     total = np.linalg.norm(data.mean + data.gust, axis=-1) * flying
     if not np.nansum(total):
         axes.text(0.5, 0.5, "still air", transform=axes.transAxes, ha="center", fontsize=12)
-    _lines(axes, data, data.time["wind"], mean, ":", "tab:orange")
+    _lines(axes, data, data.time["wind"], mean, ":", SECOND)
     _lines(axes, data, data.time["wind"], total)
     key = "with gusts (solid), mean (dotted)"
     if not data.few:
@@ -230,7 +232,7 @@ def _wind(axes: Any, data: _Data) -> None:
     from_zero(axes)
 
 
-def _lines(axes: Any, data: _Data, time: Floats, values: Floats, style: str = "-", colour: str = "tab:blue") -> None:
+def _lines(axes: Any, data: _Data, time: Floats, values: Floats, style: str = "-", colour: Any = FIRST) -> None:
     """Draw a quantity (E, n): per vehicle, or its spread over many vehicles."""
     if not data.few:
         spread(axes, time, values, colour, style)

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from qrsim.errors import RunError, UsageError, did_you_mean
 from qrsim.files.atomic import write_atomically
+from qrsim.runs.colours import VEHICLES
 from qrsim.runs.reader import Run
 
 Floats = np.ndarray[Any, Any]
@@ -58,8 +59,9 @@ def save_picture(draw: Callable[[], Figure], path: Path) -> None:
 
 def colours_of(count: int) -> Floats:
     """Return colours (count, 4), one per vehicle; neighbours differ clearly while vehicles are few."""
-    numbers = np.arange(count)
-    return mpl.colormaps["tab10"](numbers) if count <= MOST_NAMED else mpl.colormaps["turbo"](numbers / count)
+    if count > MOST_NAMED:
+        return mpl.colormaps["viridis"](np.arange(count) / count)
+    return np.column_stack([VEHICLES[:count] / 255.0, np.ones(count)])
 
 
 def title_of(run: Run, vehicles: Sequence[str], stopped: int, end: float, mark: str = " (X)") -> str:

@@ -11,6 +11,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.transforms import ScaledTranslation
 
+from qrsim.runs.colours import FOUND, MISSING, PLUME, share
 from qrsim.runs.picture import MOST_NAMED, MOST_TICKS, Floats, path_rows
 from qrsim.runs.surroundings import Surroundings
 
@@ -19,7 +20,7 @@ MOST_NUMBERED = 60
 MOST_POINTS, MOST_OF_ONE = 200_000, 4_000
 # Where the flight is a smaller part of its area, it is drawn in full and the area beside it.
 SMALLEST_PART = 0.5
-PLUME = "Purples"
+PLUMES = "PuRd"
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def _surroundings(axes: Any, around: Surroundings) -> None:
         values = np.log10(np.maximum(around.plume.values / around.plume.values.max(), 1e-30))
         shown = np.ma.masked_less(values, -3.0)
         east, north = around.plume.east, around.plume.north
-        axes.pcolormesh(east, north, shown, cmap=PLUME, vmin=-3.5, vmax=0.5, alpha=0.75, zorder=0, rasterized=True)
+        axes.pcolormesh(east, north, shown, cmap=PLUMES, vmin=-3.5, vmax=0.5, alpha=0.75, zorder=0, rasterized=True)
     for obstacle in around.obstacles:
         axes.add_artist(_footprint(obstacle))
     # As artists, not as patches: what is cut off, such as a large area, does not make the limits.
@@ -137,10 +138,10 @@ def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
     found = np.isfinite(around.found)
     small = {"marker": "s", "ms": 3, "mfc": "none", "mec": "dimgray", "mew": 0.8}
     every = [
-        ("source; its plume, mean", around.sources, {"marker": "*", "ms": 13, "c": "magenta", "mec": "k"}),
+        ("source; its plume, mean", around.sources, {"marker": "*", "ms": 13, "c": share(PLUME), "mec": "k"}),
         ("asked for by the task", around.locations, small),
-        ("person not found", around.persons[~found], {"marker": "v", "ms": 8, "mfc": "white", "mec": "k", "mew": 1.5}),
-        ("person found", around.persons[found], {"marker": "v", "ms": 8, "c": "k"}),
+        ("person not found", around.persons[~found], {"marker": "v", "ms": 8, "mfc": share(MISSING), "mec": "k", "mew": 1.5}),
+        ("person found", around.persons[found], {"marker": "v", "ms": 8, "c": share(FOUND)}),
     ]  # fmt: skip
     return [item for item in every if len(item[1])]
 

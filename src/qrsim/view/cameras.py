@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qrsim.models.sensors.camera import CameraReading
+from qrsim.runs.colours import GREY
 from qrsim.view import shapes
 from qrsim.view.contents import Contents
 from qrsim.view.frame import Beside
@@ -23,11 +24,11 @@ MOST_SHOWN = 4
 STRONG_RATIO = 10.0
 # Instances are added so many at a time: a browser makes its mesh anew where their number changes.
 INSTANCES = 512
-EDGE_COLOUR = (40, 40, 40)
+EDGE_COLOUR = GREY
 
 
 class Cameras(Contents):
-    """Footprints of the last pictures, coloured by each window's ratio: red for a person, blue against."""
+    """Footprints of the last pictures, coloured by each window's ratio: yellow for a person, blue against."""
 
     title = "camera pictures"
     every = 5

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.runs.colours import FOUND, MISSING, PLUME
 from qrsim.view import shapes
 from qrsim.view.frame import Beside, Frame
 from qrsim.view.layers import Layer, Stage, down_at
@@ -15,7 +16,7 @@ from qrsim.world.state import World
 Floats = np.ndarray[Any, Any]
 # Of the classes of the ground, from the second on: clutter and occlusion.
 COVER_COLOURS = np.array([(190, 170, 90), (70, 110, 50)], np.uint8)
-MISSING_COLOUR, FOUND_COLOUR, PLUME_COLOUR = (220, 60, 0), (0, 120, 20), (110, 0, 120)
+MISSING_COLOUR, FOUND_COLOUR, PLUME_COLOUR = MISSING, FOUND, PLUME
 # Of a plume: places where it is asked for, and those of them that are drawn; below this part of its peak none is.
 PLACES, DRAWN, FAINTEST = 20_000, 1500, 0.01
 
@@ -70,7 +71,7 @@ class Cover(Contents):
 
 
 class Persons(Contents):
-    """A pin at each person: orange until found, then green."""
+    """A pin at each person: yellow until found, then dark green."""
 
     title = "persons"
 

@@ -11,12 +11,13 @@ from qrsim.models.scene import contracts
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.ground import FlatGround
+from qrsim.runs.colours import GREY
 from qrsim.view import shapes
 from qrsim.view.layers import Layer, Stage, down_at
 from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
-AREA_COLOUR, OBSTACLE_COLOUR, NORTH_COLOUR = (90, 60, 160), (150, 130, 110), (190, 30, 30)
+AREA_COLOUR, OBSTACLE_COLOUR, NORTH_COLOUR = GREY, (150, 140, 130), GREY
 GROUND_COLOUR = (205, 214, 186)
 # Points along each side of a surface that is drawn: 40000 make a page of half a megabyte.
 MOST_ALONG = 200

@@ -13,12 +13,12 @@ from viser import SceneApi
 from qrsim.core.vectors import Vec3
 from qrsim.interface.readings import quaternion_of
 from qrsim.models.scene.contracts import Ground
+from qrsim.runs.colours import GREY, GUST, STOPPED
 from qrsim.view import shapes
 from qrsim.view.frame import Cast, Frame
 
 Floats = np.ndarray[Any, Any]
-STOPPED_COLOUR = (200, 20, 20)
-GHOST_COLOUR, GUST_COLOUR, POLE_COLOUR = (60, 70, 100), (200, 70, 0), (40, 40, 40)
+STOPPED_COLOUR, GUST_COLOUR, GHOST_COLOUR, POLE_COLOUR = STOPPED, GUST, GREY, GREY
 # More labels than this cannot be read.
 MOST_LABELS = 20
 # Of more vehicles than this, what shows where they are believed to be cannot be told apart from where they are.

@@ -122,9 +122,9 @@ class Page:
             for title, layer in self.scene.layers.items():
                 self._shown[title] = gui.add_checkbox(title, layer.root.visible)
                 self._shown[title].on_update(partial(self._show, title))
-            gui.add_markdown(f"Wind: blue is calm, red {STRONG_WIND:g} m/s and more; gusts are orange. Stopped: red.")
+            gui.add_markdown(f"Wind: the darker the stronger, to {STRONG_WIND:g} m/s; gusts are brown. Stopped: red.")
             if Cameras.title in self.scene.layers:
-                gui.add_markdown("Camera pictures: red speaks for a person, blue against.")
+                gui.add_markdown("Camera pictures: yellow speaks for a person, blue against.")
 
     def add_plots(self, quantities: list[str]) -> None:
         """Add plots of the chosen vehicle's measurements against the truth."""

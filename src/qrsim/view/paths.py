@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.runs.colours import GREY
 from qrsim.view.frame import Frame
 from qrsim.view.layers import MANY, Layer
 
@@ -13,7 +14,7 @@ Floats = np.ndarray[Any, Any]
 LENGTH_S = 60.0
 # Corners of the paths of all vehicles together; of each path the fewest and most pieces, and the most corners of one.
 SEGMENTS, FEWEST_PIECES, MOST_PIECES, MOST_CORNERS = 20_000, 8, 40, 15
-ESTIMATE_COLOUR = (30, 30, 30)
+ESTIMATE_COLOUR = GREY
 
 
 class Paths(Layer):

@@ -8,22 +8,12 @@ from typing import Any
 import numpy as np
 
 from qrsim.models.vehicles.contracts import Outline
+from qrsim.runs.colours import RATIO, VEHICLES, WIND, on_scale
 
 Floats = np.ndarray[Any, Any]
 Mesh = tuple[Floats, Floats]
 
-# Ten colours that are told apart; dark, because the page's tone mapping brightens them.
-PALETTE = np.array(
-    [
-        (0, 60, 150), (220, 80, 0), (0, 110, 10), (170, 0, 10), (90, 30, 140),
-        (90, 40, 20), (200, 20, 120), (60, 60, 60), (120, 120, 0), (0, 120, 140),
-    ],
-    np.uint8,
-)  # fmt: skip
-# From weak to strong.
-SPEED_COLOURS = np.array([(10, 20, 150), (0, 100, 140), (10, 110, 10), (190, 110, 0), (170, 0, 10)], np.float64)
-# From against to for.
-RATIO_COLOURS = np.array([(10, 50, 150), (90, 140, 200), (215, 215, 215), (230, 120, 80), (170, 0, 10)], np.float64)
+PALETTE = VEHICLES
 _CUBE_FACES = np.array(
     [
         (0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
@@ -150,15 +140,9 @@ def along(direction: Floats) -> Floats:
 
 def speed_colours(speed: Floats, strongest: float) -> Floats:
     """Return colours (n, 3) of speeds (n,), saturated from ``strongest`` on."""
-    return _colours(SPEED_COLOURS, speed / strongest)
+    return on_scale(WIND, speed / strongest)
 
 
 def ratio_colours(ratio: Floats, strongest: float) -> Floats:
     """Return colours (n, 3) of logarithmic ratios (n,), saturated beyond -/+ ``strongest``."""
-    return _colours(RATIO_COLOURS, 0.5 + 0.5 * ratio / strongest)
-
-
-def _colours(scale: Floats, share: Floats) -> Floats:
-    place = np.clip(share, 0.0, 1.0) * (len(scale) - 1)
-    steps = np.arange(len(scale))
-    return np.stack([np.interp(place, steps, scale[:, i]) for i in range(3)], axis=1).astype(np.uint8)
+    return on_scale(RATIO, 0.5 + 0.5 * ratio / strongest)

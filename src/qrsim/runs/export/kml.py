@@ -6,14 +6,12 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal
 
-import matplotlib as mpl
-
+from qrsim.runs.colours import VEHICLES
 from qrsim.runs.export.output import Written, replacing
 from qrsim.runs.export.place import Floats
 from qrsim.runs.export.tracks import Mark, Track, Tracks, said_in_xml
 
 # As in the figure of a run: a colour per vehicle, the true track thick and the reported one thin.
-PALETTE = "tab10"
 WIDTHS = {"true": 3, "gnss": 1}
 Heights = Literal["ground", "ellipsoid"]
 MODES: dict[Heights, str] = {"ground": "relativeToGround", "ellipsoid": "absolute"}
@@ -52,8 +50,7 @@ def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
 
 
 def _style(simplekml: Any, number: int, kind: str) -> Any:
-    colours = mpl.colormaps[PALETTE]
-    red, green, blue, _ = colours(number % colours.N, bytes=True)
+    red, green, blue = VEHICLES[number % len(VEHICLES)].tolist()
     style = simplekml.Style()
     style.iconstyle.scale = 0.6
     style.linestyle.color = f"ff{blue:02x}{green:02x}{red:02x}"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.runs import Run
+from qrsim.runs.colours import FOUND, GREY, MISSING, PLUME, Colour, share
 from qrsim.runs.export import foxglove
 from qrsim.runs.export.mcap_messages import Content, Message, topics_of
 from qrsim.runs.export.place import Floats, Place
@@ -16,7 +17,6 @@ from qrsim.runs.surroundings import Surroundings
 SCENE, WAYPOINTS = "/scene", "waypoints"
 # A loop of lines, and lines from point to point [Foxglove's numbers].
 STRIP, LOOP = 0, 1
-GREY, PURPLE, MISSING, FOUND = (0.4, 0.4, 0.4), (0.43, 0.0, 0.47), (0.85, 0.37, 0.0), (0.0, 0.45, 0.70)
 STILL = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
@@ -68,11 +68,11 @@ def _point(ned: Any) -> Content:
     return {"x": east, "y": north, "z": -down}
 
 
-def _colour(colour: tuple[float, float, float], opacity: float = 1.0) -> Content:
-    return {**dict(zip("rgb", colour, strict=True)), "a": opacity}
+def _colour(colour: Colour, opacity: float = 1.0) -> Content:
+    return {**dict(zip("rgb", share(colour), strict=True)), "a": opacity}
 
 
-def _line(points: Any, kind: int, colour: tuple[float, float, float]) -> Content:
+def _line(points: Any, kind: int, colour: Colour) -> Content:
     return {
         "type": kind,
         "pose": {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": STILL},
@@ -85,7 +85,7 @@ def _line(points: Any, kind: int, colour: tuple[float, float, float]) -> Content
     }
 
 
-def _solid(middle: Any, size: tuple[float, float, float], colour: tuple[float, float, float], **more: Any) -> Content:
+def _solid(middle: Any, size: tuple[float, float, float], colour: Colour, **more: Any) -> Content:
     """Return a body by its middle, NED [m], and its sizes along east, north and up [m]."""
     extent = dict(zip("xyz", size, strict=True))
     return {
@@ -96,7 +96,7 @@ def _solid(middle: Any, size: tuple[float, float, float], colour: tuple[float, f
     }
 
 
-def _sphere(middle: Any, size: float, colour: tuple[float, float, float]) -> Content:
+def _sphere(middle: Any, size: float, colour: Colour) -> Content:
     return _solid(middle, (size, size, size), colour)
 
 
@@ -126,7 +126,7 @@ def _obstacles(around: Surroundings) -> list[Content]:
 
 
 def _places(around: Surroundings) -> list[Content]:
-    found = [_entity(f"source {i}", spheres=[_sphere(place, 4.0, PURPLE)]) for i, place in enumerate(around.sources)]
+    found = [_entity(f"source {i}", spheres=[_sphere(place, 4.0, PLUME)]) for i, place in enumerate(around.sources)]
     if len(around.locations):
         found.append(_entity("asked for", cubes=[_sphere(place, 1.0, GREY) for place in around.locations]))
     return found
