@@ -72,7 +72,8 @@ def test_vehicles_and_what_has_stopped_are_told_apart() -> None:
     assert found["eight"]["smallest"] >= 12.0
     assert found["ten"]["smallest"] >= 12.0
     assert found["all"]["smallest"] >= 10.0
-    assert found["eight"]["smallest"] == min(found["eight"][vision] for vision in ("normal", "deuteranope", "protanope"))
+    least = min(found["eight"][vision] for vision in ("normal", "deuteranope", "protanope"))
+    assert found["eight"]["smallest"] == least
 
 
 def test_red_is_what_has_stopped_and_nothing_else() -> None:

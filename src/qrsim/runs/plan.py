@@ -137,11 +137,12 @@ def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
     """Return what there is at single places: label, points (P, 2 or 3) and look."""
     found = np.isfinite(around.found)
     small = {"marker": "s", "ms": 3, "mfc": "none", "mec": "dimgray", "mew": 0.8}
-    every = [
+    pin = {"marker": "v", "ms": 8}
+    every: list[tuple[str, Floats, dict[str, Any]]] = [
         ("source; its plume, mean", around.sources, {"marker": "*", "ms": 13, "c": share(PLUME), "mec": "k"}),
         ("asked for by the task", around.locations, small),
-        ("person not found", around.persons[~found], {"marker": "v", "ms": 8, "mfc": share(MISSING), "mec": "k", "mew": 1.5}),
-        ("person found", around.persons[found], {"marker": "v", "ms": 8, "c": share(FOUND)}),
+        ("person not found", around.persons[~found], {**pin, "mfc": share(MISSING), "mec": "k", "mew": 1.5}),
+        ("person found", around.persons[found], {**pin, "c": share(FOUND)}),
     ]  # fmt: skip
     return [item for item in every if len(item[1])]
 
