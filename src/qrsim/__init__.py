@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from qrsim.scenarios.scenario import Scenario, load_scenario
     from qrsim.simulation.rollout import Rollout
     from qrsim.simulation.simulation import Simulation
+    from qrsim.view.notebook import show
     from qrsim.world.state import State, World
 
 __version__ = metadata.version("qrsim")
@@ -72,6 +73,7 @@ _LAZY = {
     "register": "qrsim.scenarios.registry",
     "rollout": "qrsim.scenarios.flying",
     "setting": "qrsim.core.tree",
+    "show": "qrsim.view.notebook",
 }
 
 # Rooms that are used as a library, imported on first use too.
@@ -109,6 +111,7 @@ __all__ = [
     "register",
     "rollout",
     "setting",
+    "show",
 ]
 
 

@@ -105,6 +105,11 @@ class TestRefused:
             (["--screenshot", "a.jpg"], "has to end in .png"),
             (["--screenshot", "nowhere/a.png"], "there is no folder nowhere"),
             (["--port", "70000"], "--port 70000: expected 0 to 65535"),
+            (["--size", "100x100"], "--size: only for a picture; add --screenshot FILE.png"),
+            (["--camera", "above", "--layers", "all"], "--camera, --layers: only for a picture"),
+            (["--screenshot", "a.png", "--size", "10x10"], "--size 10x10: expected WIDTHxHEIGHT"),
+            (["--screenshot", "a.png", "--camera", "abve"], "no such view; did you mean 'above'?"),
+            (["--screenshot", "a.png", "--layers", "gust"], "no layer 'gust'; did you mean 'gusts'?"),
         ],
     )
     def test_wrong_options(self, words: list[str], said: str, flown: Flight, refused):

@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 from tests.apps.conftest import DURATION, Flight
 
+import qrsim
 from qrsim import cli
 from qrsim.runs import open_run
 from qrsim.view.browser import INSTALL, Browser, find_browser
@@ -217,19 +218,96 @@ def test_nothing_is_asked_of_other_machines(watched: Watched):
     assert {host for scheme, host in hosts if scheme not in ("data", "blob")} == {"127.0.0.1"}
 
 
-def test_an_export_opens_without_a_server(flown: Flight, tmp_path: Path, browser: Browser, capsys):
+@pytest.fixture
+def page(flown: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    """An exported page."""
     folder = tmp_path / "page"
-    assert cli.main(["view", str(flown.folder), "--export", str(folder)]) == 0
-    printed = capsys.readouterr().out
-    assert printed.split() == [str(folder / "index.html")]
+    with pytest.MonkeyPatch.context() as patch:
+        # In three parts, of which a browser unpacks one at a time.
+        patch.setattr("qrsim.view.film.FRAMES_OF_A_PART", 80)
+        assert cli.main(["view", str(flown.folder), "--export", str(folder)]) == 0
+    assert capsys.readouterr().out.split() == [str(folder / "index.html")]
+    return folder / "index.html"
+
+
+def opened(browser: Browser, path: Path) -> None:
+    """Open an exported page, and wait until it plays."""
+    browser.open(path.as_uri())
+    eventually(lambda: bool(browser.evaluate("!!window.qrsimFilm?.ready")))
+    browser.evaluate("document.querySelectorAll('.mantine-Notification-closeButton').forEach(b => b.click())")
+
+
+def press_key(browser: Browser, key: str) -> None:
+    browser.evaluate(f"window.dispatchEvent(new KeyboardEvent('keydown', {{key: '{key}', bubbles: true}}))")
+
+
+def drawn_bodies(browser: Browser) -> np.ndarray:
+    """Return the positions that the bodies of a page have."""
+    node = "window.__viserSceneTree.getState()['/world/vehicles/bodies'].message.props.batched_positions"
+    return np.array(browser.evaluate(f"Array.from({node})")).reshape(5, 3)
+
+
+def test_an_export_plays_without_a_server(page: Path, flown: Flight, browser: Browser):
+    """Keys, marks and scrubbing, forwards and backwards, through all of its parts."""
+    truth = open_run(flown.folder)["truth"]
+    true = np.stack([truth[f"position_ned.{axis}"] for axis in "xyz"], axis=-1)
     asked = len(browser.requested)
-    browser.open((folder / "index.html").as_uri())
-    before = pixels(browser.picture())
-    assert changes(browser, before)
-    eventually(lambda: len(np.unique(pixels(browser.picture())[VIEW].reshape(-1, 3), axis=0)) > 50)
+    opened(browser, page)
+    assert browser.evaluate("document.title") == "qrsim - outdoor_patrol"
+    for key, time_s in (("5", 5.0), ("9", 9.0), ("2", 2.0), ("ArrowRight", 7.0), ("ArrowLeft", 2.0), ("1", 1.0)):
+        press_key(browser, key)
+        eventually(lambda: f"t = {time_s:.2f} s (paused)" in str(browser.evaluate("document.body.innerText")))  # noqa: B023
+        eventually(lambda: np.allclose(drawn_bodies(browser), true[round(time_s / 0.02)], atol=1e-4))  # noqa: B023
+    press_key(browser, "ArrowUp")
+    press_key(browser, " ")
+    eventually(lambda: browser.evaluate("qrsimFilm.state.time") > 3.0)
+    assert "2 x" in browser.evaluate("document.getElementById('qrsim-timeline').innerText")
+    # It stops at its end, and begins again.
+    eventually(lambda: browser.evaluate("!qrsimFilm.state.playing && qrsimFilm.state.time") == DURATION)
+    press_key(browser, " ")
+    eventually(lambda: 0.0 < browser.evaluate("qrsimFilm.state.time") < 5.0)
+    press_key(browser, " ")
     schemes = {urlsplit(url).scheme for url in browser.requested[asked:]}
     assert "file" in schemes
     assert schemes <= {"file", "data", "blob"}
+
+
+def test_an_export_has_heading_layers_and_plots(page: Path, browser: Browser):
+    opened(browser, page)
+    text = str(browser.evaluate("document.getElementById('qrsim-panel').innerText"))
+    assert "outdoor_patrol, seed 3, 5 vehicles" in text
+    assert "5 of 5 vehicles fly" in text
+    press_key(browser, "8")
+    browser.evaluate("{const box = document.getElementById('qrsim-vehicle'); box.value = 3; box.onchange()}")
+    browser.evaluate("document.querySelector('#qrsim-panel details').open = true")
+    # Curves of both kinds in the panel, which are drawn by hand.
+    eventually(lambda: red_and_blue(browser))
+    press_key(browser, "8")
+    eventually(lambda: "t = 8.00 s" in str(browser.evaluate("document.body.innerText")))
+    shown = settled(browser)
+    row = "[...document.querySelectorAll('#qrsim-panel label')].find(row => row.textContent.trim() == '{}')"
+    for layer in ("vehicles", "ground and north"):
+        browser.evaluate(f"{row.format(layer)}.querySelector('input').click()")
+    assert changes(browser, shown)
+    # A jump shows no layer that was hidden.
+    press_key(browser, "2")
+    eventually(lambda: "t = 2.00 s" in str(browser.evaluate("document.body.innerText")))
+    assert browser.evaluate("window.__viserSceneTree.getState()['/world/vehicles'].visibility") is False
+
+
+def test_a_notebook_shows_the_page_in_a_frame(flown: Flight, tmp_path: Path, browser: Browser):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("qrsim.view.film.FASTEST_HZ", 2.0)
+        found = qrsim.show(flown.folder, height=500)
+    path = tmp_path / "cell.html"
+    path.write_text(f"<!doctype html><title>cell</title><body>{found._repr_html_()}</body>", encoding="utf-8")
+    browser.open(path.as_uri())
+    frame = "document.querySelector('iframe')"
+    eventually(lambda: bool(browser.evaluate(f"!!{frame}?.contentWindow.qrsimFilm?.ready")))
+    assert browser.evaluate(f"{frame}.getBoundingClientRect().height") == 502
+    browser.evaluate(f"{frame}.contentWindow.qrsimFilm.wish({{time: 4}})")
+    text = f"{frame}.contentDocument.getElementById('qrsim-panel').innerText"
+    eventually(lambda: "t = 4.00 s (paused)" in str(browser.evaluate(text)))
 
 
 def test_a_screenshot_shows_the_scene(flown: Flight, tmp_path: Path, capsys):
@@ -239,7 +317,7 @@ def test_a_screenshot_shows_the_scene(flown: Flight, tmp_path: Path, capsys):
     picture = pixels(path.read_bytes())
     assert picture.shape == (800, 1280, 3)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("qrsim.view.picture.photograph", lambda server, caption: b"")
+        patch.setattr("qrsim.view.picture.photograph", lambda server, caption, size: b"")
         (tmp_path / "taken.png").mkdir()
         assert cli.main(["view", str(flown.folder), "--screenshot", str(tmp_path / "taken.png")]) == 1
     assert f"--screenshot {tmp_path / 'taken.png'}: Is a directory" in capsys.readouterr().err
@@ -248,3 +326,21 @@ def test_a_screenshot_shows_the_scene(flown: Flight, tmp_path: Path, capsys):
     green = (picture[..., 1] > picture[..., 0] + 80) & (picture[..., 1] > picture[..., 2] + 80)
     assert blue.sum() > 200
     assert green.sum() > 200
+
+
+def test_a_screenshot_has_the_camera_the_size_and_the_layers_asked_for(flown: Flight, tmp_path: Path):
+    """The first vehicle from above, then without its layer."""
+    words = ["view", str(flown.folder), "--at", "5", "--size", "640x480", "--camera", "pelicans_0:above"]
+    found = []
+    for layers in ("vehicles", "--layers=-vehicles"):
+        path = tmp_path / f"{layers}.png"
+        chosen = [layers] if layers.startswith("-") else ["--layers", layers]
+        assert cli.main([*words, *chosen, "--screenshot", str(path)]) == 0
+        found.append(pixels(path.read_bytes()))
+    with_it, without = found
+    assert with_it.shape == without.shape == (480, 640, 3)
+    # In the middle, beneath the title: a vehicle on white in one, the ground without it in the other.
+    middle = (slice(120, 360), slice(200, 440))
+    plain = (with_it[middle] == 255).all(axis=2).mean()
+    assert 0.5 < plain < 0.985
+    assert (without[middle] == 255).all(axis=2).mean() < 0.2

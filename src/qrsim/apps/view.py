@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -31,6 +33,7 @@ class View:
     Example:
       qrsim view runs/first
       qrsim view runs/first --screenshot first.png --at 12.5
+      qrsim view runs/first --screenshot first.png --camera above --size 1920x1080 --layers "vehicles, true paths"
       qrsim view runs/first --export first_page
     """
 
@@ -40,6 +43,14 @@ class View:
     """Write a page into this folder that plays the run without qrsim, and end."""
     screenshot: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a picture (.png), and end."""
+    camera: Annotated[str | None, tyro.conf.arg(metavar="VIEW", help_behavior_hint="(default: see below)")] = None
+    """From where the picture is taken, by default as the page begins: south, north, east, west, above, the name
+    of a vehicle for a view of it from near, or both, as in NAME:above."""
+    size: Annotated[str | None, tyro.conf.arg(metavar="WxH", help_behavior_hint="(default: 1280x800)")] = None
+    """Width and height of the picture in pixels."""
+    layers: Annotated[str | None, tyro.conf.arg(metavar="NAMES", help_behavior_hint="(default: see below)")] = None
+    """Layers of the picture, separated by commas, or "all"; --layers=-gusts,-poles: all of the page but these;
+    by default those of the page."""
     at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: see below)")] = None
     """Time to begin at, or of the picture; by default the begin, and for a picture the end."""
     port: int = 8080
@@ -65,25 +76,36 @@ class View:
             print(f"so long a log is shown at every {recording.shown}th of its ticks", file=sys.stderr)
         if recording.run.info.state == "running":
             print(f"the run has not ended; shown up to {end:g} s, the last flush", file=sys.stderr)
-        if self.export is not None:
-            from qrsim.view.film import FASTEST_HZ, export, times_of
-
-            times = times_of(recording)
-            if len(times) > 1 and times[1] - times[0] > max(1.0 / FASTEST_HZ, recording.run.info.time_step) + 1e-6:
-                print(f"so long a run is exported at every {times[1] - times[0]:.2g} s", file=sys.stderr)
-            print(export(recording, self.export))
         if self.screenshot is not None:
             self._photograph(recording, self.screenshot, end if self.at is None else self.at)
+        if self.export is not None:
+            from qrsim.view.film import export, thinned
+
+            for line in thinned(recording):
+                print(line, file=sys.stderr)
+            with _progress(recording.heading) as progress:
+                page = export(recording, self.export, progress)
+            print(page)
         if self.export is None and self.screenshot is None:
             self._serve(recording)
 
     def _check(self) -> None:
         if self.at is not None and not (math.isfinite(self.at) and self.at >= 0.0):
             raise UsageError(f"--at {self.at:g}: expected a number of seconds from 0")
+        given = {"--camera": self.camera, "--size": self.size, "--layers": self.layers}
+        alone = [option for option, value in given.items() if value is not None]
+        if alone and self.screenshot is None:
+            raise UsageError(f"{', '.join(alone)}: only for a picture; add --screenshot FILE.png")
+        if self.size is not None:
+            from qrsim.view.shots import parsed_size
+
+            parsed_size(self.size)
         if self.screenshot is not None:
+            from qrsim.view.browser import require_browser
             from qrsim.view.picture import check_name
 
             check_name(self.screenshot)
+            require_browser()
 
     def _photograph(self, recording: Recording, path: Path, time: float) -> None:
         from qrsim.files.atomic import write_atomically
@@ -91,14 +113,23 @@ class View:
         from qrsim.view.replay import remember_paths
         from qrsim.view.scene import Scene
         from qrsim.view.server import start_server
+        from qrsim.view.shots import HEIGHT, WIDTH, Camera, parsed_layers, parsed_size
 
+        size = (WIDTH, HEIGHT) if self.size is None else parsed_size(self.size)
+        camera = None if self.camera is None else Camera.parsed(self.camera, recording.cast.names)
         server = start_server(0)
         try:
             scene = Scene(server, recording.cast, recording.world)
+            if self.layers is not None:
+                shown = {title: layer.root.visible for title, layer in scene.layers.items()}
+                for title, visible in parsed_layers(self.layers, shown).items():
+                    scene.show(title, visible)
             frame = recording.frame(time)
             remember_paths(scene, recording, frame.time)
             scene.draw(frame, everything=True)
-            picture = photograph(server, f"{recording.heading}, {frame.time:.2f} s")
+            if camera is not None:
+                camera.aim(scene)
+            picture = photograph(server, f"{recording.heading}, {frame.time:.2f} s", size)
         finally:
             server.stop()
         try:
@@ -130,3 +161,18 @@ class View:
                 replay.run(stop)
         finally:
             server.stop()
+
+
+@contextmanager
+def _progress(heading: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a bar while the context lasts, on a terminal only."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames"))
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(heading, total=1)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -192,7 +192,10 @@ class Stream:
     @cached_property
     def _grid(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
         """(T,) times and ticks, after a check that the rows are what the arrays' shape promises."""
-        return self._steps(self._parts.table([column.name for column in INDEX]))
+        # Piece by piece: of all rows only the ticks are kept.
+        steps = [self._steps(table) for table in self._parts.tables([column.name for column in INDEX])]
+        times, ticks = (np.concatenate(found) for found in zip(*steps, strict=True))
+        return times, ticks
 
     def _steps(self, table: pa.Table) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
         """Return (T,) times and ticks of some rows, after the same check."""

@@ -35,6 +35,18 @@ def find_browser() -> str | None:
     return next((path for path in map(shutil.which, NAMES) if path), None)
 
 
+def require_browser() -> str:
+    """Return the path of a browser.
+
+    Raises:
+        RunError: there is none; it says how to install one.
+    """
+    path = find_browser()
+    if path is None:
+        raise RunError(f"a picture of the page needs a browser: {', '.join(NAMES)} not found; {INSTALL}")
+    return path
+
+
 class Browser:
     """One page in its own headless browser; a context manager.
 
@@ -54,9 +66,7 @@ class Browser:
         self._gone = False
 
     def __enter__(self) -> Browser:
-        path = find_browser()
-        if path is None:
-            raise RunError(f"a picture of the page needs a browser: {', '.join(NAMES)} not found; {INSTALL}")
+        path = require_browser()
         self._profile = tempfile.TemporaryDirectory(prefix="qrsim-browser-", ignore_cleanup_errors=True)
         sandbox = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
         command = [

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from qrsim.runs import Run
+from qrsim.runs.reader import Batch
 
 Floats = np.ndarray[Any, Any]
 # Times of vehicles that are kept in memory; of longer logs only every so-many-th tick is shown.
@@ -24,28 +26,33 @@ class Columns:
 
     Attributes:
         time: (T,) [s].
+        stride: every so-many-th tick is kept.
     """
 
     def __init__(self, run: Run, stream: str, vectors: dict[str, tuple[str, ...] | None]):
         self._size = len(run.vehicles)
-        wanted = [column for columns in vectors.values() if columns for column in columns]
-        times, parts = [np.zeros(0)], {name: [np.zeros((0, self._size), np.float32)] for name in wanted}
-        if wanted:
-            self.stride = max(1, math.ceil(len(run[stream].time) * self._size / MOST_POSES))
-            seen = 0
-            for batch in run[stream].batches(wanted):
-                chosen = slice(-seen % self.stride, None, self.stride)
-                seen += len(batch.time)
-                times.append(batch.time[chosen])
-                for name in wanted:
-                    parts[name].append(batch.arrays[name][chosen].astype(np.float32))
-        self.time = np.concatenate(times)
-        arrays = {name: np.concatenate(found) for name, found in parts.items()}
+        known = {name: columns for name, columns in vectors.items() if columns}
+        self.time, self.stride = np.zeros(0), 1
+        if known:
+            whole = run[stream].time
+            self.stride = max(1, math.ceil(len(whole) * self._size / MOST_POSES))
+            self.time = whole[:: self.stride].copy()
+        # Filled piece by piece: of a long log there is room for one copy only.
         self._vectors = {
-            name: np.stack([arrays[column] for column in columns], axis=-1)
-            for name, columns in vectors.items()
-            if columns
+            name: np.empty((len(self.time), self._size, len(columns)), np.float32) for name, columns in known.items()
         }
+        if known:
+            self._read(run[stream].batches([column for columns in known.values() for column in columns]), known)
+
+    def _read(self, batches: Iterable[Batch], known: dict[str, tuple[str, ...]]) -> None:
+        seen = kept = 0
+        for batch in batches:
+            chosen = slice(-seen % self.stride, None, self.stride)
+            rows = slice(kept, kept + len(batch.time[chosen]))
+            seen, kept = seen + len(batch.time), rows.stop
+            for name, columns in known.items():
+                for part, column in enumerate(columns):
+                    self._vectors[name][rows, :, part] = batch.arrays[column][chosen]
 
     def at(self, name: str, time: Any) -> Floats:
         """Return the last values (..., n, k) up to times (...) [s]; NaN where there are none."""

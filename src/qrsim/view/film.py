@@ -1,44 +1,83 @@
-"""A recorded run as one web page that needs no server."""
+"""A recorded run as one web page that needs no server: written part by part, however long the run was."""
 
 from __future__ import annotations
 
-import itertools
+import io
+import json
 import shutil
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from importlib.resources import files
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from qrsim.errors import RunError, UsageError
+from qrsim.runs.export.output import replacing
+from qrsim.runs.layout import EVENTS
+from qrsim.view.readings import Readings, times_of_readings
 from qrsim.view.recording import Recording
 from qrsim.view.replay import remember_paths
-from qrsim.view.scene import Scene
+from qrsim.view.scene import SOUTH, Scene
 from qrsim.view.server import start_server
+from qrsim.view.tape import Packing, Tape
+from qrsim.view.timeline import marks
 
 PAGE = "index.html"
-# Of the film: at most so many pictures a second, positions of vehicles and pictures in all: viser keeps it in memory.
-FASTEST_HZ, MOST_POSES, MOST_FRAMES = 20.0, 1_500_000, 12_000
+# At most so many frames a second, positions of vehicles and frames in all: a browser keeps the whole page.
+FASTEST_HZ, MOST_POSES, MOST_FRAMES = 20.0, 1_500_000, 36_000
+# A browser unpacks so many at a time.
+FRAMES_OF_A_PART = 400
+# Progress is told at every so-many-th frame.
+TOLD_FRAMES = 50
+# From the camera to a vehicle that it follows, in spans of it.
+FOLLOWING = 12.0
+
+Floats = np.ndarray[Any, Any]
+Progress = Callable[[int, int], None]
 
 
-def export(recording: Recording, folder: Path) -> Path:
+def untold(done: int, total: int) -> None:
+    """Tell nobody about the progress."""
+
+
+def export(recording: Recording, folder: Path, progress: Progress = untold) -> Path:
     """Write a page that plays the run, and return its path.
+
+    Args:
+        recording: what is played.
+        folder: of the page; it may not hold anything yet.
+        progress: called with the number of frames that are done, and of all.
 
     Raises:
         UsageError: there is something in the folder already.
-        RunError: it cannot be written.
+        RunError: it cannot be written, or has no room on the disk; nothing of it is left then.
     """
     path = folder / PAGE
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise UsageError(f"--export {folder}: it exists and is not empty; choose another folder")
     try:
+        there = folder.exists()
+        if there and (not folder.is_dir() or any(folder.iterdir())):
+            raise UsageError(f"--export {folder}: it exists and is not empty; choose another folder")
         folder.mkdir(parents=True, exist_ok=True)
-        text = film(recording)
-        free = shutil.disk_usage(folder).free
-        if len(text) > free:
-            raise RunError(f"--export {folder}: the page has {len(text) / 1e6:.0f} MB, {free / 1e6:.0f} MB are free")
-        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise RunError(f"cannot write {path}: {error.strerror or error}") from None
+    try:
+        with replacing(path) as file:
+            write_film(recording, file, progress, lambda: shutil.disk_usage(folder).free)
+    except BaseException:
+        if not there:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
     return path
+
+
+def film(recording: Recording) -> str:
+    """Return the page as text."""
+    file = io.BytesIO()
+    write_film(recording, file)
+    return file.getvalue().decode("utf-8")
 
 
 def times_of(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -48,20 +87,141 @@ def times_of(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.float64
     return np.linspace(float(recording.time[0]), recording.end, max(1, count))
 
 
-def film(recording: Recording) -> str:
-    """Return the page as text."""
+def thinned(recording: Recording) -> list[str]:
+    """Return what a page leaves out of a long run, one line each."""
+    found, times = [], times_of(recording)
+    step = float(times[1] - times[0]) if len(times) > 1 else 0.0
+    if step > max(1.0 / FASTEST_HZ, recording.run.info.time_step) + 1e-6:
+        found.append(f"so long a run is exported at every {step:.2g} s")
+    period = float(np.diff(times_of_readings(recording.run, recording.end)[:2])[0])
+    if period > 1.0:
+        found.append(f"its readings are plotted at every {period:.2g} s")
+    return found
+
+
+def write_film(
+    recording: Recording, file: BinaryIO, progress: Progress = untold, free: Callable[[], int] | None = None
+) -> None:
+    """Write the page.
+
+    Args:
+        recording: what is played.
+        file: to write to.
+        progress: called with the number of frames that are done, and of all.
+        free: returns how much room there is for it [bytes].
+
+    Raises:
+        RunError: there is no room for it.
+    """
     server = start_server(0)
     try:
-        scene = Scene(server, recording.cast, recording.world)
-        times = times_of(recording)
-        first = recording.frame(times[0])
-        remember_paths(scene, recording, first.time)
-        scene.draw(first, everything=True)
-        serializer = server.get_scene_serializer()
-        for before, now in itertools.pairwise(times):
-            serializer.insert_sleep(float(now - before))
-            remember_paths(scene, recording, now)
-            scene.draw(recording.frame(now))
-        return serializer.as_html()
+        found = _Film(recording, Scene(server, recording.cast, recording.world))
+        page = found.first_page(server.get_scene_serializer)
+        end = page.rindex("</body>")
+        file.write(page[:end].encode("utf-8"))
+        tape = Tape(server)
+        for number, text in enumerate(found.parts(tape, progress)):
+            if number == 0 and free is not None:
+                _check_room(len(text) * len(found.first) + len(page), free())
+            _write_element(file, f"part-{number}", text)
+        _write_element(file, "nodes", tape.nodes())
+        for number, text in enumerate(_readings(recording)):
+            _write_element(file, f"readings-{number}", text)
+        _write_element(file, "about", json.dumps(found.about()).replace("<", "\\u003c"))
+        file.write(_script(recording).encode("utf-8"))
+        file.write(page[end:].encode("utf-8"))
     finally:
         server.stop()
+
+
+def _check_room(wanted: int, free: int) -> None:
+    if wanted > free:
+        raise RunError(f"no room for the page: it would have about {wanted / 1e6:.3g} MB, {free / 1e6:.3g} MB are free")
+
+
+def _write_element(file: BinaryIO, name: str, text: str) -> None:
+    file.write(f'<script type="text/plain" id="qrsim-{name}">{text}</script>\n'.encode())
+
+
+def _readings(recording: Recording) -> Iterator[str]:
+    """Yield what each vehicle measured, and the truth."""
+    for measured, true in Readings(recording.run, recording.end).of_vehicles():
+        packing = Packing()
+        yield packing.text({"measured": packing.array(measured), "true": packing.array(true)})
+
+
+def _script(recording: Recording) -> str:
+    player, timeline = (files("qrsim.view").joinpath(name).read_text("utf-8") for name in ("film.js", "timeline.js"))
+    data = json.dumps({"end": recording.end, "marks": _marks(recording)})
+    return f"<script>{player}\n{{const data = {data};\n{timeline}}}".replace("</", "<\\/") + "</script>\n"
+
+
+def _marks(recording: Recording) -> list[tuple[float, str]]:
+    return marks(recording.run.events if EVENTS in recording.run else [])
+
+
+class _Film:
+    """The frames of a page.
+
+    Attributes:
+        first: number of the first frame of each part.
+    """
+
+    def __init__(self, recording: Recording, scene: Scene):
+        self._recording, self._scene, self._times = recording, scene, times_of(recording)
+        self.first = list(range(0, len(self._times), FRAMES_OF_A_PART))
+        self._flying: list[tuple[float, int]] = []
+        # All layers are recorded; which are shown, the page's own switches say.
+        self._shown = {title: layer.root.visible for title, layer in scene.layers.items()}
+        for layer in scene.layers.values():
+            layer.root.visible = True
+
+    def _draw(self, time: float, everything: bool = False) -> Floats:
+        """Draw the frame of a time [s], and return the positions (n, 3) [m]."""
+        frame = self._recording.frame(time)
+        remember_paths(self._scene, self._recording, frame.time)
+        self._scene.draw(frame, everything)
+        flying = int(frame.valid.sum())
+        if not self._flying or self._flying[-1][1] != flying:
+            self._flying.append((frame.time, flying))
+        return np.nan_to_num(frame.position_ned)
+
+    def first_page(self, serializer: Callable[[], Any]) -> str:
+        """Return viser's page of the first frame."""
+        self._draw(self._times[0], everything=True)
+        text: str = serializer().as_html()
+        return text.replace("<title>Viser</title>", f"<title>qrsim - {self._recording.run.info.scenario}</title>", 1)
+
+    def parts(self, tape: Tape, progress: Progress) -> Iterator[str]:
+        """Yield the texts of the parts."""
+        for first in self.first:
+            positions = []
+            for number, time in enumerate(self._times[first : first + FRAMES_OF_A_PART].tolist(), first):
+                if number > first:
+                    tape.begin_frame(time)
+                positions.append(self._draw(time))
+                if number == first:
+                    tape.begin_part(time)
+                if number % TOLD_FRAMES == 0:
+                    progress(number, len(self._times))
+            yield tape.part(positions=np.stack(positions))
+        progress(len(self._times), len(self._times))
+
+    def about(self) -> dict[str, Any]:
+        """Return what the page says beside what it draws."""
+        recording, layers = self._recording, self._scene.layers
+        times = times_of_readings(recording.run, recording.end)
+        return {
+            "heading": recording.heading,
+            "end": recording.end,
+            "times": [round(time, 6) for time in self._times.tolist()],
+            "first": self.first,
+            "vehicles": recording.cast.names,
+            "layers": [{"title": t, "path": layer.path, "shown": self._shown[t]} for t, layer in layers.items()],
+            "flying": self._flying,
+            "stops": [(event.time, i, event.message.partition(", ")[2]) for event, i in recording.stops],
+            "from": [axis * FOLLOWING * self._scene.stage.span for axis in SOUTH],
+            "quantities": recording.quantities,
+            "period": float(times[1] - times[0]),
+            "notes": thinned(recording),
+        }

@@ -12,8 +12,8 @@ from viser import ViserServer
 from qrsim.errors import RunError, UsageError
 from qrsim.view.browser import Browser
 from qrsim.view.server import address
+from qrsim.view.shots import HEIGHT, WIDTH
 
-WIDTH, HEIGHT = 1280, 800
 # A page that has just been opened still makes its labels; pictures are taken until none has changed for so long [s].
 QUIET_S, PATIENCE_S = 2.0, 120.0
 # What is beside the scene: the panel, and that the browser has no graphics card.
@@ -31,15 +31,21 @@ def check_name(path: Path) -> None:
         raise UsageError(f"--screenshot {path}: there is no folder {path.parent}")
 
 
-def photograph(server: ViserServer, caption: str) -> bytes:
+def photograph(server: ViserServer, caption: str, size: tuple[int, int] = (WIDTH, HEIGHT)) -> bytes:
     """Take a picture of the scene, as PNG with a title line.
+
+    Args:
+        server: of the page.
+        caption: of the picture.
+        size: width and height [pixels].
 
     Raises:
         RunError: there is no browser, or it draws nothing.
     """
-    with Browser(WIDTH, HEIGHT) as browser:
+    width, height = size
+    with Browser(width, height) as browser:
         browser.call(
-            "Emulation.setDeviceMetricsOverride", width=WIDTH, height=HEIGHT, deviceScaleFactor=1, mobile=False
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
         )
         browser.open(f"{address(server)}/?fixedDpr=1")
         _wait_for_client(server)

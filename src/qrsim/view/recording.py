@@ -12,6 +12,7 @@ from qrsim.runs.layout import EVENTS, INDEX, Event
 from qrsim.runs.summary import NOT_A_STOP
 from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Cast, Frame, cast_of
+from qrsim.view.readings import quantities_of
 from qrsim.view.rebuilt import rebuilt
 from qrsim.view.truth import ANGLES, AXES, true_values
 from qrsim.world.state import World
@@ -32,6 +33,7 @@ class Recording:
         world: what there was; None where the scenario cannot be built any more.
         time: (T,) times of the true states that are kept [s].
         shown: every so-many-th tick is shown.
+        stops: events of vehicles that stopped, and the number of the vehicle.
     """
 
     def __init__(self, run: Run):
@@ -50,7 +52,7 @@ class Recording:
         self._wind = Columns(run, "wind", {"mean": mean, "gust": gust})
         self.time, self.shown = self._truth.time, self._truth.stride
         numbers = {name: i for i, name in enumerate(run.vehicles)}
-        self._stops = [(event, numbers[event.vehicle]) for event in _stops(run) if event.vehicle is not None]
+        self.stops = [(event, numbers[event.vehicle]) for event in _stops(run) if event.vehicle is not None]
         self.world, self.cast = self._surroundings()
         self._rebuilt = rebuilt(run, self.world)
         self._plotted: dict[str, Any] = {}
@@ -96,7 +98,7 @@ class Recording:
             self._wind.at("mean", now),
             self._wind.at("gust", now),
             ~(valid == 0.0),
-            {i: event.message.partition(", ")[2] for event, i in self._stops if event.time <= now + 1e-6},
+            {i: event.message.partition(", ")[2] for event, i in self.stops if event.time <= now + 1e-6},
             self._rebuilt.at(now) if self._rebuilt else None,
         )
 
@@ -119,7 +121,7 @@ class Recording:
     @property
     def quantities(self) -> list[str]:
         """Measured quantities, by name."""
-        return list(self.run["measurements"].columns()) if "measurements" in self.run else []
+        return quantities_of(self.run)
 
     def plotted(self, vehicle: int, quantity: str, time: float) -> tuple[Floats, Floats, Floats]:
         """Return (times, measured, true), each (K,), of the minute before a time [s]."""

@@ -84,6 +84,12 @@ class Scene:
         camera.look_at = tuple(at)
         camera.position = tuple(np.asarray(at) + distance * np.array(from_ned))
 
+    @property
+    def view(self) -> tuple[Floats, Floats]:
+        """The initial view: what is looked at (3,) and from where (3,) [m]."""
+        camera = self._server.initial_camera
+        return np.array(camera.look_at), np.array(camera.position)
+
     def draw(self, frame: Frame, everything: bool = False) -> None:
         """Show a frame.
 

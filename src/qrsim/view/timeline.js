@@ -27,13 +27,15 @@
   document.body.append(bar);
   const at = location.href.split(/[?#]/)[0].replace(/^http/, "ws").replace(/\/$/, "") + "/timeline";
   let socket = null, ended = false, playing = false, now = 0, last = 0;
+  // A page without a server plays by itself (film.js).
+  const film = window.qrsimFilm;
   const connect = () => {
-    if (ended) return;
+    if (ended || film) return;
     socket = new WebSocket(at);
     socket.onclose = () => setTimeout(connect, 1000);
   };
   connect();
-  const say = (wish) => socket?.readyState === 1 && socket.send(JSON.stringify(wish));
+  const say = (wish) => film ? film.wish(wish) : socket?.readyState === 1 && socket.send(JSON.stringify(wish));
   const clock = (t) => {
     const whole = Math.floor(t), two = (n) => String(n).padStart(2, "0");
     const rest = two(Math.floor(whole / 60) % 60) + ":" + two(whole % 60);

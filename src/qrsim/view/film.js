@@ -1,0 +1,278 @@
+// A recorded run in a page of its own: unpacks the parts of the film, shows any time of it, and has a small panel.
+(() => {
+  const element = (name) => document.getElementById("qrsim-" + name);
+  const about = JSON.parse(element("about").textContent);
+  const kinds = {"<f4": Float32Array, "<f8": Float64Array, "|u1": Uint8Array, "<u2": Uint16Array, "<u4": Uint32Array,
+    "|i1": Int8Array, "<i2": Int16Array, "<i4": Int32Array, "<f2": Uint16Array};
+
+  // ---- what is packed in the page ----
+  const unpacked = async (name) => {
+    const text = element(name).textContent;
+    const bytes = Uint8Array.fromBase64?.(text) ?? Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const buffer = await new Response(stream).arrayBuffer();
+    const size = Number(new DataView(buffer).getBigUint64(0, true));
+    const {content, lengths} = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, size)));
+    let at = 8 + size + (-size & 7);
+    const places = lengths.map((length) => { const place = [at, length]; at += length + (-length & 7); return place; });
+    const revived = (value) => {
+      if (value === null || typeof value !== "object") return value;
+      if ("__binary_index" in value) {
+        const [begin, length] = places[value.__binary_index], kind = kinds[value.dtype];
+        return new kind(buffer, begin, length / kind.BYTES_PER_ELEMENT);
+      }
+      for (const key of Object.keys(value)) value[key] = revived(value[key]);
+      return value;
+    };
+    return revived(content);
+  };
+  const kept = new Map();
+  const part = (number) => {
+    const found = kept.get(number) ?? unpacked("part-" + number);
+    kept.delete(number);
+    kept.set(number, found);
+    if (kept.size > 3) kept.delete(kept.keys().next().value);
+    return found;
+  };
+
+  // ---- the scene ----
+  const viewer = () => window.__viserMutable;
+  const roots = new Set(about.layers.map((layer) => layer.path));
+  const send = (messages) => {
+    for (const message of messages) viewer().messageQueue.push(message);
+    if (document.hidden) viewer().drainMessageQueue?.();
+    viewer().requestRender();
+  };
+  // What the panel decides itself.
+  const ours = (message) => (message.type === "SetSceneNodeVisibilityMessage" && roots.has(message.name)) ||
+    (message.type === "SetPositionMessage" && message.name === "/world");
+  // Of each node that is there: the number of what made it, and what of it has changed since.
+  const there = new Map();
+  let nodes = [];
+  const named = (message) => message.updates ? Object.keys(message.updates) : [message.type];
+  // Merges what is said of one node, so that a jump says everything once.
+  const batch = () => {
+    const found = [], last = new Map();
+    const add = (item) => {
+      if (typeof item === "number") {
+        const message = nodes[item];
+        there.set(message.name, {made: item, changed: new Set()});
+        for (const key of last.keys()) if (key.startsWith(message.name + "\n")) last.delete(key);
+        found.push(message);
+      } else if (item.type === "RemoveSceneNodeMessage") {
+        there.delete(item.name);
+        found.push(item);
+      } else if (!ours(item)) {
+        for (const name of named(item)) there.get(item.name)?.changed.add(name);
+        const key = item.name + "\n" + item.type, before = last.get(key);
+        if (before === undefined) {
+          last.set(key, found.length);
+          found.push(item);
+        } else found[before] = item.updates ? {...item, updates: {...found[before].updates, ...item.updates}} : item;
+      }
+    };
+    return {found, add};
+  };
+  const restore = (key, add) => {
+    const made = new Map(), said = new Map();
+    for (const item of key) {
+      if (typeof item === "number") made.set(nodes[item].name, item);
+      else for (const name of named(item)) said.set(item.name + "\n" + name, true);
+    }
+    for (const name of [...there.keys()]) if (!made.has(name)) add({type: "RemoveSceneNodeMessage", name, owner: ""});
+    for (const [name, number] of made) {
+      const now = there.get(name);
+      // A property that this time does not know of yet has to be what it was at first.
+      const stale = now && [...now.changed].some((property) => !said.has(name + "\n" + property));
+      if (now?.made !== number || stale) add(number);
+    }
+    for (const item of key) if (typeof item !== "number") add(item);
+  };
+
+  // ---- time ----
+  const state = {time: 0, playing: false, speed: 1, chosen: -1, follow: false, part: -1, frame: -1, position: null};
+  const speeds = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50];
+  const lastUpTo = (values, time) => {
+    let low = 0, high = values.length;
+    while (low < high) { const middle = (low + high) >> 1; if (values[middle] <= time + 1e-6) low = middle + 1; else high = middle; }
+    return Math.max(0, low - 1);
+  };
+  let busy = false, again = false;
+  const show = async () => {
+    if (busy) { again = true; return; }
+    busy = true;
+    do {
+      again = false;
+      const frame = lastUpTo(about.times, state.time), number = lastUpTo(about.first, frame), first = about.first[number];
+      const {frames, positions} = await part(number);
+      const {found, add} = batch();
+      if (state.part !== number || frame < state.frame) { restore(frames[0][1], add); state.frame = first; }
+      for (let i = state.frame + 1; i <= frame; i++) for (const item of frames[i - first][1]) add(item);
+      const count = about.vehicles.length;
+      state.position = positions.subarray((frame - first) * count * 3, (frame - first + 1) * count * 3);
+      Object.assign(state, {part: number, frame});
+      send([...found, ...middle()]);
+      if (frame - first > 0.8 * frames.length && number + 1 < about.first.length) part(number + 1);
+    } while (again);
+    busy = false;
+    say();
+  };
+  const middle = () => {
+    const i = state.chosen, away = state.follow && i >= 0 ? [0, 1, 2].map((axis) => -state.position[3 * i + axis]) : [0, 0, 0];
+    return [{type: "SetPositionMessage", name: "/world", position: away, owner: ""}];
+  };
+  const go = (time) => { state.time = Math.min(about.end, Math.max(0, time)); return show(); };
+  const play = (on) => {
+    if (on && state.time >= about.end) state.time = 0;
+    state.playing = on;
+    say();
+  };
+  window.qrsimFilm = {
+    state, show,
+    wish: (wish) => {
+      if ("time" in wish) go(wish.time);
+      if ("play" in wish) play(wish.play);
+      if ("faster" in wish) {
+        const at = speeds.indexOf(state.speed) + wish.faster;
+        state.speed = speeds[Math.min(speeds.length - 1, Math.max(0, at))];
+        say();
+      }
+    },
+  };
+  let before = performance.now();
+  const tick = (now) => {
+    const passed = Math.min(0.25, (now - before) / 1000);
+    before = now;
+    if (state.playing && !busy) {
+      const time = state.time + passed * state.speed;
+      if (time >= about.end) state.playing = false;
+      go(time);
+    }
+    requestAnimationFrame(tick);
+  };
+
+  // ---- the panel ----
+  const make = (kind, parent, text, style) => {
+    const found = document.createElement(kind);
+    found.textContent = text ?? "";
+    found.style.cssText = style ?? "";
+    parent.append(found);
+    return found;
+  };
+  const panel = make("div", document.body, "", "position:fixed;right:8px;top:8px;width:280px;max-width:calc(100vw - 16px);" +
+    "max-height:calc(100vh - 60px);overflow:auto;z-index:40;background:rgba(250,250,250,.94);color:#222;padding:8px 10px;" +
+    "box-sizing:border-box;border:1px solid #bbb;border-radius:4px;font:13px sans-serif");
+  panel.id = "qrsim-panel";
+  // The button of viser's own list of nodes is where the panel is.
+  make("style", document.head, '.mantine-Paper-root:has(> [aria-label$="scene tree"]) {display: none !important}');
+  const whole = make("details", panel);
+  whole.open = innerWidth > 600;
+  make("summary", whole, about.heading, "font-weight:bold;cursor:pointer;overflow-wrap:anywhere");
+  const status = make("div", whole, "", "margin:4px 0;white-space:pre-line");
+  for (const note of about.notes) make("div", whole, note, "color:#666");
+  const choice = (parent, label, names, chosen, change) => {
+    const row = make("label", parent, label + " ", "display:block;margin:4px 0"), box = make("select", row, "", "max-width:170px");
+    names.forEach((name, number) => { make("option", box, name).value = number; });
+    box.value = chosen;
+    box.onchange = () => { change(Number(box.value)); box.blur(); };
+    return box;
+  };
+  const tick_box = (parent, label, on, change) => {
+    const row = make("label", parent, "", "display:block;cursor:pointer"), box = make("input", row);
+    box.type = "checkbox";
+    box.checked = on;
+    row.append(" " + label);
+    box.onchange = () => { change(box.checked); box.blur(); };
+  };
+  const who = choice(whole, "Vehicle", ["(nobody)", ...about.vehicles], 0, (number) => choose(number - 1));
+  who.id = "qrsim-vehicle";
+  tick_box(whole, "Follow", false, (on) => {
+    state.follow = on;
+    const closer = on && state.chosen >= 0 ? [
+      {type: "SetCameraLookAtMessage", look_at: [0, 0, 0], initial: false},
+      {type: "SetCameraPositionMessage", position: about.from, initial: false},
+    ] : [];
+    if (!closer.length) viewer().resetCameraPose?.();
+    if (state.position) send([...middle(), ...closer]);
+  });
+  const plots = make("div", whole);
+  const layers = make("details", whole);
+  make("summary", layers, "Layers", "cursor:pointer");
+  for (const layer of about.layers) tick_box(layers, layer.title, layer.shown, (on) => visible(layer, on));
+  const visible = (layer, on) => send([{type: "SetSceneNodeVisibilityMessage", name: layer.path, visible: on, owner: ""}]);
+
+  // ---- plots of the chosen vehicle ----
+  let readings = null;
+  const reading = [0, 1].map((number) => {
+    const wanted = about.quantities.findIndex((name) => name.endsWith(["position_ned.x", "height"][number]));
+    return wanted < 0 ? Math.min(number, about.quantities.length - 1) : wanted;
+  });
+  const canvases = [];
+  const choose = async (vehicle) => {
+    state.chosen = vehicle;
+    readings = vehicle < 0 ? null : await unpacked("readings-" + vehicle);
+    plots.style.display = readings ? "" : "none";
+    if (state.position) send(middle());
+    draw();
+  };
+  if (about.quantities.length) {
+    reading.forEach((chosen, number) => {
+      choice(plots, "Reading", about.quantities, chosen, (now) => { reading[number] = now; draw(); });
+      canvases.push(make("canvas", plots, "", "width:100%;height:110px"));
+    });
+    make("div", plots, "red: measured, blue: true; the last minute", "color:#666;font-size:11px");
+    plots.style.display = "none";
+  }
+  const draw = () => {
+    if (!readings) return;
+    const count = readings.measured.length / about.quantities.length;
+    canvases.forEach((canvas, number) => {
+      const first = Math.max(0, Math.ceil((state.time - 60) / about.period)), last = Math.min(count - 1, Math.floor(state.time / about.period + 1e-6));
+      const curves = [readings.measured, readings.true].map((all) => all.subarray(reading[number] * count + first, reading[number] * count + last + 1));
+      const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
+      Object.assign(canvas, {width: width * ratio, height: height * ratio});
+      const pen = canvas.getContext("2d");
+      pen.scale(ratio, ratio);
+      const known = curves.flatMap((curve) => [...curve]).filter(Number.isFinite);
+      if (known.length < 2) { pen.fillText("nothing was measured", 8, 20); return; }
+      let low = Math.min(...known), high = Math.max(...known);
+      if (high - low < 1e-9) { low -= 0.5; high += 0.5; }
+      const left = 46, bottom = height - 16;
+      const x = (i) => left + (width - left - 4) * (i / Math.max(1, last - first)), y = (v) => 6 + (bottom - 6) * (high - v) / (high - low);
+      pen.fillStyle = "#555";
+      pen.font = "10px sans-serif";
+      for (const value of [low, 0.5 * (low + high), high]) pen.fillText(value.toPrecision(4), 2, y(value) + 3);
+      for (const i of [first, last]) pen.fillText((i * about.period).toFixed(1) + " s", i === first ? left : width - 44, height - 3);
+      curves.forEach((curve, k) => {
+        pen.strokeStyle = ["#d62728", "#1f77b4"][k];
+        pen.beginPath();
+        curve.forEach((value, i) => { if (Number.isFinite(value)) pen.lineTo(x(i), y(value)); });
+        pen.stroke();
+      });
+    });
+  };
+
+  const say = () => {
+    const time = about.times[Math.max(0, state.frame)], stopped = about.stops.filter((stop) => stop[0] <= time + 1e-6);
+    const flying = about.flying[lastUpTo(about.flying.map((pair) => pair[0]), time)][1];
+    const lines = [`t = ${time.toFixed(2)} s${state.playing ? "" : " (paused)"}`,
+      `${flying} of ${about.vehicles.length} vehicles fly${stopped.length ? `, ${stopped.length} stopped` : ""}`,
+      ...stopped.slice(0, 10).map((stop) => `${about.vehicles[stop[1]]}: ${stop[2]}`)];
+    if (stopped.length > 10) lines.push(`and ${stopped.length - 10} more`);
+    status.textContent = lines.join("\n");
+    window.qrsimTime?.(time, state.playing, state.speed);
+    draw();
+  };
+
+  // ---- the begin: once viser shows the first frame ----
+  const begin = async () => {
+    if (!(viewer() && window.__viserSceneTree?.getState()["/world"])) { setTimeout(begin, 50); return; }
+    nodes = await unpacked("nodes");
+    for (const layer of about.layers) if (!layer.shown) visible(layer, false);
+    // What viser has shown so far, the first part makes anew where it has changed.
+    await go(0);
+    window.qrsimFilm.ready = true;
+    requestAnimationFrame(tick);
+  };
+  begin();
+})();

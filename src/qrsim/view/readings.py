@@ -1,0 +1,68 @@
+"""What all vehicles measured against the truth, thinned evenly, for plots of a page without a server."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from qrsim.runs import Run
+from qrsim.runs.layout import INDEX
+from qrsim.view.truth import true_values
+
+Floats = np.ndarray[Any, Any]
+# Of all quantities of all vehicles together: at most so many values, and so many a second of each.
+MOST_VALUES, FASTEST_HZ = 8_000_000, 10.0
+
+
+class Readings:
+    """Measured quantities of a run, and the true ones.
+
+    Attributes:
+        quantities: their names.
+        time: (K,) [s].
+    """
+
+    def __init__(self, run: Run, end: float):
+        self.quantities, self.time = quantities_of(run), times_of_readings(run, end)
+        self._measured = _sampled(run, "measurements", self.quantities, self.time) if self.quantities else {}
+        self._truth = _sampled(run, "truth", _numbers(run, "truth"), self.time) if self.quantities else {}
+
+    def of_vehicles(self) -> Iterator[tuple[Floats, Floats]]:
+        """Yield measured and true values of each vehicle, each (Q, K)."""
+        count = next(iter(self._measured.values())).shape[1] if self._measured else 0
+        for i in range(count):
+            truth = {name: values[:, i] for name, values in self._truth.items()}
+            measured = np.stack([values[:, i] for values in self._measured.values()])
+            yield measured, np.stack([true_values(name, truth) for name in self.quantities])
+
+
+def quantities_of(run: Run) -> list[str]:
+    """Return the names of the measured quantities of a run that can be plotted."""
+    return _numbers(run, "measurements") if "measurements" in run else []
+
+
+def times_of_readings(run: Run, end: float) -> Floats:
+    """Return the times (K,) [s] of the readings of a run that ends at a time [s]: evenly spaced, at least two."""
+    series = max(1, len(quantities_of(run)) + len(_numbers(run, "truth"))) * len(run.vehicles)
+    return np.linspace(0.0, end, max(2, min(MOST_VALUES // series, int(end * FASTEST_HZ) + 1)))
+
+
+def _numbers(run: Run, stream: str) -> list[str]:
+    """Return the columns of a stream that are numbers of a continuous quantity."""
+    return [column.name for column in run.describe(stream)[len(INDEX) :] if column.dtype.startswith("float")]
+
+
+def _sampled(run: Run, stream: str, names: list[str], time: Floats) -> dict[str, Floats]:
+    """Return the last values (K, n) of columns up to each time (K,) [s], in one pass over the files."""
+    known = run[stream].time
+    rows = np.maximum(0, np.searchsorted(known, time + 1e-6, side="right") - 1)
+    found = {name: np.empty((len(time), len(run.vehicles)), np.float32) for name in names}
+    seen = 0
+    for batch in run[stream].batches(names):
+        first, last = np.searchsorted(rows, [seen, seen + len(batch.time)])
+        for name in names:
+            found[name][first:last] = batch.arrays[name][rows[first:last] - seen]
+        seen += len(batch.time)
+    return found

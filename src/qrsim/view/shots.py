@@ -1,0 +1,108 @@
+"""What a picture shows: from where, how large, and which layers; by words that a user can type."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.view.scene import SOUTH, Scene
+
+# Where the camera is, from what it looks at, NED; "above" has north up.
+DIRECTIONS = {
+    "south": SOUTH,
+    "north": (0.85, 0.3, -0.45),
+    "east": (0.3, 0.85, -0.45),
+    "west": (-0.3, -0.85, -0.45),
+    "above": (-0.02, 0.0, -1.0),
+}
+# From a vehicle that is looked at, in spans as it is drawn.
+CLOSE = 5.0
+SMALLEST, LARGEST = 100, 8192
+WIDTH, HEIGHT = 1280, 800
+
+
+@dataclass(frozen=True)
+class Camera:
+    """From where a picture is taken.
+
+    Attributes:
+        vehicle: that is in the middle; None: all are in the picture.
+        direction: one of DIRECTIONS; None: that of the page.
+    """
+
+    vehicle: str | None = None
+    direction: str | None = None
+
+    @staticmethod
+    def parsed(text: str, vehicles: Iterable[str]) -> Camera:
+        """Return the camera of VEHICLE, DIRECTION or VEHICLE:DIRECTION.
+
+        Raises:
+            UsageError: there is no such vehicle, or no such direction.
+        """
+        vehicles = tuple(vehicles)
+        name, colon, direction = text.rpartition(":")
+        if not colon:
+            if text in vehicles:
+                return Camera(text)
+            if text in DIRECTIONS:
+                return Camera(None, text)
+            raise UsageError(f"--camera {text}: no such view{did_you_mean(text, (*DIRECTIONS, *vehicles))}")
+        if name not in vehicles:
+            raise UsageError(f"--camera {text}: no vehicle '{name}'{did_you_mean(name, vehicles)}")
+        if direction not in DIRECTIONS:
+            raise UsageError(f"--camera {text}: no direction '{direction}'{did_you_mean(direction, DIRECTIONS)}")
+        return Camera(name, direction)
+
+    def aim(self, scene: Scene) -> None:
+        """Let pages of a scene, of which a frame was drawn, begin with this view."""
+        if self.vehicle is not None and scene.frame is not None:
+            number = scene.cast.names.index(self.vehicle)
+            scene.choose(number)
+            at = np.nan_to_num(scene.frame.position_ned[number])
+            scene.look(at, CLOSE * scene.stage.span, DIRECTIONS[self.direction or "south"])
+        elif self.direction is not None:
+            at, position = scene.view
+            direction = np.array(DIRECTIONS[self.direction])
+            distance = float(np.linalg.norm(position - at) / np.linalg.norm(direction))
+            scene.look(at, distance, DIRECTIONS[self.direction])
+
+
+def parsed_size(text: str) -> tuple[int, int]:
+    """Return width and height [pixels] of a text such as "1920x1080".
+
+    Raises:
+        UsageError: it is no size, or too small or too large.
+    """
+    found = re.fullmatch(r"(\d{1,9})[xX](\d{1,9})", text.strip())
+    size = tuple(int(side) for side in found.groups()) if found else (0, 0)
+    if not all(SMALLEST <= side <= LARGEST for side in size):
+        raise UsageError(f"--size {text}: expected WIDTHxHEIGHT of {SMALLEST} to {LARGEST} pixels, such as 1920x1080")
+    return size[0], size[1]
+
+
+def parsed_layers(text: str, shown: dict[str, bool]) -> dict[str, bool]:
+    """Return which layers are shown: those named, separated by commas; or all that are shown but those after "-".
+
+    Args:
+        text: such as "vehicles, true paths", "-poles, -gusts" or "all".
+        shown: title of each layer, and whether it is shown at first.
+
+    Raises:
+        UsageError: there is no such layer, or names with and without "-" are mixed.
+    """
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    less = [word.startswith("-") for word in words]
+    if not words or len(set(less)) > 1:
+        raise UsageError(f"--layers {text}: expected names of layers, separated by commas, or all of them after '-'")
+    if words == ["all"]:
+        return dict.fromkeys(shown, True)
+    names = [word.removeprefix("-").strip() for word in words]
+    for name in names:
+        if name not in shown:
+            raise UsageError(f"--layers {text}: no layer '{name}'{did_you_mean(name, (*shown, 'all'))}")
+    return {title: (on and title not in names) if less[0] else title in names for title, on in shown.items()}

@@ -1,0 +1,116 @@
+"""What a page's server sends, cut into parts that a browser can show in any order, without the server.
+
+A part begins with all that is on the page then (its key), and goes on with what changes. Nodes are numbered: the
+message that makes one is written once, and parts refer to it.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from typing import Any
+
+import msgspec
+from viser import ViserServer
+
+Item = int | dict[str, Any]
+ALIGNED = 8
+
+
+class Packing:
+    """JSON and the arrays beside it, as text for a page.
+
+    The text is the base64 of what deflate made of: 8 bytes with the length of the JSON, the JSON, and the arrays, all
+    aligned to 8 bytes.
+
+    Attributes:
+        arrays: those that are referred to, in order.
+    """
+
+    def __init__(self) -> None:
+        self.arrays: list[memoryview] = []
+
+    def message(self, message: Any) -> dict[str, Any]:
+        """Return a message of viser, with references to its arrays."""
+        found: dict[str, Any] = self._referring(message.as_serializable_dict(self.arrays))
+        return found
+
+    def array(self, values: Any) -> dict[str, Any]:
+        """Return a reference to an array of float32."""
+        view = memoryview(values.astype("<f4").tobytes())
+        self.arrays.append(view)
+        return {"__binary_index": len(self.arrays) - 1, "dtype": "<f4"}
+
+    def _referring(self, value: Any) -> Any:
+        """Replace bytes, for which JSON has no word."""
+        if isinstance(value, bytes | bytearray | memoryview):
+            self.arrays.append(memoryview(value).cast("B"))
+            return {"__binary_index": len(self.arrays) - 1, "dtype": "|u1"}
+        if isinstance(value, dict):
+            return {key: self._referring(item) for key, item in value.items()}
+        return [self._referring(item) for item in value] if isinstance(value, list | tuple) else value
+
+    def text(self, content: Any) -> str:
+        """Return the packed text of a content that refers to the arrays."""
+        head = msgspec.json.encode({"content": content, "lengths": [array.nbytes for array in self.arrays]})
+        squeeze = zlib.compressobj(6)
+        pieces = [squeeze.compress(len(head).to_bytes(ALIGNED, "little") + head + bytes(-len(head) % ALIGNED))]
+        for array in self.arrays:
+            pieces += [squeeze.compress(array), squeeze.compress(bytes(-array.nbytes % ALIGNED))]
+        return base64.b64encode(b"".join([*pieces, squeeze.flush()])).decode("ascii")
+
+
+class Tape:
+    """Records the scene of a server.
+
+    Attributes:
+        frames: of the part that is being recorded: times [s] with what changed, the first with the key.
+    """
+
+    def __init__(self, server: ViserServer):
+        # viser has no other way to learn what it sends.
+        self._messages: Any = server._websock_server
+        self._numbers: dict[int, int] = {}
+        self._made: list[Any] = []
+        self._nodes: list[dict[str, Any]] = []
+        self.frames: list[tuple[float, list[Item]]] = []
+        self._packing, self._packing_of_nodes = Packing(), Packing()
+        handles: Any = self._messages._record_handles
+        handles.append(self)
+
+    def _insert_message(self, message: Any) -> None:
+        """Take a message; the server calls it."""
+        if self.frames and message.entity_type == "scene":
+            self.frames[-1][1].append(self._item(message))
+
+    def _item(self, message: Any) -> Item:
+        if message.lifecycle_phase != "create":
+            return self._packing.message(message)
+        # It is kept, so that no other can have its identity; and written at once, for viser changes it later.
+        if id(message) not in self._numbers:
+            self._numbers[id(message)] = len(self._made)
+            self._made.append(message)
+            self._nodes.append(self._packing_of_nodes.message(message))
+        return self._numbers[id(message)]
+
+    def begin_part(self, time: float) -> None:
+        """Begin a part with all that is on the page, at a time [s]."""
+        buffer = self._messages._broadcast_buffer
+        with buffer.buffer_lock:
+            now = list(buffer.message_from_id.values())
+        self._packing = Packing()
+        shown = [message for message in now if message.entity_type == "scene" and message.lifecycle_phase != "remove"]
+        self.frames = [(time, [self._item(message) for message in shown])]
+
+    def begin_frame(self, time: float) -> None:
+        """Begin a frame at a time [s]."""
+        self.frames.append((time, []))
+
+    def part(self, **beside: Any) -> str:
+        """Return the text of the part, with arrays beside it."""
+        arrays = {name: self._packing.array(values) for name, values in beside.items()}
+        return self._packing.text({"frames": self.frames, **arrays})
+
+    def nodes(self) -> str:
+        """Return the text of what makes the nodes of all parts, by number."""
+        return self._packing_of_nodes.text(self._nodes)
