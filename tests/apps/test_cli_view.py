@@ -234,7 +234,7 @@ def test_an_export_that_does_not_fit_and_what_is_thinned_are_said(
     assert cli.main(["view", str(flown.folder), "--export", str(tmp_path / "page")]) == 1
     said = capsys.readouterr().err
     assert "so long a run is exported at every 1 s" in said
-    assert "MB, 0 MB are free" in said
+    assert "MB, 0.001 MB are free" in said
     assert not (tmp_path / "page" / "index.html").exists()
 
 
