@@ -17,6 +17,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "validate": ("jinja2",),
     "view": ("viser",),
     "envs": ("gymnasium", "pettingzoo"),
+    "wind": ("xarray", "netCDF4"),
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
 }
 

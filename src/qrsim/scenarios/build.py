@@ -20,7 +20,7 @@ from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.faults import faults, rotor_faults, vehicle_names
-from qrsim.scenarios.ground import bounds_of, put_on_ground
+from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission
 from qrsim.scenarios.ranges import ranges_of
@@ -109,9 +109,9 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
 
 
 def wind_of(scenario: ScenarioSpec) -> Any:
-    """Build the wind; a wind file is read for the length of the run."""
-    wind = component(scenario.world.wind, known.WINDS, scenario)
-    return wind.at(scenario.duration)
+    """Build the wind; a wind file is read for the length of the run, and for the area."""
+    wind = component(scenario.world.wind, known.WINDS, scenario).at(scenario.duration)
+    return wind.within(bounds_of(scenario.world.area), top_of(scenario.world.area))
 
 
 def ground_of(scenario: ScenarioSpec) -> Any:

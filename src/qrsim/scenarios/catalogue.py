@@ -24,6 +24,7 @@ from qrsim.models.atmosphere.dryden import Dryden
 from qrsim.models.atmosphere.gust import DiscreteGust, NoGust
 from qrsim.models.atmosphere.turbulence import DrydenFirstOrder, Still
 from qrsim.models.atmosphere.wind import Calm, LogShear
+from qrsim.models.atmosphere.wind_grid import WindGridFile
 from qrsim.models.atmosphere.wind_series import VeeringShear, WindFile
 from qrsim.models.gnss.errors import ConsumerErrors, GaussMarkov2, SurveyErrors
 from qrsim.models.gnss.orbits import NominalConstellation
@@ -53,7 +54,13 @@ from qrsim.tasks import KeepSpot, KeepVelocity, NoTask, PlumeMapping, Pursuit, R
 
 Catalogue = dict[str, type]
 
-WINDS: Catalogue = {"calm": Calm, "log_shear": LogShear, "veering_shear": VeeringShear, "series": WindFile}
+WINDS: Catalogue = {
+    "calm": Calm,
+    "log_shear": LogShear,
+    "veering_shear": VeeringShear,
+    "series": WindFile,
+    "grid": WindGridFile,
+}
 TURBULENCES: Catalogue = {"still": Still, "dryden_first_order": DrydenFirstOrder, "dryden": Dryden}
 GUSTS: Catalogue = {"none": NoGust, "discrete": DiscreteGust}
 ORBITS: Catalogue = {"nominal_constellation": NominalConstellation, "sp3": Sp3Ephemeris}

@@ -16,7 +16,7 @@ from typing import Any, get_type_hints
 from qrsim.control.contracts import Controller, Guidance
 from qrsim.core.tree import INFO, FieldInfo, field_info
 from qrsim.errors import nearest
-from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
+from qrsim.models.atmosphere.contracts import WIND_READS, Gust, Turbulence, Wind
 from qrsim.models.gnss.contracts import RangeErrors
 from qrsim.models.scene.contracts import Area, Ground, Placement
 from qrsim.models.sensors.contracts import SCENE, Sensor
@@ -59,7 +59,7 @@ _HANDED = {
     "dt": "sees_motion",
 }
 # What may be named in ``reads``.
-READABLE = {"sensor": SCENE, "vehicle": AROUND}
+READABLE = {"sensor": SCENE, "vehicle": AROUND, "wind": WIND_READS}
 
 
 def conformity_problem(kind: str, component: Any) -> str | None:

@@ -25,6 +25,11 @@ def bounds_of(area: Any) -> tuple[float, float, float, float] | None:
     return None
 
 
+def top_of(area: Any) -> float | None:
+    """Return the greatest height [m] over the origin that an area allows, None where none is known."""
+    return -area.z_min if area.type in ("box", "polygon") else None
+
+
 def has_floor(scenario: ScenarioSpec) -> bool:
     """Return whether a floor of the area at z = 0 ends flights by itself, because the ground is there."""
     ground = scenario.world.ground

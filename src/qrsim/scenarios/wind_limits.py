@@ -16,7 +16,7 @@ from qrsim.models.atmosphere.wind_series import read_wind
 from qrsim.models.vehicles.envelope import Envelope, envelope
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.build import component
+from qrsim.scenarios.build import component, wind_of
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
@@ -161,6 +161,11 @@ def mean_wind(scenario: ScenarioSpec, heights: Any) -> Any:
         except UsageError:
             return np.zeros(len(heights))
         return np.full(len(heights), np.linalg.norm(air[:, :2], axis=1).max())
+    if wind.type == "grid":
+        try:
+            return wind_of(scenario).largest_speed(heights)
+        except UsageError:
+            return np.zeros(len(heights))
     speed = vars(wind).get("speed_20ft", 0.0)
     feet = np.maximum(heights, 0.0) * FEET_PER_METRE
     if vars(wind).get("profile", "log") == "power":

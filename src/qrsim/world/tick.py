@@ -18,6 +18,7 @@ from qrsim.core.clock import split_time
 from qrsim.core.noise import Drawn, Key, Noise, StreamKeys
 from qrsim.core.tree import Record, concatenated, map_tree, replace, select
 from qrsim.core.vectors import Vec3, rotation
+from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.area import Violation, collisions, reason_code
 from qrsim.models.scene.contents import Surroundings
@@ -142,7 +143,7 @@ def _fly(
     direction = rotation(pose.attitude)
     height = world.height_agl(pose.position_ned)
     time = split_time(tick, dt, height.dtype)
-    mean_wind = world.wind.velocity_ned(height, *time)
+    mean_wind = mean_wind_at(world.wind, height, pose.position_ned, time)
     turbulence = world.turbulence.step(
         state.turbulence, noise[TURBULENCE], height, direction.to_ned(pose.velocity_body), mean_wind, dt
     )
@@ -305,7 +306,7 @@ def start_fleet(
     draws = draw_fleet(world, fleet, keys, tick)
     height = world.height_agl(pose.position_ned)
     time = split_time(tick, world.time_step, height.dtype)
-    mean_wind = world.wind.velocity_ned(height, *time)
+    mean_wind = mean_wind_at(world.wind, height, pose.position_ned, time)
     turbulence = world.turbulence.init(draws[TURBULENCE])
     at = (height, pose.position_ned, time)
     gust, rates = gust_at(world, field, turbulence, *at), gust_rates_at(world, field, turbulence, *at)

@@ -16,13 +16,22 @@ from jax import Array
 from qrsim.core.noise import Draw, Noise
 from qrsim.core.vectors import Vec3
 
-# What a turbulence may declare in ``reads``.
+# South, north, west and east [m].
+Bounds = tuple[float, float, float, float]
+# What a wind, and what a turbulence may declare in ``reads``.
+WIND_READS = ("position_ned",)
 TURBULENCE_READS = ("position_ned", "seconds", "fraction", "field")
 
 
 @runtime_checkable
 class Wind(Protocol):
-    """The mean wind."""
+    """The mean wind.
+
+    Attributes:
+        reads: ("position_ned",) where it differs from place to place: ``velocity_ned`` is handed positions (n,) [m].
+    """
+
+    reads: ClassVar[tuple[str, ...]] = ()
 
     def at(self, duration: float) -> Wind:
         """Return the wind for a run of a duration [s]: itself, or the content of its file.
@@ -32,8 +41,20 @@ class Wind(Protocol):
         """
         return self
 
+    def within(self, bounds: Bounds | None, top: float | None) -> Wind:
+        """Return the wind of an area: itself, or what is needed of it.
+
+        Args:
+            bounds: of the area, None where it has none.
+            top: greatest height [m] over the origin that the area allows, None where it allows any.
+
+        Raises:
+            UsageError: it is not known in all of the area.
+        """
+        return self
+
     @abstractmethod
-    def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array) -> Vec3:
+    def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array, *args: Any, **reads: Any) -> Vec3:
         """Return the air's velocity (n,) [m/s] at heights (n,) [m] above ground."""
 
 

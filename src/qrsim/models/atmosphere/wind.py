@@ -7,6 +7,7 @@ FROM, clockwise from north, as meteorologists give it.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -25,6 +26,12 @@ def wind_to_ned(along: Array, across: Array, down: Array, wind_from_rad: Array) 
     """Rotate a vector in wind axes to NED (MIL-F-8785C, 3.7.1)."""
     sine, cosine = sincos(jnp.asarray(wind_from_rad))
     return Vec3(sine * across - cosine * along, -sine * along - cosine * across, down)
+
+
+def mean_wind_at(wind: Wind, height_agl: Array, position_ned: Vec3, time: tuple[Array, Array]) -> Vec3:
+    """Return the mean wind (n,) [m/s] at heights (n,) [m] above ground and positions (n,) [m], at a time."""
+    inputs: dict[str, Any] = {"position_ned": position_ned} if "position_ned" in wind.reads else {}
+    return wind.velocity_ned(height_agl, *time, **inputs)
 
 
 @record

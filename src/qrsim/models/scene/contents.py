@@ -11,6 +11,7 @@ from qrsim.core.clock import split_time
 from qrsim.core.tree import quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere import contracts
+from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.scene.contracts import Area, Ground, GroundCover, People
 from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.persons import NoPersons
@@ -64,9 +65,10 @@ class Surroundings:
         return over_ground(self.ground, position_ned)
 
     def carrying_wind(self, dtype: Any) -> Wind:
-        """Return the mean wind that carries a plume, in a floating-point type."""
-        time = split_time(self.tick, self.time_step, dtype)
-        return Wind.of(self.wind.velocity_ned(jnp.full(1, WIND_HEIGHT, dtype), *time).map(lambda axis: axis[0]))
+        """Return the mean wind that carries a plume, that at the origin, in a floating-point type."""
+        time, height = split_time(self.tick, self.time_step, dtype), jnp.full(1, WIND_HEIGHT, dtype)
+        place = Vec3(jnp.zeros(1, dtype), jnp.zeros(1, dtype), -height)
+        return Wind.of(mean_wind_at(self.wind, height, place, time).map(lambda axis: axis[0]))
 
     def concentration(self, position_ned: Vec3) -> Array:
         """Return the concentration at positions (n,)."""

@@ -1,0 +1,193 @@
+"""Mean wind of a grid of places: the result of a flow solver or of a weather model (docs/models/air.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar, Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from qrsim.core.series import interval_at, split_seconds
+from qrsim.core.tree import quantity, record, replace, setting
+from qrsim.core.vectors import Vec3
+from qrsim.errors import UsageError
+from qrsim.files.time_series import check_covers
+from qrsim.models.atmosphere.contracts import Bounds, Wind
+from qrsim.models.atmosphere.wind_grid_file import Layout, read_grid
+
+# After it was cut to the area: 96 MB in single precision.
+MOST_POINTS = 8_000_000
+
+
+@record
+class WindGrid(Wind):
+    """The air's velocity at points of a grid, linear in between; beyond its edges that of the edge.
+
+    ``WindGridFile.at`` makes it.
+    """
+
+    air_ned: Vec3 = quantity(unit="m/s", doc="(T, Z, Y, X) velocity of the air in NED; X to the east, Y to the north")
+    corner: tuple[Array, Array] = quantity(unit="m", doc="north and east of the south-western points")
+    spacing: tuple[Array, Array] = quantity(unit="m", doc="distance of two rows to the north and of two to the east")
+    levels: Array = quantity(unit="m", doc="(Z,) increasing heights")
+    seconds: Array = quantity(unit="s", doc="(T,) int32, whole seconds since the start of the run")
+    fraction: Array = quantity(unit="s", doc="(T,) the rest, in [0, 1)")
+    heights: Literal["ground", "origin"] = setting(default="ground", doc="what the levels are counted from")
+    file: str = setting(default="", doc="where it is from")
+
+    reads: ClassVar[tuple[str, ...]] = ("position_ned",)
+
+    def velocity_ned(
+        self, height_agl: Array, seconds: Array, fraction: Array, *, position_ned: Vec3, **reads: Any
+    ) -> Vec3:
+        """Return the air's velocity (n,) [m/s], linear in place and time.
+
+        Args:
+            height_agl: (n,) [m] above ground.
+            seconds, fraction: () int32 and float, time since the start of the run [s].
+            position_ned: (n,) [m].
+        """
+        height = height_agl if self.heights == "ground" else -position_ned.z
+        rows, columns = (
+            _cell((value - corner) / step, count)
+            for value, corner, step, count in zip(
+                (position_ned.x, position_ned.y), self.corner, self.spacing, self.air_ned.x.shape[2:], strict=True
+            )
+        )
+        level, before = self._level(height), self._time(seconds, fraction)
+        return self.air_ned.map(lambda axis: _linear(jnp.asarray(axis), (before, level, rows, columns)))
+
+    def within(self, bounds: Bounds | None, top: float | None) -> WindGrid:
+        """Return the part of the grid that an area needs.
+
+        Raises:
+            UsageError: it does not cover the area, or is too large there.
+        """
+        levels = np.asarray(self.levels)
+        if top is not None and top > levels[-1] + 1e-6 * (levels[-1] - levels[0]):
+            raise UsageError(f"{self.file}: reaches up to {levels[-1]:.6g} m; world.area reaches up to {top:.6g} m")
+        limits = (None, None) if bounds is None else (bounds[:2], bounds[2:])
+        rows, columns = (self._needed(axis, each) for axis, each in enumerate(limits))
+        whole: Any = self.air_ned
+        air = whole.map(lambda axis: np.ascontiguousarray(np.asarray(axis)[:, :, rows, columns]))
+        if air.x.size > MOST_POINTS:
+            raise UsageError(f"{self.file}: {air.x.size} points in world.area; allowed: {MOST_POINTS}, so resample it")
+        begins: Any = tuple(
+            low + part.start * step for low, part, step in zip(self.corner, (rows, columns), self.spacing, strict=True)
+        )
+        return replace(self, air_ned=air, corner=begins)
+
+    def largest_speed(self, height: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        """Return the largest horizontal speed [m/s] anywhere and at any time at heights of any shape [m]."""
+        speed = np.hypot(np.asarray(self.air_ned.x), np.asarray(self.air_ned.y))
+        return np.interp(height, np.asarray(self.levels), speed.max(axis=(0, 2, 3)))
+
+    def _needed(self, axis: int, limits: tuple[float, float] | None) -> slice:
+        """Return the rows (axis 0) or columns (axis 1) from the last one before an area to the first one behind it."""
+        count = self.air_ned.x.shape[2 + axis]
+        if limits is None:
+            return slice(0, count)
+        low, step = float(self.corner[axis]), float(self.spacing[axis])
+        # An edge of the area may be a rounding error beyond that of the grid.
+        first, last = (limits[0] - low) / step + 1e-6, (limits[1] - low) / step - 1e-6
+        if first < 0.0 or last > count - 1:
+            name = ("north", "east")[axis]
+            raise UsageError(
+                f"{self.file}: covers {low:.6g} to {low + (count - 1) * step:.6g} m {name}; world.area asks for "
+                f"{limits[0]:.6g} to {limits[1]:.6g} m"
+            )
+        begin = min(math.floor(first), count - 2)
+        return slice(begin, max(math.ceil(last) + 1, begin + 2))
+
+    def _level(self, height: Array) -> tuple[Array, Array]:
+        """Return the level (n,) below heights (n,), and how far they are to the next, 0 to 1."""
+        levels = jnp.asarray(self.levels)
+        held = jnp.clip(jnp.where(jnp.isfinite(height), height, levels[0]), levels[0], levels[-1])
+        # Levels are few and not evenly spaced, so they are counted.
+        passed = (levels[1:-1][:, None] <= held[None, :]).astype(jnp.int32)
+        number = jnp.sum(passed, axis=0, dtype=jnp.int32)
+        low = levels[number]
+        return number, (held - low) / (levels[number + 1] - low)
+
+    def _time(self, seconds: Array, fraction: Array) -> tuple[Array, Array] | None:
+        """Return the row () before a time, and how far it is to the next, 0 to 1; None where the wind is steady."""
+        if self.air_ned.x.shape[0] == 1:
+            return None
+        row, since, interval = interval_at(jnp.asarray(self.seconds), jnp.asarray(self.fraction), seconds, fraction)
+        return row, jnp.clip(since / interval, 0.0, 1.0)
+
+
+def _cell(place: Array, count: int) -> tuple[Array, Array]:
+    """Return the cells (n,) of places (n,) along an axis of ``count`` points, and where they are there, 0 to 1."""
+    held = jnp.clip(jnp.where(jnp.isfinite(place), place, 0.0), 0.0, float(count - 1))
+    number = jnp.clip(jnp.floor(held), 0.0, float(count - 2))
+    return number.astype(jnp.int32), held - number
+
+
+def _linear(values: Array, cells: tuple[tuple[Array, Array] | None, ...]) -> Array:
+    """Interpolate values (T, Z, Y, X) within cells along each axis; an axis without one has a single point."""
+    corners: list[tuple[Any, ...]] = [()]
+    for cell in cells:
+        steps = (0,) if cell is None else (0, 1)
+        start = jnp.int32(0) if cell is None else cell[0]
+        corners = [(*corner, start + step) for corner in corners for step in steps]
+    shape = jnp.broadcast_shapes(*(cell[0].shape for cell in cells if cell is not None))
+    found = [values[tuple(jnp.broadcast_to(i, shape) for i in corner)] for corner in corners]
+    # The last axis varies fastest in the list, so it is the first to be joined.
+    for cell in reversed(cells):
+        if cell is not None:
+            found = [low + cell[1] * (high - low) for low, high in zip(found[::2], found[1::2], strict=True)]
+    return found[0]
+
+
+@record
+class WindGridFile:
+    """A wind read from a NetCDF file: u to the east, v to the north and w upwards over x, y, z and perhaps time.
+
+    x (east), y (north) and z (up) are in metres, evenly spaced in x and y; velocities in m/s. All of that stands in the
+    file's attributes, as the CF conventions have it; what is missing or something else is refused. The file must cover
+    the area and, where it has times, the duration.
+    """
+
+    file: str = setting(doc="NetCDF file, classic or 4")
+    u: str = setting(default="u", doc="name of the velocity to the east")
+    v: str = setting(default="v", doc="name of the velocity to the north")
+    w: str = setting(default="w", doc="name of the upward velocity")
+    heights: Literal["ground", "origin"] = setting(
+        default="ground", doc="what z is counted from: the ground below, or z = 0 of the local frame"
+    )
+    origin_north: float = setting(default=0.0, unit="m", doc="its y at the site's origin")
+    origin_east: float = setting(default=0.0, unit="m", doc="its x at the site's origin")
+    start: float = setting(default=0.0, unit="s", doc="time in the file, since its first, at which the run starts")
+    missing: Literal["refuse", "calm"] = setting(
+        default="refuse", doc="points without a velocity, as inside of buildings: refused, or of air that stands still"
+    )
+
+    def at(self, duration: float) -> WindGrid:
+        """Read the file and return the wind of a run, in float64.
+
+        Args:
+            duration: length of the run [s].
+
+        Raises:
+            UsageError: no such file, no such grid, or it does not cover the run.
+        """
+        grid = read_grid(self.file, Layout((self.u, self.v, self.w), self.missing == "calm"))
+        times = grid.times - self.start
+        if len(times) > 1:
+            check_covers(f"{self.file}: from start, {self.start:g} s, on it", times, duration)
+        u, v, w = grid.air
+        seconds, fraction = split_seconds(times)
+        measures: Any = {
+            "air_ned": Vec3(v, u, -w),  # type: ignore[arg-type]
+            "corner": (grid.y[0] - self.origin_north, grid.x[0] - self.origin_east),
+            "spacing": (_step(grid.y), _step(grid.x)),
+            "levels": grid.z,
+        }
+        return WindGrid(**measures, seconds=seconds, fraction=fraction, heights=self.heights, file=self.file)
+
+
+def _step(values: np.ndarray[Any, Any]) -> float:
+    return float(values[-1] - values[0]) / (len(values) - 1)

@@ -1,0 +1,234 @@
+"""Velocities of the air on a grid, read from a NetCDF file whose units and frame are checked."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from qrsim import extras
+from qrsim.errors import UsageError, did_you_mean, did_you_mean_file
+from qrsim.files.user_files import LARGEST_DATA, open_file
+
+Floats = np.ndarray[Any, Any]
+SPEED_UNITS = ("m s-1", "m/s", "m s^-1", "m s**-1", "m.s-1", "meter second-1", "metre second-1", "meters/second")
+LENGTH_UNITS = ("m", "meter", "meters", "metre", "metres")
+TIME_UNITS = ("s", "second", "seconds", "sec")
+# What the CF conventions call each of them; x and y of a grid that is not turned are east and north.
+STANDARD_NAMES = (
+    ("eastward_wind", "x_wind", "grid_eastward_wind"),
+    ("northward_wind", "y_wind", "grid_northward_wind"),
+    ("upward_air_velocity",),
+)
+DIRECTIONS = ("east", "north", "up")
+AXES = {
+    "x": ("x", "east", "easting", "projection_x_coordinate"),
+    "y": ("y", "north", "northing", "projection_y_coordinate"),
+    "z": ("z", "height", "altitude", "level", "up"),
+    "t": ("t", "time"),
+}
+# What is read before it is cut: 720 MB in double precision.
+MOST_READ = 30_000_000
+# No wind that is none of a tornado; fill values that are not declared are far beyond it.
+FASTEST = 150.0
+
+
+class Layout(NamedTuple):
+    """What a file is read as.
+
+    Attributes:
+        names: of the velocities to the east, to the north and upwards.
+        calm: what is missing stands still.
+    """
+
+    names: tuple[str, str, str]
+    calm: bool
+
+
+@dataclass(frozen=True)
+class GridFile:
+    """A file's grid.
+
+    Attributes:
+        x, y, z: increasing coordinates to the east, to the north and upwards [m].
+        times: (T,) [s] since the first.
+        air: (T, Z, Y, X) velocities to the east, to the north and upwards [m/s].
+    """
+
+    x: Floats
+    y: Floats
+    z: Floats
+    times: Floats
+    air: tuple[Floats, Floats, Floats]
+
+
+def read_grid(file: str, layout: Layout) -> GridFile:
+    """Read a file that has not changed since only once.
+
+    Raises:
+        UsageError: no such file, or no such grid: it names the variable, what it has and what it should have.
+    """
+    try:
+        with open_file(file, LARGEST_DATA):
+            status = os.stat(os.path.expanduser(file))
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be read: {error.strerror or error}{did_you_mean_file(Path(file))}") from None
+    return _read(file, layout, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=2)
+def _read(file: str, layout: Layout, changed: int, size: int) -> GridFile:
+    xarray = extras.load("wind", "a wind from a NetCDF file", "xarray")
+    extras.require("wind", "a wind from a NetCDF file", "netCDF4")
+    try:
+        content = xarray.open_dataset(os.path.expanduser(file), engine="netcdf4", decode_times=False)
+    except (OSError, ValueError, RuntimeError):
+        raise UsageError(f"{file}: is no NetCDF file; xarray's Dataset.to_netcdf writes one") from None
+    with content:
+        variables = [_variable(file, content, name, i) for i, name in enumerate(layout.names)]
+        shapes = {str(each.dims): each.name for each in variables}
+        if len(shapes) > 1:
+            raise UsageError(
+                f"{file}: its velocities are on different grids: "
+                + "; ".join(f"'{each.name}' over {', '.join(each.dims) or 'nothing'}" for each in variables)
+            )
+        axes = _axes(file, variables[0], content)
+        points = {name: _coordinate(file, content, axes[name], name) for name in "xyz"}
+        times = _times(file, content, axes["t"]) if "t" in axes else np.zeros(1)
+        if variables[0].size > MOST_READ:
+            raise UsageError(f"{file}: {variables[0].size} points; allowed: {MOST_READ}, so cut it to the area")
+        order = [axes[name] for name in "tzyx" if name in axes]
+        try:
+            arrays = [np.asarray(each.transpose(*order).values, np.float64) for each in variables]
+        except (OSError, ValueError, RuntimeError) as error:
+            raise UsageError(f"{file}: cannot be read: {str(error).splitlines()[0]:.200}") from None
+    arrays = [each if "t" in axes else each[None] for each in arrays]
+    for number, name in enumerate("zyx", 1):
+        if points[name][0] > points[name][-1]:
+            points[name] = points[name][::-1]
+            arrays = [np.flip(each, number) for each in arrays]
+        _check_increasing(file, axes[name], points[name], even=name != "z")
+    found = _filled(file, layout, arrays)
+    return GridFile(points["x"], points["y"], points["z"], times, (found[0], found[1], found[2]))
+
+
+def _variable(file: str, content: Any, name: str, which: int) -> Any:
+    """Return a velocity, its units and its direction checked."""
+    variables = [str(each) for each in content.data_vars]
+    if name not in content.data_vars:
+        raise UsageError(
+            f"{file}: has no '{name}', the velocity {_towards(which)}{did_you_mean(name, variables)}; "
+            f"say which it is by world.wind.{'uvw'[which]}"
+        )
+    variable = content[name]
+    if variable.dtype.kind not in "fiu":
+        raise UsageError(f"{file}: '{name}' is of type {variable.dtype}; expected numbers")
+    _check_units(file, name, variable.attrs, SPEED_UNITS, "m s-1")
+    standard = str(variable.attrs.get("standard_name", "")).strip()
+    if standard and standard not in STANDARD_NAMES[which]:
+        raise UsageError(
+            f"{file}: '{name}' has the standard name '{standard}', but is read as the velocity {_towards(which)}; "
+            f"expected {' or '.join(STANDARD_NAMES[which])}"
+        )
+    return variable
+
+
+def _towards(which: int) -> str:
+    return "upwards" if which == 2 else f"to the {DIRECTIONS[which]}"
+
+
+def _check_units(file: str, name: str, attributes: Any, allowed: tuple[str, ...], best: str) -> None:
+    units = attributes.get("units")
+    if units is None:
+        raise UsageError(f"{file}: '{name}' has no units; expected the attribute units: '{best}'")
+    if " ".join(str(units).split()) not in allowed:
+        raise UsageError(f"{file}: '{name}' has the units '{units!s:.40}'; expected '{best}'")
+
+
+def _axes(file: str, variable: Any, content: Any) -> dict[str, str]:
+    """Return which of a variable's dimensions is x, y, z and, if there is one, time."""
+    found: dict[str, str] = {}
+    for dimension in map(str, variable.dims):
+        attributes = content[dimension].attrs if dimension in content.coords else {}
+        said = str(attributes.get("axis", "")).lower()
+        known = (dimension.lower(), str(attributes.get("standard_name", "")))
+        axis = said if said in AXES else next((a for a, names in AXES.items() if set(known) & set(names)), None)
+        if axis is None or axis in found:
+            names = "; ".join(f"{a}: {', '.join(names)}" for a, names in AXES.items())
+            raise UsageError(
+                f"{file}: '{variable.name}' has the dimension '{dimension}', which is "
+                + (f"another {axis}" if axis else f"not known; expected names of {names}, or an attribute axis")
+            )
+        found[axis] = dimension
+    missing = [axis for axis in "xyz" if axis not in found]
+    if missing:
+        dims = ", ".join(map(str, variable.dims)) or "nothing"
+        raise UsageError(f"{file}: '{variable.name}' is over {dims}; it lacks {', '.join(missing)}")
+    return found
+
+
+def _coordinate(file: str, content: Any, name: str, axis: str) -> Floats:
+    """Return a coordinate [m], upwards for z."""
+    values = _numbers(file, content, name)
+    attributes = content[name].attrs
+    units = str(attributes.get("units", ""))
+    if units.lower().startswith("degree"):
+        raise UsageError(f"{file}: '{name}' is in {units}; expected metres: project the grid onto a plane")
+    _check_units(file, name, attributes, LENGTH_UNITS, "m")
+    return -values if axis == "z" and str(attributes.get("positive", "up")).lower() == "down" else values
+
+
+def _times(file: str, content: Any, name: str) -> Floats:
+    """Return times [s] since the first."""
+    values = _numbers(file, content, name, least=1)
+    units = content[name].attrs.get("units")
+    if units is None:
+        raise UsageError(f"{file}: '{name}' has no units; expected the attribute units: 's' or 'seconds since ...'")
+    if str(units).split(" since ")[0].strip() not in TIME_UNITS:
+        raise UsageError(f"{file}: '{name}' has the units '{units!s:.40}'; expected 's' or 'seconds since ...'")
+    if not (np.diff(values) > 0.0).all():
+        raise UsageError(f"{file}: '{name}' does not increase")
+    return values - values[0]
+
+
+def _numbers(file: str, content: Any, name: str, least: int = 2) -> Floats:
+    if name not in content.coords:
+        raise UsageError(f"{file}: '{name}' is a dimension without coordinates; expected a variable '{name}'({name})")
+    variable = content[name]
+    if variable.dtype.kind not in "fiu" or len(variable) < least or not np.isfinite(variable.values).all():
+        raise UsageError(f"{file}: '{name}' has {len(variable)} values; expected {least} or more finite numbers")
+    return np.asarray(variable.values, np.float64)
+
+
+def _check_increasing(file: str, name: str, values: Floats, even: bool) -> None:
+    steps = np.diff(values)
+    if not (steps > 0.0).all():
+        raise UsageError(f"{file}: '{name}' is no row of numbers in order")
+    if even and np.ptp(steps) > 1e-3 * steps.mean():
+        raise UsageError(
+            f"{file}: '{name}' is not evenly spaced: from {steps.min():.6g} to {steps.max():.6g} m; resample it"
+        )
+
+
+def _filled(file: str, layout: Layout, arrays: list[Floats]) -> list[Floats]:
+    """Return velocities without gaps."""
+    missing = ~np.isfinite(arrays[0]) | ~np.isfinite(arrays[1]) | ~np.isfinite(arrays[2])
+    count = int(missing.sum())
+    if count and not layout.calm:
+        raise UsageError(
+            f"{file}: {count} of {missing.size} points have no velocity; missing: calm takes the air there for still, "
+            "as inside of buildings"
+        )
+    found = [np.where(missing, 0.0, each) for each in arrays]
+    for name, values in zip(layout.names, found, strict=True):
+        largest = float(np.abs(values).max())
+        if largest > FASTEST:
+            raise UsageError(
+                f"{file}: '{name}' reaches {largest:.4g} m/s; allowed: {FASTEST:g}; is it a fill value without the "
+                "attribute _FillValue?"
+            )
+    return found
