@@ -17,8 +17,8 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "validate": ("jinja2",),
     "view": ("viser",),
     "envs": ("gymnasium", "pettingzoo"),
-    "wind": ("xarray", "netCDF4"),
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
+    "wind": ("xarray", "netCDF4"),
 }
 
 
