@@ -32,10 +32,19 @@
   const connect = () => {
     if (ended || film) return;
     socket = new WebSocket(at);
+    socket.onopen = () => { if (waiting) say(waiting); };
     socket.onclose = () => setTimeout(connect, 1000);
   };
+  // The last wish waits for a connection.
+  let waiting = null;
+  const say = (wish) => {
+    // The next key counts from here, even before the page has gone there.
+    if ("time" in wish) now = wish.time = Math.min(data.end, Math.max(0, wish.time));
+    if (film) { film.wish(wish); return; }
+    waiting = socket?.readyState === 1 ? null : wish;
+    if (!waiting) socket.send(JSON.stringify(wish));
+  };
   connect();
-  const say = (wish) => film ? film.wish(wish) : socket?.readyState === 1 && socket.send(JSON.stringify(wish));
   const clock = (t) => {
     const whole = Math.floor(t), two = (n) => String(n).padStart(2, "0");
     const rest = two(Math.floor(whole / 60) % 60) + ":" + two(whole % 60);
