@@ -1,8 +1,8 @@
 """How missions are flown: take-offs and landings in wind, a square, a line in time, and a path that waits.
 
 All by `cascade`, with full Dryden turbulence in a mean wind given at 20 ft above ground; fed with the truth unless a
-name says `filter`, which is the controller's own with noisy sensors and `gauss_markov_2` GNSS errors. Every seed is a
-world of its own.
+name says `filter`, which is the controller's own with noisy sensors and `gauss_markov_2` GNSS errors, or those of the
+preset `consumer` where the name says so. Every seed is a world of its own.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import qrsim
-from qrsim.scenarios import catalogue
 from qrsim.world.state import State
 
 DOC = "take-off, mission, landing and second take-off in wind; a square, and a line in time, in wind"
@@ -36,21 +35,30 @@ FLIGHT: list[dict[str, Any]] = [
     {"type": "land", "hold": 2.0},
 ]
 FLIGHT_S, FLIGHT_WIND = 180.0, 6.0
+# Height [m] from which on a tracking error counts.
+FLIES_ABOVE = 3.0
 CORNERS = [[SIDE, 0.0], [SIDE, SIDE], [0.0, SIDE], [0.0, 0.0]]
 SQUARE = [{"to_ned": [*corner, -HEIGHT]} for corner in CORNERS]
 
 
 def vehicles() -> dict[str, dict[str, Any]]:
     """Return the parts of the fleets that take off and land, by name."""
-    pelican = {"vehicle": "pelican", "ground": "parked"}
-    found = {"pelican": {**pelican, "feed": "truth"}, "pelican_filter": {**pelican, "feed": "filter"}}
-    if "multirotor" in catalogue.VEHICLES:
-        found["hexa4"] = {"vehicle": {"type": "multirotor", "model": "hexa4"}, "down": -0.25, "feed": "truth"}
-    return found
+    parts = {
+        "pelican": {"vehicle": "pelican", "ground": "parked"},
+        "hexa4": {"vehicle": {"type": "multirotor", "model": "hexa4"}, "down": -0.25},
+    }
+    feeds = {"": {"feed": "truth"}, "_filter": {"feed": "filter"}, "_consumer": {"feed": "filter", "sky": "consumer"}}
+    return {vehicle + name: {**part, **feed} for vehicle, part in parts.items() for name, feed in feeds.items()}
 
 
 def world(
-    legs: list[dict[str, Any]], start: list[float], wind: float, duration: float, feed: str = "truth", **fleet: Any
+    legs: list[dict[str, Any]],
+    start: list[float],
+    wind: float,
+    duration: float,
+    feed: str = "truth",
+    sky: str = "gauss_markov_2",
+    **fleet: Any,
 ) -> Any:
     """Return a world with one vehicle that flies legs."""
     guidance = {"type": "mission", **fleet.pop("guidance", {})}
@@ -63,7 +71,7 @@ def world(
         area={"type": "box", "x_min": -4000.0, "x_max": 4000.0, "y_min": -4000.0, "y_max": 4000.0, "z_min": -110.0},
         wind={"type": "log_shear", "speed_20ft": wind, "wind_from_deg": FROM_DEG} if wind else "calm",
         turbulence="dryden" if wind else "still",
-        sky={"errors": "gauss_markov_2"},
+        sky={"errors": sky},
         duration=duration,
         name="mission",
         **fleet,
@@ -105,6 +113,9 @@ def take_offs(name: str, seeds: int) -> dict[str, float]:
     found = flight.recorded
     finished = found["finished"]
     at = np.argmax(finished, axis=1) * TICKS_PER_SAMPLE * 0.02
+    # In the air, which is where a path has a due point that moves.
+    flies = (found["position"][..., 2] < -FLIES_ABOVE) & ~finished
+    away = np.linalg.norm((found["position"] - found["due"])[..., :2], axis=-1)
     return {
         "seeds": seeds,
         "lost": int((flight["reason"] != 0).sum()),
@@ -112,6 +123,8 @@ def take_offs(name: str, seeds: int) -> dict[str, float]:
         "late_legs": int(found["late"][:, -1].sum()),
         "longest_s": float(at.max()),
         "landed_within_m": float(np.linalg.norm(found["position"][:, -1, :2], axis=-1).max()),
+        "from_due_m": float(np.sqrt(np.mean(away[flies] ** 2))),
+        "gnss_m": float(np.sqrt(np.mean(np.square(flight["gnss_horizontal_rms_m"])))),
     }
 
 

@@ -39,6 +39,7 @@ class Case:
         bounces: it leaves the ground for 0.15 s in 0.8 s, at 1 m/s.
         hangs: it does not move up or down, and stands on the ground only from 60 s on.
         again: index of the leg after the last.
+        aside: where it believes it stands until it is led 0.05 m above that; None: it begins in the air.
     """
 
     legs: tuple[Leg, ...]
@@ -50,6 +51,7 @@ class Case:
     bounces: bool = False
     hangs: bool = False
     again: int | None = None
+    aside: tuple[float, float, float] | None = None
 
 
 LANDING = (Leg((0, 0, -30), stop=True), Leg((0, 0, 0), "land", hold=2.0), Leg((0, 0, -10), stop=True, number=3))
@@ -79,6 +81,7 @@ CASES = {
     "lands": Case(LANDING, ground=1.0),
     "bounces": Case(LANDING, ground=0.0, bounces=True),
     "hangs": Case(LANDING, ground=0.0, hangs=True),
+    "believes": Case((Leg((0, 0, -30), stop=True), Leg((60, 0, -30), stop=True)), aside=(-8.0, 6.0, -20.4)),
 }
 
 
@@ -106,7 +109,10 @@ def fly(legs: Mission, cases: list[Case], dt: float, **own: Any) -> Any:
         sinks = jnp.where(each(lambda case: case.hangs) > 0, 0.0, sinks)
         velocity = Vec3(own, asked.velocity_ned.y, sinks)
         stands = (place.z >= ground) & ((time >= 60.0) | ~(each(lambda case: case.hangs) > 0))
-        now = guidance.step(state, legs, place, velocity_ned=velocity, dt=dt, on_ground=stands)
+        aside = [each(lambda case, axis=axis: case.aside[axis] if case.aside else math.nan) for axis in range(3)]
+        waits = (state.index == 0) & (asked.position_ned.z > aside[2] - 0.05)
+        place = Vec3(*(jnp.where(waits, a, b) for a, b in zip(aside, (place.x, place.y, place.z), strict=True)))
+        now = guidance.step(state, legs, place, velocity_ned=velocity, dt=dt, on_ground=stands | waits)
         return now, now
 
     state = guidance.init(legs)
@@ -312,3 +318,25 @@ class TestLanding:
 
     def test_a_bounce_does_not_count(self, flown: dict[str, Flown]) -> None:
         assert flown["bounces"].of("index")[-1] == 1
+
+
+def test_who_stands_elsewhere_than_planned_goes_straight_up_from_there_and_joins_the_path(
+    flown: dict[str, Flown],
+) -> None:
+    """It believes it stands 10 m beside the start and 0.4 m higher; then the two paths close by 1 m/s."""
+    one = flown["believes"]
+    place, motion, index = one.rows("position"), one.rows("velocity"), one.of("index")
+    assert np.abs(place[index == 0][:-1, :2] - (-8.0, 6.0)).max() < 1e-4
+    assert np.abs(motion[index == 0][:, :2]).max() < 1e-6
+    low = one.of("low")
+    # It is kept upright until it has risen by half a metre.
+    lifted = int(np.argmin(low))
+    assert low[:lifted].all()
+    assert 0.5 <= -20.4 - place[lifted - 1, 2] < 0.58
+    # Its own height of arrival is as much above its start as was planned.
+    turns = int(np.argmax(index == 1))
+    assert place[turns - 1] == pytest.approx((-8.0, 6.0, -30.4), abs=0.01)
+    assert place[turns + round(4.0 / DT), 1] == pytest.approx(6.0 * (1.0 - 4.0 / 10.008), abs=0.05)
+    assert place[-1] == pytest.approx((60.0, 0.0, -30.0), abs=1e-3)
+    assert one.of("reached")[-1] == 2
+    assert one.of("finished")[-1]

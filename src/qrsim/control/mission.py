@@ -11,12 +11,14 @@ from qrsim.control.contracts import Guidance
 from qrsim.control.setpoints import PathSetpoint
 from qrsim.core.fastmath import sincos, wrap_angle
 from qrsim.core.pairs import two_sum
-from qrsim.core.tree import map_tree, parameter, quantity, record, setting
+from qrsim.core.tree import map_tree, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 
 T = TypeVar("T")
 # A landing vehicle so far above the point that is due [m], and not faster than this [m/s], is held by the ground.
 HELD, HELD_SPEED = 0.6, 0.25
+# Until a vehicle has risen so far above where it stood [m] nothing moves it to the side.
+LIFTED = 0.5
 
 
 @record
@@ -70,6 +72,11 @@ class Mission:
     circle: Orbits | None = quantity(default=None, doc="circles, None without any")
     facing: Facing | None = quantity(default=None, doc="places to look at, None without any")
 
+    @property
+    def rises(self) -> Array:
+        """Which legs go straight up, as a take-off does, (W, n) bool."""
+        return self.direction.z < -0.9999
+
 
 @record
 class MissionState:
@@ -86,6 +93,10 @@ class MissionState:
     late: Array = quantity(doc="int32 legs that took longer than allowed")
     behind: Array = quantity(unit="m", doc="distance from the point of the path that is due")
     finished: Array = quantity(doc="bool: the last leg was reached, and nothing follows")
+    shift_ned: Vec3 = quantity(
+        unit="m", doc="from the planned path to the one that is flown, as of who does not stand where it should"
+    )
+    low: Array = quantity(doc="bool: stands, or has not risen by LIFTED since")
 
 
 def _ramp(first: Array, last: Array, seconds: Array, time: Array) -> tuple[Array, Array, Array]:
@@ -121,6 +132,12 @@ class MissionGuidance(Guidance):
     touchdown_speed: float = setting(default=0.7, unit="m/s", doc="speed of a landing near the ground", above=0.0)
     slow_below: float = setting(default=10.0, unit="m", doc="height from which on a landing is slow", minimum=0.0)
     settle: float = setting(default=1.0, unit="s", doc="time on the ground after which a vehicle has landed", above=0.0)
+    join_speed: Array = parameter(
+        default=1.0,
+        unit="m/s",
+        doc="speed at which a path that began beside the planned one goes over to it",
+        above=0.0,
+    )
     leg_timeout: float = setting(
         default=30.0, unit="s", doc="how much longer than planned a leg may take before that is told", above=0.0
     )
@@ -134,7 +151,7 @@ class MissionGuidance(Guidance):
         """Return the start of each mission."""
         count, zero = jnp.zeros(route.count.shape, jnp.int32), jnp.zeros_like(route.enter[0])
         no = jnp.zeros(count.shape, bool)
-        return MissionState(count, count, zero, zero, count, count, no, no, count, zero, no)
+        return MissionState(count, count, zero, zero, count, count, no, no, count, zero, no, Vec3(zero, zero, zero), no)
 
     def step(
         self,
@@ -157,68 +174,70 @@ class MissionGuidance(Guidance):
         """
         assert velocity_ned is not None
         standing = jnp.zeros(state.near.shape, bool) if on_ground is None else on_ground
-
-        def seconds(ticks: Array) -> Array:
-            return ticks.astype(state.time.dtype) * dt
-
         leg = _leg_of(route, state.index)
-        due, ends = self._due(state, leg)
+        planned, ends = self._due(state, leg)
+        risen = leg.begin_ned.z + state.shift_ned.z - position_ned.z
+        low = standing | (state.low & (risen < LIFTED))
+        shift = self._shifted(state.shift_ned, leg, planned, position_ned, (standing, low), dt)
+        due = replace(planned, position_ned=planned.position_ned + shift)
         behind = (due.position_ned - position_ned).norm()
         rate = jnp.clip(1.0 - (behind - self.stretch_from) / self.stretch_over, 0.0, 1.0)
-        asked = PathSetpoint(
-            due.position_ned, due.velocity_ned * rate, due.acceleration_ned * (rate * rate), due.yaw,
-            leg.lands & (state.arrived | (seconds(state.waited) >= 0.5 * self.settle)),
-        )  # fmt: skip
-        distance = (leg.position_ned - position_ned).norm()
+        idle = leg.lands & (state.arrived | (_seconds(state.waited, state, dt) >= 0.5 * self.settle))
+        asked = _asked(due, rate, idle, low)
+        goal = leg.position_ned + shift.map(lambda axis: jnp.where(leg.rises, axis, 0.0))
+        distance = (goal - position_ned).norm()
         near = state.near | (distance < leg.accept_radius)
-        # A path that is flown through waits half-way round its corner for a vehicle that has not come near.
-        most = jnp.where(
-            leg.stops, jnp.where(leg.lands, jnp.inf, ends), jnp.where(near, jnp.inf, ends - 0.5 * leg.turn_s)
-        )
-        ahead = jnp.maximum(jnp.minimum(state.time + rate * dt, most) - state.time, 0.0)
-        time, low = two_sum(state.time, state.time_low + ahead)
-        waited = state.waited + 1
-        slow = velocity_ned.norm() < self.stop_speed
-        # Asked to come down and not coming down: what holds it is the ground. Idle motors then let its feet bear.
-        above = due.position_ned.z - position_ned.z
-        # Twice so far above, it may rattle on its feet.
-        calm = jnp.where(above > 2.0 * HELD, 4.0 * HELD_SPEED, HELD_SPEED)
-        held = (above > HELD) & (jnp.abs(velocity_ned.z) < calm)
-        touches = leg.lands & (standing | held)
-        landed = standing & (seconds(waited) >= self.settle)
-        at_rest = jnp.where(leg.lands, landed, (distance < leg.accept_radius) & slow & (time >= ends - 0.05 * dt))
+        time, time_low = _ahead(state, leg, ends, near, rate * dt)
+        stopped = (distance < leg.accept_radius) & (velocity_ned.norm() < self.stop_speed) & (time >= ends - 0.05 * dt)
+        landed = standing & (_seconds(state.waited + 1, state, dt) >= self.settle)
+        at_rest = jnp.where(leg.lands, landed, stopped)
         arrives = ~state.arrived & jnp.where(leg.stops, at_rest, near & (time >= ends))
-        arrived = state.arrived | arrives
-        kept = jnp.where(state.arrived | (touches & ~arrives), waited, 0)
-        final = (state.index + 1 >= route.count) & (route.following == state.index)
-        done = arrived & (seconds(kept) >= leg.hold_s)
-        moves = done & ~final
-        following = jnp.where(state.index + 1 >= route.count, route.following, state.index + 1)
-        ticks = state.ticks + (~arrived).astype(jnp.int32)
-        late = (seconds(ticks) > leg.limit_s) & (seconds(state.ticks) <= leg.limit_s)
-        none = jnp.zeros_like(ticks)
-        rest = jnp.where(leg.stops, 0.0, time - ends)
-        return MissionState(
-            index=jnp.where(moves, following, state.index),
-            reached=state.reached + (arrives & leg.last).astype(jnp.int32),
-            time=jnp.where(moves, rest, time),
-            time_low=jnp.where(moves, 0.0, low),
-            ticks=jnp.where(moves, none, ticks),
-            waited=jnp.where(moves, none, kept),
-            near=near & ~moves,
-            arrived=arrived & ~moves,
-            late=state.late + late.astype(jnp.int32),
-            behind=behind,
-            finished=done & final,
-        ), asked
+        touches = leg.lands & (standing | _held(due.position_ned.z - position_ned.z, velocity_ned.z))
+        waited = jnp.where(state.arrived | (touches & ~arrives), state.waited + 1, 0)
+        now = replace(
+            state, time=time, time_low=time_low, waited=waited, near=near, arrived=state.arrived | arrives,
+            behind=behind, shift_ned=shift, low=low,
+        )  # fmt: skip
+        return _progress(now, route, leg, arrives, ends, dt), asked
+
+    def _shifted(
+        self,
+        before: Vec3,
+        leg: Mission,
+        planned: PathSetpoint,
+        position_ned: Vec3,
+        where: tuple[Array, Array],
+        dt: float,
+    ) -> Vec3:
+        """Return how far the path that is flown lies from the planned one, (n,) NED (C22).
+
+        Args:
+            before: the step before.
+            leg, planned: what is flown, and the point of it that is due.
+            position_ned: as estimated.
+            where: (n,) bool: who stands, and who is low.
+            dt: step [s].
+        """
+        standing, low = where
+        length = before.norm()
+        left = jnp.maximum(length - self.join_speed * dt, 0.0) / jnp.maximum(length, 1e-6)
+        left = jnp.where(leg.rises, 1.0, left)
+        beside = position_ned - planned.position_ned
+        stood = jnp.where(leg.lands, 0.0, position_ned.z - leg.begin_ned.z)
+        return Vec3(
+            jnp.where(low, beside.x, before.x * left),
+            jnp.where(low, beside.y, before.y * left),
+            jnp.where(standing, stood, jnp.where(low, before.z, before.z * left)),
+        )
 
     def setpoint(self, state: MissionState, route: Mission) -> PathSetpoint:
         """Return the point of the path that is due (n,)."""
         leg = _leg_of(route, state.index)
         due = self._due(state, leg)[0]
         return PathSetpoint(
-            due.position_ned, due.velocity_ned, due.acceleration_ned, due.yaw, state.arrived & leg.lands
-        )
+            due.position_ned + state.shift_ned, due.velocity_ned, due.acceleration_ned, due.yaw,
+            state.arrived & leg.lands,
+        )  # fmt: skip
 
     def _due(self, state: MissionState, leg: Mission) -> tuple[PathSetpoint, Array]:
         """Return the point (n,) of the path that is due, and when each leg ends (n,) [s]."""
@@ -250,6 +269,75 @@ class MissionGuidance(Guidance):
                 place, due.velocity_ned, due.acceleration_ned, jnp.where(leg.facing.faced, looks, due.yaw)
             )
         return due, turns + leg.turn_s
+
+
+def _seconds(ticks: Array, state: MissionState, dt: float) -> Array:
+    return ticks.astype(state.time.dtype) * dt
+
+
+def _asked(due: PathSetpoint, rate: Array, idle: Array, low: Array) -> PathSetpoint:
+    """Return what is asked for (n,): the point that is due, its motion slower by ``rate``; who is low moves up only."""
+    velocity, acceleration = due.velocity_ned * rate, due.acceleration_ned * (rate * rate)
+
+    def upright(vector: Vec3) -> Vec3:
+        return replace(vector, x=jnp.where(low, 0.0, vector.x), y=jnp.where(low, 0.0, vector.y))
+
+    return PathSetpoint(due.position_ned, upright(velocity), upright(acceleration), due.yaw, idle)
+
+
+def _ahead(state: MissionState, leg: Mission, ends: Array, near: Array, by: Array) -> tuple[Array, Array]:
+    """Return the time (n,) on the path ``by`` later, in two parts."""
+    # A path that is flown through waits half-way round its corner for a vehicle that has not come near.
+    corner = jnp.where(near, jnp.inf, ends - 0.5 * leg.turn_s)
+    most = jnp.where(leg.stops, jnp.where(leg.lands, jnp.inf, ends), corner)
+    ahead = jnp.maximum(jnp.minimum(state.time + by, most) - state.time, 0.0)
+    return two_sum(state.time, state.time_low + ahead)
+
+
+def _held(above: Array, sinking: Array) -> Array:
+    """Return who (n,) is asked to come down and does not: what holds it is the ground.
+
+    Idle motors then let its feet bear.
+
+    Args:
+        above: how far it is above the point that is due [m].
+        sinking: its vertical velocity [m/s].
+    """
+    # Twice so far above, it may rattle on its feet.
+    calm = jnp.where(above > 2.0 * HELD, 4.0 * HELD_SPEED, HELD_SPEED)
+    return (above > HELD) & (jnp.abs(sinking) < calm)
+
+
+def _progress(now: MissionState, route: Mission, leg: Mission, arrives: Array, ends: Array, dt: float) -> MissionState:
+    """Return the state (n,) with what is counted; on the next leg for who has been at the end of its own long enough.
+
+    Args:
+        now: state, with what was reached until now.
+        route, leg: the mission, and the leg that was flown.
+        arrives: who has come to its end in this step.
+        ends: when its path ends [s].
+        dt: step [s].
+    """
+    over = now.index + 1 >= route.count
+    final = over & (route.following == now.index)
+    done = now.arrived & (_seconds(now.waited, now, dt) >= leg.hold_s)
+    moves = done & ~final
+    ticks = now.ticks + (~now.arrived).astype(jnp.int32)
+    late = (_seconds(ticks, now, dt) > leg.limit_s) & (_seconds(now.ticks, now, dt) <= leg.limit_s)
+    rest = jnp.where(leg.stops, 0.0, now.time - ends)
+    return replace(
+        now,
+        index=jnp.where(moves, jnp.where(over, route.following, now.index + 1), now.index),
+        reached=now.reached + (arrives & leg.last).astype(jnp.int32),
+        time=jnp.where(moves, rest, now.time),
+        time_low=jnp.where(moves, 0.0, now.time_low),
+        ticks=jnp.where(moves, 0, ticks),
+        waited=jnp.where(moves, 0, now.waited),
+        near=now.near & ~moves,
+        arrived=now.arrived & ~moves,
+        late=now.late + late.astype(jnp.int32),
+        finished=done & final,
+    )
 
 
 def _leg_of(route: Mission, index: Array) -> Mission:

@@ -85,6 +85,8 @@ def _why(fleet: Fleet, state: FleetState, row: int, vehicle: int) -> str:
     axes = "xyz"
     place = np.array([getattr(state.estimate.position_ned, axis)[row, vehicle] for axis in axes], float)
     goal = np.array([getattr(route.position_ned, axis)[index, vehicle] for axis in axes], float)
+    if route.rises[index, vehicle]:
+        goal += [float(getattr(now.shift_ned, axis)[row, vehicle]) for axis in axes]
     speed = float(np.linalg.norm([getattr(state.estimate.velocity_ned, axis)[row, vehicle] for axis in axes]))
     away, behind = float(np.linalg.norm(goal - place)), float(now.behind[row, vehicle])
     radius = float(route.accept_radius[index, vehicle])

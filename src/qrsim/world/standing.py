@@ -40,12 +40,14 @@ def seen_ground(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
 def started(
     world: World, fleet: Fleet, vehicle: VehicleState, low: Vec3 | None
 ) -> tuple[VehicleState, Vec3 | None, Array | None]:
-    """Return vehicles (n,) at a start: who starts on the ground is parked there, with rotors that do not turn.
+    """Return vehicles (n,) at a start: who starts on the ground stands or is parked there, with rotors that are still.
 
     Returns:
         The state, the second part of the position, and who is parked.
     """
     if fleet.ground != "parked":
+        if "ground" in fleet.vehicle.reads:
+            vehicle = fleet.vehicle.stood(vehicle, lambda place: (world.ground_down(place), world.ground.normal(place)))
         return vehicle, low, None
     pose = fleet.vehicle.pose(vehicle)
     parked = (jnp.abs(_depth(world, pose, low)) <= START_HEIGHT) & _softly(*_touch(world, pose))

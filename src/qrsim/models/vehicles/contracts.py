@@ -269,6 +269,11 @@ class Vehicle(Protocol):
         """Return which vehicles (n,) stand on the ground by a contact of their own, bool; None: it has none."""
         return None
 
+    def stood(self, state: Any, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> VehicleState:
+        """Return the state at a start, where who begins on the ground by its own contact stands; see ``Around``."""
+        found: VehicleState = state
+        return found
+
     def outline(self) -> Outline | None:
         """Return what it looks like; None: a quadrotor with a rotor ahead."""
         return None

@@ -11,7 +11,7 @@ import pytest
 from tests.models.vehicles.multirotor.flying import Flown
 
 from qrsim.core.quaternions import Quaternion
-from qrsim.core.tree import replace
+from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.vehicles.multirotor import AttitudeCommand
 from qrsim.models.vehicles.multirotor.sets import SETS
@@ -141,6 +141,26 @@ def test_it_falls_back_on_its_feet_or_tips_over(flights: Any) -> None:
     assert states.hub_contact[-1, TIPS_OVER] == 1.0
     # On a rotor or its back it does not sink in.
     assert states.position_ned.z[-1, TIPS_OVER] < -0.05
+
+
+def test_who_starts_on_its_feet_stands_with_still_rotors() -> None:
+    """Its feet, 0.2 m below it, have sunk in by 3 mm; nobody who is 2 cm above, moves or leans is touched."""
+    down, slides, lean, zero = np.array([7.8, 7.805, 7.78, 7.8, 7.8]), np.zeros(5), np.zeros(5), np.zeros(5)
+    slides[3], lean[4] = 0.1, 0.1
+
+    @jax.jit
+    def started() -> Any:
+        vehicle = cast(SETS["x500"](), np.float64)
+        still = Vec3(zero, zero, zero)
+        start = vehicle.initial_state(Vec3(zero, zero, down), Euler(lean, zero, zero), Vec3(slides, zero, zero), still)
+        found = vehicle.stood(start, lambda place: (zero + 8.0, Vec3(zero, zero, zero - 1.0)))
+        return found, vehicle.on_ground(found)
+
+    with jax.enable_x64(True):
+        found, stands = started()
+    np.testing.assert_allclose(found.position_ned.z, [7.803, 7.803, 7.78, 7.8, 7.8], atol=1e-12)
+    assert np.asarray(stands).tolist() == [True, True, False, False, False]
+    assert [bool(speed == 0.0) for speed in found.rotor_speed[0]] == [True, True, False, False, False]
 
 
 @pytest.mark.long

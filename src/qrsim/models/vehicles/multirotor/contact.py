@@ -20,6 +20,8 @@ from qrsim.models.vehicles.multirotor.state import Brush, Ground, Motion
 STRAIGHTENING_S = 0.05
 # As a vehicle that has landed: so long all feet bear, at less than this speed.
 LANDED_S, LANDED_M_S = 0.5, 0.1
+# A start with every foot this near to the ground [m] is one on the ground.
+START_M = 0.01
 
 
 @record
@@ -70,6 +72,7 @@ def touch(
     motion: Motion,
     turned: Rotation,
     ground: Ground,
+    quickest: float,
 ) -> Touch:
     """Return what the ground does to vehicles in motion (V23 and V24).
 
@@ -80,6 +83,8 @@ def touch(
         motion: of n vehicles; ``brush`` has one part for each point.
         turned: attitude.
         ground: plane below.
+        quickest: time in which bristles bend at the least [s], however fast a point slides: the longest substep, for
+            which (V24) is too steep above bristle/quickest. The friction is full there in any case.
     """
     up, north, east = turned.to_body(ground.normal), turned.to_body(ground.north), turned.to_body(ground.east)
     height = ground.height + motion.displacement.dot(ground.normal)
@@ -93,7 +98,7 @@ def touch(
         in_touch = depth > 0.0
         normal = jnp.where(in_touch, jnp.maximum(spring * depth + damper * sinking, 0.0), 0.0)
         bears = normal > 0.0
-        sliding, slope = _friction(contact, brush, velocity.dot(north), velocity.dot(east), bears)
+        sliding, slope = _friction(contact, brush, (velocity.dot(north), velocity.dot(east)), bears, quickest)
         slopes.append(slope)
         along = -contact.friction * normal
         push = up * normal + north * (along * sliding.north) + east * (along * sliding.east)
@@ -107,12 +112,16 @@ def touch(
     return Touch(force, moment, tuple(slopes), impact, bearing, hub)
 
 
-def _friction(contact: Contact, brush: Brush, north: Array, east: Array, bears: Array) -> tuple[Brush, Brush]:
-    """Return the friction of a point that slides at some speeds [m/s], as a fraction, and the slope of its bristles."""
+def _friction(
+    contact: Contact, brush: Brush, slides: tuple[Array, Array], bears: Array, quickest: float
+) -> tuple[Brush, Brush]:
+    """Return the friction of a point that slides north and east [m/s], as a fraction, and the slope of its bristles."""
+    north, east = slides
     speed = jnp.sqrt(jnp.maximum(north * north + east * east, 1e-30))
+    per_way = 1.0 / jnp.maximum(contact.bristle, speed * quickest)
 
     def slope(bent: Array, velocity: Array) -> Array:
-        stuck = (velocity - speed * bent) / contact.bristle
+        stuck = (velocity - speed * bent) * per_way
         return jnp.where(bears, stuck, -bent / STRAIGHTENING_S)
 
     a = brush.north + north / contact.bristle_speed

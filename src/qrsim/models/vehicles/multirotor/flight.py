@@ -82,7 +82,7 @@ def fly(
         motion, after, found = advance(start)
         touched = touch(
             model.contact, outside.spring, outside.damper, model.feet, model.others, motion,
-            motion.quaternion.rotation(), outside.ground,
+            motion.quaternion.rotation(), outside.ground, model.longest_substep,
         )  # fmt: skip
         # What a vehicle far above would get from the bristles does not depend on whom it flies with.
         straight = jax.tree.map(jnp.zeros_like, motion.brush)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -27,8 +28,9 @@ from qrsim.models.vehicles.multirotor.commands import (
     RateCommand,
     shown,
 )
-from qrsim.models.vehicles.multirotor.contact import LANDED_S
+from qrsim.models.vehicles.multirotor.contact import LANDED_S, START_M
 from qrsim.models.vehicles.multirotor.flight import at_an_instant, fly
+from qrsim.models.vehicles.multirotor.geometry import dot_known
 from qrsim.models.vehicles.multirotor.parameters import Airframe
 from qrsim.models.vehicles.multirotor.state import Brush, MultirotorState
 from qrsim.models.vehicles.process_noise import NORMALS, ProcessNoise, white_accelerations
@@ -123,6 +125,20 @@ class Multirotor(Airframe, Vehicle):
     def on_ground(self, state: MultirotorState) -> Array:
         """Return which vehicles (n,) stand: all feet have borne for half a second, at less than 0.1 m/s."""
         return state.standing >= LANDED_S
+
+    def stood(self, state: MultirotorState, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> MultirotorState:
+        """Return the state at a start: who rests with all feet on the ground has sunk in, and its rotors are still."""
+        down, normal = ground(state.position_ned)
+        up, height = state.quaternion.rotation().to_body(normal), (state.position_ned.z - down) * normal.z
+        depths = [-(height + dot_known(up, foot)) for foot in self.feet]
+        near = functools.reduce(jnp.logical_and, [jnp.abs(depth) <= START_M for depth in depths])
+        stands = near & (state.velocity_body.norm() + state.rates_body.norm() == 0.0)
+        lower = jnp.where(stands, self.contact.sink - functools.reduce(jnp.add, depths) / len(depths), 0.0)
+        place = replace(state.position_ned, z=state.position_ned.z + lower)
+        return replace(
+            state, position_ned=place, standing=jnp.where(stands, LANDED_S, state.standing),
+            rotor_speed=tuple(jnp.where(stands, 0.0, speed) for speed in state.rotor_speed),
+        )  # fmt: skip
 
     def load(self, state: MultirotorState) -> Load:
         """Return thrust, weight and electrical power (V25)."""
