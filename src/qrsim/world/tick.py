@@ -247,6 +247,8 @@ def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int,
     # One after the other: side by side in one array they would be written to memory first.
     finite = functools.reduce(jnp.logical_and, map(jnp.isfinite, jax.tree.leaves(state.vehicle)))
     return [
+        # Who has hit the ground hard enough to overflow has crashed.
+        *fleet.vehicle.own_checks(state.vehicle),
         (reason_code("not_finite", "state"), jnp.zeros_like(pose.position_ned.x), ~finite),
         *ground_checks(world, fleet, state),
         *world.area.check(over_the_floor(world, fleet, pose.position_ned)),
@@ -254,7 +256,6 @@ def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int,
         *_empty_battery(fleet, state),
         *fleet.battery.own_checks(state.battery),
         *fleet.limits.check(pose.attitude, pose.velocity_body, pose.rates_body),
-        *fleet.vehicle.own_checks(state.vehicle),
     ]
 
 

@@ -1,4 +1,4 @@
-"""Laws of mechanics and the ground, on an X500: six flights side by side, by one program."""
+"""Laws of mechanics and the ground, on an X500: seven flights side by side, by one program."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from qrsim.models.vehicles.multirotor import AttitudeCommand
 from qrsim.models.vehicles.multirotor.sets import SETS
 
 DT, STEPS = 0.02, 400
-FREE, TURNED, RESTS, FALLS, TIPS_BACK, TIPS_OVER = range(6)
+FREE, TURNED, RESTS, FALLS, TIPS_BACK, TIPS_OVER, SLIDES = range(7)
+COUNT, SLIDING = 7, 12.0
 TURN = 1.1
 MASS, GRAVITY = 2.0643, 9.81
 INERTIA = (0.02166667, 0.02166667, 0.04)
@@ -25,22 +26,24 @@ INERTIA = (0.02166667, 0.02166667, 0.04)
 
 @pytest.fixture(scope="module")
 def flights() -> Any:
-    """States and specific forces, leaves (T + 1, 6) and (T, 6), of the flights above."""
+    """States and specific forces, leaves (T + 1, 7) and (T, 7), of the flights above."""
     with jax.enable_x64(True):
         return flown(np.float64)
 
 
 def flown(dtype: Any) -> Any:
-    flight = Flown(SETS["x500"](), DT, dtype=dtype, count=6)
+    flight = Flown(SETS["x500"](), DT, dtype=dtype, count=COUNT)
     start = flight.start()
-    east, down = np.zeros(6), np.full(6, -20.0)
-    east[:] = 10.0 * np.arange(6)
-    roll = np.array([0.0, 0.0, 0.0, 0.2, math.radians(35.0), math.radians(65.0)])
+    east, down = np.zeros(COUNT), np.full(COUNT, -20.0)
+    east[:] = 10.0 * np.arange(COUNT)
+    roll = np.array([0.0, 0.0, 0.0, 0.2, math.radians(35.0), math.radians(65.0), 0.0])
     down[RESTS] = -0.197
     # The lowest foot on the ground: it is 0.15 m aside and 0.2 m below.
     down[TIPS_BACK:] = -(0.15 * np.sin(roll[TIPS_BACK:]) + 0.2 * np.cos(roll[TIPS_BACK:]))
-    yaw = np.array([0.0, TURN, 0.3, 0.0, 0.0, 0.0])
-    wind = np.zeros((3, 6))
+    down[SLIDES] = -0.197
+    ahead = np.where(np.arange(COUNT) == SLIDES, SLIDING, 0.0).astype(dtype)
+    yaw = np.array([0.0, TURN, 0.3, 0.0, 0.0, 0.0, 0.0])
+    wind = np.zeros((3, COUNT))
     wind[:, FREE] = (4.0, -2.0, 0.5)
     wind[:, TURNED] = (*turned(4.0, -2.0), 0.5)
     wind[:, RESTS] = (8.0, 0.0, 0.0)
@@ -48,10 +51,11 @@ def flown(dtype: Any) -> Any:
     angles = Euler(*(part.astype(dtype) for part in (roll, 0.0 * roll, yaw)))
     with jax.enable_x64(dtype == np.float64):
         attitude = jax.tree.map(lambda leaf: np.array(leaf, dtype), Quaternion.of(angles))
-    spun = np.where(np.arange(6) < RESTS, 1.0, 0.0).astype(dtype)
+    spun = np.where(np.arange(COUNT) < RESTS, 1.0, 0.0).astype(dtype)
     start = replace(
         start, quaternion=attitude, yaw_setpoint=yaw.astype(dtype),
-        position_ned=Vec3(np.zeros(6, dtype), east.astype(dtype), down.astype(dtype)),
+        velocity_body=replace(start.velocity_body, x=ahead),
+        position_ned=Vec3(np.zeros(COUNT, dtype), east.astype(dtype), down.astype(dtype)),
         rotor_speed=tuple(speed * spun for speed in start.rotor_speed),
     )  # fmt: skip
     hover = np.sqrt(MASS * GRAVITY / (4 * 8.54858e-6 * 1000.0**2)) * spun
@@ -141,6 +145,21 @@ def test_it_falls_back_on_its_feet_or_tips_over(flights: Any) -> None:
     assert states.hub_contact[-1, TIPS_OVER] == 1.0
     # On a rotor or its back it does not sink in.
     assert states.position_ned.z[-1, TIPS_OVER] < -0.05
+
+
+def test_it_slides_to_a_stop(flights: Any) -> None:
+    """Friction 0.6 of the weight and the drag of the body: v' = -0.6 g - c v^2/m, c 0.02 N s^2/m^2, from 12 m/s.
+
+    At more than 3.5 m/s bristles of 5 mm are stiffer than a substep of 4 ms can follow.
+    """
+    states, _ = flights
+    assert all(np.isfinite(leaf[:, SLIDES]).all() for leaf in jax.tree.leaves(states))
+    share, slows = math.sqrt(0.02 / MASS * 0.6 * GRAVITY), math.sqrt(0.6 * GRAVITY * MASS / 0.02)
+    for seconds in (0.5, 1.0, 1.5):
+        expected = slows * math.tan(math.atan(SLIDING / slows) - share * seconds)
+        assert states.velocity_body.x[round(seconds / DT), SLIDES] == pytest.approx(expected, abs=0.1)
+    assert states.standing[-1, SLIDES] > 5.0
+    assert max(np.abs(brush.north[:, SLIDES]).max() for brush in states.brush) < 1.05
 
 
 def test_who_starts_on_its_feet_stands_with_still_rotors() -> None:

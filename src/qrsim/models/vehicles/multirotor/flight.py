@@ -20,7 +20,7 @@ from qrsim.models.vehicles.multirotor.contact import LANDED_M_S, plane_below, st
 from qrsim.models.vehicles.multirotor.geometry import reach
 from qrsim.models.vehicles.multirotor.mixer import mixer_of
 from qrsim.models.vehicles.multirotor.parameters import Airframe
-from qrsim.models.vehicles.multirotor.rigid_body import Outcome, Surroundings, slope_of, substep
+from qrsim.models.vehicles.multirotor.rigid_body import Outcome, Surroundings, larger, slope_of, substep
 from qrsim.models.vehicles.multirotor.stabiliser import rates_wanted, rotor_thrusts
 from qrsim.models.vehicles.multirotor.state import Motion, MultirotorState
 from qrsim.models.vehicles.process_noise import ProcessNoise
@@ -69,7 +69,7 @@ def fly(
             motion, now = substep(model, motion, targets, outside, dt / count)
             found = Outcome(
                 found.force + now.force * (1.0 / count),
-                jnp.maximum(found.impact_speed, now.impact_speed), jnp.maximum(found.hub, now.hub),
+                larger(found.impact_speed, now.impact_speed), larger(found.hub, now.hub),
             )  # fmt: skip
             return motion, loops, found
 

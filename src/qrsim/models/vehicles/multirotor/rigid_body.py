@@ -47,6 +47,11 @@ class Surroundings:
     damper: Array
 
 
+def larger(known: Array, new: Array) -> Array:
+    """Return the larger of two arrays; the known one where the new one is NaN, so that a cause outlives its effect."""
+    return jnp.where(new > known, new, known)
+
+
 def slope_of(
     model: Airframe, motion: Motion, targets: tuple[Array, ...], around: Surroundings
 ) -> tuple[Motion, Vec3, Touch | None]:
@@ -115,7 +120,7 @@ def substep(
         if touched is not None:
             outcome = replace(
                 outcome,
-                impact_speed=jnp.maximum(outcome.impact_speed, touched.impact_speed),
+                impact_speed=larger(outcome.impact_speed, touched.impact_speed),
                 hub=jnp.maximum(outcome.hub, touched.hub.astype(like)),
             )
         return here, total, outcome
