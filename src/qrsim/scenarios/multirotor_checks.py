@@ -15,6 +15,8 @@ from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
 # Below this ratio of the weakest to the strongest of thrust and three torques a mixer has no authority.
 LEAST_AUTHORITY = 0.02
+# The rule of Runge and Kutta follows a lag that is at least this part of its step [1]; its bound is 1/2.785.
+SHORTEST_LAG = 0.4
 # A start so little below where it stands [m] is meant to be there.
 ON_IT = 0.01
 
@@ -29,6 +31,7 @@ def multirotor_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
         yield problem
     if not wrong:
         yield from _lift(path, fleet)
+        yield from _lags(path, fleet, scenario.time_step)
         yield from _standing(name, fleet, scenario)
 
 
@@ -49,7 +52,7 @@ def _geometry(path: str, fleet: FleetSpec) -> Iterator[str]:
     if authority < LEAST_AUTHORITY:
         yield (
             f"{path}.rotors: the rotors cannot command thrust, roll, pitch and yaw by themselves: the weakest has "
-            f"{authority:.2g} of the authority of the strongest; allowed: at least {LEAST_AUTHORITY:g}"
+            f"{round(authority, 9):.2g} of the authority of the strongest; allowed: at least {LEAST_AUTHORITY:g}"
         )
 
 
@@ -70,6 +73,18 @@ def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
             f"{path}: cannot hover: {len(spec.rotors)} rotors lift {lift:.4g} N at speed_max, and it weighs "
             f"{heavy:.4g} N; lower mass, or raise thrust_coefficient or speed_max"
         )
+
+
+def _lags(path: str, fleet: FleetSpec, time_step: float) -> Iterator[str]:
+    """A substep must follow the rotors, or their speeds rattle and overflow."""
+    longest = min(fleet.vehicle.longest_substep, time_step)
+    for name in ("spin_up", "spin_down"):
+        least = float(np.min(getattr(fleet.vehicle, name)))
+        if least < SHORTEST_LAG * longest:
+            yield (
+                f"{path}.{name}: {least:g} s is too short for substeps of {longest:g} s; allowed: at least "
+                f"{SHORTEST_LAG * longest:g}, or a longest_substep of at most {least / SHORTEST_LAG:g}"
+            )
 
 
 def _standing(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:

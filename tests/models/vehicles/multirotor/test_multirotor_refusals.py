@@ -35,6 +35,8 @@ ALIKE = [{"position": [0.2 * a, 0.2 * b, 0.0], "direction": 1} for a in (1, -1) 
         ({"model": "x500", "mas": 2.0}, "no such parameter of 'multirotor'; did you mean 'mass'?"),
         ({"rotors": [{**ALIKE[0], "direction": 2}, *ALIKE[1:]]}, "direction: 2; allowed: 1 (clockwise"),
         ({"rotors": [{**ALIKE[0], "axis": [0, 0, -2]}, *ALIKE[1:]]}, "axis: its length is 2; expected a unit vector"),
+        # At z = -2.785 the rule's 1 + z + z^2/2 + z^3/6 + z^4/24 is 1: a lag of 1/2.785 of the substep.
+        ({"spin_up": 0.0015}, "spin_up: 0.0015 s is too short for substeps of 0.004 s; allowed: at least 0.0016, or a"),
     ],
 )
 def test_what_cannot_fly_is_refused(vehicle: dict[str, Any], words: str) -> None:
