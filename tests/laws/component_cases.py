@@ -49,6 +49,7 @@ from qrsim.models.vehicles.contracts import Load
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor
 from qrsim.scenarios import catalogue
+from qrsim.world.air import turbulence_inputs
 from qrsim.world.sensing import scene_of
 from qrsim.world.state import Start
 
@@ -194,7 +195,8 @@ def parameters_needed(group: str, name: str) -> dict[str, Any]:
             continue
         if info.minimum is None or info.maximum is None:
             raise AssertionError(f"give an example of '{field.name}' of {group}['{name}'] in EXAMPLES")
-        given[field.name] = info.minimum + (info.maximum - info.minimum) / 3.0
+        value = info.minimum + (info.maximum - info.minimum) / 3.0
+        given[field.name] = [value] * info.length if info.length else value
     return given
 
 
@@ -205,7 +207,8 @@ def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> 
         given["north"], given["east"] = np.array(given.pop("corners_ned")).T
     if settings.get("frame") == "geodetic":
         given["file"] = elevation_file("geodetic")
-    component = GROUPS[group][name](**given, **settings)
+    of_numbers = {key: np.array(value) if isinstance(value, list) else value for key, value in given.items()}
+    component = GROUPS[group][name](**of_numbers, **settings)
     if group == "CONTROLLERS":
         component = component.fitted(Quadrotor())
     if group == "ORBITS":
@@ -264,7 +267,7 @@ class Recorder:
         return drawn
 
 
-CALLS = ("init", "step")
+CALLS = ("init", "step", "field")
 
 
 def stream_keys(world: int) -> StreamKeys:
@@ -372,8 +375,14 @@ def _turbulence(turbulence: Any, given: Any, draws: Draws) -> Any:
     start = turbulence.init(draws("init"))
     velocity = given["scene"]["velocity_ned"]
     after = turbulence.step(start, draws("step"), height, velocity, given["mean_wind_ned"], DT)
-    rates = turbulence.gust_rates_ned(after, height)
-    return {"start": start, "after": after, "gust": turbulence.gust_ned(after, height), "rates": rates}
+    field = None
+    if turbulence.field_ids:
+        wind = {"wind": cast(LogShear(3.0, 0.7), draws.dtype)} if turbulence.sees_wind else {}  # type: ignore[arg-type]
+        field = turbulence.draw_field(draws("field", turbulence.field_ids).draw, **wind)
+    time = tuple(map(jnp.asarray, given["time"]))
+    more = turbulence_inputs(turbulence, given["scene"]["position_ned"], time, field)  # type: ignore[arg-type]
+    gust, rates = turbulence.gust_ned(after, height, **more), turbulence.gust_rates_ned(after, height, **more)
+    return {"start": start, "after": after, "gust": gust, "rates": rates, "field": field}
 
 
 def _orbits(orbits: Any, given: Any, draws: Draws) -> Any:

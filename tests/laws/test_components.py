@@ -36,7 +36,7 @@ WORLDS = (0, 1)
 every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-".join(case) for case in COMPONENTS])
 
 
-SLOW = [("VEHICLES", "multirotor"), ("CONTROLLERS", "cascade")]
+SLOW = [("VEHICLES", "multirotor"), ("CONTROLLERS", "cascade"), ("TURBULENCES", "dryden_field")]
 
 
 def option_cases() -> list[Any]:
@@ -256,13 +256,18 @@ def test_a_scenario_accepts_bounds_and_rejects_what_is_beyond(group: str, name: 
     for field, _, info in fields_of(GROUPS[group][name]):
         if info.static or "." in field:
             continue
+        where = rf"{SLOTS[group]}\.{field}" + (rf"\.{info.length - 1}" if info.length else "")
+
+        def part(value: float, length: int = info.length) -> Any:
+            return [0.0] * (length - 1) + [value] if length else value
+
         for bound, beyond in ((info.minimum, -1.0), (info.maximum, 1.0), (info.above, -1.0)):
             if bound is not None:
-                with pytest.raises(ScenarioError, match=rf"{SLOTS[group]}\.{field}: .* is out of range"):
-                    load_scenario(scenario_with(group, {**given, field: bound + beyond}))
+                with pytest.raises(ScenarioError, match=rf"{where}: .* is out of range"):
+                    load_scenario(scenario_with(group, {**given, field: part(bound + beyond)}))
         for bad in (float("nan"), float("inf")):
-            with pytest.raises(ScenarioError, match=rf"{SLOTS[group]}\.{field}: {bad} is not a finite number"):
-                load_scenario(scenario_with(group, {**given, field: bad}))
+            with pytest.raises(ScenarioError, match=rf"{where}: {bad} is not a finite number"):
+                load_scenario(scenario_with(group, {**given, field: part(bad)}))
 
 
 @every_sensor

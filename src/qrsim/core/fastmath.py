@@ -89,6 +89,23 @@ def sincos(x: Array) -> tuple[Array, Array]:
     return sine / scale, cosine / scale
 
 
+def sincos_turns(turns: Array) -> tuple[Array, Array]:
+    """Return sine and cosine of 2 pi times turns of any shape; float32 error below 5e-7 for |turns| < 1/2.
+
+    From sine and cosine of half the angle, which need neither quadrants nor choices. XLA on a CPU repeats it in each
+    consumer, see ``sincos_ratio``.
+    """
+    part = turns - jnp.round(turns)
+    if turns.dtype != jnp.float32:
+        return jnp.sin(2.0 * math.pi * part), jnp.cos(2.0 * math.pi * part)
+    z = part * part
+    # Interpolation of sin(pi p)/p and cos(pi p) at Chebyshev's nodes of z = p^2 in [0, 1/4], errors below 3e-10.
+    sine = part * _polynomial(z, (-0.00702830379, 0.08205035015, -0.5992521865, 2.550163318, -5.167712765, 3.141592654))
+    cosine = _polynomial(z, (-0.02439593213, 0.2349370686, -1.335211949, 4.058709155, -4.934802137, 0.9999999998))
+    double = sine + sine
+    return double * cosine, 1.0 - double * sine
+
+
 def log_f32(x: Array, rounding: Rounding = freely) -> Array:
     """Return the natural logarithm of positive, normal x in single precision; ``rounding``: see ``rounded``."""
     bits = lax.bitcast_convert_type(x, jnp.int32)
@@ -143,6 +160,27 @@ def _exp_f32(x: Array) -> Array:
 def exp(x: Array) -> Array:
     """Return e**x, any shape; in float32 the argument is limited to [-87, 88], the range of normal results."""
     return _exp_f32(x) if x.dtype == jnp.float32 else jnp.exp(x)
+
+
+@jax.custom_jvp
+def reciprocal_root(x: Array) -> Array:
+    """Return one over the root of positive, normal x of any shape; float32 relative error below 5e-6.
+
+    Two of Newton's steps from a guess by halving the exponent, which are far cheaper than a root and a division.
+    """
+    if x.dtype != jnp.float32:
+        return 1.0 / jnp.sqrt(x)
+    guess = lax.bitcast_convert_type(0x5F375A86 - (lax.bitcast_convert_type(x, jnp.int32) >> 1), jnp.float32)
+    half = 0.5 * x
+    for _ in range(2):
+        guess = guess * (1.5 - (half * guess) * guess)
+    return guess
+
+
+@reciprocal_root.defjvp
+def _reciprocal_root_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    root = reciprocal_root(*primals)
+    return root, -0.5 * tangents[0] * root * (root * root)
 
 
 def power(x: Array, exponent: float) -> Array:

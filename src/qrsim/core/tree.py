@@ -38,6 +38,8 @@ class FieldInfo:
         static: part of the program's structure (a new value compiles anew) rather than a number in it.
         inherits: path of the parameter that supplies the value where the scenario leaves it out.
         derived: set while a world is built; no scenario can give it.
+        length: of a parameter that is an array, which a scenario gives as a list; 0: it is a number.
+        nullable: whether it may be null, which is then its default and has a meaning of its own.
     """
 
     unit: str = ""
@@ -48,6 +50,8 @@ class FieldInfo:
     static: bool = False
     inherits: str | None = None
     derived: bool = False
+    length: int = 0
+    nullable: bool = False
 
 
 def parameter(
@@ -59,12 +63,15 @@ def parameter(
     maximum: float | None = None,
     above: float | None = None,
     inherits: str | None = None,
+    length: int = 0,
+    nullable: bool = False,
 ) -> T:  # type: ignore[type-var]
     """Declare a number of a component: a leaf, so that changing it does not recompile.
 
-    Each has a unit and a doc; one without is refused where its class becomes a component, which can name it.
+    Each has a unit and a doc; one without is refused where its class becomes a component, which can name it. With a
+    ``length`` it is a list of as many; one that is ``nullable`` may be null, where the default is None.
     """
-    info = FieldInfo(unit, doc, minimum, maximum, above, False, inherits)
+    info = FieldInfo(unit, doc, minimum, maximum, above, False, inherits, length=length, nullable=nullable)
     return dataclasses.field(default=default, metadata={INFO: info})
 
 

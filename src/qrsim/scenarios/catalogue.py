@@ -21,6 +21,7 @@ from qrsim.control import (
     WaypointController,
 )
 from qrsim.models.atmosphere.dryden import Dryden
+from qrsim.models.atmosphere.field import DrydenField
 from qrsim.models.atmosphere.gust import DiscreteGust, NoGust
 from qrsim.models.atmosphere.turbulence import DrydenFirstOrder, Still
 from qrsim.models.atmosphere.wind import Calm, LogShear
@@ -61,7 +62,12 @@ WINDS: Catalogue = {
     "series": WindFile,
     "grid": WindGridFile,
 }
-TURBULENCES: Catalogue = {"still": Still, "dryden_first_order": DrydenFirstOrder, "dryden": Dryden}
+TURBULENCES: Catalogue = {
+    "still": Still,
+    "dryden_first_order": DrydenFirstOrder,
+    "dryden": Dryden,
+    "dryden_field": DrydenField,
+}
 GUSTS: Catalogue = {"none": NoGust, "discrete": DiscreteGust}
 ORBITS: Catalogue = {"nominal_constellation": NominalConstellation, "sp3": Sp3Ephemeris}
 SKY_ERRORS: Catalogue = {

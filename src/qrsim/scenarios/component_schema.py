@@ -99,9 +99,14 @@ def _field(name: str, hint: Any, field: dataclasses.Field[Any], each: bool) -> t
     if info.static:
         constraints = Field(strict=True, allow_inf_nan=False) if hint is float else Field(strict=True)
         annotation: Any = Annotated[hint, constraints] if hint in (float, int, bool) else hint
+    elif info.length:
+        entry = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
+        vector = Annotated[list[entry], Field(min_length=info.length, max_length=info.length)]
+        default = ... if required else field.default
+        return vector | None if info.nullable else vector, Field(default, **_described(info))
     else:
         annotation = Finite
-    if info.inherits:
+    if info.inherits or info.nullable:
         annotation = annotation | None
     default = ... if required else field.default
     return annotation, Field(default, **_bounds(info), **_described(info))

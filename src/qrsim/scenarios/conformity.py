@@ -16,7 +16,7 @@ from typing import Any, get_type_hints
 from qrsim.control.contracts import Controller, Guidance
 from qrsim.core.tree import INFO, FieldInfo, field_info
 from qrsim.errors import nearest
-from qrsim.models.atmosphere.contracts import WIND_READS, Gust, Turbulence, Wind
+from qrsim.models.atmosphere.contracts import GUST_READS, TURBULENCE_READS, WIND_READS, Gust, Turbulence, Wind
 from qrsim.models.gnss.contracts import RangeErrors
 from qrsim.models.scene.contracts import Area, Ground, Placement
 from qrsim.models.sensors.contracts import SCENE, Sensor
@@ -51,15 +51,22 @@ CALLS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 # Of these an object is made without arguments, and what it is made of is its own affair.
 PLAIN = ("estimator", "metric")
-# What a guidance is handed by name, and what in its class asks for it.
+# What a method is handed by name, and what in its class asks for it.
 _HANDED = {
+    "wind": "sees_wind",
     "others_ned": "sees_others",
     "on_ground": "sees_ground",
     "velocity_ned": "sees_motion",
     "dt": "sees_motion",
 }
 # What may be named in ``reads``.
-READABLE = {"sensor": SCENE, "vehicle": AROUND, "wind": WIND_READS}
+READABLE = {
+    "sensor": SCENE,
+    "vehicle": AROUND,
+    "wind": WIND_READS,
+    "turbulence": TURBULENCE_READS,
+    "gust": GUST_READS,
+}
 
 
 def conformity_problem(kind: str, component: Any) -> str | None:
@@ -113,7 +120,7 @@ def _default_problems(title: str, field: dataclasses.Field[Any], info: FieldInfo
     default = field.default
     if field.default_factory is not dataclasses.MISSING:
         yield f"{title}: a default_factory has no place in a schema; give a number as its default"
-    elif default is dataclasses.MISSING or (default is None and info.inherits):
+    elif default is dataclasses.MISSING or (default is None and (info.inherits or info.nullable)):
         return
     elif not info.static and (isinstance(default, bool) or not isinstance(default, int | float)):
         yield f"{title}: its default is {default!r:.60}; expected a number"
@@ -177,7 +184,7 @@ def _attribute_problems(kind: str, component: type) -> Iterator[str]:
                 f"{_meant(component, name)}"
             )
     yield from attribute_type_problems(kind, component, contract)
-    reads = getattr(component, "reads", ())
+    reads = _reads(component)
     if not isinstance(reads, tuple | list):
         yield f'{component.__name__}.reads is {reads!r:.60}; expected a tuple of names, as ("position_ned",)'
         return
@@ -211,14 +218,20 @@ def _arguments(component: Any, function: Any) -> tuple[list[str], list[str]]:
     named: list[str] = []
     for part in list(inspect.signature(function).parameters.values())[1:]:
         if part.kind is part.VAR_KEYWORD:
-            named += getattr(component, "reads", ())
+            named += _reads(component)
         elif part.kind is part.VAR_POSITIONAL:
             continue
-        elif part.default is part.empty or (part.name == "around" and bool(getattr(component, "reads", ()))):
+        elif part.default is part.empty or (part.name == "around" and bool(_reads(component))):
             positional.append(part.name)
         elif getattr(component, _HANDED.get(part.name, ""), False):
             named.append(part.name)
     return positional, named
+
+
+def _reads(component: Any) -> Any:
+    """Return what a class reads; nothing is known of one whose objects read this or that."""
+    reads = getattr(component, "reads", ())
+    return () if isinstance(reads, property) else reads
 
 
 def _common(kind: str) -> list[str]:

@@ -14,6 +14,7 @@ from qrsim.errors import UsageError
 from qrsim.models.site import gps_seconds_from_utc, utc_from_gps_seconds
 from qrsim.models.vehicles.carried_point import CarriedPoint
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.air import air_problems
 from qrsim.scenarios.build import component, ground_if_any, ground_of, inherited, wind_of
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
@@ -52,6 +53,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *timing_problems(scenario),
         *_inheritance_problems(scenario),
         *_wind_problems(scenario),
+        *air_problems(scenario),
         *_orbit_problems(scenario),
         *obstacle_problems(scenario),
         *_fleet_problems(scenario),

@@ -17,6 +17,7 @@ from qrsim.models.vehicles.quadrotor import (
     Quadrotor,
 )
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.air import air_warnings
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.wind_limits import voltages, wind_warnings
@@ -33,6 +34,7 @@ PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 
 def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield a warning for each part that cannot fly, its path first; ``scenario`` has no problems."""
+    yield from air_warnings(scenario)
     for name, fleet in scenario.fleets.items():
         path = f"fleets.{name}"
         # The constants are those of the identified model; of a vehicle from outside they mean what they mean there.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 from datetime import date
-from typing import Annotated, Any, get_args, get_origin
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
@@ -243,8 +244,15 @@ def _characters(pattern: str) -> str:
     return f"letters, digits and any of {' '.join(match[1])}" if match else pattern
 
 
+def _given(annotation: Any) -> Any:
+    """Return the type of a value that may be left out as null."""
+    others = [part for part in get_args(annotation) if part is not type(None)]
+    return others[0] if get_origin(annotation) in (Union, UnionType) and len(others) == 1 else annotation
+
+
 def _bare(annotation: Any) -> Any:
-    """Return a type without what Annotated says about it."""
+    """Return a type without what Annotated says about it, and without null."""
+    annotation = _given(annotation)
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
 
@@ -263,6 +271,7 @@ def _entry(annotation: Any) -> Any:
 
 def _rules(annotation: Any) -> list[Any]:
     """Return the bounds that Annotated says about a type."""
+    annotation = _given(annotation)
     infos = get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()
     return [rule for info in infos for rule in (info.metadata if isinstance(info, FieldInfo) else [info])]
 

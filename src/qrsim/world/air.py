@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -33,7 +34,8 @@ def gust_at(world: World, field: object, memory: object, height_agl: Array, posi
     """Return the gust (n,) [m/s], random and discrete, at positions (n,) [m]; ``memory`` is the turbulence's state."""
     inputs = turbulence_inputs(world.turbulence, position_ned, time, field)
     random = world.turbulence.gust_ned(memory, height_agl, **inputs)
-    return random + world.gust.velocity_ned(position_ned, *time)
+    carried: dict[str, Any] = {name: world.turbulence.convection_velocity_ned(world.wind) for name in world.gust.reads}
+    return random + world.gust.velocity_ned(position_ned, *time, **carried)
 
 
 def gust_rates_at(

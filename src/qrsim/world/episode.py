@@ -90,7 +90,10 @@ def draw_ranges(world: World, draws: dict[str, Draw]) -> tuple[Array, ...]:
 
 def draw_field(world: World, draws: dict[str, Draw]) -> object:
     """Draw the shared field of an episode's gusts, None if they share nothing."""
-    return world.turbulence.draw_field(draws[FIELD]) if world.turbulence.field_ids else None
+    turbulence = world.turbulence
+    if not turbulence.field_ids:
+        return None
+    return turbulence.draw_field(draws[FIELD], **({"wind": world.wind} if turbulence.sees_wind else {}))
 
 
 def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:

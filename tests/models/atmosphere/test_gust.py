@@ -91,3 +91,18 @@ def test_no_gust_and_gradients() -> None:
     slopes = jax.grad(strength)(cast(GUST, np.float32))
     assert all(bool(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(slopes))
     assert float(slopes.along) > 0.0 > float(slopes.start_time)
+
+
+def test_a_travelling_gust_without_speed_or_bearing_goes_with_what_carries_the_turbulence() -> None:
+    """The same as with the speed and the bearing of that velocity given: 4 m/s to the north-east."""
+    place, time = Vec3.of(jnp.array([[30.0, 40.0, -20.0], [-3.0, 8.0, -5.0]])), (jnp.int32(20), jnp.float32(0.25))
+    carried = Vec3(jnp.float32(4.0 * math.cos(0.5)), jnp.float32(4.0 * math.sin(0.5)), jnp.float32(0.0))
+    given = cast(replace(GUST, front="travelling", speed=4.0, wind_from_rad=0.5 - math.pi), np.float32)
+    expected = given.velocity_ned(place, *time).stack()
+    assert float(jnp.abs(expected).max()) > 0.5
+    assert given.reads == ()
+    for missing in ({"speed": None}, {"wind_from_rad": None}, {"speed": None, "wind_from_rad": None}):
+        gust = replace(given, **missing)
+        assert gust.reads == ("convection_ned",)
+        found = gust.velocity_ned(place, *time, convection_ned=carried).stack()
+        np.testing.assert_allclose(found, expected, atol=2e-5)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
+import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Draw, Noise
@@ -18,9 +19,13 @@ from qrsim.core.vectors import Vec3
 
 # South, north, west and east [m].
 Bounds = tuple[float, float, float, float]
+# Height whose mean wind carries gusts, unless a turbulence says otherwise [m].
+CONVECTION_HEIGHT = 20.0
 # What a wind, and what a turbulence may declare in ``reads``.
 WIND_READS = ("position_ned",)
 TURBULENCE_READS = ("position_ned", "seconds", "fraction", "field")
+# What a discrete gust may.
+GUST_READS = ("convection_ned",)
 
 
 @runtime_checkable
@@ -57,6 +62,21 @@ class Wind(Protocol):
     def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array, *args: Any, **reads: Any) -> Vec3:
         """Return the air's velocity (n,) [m/s] at heights (n,) [m] above ground."""
 
+    def mean_velocity_ned(self, height_agl: Array) -> Vec3:
+        """Return the mean over time and place of the air's velocity (n,) [m/s] at heights (n,) [m].
+
+        By default that of time 0 at the origin.
+        """
+        origin = Vec3.zeros(height_agl.shape, height_agl.dtype)
+        inputs: dict[str, Any] = {"position_ned": origin} if "position_ned" in self.reads else {}
+        return self.velocity_ned(height_agl, jnp.int32(0), jnp.zeros((), height_agl.dtype), **inputs)
+
+
+def horizontal_mean(wind: Wind, height_agl: Array) -> Vec3:
+    """Return the horizontal mean velocity () [m/s] of a wind at a height () [m]."""
+    mean = wind.mean_velocity_ned(jnp.reshape(height_agl, (1,))).map(lambda axis: axis[0])
+    return Vec3(mean.x, mean.y, jnp.zeros_like(mean.z))
+
 
 @runtime_checkable
 class Turbulence(Protocol):
@@ -68,16 +88,27 @@ class Turbulence(Protocol):
         reads: of "position_ned" (n,) [m], "seconds", "fraction" and "field", what ``gust_ned`` and ``gust_rates_ned``
             are handed by these names beside the state and the height.
         field_ids: numbers of what ``draw_field`` draws for, once an episode for the whole world; 0: nothing is drawn.
+        sees_wind: whether ``draw_field`` is handed the mean wind.
     """
 
     normals: ClassVar[int] = 0
     rates: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...]] = ()
     field_ids: int = 0
+    sees_wind: ClassVar[bool] = False
 
-    def draw_field(self, draw: Draw) -> object:
-        """Draw the field shared by the gusts of all vehicles of an episode, from a draw for ``field_ids`` ids."""
+    def draw_field(self, draw: Draw, wind: Any = None) -> object:
+        """Draw the field shared by the gusts of all vehicles of an episode.
+
+        Args:
+            draw: for ``field_ids`` ids.
+            wind: the mean wind, a ``Wind``, where ``sees_wind`` asks for it.
+        """
         return None
+
+    def convection_velocity_ned(self, wind: Wind) -> Vec3:
+        """Return the horizontal velocity () [m/s] that carries gusts over the ground, in a mean wind."""
+        return horizontal_mean(wind, jnp.asarray(CONVECTION_HEIGHT))
 
     @abstractmethod
     def init(self, draw: Noise) -> object:
@@ -100,8 +131,15 @@ class Turbulence(Protocol):
 
 @runtime_checkable
 class Gust(Protocol):
-    """A gust of known shape: a function of place and time."""
+    """A gust of known shape: a function of place and time.
+
+    Attributes:
+        reads: "convection_ned" or nothing: whether ``velocity_ned`` is handed, by this name, the horizontal velocity ()
+            [m/s] that carries the turbulence.
+    """
+
+    reads: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array) -> Vec3:
+    def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array, *args: Any, **reads: Any) -> Vec3:
         """Return its part of the air's velocity (n,) [m/s] at positions (n,) [m]."""

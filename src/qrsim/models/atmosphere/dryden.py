@@ -72,7 +72,9 @@ def severity_sigma(height_agl: Array, severity: int) -> Array:
     return sigma * (1.0 / FEET_PER_METRE)
 
 
-def dryden_scales(height_agl: Array, speed_20ft: Array, severity: int) -> tuple[Vec3, Vec3]:
+def dryden_scales(
+    height_agl: Array, speed_20ft: Array, severity: int, high_length_ft: float = HIGH_LENGTH_FT
+) -> tuple[Vec3, Vec3]:
     """Return length scales [m] and standard deviations [m/s] of the gusts along, across and down the wind.
 
     Below 1000 ft those of the low-altitude model, above 2000 ft L = 1750 ft and sigma by severity, between them
@@ -82,11 +84,12 @@ def dryden_scales(height_agl: Array, speed_20ft: Array, severity: int) -> tuple[
         height_agl: (n,) [m], taken as at least 10 ft.
         speed_20ft: () or (n,) wind 20 ft above the ground [m/s].
         severity: index of MIL-F-8785C figure 7, 1 to 7.
+        high_length_ft: length above 2000 ft [ft].
     """
     lengths, ratios = low_altitude_scales(height_agl)
     share = jnp.clip((height_agl * FEET_PER_METRE - HIGHEST_FT) * (1.0 / (HIGH_FT - HIGHEST_FT)), 0.0, 1.0)
     low_share = 1.0 - share
-    high_length = share * (HIGH_LENGTH_FT / FEET_PER_METRE)
+    high_length = share * (high_length_ft / FEET_PER_METRE)
     high_sigma = share * severity_sigma(height_agl, severity)
     sigma = low_share * (0.1 * speed_20ft)
     return (

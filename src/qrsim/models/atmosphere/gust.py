@@ -12,7 +12,7 @@ from qrsim.core.fastmath import sincos
 from qrsim.core.tree import parameter, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.contracts import Gust
-from qrsim.models.atmosphere.wind import wind_to_ned
+from qrsim.models.atmosphere.wind import turned_to_ned
 
 
 @record
@@ -30,7 +30,8 @@ class DiscreteGust(Gust):
 
     It is a function of time and place alone: x = speed (t - start_time), for 'travelling' minus the distance
     downwind of the site's origin. So a duration D is a length of speed D. Wind axes are those of the mean wind; with
-    wind_from_deg 180 the amplitudes are north, east and down.
+    wind_from_deg 180 the amplitudes are north, east and down. What is null of the speed and the bearing of a travelling
+    gust is that of the velocity that carries the turbulence.
     """
 
     start_time: Array = parameter(
@@ -40,14 +41,20 @@ class DiscreteGust(Gust):
         maximum=1e7,
     )
     length: Array = parameter(unit="m", doc="distance over which the gust builds up, d_m", minimum=1e-3, maximum=1e6)
-    speed: Array = parameter(
-        unit="m/s", doc="speed at which it is met: the vehicle's airspeed; 'travelling': at which it moves", above=0.0
+    speed: Array | None = parameter(
+        default=None,
+        unit="m/s",
+        doc="speed at which it is met: the vehicle's airspeed; 'travelling': at which it moves, null: the turbulence's",
+        above=0.0,
+        nullable=True,
     )
-    wind_from_rad: Array = parameter(
+    wind_from_rad: Array | None = parameter(
+        default=None,
         unit="rad",
-        doc="bearing the gust comes from, clockwise from north",
+        doc="bearing the gust comes from, clockwise from north; null: that of what carries the turbulence",
         minimum=-2 * math.pi,
         maximum=2 * math.pi,
+        nullable=True,
     )
     along: Array = parameter(default=0.0, unit="m/s", doc="amplitude along the moving air", minimum=-50.0, maximum=50.0)
     across: Array = parameter(
@@ -61,23 +68,47 @@ class DiscreteGust(Gust):
         default="uniform", doc="'uniform' is everywhere at once; 'travelling' moves over the ground with the wind"
     )
 
-    def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array) -> Vec3:
+    @property
+    def reads(self) -> tuple[str, ...]:  # type: ignore[override]
+        """What carries the turbulence, where speed or bearing are those of it."""
+        return ("convection_ned",) if self.speed is None or self.wind_from_rad is None else ()
+
+    def velocity_ned(
+        self, position_ned: Vec3, seconds: Array, fraction: Array, convection_ned: Vec3 | None = None
+    ) -> Vec3:
         """Return the gust's part of the air's velocity [m/s] in NED, for each of (n,) vehicles.
 
         Args:
             position_ned: (n,) [m].
             seconds, fraction: () int32 and float, time since the start [s] in whole seconds and the rest, so that
                 single precision is enough for runs of any length.
+            convection_ned: () horizontal velocity that carries the turbulence [m/s], where it is read.
         """
+        speed, sine, cosine = self._motion(convection_ned)
         start = jnp.asarray(self.start_time)
         whole = jnp.floor(start)
         elapsed = (seconds - whole.astype(jnp.int32)).astype(fraction.dtype) + (fraction - (start - whole))
-        depth = jnp.broadcast_to(self.speed * elapsed, position_ned.x.shape)
+        depth = jnp.broadcast_to(speed * elapsed, position_ned.x.shape)
         if self.front == "travelling":
-            sine, cosine = sincos(jnp.asarray(self.wind_from_rad))
             depth = depth + (cosine * position_ned.x + sine * position_ned.y)
         end = math.pi if self.shape == "pulse" else 0.5 * math.pi
         # (1 - cos(pi x/d))/2 = sin^2(pi x/(2 d)).
         root, _ = sincos(jnp.clip(depth * (0.5 * math.pi / self.length), 0.0, end))
         share = root * root
-        return wind_to_ned(self.along * share, self.across * share, self.down * share, self.wind_from_rad)
+        return turned_to_ned(self.along * share, self.across * share, self.down * share, sine, cosine)
+
+    def _motion(self, convection_ned: Vec3 | None) -> tuple[Array, Array, Array]:
+        """Return the speed () [m/s], and sine and cosine () of the bearing that the gust comes from."""
+        speed = sine = cosine = None
+        if convection_ned is not None:
+            square = convection_ned.x * convection_ned.x + convection_ned.y * convection_ned.y
+            speed = jnp.sqrt(jnp.maximum(square, 1e-12))
+            sine, cosine = -convection_ned.y / speed, -convection_ned.x / speed
+        if self.speed is not None:
+            speed = self.speed
+        if self.wind_from_rad is not None:
+            sine, cosine = sincos(jnp.asarray(self.wind_from_rad))
+        assert speed is not None
+        assert sine is not None
+        assert cosine is not None
+        return speed, sine, cosine

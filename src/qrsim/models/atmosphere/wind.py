@@ -24,7 +24,11 @@ REFERENCE_FT = 20.0
 
 def wind_to_ned(along: Array, across: Array, down: Array, wind_from_rad: Array) -> Vec3:
     """Rotate a vector in wind axes to NED (MIL-F-8785C, 3.7.1)."""
-    sine, cosine = sincos(jnp.asarray(wind_from_rad))
+    return turned_to_ned(along, across, down, *sincos(jnp.asarray(wind_from_rad)))
+
+
+def turned_to_ned(along: Array, across: Array, down: Array, sine: Array, cosine: Array) -> Vec3:
+    """Rotate a vector in wind axes to NED by sine and cosine of the bearing that the wind comes from."""
     return Vec3(sine * across - cosine * along, -sine * along - cosine * across, down)
 
 

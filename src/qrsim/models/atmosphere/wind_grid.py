@@ -36,6 +36,7 @@ class WindGrid(Wind):
     fraction: Array = quantity(unit="s", doc="(T,) the rest, in [0, 1)")
     heights: Literal["ground", "origin"] = setting(default="ground", doc="what the levels are counted from")
     file: str = setting(default="", doc="where it is from")
+    mean_ned: Vec3 = quantity(default=None, unit="m/s", doc="(Z,) mean over time and all places of each level")
 
     reads: ClassVar[tuple[str, ...]] = ("position_ned",)
 
@@ -59,6 +60,27 @@ class WindGrid(Wind):
         level, before = self._level(height), self._time(seconds, fraction)
         return self.air_ned.map(lambda axis: _linear(jnp.asarray(axis), (before, level, rows, columns)))
 
+    def mean_velocity_ned(self, height_agl: Array) -> Vec3:
+        """Return the mean over time and all places [m/s] at heights (n,) [m]."""
+        level, share = self._level(height_agl)
+
+        def at(axis: Array) -> Array:
+            axis = jnp.asarray(axis)
+            return axis[level] + share * (axis[level + 1] - axis[level])
+
+        return self.mean_ned.map(at)
+
+    def averaged(self) -> WindGrid:
+        """Return the grid with its means, in double precision."""
+        times = np.asarray(self.seconds) + np.asarray(self.fraction, np.float64)
+        # By trapezoids, as the velocity is linear between two times.
+        weights = np.convolve(np.diff(times), [0.5, 0.5]) if len(times) > 1 else np.ones(1)
+        whole: Any = self.air_ned
+        means = whole.map(
+            lambda axis: weights @ np.mean(np.asarray(axis), axis=(2, 3), dtype=np.float64) / weights.sum()
+        )
+        return replace(self, mean_ned=means)
+
     def within(self, bounds: Bounds | None, top: float | None) -> WindGrid:
         """Return the part of the grid that an area needs.
 
@@ -77,7 +99,7 @@ class WindGrid(Wind):
         begins: Any = tuple(
             low + part.start * step for low, part, step in zip(self.corner, (rows, columns), self.spacing, strict=True)
         )
-        return replace(self, air_ned=air, corner=begins)
+        return replace(self, air_ned=air, corner=begins).averaged()
 
     def largest_speed(self, height: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         """Return the largest horizontal speed [m/s] anywhere and at any time at heights of any shape [m]."""
@@ -186,7 +208,7 @@ class WindGridFile:
             "spacing": (_step(grid.y), _step(grid.x)),
             "levels": grid.z,
         }
-        return WindGrid(**measures, seconds=seconds, fraction=fraction, heights=self.heights, file=self.file)
+        return WindGrid(**measures, seconds=seconds, fraction=fraction, heights=self.heights, file=self.file).averaged()
 
 
 def _step(values: np.ndarray[Any, Any]) -> float:

@@ -31,6 +31,11 @@ class WindSeries(Wind):
     seconds: Array = quantity(unit="s", doc="(K,) int32, whole seconds since the start of the run")
     fraction: Array = quantity(unit="s", doc="(K,) the rest, in [0, 1)")
     air_ned: Vec3 = quantity(unit="m/s", doc="(K,) velocity of the air in NED")
+    mean_ned: Vec3 = quantity(default=None, unit="m/s", doc="() mean over the whole series")
+
+    def mean_velocity_ned(self, height_agl: Array) -> Vec3:
+        """Return the mean over the whole series [m/s], the same at all heights (n,)."""
+        return self.mean_ned.map(lambda axis: jnp.broadcast_to(jnp.asarray(axis), height_agl.shape))
 
     def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array) -> Vec3:
         """Return the air's velocity [m/s], the same at all heights (n,); beyond the series its end values.
@@ -75,7 +80,8 @@ class WindFile:
         times, air = read_wind(Path(self.file), self.max_gap)
         check_covers(f"{self.file}: the series", times, duration)
         columns: Any = (np.ascontiguousarray(air[:, axis]) for axis in range(3))
-        return WindSeries(*split_seconds(times), Vec3(*columns))
+        means = np.trapezoid(air, times, axis=0) / (times[-1] - times[0])
+        return WindSeries(*split_seconds(times), Vec3(*columns), Vec3(*means))
 
 
 def read_wind(path: Path, max_gap: float) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:

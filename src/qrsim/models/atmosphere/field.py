@@ -1,0 +1,366 @@
+"""Turbulence as one field of a world: what all vehicles fly through, with the spectra of MIL-F-8785C along any line.
+
+The gust is a function of seed, world, place and time. It is a sum of waves (``field_modes``), the same for all worlds
+but for a random rotation, reflection, dilation and phases, so that the mean over worlds is isotropic and has closed
+forms: for the Dryden form f = exp(-r/L) along and g = (1 - r/(2 L)) exp(-r/L) across a separation r.
+
+North and east are weighted by the lengths and intensities that MIL-F-8785C has for the horizontal gusts, down by those
+for the vertical ones; above 2000 ft they are equal and the field has no divergence. The field moves with one velocity,
+that of the mean wind at ``convection_height`` or the one given. Frequencies are whole numbers of turns/2^32 per second,
+so that whole seconds are multiplied without rounding in runs of any length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from qrsim.core.fastmath import exp, power, reciprocal_root, rounded, sincos_turns
+from qrsim.core.noise import Draw, Noise, ou_decay
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.vectors import Vec3
+from qrsim.models.atmosphere.contracts import CONVECTION_HEIGHT, Turbulence, Wind, horizontal_mean
+from qrsim.models.atmosphere.dryden import HIGH_LENGTH_FT, dryden_scales
+from qrsim.models.atmosphere.field_modes import SEGMENTS, Floats, Modes, modes
+from qrsim.models.atmosphere.turbulence import StillState, carrying_speed
+
+# Above 2000 ft the von Karman form has a longer length (MIL-F-8785C, 3.7.3.1), and 1.339 is its (k L)'s factor.
+VON_KARMAN_HIGH_LENGTH_FT = 2500.0
+VON_KARMAN_SCALE = math.gamma(1.0 / 3.0) / (math.sqrt(math.pi) * math.gamma(5.0 / 6.0))
+# E(k) = s^2 L E0 x^4/(1 + x^2)^p, with x = k L or k times the scaled length: E0.
+DRYDEN_ENERGY = 8.0 / math.pi
+VON_KARMAN_ENERGY = 55.0 * math.gamma(5.0 / 6.0) / (9.0 * math.sqrt(math.pi) * math.gamma(1.0 / 3.0))
+# Of the Dryden form beyond the highest wavenumber k: 16/(3 pi k L) of the variance. A first-order process of that
+# variance and these lengths times 1/k continues the tails 2 s^2/(pi L O^2) along and 3 s^2/(pi L O^2) across.
+RESIDUAL_SHARE, RESIDUAL_ALONG, RESIDUAL_ACROSS = 16.0 / (3.0 * math.pi), 16.0 / (3.0 * math.pi), 32.0 / (9.0 * math.pi)
+TURN = 2.0**32
+
+
+@record
+class FieldWaves:
+    """What a world draws for its field, once an episode: K chains of waves, and how the set of waves lies."""
+
+    phase: Array = quantity(unit="1", doc="(K,) uint32: of each chain at the origin at time 0, turns times 2^32")
+    advance: Array = quantity(unit="1", doc="(K,) uint32: frequency, turns per second times 2^32, whole turns left out")
+    frequency: Array = quantity(unit="1/s", doc="(K,) turns per second, whole turns included")
+    turned: tuple[Vec3, Vec3, Vec3] = quantity(unit="1", doc="rows of the rotation or reflection from NED to the waves")
+    handedness: Array = quantity(unit="1", doc="() determinant of ``turned``, 1 or -1")
+    dilation: Array = quantity(unit="1", doc="() what wavenumbers are multiplied by")
+
+
+@record
+class ResidualState:
+    """Gusts of what is smaller than the shortest wave, each (n,), in units of their standard deviation."""
+
+    gust: Vec3 = quantity(unit="1", doc="north, east and down")
+
+
+class Sums(NamedTuple):
+    """Sums over all waves at n vehicles, in the axes of the waves: gust and half its curl for two sets of weights."""
+
+    across: Vec3
+    down: Vec3
+    across_curl: Vec3
+    down_curl: Vec3
+
+
+@record
+class DrydenField(Turbulence):
+    """One turbulent field that all vehicles of a world fly through, with Dryden or von Karman spectra at each."""
+
+    speed_20ft: Array = parameter(
+        default=None,
+        unit="m/s",
+        doc="wind speed 20 ft above ground that drives the turbulence below 2000 ft",
+        minimum=0.0,
+        maximum=50.0,
+        inherits="world.wind.speed_20ft",
+    )
+    convection_ned: Array | None = parameter(
+        default=None,
+        unit="m/s",
+        doc="[north, east] velocity that carries the field; null: the mean wind at convection_height",
+        minimum=-100.0,
+        maximum=100.0,
+        length=2,
+        nullable=True,
+    )
+    convection_height: Array = parameter(
+        default=CONVECTION_HEIGHT, unit="m", doc="height whose mean wind carries the field", minimum=1.0, maximum=300.0
+    )
+    sweep: Array = parameter(
+        default=0.0,
+        unit="m/s",
+        doc="std of the random speed of each chain of waves along itself; 0 is Taylor's frozen field",
+        minimum=0.0,
+        maximum=10.0,
+    )
+    severity: int = setting(
+        default=3, unit="1", doc="MIL-F-8785C figure 7, above 1000 ft: 1 light to 7 extreme", minimum=1, maximum=7
+    )
+    spectrum: Literal["dryden", "von_karman"] = setting(default="dryden", doc="form of the spectra of MIL-F-8785C")
+    residual: Literal["none", "filter"] = setting(
+        default="none",
+        doc="'filter' adds gusts smaller than the shortest wave, of each vehicle's own; 'none' keeps one pure field",
+    )
+    chains: int = setting(
+        default=16, unit="1", doc="chains of waves in each of two segments, a multiple of 4", minimum=8, maximum=64
+    )
+    octaves: int = setting(
+        default=12, unit="1", doc="octaves of wavelength down from 6560 m; fewer leave out small gusts", minimum=8,
+        maximum=14,
+    )  # fmt: skip
+
+    rates: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "seconds", "fraction", "field")
+    sees_wind: ClassVar[bool] = True
+
+    @property
+    def normals(self) -> int:  # type: ignore[override]
+        """Of the residual alone."""
+        return 3 if self.residual == "filter" else 0
+
+    @property
+    def field_ids(self) -> int:  # type: ignore[override]
+        """One for each chain."""
+        return SEGMENTS * self.chains
+
+    def convection_velocity_ned(self, wind: Wind) -> Vec3:
+        """Return the velocity () [m/s] that carries the field."""
+        if self.convection_ned is not None:
+            return Vec3(self.convection_ned[0], self.convection_ned[1], jnp.zeros_like(self.convection_ned[0]))
+        return horizontal_mean(wind, jnp.asarray(self.convection_height))
+
+    def draw_field(self, draw: Draw, wind: Any = None) -> FieldWaves:
+        """Draw how the set of waves lies in this world, and each chain's phase and frequency.
+
+        Every product is rounded on its own, so that the frequencies are the same in every program.
+        """
+        words, _ = draw.stream.words(draw.tick, 0)
+        sweep = draw.normal_rows(1, first=1)[0]
+        turned, handedness = _rotation(draw.normal_rows(4, first=2)[:, 0], draw.stream.words(draw.tick, 5)[0][0])
+        # As many bits as are exact in single precision, so that it is below 1.
+        share = (draw.stream.words(draw.tick, 4)[0][0] >> 9).astype(jnp.int32).astype(draw.like.dtype) * 2.0**-23
+        dilation = exp(rounded(share * (math.log(2.0) / self.chains)))
+        way = _times(turned, self.convection_velocity_ned(wind).map(lambda axis: jnp.asarray(axis, share.dtype)))
+        start = self._modes()
+        waves = Vec3.of(_numbers(start.directions.reshape(-1, 3), share))
+        along = rounded(waves.x * way.x) + (rounded(waves.y * way.y) + rounded(waves.z * way.z))
+        speed = along + rounded(sweep * self.sweep)
+        per_metre = rounded(_numbers(start.first.reshape(-1) / (2.0 * math.pi), share) * dilation)
+        frequency = rounded(per_metre * speed)
+        return FieldWaves(words, whole_turns(frequency), frequency, turned, handedness, dilation)
+
+    def init(self, draw: Noise) -> StillState | ResidualState:
+        """Draw a stationary first value of the residual, if there is one."""
+        return ResidualState(Vec3(*draw.normals(3))) if self.residual == "filter" else StillState()
+
+    def step(
+        self,
+        state: StillState | ResidualState,
+        draw: Noise,
+        height_agl: Array,
+        velocity_ned: Vec3,
+        mean_wind_ned: Vec3,
+        dt: float,
+    ) -> StillState | ResidualState:
+        """Advance the residual by dt [s]: along the vehicles' horizontal way through the air, across it and down."""
+        if isinstance(state, StillState):
+            return state
+        normals = Vec3(*draw.normals(3))
+        way = dt * carrying_speed("relative", velocity_ned, mean_wind_ned) * self._modes().highest
+        along, across = (ou_decay(1.0, length / way) for length in (RESIDUAL_ALONG, RESIDUAL_ACROSS))
+        north, east = _heading(velocity_ned - mean_wind_ned)
+        gust = state.gust
+        forward = along[0] * (north * gust.x + east * gust.y) + along[1] * normals.x
+        right = across[0] * (north * gust.y - east * gust.x) + across[1] * normals.y
+        down = across[0] * gust.z + across[1] * normals.z
+        return ResidualState(Vec3(north * forward - east * right, east * forward + north * right, down))
+
+    def gust_ned(
+        self,
+        state: StillState | ResidualState,
+        height_agl: Array,
+        position_ned: Vec3,
+        seconds: Array,
+        fraction: Array,
+        field: FieldWaves,
+    ) -> Vec3:
+        """Return the gust [m/s] in NED at positions (n,) [m] and heights (n,) [m] above ground.
+
+        Args:
+            state: of the residual.
+            height_agl: (n,) [m], which gives lengths and intensities.
+            position_ned: (n,) [m].
+            seconds, fraction: () time since the start [s] in whole seconds, int32, and the rest.
+            field: what the world has drawn.
+        """
+        lengths, sigma = self._scales(height_agl)
+        sums = self._sums(lengths, position_ned, seconds, fraction, field)
+        size = self._size(lengths, sigma, field)
+        across, down = _back(field.turned, sums.across), _back(field.turned, sums.down)
+        gust = Vec3(size.x * across.x, size.x * across.y, size.z * down.z)
+        if isinstance(state, StillState):
+            return gust
+        share = lengths.map(lambda length: jnp.minimum(RESIDUAL_SHARE / (self._modes().highest * length), 1.0))
+        scaled = Vec3(sigma.x * state.gust.x, sigma.y * state.gust.y, sigma.z * state.gust.z)
+        return gust + Vec3(jnp.sqrt(share.x) * scaled.x, jnp.sqrt(share.y) * scaled.y, jnp.sqrt(share.z) * scaled.z)
+
+    def gust_rates_ned(
+        self,
+        state: StillState | ResidualState,
+        height_agl: Array,
+        position_ned: Vec3,
+        seconds: Array,
+        fraction: Array,
+        field: FieldWaves,
+    ) -> Vec3:
+        """Return the rotation of the air [rad/s], half the curl of the field, in NED; arguments as ``gust_ned``.
+
+        The change of the weights with height is left out of the curl.
+        """
+        lengths, sigma = self._scales(height_agl)
+        sums = self._sums(lengths, position_ned, seconds, fraction, field)
+        size = self._size(lengths, sigma, field) * (field.handedness * field.dilation)
+        across, down = _back(field.turned, sums.across_curl), _back(field.turned, sums.down_curl)
+        return Vec3(
+            0.5 * (size.x * across.x + size.z * down.x),
+            0.5 * (size.x * across.y + size.z * down.y),
+            size.x * across.z,
+        )
+
+    def _modes(self) -> Modes:
+        return modes(self.chains, self.octaves)
+
+    def _scales(self, height_agl: Array) -> tuple[Vec3, Vec3]:
+        high = HIGH_LENGTH_FT if self.spectrum == "dryden" else VON_KARMAN_HIGH_LENGTH_FT
+        return dryden_scales(height_agl, self.speed_20ft, self.severity, high)
+
+    def _size(self, lengths: Vec3, sigma: Vec3, field: FieldWaves) -> Vec3:
+        """Return what does not depend on the wave in its amplitude [m/s], each (n,)."""
+        energy, scale = DRYDEN_ENERGY, field.dilation
+        if self.spectrum == "von_karman":
+            energy, scale = VON_KARMAN_ENERGY, VON_KARMAN_SCALE * field.dilation
+        amplitude = math.sqrt(2.0 * energy * math.log(2.0) / self.chains)
+
+        def size(std: Array, length: Array) -> Array:
+            return amplitude * std * jnp.sqrt(length * scale)
+
+        return Vec3(size(sigma.x, lengths.x), size(sigma.y, lengths.y), size(sigma.z, lengths.z))
+
+    def _weight(self, kappa: Array, square_length: Array) -> Array:
+        """Return the rest of the amplitude (B, n) of waves of kappa (B, 1) for squares of lengths (1, n) [m^2]."""
+        square = (kappa * kappa) * square_length
+        root = reciprocal_root(1.0 + square)
+        share = (jnp.sqrt(kappa) * square) * (root * root)
+        return share * (root if self.spectrum == "dryden" else power(root, 5.0 / 6.0))
+
+    def _sums(self, lengths: Vec3, position_ned: Vec3, seconds: Array, fraction: Array, field: FieldWaves) -> Sums:
+        """Sum all waves at positions (n,): the chains of each group, then the groups, weighted by the lengths (n,)."""
+        scale = field.dilation * (1.0 if self.spectrum == "dryden" else VON_KARMAN_SCALE)
+        squares = [((length * scale) * (length * scale))[None] for length in (lengths.x, lengths.z)]
+        place = _times(field.turned, position_ned) * field.dilation
+        of = self._modes()
+        kappas = _numbers(of.centre, scale)
+        curls = _numbers(0.5 * of.centre * of.handedness, scale)
+        totals: list[Vec3] | None = None
+        for octave, value in enumerate(_group_values(of, turns_at(field, seconds, fraction), place)):
+            across, down = (value * self._weight(kappas[octave], square) for square in squares)
+            parts = [across, down, across * curls[octave], down * curls[octave]]
+            totals = parts if totals is None else [total + part for total, part in zip(totals, parts, strict=True)]
+        assert totals is not None
+        return Sums(*(total.map(lambda axis: jnp.sum(axis, axis=0)) for total in totals))
+
+
+def whole_turns(frequency: Array) -> Array:
+    """Return frequencies [1/s] of any shape without their whole turns, in turns per second times 2^32, uint32."""
+    # To take the nearest whole number off is exact, and so is the product.
+    part = jnp.round((frequency - jnp.round(frequency)) * TURN)
+    signed = jnp.where(part >= 0.5 * TURN, part - TURN, part).astype(jnp.int32)
+    return lax.bitcast_convert_type(signed, jnp.uint32)
+
+
+def turns_at(field: FieldWaves, seconds: Array, fraction: Array) -> Array:
+    """Return the phases (K,) of all chains at the origin at a time, in turns.
+
+    Whole seconds are multiplied modulo 2^32, exactly; the fraction is multiplied by the whole frequency.
+    """
+    whole = field.phase - field.advance * seconds.astype(jnp.uint32)
+    signed = lax.bitcast_convert_type(whole, jnp.int32).astype(field.frequency.dtype)
+    return signed * (1.0 / TURN) - field.frequency * fraction
+
+
+def _group_values(of: Modes, turns: Array, place: Vec3) -> Iterator[Vec3]:
+    """Yield for each octave the sums (B, n) of the waves of each group, in their own axes and unweighted.
+
+    Args:
+        of: the set of waves, B groups of C chains.
+        turns: (B C,) phases at the origin.
+        place: (n,) dilated, in the axes of the waves [m].
+    """
+    wave = Vec3.of(_numbers(of.turns_per_metre, turns))
+    row = place.map(lambda axis: axis[None, None])
+    phase = turns.reshape(of.first.shape)[:, :, None] + (wave.x * row.x + (wave.y * row.y + wave.z * row.z))
+    sine, cosine = sincos_turns(phase)
+    for octave in range(of.octaves):
+        if octave:
+            double = sine + sine
+            sine, cosine = double * cosine, 1.0 - double * sine
+        by_cosine, by_sine = (Vec3.of(_numbers(table[octave], turns)) for table in (of.cosine, of.sine))
+        yield Vec3(
+            jnp.sum(by_cosine.x * cosine + by_sine.x * sine, axis=1),
+            jnp.sum(by_cosine.y * cosine + by_sine.y * sine, axis=1),
+            jnp.sum(by_cosine.z * cosine + by_sine.z * sine, axis=1),
+        )
+
+
+def _numbers(table: Floats, like: Array) -> Array:
+    return jnp.asarray(table.astype(like.dtype))
+
+
+def _rotation(normals: Array, word: Array) -> tuple[tuple[Vec3, Vec3, Vec3], Array]:
+    """Return the rows of a random rotation, mirrored where the first bit of a word says so, and its determinant."""
+    w, x, y, z = normals
+    sign = jnp.where(word >> 31 == 1, -1.0, 1.0).astype(normals.dtype)
+
+    def product(a: Array, b: Array) -> Array:
+        return rounded(a * b)
+
+    squares = [product(a, a) for a in (w, x, y, z)]
+    scale = sign / ((squares[0] + squares[1]) + (squares[2] + squares[3]))
+
+    def diagonal(mine: int) -> Array:
+        first, second = (i for i in (1, 2, 3) if i != mine)
+        return product((squares[0] + squares[mine]) - (squares[first] + squares[second]), scale)
+
+    def beside(a: Array, b: Array, c: Array) -> Array:
+        return product(2.0 * (product(a, b) + product(w, c)), scale)
+
+    rows = (
+        Vec3(diagonal(1), beside(x, y, -z), beside(x, z, y)),
+        Vec3(beside(x, y, z), diagonal(2), beside(y, z, -x)),
+        Vec3(beside(x, z, -y), beside(y, z, x), diagonal(3)),
+    )
+    return rows, sign
+
+
+def _times(rows: tuple[Vec3, Vec3, Vec3], vector: Vec3) -> Vec3:
+    """Return the product of a matrix, by its rows, and a vector."""
+    return Vec3(rows[0].dot(vector), rows[1].dot(vector), rows[2].dot(vector))
+
+
+def _back(rows: tuple[Vec3, Vec3, Vec3], vector: Vec3) -> Vec3:
+    """Return the product of the transposed matrix and a vector."""
+    return rows[0] * vector.x + rows[1] * vector.y + rows[2] * vector.z
+
+
+def _heading(velocity_ned: Vec3) -> tuple[Array, Array]:
+    """Return cosine and sine of the bearing of horizontal velocities (n,), north where there is none."""
+    square = velocity_ned.x * velocity_ned.x + velocity_ned.y * velocity_ned.y
+    moves = square > 1e-6
+    speed = jnp.sqrt(jnp.where(moves, square, 1.0))
+    return jnp.where(moves, velocity_ned.x / speed, 1.0), jnp.where(moves, velocity_ned.y / speed, 0.0)

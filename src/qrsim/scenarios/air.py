@@ -1,0 +1,75 @@
+"""Checks and warnings of turbulence and gusts that the wind carries."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from qrsim.errors import UsageError
+from qrsim.models.atmosphere.contracts import CONVECTION_HEIGHT
+from qrsim.models.atmosphere.field_modes import GROUPS
+from qrsim.scenarios.build import wind_of
+from qrsim.scenarios.schema import ScenarioSpec
+
+FIELD = "dryden_field"
+# A field slower than this stands still for a vehicle that hovers for a minute: its gusts would be a steady wind [m/s].
+SLOWEST = 0.5
+
+
+def air_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield what cannot be of the turbulence and the discrete gust, in one sentence each."""
+    turbulence, gust = scenario.world.turbulence, scenario.world.gust
+    if turbulence.type == FIELD:
+        chains, multiple = turbulence.chains, 2 * GROUPS
+        if chains % multiple:
+            low = chains // multiple * multiple
+            yield (
+                f"world.turbulence.chains: {chains}; allowed: a multiple of {multiple}, the nearest are {low} and "
+                f"{low + multiple}"
+            )
+        if turbulence.residual == "filter" and turbulence.spectrum != "dryden":
+            yield (
+                f"world.turbulence.residual: 'filter' continues the Dryden form only, and the spectrum is "
+                f"'{turbulence.spectrum}'; allowed: none"
+            )
+    if gust.type == "discrete":
+        if gust.speed is None and gust.front == "uniform":
+            yield "world.gust.speed: missing (speed at which it is met; only a travelling gust has the wind's, m/s)"
+        elif (gust.speed is None or gust.wind_from_rad is None) and convection_speed(scenario) == 0.0:
+            name = "speed" if gust.speed is None else "wind_from_deg"
+            yield (f"world.gust.{name}: missing; it would be that of what carries the turbulence, which stands still")
+
+
+def air_warnings(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield a warning where a field stands still."""
+    turbulence = scenario.world.turbulence
+    if turbulence.type != FIELD or _speed_20ft(scenario) <= 0.0:
+        return
+    speed = convection_speed(scenario)
+    if speed + turbulence.sweep < SLOWEST:
+        yield (
+            f"world.turbulence: the field moves at {speed:.3g} m/s and its sweep is {turbulence.sweep:g} m/s, so a "
+            "vehicle that hovers meets a steady wind in place of gusts; give convection_ned or sweep"
+        )
+
+
+def convection_speed(scenario: ScenarioSpec) -> float:
+    """Return the speed [m/s] of what carries turbulence and gusts; infinite where the wind's file cannot be read."""
+    turbulence = vars(scenario.world.turbulence)
+    given = turbulence.get("convection_ned")
+    if given is not None:
+        return math.hypot(*given)
+    try:
+        wind = wind_of(scenario)
+    except UsageError:
+        return math.inf
+    height = np.full(1, turbulence.get("convection_height", CONVECTION_HEIGHT), np.float32)
+    mean = wind.mean_velocity_ned(height)
+    return math.hypot(float(mean.x[0]), float(mean.y[0]))
+
+
+def _speed_20ft(scenario: ScenarioSpec) -> float:
+    own = vars(scenario.world.turbulence).get("speed_20ft")
+    return float(own if own is not None else vars(scenario.world.wind).get("speed_20ft", 0.0))
