@@ -229,3 +229,12 @@ def test_vehicles_feel_it_where_they_are(tmp_path, whole, compiler, monkeypatch)
     sim.step()
     mean = sim.state.fleets[0].mean_wind_ned
     np.testing.assert_allclose(np.stack([mean.x, mean.y, mean.z], axis=1), expected(places, 8.0), rtol=0.0, atol=2e-4)
+
+
+def test_its_mean_is_that_over_places_and_times_of_each_level(tmp_path: Path) -> None:
+    """Of 3 + 0.03 z + 0.004 t east, -2 north and 0.5 + 0.002 t up from 0 to 100 s, 3.2 + 0.03 z, -2 and 0.6."""
+    path = written(tmp_path, dataset())
+    for wind in (WindGridFile(path).at(100.0), WindGridFile(path).at(100.0).within((-80.0, 80.0, -100.0, 100.0), 60.0)):
+        found = wind.mean_velocity_ned(jnp.array([20.0, 40.0, 500.0])).stack()
+        np.testing.assert_allclose(found[:2], [[-2.0, 3.8, -0.6], [-2.0, 4.4, -0.6]], atol=1e-5)
+    np.testing.assert_allclose(found[2], [-2.0, 3.2 + 0.03 * 130.0, -0.6], atol=1e-5)
