@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import jax
@@ -13,6 +14,24 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 DATA_INSTALL_LINE = "run 'qrsim data fetch' and set QRSIM_DATA_DIR to the folder it prints"
+
+# Compiled programs stay in memory as long as JAX keeps them, which over a whole suite are several gigabytes.
+RESIDENT_LIMIT_BYTES = 2 * 2**30
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _bounded_memory() -> Iterator[None]:
+    """Let go of compiled programs between two files where the process has grown large."""
+    yield
+    if resident_bytes() > RESIDENT_LIMIT_BYTES:
+        jax.clear_caches()
+        gc.collect()
+
+
+def resident_bytes() -> int:
+    """Return the memory that the process holds, zero where the system does not say."""
+    status = Path("/proc/self/statm")
+    return int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if status.is_file() else 0
 
 
 @pytest.fixture(scope="session")

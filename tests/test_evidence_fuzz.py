@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
 from evidence import fuzz
 from evidence.__main__ import plain
 
 
+@pytest.mark.long
 def test_small_form():
     entries = fuzz.some(fuzz.SMALL)
     bad = [entry for entry in entries if entry["outcome"] not in ("taken", "refused")]

@@ -31,7 +31,8 @@ def primitives(jaxpr: Any) -> set[Any]:
     return found
 
 
-def test_three_hundred_programs_and_every_primitive():
+@pytest.mark.parametrize("programs", [80, pytest.param(300, marks=pytest.mark.long)])
+def test_random_programs_and_every_primitive(programs):
     """Equal to the bit or within the roundings of their operations; none crashes; no rule is left out."""
     seen: set[Any] = set()
 
@@ -41,7 +42,9 @@ def test_three_hundred_programs_and_every_primitive():
         if what in ("equal", "within"):
             seen.update(primitives(program.closed.jaxpr))
 
-    @settings(max_examples=300, derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=programs, derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck)
+    )
     @drawn(st.integers(0, 10**9))
     def try_it(number: int) -> None:
         check(number)

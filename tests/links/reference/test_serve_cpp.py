@@ -18,6 +18,8 @@ ROOT = Path(__file__).resolve().parents[3]
 HEADER = ROOT / "clients" / "cpp"
 INSTALL_LINE = "apt-get install protobuf-compiler libprotobuf-dev g++ pkg-config"
 SEED = 21
+# The compiler of C++ takes long.
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +55,6 @@ def served() -> Iterator[Running]:
         yield found
 
 
-@pytest.mark.long
 def test_a_client_in_cpp_runs_the_whole_reference_protocol(build, served):
     program = build("reference_client", (Path(__file__).parent / "reference_client.cc").read_text("utf-8"))
     done = subprocess.run(
@@ -143,7 +144,6 @@ def test_the_examples_fly(build, served):
         assert (done.stderr, done.returncode) == ("", 0), page
 
 
-@pytest.mark.long
 def test_cmake_builds_the_example(build, served, tmp_path):
     if shutil.which("cmake") is None:
         pytest.skip("no cmake: apt-get install cmake")
