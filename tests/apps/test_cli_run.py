@@ -298,6 +298,7 @@ def test_the_run_folder_says_which_compiler_flew(flown):
     assert (info.compiler, info.compiler_refused) == ("llvm", "")
 
 
+@pytest.mark.long
 def test_the_run_folder_says_why_it_was_xla(fly, monkeypatch):
     """Where machine code fails, and where XLA was asked for."""
 

@@ -174,6 +174,7 @@ class TestWalk:
         ] * 7
 
 
+@pytest.mark.long
 def test_records_that_differ_only_in_their_type_are_others_to_jax() -> None:
     """A hundred classes of one form, each compiled on its own; JAX itself takes one in ten for another."""
 

@@ -71,6 +71,7 @@ def test_goes_on_in_mid_episode(make: Any, copy_of: Any) -> None:
     assert not same(after, fly(env))
 
 
+@pytest.mark.long
 def test_computed_by_xla_in_double_precision(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("QRSIM_COMPILER", "xla")
     env = gymnasium.make("qrsim/keep_spot-v0", precision="float64")

@@ -93,6 +93,7 @@ def judge(path: Path) -> dict[str, str]:
     return {name: each["status"] for name, each in told["verdicts"].items()}
 
 
+@pytest.mark.long
 def test_eight_seconds_are_enough(signals: Signals, tmp_path: Path) -> None:
     """Their fitted part is shorter than one window of the usual length."""
     kept = {name: signals[name][:400] for name in ROTATION}

@@ -142,10 +142,8 @@ def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: d
 OF_A_FLEET = [case for case in COMPONENTS if SLOTS[case[0]].startswith("fleets.") and case[0] != "PLACEMENTS"]
 
 
-@pytest.mark.parametrize(
-    ("group", "name"),
-    [pytest.param(*case, id="-".join(case), marks=(pytest.mark.long,) if case in SLOW else ()) for case in OF_A_FLEET],
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("group", "name"), [pytest.param(*case, id="-".join(case)) for case in OF_A_FLEET])
 def test_numbers_may_differ_from_vehicle_to_vehicle(group: str, name: str) -> None:
     """With a list in place of each number, every vehicle is as in a fleet where all have its numbers."""
     component, given, keys = example(group, name), inputs(0), stream_keys(0)

@@ -62,7 +62,7 @@ def far_world(precision: str, types: list[str] = TYPES, sky: dict[str, Any] | No
     return make_scenario(fleets=fleets, area=BOX, duration=200.0, sky=sky or {}).world(precision)
 
 
-@pytest.fixture(params=["llvm", "xla"])
+@pytest.fixture(params=["llvm", pytest.param("xla", marks=pytest.mark.long)])
 def compiler(request: Any) -> Iterator[str]:
     before = dict(_chosen)
     qrsim.configure(compiler=request.param)
@@ -143,6 +143,7 @@ def test_who_stops_stays_with_both_parts() -> None:
     np.testing.assert_array_equal(simulation.truth.position_ned[3], before)
 
 
+@pytest.mark.long
 def test_a_receiver_measures_velocity_as_well_far_away() -> None:
     """Where nothing else errs, the difference of two fixes is the velocity: no spacing of 3.9 mm in 0.2 s is in it."""
     receiver = {"type": "gnss_receiver", "range_noise_std": 0.0}

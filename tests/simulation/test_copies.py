@@ -150,6 +150,7 @@ def test_run_error_in_a_pool_keeps_its_text() -> None:
     assert str(pickle.loads(pickle.dumps(RunError("disk full")))) == "disk full"
 
 
+@pytest.mark.long
 def test_a_simulation_that_xla_flies(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("QRSIM_COMPILER", "xla")
     original = simulate({**load_scenario("hover").spec.model_dump(), "name": "hover"}, seed=3)

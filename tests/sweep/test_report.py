@@ -203,6 +203,7 @@ def test_an_empty_store_is_told(tmp_path: Path, capsys: Any) -> None:
     assert "no episode has been flown yet" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_worst_of_several_numbers_of_vehicles_is_flown_from_a_scenario_of_its_own(tmp_path: Path) -> None:
     """Its vehicles would be too many words for a command."""
     content = load_scenario("outdoor_patrol").spec.model_dump(mode="json")

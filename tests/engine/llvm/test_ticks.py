@@ -112,6 +112,7 @@ def test_the_nearest_neighbour_by_cells_is_that_by_all_pairs(count, reach, mode)
         assert (mine["found"][~near] >= theirs["found"][~near] * (1.0 - 1e-6)).all()
 
 
+@pytest.mark.long
 def test_set_points_of_another_kind_and_the_same_numbers():
     """Two records that differ only in their type are not one program; to JAX their structures are equal."""
     found = []
@@ -133,12 +134,14 @@ class TestChoice:
         simulation.step()
         return simulation.compiled_by[0]
 
+    @pytest.mark.long
     def test_xla_where_it_is_asked_for(self, xla):
         assert self.compiler() == "xla"
 
     def test_our_own_by_default(self):
         assert self.compiler() == "llvm"
 
+    @pytest.mark.long
     def test_both_fly_the_same(self, xla):
         world = noisy_pair().world()
         theirs = flown(world, 50).fleets[0].vehicle.position_ned

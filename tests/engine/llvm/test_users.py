@@ -199,6 +199,7 @@ class TestFallback:
         assert len([each for each in told if each.category is CompilerWarning]) == 1
         assert simulation.tick == 3
 
+    @pytest.mark.long
     def test_a_policy_flies_by_xla_with_one_warning(self):
         """That names what it is and where; asked again, or told to use XLA, nothing more is said."""
 

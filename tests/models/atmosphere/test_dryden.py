@@ -420,6 +420,7 @@ def test_monte_carlo_variance() -> None:
         assert np.all((ratio > low) & (ratio < high)), (case, ratio, low, high)
 
 
+@pytest.mark.long
 def test_monte_carlo_spectrum() -> None:
     """Welch's estimate over 256 vehicles and 7 half-overlapping segments, within 1 dB of the aliased form.
 
@@ -455,6 +456,7 @@ def test_airspeed_options() -> None:
     assert transition("ground", 3.0, -4.0) == pytest.approx(math.exp(-0.35 / length), rel=1e-12)
 
 
+@pytest.mark.long
 def test_gradients_are_finite_at_rest_in_still_air() -> None:
     one = jnp.ones(3, jnp.float32)
     draw = Drawn((one,) * 8)

@@ -112,6 +112,7 @@ def test_a_person_counts_if_its_middle_is_in_the_frame() -> None:
     assert not seen_at(develop(IdealCamera(), taken((0.0, 0.0, -25.0)), lying([(edge + 0.1, 0.0)])))
 
 
+@pytest.mark.long
 def test_found_persons_give_no_score_from_then_on_and_hide_none_that_is_nearer() -> None:
     before = develop(IdealCamera(), taken((0.0, 0.0, -25.0), number=1.0), lying([(0.1, 0.1)], found_tick=60))
     after = develop(IdealCamera(), taken((0.0, 0.0, -25.0), number=2.0), lying([(0.1, 0.1)], found_tick=60))
