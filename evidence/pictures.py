@@ -60,8 +60,9 @@ def write(family: str, output: Path = IMAGES) -> Path:
     from PIL import Image
 
     from qrsim.view.frame import cast_of, frame_of
+    from qrsim.view.overlay import SOUTH
     from qrsim.view.picture import photograph
-    from qrsim.view.scene import SOUTH, Scene
+    from qrsim.view.scene import Scene
     from qrsim.view.server import start_server
 
     shot = SHOTS[family]
@@ -77,6 +78,7 @@ def write(family: str, output: Path = IMAGES) -> Path:
         if shot.chosen is not None:
             vehicle = simulation.vehicle_names.index(shot.chosen)
             scene.choose(vehicle)
+            scene.overlay.choose(vehicle)
             middle = simulation.truth.position_ned[vehicle]
         if shot.distance is not None:
             scene.look(middle, shot.distance, shot.direction or SOUTH)

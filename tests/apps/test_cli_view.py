@@ -78,7 +78,7 @@ class TestRecording:
         assert i not in before.reasons
         assert before.valid[i]
         assert not after.valid[i]
-        assert "rates_body" in after.reasons[i]
+        assert "turned faster than its model holds for" in after.reasons[i]
 
     def test_a_run_whose_scenario_is_gone_is_shown_without_area(self, copy: Path):
         (copy / "scenario.yaml").write_text("name: [", encoding="utf-8")

@@ -58,7 +58,7 @@ def test_a_live_page_becomes_a_replay_with_what_was_chosen(tmp_path: Path):
         assert after is not None
         assert clock is not None
         assert after is not live
-        assert (after.chosen, after.scene.layers["poles"].root.visible, clock.playing) == (1, False, False)
+        assert (after.chosen, after.scene.layers["poles"].root.visible, clock.playing) == ({1}, False, False)
         assert after.scene.frame is not None
         assert after.scene.frame.time == pytest.approx(1.0)
         assert "The flight has ended, at 1 s. This is its replay." in after._status.content

@@ -8,6 +8,7 @@ import numpy as np
 
 from qrsim.models.scene.ground import FlatGround, GridGround
 from qrsim.scenarios.making import make_world
+from qrsim.view.contents import plate
 from qrsim.view.frame import Cast
 from qrsim.view.ground import MOST_ALONG, surface
 from qrsim.view.layers import down_at
@@ -28,6 +29,20 @@ def test_a_surface_is_the_ground_over_the_outline_of_the_area() -> None:
     a, b, c = (points[faces[:, i], :2].astype(float) for i in range(3))
     areas = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     np.testing.assert_allclose(areas.sum(), 130.0 * 50.0, rtol=1e-4)
+
+
+def test_cover_has_no_seams() -> None:
+    """Cells of 10 m by 20 m in an L share their corners; together they have the area of three cells."""
+    there = np.zeros((4, 3), bool)
+    there[1, 1] = there[2, 1] = there[2, 2] = True
+    corners, faces = plate(there, np.array([0.0, -30.0]), np.array([40.0, 30.0]))
+    assert len(corners) == 8
+    assert len(np.unique(corners, axis=0)) == 8
+    assert faces.shape == (6, 3)
+    a, b, c = (corners[faces[:, i], :2] for i in range(3))
+    areas = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    np.testing.assert_allclose(areas, 100.0)
+    np.testing.assert_array_equal([corners.min(axis=0), corners.max(axis=0)], [[10.0, -10.0, 0.0], [30.0, 30.0, 0.0]])
 
 
 def test_heights_of_a_flat_ground() -> None:

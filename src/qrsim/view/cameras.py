@@ -57,7 +57,7 @@ class Cameras(Contents):
     def look(self, beside: Beside, time: float) -> None:
         """Draw new pictures."""
         owners = [owner for owner in self._owners if owner[1:3] in beside.cameras]
-        chosen = [owner for owner in owners if owner[0] == self.stage.chosen] or owners[:MOST_SHOWN]
+        chosen = [owner for owner in owners if owner[0] in self.stage.chosen] or owners[:MOST_SHOWN]
         shown = []
         for owner in chosen:
             reading = jax.tree.map(lambda leaf: float(leaf[owner[3]]), beside.cameras[owner[1:3]])  # noqa: B023
@@ -95,7 +95,7 @@ class Cameras(Contents):
         self._windows.batched_positions = positions.astype(np.float32)
         self._windows.batched_wxyzs = wxyzs.astype(np.float32)
         self._windows.batched_scales = scales.astype(np.float32)
-        self._windows.batched_colors = colours
+        self._windows.batched_colors = shapes.linear(colours)
 
 
 def _developed(

@@ -49,25 +49,39 @@ class Cover(Contents):
         self._drawn = False
 
     def look(self, beside: Beside, time: float) -> None:
-        """Add a plate for every cell that is not clear ground."""
+        """Add a plate for each class but clear ground."""
         if self._drawn:
             return
         self._drawn = True
         cells = np.asarray(self.world.contents.terrain.cells(beside.contents.terrain))
         area: Any = self.world.area
         low, high = (np.array([float(area.x_min), float(area.y_min)]), np.array([float(area.x_max), float(area.y_max)]))
-        side = (high - low) / cells.shape[0]
-        plain: dict[str, Any] = {"lod": "off", "flat_shading": True, "cast_shadow": False}
-        where = np.argwhere(cells > 0)
-        if len(where):
-            middle = low + (where + 0.5) * side
-            self.stage.scene.add_batched_meshes_simple(
-                f"{self.path}/cells", *shapes.box((-0.5, -0.5, -1.0), (0.5, 0.5, 0.0)),
-                batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(where), 1)),
-                batched_positions=np.column_stack([middle, down_at(self.world.ground, *middle.T)]),
-                batched_scales=np.tile(np.array([*side, self.stage.lift], np.float32), (len(where), 1)),
-                batched_colors=COVER_COLOURS[cells[tuple(where.T)] - 1], **plain,
-            )  # fmt: skip
+        for kind, colour in enumerate(COVER_COLOURS.tolist(), start=1):
+            if (cells == kind).any():
+                corners, faces = plate(cells == kind, low, high)
+                corners[:, 2] = down_at(self.world.ground, corners[:, 0], corners[:, 1]) - self.stage.lift
+                self.stage.scene.add_mesh_simple(
+                    f"{self.path}/class{kind}", corners.astype(np.float32), faces.astype(np.uint32),
+                    color=tuple(colour), flat_shading=True, side="double", cast_shadow=False,
+                )  # fmt: skip
+
+
+def plate(there: Floats, low: Floats, high: Floats) -> shapes.Mesh:
+    """Return a flat mesh of the cells (N, M) that are there of a grid between two corners (2,) [m], without seams.
+
+    Neighbours share their corners, so nothing shows through between them.
+    """
+    rows, columns = there.shape
+    north, east = (np.linspace(low[axis], high[axis], count + 1) for axis, count in enumerate((rows, columns)))
+    grid = np.stack([*np.meshgrid(north, east, indexing="ij"), np.zeros((rows + 1, columns + 1))], axis=-1).reshape(
+        -1, 3
+    )
+    i, j = np.nonzero(there)
+    first = i * (columns + 1) + j
+    near, far = first + 1, first + columns + 1
+    faces = np.concatenate([np.stack([first, far, near], axis=1), np.stack([near, far, far + 1], axis=1)])
+    used, faces = np.unique(faces, return_inverse=True)
+    return grid[used], faces.reshape(-1, 3)
 
 
 class Persons(Contents):
@@ -83,7 +97,7 @@ class Persons(Contents):
         """Colour the pins of persons that have been found."""
         persons = beside.contents.persons
         there, found = np.asarray(persons.there), np.asarray(persons.found_tick) >= 0
-        colours = np.where(found[:, None], FOUND_COLOUR, MISSING_COLOUR).astype(np.uint8)
+        colours = shapes.linear(np.where(found[:, None], FOUND_COLOUR, MISSING_COLOUR))
         tall = np.where(there, 0.8 * self.stage.span, 0.0)
         scales = np.repeat(tall, 3).reshape(-1, 3).astype(np.float32)
         if self._handle is not None:
@@ -115,7 +129,7 @@ class Plume(Contents):
             f"{self.path}/points", *shapes.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (DRAWN, 1)), batched_positions=np.zeros((DRAWN, 3)),
             batched_scales=np.zeros((DRAWN, 3), np.float32), batched_opacities=np.zeros(DRAWN, np.float32),
-            batched_colors=PLUME_COLOUR, opacity=0.6, lod="off", cast_shadow=False, receive_shadow=False,
+            batched_colors=shapes.linear(PLUME_COLOUR), opacity=0.6, lod="off", cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
 
     def look(self, beside: Beside, time: float) -> None:

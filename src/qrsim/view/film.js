@@ -44,8 +44,7 @@
     viewer().requestRender();
   };
   // What the panel decides itself.
-  const ours = (message) => (message.type === "SetSceneNodeVisibilityMessage" && roots.has(message.name)) ||
-    (message.type === "SetPositionMessage" && message.name === "/world");
+  const ours = (message) => message.type === "SetSceneNodeVisibilityMessage" && roots.has(message.name);
   // Of each node that is there: the number of what made it, and what of it has changed since.
   const there = new Map();
   let nodes = [];
@@ -117,9 +116,11 @@
     busy = false;
     say();
   };
-  const middle = () => {
-    const i = state.chosen, away = state.follow && i >= 0 ? [0, 1, 2].map((axis) => -state.position[3 * i + axis]) : [0, 0, 0];
-    return [{type: "SetPositionMessage", name: "/world", position: away, owner: ""}];
+  // The ring round who is chosen, and the camera that goes with it (overlay.js).
+  const mark = () => {
+    const vehicle = state.chosen < 0 ? null : state.chosen;
+    window.qrsim?.choose(vehicle);
+    window.qrsim?.follow(state.follow ? vehicle : null);
   };
   const go = (time) => { state.time = Math.min(about.end, Math.max(0, time)); return show(); };
   const play = (on) => {
@@ -188,12 +189,7 @@
   who.id = "qrsim-vehicle";
   tick_box(whole, "Follow", false, (on) => {
     state.follow = on;
-    const closer = on && state.chosen >= 0 ? [
-      {type: "SetCameraLookAtMessage", look_at: [0, 0, 0], initial: false},
-      {type: "SetCameraPositionMessage", position: about.from, initial: false},
-    ] : [];
-    if (!closer.length) viewer().resetCameraPose?.();
-    if (state.position) send([...middle(), ...closer]);
+    mark();
   });
   const plots = make("div", whole);
   const layers = make("details", whole);
@@ -212,7 +208,7 @@
     state.chosen = vehicle;
     readings = vehicle < 0 ? null : await unpacked("readings-" + vehicle);
     plots.style.display = readings ? "" : "none";
-    if (state.position) send(middle());
+    mark();
     draw();
   };
   if (about.quantities.length) {
@@ -220,7 +216,7 @@
       choice(plots, "Reading", about.quantities, chosen, (now) => { reading[number] = now; draw(); });
       canvases.push(make("canvas", plots, "", "width:100%;height:110px"));
     });
-    make("div", plots, "red: measured, blue: true; the last minute", "color:#666;font-size:11px");
+    make("div", plots, "measured in the colour of the vehicle, grey: true; the last minute", "color:#666;font-size:11px");
     plots.style.display = "none";
   }
   const draw = () => {
@@ -244,7 +240,7 @@
       for (const value of [low, 0.5 * (low + high), high]) pen.fillText(value.toPrecision(4), 2, y(value) + 3);
       for (const i of [first, last]) pen.fillText((i * about.period).toFixed(1) + " s", i === first ? left : width - 44, height - 3);
       curves.forEach((curve, k) => {
-        pen.strokeStyle = ["#d62728", "#1f77b4"][k];
+        pen.strokeStyle = [window.qrsim?.colour(state.chosen) ?? "#3772f7", "#8a8f94"][k];
         pen.beginPath();
         curve.forEach((value, i) => { if (Number.isFinite(value)) pen.lineTo(x(i), y(value)); });
         pen.stroke();
@@ -260,6 +256,7 @@
       ...stopped.slice(0, 10).map((stop) => `${about.vehicles[stop[1]]}: ${stop[2]}`)];
     if (stopped.length > 10) lines.push(`and ${stopped.length - 10} more`);
     status.textContent = lines.join("\n");
+    window.qrsim?.reasons(Object.fromEntries(stopped.slice(-20).map((stop) => [stop[1], stop[2]])));
     window.qrsimTime?.(time, state.playing, state.speed);
     draw();
   };

@@ -19,7 +19,7 @@ from qrsim.runs.layout import EVENTS
 from qrsim.view.readings import Readings, times_of_readings
 from qrsim.view.recording import Recording
 from qrsim.view.replay import remember_paths
-from qrsim.view.scene import SOUTH, Scene
+from qrsim.view.scene import Scene
 from qrsim.view.server import start_server
 from qrsim.view.tape import Packing, Tape
 from qrsim.view.timeline import marks
@@ -31,8 +31,6 @@ FASTEST_HZ, MOST_POSES, MOST_FRAMES = 20.0, 1_500_000, 36_000
 FRAMES_OF_A_PART = 400
 # Progress is told at every so-many-th frame.
 TOLD_FRAMES = 50
-# From the camera to a vehicle that it follows, in spans of it.
-FOLLOWING = 12.0
 
 Floats = np.ndarray[Any, Any]
 Progress = Callable[[int, int], None]
@@ -115,7 +113,7 @@ def write_film(
     """
     server = start_server(0)
     try:
-        found = _Film(recording, Scene(server, recording.cast, recording.world))
+        found = _Film(recording, Scene(server, recording.cast, recording.world, recording.run.info.scenario))
         page = found.first_page(server.get_scene_serializer)
         end = page.rindex("</body>")
         file.write(page[:end].encode("utf-8"))
@@ -219,8 +217,7 @@ class _Film:
             "vehicles": recording.cast.names,
             "layers": [{"title": t, "path": layer.path, "shown": self._shown[t]} for t, layer in layers.items()],
             "flying": self._flying,
-            "stops": [(event.time, i, event.message.partition(", ")[2]) for event, i in recording.stops],
-            "from": [axis * FOLLOWING * self._scene.stage.span for axis in SOUTH],
+            "stops": [(event.time, i, recording.why(event)) for event, i in recording.stops],
             "quantities": recording.quantities,
             "period": float(times[1] - times[0]),
             "notes": thinned(recording),

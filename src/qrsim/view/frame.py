@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,13 +10,15 @@ import numpy as np
 
 from qrsim.core.noise import StreamKeys
 from qrsim.models.gnss.receivers import GnssReading
-from qrsim.models.scene.area import reason_text
 from qrsim.models.scene.contents import ContentsState
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.models.vehicles.contracts import Outline
+from qrsim.view.reasons import code_in_words
 from qrsim.world.state import FleetState, State, World, position_of
 
 Floats = np.ndarray[Any, Any]
+# Of a vehicle that says nothing of its looks: that of the AscTec Pelican [m].
+PELICAN_SPAN = 0.65
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,17 @@ class Cast:
         return [(kind, np.array([i for i, own in enumerate(each) if own == kind])) for kind in dict.fromkeys(each)]
 
     @property
+    def true_span(self) -> float:
+        """How large the largest of the vehicles is [m]."""
+        spans = [
+            2.0 * (math.hypot(x, y) + outline.rotor_radius)
+            for outline in self.outlines
+            if outline is not None
+            for x, y, _ in outline.rotors
+        ]
+        return max(spans, default=PELICAN_SPAN)
+
+    @property
     def size(self) -> int:
         """Number of vehicles."""
         return len(self.names)
@@ -151,7 +165,7 @@ def frame_of(state: State, time: float, world: World) -> Frame:
         gather(lambda fleet: fleet.mean_wind_ned),
         gather(lambda fleet: fleet.gust_ned),
         codes == 0,
-        {int(i): reason_text(int(codes[i]), float(values[i])) for i in np.flatnonzero(codes)},
+        {int(i): code_in_words(int(codes[i]), float(values[i]), world.area) for i in np.flatnonzero(codes)},
         Beside(world, state.drawn, state.contents, state.fleet_keys, _pictures(state)),
     )
 

@@ -24,7 +24,12 @@ MOST_ALONG = 200
 
 
 class Ground(Layer):
-    """Ground with a grid, at z = 0 or as a surface; an arrow points north from the origin."""
+    """Ground with a grid, at z = 0 or as a surface; an arrow points north from the origin.
+
+    Attributes:
+        north: (3,) tip of the arrow [m].
+        cell: of the grid [m].
+    """
 
     title = "ground and north"
 
@@ -45,7 +50,7 @@ class Ground(Layer):
         if self._ground.at_zero:
             scene.add_grid(
                 f"{self.path}/grid", width=size, height=size, plane="xy", cell_size=cell, section_size=10.0 * cell,
-                cell_color=(170, 180, 160), section_color=(120, 130, 110), plane_color=(226, 232, 214),
+                cell_color=(196, 205, 186), section_color=(168, 178, 160), plane_color=(226, 232, 214),
                 plane_opacity=1.0, fade_distance=20.0 * size, shadow_opacity=0.0, position=(0.0, 0.0, 0.0),
             )  # fmt: skip
         else:
@@ -55,11 +60,11 @@ class Ground(Layer):
                 side="double", cast_shadow=False,
             )  # fmt: skip
         length = 5.0 * cell
+        self.north, self.cell = (1.15 * length, 0.0, down), cell
         scene.add_mesh_simple(
             f"{self.path}/north", *shapes.arrow(), color=NORTH_COLOUR, flat_shading=True, side="double",
             scale=(length, 0.4 * length, 0.02 * length), cast_shadow=False, position=(0.0, 0.0, down),
         )  # fmt: skip
-        scene.add_label(f"{self.path}/n", f"N (grid {cell:g} m)", position=(1.1 * length, 0.0, down))
 
 
 class Area(Layer):
@@ -104,8 +109,9 @@ class Obstacles(Layer):
         if len(middle):
             self.stage.scene.add_batched_meshes_simple(
                 f"{self.path}/{name}", *mesh, batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(middle), 1)),
-                batched_positions=middle, batched_scales=np.asarray(size, np.float32), batched_colors=OBSTACLE_COLOUR,
-                lod="off", flat_shading=True, side="double", opacity=0.8, cast_shadow=False,
+                batched_positions=middle, batched_scales=np.asarray(size, np.float32),
+                batched_colors=shapes.linear(OBSTACLE_COLOUR), lod="off", flat_shading=True, side="double", opacity=0.8,
+                cast_shadow=False,
             )  # fmt: skip
 
 

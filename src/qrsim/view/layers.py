@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from viser import SceneApi
@@ -39,15 +39,16 @@ class Stage:
         scene: of the page.
         cast: who is in it.
         span: how large a vehicle is drawn [m].
-        chosen: number of the vehicle that somebody looks at; None: nobody.
+        chosen: numbers of the vehicles that browsers have chosen.
         ground: what vehicles fly over; None: the plane z = 0.
     """
 
     scene: SceneApi
     cast: Cast
     span: float
-    chosen: int | None = None
+    chosen: frozenset[int] = frozenset()
     ground: Ground | None = None
+    palette: ClassVar[Floats] = shapes.PALETTE
 
     @property
     def lift(self) -> float:
@@ -55,11 +56,15 @@ class Stage:
         return max(0.1, self.cast.extent / 800.0)
 
     @property
+    def few(self) -> bool:
+        """Whether each vehicle has a colour of its own."""
+        return self.cast.size <= len(self.palette)
+
+    @property
     def colours(self) -> Floats:
         """Colours (n, 3) of the vehicles: one each while they are few, else one per fleet."""
-        few = self.cast.size <= len(shapes.PALETTE)
-        numbers = np.arange(self.cast.size) if few else self.cast.fleets
-        return shapes.PALETTE[numbers % len(shapes.PALETTE)]
+        numbers = np.arange(self.cast.size) if self.few else self.cast.fleets
+        return self.palette[numbers % len(self.palette)]
 
 
 def down_at(ground: Ground, north: Floats, east: Floats) -> Floats:
@@ -107,7 +112,7 @@ class Layer:
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
             batched_positions=start,
             batched_scales=np.zeros((count, 3), np.float32),
-            batched_colors=colours,
+            batched_colors=shapes.linear(colours),
             lod="off",
             flat_shading=True,
             side="double",
@@ -155,7 +160,7 @@ class Bodies:
     def paint(self, colours: Floats) -> None:
         """Give each vehicle a colour (n, 3)."""
         for members, handle in self.batches:
-            handle.batched_colors = colours[members]
+            handle.batched_colors = shapes.linear(colours[members])
 
 
 class Vehicles(Layer):
@@ -239,7 +244,7 @@ class Wind(Layer):
         """Turn the arrows downwind."""
         _point(self._handle, _finite(frame.position_ned, self.stage.cast.start_ned), frame.wind_ned, self.stage.span)
         speed = np.linalg.norm(np.nan_to_num(frame.wind_ned), axis=1)
-        self._handle.batched_colors = shapes.speed_colours(speed, STRONG_WIND)
+        self._handle.batched_colors = shapes.linear(shapes.speed_colours(speed, STRONG_WIND))
 
 
 class Gusts(Layer):
@@ -260,32 +265,18 @@ class Gusts(Layer):
 
 
 class Names(Layer):
-    """Names of the vehicles while they are few, and why each stopped one stopped."""
+    """Names of the vehicles while they are few, and why each stopped one stopped; browsers draw them themselves."""
 
     title = "names and reasons"
     every = 2
 
     def begin(self) -> None:
-        """Start without labels."""
-        self._labels: dict[int, Any] = {}
+        """Tell nobody yet."""
+        self.tell: Callable[[dict[int, str]], None] = lambda reasons: None
 
     def draw(self, frame: Frame) -> None:
-        """Keep the labels with their vehicles."""
-        names = self.stage.cast.names
-        wanted = {i: f"{names[i]}: {why}" for i, why in list(frame.reasons.items())[-MOST_LABELS:]}
-        if len(names) <= MOST_LABELS:
-            wanted = dict(enumerate(names)) | wanted
-        for i in self._labels.keys() - wanted.keys():
-            self._labels.pop(i).remove()
-        above = [0.0, 0.0, -0.6 * self.stage.span]
-        for i, text in wanted.items():
-            place = _finite(frame.position_ned[i], self.stage.cast.start_ned[i]) + above
-            if i not in self._labels:
-                self._labels[i] = self.stage.scene.add_label(
-                    f"{self.path}/{i}", text, position=place, anchor="bottom-center", font_screen_scale=0.8
-                )
-            self._labels[i].position = place
-            self._labels[i].text = text
+        """Tell who has stopped, and why."""
+        self.tell(frame.reasons)
 
 
 def _finite(values: Floats, instead: Floats) -> Floats:

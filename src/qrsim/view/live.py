@@ -16,7 +16,7 @@ from qrsim.core.tree import walk
 from qrsim.simulation.simulation import History, Simulation
 from qrsim.view.clock import FRAME_S, SPEEDS, Clock
 from qrsim.view.frame import Frame, cast_of, frame_of
-from qrsim.view.page import Page
+from qrsim.view.page import WIND, Page
 from qrsim.view.recording import Recording
 from qrsim.view.replay import Replay
 from qrsim.view.server import LOOPBACK, address, start_server
@@ -71,8 +71,8 @@ class LiveView:
         self._thread: threading.Thread | None = None
         self._overtaken = 0
         self._wished: Wind | None = None
-        self._values: deque[tuple[float, dict[str, float], dict[str, float]]] = deque()
-        self._kept: int | None = None
+        # Of each vehicle that a browser has chosen.
+        self._values: dict[int, deque[tuple[float, dict[str, float], dict[str, float]]]] = {}
         self._waiting: Any = None
         self._ended = threading.Event()
 
@@ -104,7 +104,7 @@ class LiveView:
         page.add_plots(list(_measured(simulation.state, world, 0)))
         self._add_wind(page, world)
         self._page, self._world, self._step_s = page, world, world.time_step
-        self._values.clear()
+        self._values = {}
         self._thread = threading.Thread(target=self._draw_all, name="view", daemon=True)
         self._closed = False
         self.offer(simulation.history)
@@ -127,6 +127,8 @@ class LiveView:
 
     def _clear(self) -> None:
         self._end_drawing()
+        if self._page is not None:
+            self._page.close()
         self._server.gui.reset()
         self._server.scene.reset()
         self._waiting = None
@@ -223,23 +225,22 @@ class LiveView:
         return now
 
     def _keep(self, state: State, frame: Frame) -> None:
-        """Remember what the chosen vehicle measures."""
-        chosen = None if self._page is None else self._page.chosen
-        if chosen != self._kept or (self._values and frame.time < self._values[-1][0]):
-            self._values.clear()
-            self._kept = chosen
-        if chosen is None:
-            return
-        # The newest is always kept, and closer to it than this nothing else.
-        if len(self._values) > 1 and self._values[-1][0] - self._values[-2][0] < PLOT_S / MOST_VALUES:
-            self._values.pop()
-        while self._values and self._values[0][0] < frame.time - PLOT_S:
-            self._values.popleft()
-        self._values.append((frame.time, _measured(state, self._world, chosen), _true(state, self._world, chosen)))
+        """Remember what the chosen vehicles measure."""
+        chosen = frozenset() if self._page is None else self._page.chosen
+        values = {vehicle: self._values.get(vehicle, deque()) for vehicle in sorted(chosen)}
+        for vehicle, own in values.items():
+            if own and frame.time < own[-1][0]:
+                own.clear()
+            # The newest is always kept, and closer to it than this nothing else.
+            if len(own) > 1 and own[-1][0] - own[-2][0] < PLOT_S / MOST_VALUES:
+                own.pop()
+            while own and own[0][0] < frame.time - PLOT_S:
+                own.popleft()
+            own.append((frame.time, _measured(state, self._world, vehicle), _true(state, self._world, vehicle)))
+        self._values = values
 
     def _plotted(self, vehicle: int, quantity: str) -> tuple[Floats, Floats, Floats]:
-        rows = list(self._values) if vehicle == self._kept else []
-        rows = [row for row in rows if quantity in row[1]]
+        rows = [row for row in list(self._values.get(vehicle, ())) if quantity in row[1]]
         if not rows:
             return (np.zeros(0),) * 3
         truth = {name: np.array([row[2][name] for row in rows]) for name in rows[0][2]}
@@ -251,7 +252,7 @@ class LiveView:
         if wind is None:
             return
         gui = self._server.gui
-        with gui.add_folder("Change the wind"):
+        with gui.add_folder("Change the wind", order=WIND):
             speed = gui.add_slider("Speed [m/s]", 0.0, wind.fastest, 0.5, wind.speed)
             bearing = gui.add_slider("From [deg]", 0.0, 360.0, 5.0, wind.from_deg)
             button = gui.add_button("Change")

@@ -1,30 +1,31 @@
-"""The page: the scene, and the panel with time, layers, the chosen vehicle and its plot."""
+"""The page: the scene, and the panel with time, layers and sizes; what each browser has for itself is in viewers.py."""
 
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
 import numpy as np
-from viser import ViserServer
+from viser import ClientHandle, ViserServer
 
-from qrsim.view.cameras import Cameras
 from qrsim.view.clock import Clock
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.gate import NOTABLE_S
-from qrsim.view.layers import STRONG_WIND
 from qrsim.view.scene import Scene
 from qrsim.view.server import Delivery
+from qrsim.view.viewers import Choice, Plotted, Viewer
 from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
-NOBODY = "(nobody)"
-# Status and plots are renewed at every so-many-th frame; a plot has at most so many points.
-STATUS_FRAMES, PLOT_FRAMES, MOST_POINTS = 6, 15, 300
-MOST_STOPPED = 10
-PLOTS = 2
+# Status and plots are renewed at every so-many-th frame.
+STATUS_FRAMES, PLOT_FRAMES = 6, 15
+MOST_STOPPED = 5
+# Places in the panel.
+STATUS, STOPPED, TIME, WIND, LAYERS = 1.0, 2.0, 3.0, 5.0, 6.0
 
 
 class Page:
@@ -34,46 +35,131 @@ class Page:
         server: that it is on.
         cast: who is in it.
         world: what there is; None where that is not known.
-        heading: what is shown, one line.
+        heading: what is shown, one line that begins with the scenario's name and a comma.
         clock: of time; None where somebody else moves it.
 
     Attributes:
         scene: in which things are drawn.
+        viewers: what each browser has for itself, by viser's number of it.
         time_folder: of the panel, where there is a clock.
         drawn: number of frames.
         dropped: returns how many frames were not drawn, because newer ones were there already.
         note: what the panel says about the run as a whole, one line; "": nothing.
         plotted: returns for a vehicle and a measured quantity its (times, measured, true), each (K,).
-        quantities: what can be plotted.
     """
 
     def __init__(self, server: ViserServer, cast: Cast, world: World | None, heading: str, clock: Clock | None):
         self.server, self.heading, self.clock = server, heading, clock
-        self.scene = Scene(server, cast, world)
+        title = heading.partition(",")[0]
+        server.gui.set_panel_label(f"qrsim - {title}")
+        server.gui.main_panel.dock_right()
+        self.scene = Scene(server, cast, world, title)
         self.dropped: Callable[[], int] = lambda: 0
-        self.plotted: Callable[[int, str], tuple[Floats, Floats, Floats]] | None = None
+        self.plotted: Plotted | None = None
+        self.viewers: dict[int, Viewer] = {}
         self.drawn = 0
         self.note = ""
+        self._quantities: list[str] = []
+        # Of browsers that come later.
+        self._choice = Choice()
+        self._choices: dict[int, Choice] = {}
+        self._lock = threading.RLock()
+        self._open = True
         self._delivery = Delivery(server)
         self.scene.lag_s = lambda: self._delivery.lag_s
-        self._status = server.gui.add_markdown("")
-        self._stopped = server.gui.add_markdown("")
+        self._status = server.gui.add_markdown("", order=STATUS)
+        self._stopped = server.gui.add_markdown("", order=STOPPED)
         if clock is not None:
             self._add_clock(clock)
-        self._add_vehicle()
         self._add_layers()
         self.scene.vehicles.on_click(self._clicked)
+        server.on_client_connect(self._come)
+        server.on_client_disconnect(self._gone)
 
     @property
-    def chosen(self) -> int | None:
-        """Index of the plotted vehicle, None if there is none."""
-        return self.scene.stage.chosen
+    def chosen(self) -> frozenset[int]:
+        """Numbers of the vehicles that browsers have chosen, and that those will that come."""
+        with self._lock:
+            every = [self._choice, *(viewer.choice for viewer in self.viewers.values())]
+        return frozenset(choice.vehicle for choice in every if choice.vehicle is not None)
+
+    # ---- browsers ----
+
+    def _come(self, client: ClientHandle) -> None:
+        with self._lock:
+            if not self._open:
+                return
+            choice = self._choices.pop(client.client_id, self._choice)
+            self.viewers[client.client_id] = Viewer(
+                client, self.scene, choice, self._quantities, self._plotted_now, self._chosen_now
+            )
+        self._chosen_now()
+
+    def _gone(self, client: ClientHandle) -> None:
+        with self._lock:
+            self.viewers.pop(client.client_id, None)
+        if self._open:
+            self._chosen_now()
+
+    def _plotted_now(self, vehicle: int, quantity: str) -> tuple[Floats, Floats, Floats]:
+        nothing = (np.zeros(0),) * 3
+        return nothing if self.plotted is None else self.plotted(vehicle, quantity)
+
+    def _chosen_now(self) -> None:
+        self.scene.choose(*self.chosen)
+
+    def _clicked(self, vehicle: int | None, event: Any) -> None:
+        viewer = self.viewers.get(event.client_id)
+        if viewer is not None:
+            by_ray = vehicle is None
+            viewer.choose(self.scene.nearest(event.ray_origin, event.ray_direction) if by_ray else vehicle)
+
+    def choose(self, vehicle: int | None) -> None:
+        """Choose a vehicle in all browsers, also in those that come later."""
+        self._choice.vehicle = vehicle
+        for viewer in list(self.viewers.values()):
+            viewer.choose(vehicle)
+        self._chosen_now()
+
+    def follow(self, follow: bool = True) -> None:
+        """Follow the chosen vehicle in all browsers, also in those that come later."""
+        self._choice.follow = follow
+        for viewer in list(self.viewers.values()):
+            viewer.follow(follow)
+
+    def adopt(self, other: Page) -> None:
+        """Take over what was chosen, followed and shown on another page of the same vehicles."""
+        for title, layer in other.scene.layers.items():
+            if title in self.scene.layers and layer.root.visible != self.scene.layers[title].root.visible:
+                self._shown[title].value = layer.root.visible
+                self.scene.show(title, layer.root.visible)
+        self._choice = other._choice
+        with self._lock:
+            self._choices = {number: viewer.choice for number, viewer in other.viewers.items()}
+            here = [
+                (self.viewers[number], choice) for number, choice in self._choices.items() if number in self.viewers
+            ]
+        for viewer, choice in here:
+            viewer.follow(choice.follow)
+            viewer.choose(choice.vehicle)
+        self._chosen_now()
+
+    def close(self) -> None:
+        """Leave the server to another page."""
+        with self._lock:
+            self._open = False
+        for calls, own in (
+            (self.server._client_connect_cb, self._come),
+            (self.server._client_disconnect_cb, self._gone),
+        ):
+            with suppress(ValueError):
+                calls.remove(own)
 
     # ---- the panel ----
 
     def _add_clock(self, clock: Clock) -> None:
         gui = self.server.gui
-        self.time_folder = gui.add_folder("Time")
+        self.time_folder = gui.add_folder("Time", order=TIME)
         with self.time_folder:
             buttons = gui.add_button_group("Run", ("play", "pause", "step"))
             speed = gui.add_dropdown(
@@ -94,79 +180,38 @@ class Page:
         def _(_: Any) -> None:
             clock.speed = next(s for s in clock.speeds if _speed_name(s) == speed.value)
 
-    def _add_vehicle(self) -> None:
-        gui, names = self.server.gui, self.scene.cast.names
-        self._vehicle_folder = gui.add_folder("Vehicle")
-        with self._vehicle_folder:
-            self._who: Any = gui.add_dropdown("Name", (NOBODY, *names), hint="or click a vehicle")
-            self._follow: Any = gui.add_checkbox("Follow", False)
-            self._size = gui.add_slider("Size [m]", 0.5, 40.0, 0.5, _half(self.scene.stage.span))
-        self._plots: list[tuple[Any, Any]] = []
-
-        @self._who.on_update
-        def _(_: Any) -> None:
-            self.choose(None if self._who.value == NOBODY else names.index(self._who.value))
-
-        @self._follow.on_update
-        def _(_: Any) -> None:
-            self.scene.follow(self.chosen if self._follow.value else None)
-
-        @self._size.on_update
-        def _(_: Any) -> None:
-            self.scene.resize(self._size.value)
-
     def _add_layers(self) -> None:
-        gui = self.server.gui
+        gui, stage = self.server.gui, self.scene.stage
         self._shown: dict[str, Any] = {}
-        with gui.add_folder("Layers", expand_by_default=False):
+        with gui.add_folder("Layers", order=LAYERS):
+            largest = max(40.0, round(4.0 * stage.span))
+            size = gui.add_slider("Size [m]", 0.5, largest, 0.5, max(0.5, _half(stage.span)), hint="of drawn vehicles")
+            true = gui.add_checkbox("True size", False, hint=f"vehicles of {stage.cast.true_span:.2g} m")
             for title, layer in self.scene.layers.items():
                 self._shown[title] = gui.add_checkbox(title, layer.root.visible)
                 self._shown[title].on_update(partial(self._show, title))
-            gui.add_markdown(f"Wind: the darker the stronger, to {STRONG_WIND:g} m/s; gusts are brown. Stopped: red.")
-            if Cameras.title in self.scene.layers:
-                gui.add_markdown("Camera pictures: yellow speaks for a person, blue against.")
+
+        def resize(_: Any) -> None:
+            size.disabled = true.value
+            self.scene.resize(stage.cast.true_span if true.value else size.value)
+
+        size.on_update(resize)
+        true.on_update(resize)
 
     def add_plots(self, quantities: list[str]) -> None:
-        """Add plots of the chosen vehicle's measurements against the truth."""
-        gui = self.server.gui
-        series = ({"label": "t"}, {"label": "measured", "stroke": "#d62728"}, {"label": "true", "stroke": "#1f77b4"})
-        with self._vehicle_folder:
-            for number in range(min(PLOTS, len(quantities))):
-                choice = gui.add_dropdown("Reading", quantities, initial_value=_first_choice(quantities, number))
-                # Some times, because a plot that begins without any never finds its scale.
-                empty = (np.array([0.0, 1.0]), *(np.full(2, np.nan),) * 2)
-                plot = gui.add_uplot(empty, series, scales={"x": {"time": False}}, height=150)  # type: ignore[arg-type]
-                self._plots.append((choice, plot))
-                choice.on_update(lambda _: self._plot())
+        """Let browsers plot measurements of the vehicle they have chosen against the truth."""
+        with self._lock:
+            self._quantities = quantities
+            for number, viewer in list(self.viewers.items()):
+                client = self.server.get_clients().get(number)
+                if client is not None:
+                    self._choices[number] = viewer.choice
+                    self._come(client)
 
     # ---- what happens ----
 
-    def _clicked(self, vehicle: int | None, event: Any) -> None:
-        by_ray = vehicle is None
-        self.choose(self.scene.nearest(event.ray_origin, event.ray_direction) if by_ray else vehicle)
-
     def _show(self, title: str, event: Any) -> None:
         self.scene.show(title, event.target.value)
-
-    def choose(self, vehicle: int | None) -> None:
-        """Plot a vehicle, and follow it if following is switched on."""
-        self.scene.choose(vehicle)
-        name = NOBODY if vehicle is None else self.scene.cast.names[vehicle]
-        if self._who.value != name:
-            self._who.value = name
-        if self._follow.value or self.scene.followed is not None:
-            self.scene.follow(vehicle)
-        self._plot()
-
-    def adopt(self, other: Page) -> None:
-        """Take over what was chosen, followed and shown on another page of the same vehicles."""
-        for title, layer in other.scene.layers.items():
-            if title in self.scene.layers and layer.root.visible != self.scene.layers[title].root.visible:
-                self._shown[title].value = layer.root.visible
-                self.scene.show(title, layer.root.visible)
-        self._follow.value = other.scene.followed is not None
-        if other.chosen is not None:
-            self.choose(other.chosen)
 
     def say(self, note: str) -> None:
         """Say something about the run as a whole, one line."""
@@ -180,7 +225,9 @@ class Page:
         if everything or self.drawn % STATUS_FRAMES == 0:
             self._say(frame)
         if everything or self.drawn % PLOT_FRAMES == 0:
-            self._plot()
+            here = self.server.get_clients()
+            for viewer in [viewer for number, viewer in list(self.viewers.items()) if number in here]:
+                viewer.plot()
         self.drawn += 1
         self._delivery.sent()
 
@@ -194,20 +241,10 @@ class Page:
         note = f"{self.note}  \n" if self.note else ""
         self._status.content = f"**{self.heading}**  \n{note}**t = {frame.time:.2f} s**{paused}  \n{flying}  \n{frames}"
         names = self.scene.cast.names
-        lines = [f"- {names[i]}: {why}" for i, why in list(frame.reasons.items())[:MOST_STOPPED]]
+        lines = [f"- **{names[i]}** {why}" for i, why in list(frame.reasons.items())[:MOST_STOPPED]]
         if len(frame.reasons) > MOST_STOPPED:
             lines.append(f"- and {len(frame.reasons) - MOST_STOPPED} more")
         self._stopped.content = "\n".join(lines)
-
-    def _plot(self) -> None:
-        if self.chosen is None or self.plotted is None:
-            return
-        for choice, plot in self._plots:
-            found = self.plotted(self.chosen, choice.value)
-            if len(found[0]) > 1:
-                every = math.ceil(len(found[0]) / MOST_POINTS)
-                # The newest is always one of them.
-                plot.data = tuple(values[::-every][::-1].astype(np.float64) for values in found)
 
 
 def _speed_name(speed: float) -> str:
@@ -216,9 +253,3 @@ def _speed_name(speed: float) -> str:
 
 def _half(value: float) -> float:
     return round(2.0 * value) / 2.0
-
-
-def _first_choice(quantities: list[str], number: int) -> str:
-    """Return the initial quantity of a plot: one with instructive errors, if it is measured."""
-    wanted = ("position_ned.x", "height")
-    return next((q for q in quantities if q.endswith(wanted[number])), quantities[number])

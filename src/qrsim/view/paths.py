@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.runs.colours import GREY
+from qrsim.view import shapes
 from qrsim.view.frame import Frame
 from qrsim.view.layers import MANY, Layer
 
@@ -116,7 +117,7 @@ class Paths(Layer):
         colours = self.stage.colours
         if (colours == colours[0]).all():
             return tuple(colours[0].tolist())
-        return np.repeat(np.tile(colours, (self._corners, 1))[:, None], 2, axis=1)
+        return np.repeat(np.tile(shapes.linear(colours), (self._corners, 1))[:, None], 2, axis=1)
 
 
 class EstimatedPaths(Paths):

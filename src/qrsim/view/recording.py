@@ -13,6 +13,7 @@ from qrsim.runs.summary import NOT_A_STOP
 from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Cast, Frame, cast_of
 from qrsim.view.readings import quantities_of
+from qrsim.view.reasons import in_words
 from qrsim.view.rebuilt import rebuilt
 from qrsim.view.truth import ANGLES, AXES, true_values
 from qrsim.world.state import World
@@ -20,6 +21,8 @@ from qrsim.world.state import World
 Floats = np.ndarray[Any, Any]
 # Of a plot [s].
 PLOT_S = 60.0
+# Streams of single vehicles that are kept: of as many browsers as half of it with choices of their own.
+MOST_PLOTTED = 8
 
 
 class Recording:
@@ -55,7 +58,7 @@ class Recording:
         self.stops = [(event, numbers[event.vehicle]) for event in _stops(run) if event.vehicle is not None]
         self.world, self.cast = self._surroundings()
         self._rebuilt = rebuilt(run, self.world)
-        self._plotted: dict[str, Any] = {}
+        self._plotted: dict[tuple[int, str], Any] = {}
 
     @property
     def end(self) -> float:
@@ -98,9 +101,13 @@ class Recording:
             self._wind.at("mean", now),
             self._wind.at("gust", now),
             ~(valid == 0.0),
-            {i: event.message.partition(", ")[2] for event, i in self.stops if event.time <= now + 1e-6},
+            {i: self.why(event) for event, i in self.stops if event.time <= now + 1e-6},
             self._rebuilt.at(now) if self._rebuilt else None,
         )
+
+    def why(self, event: Event) -> str:
+        """Say why a vehicle has stopped, by the event that says so."""
+        return in_words(event.kind, event.field, event.value, None if self.world is None else self.world.area)
 
     def positions(self, times: Floats) -> Floats:
         """Return the true positions (K, n, 3) at times (K,) [s]."""
@@ -132,18 +139,21 @@ class Recording:
         return times[chosen], measured[quantity][chosen], true_values(quantity, truth)[rows]
 
     def _of_vehicle(self, vehicle: int, stream: str) -> tuple[Floats, dict[str, Floats]]:
-        """Return times (T,) and columns (T,) of one vehicle; those of the last one asked for are kept."""
-        if self._plotted.get("vehicle") != vehicle:
-            self._plotted = {"vehicle": vehicle}
-        if stream not in self._plotted:
+        """Return times (T,) and columns (T,) of one vehicle; those of the last few asked for are kept."""
+        if (vehicle, stream) not in self._plotted:
+            while len(self._plotted) >= MOST_PLOTTED:
+                self._plotted.pop(next(iter(self._plotted)))
             names = [c.name for c in self.run.describe(stream)[len(INDEX) :] if c.dtype.startswith("float")]
             times, parts = [], {name: [] for name in names}  # type: ignore[var-annotated]
             for batch in self.run[stream].batches(names):
                 times.append(batch.time)
                 for name in names:
                     parts[name].append(batch.arrays[name][:, vehicle].astype(np.float64))
-            self._plotted[stream] = (np.concatenate(times), {n: np.concatenate(found) for n, found in parts.items()})
-        found: tuple[Floats, dict[str, Floats]] = self._plotted[stream]
+            self._plotted[vehicle, stream] = (
+                np.concatenate(times),
+                {n: np.concatenate(found) for n, found in parts.items()},
+            )
+        found: tuple[Floats, dict[str, Floats]] = self._plotted[vehicle, stream]
         return found
 
 

@@ -14,6 +14,7 @@ from qrsim.view.contents import contents_layers
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.ground import Area, Ground, Obstacles
 from qrsim.view.layers import Ghosts, Gusts, Layer, Names, Poles, Stage, Vehicles, Wind
+from qrsim.view.overlay import SOUTH, Overlay
 from qrsim.view.paths import EstimatedPaths, Paths
 from qrsim.world.state import World
 
@@ -23,8 +24,6 @@ SMALLEST_SPAN, LARGEST_SPAN, SHARE_OF_ROOM, MANY = 0.65, 12.0, 0.35, 50
 # Lag of a browser [s] that spares it nothing; how much less often it may come to; what is left of that a frame later.
 LAG_S, MOST_STRAIN, STRAIN_LEFT = 0.15, 16.0, 0.99
 GOLDEN = 0.618034
-# Where pages look from at first.
-SOUTH = (-0.85, -0.3, -0.45)
 
 
 class Scene:
@@ -34,19 +33,19 @@ class Scene:
         server: of the page.
         cast: who is in it.
         world: what there is; None where that is not known, and only vehicles and ground are drawn.
+        title: of the page, beside "qrsim".
 
     Attributes:
         cast: who is in it.
         layers: what can be shown or hidden, by title.
-        followed: number of the vehicle in the middle; None: the world stands still.
+        overlay: what browsers draw over it by themselves.
         frame: the last one drawn; None before the first.
         lag_s: returns how far behind the slowest browser is [s].
     """
 
-    def __init__(self, server: ViserServer, cast: Cast, world: World | None):
+    def __init__(self, server: ViserServer, cast: Cast, world: World | None, title: str = ""):
         self._server = server
         self.cast = cast
-        self.followed: int | None = None
         self.frame: Frame | None = None
         self.lag_s: Callable[[], float] = lambda: 0.0
         self._strain = 1.0
@@ -55,18 +54,22 @@ class Scene:
         scene = server.scene
         scene.set_up_direction((0.0, 0.0, -1.0))
         scene.add_light_ambient("/light", intensity=1.2)
-        self._root = scene.add_frame("/world", show_axes=False)
+        scene.add_frame("/world", show_axes=False)
         self.stage = Stage(scene, self.cast, _span(cast), ground=None if world is None else world.ground)
         self.vehicles = Vehicles(self.stage)
         self.paths = (Paths(self.stage), EstimatedPaths(self.stage))
-        others = (Poles, Ghosts, Wind, Gusts, Names)
-        moving = [*self.paths, *(layer(self.stage) for layer in others)]
+        others, names = (Poles, Ghosts, Wind, Gusts), Names(self.stage)
+        moving = [*self.paths, *(layer(self.stage) for layer in others), names]
         solid: list[Layer] = []
         if world is not None:
             solid = [Area(self.stage, world), Obstacles(self.stage, world), *contents_layers(self.stage, world)]
             solid += camera_layers(self.stage, world)
-        layers: list[Layer] = [Ground(self.stage, world), *solid, self.vehicles, *moving]
+        ground = Ground(self.stage, world)
+        layers: list[Layer] = [ground, *solid, self.vehicles, *moving]
         self.layers = {layer.title: layer for layer in layers}
+        marked = (ground.north, ground.cell)
+        self.overlay = Overlay(server, self.stage, self.vehicles.bodies, self.layers, title, marked)
+        names.tell = self.overlay.say
         # Parts of the way to their next drawing, spread so that not all are due at the same frame.
         self._due = [1.0 - GOLDEN * number % 1.0 for number in range(len(layers))]
         self._look()
@@ -74,21 +77,24 @@ class Scene:
     def _look(self) -> None:
         """Let pages begin with a view from the south, of all starts."""
         # Vehicles leave where they start; what they fly in is seen as a whole.
-        self.look(self.cast.centre, self.cast.extent * (1.15 if self.cast.around is None else 0.8))
+        self._begin(self.cast.centre, self.cast.extent * (1.15 if self.cast.around is None else 0.8))
         self._server.initial_camera.near, self._server.initial_camera.far = 0.1, max(1000.0, 20.0 * self.cast.extent)
 
     def look(self, at: Floats, distance: float, from_ned: tuple[float, float, float] = SOUTH) -> None:
-        """Set the initial view: a target (3,), a distance [m] and a direction."""
+        """Set the initial view in place of one of all vehicles: a target (3,), a distance [m] and a direction."""
+        self._begin(at, distance, from_ned)
+        self.overlay.hold()
+
+    def _begin(self, at: Floats, distance: float, from_ned: tuple[float, float, float] = SOUTH) -> None:
         camera = self._server.initial_camera
         camera.up = (0.0, 0.0, -1.0)
         camera.look_at = tuple(at)
         camera.position = tuple(np.asarray(at) + distance * np.array(from_ned))
 
-    @property
-    def view(self) -> tuple[Floats, Floats]:
-        """The initial view: what is looked at (3,) and from where (3,) [m]."""
-        camera = self._server.initial_camera
-        return np.array(camera.look_at), np.array(camera.position)
+    def look_from(self, direction: tuple[float, float, float]) -> None:
+        """Let pages begin with a view of all vehicles from a direction, NED, seen from them."""
+        self._begin(self.cast.centre, self.cast.extent, direction)
+        self.overlay.look_from(direction)
 
     def draw(self, frame: Frame, everything: bool = False) -> None:
         """Show a frame.
@@ -101,8 +107,6 @@ class Scene:
             everything, self.frame = everything or self.frame is None, frame
             for paths in self.paths:
                 paths.note(frame)
-            if self.followed is not None:
-                self._root.position = -_known(frame.position_ned[self.followed])
             strain = self._strained()
             for number, layer in enumerate(self.layers.values()):
                 # Not all at the same frame.
@@ -130,10 +134,10 @@ class Scene:
         if self.frame is not None:
             self.draw(self.frame, everything=True)
 
-    def choose(self, vehicle: int | None) -> None:
-        """Choose the vehicle of single-vehicle layers, or none."""
+    def choose(self, *vehicles: int) -> None:
+        """Choose the vehicles of single-vehicle layers: those that browsers have chosen."""
         with self._lock:
-            self.stage.chosen = vehicle
+            self.stage.chosen = frozenset(vehicles)
             for layer in self.layers.values():
                 if isinstance(layer, Cameras) and layer.root.visible and self.frame is not None:
                     layer.draw(self.frame)
@@ -142,33 +146,11 @@ class Scene:
         """Return the vehicle at the smallest angle from a ray of the camera."""
         if self.frame is None:
             return None
-        away = self.frame.position_ned + np.asarray(self._root.position) - np.asarray(origin)
+        away = self.frame.position_ned - np.asarray(origin)
         along = away @ np.asarray(direction)
         across = np.linalg.norm(away - along[:, None] * np.asarray(direction), axis=1)
         angle = np.where(along > 0.0, np.arctan2(across, along), np.inf)
         return int(np.argmin(np.nan_to_num(angle, nan=np.inf)))
-
-    def follow(self, vehicle: int | None) -> None:
-        """Follow a vehicle with the camera, or stop following; the target moves smoothly."""
-        before, after = np.array(self._root.position), np.zeros(3)
-        with self._lock:
-            self.followed = vehicle
-            if vehicle is not None and self.frame is not None:
-                after = -_known(self.frame.position_ned[vehicle])
-            self._root.position = after
-        for client in self._server.get_clients().values():
-            camera = client.camera
-            position, look_at = camera.position, camera.look_at
-            if vehicle is None:
-                camera.position, camera.look_at = position + after - before, look_at + after - before
-            else:
-                away = position - look_at
-                closer = min(1.0, 8.0 * self.stage.span / max(1e-6, float(np.linalg.norm(away))))
-                camera.position, camera.look_at = away * closer, np.zeros(3)
-
-
-def _known(position: Floats) -> Floats:
-    return np.nan_to_num(np.asarray(position, np.float64))
 
 
 def _span(cast: Cast) -> float:

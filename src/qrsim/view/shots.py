@@ -66,10 +66,7 @@ class Camera:
             at = np.nan_to_num(scene.frame.position_ned[number])
             scene.look(at, CLOSE * scene.stage.span, DIRECTIONS[self.direction or "south"])
         elif self.direction is not None:
-            at, position = scene.view
-            direction = np.array(DIRECTIONS[self.direction])
-            distance = float(np.linalg.norm(position - at) / np.linalg.norm(direction))
-            scene.look(at, distance, DIRECTIONS[self.direction])
+            scene.look_from(DIRECTIONS[self.direction])
 
 
 def parsed_size(text: str) -> tuple[int, int]:

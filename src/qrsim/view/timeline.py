@@ -12,27 +12,14 @@ from importlib.resources import files
 from typing import Any
 
 from viser import ViserServer
-from viser._messages import RunJavascriptMessage
 
 from qrsim.runs.layout import Event
 from qrsim.view.clock import Clock
+from qrsim.view.script import run_script
 from qrsim.view.server import listen
 
 # Of so many events a bar has no room for more; these kinds come too often to be marks.
 MOST_MARKS, NO_MARKS = 300, ("waypoint_reached", "command_clipped")
-
-
-class _Script(RunJavascriptMessage, include_in_scene_serialization=False):
-    """A script of which only the last of its kind is kept for browsers that come later."""
-
-    kind = ""
-
-    def redundancy_key(self) -> str:
-        return f"qrsim-{self.kind}"
-
-
-# It goes by this name in the browser.
-_Script.__name__ = RunJavascriptMessage.__name__
 
 
 class Timeline:
@@ -57,9 +44,7 @@ class Timeline:
         self._run("timeline", f"window.qrsimTimeline = 1; const data = {json.dumps(data)};\n{script}")
 
     def _run(self, kind: str, source: str) -> None:
-        script = _Script(f"{{{source}}}")
-        script.kind = kind
-        self._server._websock_server.queue_message(script)
+        run_script(self._server, kind, source, exported=False)
 
     def show(self, time: float) -> None:
         """Move the bar to a time [s]."""

@@ -1,0 +1,379 @@
+// What each browser draws over the scene by itself: labels that do not overlap, the ring round the chosen vehicle, legend,
+// scale bar, theme; and its camera: the first view, and following. Its data stands before it as `data`.
+(() => {
+  const before = window.qrsim;
+  before?.ends();
+  const same = before && before.names.length === data.names.length && before.names.every((n, i) => n === data.names[i]);
+  // What survives when a flight becomes its replay.
+  const state = same ? before.state : { chosen: null, followed: null, framed: false, theme: before?.state.theme ?? null };
+  const saved = () => { try { return localStorage.getItem("qrsim-theme"); } catch { return null; } };
+  state.theme ??= saved() ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  document.title = data.title ? "qrsim - " + data.title : "qrsim";
+  let m = null, ended = false, reasons = {}, place = null, seen = "", touched = false, framedIn = "";
+  let legendOpen = null, lastFollowed = null, slots = {}, toned = 0, wish;
+
+  const make = (tag, name, parent, text) => {
+    const found = document.createElement(tag);
+    if (name) found.className = name;
+    if (text !== undefined) found.textContent = text;
+    parent?.append(found);
+    return found;
+  };
+  const style = make("style", "", document.head, data.css);
+  const root = make("div", "", document.body);
+  root.id = "qrsim-overlay";
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  root.append(svg);
+  const draw = (tag, name) => {
+    const found = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    found.setAttribute("class", name);
+    svg.append(found);
+    return found;
+  };
+  const north = make("div", "qrsim-north", root, "N");
+  const leaders = draw("path", "qrsim-leaders"), halo = draw("circle", "qrsim-halo"), ring = draw("circle", "qrsim-ring");
+  const labels = make("div", "qrsim-labels", root);
+  const tools = make("div", "qrsim-tools", root);
+  const tool = (text, title, act) => {
+    const button = make("button", "", tools, text);
+    button.title = title;
+    button.onclick = () => { act(); button.blur(); };
+    return button;
+  };
+  tool("Show all", "look at all vehicles (F)", () => frame(true));
+  const themeTool = tool("", "dark or light", () => theme(state.theme === "dark" ? "light" : "dark"));
+  tool("Legend", "what is what", () => { legendOpen = !legendOpen; touched = true; seen = ""; });
+  const legend = make("div", "qrsim-legend", root);
+  const scale = make("div", "qrsim-scale", root);
+  const scaleText = make("span", "", scale), scaleBar = make("div", "", scale);
+  scale.title = "so long at the middle of the view";
+  const css = (colour) => "rgb(" + colour.join(",") + ")";
+  const rows = data.legend.map((row) => {
+    const line = make("div", "qrsim-row", legend), mark = make("i", "qrsim-" + row.kind, line);
+    if (row.kind === "scale") mark.style.background = "linear-gradient(90deg," + row.colours.map(css).join(",") + ")";
+    else mark.style.color = css(row.colours[0]);
+    return { ...row, line, words: make("span", "", line, row.text) };
+  });
+
+  // ---- the scene as viser has it ----
+
+  const nodes = () => window.__viserSceneTree?.getState() ?? {};
+  const shown = (tree, name) => {
+    const node = tree[name];
+    return !!node && node.visibility !== false && node.overrideVisibility !== false;
+  };
+  const floats = (array) =>
+    array instanceof Float32Array ? array : new Float32Array(array.buffer, array.byteOffset, array.byteLength / 4);
+  // Places of all vehicles [m], NED, and how large they are drawn [m]; null before they are there.
+  const places = (tree) => {
+    const found = new Float32Array(3 * data.names.length);
+    let span = 0, mark = "";
+    for (const [name, members] of data.bodies) {
+      const props = tree[name]?.message?.props;
+      if (!props?.batched_positions) return null;
+      const at = floats(props.batched_positions), sizes = floats(props.batched_scales);
+      members.forEach((vehicle, row) => found.set(at.subarray(3 * row, 3 * row + 3), 3 * vehicle));
+      span = Math.max(span, sizes[0]);
+    }
+    return span > 0 ? { at: found, span } : null;
+  };
+  const at3 = (...ned) => new m.camera.position.constructor(...ned).applyMatrix4(matrix());
+  const three = (vehicle) => at3(...place.at.subarray(3 * vehicle, 3 * vehicle + 3));
+  const matrix = () => m.nodeRefFromName["/world"].matrixWorld;
+  const tangent = () => Math.tan((m.camera.fov * Math.PI) / 360);
+  // Pixels of the canvas, and how large a vehicle is there; null behind the camera.
+  const pixel = (vehicle, box) => pixelOf(three(vehicle), box);
+  const pixelOf = (at, box) => {
+    const depth = -at.clone().applyMatrix4(m.camera.matrixWorldInverse).z;
+    if (depth <= m.camera.near) return null;
+    const { x, y } = at.project(m.camera);
+    const radius = (0.5 * place.span * box.height) / (2 * depth * tangent());
+    return { x: ((x + 1) * box.width) / 2, y: ((1 - y) * box.height) / 2, radius, depth };
+  };
+  const canvasBox = () => m.canvas.getBoundingClientRect();
+  // What panels leave of the canvas, in its pixels.
+  const free = (box) => {
+    let [left, top, right, bottom] = [0, 44, box.width, box.height];
+    const bar = document.getElementById("qrsim-timeline")?.getBoundingClientRect();
+    if (bar) bottom = Math.min(bottom, bar.top - box.top);
+    const sheet = document.querySelector(".mantine-Paper-root[style*='min-height: 3.5em']")?.getBoundingClientRect();
+    if (sheet) bottom = Math.min(bottom, sheet.top - box.top);
+    const panel = document.getElementById("qrsim-panel")?.getBoundingClientRect();
+    if (panel && box.width > 700) right = Math.min(right, panel.left - box.left);
+    if (legendOpen && box.width > 700) left = legend.offsetWidth + 12;
+    return { left, top, right, bottom: Math.max(bottom, top + 40), width: right - left, height: bottom - top };
+  };
+
+  // ---- the camera ----
+
+  const SHARE = data.names.length === 1 ? 0.35 : data.names.length <= 20 ? 0.6 : 0.75;
+  // The box of all vehicles as a camera sees them that looks at `middle` from `away` [three coordinates].
+  const boxOf = (points, middle, away, box) => {
+    const forward = away.clone().negate().normalize(), up = m.camera.up;
+    const right = forward.clone().cross(up).normalize(), above = right.clone().cross(forward);
+    const eye = middle.clone().add(away), per = box.height / (2 * tangent());
+    let [left, top, r, bottom] = [Infinity, Infinity, -Infinity, -Infinity];
+    for (const point of points) {
+      const from = point.clone().sub(eye), depth = Math.max(from.dot(forward), 1e-3);
+      const x = box.width / 2 + (per * from.dot(right)) / depth, y = box.height / 2 - (per * from.dot(above)) / depth;
+      const wide = (0.5 * place.span * per) / depth;
+      left = Math.min(left, x - wide); r = Math.max(r, x + wide);
+      // Vehicles are flat.
+      top = Math.min(top, y - 0.5 * wide); bottom = Math.max(bottom, y + 0.5 * wide);
+    }
+    return { left, top, right: r, bottom, per, axes: [right, above] };
+  };
+  const share = (found, room) => Math.max((found.right - found.left) / room.width, (found.bottom - found.top) / room.height);
+  const all = () => data.names.map((_, vehicle) => three(vehicle));
+  const look = (middle, away, smooth) => {
+    const eye = middle.clone().add(away), control = m.cameraControl;
+    if (smooth) return control.setLookAt(...eye.toArray(), ...middle.toArray(), true);
+    control.setPosition(...eye.toArray(), false);
+    control.setTarget(...middle.toArray(), false);
+  };
+  const frame = (smooth) => {
+    if (!place) return;
+    const Vector = m.camera.position.constructor, box = canvasBox(), room = free(box), points = all();
+    const low = points[0].clone(), high = points[0].clone();
+    for (const point of points) { low.min(point); high.max(point); }
+    const middle = low.clone().add(high).multiplyScalar(0.5);
+    const away = new Vector(...data.from).transformDirection(matrix());
+    let far = Math.max(4 * place.span, 1.5 * high.distanceTo(low));
+    for (let turn = 0; turn < 30; turn++) {
+      const found = boxOf(points, middle, away.clone().multiplyScalar(far), box);
+      const dx = (found.left + found.right) / 2 - (room.left + room.right) / 2;
+      const dy = (found.top + found.bottom) / 2 - (room.top + room.bottom) / 2;
+      middle.addScaledVector(found.axes[0], (dx * far) / found.per).addScaledVector(found.axes[1], (-dy * far) / found.per);
+      far *= Math.min(2, Math.max(0.5, share(found, room) / SHARE));
+    }
+    if (state.followed !== null) follow(null);
+    look(middle, away.multiplyScalar(far), smooth);
+  };
+  const follow = (vehicle) => {
+    const anew = vehicle !== null && vehicle !== state.followed;
+    state.followed = vehicle;
+    lastFollowed = null;
+    if (!anew || !place) return;
+    const Vector = m.camera.position.constructor, control = m.cameraControl;
+    const away = control.getPosition(new Vector()).sub(control.getTarget(new Vector()));
+    const far = Math.min(away.length(), 10 * place.span);
+    look(three(vehicle), away.setLength(far), false);
+    lastFollowed = three(vehicle);
+    state.framed = true;
+  };
+  const keepUp = () => {
+    if (state.followed === null) return;
+    const now = three(state.followed), Vector = m.camera.position.constructor, control = m.cameraControl;
+    if (lastFollowed && now.distanceToSquared(lastFollowed) > 0) {
+      const step = now.clone().sub(lastFollowed), target = control.getTarget(new Vector()).add(step);
+      const eye = control.getPosition(new Vector()).add(step);
+      control.setPosition(...eye.toArray(), false);
+      control.setTarget(...target.toArray(), false);
+    }
+    lastFollowed = now;
+  };
+
+  // ---- the theme ----
+
+  const theme = (name, keep = true) => {
+    state.theme = name;
+    if (keep) try { localStorage.setItem("qrsim-theme", name); } catch { /* a file has no storage */ }
+    document.documentElement.classList.toggle("qrsim-dark", name === "dark");
+    themeTool.textContent = name === "dark" ? "Light" : "Dark";
+    if (!m) return;
+    m.messageQueue.push({
+      type: "ThemeConfigurationMessage", titlebar_content: null, control_layout: "floating", control_width: "medium",
+      show_logo: false, show_share_button: false, dark_mode: name === "dark", colors: null,
+    });
+    const tree = nodes();
+    for (const [node, updates] of Object.entries(data.themes[name]))
+      if (tree[node]) m.messageQueue.push({
+        type: "SceneNodeUpdateMessage", name: node, owner: tree[node].message.owner, updates,
+      });
+    m.canvas.style.background = data.skies[name];
+    m.requestRender();
+  };
+  // Tone mapping would show other colours than those that are told apart.
+  const exact = () => m.scene.traverse((object) => {
+    for (const material of [object.material].flat())
+      if (material?.toneMapped && material.type !== "ShaderMaterial") {
+        material.toneMapped = false;
+        material.needsUpdate = true;
+      }
+  });
+
+  // ---- labels, legend, scale ----
+
+  const made = {};
+  const label = (vehicle) => {
+    made[vehicle] ??= make("div", "qrsim-label", labels);
+    const found = made[vehicle], why = reasons[vehicle] ?? "", colour = data.colours[data.colourOf[vehicle]];
+    const key = why + (state.chosen === vehicle);
+    if (found.key !== key) {
+      found.key = key;
+      found.replaceChildren();
+      make("i", "", found).style.background = css(why ? data.stopped : colour);
+      make("b", "", found, data.names[vehicle]);
+      // No number is parted from its name and unit.
+      if (why) make("span", "", found, why.replace(/ = /g, "\u00a0=\u00a0").replace(/(\d) (\S+)$/, "$1\u00a0$2"));
+      found.classList.toggle("qrsim-chosen", state.chosen === vehicle);
+      found.classList.toggle("qrsim-stopped", !!why);
+      found.size = null;
+    }
+    found.style.display = "";
+    found.size ??= [found.offsetWidth, found.offsetHeight];
+    return found;
+  };
+  const hits = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+  // Where a label of a size may be, about a vehicle: above, beside, below, and farther off.
+  const around = (spot, [w, h]) => {
+    const off = Math.max(8, 0.7 * spot.radius) + 4, found = [];
+    for (const far of [off, off + 26, off + 56]) {
+      found.push([spot.x - w / 2, spot.y - far - h], [spot.x + far, spot.y - h / 2], [spot.x - far - w, spot.y - h / 2]);
+      found.push([spot.x - w / 2, spot.y + far], [spot.x + far, spot.y - far - h], [spot.x - far - w, spot.y - far - h]);
+      found.push([spot.x + far, spot.y + far], [spot.x - far - w, spot.y + far]);
+    }
+    return found;
+  };
+  const layLabels = (tree, box) => {
+    const room = free(box), few = data.names.length <= data.mostLabels;
+    const wanted = few ? data.names.map((_, i) => i) : Object.keys(reasons).map(Number).slice(-data.mostLabels);
+    if (state.chosen !== null && !wanted.includes(state.chosen)) wanted.push(state.chosen);
+    const visible = shown(tree, "/world/names") && shown(tree, "/world/vehicles");
+    const spots = (visible ? wanted : []).map((vehicle) => ({ vehicle, ...pixel(vehicle, box) })).filter((s) => "x" in s);
+    const rank = (s) => (s.vehicle === state.chosen ? 0 : s.vehicle in reasons ? 1 : 2);
+    spots.sort((a, b) => rank(a) - rank(b) || a.depth - b.depth);
+    const taken = [tools, scale, legend].filter((e) => e.offsetWidth).map((e) => {
+      const r = e.getBoundingClientRect();
+      return [r.left - box.left, r.top - box.top, r.right - box.left, r.bottom - box.top];
+    });
+    const tip = shown(tree, "/world/ground") ? pixelOf(at3(...data.north), box) : null;
+    north.style.display = tip ? "" : "none";
+    if (tip) north.style.transform = `translate(${tip.x - 5}px,${tip.y - 9}px)`;
+    if (tip) taken.push([tip.x - 8, tip.y - 10, tip.x + 8, tip.y + 10]);
+    const left = new Set(Object.keys(made).map(Number));
+    let lines = "";
+    for (const spot of spots) {
+      if (spot.x < 0 || spot.y < 0 || spot.x > box.width || spot.y > room.bottom) continue;
+      const found = label(spot.vehicle), [w, h] = found.size, may = around(spot, found.size);
+      const order = [...may.keys()];
+      if (slots[spot.vehicle] !== undefined) order.unshift(slots[spot.vehicle]);
+      const slot = order.find((number) => {
+        const [x, y] = may[number], own = [x - 2, y - 2, x + w + 2, y + h + 2];
+        const inside = x >= 2 && y >= 2 && x + w <= box.width - 2 && y + h <= room.bottom - 2;
+        return inside && !taken.some((other) => hits(own, other));
+      });
+      slots[spot.vehicle] = slot;
+      if (slot === undefined) { found.style.display = "none"; left.delete(spot.vehicle); continue; }
+      const [x, y] = may[slot];
+      taken.push([x, y, x + w, y + h]);
+      found.style.transform = `translate(${Math.round(x)}px,${Math.round(y)}px)`;
+      if (slot >= 8) lines += `M${spot.x},${spot.y}L${Math.min(Math.max(spot.x, x), x + w)},${y < spot.y ? y + h : y}`;
+      left.delete(spot.vehicle);
+    }
+    for (const vehicle of left) { made[vehicle].remove(); delete made[vehicle]; }
+    leaders.setAttribute("d", lines);
+    const spot = state.chosen === null || !shown(tree, "/world/vehicles") ? null : pixel(state.chosen, box);
+    for (const circle of [halo, ring]) {
+      circle.style.display = spot ? "" : "none";
+      if (!spot) continue;
+      circle.setAttribute("cx", spot.x); circle.setAttribute("cy", spot.y);
+      circle.setAttribute("r", Math.max(13, 1.25 * spot.radius));
+    }
+  };
+  const sized = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2).replace(/\.0$/, ""));
+  const layLegend = (tree, box) => {
+    legend.style.display = legendOpen ? "" : "none";
+    legend.style.bottom = scale.style.bottom = box.height - free(box).bottom + 10 + "px";
+    for (const row of rows) row.line.style.display = !row.layer || shown(tree, row.layer) ? "" : "none";
+    const times = place.span / data.trueSpan;
+    const size = rows.find((row) => row.kind === "size");
+    if (size) size.words.textContent = times > 1.05 ? `vehicles are drawn ${sized(times)} x their size` : "vehicles in true size";
+  };
+  const layScale = (box) => {
+    const control = m.cameraControl, Vector = m.camera.position.constructor;
+    const far = control.getPosition(new Vector()).distanceTo(control.getTarget(new Vector()));
+    const metres = (2 * far * tangent()) / box.height, most = Math.min(160, 0.3 * box.width) * metres;
+    const decade = 10 ** Math.floor(Math.log10(most));
+    const length = [5, 2, 1].map((part) => part * decade).find((value) => value <= most);
+    scaleText.textContent = length >= 1000 ? `${length / 1000} km` : `${+length.toPrecision(1)} m`;
+    scaleBar.style.width = length / metres + "px";
+  };
+
+  // ---- the loop ----
+
+  const ready = () => {
+    const found = window.__viserMutable;
+    return found?.camera && found.cameraControl && found.canvas && found.nodeRefFromName["/world"] ? found : null;
+  };
+  const begin = () => {
+    theme(state.theme, false);
+    m.canvas.addEventListener("pointerdown", touch);
+    m.canvas.addEventListener("wheel", touch);
+    const handle = document.querySelector("[style*='height: 3.5em'][style*='cursor: pointer']");
+    // On a small screen the panel would hide the scene.
+    if (!same && innerWidth < 600) handle?.click();
+  };
+  const touch = () => { touched = true; };
+  const step = () => {
+    if (ended) return;
+    requestAnimationFrame(step);
+    const found = ready();
+    if (!found) return;
+    if (found !== m) { m = found; seen = ""; begin(); }
+    const tree = nodes(), now = places(tree);
+    if (!now) return;
+    place = now;
+    const box = canvasBox(), eye = m.camera.matrixWorld.elements.join();
+    if (performance.now() - toned > 400) { toned = performance.now(); exact(); }
+    legendOpen ??= box.width > 700;
+    // Again while panels and sizes settle, until somebody moves the camera.
+    const room = JSON.stringify([free(box), box.width, box.height]);
+    if (data.frame && !touched && room !== framedIn && state.followed === null) {
+      if (!state.framed || framedIn) frame(false);
+      framedIn = room;
+      state.framed = true;
+    }
+    if (wish !== undefined) { follow(wish); wish = undefined; }
+    keepUp();
+    const marks = data.layers.map((name) => shown(tree, name)).join();
+    const mark = [now.at.join(), now.span, eye, box.left, box.top, box.width, box.height, free(box).bottom, marks,
+      state.chosen, JSON.stringify(reasons), legendOpen].join("|");
+    if (mark === seen) return;
+    seen = mark;
+    root.style.cssText = `left:${box.left}px;top:${box.top}px;width:${box.width}px;height:${box.height}px`;
+    layLegend(tree, box);
+    layScale(box);
+    layLabels(tree, box);
+  };
+  const key = (event) => {
+    if (event.target.closest?.("input, textarea, select, [contenteditable]")) return;
+    if (event.key.toLowerCase() === "f" && !event.ctrlKey && !event.metaKey && !event.altKey) frame(true);
+  };
+  window.addEventListener("keydown", key);
+  window.qrsim = {
+    names: data.names, state, frame, theme,
+    colour: (vehicle) => css(data.colours[data.colourOf[vehicle]]),
+    choose: (vehicle) => { state.chosen = vehicle; seen = ""; },
+    follow: (vehicle) => { wish = vehicle; },
+    reasons: (found) => { reasons = found; seen = ""; },
+    // The box of all vehicles, what panels leave free, and how much of that it fills; pixels of the page.
+    box: () => {
+      const box = canvasBox(), room = free(box), Vector = m.camera.position.constructor, control = m.cameraControl;
+      const middle = control.getTarget(new Vector()), away = control.getPosition(new Vector()).sub(middle);
+      const { left, top, right, bottom } = boxOf(all(), middle, away, box), f = share({ left, top, right, bottom }, room);
+      const on = (r) => [r.left + box.left, r.top + box.top, r.right + box.left, r.bottom + box.top];
+      return { vehicles: on({ left, top, right, bottom }), free: on(room), share: f };
+    },
+    ends: () => {
+      ended = true;
+      window.removeEventListener("keydown", key);
+      m?.canvas.removeEventListener("pointerdown", touch);
+      m?.canvas.removeEventListener("wheel", touch);
+      root.remove(); style.remove();
+    },
+  };
+  theme(state.theme, false);
+  for (const [what, content] of Object.entries(window.qrsimTold ?? {})) window.qrsim[what](content);
+  requestAnimationFrame(step);
+})();

@@ -1,0 +1,163 @@
+"""What each browser draws over the scene and does with its camera by itself (overlay.js): what it is told.
+
+viser has one panel and one scene for all browsers; names, the ring round who is chosen, legend, scale bar, theme,
+first view and following are each browser's own. An exported page has them too.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from qrsim.runs import colours
+from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
+from qrsim.view.script import run_script
+
+# Where pages look from at first, seen from what is looked at, NED.
+SOUTH = (-0.85, -0.3, -0.45)
+# Of the ground and the sky.
+GROUNDS = {
+    "light": {"plane_color": (226, 232, 214), "cell_color": (196, 205, 186), "section_color": (168, 178, 160)},
+    "dark": {"plane_color": (38, 44, 44), "cell_color": (70, 78, 76), "section_color": (110, 120, 116)},
+}
+SURFACES = {"light": {"color": (205, 214, 186)}, "dark": {"color": (62, 72, 66)}}
+SKIES = {
+    "light": "linear-gradient(#cfdfec, #f4f7f8 55%)",
+    "dark": "linear-gradient(#0f1418, #22292e 55%)",
+}
+# Of each layer: how its row of the legend is marked, the colours, the words.
+ROWS: dict[str, list[tuple[str, Any, str]]] = {
+    "vehicles": [("body", [colours.STOPPED], "stopped")],
+    "true paths": [("line", [colours.VEHICLES[0]], "true path, last minute")],
+    "estimated paths": [("thin", [colours.GREY], "estimated path")],
+    "GNSS positions": [("ghost", [colours.GREY], "GNSS position")],
+    "mean wind": [("scale", list(colours.WIND), f"mean wind, 0 to {STRONG_WIND:g} m/s and more")],
+    "gusts": [("arrow", [colours.GUST], "gust")],
+    "area": [("thin", [colours.GREY], "flight area")],
+    "persons": [("pin", [colours.MISSING], "person not found"), ("pin", [colours.FOUND], "person found")],
+    "plume": [("body", [colours.PLUME], "plume")],
+    "camera pictures": [("scale", list(colours.RATIO), "picture: no person to person")],
+}
+
+
+class Overlay:
+    """What the browsers of a page draw over the scene.
+
+    Args:
+        server: of the page.
+        stage: of the layers.
+        bodies: of the vehicles.
+        layers: that can be shown and hidden, by title.
+        title: of the page, beside "qrsim".
+        north: a place north of the origin that is marked, and the cell of the grid [m]; None: none.
+    """
+
+    def __init__(
+        self,
+        server: Any,
+        stage: Stage,
+        bodies: Bodies,
+        layers: dict[str, Layer],
+        title: str,
+        north: tuple[tuple[float, float, float], float],
+    ):
+        self._server = server
+        self._said: dict[int, str] | None = None
+        self._data = {
+            "title": title,
+            "css": _text("overlay.css"),
+            "names": stage.cast.names,
+            "colours": _plain(stage.palette),
+            "colourOf": (np.arange(stage.cast.size) if stage.few else stage.cast.fleets % len(stage.palette)).tolist(),
+            "stopped": colours.STOPPED,
+            "bodies": [(handle.name, members.tolist()) for members, handle in bodies.batches],
+            "mostLabels": MOST_LABELS,
+            "trueSpan": stage.cast.true_span,
+            "from": SOUTH,
+            "frame": True,
+            "north": north[0],
+            "layers": [layer.path for layer in layers.values()],
+            "themes": {
+                name: {f"{layers['ground and north'].path}/{node}": _plain(own) for node, own in parts.items()}
+                for name, parts in {
+                    theme: {"grid": GROUNDS[theme], "surface": SURFACES[theme]} for theme in GROUNDS
+                }.items()
+            },
+            "skies": SKIES,
+            "legend": _legend(stage, layers, north[1]),
+        }
+        self._send()
+
+    def _send(self) -> None:
+        run_script(self._server, "overlay", f"const data = {json.dumps(self._data)};\n{_text('overlay.js')}")
+
+    def hold(self) -> None:
+        """Let pages begin where they are told to, in place of where all vehicles are seen."""
+        self._data["frame"] = False
+        self._send()
+
+    def look_from(self, direction: tuple[float, float, float]) -> None:
+        """Let pages begin with a view of all vehicles from a direction, NED, seen from them."""
+        self._data["from"] = direction
+        self._send()
+
+    def say(self, reasons: dict[int, str]) -> None:
+        """Tell why vehicles have stopped, the last ones of very many."""
+        found = dict(list(reasons.items())[-MOST_LABELS:])
+        if found != self._said:
+            self._said = found
+            self._tell("reasons", found, None)
+
+    def choose(self, vehicle: int | None, browser: Any = None) -> None:
+        """Mark a vehicle, or none, in one browser or in all."""
+        self._tell("choose", vehicle, browser)
+
+    def follow(self, vehicle: int | None, browser: Any = None) -> None:
+        """Follow a vehicle, or none, in one browser or in all."""
+        self._tell("follow", vehicle, browser)
+
+    def _tell(self, what: str, content: Any, browser: Any) -> None:
+        # Also where the overlay's own script comes later.
+        words = json.dumps(content)
+        told = f"(window.qrsimTold ??= {{}}).{what} = {words}; window.qrsim?.{what}({words})"
+        run_script(browser or self._server, what, told)
+
+
+def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[str, Any]]:
+    """Return the rows of the legend."""
+    rows: list[dict[str, Any]] = []
+    if not stage.few and len(set(stage.cast.fleets.tolist())) > 1:
+        for number in sorted(set(stage.cast.fleets.tolist())):
+            first = stage.cast.names[int(np.argmax(stage.cast.fleets == number))]
+            rows.append(
+                _row("body", [stage.palette[number % len(stage.palette)]], first.rpartition("_")[0] or first, "")
+            )
+    for title, found in ROWS.items():
+        if title not in layers:
+            continue
+        layer = layers[title]
+        # Of many vehicles all paths have one colour.
+        if title == "true paths" and not stage.few:
+            found = [("line", [stage.colours[0]], found[0][2])]
+        rows += [_row(*row, layer.path) for row in found]
+    rows.append(_row("size", [colours.GREY], "", layers["vehicles"].path))
+    rows.append(_row("thin", [colours.GREY], f"grid of {cell:g} m", layers["ground and north"].path))
+    return rows
+
+
+def _row(kind: str, own: Any, text: str, layer: str) -> dict[str, Any]:
+    return {"kind": kind, "colours": [[int(part) for part in colour] for colour in own], "text": text, "layer": layer}
+
+
+def _plain(values: Any) -> Any:
+    """Return colours for JSON."""
+    if isinstance(values, dict):
+        return {name: list(own) for name, own in values.items()}
+    return np.asarray(values).tolist()
+
+
+def _text(name: str) -> str:
+    return files("qrsim.view").joinpath(name).read_text("utf-8")

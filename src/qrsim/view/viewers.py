@@ -1,0 +1,142 @@
+"""What each browser has for itself on a page: the vehicle it has chosen, whether it follows it, and its plots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from viser import ClientHandle
+
+from qrsim.view.scene import Scene
+
+Floats = np.ndarray[Any, Any]
+Plotted = Callable[[int, str], tuple[Floats, Floats, Floats]]
+NOBODY = "(nobody)"
+# A plot has at most so many points; below: how many plots there are, and their place in the panel.
+MOST_POINTS, PLOTS, ORDER = 300, 2, 4.0
+TRUE_COLOUR = "#8a8f94"
+
+
+@dataclass
+class Choice:
+    """What a browser looks at.
+
+    Attributes:
+        vehicle: number; None: nobody.
+        follow: whether its camera goes with it.
+    """
+
+    vehicle: int | None = None
+    follow: bool = False
+
+
+class Viewer:
+    """The panel of one browser.
+
+    Args:
+        client: the browser, as viser has it.
+        scene: that it looks at.
+        choice: what it looks at, at first.
+        quantities: that can be plotted.
+        plotted: returns for a vehicle and a quantity its (times, measured, true), each (K,); None: nothing is.
+        chosen: called after the choice has changed.
+    """
+
+    def __init__(
+        self,
+        client: ClientHandle,
+        scene: Scene,
+        choice: Choice,
+        quantities: list[str],
+        plotted: Plotted | None,
+        chosen: Callable[[], None],
+    ):
+        self.choice = Choice(choice.vehicle, choice.follow)
+        self._client, self._scene, self._plotted, self._changed = client, scene, plotted, chosen
+        gui, names = client.gui, scene.cast.names
+        gui.reset()
+        self.folder = gui.add_folder("Vehicle", order=ORDER)
+        with self.folder:
+            self.who: Any = gui.add_dropdown(
+                "Name", (NOBODY, *names), hint="or click a vehicle", initial_value=self._name
+            )
+            self.follows: Any = gui.add_checkbox("Follow", choice.follow, visible=choice.vehicle is not None)
+            self.plots = [self._add_plot(gui, quantities, i) for i in range(min(PLOTS, len(quantities)))]
+        self.who.on_update(lambda _: self._named())
+        self.follows.on_update(lambda _: self.follow(self.follows.value))
+        self._show()
+
+    @property
+    def _name(self) -> str:
+        vehicle = self.choice.vehicle
+        return NOBODY if vehicle is None else self._scene.cast.names[vehicle]
+
+    def _add_plot(self, gui: Any, quantities: list[str], number: int) -> tuple[Any, Any]:
+        shown = self.choice.vehicle is not None
+        choice = gui.add_dropdown("Reading", quantities, initial_value=_first_choice(quantities, number), visible=shown)
+        # Some times, because a plot that begins without any never finds its scale.
+        empty = (np.array([0.0, 1.0]), *(np.full(2, np.nan),) * 2)
+        plot = gui.add_uplot(empty, self._series(), scales={"x": {"time": False}}, height=150, visible=shown)
+        choice.on_update(lambda _: self.plot())
+        return choice, plot
+
+    def _series(self) -> Any:
+        """Return the lines of a plot: what is measured in the vehicle's colour."""
+        colour = self._scene.stage.colours[self.choice.vehicle or 0]
+        stroke = "#{:02x}{:02x}{:02x}".format(*colour.tolist())
+        return (
+            {"label": "t"},
+            {"label": "measured", "stroke": stroke, "width": 2},
+            {"label": "true", "stroke": TRUE_COLOUR, "width": 1.5},
+        )
+
+    def _named(self) -> None:
+        name = self.who.value
+        vehicle = None if name == NOBODY else self._scene.cast.names.index(name)
+        if vehicle != self.choice.vehicle:
+            self.choose(vehicle)
+
+    def choose(self, vehicle: int | None) -> None:
+        """Choose a vehicle, plot what it measures, and follow it if following is switched on."""
+        self.choice.vehicle = vehicle
+        if self.who.value != self._name:
+            self.who.value = self._name
+        self._changed()
+        self._show()
+
+    def follow(self, follow: bool) -> None:
+        """Let the camera go with the chosen vehicle, or not."""
+        self.choice.follow = follow
+        if self.follows.value != follow:
+            self.follows.value = follow
+        self._show()
+
+    def _show(self) -> None:
+        vehicle, overlay = self.choice.vehicle, self._scene.overlay
+        overlay.choose(vehicle, self._client)
+        overlay.follow(vehicle if self.choice.follow else None, self._client)
+        self.follows.visible = vehicle is not None
+        for choice, plot in self.plots:
+            choice.visible = plot.visible = vehicle is not None
+            plot.series = self._series()
+        self.plot()
+
+    def plot(self) -> None:
+        """Draw the plots anew."""
+        if self.choice.vehicle is None or self._plotted is None:
+            return
+        for choice, plot in self.plots:
+            found = self._plotted(self.choice.vehicle, choice.value)
+            if len(found[0]) > 1:
+                every = math.ceil(len(found[0]) / MOST_POINTS)
+                # The newest is always one of them.
+                plot.data = tuple(values[::-every][::-1].astype(np.float64) for values in found)
+
+
+def _first_choice(quantities: list[str], number: int) -> str:
+    """Return the initial quantity of a plot: one with instructive errors, if it is measured."""
+    wanted = ("position_ned.x", "height")
+    return next((q for q in quantities if q.endswith(wanted[number])), quantities[number])

@@ -1,0 +1,88 @@
+"""What each browser has for itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from tests.apps.test_view_life import CAMERA
+from tests.view.fetching import fetching
+
+from qrsim.view.frame import Cast, Frame
+from qrsim.view.page import Page
+from qrsim.view.server import address, start_server
+
+PLACES = np.array([[0.0, 0.0, -10.0], [30.0, 0.0, -10.0], [0.0, 40.0, -20.0]])
+
+
+def eventually(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    server = start_server(0)
+    found = Page(server, Cast(("a", "b", "c"), np.zeros(3, int), PLACES), None, "test, seed 1", None)
+    found.plotted = lambda vehicle, quantity: (np.arange(5.0), np.full(5, float(vehicle)), np.zeros(5))
+    found.add_plots(["gnss.position_ned.x", "barometer.height", "barometer.height_rate"])
+    nothing = np.zeros_like(PLACES)
+    found.draw(Frame(0.0, PLACES, nothing, PLACES, PLACES, nothing, nothing, np.ones(3, bool)), everything=True)
+    yield found
+    server.stop()
+
+
+def test_each_browser_has_its_own_choice_and_plots(page: Page):
+    with fetching(address(page.server)) as one, fetching(address(page.server)) as other:
+        for browser in (one, other):
+            browser.send(CAMERA)
+        eventually(lambda: len(page.viewers) == 2)
+        first, second = (page.viewers[number] for number in sorted(page.viewers))
+        assert [plot.visible for _, plot in first.plots] == [False, False]
+        assert not first.follows.visible
+        first.choose(2)
+        first.follow(True)
+        assert page.chosen == {2}
+        assert [plot.visible for _, plot in first.plots] == [True, True]
+        assert [plot.visible for _, plot in second.plots] == [False, False]
+        np.testing.assert_array_equal(first.plots[0][1].data[1], np.full(5, 2.0))
+        # In the vehicle's colour.
+        assert first.plots[0][1].series[1]["stroke"] == "#0c9261"
+        second.choose(0)
+        assert (first.who.value, second.who.value) == ("c", "a")
+        assert (first.choice.follow, second.choice.follow) == (True, False)
+        assert page.scene.stage.chosen == {0, 2}
+        first.choose(None)
+        assert not first.plots[0][1].visible
+        assert page.chosen == {0}
+    eventually(lambda: not page.viewers)
+    assert page.chosen == frozenset()
+
+
+def test_later_browsers_see_what_was_chosen_for_all(page: Page):
+    page.choose(1)
+    page.follow()
+    with fetching(address(page.server)) as browser:
+        browser.send(CAMERA)
+        eventually(lambda: bool(page.viewers))
+        [viewer] = page.viewers.values()
+        assert (viewer.who.value, viewer.follows.value, viewer.plots[0][1].visible) == ("b", True, True)
+
+
+def test_a_page_in_place_of_another_keeps_the_choices(page: Page):
+    with fetching(address(page.server)) as browser:
+        browser.send(CAMERA)
+        eventually(lambda: bool(page.viewers))
+        next(iter(page.viewers.values())).choose(2)
+        page.close()
+        page.server.gui.reset()
+        page.server.scene.reset()
+        after = Page(page.server, page.scene.cast, None, "test, seed 1", None)
+        after.adopt(page)
+        eventually(lambda: after.chosen == {2})
+        assert [viewer.who.value for viewer in after.viewers.values()] == ["c"]
+        assert page._come not in page.server._client_connect_cb
