@@ -110,7 +110,7 @@
       const count = about.vehicles.length;
       state.position = positions.subarray((frame - first) * count * 3, (frame - first + 1) * count * 3);
       Object.assign(state, {part: number, frame});
-      send([...found, ...middle()]);
+      send(found);
       if (frame - first > 0.8 * frames.length && number + 1 < about.first.length) part(number + 1);
     } while (again);
     busy = false;

@@ -156,7 +156,7 @@
     if (!anew || !place) return;
     const Vector = m.camera.position.constructor, control = m.cameraControl;
     const away = control.getPosition(new Vector()).sub(control.getTarget(new Vector()));
-    const far = Math.min(away.length(), 10 * place.span);
+    const far = Math.min(away.length(), 7 * place.span);
     look(three(vehicle), away.setLength(far), false);
     lastFollowed = three(vehicle);
     state.framed = true;
@@ -328,7 +328,7 @@
     if (performance.now() - toned > 400) { toned = performance.now(); exact(); }
     legendOpen ??= box.width > 700;
     // Again while panels and sizes settle, until somebody moves the camera.
-    const room = JSON.stringify([free(box), box.width, box.height]);
+    const { right, bottom } = free(box), room = [right, bottom, box.width, box.height].join();
     if (data.frame && !touched && room !== framedIn && state.followed === null) {
       if (!state.framed || framedIn) frame(false);
       framedIn = room;

@@ -19,7 +19,8 @@ QUIET_S, PATIENCE_S = 2.0, 120.0
 # What is beside the scene: the panel, and that the browser has no graphics card.
 SCENE_ONLY = """
     document.head.insertAdjacentHTML('beforeend',
-        '<style>.mantine-Paper-root, .mantine-Notification-root, #qrsim-overlay .qrsim-tools {display: none !important}</style>')
+        '<style>.mantine-Paper-root, .mantine-Notification-root, #qrsim-overlay .qrsim-tools ' +
+        '{display: none !important}</style>')
 """
 
 

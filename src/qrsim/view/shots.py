@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.view.scene import SOUTH, Scene
+from qrsim.view.overlay import SOUTH
+from qrsim.view.scene import Scene
 
 # Where the camera is, from what it looks at, NED; "above" has north up.
 DIRECTIONS = {
