@@ -11,6 +11,7 @@ from small_run import append_chunk
 
 from qrsim.errors import RunError, UsageError
 from qrsim.runs import RunWriter, open_run
+from qrsim.runs.parts import StreamParts
 
 
 def test_the_pieces_make_up_the_table(start: Callable[..., RunWriter]) -> None:
@@ -42,6 +43,25 @@ def test_arrays_piece_by_piece(start: Callable[..., RunWriter]) -> None:
     assert joined.dtype == np.float32
     with pytest.raises(UsageError, match="has no column 'trust'; did you mean 'thrust'"):
         next(stream.batches(["trust"]))
+
+
+def test_pieces_of_other_times_are_not_read(start: Callable[..., RunWriter], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of forty pieces only a few are opened, to find those of a time."""
+    with start() as writer:
+        for first_tick in range(1, 161, 4):
+            append_chunk(writer, first_tick)
+            writer.flush()
+    stream = open_run(writer.folder)["truth"]
+    time, opened = stream.time, []
+    plain = StreamParts._read
+    monkeypatch.setattr(StreamParts, "_read", lambda self, *rest: (opened.append(rest[0]), plain(self, *rest))[1])
+    # Ticks 78 to 82 are in the pieces of 77 to 80 and of 81 to 84.
+    pieces = list(stream.batches(["thrust"], start=time[77], end=time[81]))
+    assert [piece.tick.tolist() for piece in pieces] == [[77, 78, 79, 80], [81, 82, 83, 84]]
+    assert len(set(opened)) <= 9
+    assert len(list(stream.batches(["thrust"], end=time[3]))) == 1
+    assert list(stream.batches(["thrust"], start=time[-1] + 1.0)) == []
+    assert len(list(stream.batches(["thrust"]))) == 40
 
 
 def test_only_the_piece_asked_for_is_read(start: Callable[..., RunWriter]) -> None:

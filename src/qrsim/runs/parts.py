@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import bisect
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -68,6 +70,27 @@ class StreamParts:
         """Yield the parts one by one, each read on demand; raises as ``table``."""
         chosen = [column.name for column in self.columns] if names is None else [self.column(n).name for n in names]
         return (self._read(number, self._schema, chosen) for number in self._usable)
+
+    def tables_between(self, names: Sequence[str], start: float, end: float) -> Iterator[pa.Table]:
+        """Yield the parts that have rows of times from ``start`` to ``end`` [s], whole; raises as ``table``."""
+        chosen = [self.column(name).name for name in names]
+        # Parts follow each other in time, so only a few are opened.
+        first = bisect.bisect_left(self._usable, start, key=lambda number: self._span(number)[1])
+        for number in self._usable[first:]:
+            if self._span(number)[0] > end:
+                return
+            yield self._read(number, self._schema, chosen)
+
+    def _span(self, number: int) -> tuple[float, float]:
+        """Return the first and the last time of a part [s]."""
+        if number not in self._spans:
+            times = self._read(number, self._schema, ["time"])["time"]
+            self._spans[number] = (times[0].as_py(), times[-1].as_py()) if len(times) else (-math.inf, -math.inf)
+        return self._spans[number]
+
+    @cached_property
+    def _spans(self) -> dict[int, tuple[float, float]]:
+        return {}
 
     @cached_property
     def _schema(self) -> pa.Schema:

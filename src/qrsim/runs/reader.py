@@ -246,10 +246,19 @@ class Stream:
         table = self._parts.table(names)
         return {name: table[name].to_numpy().reshape(shape) for name in names}
 
-    def batches(self, names: Sequence[str] | None = None) -> Iterator[Batch]:
-        """Yield the ticks of ``arrays`` in batches, for logs larger than memory; raises as ``arrays``."""
+    def batches(
+        self, names: Sequence[str] | None = None, *, start: float = -math.inf, end: float = math.inf
+    ) -> Iterator[Batch]:
+        """Yield the ticks of ``arrays`` in batches, for logs larger than memory; raises as ``arrays``.
+
+        Args:
+            names: of columns; None: all.
+            start, end: times [s]; batches without any between them are left out, and not read.
+        """
         names = self._known(names)
-        for table in self._parts.tables([*(column.name for column in INDEX), *names]):
+        columns = [*(column.name for column in INDEX), *names]
+        whole = start == -math.inf and end == math.inf
+        for table in self._parts.tables(columns) if whole else self._parts.tables_between(columns, start, end):
             if not table.num_rows:
                 continue
             time, tick = self._steps(table)
