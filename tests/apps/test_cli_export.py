@@ -614,6 +614,9 @@ def test_a_run_that_ended_early(end, tmp_path, capsys):
     assert [len(places(item)) for item in features(path, "true")] == [6, 6]
 
 
+ENDS = "what is read ends at its last flush"
+
+
 def test_a_run_killed_while_its_last_parts_were_written(tmp_path, capsys):
     folder = write_run(tmp_path / "run", end="running")
     # The true motion was on disk already, the rest was not; run.json speaks of the flush before.
@@ -627,7 +630,8 @@ def test_a_run_killed_while_its_last_parts_were_written(tmp_path, capsys):
     assert [len(places(item)) for item in features(path, "gnss")] == [4, 2]
     messages, _ = read_mcap(exported(folder, "mcap", tmp_path / "x.mcap"))
     assert (len(messages["/plain/pose"]), len(messages["/plain/wind"])) == (60, 40)
-    assert capsys.readouterr().err == ""
+    # Once for each command.
+    assert capsys.readouterr().err == 2 * f"{folder}: the run has not ended, or was killed; {ENDS}\n"
 
 
 @pytest.mark.parametrize("form", ["geojson", "gpx", "kml", "mcap"])

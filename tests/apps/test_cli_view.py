@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from urllib.request import urlopen
@@ -239,8 +240,34 @@ def test_an_export_that_does_not_fit_and_what_is_thinned_are_said(
 
 
 def test_a_run_that_is_being_written_is_said(copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    """By each command that reads it, in one line."""
     info = json.loads((copy / "run.json").read_text("utf-8"))
     (copy / "run.json").write_text(json.dumps({**info, "state": "running"}), encoding="utf-8")
     monkeypatch.setattr("qrsim.view.film.MOST_FRAMES", 2)
     assert cli.main(["view", str(copy), "--export", str(tmp_path / "page")]) == 0
     assert "the run has not ended; shown up to 10 s, the last flush" in capsys.readouterr().err
+    for words in (["plot", "--out", "a.png"], ["export", "--format", "csv", "--stream", "events", "--out", "a.csv"]):
+        path = [str(tmp_path / word) if word.startswith("a.") else word for word in words[1:]]
+        assert cli.main([words[0], str(copy), *path]) == 0
+        said = capsys.readouterr().err.splitlines()
+        assert said == [f"{copy}: the run has not ended, or was killed; what is read ends at its last flush"]
+
+
+@pytest.mark.long
+def test_a_run_is_exported_while_it_is_written(tmp_path: Path, capsys):
+    """A flight in a process of its own; what is on the page ends at a flush."""
+    words = ["outdoor_patrol", "--duration", "900", "--realtime", "--no-figure", "--out", str(tmp_path / "run")]
+    running = subprocess.Popen([sys.executable, "-c", INTERRUPTIBLE, "run", *words], stderr=subprocess.DEVNULL)
+    try:
+        end = time.monotonic() + 90.0
+        while not (tmp_path / "run" / "truth" / "part-00001.parquet").exists():
+            assert time.monotonic() < end, "it never flew"
+            time.sleep(0.2)
+        for number in range(2):
+            assert cli.main(["view", str(tmp_path / "run"), "--export", str(tmp_path / f"page{number}")]) == 0
+            said = capsys.readouterr().err.splitlines()
+            assert len(said) == 1
+            assert said[0].startswith("the run has not ended; shown up to ")
+    finally:
+        running.send_signal(signal.SIGINT)
+    assert running.wait(60.0) == 130

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -70,6 +71,8 @@ class Export:
         if self.stream is not None and self.format != "csv":
             raise UsageError(f"--stream chooses among the tables of csv; {self.format} has no such choice")
         recorded = open_run(self.run_folder, skip_damaged=True)
+        if recorded.unfinished:
+            print(recorded.unfinished, file=sys.stderr)
         every = self.every or self._usual_every(recorded)
         written = self._write_tables(recorded, every) if self.format == "csv" else [self._write_file(recorded, every)]
         self._report(written, every)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -66,6 +67,8 @@ class Plot:
         from qrsim.runs import open_run
 
         recorded = open_run(self.run_folder)
+        if recorded.unfinished:
+            print(recorded.unfinished, file=sys.stderr)
         if self.show:
             _print_quantities(recorded, self.json)
             return

@@ -94,6 +94,13 @@ class Run:
         return (self,)
 
     @property
+    def unfinished(self) -> str:
+        """One line where the run is being written, or was killed while it was; "" where it has ended."""
+        if self.info.state != "running":
+            return ""
+        return f"{self.folder}: the run has not ended, or was killed; what is read ends at its last flush"
+
+    @property
     def streams(self) -> tuple[str, ...]:
         """Names of the recorded streams, "events" included."""
         return tuple(self._parts)

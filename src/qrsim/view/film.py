@@ -80,17 +80,24 @@ def film(recording: Recording) -> str:
 
 def times_of(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Return the times [s] of the frames of a film."""
-    most = min(MOST_FRAMES, max(2, MOST_POSES // recording.cast.size))
-    count = min(most, int(recording.end * FASTEST_HZ) + 1, len(recording.time))
+    count = min(_most_frames(recording), _frames(recording))
     return np.linspace(float(recording.time[0]), recording.end, max(1, count))
+
+
+def _most_frames(recording: Recording) -> int:
+    return min(MOST_FRAMES, max(2, MOST_POSES // recording.cast.size))
+
+
+def _frames(recording: Recording) -> int:
+    """Return how many frames a film would have that may have any number."""
+    return min(int(recording.end * FASTEST_HZ) + 1, len(recording.time))
 
 
 def thinned(recording: Recording) -> list[str]:
     """Return what a page leaves out of a long run, one line each."""
     found, times = [], times_of(recording)
-    step = float(times[1] - times[0]) if len(times) > 1 else 0.0
-    if step > max(1.0 / FASTEST_HZ, recording.run.info.time_step) + 1e-6:
-        found.append(f"so long a run is exported at every {step:.2g} s")
+    if _frames(recording) > len(times) or recording.shown > 1:
+        found.append(f"so long a run is exported at every {times[1] - times[0]:.2g} s")
     period = float(np.diff(times_of_readings(recording.run, recording.end)[:2])[0])
     if period > 1.0:
         found.append(f"its readings are plotted at every {period:.2g} s")
