@@ -37,6 +37,8 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.atmosphere.wind import LogShear
 from qrsim.models.gnss.orbits import NominalConstellation
 from qrsim.models.gnss.receivers import GnssReading, SkyState
+from qrsim.models.gnss.sight import CommonErrors, Scales, sight_of
+from qrsim.models.gnss.slots import Slots
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.contents import Contents, ContentsState, Surroundings
 from qrsim.models.scene.fence import PolygonArea
@@ -266,6 +268,29 @@ class Recorder:
         self.drawn.append(drawn)
         return drawn
 
+    def normal_pairs(self, pairs: Array) -> tuple[Array, Array]:
+        drawn = self.draw.normal_pairs(pairs)
+        self.drawn.append(drawn)
+        return drawn
+
+    def uniform_pairs(self, pairs: Array) -> tuple[Array, Array]:
+        drawn = self.draw.uniform_pairs(pairs)
+        self.drawn.append(drawn)
+        return drawn
+
+    def alone(self, number: int) -> Recorder:
+        return Recorder(self.draw.alone(number))
+
+
+def slots_of(satellites: Vec3, ids: Any, numbers: np.random.Generator, dtype: Any) -> Slots:
+    """Return slots in which all satellites are, with errors that all receivers share."""
+    sight = jax.tree.map(np.asarray, sight_of(satellites.map(jnp.asarray)))
+    errors = [CommonErrors(*(np.asarray(numbers.normal(size=len(ids)), dtype) for _ in range(5))) for _ in range(2)]
+    one = np.asarray(1.0, dtype)
+    scales = Scales(np.ones(len(ids), dtype), one, *((one, one),) * 4)  # type: ignore[arg-type]
+    where = np.arange(len(ids), dtype=np.int32)
+    return Slots(ids, where % 4, where, sight, *errors, scales, np.int32(0), np.int32(0), np.asarray(0.5, dtype))  # type: ignore[arg-type]
+
 
 CALLS = ("init", "step", "field")
 
@@ -332,7 +357,9 @@ def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
     across = 2.2e7 * np.cos(angles[1])
     satellites = Vec3(*(np.asarray(v, dtype) for v in (across * np.cos(angles[0]), across * np.sin(angles[0]), -up)))
     errors = [np.asarray(scale * numbers.standard_normal(SATELLITES), dtype) for scale in (3.0, 0.01)]
-    sky = SkyState(satellites, *errors, ids=np.arange(1, SATELLITES + 1, dtype=np.uint32))  # type: ignore[arg-type]
+    ids = np.arange(1, SATELLITES + 1, dtype=np.uint32)
+    slots = slots_of(satellites, ids, np.random.default_rng([world, 2]), dtype)
+    sky = SkyState(satellites, *errors, ids=ids, slots=slots)  # type: ignore[arg-type]
     vehicle = SimpleNamespace(
         position_ned=position,
         attitude=Euler(axis(0.3), axis(0.3), axis(3.0)),
@@ -392,7 +419,9 @@ def _orbits(orbits: Any, given: Any, draws: Draws) -> Any:
 def _sky_errors(errors: Any, given: Any, draws: Draws) -> Any:
     start = errors.init(draws("init", SATELLITES))
     after = errors.step(start, draws("step", SATELLITES), 0.2)
-    return {"start": start, "after": after, "value": errors.value(after)}
+    slots = given["scene"]["sky"].slots
+    seen = errors.seen(after, jax.tree.map(jnp.asarray, slots.sight), slots.system)
+    return {"start": start, "after": after, "value": errors.value(after), "seen": seen}
 
 
 def _obstacle(obstacle: Any, given: Any, draws: Draws) -> Any:

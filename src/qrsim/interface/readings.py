@@ -5,19 +5,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import Any, Protocol, cast
+from typing import cast
 
 import jax
 import numpy as np
-import numpy.typing as npt
 from jax import Array
 
-from qrsim.control.setpoints import library
 from qrsim.core.tree import Record
-from qrsim.core.vectors import Euler, Vec3
 from qrsim.engine.layout import LazyTree
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.interface.arrays import Floats, as_array, library_of, quaternion_of
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading, SkyState
+from qrsim.models.gnss.sensor import GnssFix
 from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.camera import CameraReading, Picture
@@ -27,49 +26,6 @@ from qrsim.world.episode import picture
 from qrsim.world.standing import on_ground
 from qrsim.world.state import Fleet, FleetState, State, World, position_of
 
-Floats = np.ndarray[Any, Any]
-
-
-class Library(Protocol):
-    """What NumPy and jax.numpy have in common, of what is used here."""
-
-    def cos(self, x: Floats, /) -> Floats: ...  # noqa: D102
-    def sin(self, x: Floats, /) -> Floats: ...  # noqa: D102
-    def isfinite(self, x: Floats, /) -> Floats: ...  # noqa: D102
-    def where(self, condition: npt.ArrayLike, x: Floats | int, y: Floats | int, /) -> Floats: ...  # noqa: D102
-    def stack(self, arrays: Sequence[Floats] | Sequence[Array], /, *, axis: int) -> Floats: ...  # noqa: D102
-
-
-def _library(*values: object) -> Library:
-    return library(*values)
-
-
-def as_array(value: object) -> Floats:
-    """Convert a Vec3 or Euler to (n, 3), leave others as they are; also under tracing."""
-    if isinstance(value, Vec3 | Euler):
-        axes: list[Array] = jax.tree.leaves(value)
-        return _library(*axes).stack(axes, axis=-1)
-    return cast(Floats, value)
-
-
-def quaternion_of(attitude: Floats) -> Floats:
-    """Convert Euler angles (n, 3) [rad] to unit quaternions (n, 4), w first and w >= 0: body to NED, ZYX."""
-    lib = _library(attitude)
-    half = 0.5 * (attitude if isinstance(attitude, Array) else np.asarray(attitude, np.float64))
-    cosines: list[Floats] = list(lib.cos(half).T)
-    sines: list[Floats] = list(lib.sin(half).T)
-    (cr, cp, cy), (sr, sp, sy) = cosines, sines
-    quaternion = lib.stack(
-        (
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ),
-        axis=-1,
-    )
-    return lib.where(quaternion[:, :1] < 0.0, -quaternion, quaternion)
-
 
 class SensorReading:
     """The last reading of one sensor of n vehicles; its fields are attributes, see ``fields``.
@@ -77,9 +33,10 @@ class SensorReading:
     Where a reading is NaN, ``reasons`` says why.
 
     Beside what the sensor's model gives, a GNSS reading has ``latitude_deg``, ``longitude_deg``, ``height`` [m above
-    the ellipsoid] (float64, each (n,)) and ``fix_type`` (3: three-dimensional, 0: none), an attitude reading has
-    ``quaternion`` (n, 4), w first, and a camera has its last picture: ``ratio`` (n, R, C), ``corners_ned``
-    (n, R + 1, C + 1, 2) and ``grid`` (n, 2), the rows and columns that the picture has; beyond them it is NaN.
+    the ellipsoid] (float64, each (n,)) and ``fix_type`` (3: three-dimensional, 0: none), and one of a sensor ``gnss``
+    the ``time_of_fix`` [s], when it was true. An attitude reading has ``quaternion`` (n, 4), w first, and a camera has
+    its last picture: ``ratio`` (n, R, C), ``corners_ned`` (n, R + 1, C + 1, 2) and ``grid`` (n, 2), the rows and
+    columns that the picture has; beyond them it is NaN.
     """
 
     def __init__(
@@ -89,7 +46,9 @@ class SensorReading:
         site: Site,
         withheld: Callable[[], Sequence[str]] = tuple,
         picture: Callable[[], Picture] | None = None,
+        taken: Callable[[], float | Array] | None = None,
     ):
+        self._taken = taken
         self._name = name
         self._reading = reading
         self._site = site
@@ -101,7 +60,10 @@ class SensorReading:
         """Names of the sensor's fields."""
         own = tuple(field.name for field in dataclasses.fields(self._reading))
         if isinstance(self._reading, GnssReading):
-            return (*own, "latitude_deg", "longitude_deg", "height", "fix_type")
+            more = ["latitude_deg", "longitude_deg", "height", "fix_type"]
+            if isinstance(self._reading, GnssFix) and self._taken is not None:
+                more.append("time_of_fix")
+            return (*own, *(name for name in more if name not in own))
         if isinstance(self._reading, CameraReading):
             return (*own, *PICTURE_FIELDS)
         return (*own, "quaternion") if isinstance(self._reading, AttitudeReading) else own
@@ -123,7 +85,10 @@ class SensorReading:
             return "not available"
         satellites = self._reading.satellites
         if satellites[vehicle] < FEWEST_SATELLITES:
-            return f"no fix: {satellites[vehicle]:.0f} satellites, at least {FEWEST_SATELLITES} needed"
+            seen = ""
+            if isinstance(self._reading, GnssFix):
+                seen = f" used of {self._reading.satellites_seen[vehicle]:.0f} above the mask"
+            return f"no fix: {satellites[vehicle]:.0f} satellites{seen}, at least {FEWEST_SATELLITES} needed"
         known = np.isfinite(as_array(self._reading.position_ned)[vehicle]).all()
         return "no velocity: the fix before is missing" if known else "not available"
 
@@ -142,8 +107,10 @@ class SensorReading:
         if field in PICTURE_FIELDS:
             return self._of_picture(field)
         position = as_array(cast(GnssReading, self._reading).position_ned)
+        if field == "time_of_fix" and self._taken is not None:
+            return cast(Floats, self._taken() + 0.0 * library_of(position).ones_like(position[:, 0]))
         if field == "fix_type":
-            lib = _library(position)
+            lib = library_of(position)
             return lib.where(lib.isfinite(position).all(axis=1), 3, 0)
         if isinstance(position, jax.core.Tracer):
             raise UsageError(f"{self._name}.{field}: not available in a compiled function; use position_ned")
@@ -156,7 +123,7 @@ class SensorReading:
                 f"{self._name}.{field}: not available here; a policy needs jax.jit, or init and step, for it"
             )
         seen = self._picture()
-        lib = _library(seen.ratio)
+        lib = library_of(seen.ratio)
         if field == "ratio":
             return seen.ratio  # type: ignore[return-value]
         parts = (seen.north, seen.east) if field == "corners_ned" else (seen.rows, seen.columns)
@@ -171,9 +138,9 @@ class FleetReading:
 
     def __init__(
         self, fleet: Fleet, state: FleetState, sky: Callable[[], SkyState], tick: int, site: Site,
-        picture: Callable[[str], Picture] | None = None,
+        picture: Callable[[str], Picture] | None = None, time_step: float = 0.0,
     ):  # fmt: skip
-        self._picture = picture
+        self._picture, self._time_step = picture, time_step
         self._fleet, self._state, self._sky, self._tick, self._site = fleet, state, sky, tick, site
 
     @property
@@ -187,7 +154,14 @@ class FleetReading:
         if sensor not in self.sensors:
             raise AttributeError(f"no sensor is called '{sensor}'{did_you_mean(sensor, self.sensors)}")
         picture = None if self._picture is None else partial(self._picture, sensor)
-        return SensorReading(sensor, self._reading(sensor), self._site, partial(self._withheld, sensor), picture)
+        taken = partial(self._taken, sensor) if self._time_step else None
+        withheld = partial(self._withheld, sensor)
+        return SensorReading(sensor, self._reading(sensor), self._site, withheld, picture, taken)
+
+    def _taken(self, sensor: str) -> float | Array:
+        """Return the time [s] at which what a sensor reports was true."""
+        model = self._fleet.sensors[self.sensors.index(sensor)]
+        return model.time_of_reading(cast(Array, self._tick), self._time_step) * self._time_step
 
     def _reading(self, sensor: str) -> Record:
         return self._state.readings[self.sensors.index(sensor)]
@@ -258,7 +232,7 @@ class Reading:
         return {
             fleet.name: FleetReading(
                 fleet, state.fleets[i], partial(getattr, state, "sky"), self._tick, self._site,
-                partial(_picture, self._world, self._whole, i) if pictured else None,
+                partial(_picture, self._world, self._whole, i) if pictured else None, self._world.time_step,
             )
             for i, fleet in enumerate(self._world.fleets)
         }  # fmt: skip

@@ -13,6 +13,7 @@ from qrsim.control import Route
 from qrsim.core.tree import cast, field_info
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
+from qrsim.models.gnss.contracts import Sky
 from qrsim.models.gnss.receivers import SharedSky
 from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.contents import Contents
@@ -24,6 +25,7 @@ from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission
 from qrsim.scenarios.ranges import ranges_of
+from qrsim.scenarios.satellites import needs_slots, slotted_sky
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.spacing import columns
 from qrsim.world.state import Fleet, Start, World
@@ -62,10 +64,13 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
     world = scenario.world
     site = Site.from_degrees(scenario.site.latitude_deg, scenario.site.longitude_deg, scenario.site.height)
     ephemeris = component(world.sky.orbits, known.ORBITS, scenario)
-    orbits = ephemeris.at(site, gps_seconds_from_utc(scenario.start_time), dtype, scenario.duration)
+    start = gps_seconds_from_utc(scenario.start_time)
+    orbits = ephemeris.at(site, start, dtype, scenario.duration)
     warn_of_hand_lists(scenario, ephemeris.satellite_ids)
     errors = component(world.sky.errors, known.SKY_ERRORS, scenario)
-    sky = SharedSky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
+    sky: Sky = SharedSky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
+    if needs_slots(scenario, errors):
+        sky = slotted_sky(scenario, ephemeris, orbits, errors, site, start)
     ground = ground_of(scenario)
     built = World(
         wind=wind_of(scenario),

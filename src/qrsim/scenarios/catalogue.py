@@ -27,9 +27,12 @@ from qrsim.models.atmosphere.turbulence import DrydenFirstOrder, Still
 from qrsim.models.atmosphere.wind import Calm, LogShear
 from qrsim.models.atmosphere.wind_grid import WindGridFile
 from qrsim.models.atmosphere.wind_series import VeeringShear, WindFile
+from qrsim.models.gnss.budget import ErrorBudget
+from qrsim.models.gnss.constellations import NominalConstellations
 from qrsim.models.gnss.errors import ConsumerErrors, GaussMarkov2, SurveyErrors
 from qrsim.models.gnss.orbits import NominalConstellation
 from qrsim.models.gnss.receivers import GnssReceiver, IdealGnss, OrnsteinUhlenbeckErrors
+from qrsim.models.gnss.sensor import Gnss
 from qrsim.models.gnss.sp3 import Sp3Ephemeris
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.fence import PolygonArea
@@ -69,12 +72,17 @@ TURBULENCES: Catalogue = {
     "dryden_field": DrydenField,
 }
 GUSTS: Catalogue = {"none": NoGust, "discrete": DiscreteGust}
-ORBITS: Catalogue = {"nominal_constellation": NominalConstellation, "sp3": Sp3Ephemeris}
+ORBITS: Catalogue = {
+    "nominal_constellation": NominalConstellation,
+    "nominal_constellations": NominalConstellations,
+    "sp3": Sp3Ephemeris,
+}
 SKY_ERRORS: Catalogue = {
     "ou": OrnsteinUhlenbeckErrors,
     "gauss_markov_2": GaussMarkov2,
     "consumer": ConsumerErrors,
     "survey": SurveyErrors,
+    "error_budget": ErrorBudget,
 }
 OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}
 AREAS: Catalogue = {"box": BoxArea, "polygon": PolygonArea}
@@ -127,6 +135,7 @@ GUIDANCE: Catalogue = {
 }
 SENSORS: Catalogue = {
     "gnss_receiver": GnssReceiver,
+    "gnss": Gnss,
     "ideal_gnss": IdealGnss,
     "barometer": Barometer,
     "ideal_barometer": IdealBarometer,

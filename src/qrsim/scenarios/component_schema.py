@@ -141,8 +141,27 @@ def component_model(
             continue
         if arrays is None or field.default is not dataclasses.MISSING:
             fields[field.name] = _field(field.name, hints[field.name], field, each)
+    presets: Mapping[str, Mapping[str, Any]] | None = getattr(component, "presets", None)
+    if presets:
+        base = _preset_base(base, presets)
     doc = (component.__doc__ or "").split("\n\n")[0].strip()
     return create_model(name, __base__=base, __doc__=doc, **fields)
+
+
+def _preset_base(base: type[Strict], presets: Mapping[str, Mapping[str, Any]]) -> type[Strict]:
+    """Return the base of the schema of a component whose ``preset`` says what is not given."""
+
+    class Preset(base):  # type: ignore[misc, valid-type]
+        @model_validator(mode="before")
+        @classmethod
+        def _of_the_preset(cls, data: Any) -> Any:
+            name = data.get("preset", cls.model_fields["preset"].default) if isinstance(data, dict) else None
+            if not isinstance(name, str) or name not in presets:
+                return data
+            twins = {key.removesuffix("_deg") + "_rad" for key in data if key.endswith("_deg")}
+            return {**{key: value for key, value in presets[name].items() if key not in twins}, **data}
+
+    return Preset
 
 
 def slot_of(choices: Mapping[str, type], *, each: bool = False) -> Any:

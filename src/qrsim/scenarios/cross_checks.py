@@ -25,6 +25,7 @@ from qrsim.scenarios.missions import mission_problems
 from qrsim.scenarios.multirotor_checks import multirotor_problems
 from qrsim.scenarios.ranges import range_problems
 from qrsim.scenarios.registry import is_outside
+from qrsim.scenarios.satellites import satellite_problems
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.spacing import clearance_of, close_starts, inside_obstacles, obstacle_problems
 from qrsim.scenarios.task import task_problems
@@ -37,7 +38,7 @@ NEEDED = {"position_ned": "gnss_receiver", "height": "barometer", "attitude": "a
 
 
 PROVIDED = {
-    "position_ned": {"gnss_receiver", "ideal_gnss"},
+    "position_ned": {"gnss_receiver", "gnss", "ideal_gnss"},
     "height": {"barometer", "ideal_barometer"},
     "attitude": {"attitude_estimator", "ideal_attitude"},
     "specific_force": {"accelerometer", "ideal_accelerometer"},
@@ -284,7 +285,8 @@ def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
             f"start_time: the run, {scenario.start_time:%Y-%m-%d %H:%M:%S} and {scenario.duration:g} s, is not inside "
             f"what world.sky.orbits covers; allowed: {span}{cut_off}"
         )
-    if orbits.type == "nominal_constellation":
+    yield from satellite_problems(scenario, ephemeris)
+    if orbits.type in ("nominal_constellation", "nominal_constellations"):
         for path in hand_lists(scenario):
             yield (
                 f"{path}: 'hand_list' names satellites by PRN, "

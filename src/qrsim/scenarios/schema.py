@@ -21,6 +21,7 @@ from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.component_schema import Finite, Strict, choice_of, component_model, slot_of
 from qrsim.scenarios.legs import Corner, GeodeticSpec, LegSpec, Position
+from qrsim.scenarios.sky_of_receivers import with_sky
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9_.-]+$"
@@ -183,6 +184,7 @@ else:
 class SkySpec(Strict):
     """The GNSS space segment, shared by all receivers."""
 
+    # With a sensor of type gnss the defaults are others, see sky_of_receivers.py.
     orbits: OrbitsSlot = Field({"type": "nominal_constellation"}, description="orbits", validate_default=True)
     errors: SkyErrorsSlot = Field({"type": "ou"}, description="range errors", validate_default=True)
     period: Finite = Field(0.2, description="interval between epochs [s], a multiple of the time step", gt=0)
@@ -366,6 +368,8 @@ class ScenarioSpec(Strict):
     fleets: dict[str, FleetSpec] = Field(description="fleets by name", min_length=1)
     ranges: list[RangeSpec] = Field([], description="numbers that every episode draws anew", max_length=1000)
     task: TaskSlot = Field({"type": "none"}, description="what is to be done, and its reward", validate_default=True)
+
+    _sky = model_validator(mode="before")(with_sky)
 
 
 def refresh(kind: str) -> None:

@@ -46,7 +46,10 @@ def place(world: World, given: tuple[Any, Any], state: State, tick: Any) -> Stat
         put = _vehicles(fleet, rows[mine])
         fresh = start_fleet(world, fleet, put, keys, tick, state.sky, view, state.field, before, low)
         fresh = replace(fresh, guidance=before.guidance, setpoint=before.setpoint, battery=before.battery)
-        fleets.append(select(chosen[mine], fresh, before))
+        pairs = zip(fleet.sensors, fresh.sensors, before.sensors, strict=True)
+        sensors = tuple(sensor.placed(chosen[mine], new, old) for sensor, new, old in pairs)
+        rest = select(chosen[mine], replace(fresh, sensors=()), replace(before, sensors=()))
+        fleets.append(replace(rest, sensors=sensors))
     return replace(state, fleets=_checked(world, tuple(fleets), chosen))
 
 

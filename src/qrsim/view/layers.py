@@ -11,7 +11,7 @@ import numpy as np
 from viser import SceneApi
 
 from qrsim.core.vectors import Vec3
-from qrsim.interface.readings import quaternion_of
+from qrsim.interface.arrays import quaternion_of
 from qrsim.models.scene.contracts import Ground
 from qrsim.runs.colours import GREY, GUST, STOPPED
 from qrsim.view import shapes

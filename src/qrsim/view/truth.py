@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.interface.readings import quaternion_of
+from qrsim.interface.arrays import quaternion_of
 
 Floats = np.ndarray[Any, Any]
 AXES, ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.interface.readings import as_array, quaternion_of
+from qrsim.interface.arrays import as_array, quaternion_of
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import frame
 from qrsim.links.reference.readout import varint
@@ -164,12 +164,14 @@ def _sensor(name: str, reading: Any, site: Site) -> _Sensor | None:
         fields.append(("quaternion", 4))
         sources.append((own["attitude"], quaternion_of))
     if isinstance(reading, GnssReading):
-        fields += [("latitude_deg", 1), ("longitude_deg", 1), ("height", 1), ("fix_type", 1)]
+        derived = ["latitude_deg", "longitude_deg", "height", *(() if "fix_type" in own else ("fix_type",))]
+        fields += [(field, 1) for field in derived]
 
         def geodetic(position_ned: Array) -> Array:
             latitude, longitude, height = site.ned_to_geodetic(position_ned)
             # Who has a position has a fix of three dimensions.
-            return np.stack([np.degrees(latitude), np.degrees(longitude), height, np.full_like(height, 3.0)], axis=1)
+            columns = [np.degrees(latitude), np.degrees(longitude), height, np.full_like(height, 3.0)]
+            return np.stack(columns[: len(derived)], axis=1)
 
         sources.append((own["position_ned"], geodetic))
     return _Sensor(name, fields, sources)

@@ -7,16 +7,23 @@ variables, have the defaults that stand here.
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from jax import Array
 
 from qrsim.core.noise import Draw
+from qrsim.models.gnss.sight import CommonErrors, Scales, Sight, plain_scales, without_ionosphere
 
 
 @runtime_checkable
 class RangeErrors(Protocol):
-    """Errors of the pseudoranges to S satellites that all receivers of a world share."""
+    """Errors of the pseudoranges to S satellites that all receivers of a world share.
+
+    Attributes:
+        needs_sight: whether they depend on how the satellites are seen. Such errors are stepped every few seconds.
+    """
+
+    needs_sight: ClassVar[bool] = False
 
     @abstractmethod
     def init(self, draw: Draw) -> Any:
@@ -29,6 +36,14 @@ class RangeErrors(Protocol):
     @abstractmethod
     def value(self, state: Any) -> Array:
         """Return the range errors (S,) [m] of a state."""
+
+    def seen(self, state: Any, sight: Sight, system: Array) -> CommonErrors:
+        """Return the errors, by their parts, of satellites (S,) seen so, of systems (S,) by number."""
+        return without_ionosphere(self.value(state))
+
+    def scales(self, system: Array) -> Scales:
+        """Return the standard deviations of the errors of satellites of systems (S,) by number."""
+        return plain_scales(getattr(self, "std", 1.0), system)
 
 
 @runtime_checkable

@@ -57,6 +57,7 @@ class SkyState:
     range_rate_error: Array = quantity(default=None, unit="m/s", doc="(S,) its mean rate over the last period")
     memory: Any = quantity(default=None, doc="state of the range errors")
     ids: Array = quantity(default=None, doc="(S,) uint32 number of each satellite")
+    slots: Any = quantity(default=None, doc="satellites in view, for receivers of type gnss; None without any")
 
 
 @record

@@ -95,6 +95,11 @@ class Sp3Ephemeris:
         return tuple(self.data.satellites[column] for column in self._columns)
 
     @property
+    def system_of(self) -> str:
+        """Letter of each satellite's system, S of them."""
+        return "".join(name[0] for name in self.satellites)
+
+    @property
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
         """A number (S,) for each satellite, the same for every file: 256 times its letter's code plus its number."""
         return np.array([256 * ord(name[0]) + int(name[1:]) for name in self.satellites], np.uint32)

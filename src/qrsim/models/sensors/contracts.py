@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from jax import Array
 
-from qrsim.core.tree import Record
+from qrsim.core.tree import Record, select
 from qrsim.core.vectors import Euler, Vec3
 
 # What a sensor may declare in ``reads``; each is (n,) but the last three.
@@ -71,6 +71,10 @@ class Sensor(Protocol):
     def restart(self, state: Any, draw: Any, since: Array, *args: Any, **reads: Any) -> tuple[object, Record]:
         """Return state and reading of vehicles that were put elsewhere ``since`` () [s] after a reading."""
         return self.init(draw, *args, **reads)
+
+    def placed(self, chosen: Array, fresh: Any, before: Any) -> Any:
+        """Return the state in which chosen vehicles (n,) have been put elsewhere; ``fresh``: as if all had been."""
+        return select(chosen, fresh, before)
 
     def fresh(self, tick: Array, time_step: float) -> Array:
         """Return () whether a reading is delivered at a tick, rather than held since an earlier one."""

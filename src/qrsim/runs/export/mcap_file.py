@@ -26,7 +26,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
 from qrsim.errors import RunError
-from qrsim.interface.readings import quaternion_of
+from qrsim.interface.arrays import quaternion_of
 from qrsim.runs import Event, Run
 from qrsim.runs.export import foxglove
 from qrsim.runs.export.mcap_messages import Group, Message, groups_of, messages_of, topics_of

@@ -1,0 +1,59 @@
+"""Vectors and attitudes as plain arrays, of NumPy or of JAX."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol, cast
+
+import jax
+import numpy as np
+import numpy.typing as npt
+from jax import Array
+
+from qrsim.control.setpoints import library
+from qrsim.core.vectors import Euler, Vec3
+
+Floats = np.ndarray[Any, Any]
+
+
+class Library(Protocol):
+    """What NumPy and jax.numpy have in common, of what is used here."""
+
+    def cos(self, x: Floats, /) -> Floats: ...  # noqa: D102
+    def sin(self, x: Floats, /) -> Floats: ...  # noqa: D102
+    def isfinite(self, x: Floats, /) -> Floats: ...  # noqa: D102
+    def ones_like(self, x: Floats, /) -> Floats: ...  # noqa: D102
+    def where(self, condition: npt.ArrayLike, x: Floats | int, y: Floats | int, /) -> Floats: ...  # noqa: D102
+    def stack(self, arrays: Sequence[Floats] | Sequence[Array], /, *, axis: int) -> Floats: ...  # noqa: D102
+
+
+def library_of(*values: object) -> Library:
+    """Return the library that some arrays are of."""
+    return library(*values)
+
+
+def as_array(value: object) -> Floats:
+    """Convert a Vec3 or Euler to (n, 3), leave others as they are; also under tracing."""
+    if isinstance(value, Vec3 | Euler):
+        axes: list[Array] = jax.tree.leaves(value)
+        return library_of(*axes).stack(axes, axis=-1)
+    return cast(Floats, value)
+
+
+def quaternion_of(attitude: Floats) -> Floats:
+    """Convert Euler angles (n, 3) [rad] to unit quaternions (n, 4), w first and w >= 0: body to NED, ZYX."""
+    lib = library_of(attitude)
+    half = 0.5 * (attitude if isinstance(attitude, Array) else np.asarray(attitude, np.float64))
+    cosines: list[Floats] = list(lib.cos(half).T)
+    sines: list[Floats] = list(lib.sin(half).T)
+    (cr, cp, cy), (sr, sp, sy) = cosines, sines
+    quaternion = lib.stack(
+        (
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ),
+        axis=-1,
+    )
+    return lib.where(quaternion[:, :1] < 0.0, -quaternion, quaternion)

@@ -1,0 +1,161 @@
+"""Range errors by their causes: satellites, ionosphere and troposphere (docs/gnss.md)."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.noise import Draw, Drawn
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.models.gnss.contracts import RangeErrors
+from qrsim.models.gnss.errors import GaussMarkov2, GaussMarkov2State
+from qrsim.models.gnss.sight import CommonErrors, Scales, Sight
+
+# Number of the "satellite" that the randomness of all of them together belongs to.
+ALL = 0xFFFFFFFF
+
+
+@record
+class BudgetState:
+    """Processes of unit variance."""
+
+    signal: GaussMarkov2State = quantity(doc="(S,) clock and ephemeris")
+    local: GaussMarkov2State = quantity(doc="(S,) ionosphere of each satellite")
+    slope_north: GaussMarkov2State = quantity(doc="(S,) its slope over the field, north")
+    slope_east: GaussMarkov2State = quantity(doc="(S,) the same, east")
+    vertical: GaussMarkov2State = quantity(doc="(1,) vertical ionosphere")
+    gradient_north: GaussMarkov2State = quantity(doc="(1,) its gradient, north")
+    gradient_east: GaussMarkov2State = quantity(doc="(1,) the same, east")
+    troposphere: GaussMarkov2State = quantity(doc="(1,) zenith troposphere")
+
+
+def _std(default: float, unit: str, doc: str) -> Any:
+    return parameter(default=default, unit=unit, doc=doc, minimum=0.0)
+
+
+def _time(default: float, doc: str) -> Any:
+    return parameter(default=default, unit="s", doc=doc, above=0.0)
+
+
+@record
+class ErrorBudget(RangeErrors):
+    """Range errors by their causes: satellites, ionosphere, troposphere; each a second-order process.
+
+    The receivers of a world share them. ``common: per_vehicle`` gives every ``gnss`` receiver errors of its own with
+    the same statistics, for studies that need independent ones. The ionosphere leaves less to receivers of two
+    frequencies; its terms that end in ``_dual`` are for these.
+    """
+
+    gps: Array = _std(0.6, "m", "std of clock and ephemeris of GPS satellites")
+    galileo: Array = _std(0.2, "m", "std of clock and ephemeris of Galileo satellites")
+    glonass: Array = _std(2.0, "m", "std of clock and ephemeris of GLONASS satellites")
+    beidou: Array = _std(0.6, "m", "std of clock and ephemeris of BeiDou satellites, and of any other system")
+    ionosphere: Array = _std(1.5, "m", "std of the vertical ionosphere after the broadcast correction")
+    gradient: Array = _std(1.0e-3, "m/km", "std of its gradient between the points where rays cross it")
+    local: Array = _std(0.35, "m", "std of what a plane does not explain, vertical")
+    slope: Array = _std(2.0e-3, "m/km", "std of its slope over the field, per axis, vertical")
+    ionosphere_dual: Array = _std(0.5, "m", "the same as ionosphere, for two frequencies")
+    gradient_dual: Array = _std(3.0e-4, "m/km", "the same as gradient, for two frequencies")
+    local_dual: Array = _std(0.2, "m", "the same as local, for two frequencies")
+    slope_dual: Array = _std(5.0e-4, "m/km", "the same as slope, for two frequencies")
+    troposphere: Array = _std(0.12, "m", "std of the zenith troposphere after its model")
+    signal_time: Array = _time(3600.0, "time constant of clocks and ephemerides")
+    signal_drive_time: Array = _time(300.0, "time constant of what drives them")
+    ionosphere_time: Array = _time(3600.0, "time constant of the vertical ionosphere")
+    ionosphere_drive_time: Array = _time(300.0, "time constant of what drives it")
+    gradient_time: Array = _time(7200.0, "time constant of the ionosphere's gradient")
+    gradient_drive_time: Array = _time(600.0, "time constant of what drives it")
+    local_time: Array = _time(1800.0, "time constant of what a plane does not explain, and of the slope")
+    local_drive_time: Array = _time(300.0, "time constant of what drives them")
+    troposphere_time: Array = _time(2700.0, "time constant of the troposphere")
+    troposphere_drive_time: Array = _time(600.0, "time constant of what drives it")
+    common: Literal["shared", "per_vehicle"] = setting(
+        default="shared", doc="whether the gnss receivers of a world share these errors, or each has its own"
+    )
+    needs_sight: ClassVar[bool] = True
+
+    def init(self, draw: Draw) -> BudgetState:
+        """Return a stationary first state of S satellites."""
+        each, together = draw.normals(8), one_for_all(draw).normals(8)
+        return BudgetState(*_started(self._each(), each), *_started(self._together(), together))
+
+    def step(self, state: BudgetState, draw: Draw, dt: float) -> BudgetState:
+        """Advance the errors exactly by dt [s]."""
+        each, together = draw.normals(8), one_for_all(draw).normals(8)
+        before = (state.signal, state.local, state.slope_north, state.slope_east)
+        rest = (state.vertical, state.gradient_north, state.gradient_east, state.troposphere)
+        return BudgetState(*_stepped(self._each(), before, each, dt), *_stepped(self._together(), rest, together, dt))
+
+    def value(self, state: BudgetState) -> Array:
+        """Return the range errors (S,) [m] of GPS satellites at the zenith, received with one frequency."""
+        above = self.ionosphere * state.vertical.error + self.local * state.local.error
+        return self.gps * state.signal.error + above + self.troposphere * state.troposphere.error
+
+    def seen(self, state: BudgetState, sight: Sight, system: Array) -> CommonErrors:
+        """Return the errors of satellites (S,) seen so, of systems (S,) by number."""
+        std = self.scales(system).signal
+
+        def delay(vertical: Array, gradient: Array, local: Array) -> Array:
+            plane = state.gradient_north.error * sight.pierce_north + state.gradient_east.error * sight.pierce_east
+            return sight.ionosphere * (vertical * state.vertical.error + gradient * plane + local * state.local.error)
+
+        return CommonErrors(
+            signal=std * state.signal.error + self.troposphere * state.troposphere.error * sight.troposphere,
+            delay=delay(self.ionosphere, self.gradient, self.local),
+            delay_dual=delay(self.ionosphere_dual, self.gradient_dual, self.local_dual),
+            slope_north=sight.ionosphere * state.slope_north.error,
+            slope_east=sight.ionosphere * state.slope_east.error,
+        )
+
+    def scales(self, system: Array) -> Scales:
+        """Return the standard deviations of the terms, for satellites of systems (S,) by number."""
+        number = jnp.asarray(system)
+        last = jnp.where(number == 2, self.glonass, self.beidou)
+        return Scales(
+            signal=jnp.where(number == 0, self.gps, jnp.where(number == 1, self.galileo, last)),
+            troposphere=jnp.asarray(self.troposphere),
+            vertical=(jnp.asarray(self.ionosphere), jnp.asarray(self.ionosphere_dual)),
+            gradient=(jnp.asarray(self.gradient), jnp.asarray(self.gradient_dual)),
+            local=(jnp.asarray(self.local), jnp.asarray(self.local_dual)),
+            slope=(jnp.asarray(self.slope), jnp.asarray(self.slope_dual)),
+        )
+
+    def processes(self) -> tuple[tuple[GaussMarkov2, ...], tuple[GaussMarkov2, ...]]:
+        """Return the processes, of unit variance, that each satellite has, and those that there is one of."""
+        return self._each(), self._together()
+
+    def _each(self) -> tuple[GaussMarkov2, ...]:
+        """Return the processes that each satellite has."""
+        local = _unit(self.local_time, self.local_drive_time)
+        return (_unit(self.signal_time, self.signal_drive_time), local, local, local)
+
+    def _together(self) -> tuple[GaussMarkov2, ...]:
+        """Return the processes that there is one of."""
+        gradient = _unit(self.gradient_time, self.gradient_drive_time)
+        vertical = _unit(self.ionosphere_time, self.ionosphere_drive_time)
+        return (vertical, gradient, gradient, _unit(self.troposphere_time, self.troposphere_drive_time))
+
+
+def _unit(time: Array, drive_time: Array) -> GaussMarkov2:
+    """Return a process of unit variance."""
+    return GaussMarkov2(jnp.ones_like(jnp.asarray(time)), time, drive_time)
+
+
+def _started(processes: tuple[GaussMarkov2, ...], normals: tuple[Array, ...]) -> list[GaussMarkov2State]:
+    """Return stationary first states, with two normals for each process."""
+    return [process.init(Drawn(normals[2 * i : 2 * i + 2])) for i, process in enumerate(processes)]
+
+
+def _stepped(
+    processes: tuple[GaussMarkov2, ...], states: tuple[GaussMarkov2State, ...], normals: tuple[Array, ...], dt: float
+) -> list[GaussMarkov2State]:
+    """Return states dt [s] later, with two normals for each process."""
+    pairs = enumerate(zip(processes, states, strict=True))
+    return [process.step(state, Drawn(normals[2 * i : 2 * i + 2]), dt) for i, (process, state) in pairs]
+
+
+def one_for_all(draw: Draw) -> Draw:
+    """Return the draw (1,) of what all satellites of a stream share."""
+    return draw.alone(ALL)

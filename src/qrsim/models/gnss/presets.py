@@ -1,0 +1,58 @@
+"""Presets of the sensor ``gnss``: full sets of its parameters, each of which a scenario may override (docs/gnss.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+DEFAULT = "f9p_single"
+# What all have in common, and what is different in each.
+_COMMON: dict[str, Any] = {
+    "elevation_mask_rad": math.radians(10.0),
+    "system_bias": 0.2,
+    "multipath_time": 8.0,
+    "multipath_slow_time": 200.0,
+    "multipath_length": 5.0,
+    "code_bandwidth": 0.5,
+    "correlator_spacing": 0.2,
+    "loop_time": 3.0,
+    "smoothing_time": 6.0,
+    "acquisition": 5.0,
+    "entry": 10.0,
+    "coast": 1.0,
+    "delay": 1,
+    "velocity": "doppler",
+    "period": 0.2,
+}
+_OWN: dict[str, dict[str, Any]] = {
+    "m8n": {
+        "systems": "GR",
+        "frequencies": "single",
+        "multipath": 2.5,
+        "cn0_zenith": 48.0,
+        "doppler_noise": 0.06,
+    },
+    "f9p_single": {
+        "systems": "GERC",
+        "frequencies": "dual",
+        "multipath": 4.0,
+        "cn0_zenith": 50.0,
+        "doppler_noise": 0.05,
+        "smoothing_time": 10.0,
+    },
+    "gps_2011": {
+        "systems": "G",
+        "frequencies": "single",
+        "elevation_mask_rad": math.radians(5.0),
+        "multipath": 3.0,
+        "cn0_zenith": 46.0,
+        "doppler_noise": 0.05,
+        "period": 0.4,
+    },
+}
+PRESETS: dict[str, dict[str, Any]] = {name: {**_COMMON, **own} for name, own in _OWN.items()}
+
+
+def default(name: str) -> Any:
+    """Return a parameter's default, which is that of the default preset."""
+    return PRESETS[DEFAULT][name]

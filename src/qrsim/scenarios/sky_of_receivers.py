@@ -1,0 +1,23 @@
+"""The sky of a scenario that says nothing of it, by its receivers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+# What receivers of type gnss are made for.
+ORBITS, ERRORS = {"type": "nominal_constellations"}, {"type": "error_budget"}
+
+
+def with_sky(data: Any) -> Any:
+    """Return a scenario's content with the sky that receivers of type gnss are made for, where it names none."""
+    fleets = data.get("fleets") if isinstance(data, dict) else None
+    world = data.get("world", {}) if isinstance(data, dict) else None
+    sky = world.get("sky", {}) if isinstance(world, dict) else None
+    if not isinstance(fleets, dict) or not isinstance(sky, dict):
+        return data
+    sensors = [fleet.get("sensors") for fleet in fleets.values() if isinstance(fleet, dict)]
+    types = [sensor.get("type") for each in sensors if isinstance(each, dict) for sensor in each.values()
+             if isinstance(sensor, dict)]  # fmt: skip
+    if "gnss" not in types:
+        return data
+    return {**data, "world": {**(world or {}), "sky": {"orbits": ORBITS, "errors": ERRORS, **sky}}}
