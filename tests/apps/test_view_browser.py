@@ -149,7 +149,7 @@ def test_a_click_on_a_vehicle_shows_its_readings(watched: Watched):
     watched.page.choose(3)
     watched.page.follow()
     watched.replay.seek(DURATION)
-    time.sleep(1.0)
+    settled(watched.browser)
     watched.page.choose(None)
     scene.show("vehicles", False)
     without = settled(watched.browser)
@@ -158,7 +158,9 @@ def test_a_click_on_a_vehicle_shows_its_readings(watched: Watched):
     with_it = settled(watched.browser)
     rows, columns = np.nonzero((np.abs(with_it - without).sum(axis=2) > 60)[VIEW])
     # It was followed, so it is in the middle of the canvas.
-    nearest = np.argmin((rows + VIEW[0].start - 300) ** 2 + (columns - 240) ** 2)
+    box = "window.__viserMutable.canvas.getBoundingClientRect()"
+    middle = watched.browser.evaluate(f"[{box}.height / 2, {box}.width / 2]")
+    nearest = np.argmin((rows + VIEW[0].start - middle[0]) ** 2 + (columns + VIEW[1].start - middle[1]) ** 2)
     x, y = float(columns[nearest] + VIEW[1].start), float(rows[nearest] + VIEW[0].start)
 
     def clicked() -> bool:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.apps.test_view_life import CAMERA
 from tests.view.fetching import fetching
 
+from qrsim.view.clock import Clock
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.page import Page
 from qrsim.view.server import address, start_server
@@ -86,3 +88,14 @@ def test_a_page_in_place_of_another_keeps_the_choices(page: Page):
         eventually(lambda: after.chosen == {2})
         assert [viewer.who.value for viewer in after.viewers.values()] == ["c"]
         assert page._come not in page.server._client_connect_cb
+
+
+def test_a_frame_that_comes_as_the_page_is_paused_is_said(page: Page):
+    clock = Clock()
+    page.clock = clock
+    frame = page.scene.frame
+    assert frame is not None
+    page.draw(replace(frame, time=1.0))
+    clock.playing = False
+    page.draw(replace(frame, time=2.0))
+    assert "t = 2.00 s** (paused)" in page._status.content

@@ -222,7 +222,9 @@ class Page:
     def draw(self, frame: Frame, everything: bool = False) -> None:
         """Show a frame."""
         self.scene.draw(frame, everything)
-        if everything or self.drawn % STATUS_FRAMES == 0:
+        # Who pauses after this says what is drawn by now.
+        paused = self.clock is not None and not self.clock.playing
+        if everything or paused or self.drawn % STATUS_FRAMES == 0:
             self._say(frame)
         if everything or self.drawn % PLOT_FRAMES == 0:
             here = self.server.get_clients()
