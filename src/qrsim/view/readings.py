@@ -14,6 +14,9 @@ from qrsim.view.truth import true_values
 Floats = np.ndarray[Any, Any]
 # Of all quantities of all vehicles together: at most so many values, and so many a second of each.
 MOST_VALUES, FASTEST_HZ = 8_000_000, 10.0
+# How far ahead a log is read [s], because time goes on; streams of single vehicles that are kept: of as many browsers
+# as half of it with choices of their own.
+AHEAD_S, MOST_KEPT = 120.0, 8
 
 
 class Readings:
@@ -36,6 +39,39 @@ class Readings:
             truth = {name: values[:, i] for name, values in self._truth.items()}
             measured = np.stack([values[:, i] for values in self._measured.values()])
             yield measured, np.stack([true_values(name, truth) for name in self.quantities])
+
+
+class Excerpts:
+    """What single vehicles measured over some time, read from a long log where it is asked for.
+
+    Args:
+        run: what is read.
+    """
+
+    def __init__(self, run: Run):
+        self._run = run
+        self._kept: dict[tuple[int, str], tuple[float, float, Floats, dict[str, Floats]]] = {}
+
+    def of(self, vehicle: int, stream: str, start: float, end: float) -> tuple[Floats, dict[str, Floats]]:
+        """Return times (T,) [s] and columns (T,) of a vehicle, of at least all ticks from ``start`` to ``end`` [s]."""
+        kept = self._kept.pop((vehicle, stream), None)
+        if kept is None or start < kept[0] or end > kept[1]:
+            kept = self._read(vehicle, stream, start, end + AHEAD_S)
+        while len(self._kept) >= MOST_KEPT:
+            self._kept.pop(next(iter(self._kept)))
+        self._kept[vehicle, stream] = kept
+        return kept[2], kept[3]
+
+    def _read(
+        self, vehicle: int, stream: str, start: float, end: float
+    ) -> tuple[float, float, Floats, dict[str, Floats]]:
+        names = _numbers(self._run, stream)
+        times, parts = [np.zeros(0)], {name: [np.zeros(0)] for name in names}
+        for batch in self._run[stream].batches(names, start=start, end=end):
+            times.append(batch.time)
+            for name in names:
+                parts[name].append(batch.arrays[name][:, vehicle].astype(np.float64))
+        return start, end, np.concatenate(times), {name: np.concatenate(found) for name, found in parts.items()}
 
 
 def quantities_of(run: Run) -> list[str]:

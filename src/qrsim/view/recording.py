@@ -8,11 +8,11 @@ import numpy as np
 
 from qrsim.errors import QrsimError, RunError, warn_user
 from qrsim.runs import Run
-from qrsim.runs.layout import EVENTS, INDEX, Event
+from qrsim.runs.layout import EVENTS, Event
 from qrsim.runs.summary import NOT_A_STOP
 from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Cast, Frame, cast_of
-from qrsim.view.readings import quantities_of
+from qrsim.view.readings import Excerpts, quantities_of
 from qrsim.view.reasons import in_words
 from qrsim.view.rebuilt import rebuilt
 from qrsim.view.truth import ANGLES, AXES, true_values
@@ -21,8 +21,6 @@ from qrsim.world.state import World
 Floats = np.ndarray[Any, Any]
 # Of a plot [s].
 PLOT_S = 60.0
-# Streams of single vehicles that are kept: of as many browsers as half of it with choices of their own.
-MOST_PLOTTED = 8
 
 
 class Recording:
@@ -58,7 +56,7 @@ class Recording:
         self.stops = [(event, numbers[event.vehicle]) for event in _stops(run) if event.vehicle is not None]
         self.world, self.cast = self._surroundings()
         self._rebuilt = rebuilt(run, self.world)
-        self._plotted: dict[tuple[int, str], Any] = {}
+        self._excerpts = Excerpts(run)
 
     @property
     def end(self) -> float:
@@ -132,29 +130,12 @@ class Recording:
 
     def plotted(self, vehicle: int, quantity: str, time: float) -> tuple[Floats, Floats, Floats]:
         """Return (times, measured, true), each (K,), of the minute before a time [s]."""
-        times, measured = self._of_vehicle(vehicle, "measurements")
-        true_times, truth = self._of_vehicle(vehicle, "truth")
+        times, measured = self._excerpts.of(vehicle, "measurements", time - PLOT_S, time)
+        # True states may be recorded less often.
+        true_times, truth = self._excerpts.of(vehicle, "truth", time - 2.0 * PLOT_S, time)
         chosen = (times >= time - PLOT_S) & (times <= time + 1e-6)
         rows = np.maximum(0, np.searchsorted(true_times, times[chosen] + 1e-6, side="right") - 1)
         return times[chosen], measured[quantity][chosen], true_values(quantity, truth)[rows]
-
-    def _of_vehicle(self, vehicle: int, stream: str) -> tuple[Floats, dict[str, Floats]]:
-        """Return times (T,) and columns (T,) of one vehicle; those of the last few asked for are kept."""
-        if (vehicle, stream) not in self._plotted:
-            while len(self._plotted) >= MOST_PLOTTED:
-                self._plotted.pop(next(iter(self._plotted)))
-            names = [c.name for c in self.run.describe(stream)[len(INDEX) :] if c.dtype.startswith("float")]
-            times, parts = [], {name: [] for name in names}  # type: ignore[var-annotated]
-            for batch in self.run[stream].batches(names):
-                times.append(batch.time)
-                for name in names:
-                    parts[name].append(batch.arrays[name][:, vehicle].astype(np.float64))
-            self._plotted[vehicle, stream] = (
-                np.concatenate(times),
-                {n: np.concatenate(found) for n, found in parts.items()},
-            )
-        found: tuple[Floats, dict[str, Floats]] = self._plotted[vehicle, stream]
-        return found
 
 
 def _first(run: Run, ending: str) -> str | None:
