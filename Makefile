@@ -74,7 +74,7 @@ bench: $(TOOLS)  ## run every benchmarks/*.py
 evidence: $(TOOLS)  ## run every study of evidence/, or those named: make evidence turbulence
 	@$(BIN)/python -m evidence $(NAMES)
 
-pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium) and task_*.png: the page and a plan of each family of scenarios
+pictures: $(TOOLS)  ## write docs/images/view_*.png (needs chromium), task_*.png and the README's figure; evidence/pictures.py lists all pictures
 	@$(BIN)/python -m evidence.pictures
 	@$(BIN)/python -m evidence.task_pictures
 

@@ -1,118 +1,115 @@
-"""Write docs/images/view_FAMILY.png, a family's 3-D page each: ``python -m evidence.pictures [FAMILY ...]``.
+"""Write the pictures of the 3-D page and the README's figure: ``python -m evidence.pictures [NAME ...]``.
 
-Whose task has a baseline is flown by it.
+Each is what two commands make, and the documentation shows them: ``qrsim run`` flies, ``qrsim view --screenshot``
+looks. Of the other pictures in docs/images the list says which command writes them.
 """
 
 from __future__ import annotations
 
+import contextlib
 import io
+import json
+import shlex
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from qrsim.errors import QrsimError, UsageError, did_you_mean
+from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
-CHUNK = 10
+# A scenario that is not built in: many vehicles, each on a square of its own.
+SWARM, SWARM_SIZE = "swarm.yaml", 1000
 
 
 @dataclass(frozen=True)
 class Shot:
-    """What is photographed.
+    """A picture of the page.
 
     Attributes:
-        scenario: name of a built-in one, or number of vehicles of a larger default one.
-        seconds: how long it has flown.
-        seed: of the flight.
-        chosen: name of the vehicle that is looked at; None: all are.
-        distance: from there [m]; None: that of a page.
-        size: of the drawn vehicles [m]; None: that of a page.
-        direction: from there to the camera, NED.
+        run: words of ``qrsim run``.
+        view: words of ``qrsim view --screenshot``.
     """
 
-    scenario: str | int
-    seconds: float
-    seed: int = 1
-    chosen: str | None = None
-    distance: float | None = None
-    size: float | None = None
-    direction: tuple[float, float, float] | None = None
+    run: str
+    view: str = ""
+
+    def commands(self, name: str) -> str:
+        """Return the commands that make the picture, one line."""
+        words = f"{self.view} " if self.view else ""
+        return f"qrsim run {self.run} --out {name}; qrsim view {name} {words}--screenshot {name}.png"
 
 
 SHOTS = {
-    "outdoor_patrol": Shot("outdoor_patrol", 10.0, distance=105.0),
-    "keep_spot": Shot("keep_spot", 20.0, chosen="pelicans_0", distance=10.0),
-    "cats_and_mouse": Shot("cats_and_mouse/1B", 30.0, chosen="mouse", distance=70.0, direction=(-0.5, -0.45, -0.75)),
-    "plume_mapping": Shot("plume_mapping/3C", 90.0, seed=2),
-    "search_and_rescue": Shot("search_and_rescue/2D", 61.0, chosen="helicopters_1", distance=34.0, size=3.0),
-    "swarm": Shot(1000, 30.0, distance=1300.0, direction=(-0.8, -0.1, -0.55)),
+    "outdoor_patrol": Shot("outdoor_patrol --seed 1 --duration 20"),
+    "keep_spot": Shot("keep_spot --seed 1 --duration 20", "--camera pelicans_0"),
+    "cats_and_mouse": Shot("cats_and_mouse/1B --policy baseline --seed 3 --duration 20", "--camera above"),
+    "plume_mapping": Shot("plume_mapping/3C --policy baseline --seed 2 --duration 90", "--camera area"),
+    "search_and_rescue": Shot(
+        "search_and_rescue/2D --policy baseline --seed 1 --duration 61", "--camera helicopters_1"
+    ),
+    "swarm": Shot(f"{SWARM} --seed 1 --duration 30"),
+}
+# The figure of a run, which the README shows.
+FIGURE, FIGURE_RUN = "outdoor_patrol", "outdoor_patrol --seed 1"
+# Who writes the other pictures.
+OTHERS = {
+    "slam_trajectories.png": "qrsim slam --seeds 8",
+    "slam_allan.png": "qrsim slam --seeds 8",
+    "task_cats_and_mouse.png": "make pictures",
+    "task_plume_mapping.png": "make pictures",
+    "task_search_and_rescue.png": "make pictures",
+    "training.png": "make evidence training",
+    "turbulence.png": "make evidence turbulence",
 }
 
 
-def write(family: str, output: Path = IMAGES) -> Path:
-    """Fly for some seconds, and write the picture; return where it is.
+def every() -> dict[str, str]:
+    """Return the command of each picture in docs/images, by its name."""
+    shots = {f"view_{name}.png": shot.commands(name) for name, shot in SHOTS.items()}
+    return shots | {f"{FIGURE}.png": f"qrsim run {FIGURE_RUN}"} | OTHERS
+
+
+def _command(*words: str) -> None:
+    """Run qrsim; what it prints on standard output is nothing new."""
+    from qrsim import cli
+
+    with contextlib.redirect_stdout(io.StringIO()):
+        code = cli.main(list(words))
+    if code:
+        raise RunError(f"qrsim {shlex.join(words)}: exit code {code}")
+
+
+def write(name: str, output: Path = IMAGES) -> Path:
+    """Fly, and write a picture of the page or, of the name "figure", the README's; return where it is.
 
     Raises:
-        RunError: there is no browser.
+        RunError: there is no browser, or a command failed.
     """
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        if name == "figure":
+            _command("run", *shlex.split(FIGURE_RUN), "--out", name)
+            return Path(shutil.copy(Path(name) / "figure.png", output / f"{FIGURE}.png"))
+        shot = SHOTS[name]
+        if shot.run.startswith(SWARM):
+            from evidence.view import patrol
+
+            # JSON is YAML.
+            Path(SWARM).write_text(json.dumps(patrol(SWARM_SIZE)), encoding="utf-8")
+        _command("run", *shlex.split(shot.run), "--out", name, "--no-figure")
+        _command("view", name, *shlex.split(shot.view), "--screenshot", f"{name}.png")
+        return _smaller(Path(f"{name}.png"), output / f"view_{name}.png")
+
+
+def _smaller(found: Path, path: Path) -> Path:
+    """Copy a picture with 256 colours, a fifth of the size; such that rare ones, as in a legend, stay as they are."""
     from PIL import Image
 
-    from qrsim.view.frame import cast_of, frame_of
-    from qrsim.view.overlay import SOUTH
-    from qrsim.view.picture import photograph
-    from qrsim.view.scene import Scene
-    from qrsim.view.server import start_server
-
-    shot = SHOTS[family]
-    simulation, advance = _flight(shot)
-    server = start_server(0)
-    try:
-        scene = Scene(server, cast_of(simulation.world, simulation.truth.position_ned), simulation.world)
-        scene.draw(frame_of(simulation.state, 0.0, simulation.world))
-        while simulation.time < shot.seconds:
-            advance()
-            scene.draw(frame_of(simulation.state, simulation.time, simulation.world))
-        middle = scene.cast.centre
-        if shot.chosen is not None:
-            vehicle = simulation.vehicle_names.index(shot.chosen)
-            scene.choose(vehicle)
-            scene.overlay.choose(vehicle)
-            middle = simulation.truth.position_ned[vehicle]
-        if shot.distance is not None:
-            scene.look(middle, shot.distance, shot.direction or SOUTH)
-        if shot.size is not None:
-            scene.resize(shot.size)
-        scene.draw(frame_of(simulation.state, simulation.time, simulation.world), everything=True)
-        count = f"{scene.cast.size} vehicle{'s' if scene.cast.size > 1 else ''}"
-        picture = photograph(server, f"{simulation.name}, {count}, {simulation.time:.0f} s")
-    finally:
-        server.stop()
-    path = output / f"view_{family}.png"
-    # With 256 colours a file has a third of the size; with fewer, few vehicles would lose theirs.
-    Image.open(io.BytesIO(picture)).quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    few = Image.open(found).convert("RGB").quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    few.save(path, optimize=True)
     return path
-
-
-def _flight(shot: Shot) -> tuple[Any, Callable[[], Any]]:
-    """Return a simulation at its start, and what advances it."""
-    from evidence.view import patrol
-    from qrsim.apps.run.baseline import baseline_policy
-    from qrsim.scenarios.scenario import load_scenario
-    from qrsim.simulation.pilot import Pilot
-    from qrsim.simulation.simulation import Simulation
-
-    scenario = load_scenario(patrol(shot.scenario) if isinstance(shot.scenario, int) else shot.scenario)
-    simulation = Simulation(scenario.world(), seed=shot.seed, name=scenario.name, site=scenario.site)
-    simulation.reset()
-    try:
-        policy, ticks = baseline_policy(scenario, shot.seed, "float32")
-    except UsageError:
-        # Without a task, or with one that has no baseline, they fly by themselves.
-        return simulation, lambda: simulation.advance(ticks=CHUNK)
-    pilot = Pilot(simulation, policy, None, ticks)
-    return simulation, lambda: pilot.record(CHUNK)
 
 
 def write_named(names: Sequence[str], kind: str, known: Collection[str], draw: Callable[[str], Path]) -> int:
@@ -130,8 +127,8 @@ def write_named(names: Sequence[str], kind: str, known: Collection[str], draw: C
 
 
 def main(names: Sequence[str]) -> int:
-    """Write the named pictures of the page; return the exit code."""
-    return write_named(names, "scenarios", SHOTS, write)
+    """Write the named pictures; return the exit code."""
+    return write_named(names, "scenarios", (*SHOTS, "figure"), write)
 
 
 if __name__ == "__main__":

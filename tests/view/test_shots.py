@@ -15,6 +15,7 @@ NAMES = ("pelicans_0", "pelicans_1", "mouse")
     ("text", "meant"),
     [
         ("above", Camera(None, "above")),
+        ("area", Camera(None, "area")),
         ("mouse", Camera("mouse")),
         ("pelicans_1:east", Camera("pelicans_1", "east")),
     ],
@@ -30,7 +31,7 @@ def test_a_camera_is_a_direction_a_vehicle_or_both(text: str, meant: Camera):
         ("mousse", "no such view; did you mean 'mouse'?"),
         ("pelican_1:east", "no vehicle 'pelican_1'; did you mean 'pelicans_1'?"),
         ("mouse:eats", "no direction 'eats'; did you mean 'east'?"),
-        ("", "no such view; known: south, north, east, west, above"),
+        ("", "no such view; known: south, north, east, west, above, area"),
     ],
 )
 def test_a_wrong_camera_is_refused_with_the_right_name(text: str, said: str):

@@ -44,8 +44,8 @@ class View:
     screenshot: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a picture (.png), and end."""
     camera: Annotated[str | None, tyro.conf.arg(metavar="VIEW", help_behavior_hint="(default: see below)")] = None
-    """From where the picture is taken, by default as the page begins: south, north, east, west, above, the name
-    of a vehicle for a view of it from near, or both, as in NAME:above."""
+    """From where the picture is taken, by default as the page begins: south, north, east, west, above, area for
+    the whole flight area, the name of a vehicle for a view of it from near, or both, as in NAME:above."""
     size: Annotated[str | None, tyro.conf.arg(metavar="WxH", help_behavior_hint="(default: 1280x800)")] = None
     """Width and height of the picture in pixels."""
     layers: Annotated[str | None, tyro.conf.arg(metavar="NAMES", help_behavior_hint="(default: see below)")] = None
@@ -128,7 +128,7 @@ class View:
             remember_paths(scene, recording, frame.time)
             scene.draw(frame, everything=True)
             if camera is not None:
-                camera.aim(scene)
+                camera.aim(scene, recording.world)
             picture = photograph(server, f"{recording.heading}, {frame.time:.2f} s", size)
         finally:
             server.stop()

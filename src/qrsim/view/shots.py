@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.view.overlay import SOUTH
 from qrsim.view.scene import Scene
+from qrsim.world.state import World
 
 # Where the camera is, from what it looks at, NED; "above" has north up.
 DIRECTIONS = {
@@ -20,6 +22,8 @@ DIRECTIONS = {
     "west": (-0.3, -0.85, -0.45),
     "above": (-0.02, 0.0, -1.0),
 }
+# A view of all that vehicles may fly in, and how far from it the camera is, in diagonals of it.
+AREA, FAR = "area", 0.8
 # From a vehicle that is looked at, in spans as it is drawn.
 CLOSE = 5.0
 SMALLEST, LARGEST = 100, 8192
@@ -32,7 +36,7 @@ class Camera:
 
     Attributes:
         vehicle: that is in the middle; None: all are in the picture.
-        direction: one of DIRECTIONS; None: that of the page.
+        direction: one of DIRECTIONS, or AREA; None: that of the page.
     """
 
     vehicle: str | None = None
@@ -40,7 +44,7 @@ class Camera:
 
     @staticmethod
     def parsed(text: str, vehicles: Iterable[str]) -> Camera:
-        """Return the camera of VEHICLE, DIRECTION or VEHICLE:DIRECTION.
+        """Return the camera of VEHICLE, DIRECTION, VEHICLE:DIRECTION or "area".
 
         Raises:
             UsageError: there is no such vehicle, or no such direction.
@@ -50,24 +54,36 @@ class Camera:
         if not colon:
             if text in vehicles:
                 return Camera(text)
-            if text in DIRECTIONS:
+            if text in (*DIRECTIONS, AREA):
                 return Camera(None, text)
-            raise UsageError(f"--camera {text}: no such view{did_you_mean(text, (*DIRECTIONS, *vehicles))}")
+            raise UsageError(f"--camera {text}: no such view{did_you_mean(text, (*DIRECTIONS, AREA, *vehicles))}")
         if name not in vehicles:
             raise UsageError(f"--camera {text}: no vehicle '{name}'{did_you_mean(name, vehicles)}")
         if direction not in DIRECTIONS:
             raise UsageError(f"--camera {text}: no direction '{direction}'{did_you_mean(direction, DIRECTIONS)}")
         return Camera(name, direction)
 
-    def aim(self, scene: Scene) -> None:
+    def aim(self, scene: Scene, world: World | None = None) -> None:
         """Let pages of a scene, of which a frame was drawn, begin with this view."""
         if self.vehicle is not None and scene.frame is not None:
             number = scene.cast.names.index(self.vehicle)
             scene.choose(number)
             at = np.nan_to_num(scene.frame.position_ned[number])
             scene.look(at, CLOSE * scene.stage.span, DIRECTIONS[self.direction or "south"])
+        elif self.direction == AREA:
+            corners = _corners(scene, world)
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            scene.look(0.5 * (low + high), FAR * float(np.linalg.norm(high - low)))
         elif self.direction is not None:
             scene.look_from(DIRECTIONS[self.direction])
+
+
+def _corners(scene: Scene, world: World | None) -> np.ndarray[Any, Any]:
+    """Return corners (K, 3) of the area of a world [m]; of where vehicles start, if it is no box or not known."""
+    area: Any = None if world is None else world.area
+    if area is None or not area.is_box:
+        return scene.cast.start_ned
+    return np.array([[float(getattr(area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max")])
 
 
 def parsed_size(text: str) -> tuple[int, int]:
