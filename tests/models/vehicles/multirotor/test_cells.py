@@ -48,6 +48,11 @@ def test_voltage_and_current(charge: float, voltage: float, current: float) -> N
     assert float(PACK.step(at(charge), hover(), 1.0).current[0]) == pytest.approx(current, abs=0.5)
 
 
+def test_open_circuit_voltage_of_an_almost_empty_pack() -> None:
+    """Of a cell -1.031 + 3.685 V at 0, and -1.031 exp(-0.7) + 3.685 + 0.2156/50 - 0.1178/50^2 + 0.3201/50^3 at 0.02."""
+    np.testing.assert_allclose(PACK.open_circuit(jnp.array([0.0, 0.02])) / 4.0, [2.654, 3.177288], atol=1e-6)
+
+
 def test_a_full_pack_is_at_two_hundredths_after_thirteen_minutes() -> None:
     drain = jax.jit(lambda state: PACK.step(state, hover(), 1.0))
     state, seconds = PACK.init(jnp.zeros(1)), 0

@@ -41,6 +41,9 @@ def test_it_spreads_decays_and_begins_at_the_rotors() -> None:
     # Half as fast at 0.096 z beside, half as fast at twice the distance.
     assert float(below(20.25, 0.128, 4, 0.48, 5.0).z[0]) == pytest.approx(middle / 2.0, rel=1e-3)
     assert float(below(20.25, 0.128, 4, 0.0, 10.0).z[0]) == pytest.approx(middle / 2.0, rel=1e-9)
+    # Nearer than two and a half vehicle sizes, 1.225 m, it is as wide as there.
+    near = [float(below(20.25, 0.128, 4, beside, 0.6).z[0]) for beside in (0.0, 0.096 * 1.225)]
+    assert near[1] == pytest.approx(near[0] / 2.0, rel=1e-3)
     # No faster than the far wake of hover by momentum theory, 12.7 m/s; nothing above.
     assert float(below(20.25, 0.128, 4, 0.0, 0.5).z[0]) == pytest.approx(12.67, abs=0.02)
     assert float(below(20.25, 0.128, 4, 0.0, -0.5).z[0]) == 0.0
