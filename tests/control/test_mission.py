@@ -312,7 +312,7 @@ class TestLanding:
         one = flown["hangs"]
         idle = np.flatnonzero(one.of("idle"))
         comes = (one.of("index") == 1) & (one.rows("position")[:, 2] > 0.0)
-        assert (idle[0] - np.argmax(comes)) * DT == pytest.approx(0.6 / 0.7 + 0.5, abs=0.15)
+        assert (idle[0] - np.argmax(comes)) * DT == pytest.approx(0.6 / 0.7 + 0.5, abs=0.08)
         assert one.of("index")[round(59.0 / DT)] == 1
         assert np.argmax(one.of("index") == 2) * DT == pytest.approx(62.0, abs=0.15)
 

@@ -64,6 +64,7 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
         exact = {f"position_ned.{axis}": getattr(whole, axis) for axis in "xyz"}
         items = [(name, exact.get(name, leaf), unit, doc) for name, leaf, unit, doc in items]
         items.append(("valid", state.violation.code == 0, "", "whether the vehicle still flies"))
+        items += loads(fleet, state, {name for name, *_ in items})
         standing = on_ground(fleet, state)
         if standing is not None:
             items.append(("on_ground", np.asarray(standing), "", "whether the vehicle stands on the ground"))
@@ -71,6 +72,25 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
         items.append(("clipped", state.command_clipped, "", "the command was outside its range and was clipped"))
         items.append(("waypoint", state.guidance.index, "", "index of the waypoint flown to"))
     return items
+
+
+def loads(fleet: Fleet, state: FleetState, has: set[str]) -> list[tuple[str, Any, str, str]]:
+    """Return what vehicles with electric motors take, as ``_tree`` does, without columns that there are."""
+    if not fleet.vehicle.gives_power:
+        return []
+    load = fleet.vehicle.load(state.vehicle)
+    items = [
+        ("thrust", load.thrust, "N", "collective thrust of the rotors at their speeds"),
+        ("power", load.power, "W", "electrical power of motors and avionics"),
+    ]
+    if fleet.battery.drains:
+        items.append(("battery.voltage", fleet.battery.voltage(state.battery, load), "V", "under load"))
+    shape = state.violation.code.shape
+    return [
+        (name, np.broadcast_to(np.asarray(leaf), shape), unit, doc)
+        for name, leaf, unit, doc in items
+        if name not in has
+    ]
 
 
 def columns(world: World, history: History) -> dict[str, list[Column]]:

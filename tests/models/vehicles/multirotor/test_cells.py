@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +17,7 @@ from qrsim.errors import ScenarioError
 from qrsim.models.vehicles.contracts import Load
 from qrsim.models.vehicles.lithium_cells import CellsState, LithiumCells
 from qrsim.models.vehicles.multirotor.sets import SETS
+from qrsim.runs.streams import loads
 
 PACK = cast(LithiumCells(), np.float64)
 
@@ -76,3 +80,18 @@ def test_a_vehicle_without_a_power_is_refused() -> None:
     fleet["vehicles"] = [{"position_ned": [0.0, 0.0, -20.0]}]
     with pytest.raises(ScenarioError, match=r"'lithium_cells' is drained by electrical power.*'pelican' has not"):
         qrsim.load_scenario({"name": "x", "fleets": {"a": fleet}})
+
+
+def test_a_log_has_thrust_power_and_voltage() -> None:
+    """The weight of an X500 in hover, and what it takes from a full pack; a column for each of two times."""
+    zero = np.zeros((2, 1))
+    still = Vec3(zero, zero, zero)
+    vehicle = cast(SETS["x500"](), np.float64)
+    fleet: Any = SimpleNamespace(vehicle=vehicle, battery=PACK)
+    charge = CellsState(zero + 1.0, zero, zero)
+    hovers = vehicle.initial_state(still, Euler(zero, zero, zero), still, still)
+    state: Any = SimpleNamespace(vehicle=hovers, battery=charge, violation=SimpleNamespace(code=zero))
+    found = {name: (leaf, unit) for name, leaf, unit, _ in loads(fleet, state, {"power"})}
+    assert list(found) == ["thrust", "battery.voltage"]
+    np.testing.assert_allclose(found["thrust"][0], [[20.2508]] * 2, atol=1e-3)
+    np.testing.assert_allclose(found["battery.voltage"][0], [[16.1]] * 2, atol=0.05)
