@@ -1,0 +1,203 @@
+"""How good receivers of type gnss are, what they share, and the Allan deviation of one that was recorded.
+
+The full form needs the public recording (``qrsim data fetch``, or QRSIM_DATA_DIR) and draws docs/images/gnss_allan.png
+and gnss_day.png. Its data sheet numbers are u-blox's: NEO-M8N 2.5 m CEP, ZED-F9P 1.5 m CEP, 0.05 m/s (50 %).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evidence import _receivers as receivers
+from qrsim.core.allan import overlapping_allan_deviation
+from qrsim.models.gnss.constellations import NominalConstellations
+from qrsim.models.gnss.orbits import dilution_of_precision, elevation_azimuth
+from qrsim.models.gnss.presets import PRESETS
+from qrsim.models.site import Site
+from qrsim.validate.gnss import RECORDING, ROWS
+from qrsim.validate.receiver import recorded_receiver
+
+DOC = "receivers of type gnss: accuracy, what vehicles share, steps between fixes, and a recorded receiver"
+SEED = 23
+# Times of a day, worlds at each, hours and worlds of steps, runs beside the recording.
+FULL, SMALL = (24, 200, 6.0, 5, 200), (4, 20, 0.2, 2, 20)
+# Where receivers stand beside the first [m].
+OFFSETS = {"1": (1.0, 0.0, 0.0), "100": (100.0, 0.0, 0.0), "1000": (1000.0, 0.0, 0.0), "10000": (10000.0, 0.0, 0.0)}
+# Windows in rows of 0.4 s: to 20 s, and beyond.
+WINDOWS = np.array([1, 2, 3, 5, 8, 12, 20, 30, 50, 75, 100, 125, 150, 175])
+BAND = (0.01, 0.99)
+IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
+# After a satellite has come or gone the filter takes so many fixes to follow.
+AFTER_CHANGE = 25
+
+Values = np.ndarray[Any, Any]
+
+
+def accuracy(preset: str, starts: int, worlds: int) -> dict[str, Any]:
+    """Return how good a receiver is over a day, what it reports, and what it shares with others."""
+    places = ((0.0, 0.0, 0.0), *OFFSETS.values())
+    flown = receivers.over_a_day(receivers.receiver(preset), starts, 20.0, worlds, seed=SEED, offsets=places)
+    error = flown.error.reshape(-1, len(places), 3)
+    horizontal, down = np.hypot(error[:, 0, 0], error[:, 0, 1]), error[:, 0, 2]
+    reported = np.sqrt(np.mean(flown.accuracy[:, :, 0] ** 2, axis=(0, 1)))
+    apart = error[:, 1:] - error[:, :1]
+    velocity = flown.velocity_error[:, :, 0].reshape(-1, 3).std(axis=0)
+    return {
+        "cep_m": float(np.median(horizontal)),
+        "r95_m": float(np.quantile(horizontal, 0.95)),
+        "height_50_m": float(np.median(np.abs(down))),
+        "height_95_m": float(np.quantile(np.abs(down), 0.95)),
+        "horizontal_rms_m": float(np.sqrt(np.mean(horizontal**2))),
+        "vertical_rms_m": float(np.sqrt(np.mean(down**2))),
+        "horizontal_accuracy_m": float(reported[0]),
+        "vertical_accuracy_m": float(reported[1]),
+        "velocity_m_s": dict(zip(("north", "east", "down"), velocity.tolist(), strict=True)),
+        "satellites": float(flown.satellites.mean()),
+        "heights_correlated": float(np.corrcoef(error[:, 0, 2], error[:, 1, 2])[0, 1]),
+        "apart": {
+            name: {"horizontal_m": float(np.sqrt(np.mean(apart[:, i, :2] ** 2))), "vertical_m": float(apart[:, i, 2].std())}
+            for i, name in enumerate(OFFSETS)
+        },
+    }  # fmt: skip
+
+
+def steps(preset: str, hours: float, worlds: int) -> dict[str, Any]:
+    """Return how far fixes step from one to the next, near changes of the satellites and elsewhere."""
+    flown = receivers.fly(receivers.receiver(preset), 3600.0 * hours, worlds, seed=SEED, start_s=3000.0)
+    step = np.linalg.norm(np.diff(flown.error[:, :, 0], axis=0), axis=-1)
+    changes = np.flatnonzero(np.diff(flown.satellites[:, 0, 0]) != 0)
+    near = np.zeros(len(step), bool)
+    for change in changes:
+        near[change : change + AFTER_CHANGE] = True
+    return {
+        "changes": len(changes),
+        "near_rms_m": float(np.sqrt(np.mean(step[near] ** 2))) if near.any() else 0.0,
+        "near_max_m": float(step[near].max()) if near.any() else 0.0,
+        "else_rms_m": float(np.sqrt(np.mean(step[~near] ** 2))),
+        "else_max_m": float(step[~near].max()),
+        "velocity_max_m_s": float(np.abs(flown.velocity_error).max()),
+    }
+
+
+def recorded_deviation(path: Path) -> Values:
+    """Return the Allan deviation (K, 3) [m] of the recorded receiver, of its first 350 rows."""
+    return overlapping_allan_deviation(recorded_receiver(path).position_ned[:ROWS], 0.4, WINDOWS)[1]
+
+
+def simulated_deviations(runs: int) -> Values:
+    """Return the Allan deviations (K, runs, 3) [m] of receivers of the recording's kind, at four times of a day."""
+    parts = []
+    for i in range(4):
+        sensor = receivers.receiver("gps_2011")
+        flown = receivers.fly(sensor, 0.4 * ROWS, runs // 4, seed=SEED + i, start_s=21600.0 * i)
+        parts.append(overlapping_allan_deviation(flown.error[:, :, 0], 0.4, WINDOWS)[1])
+    return np.concatenate(parts, axis=1)
+
+
+def beside_the_recording(path: Path, runs: int, draw: bool) -> dict[str, Any]:
+    """Return at how many windows and axes the recording is within the band of simulated receivers."""
+    recorded, simulated = recorded_deviation(path), simulated_deviations(runs)
+    low, middle, high = np.quantile(simulated, (BAND[0], 0.5, BAND[1]), axis=1)
+    inside = (low <= recorded) & (recorded <= high)
+    short = 0.4 * WINDOWS <= 20.0
+    slope = np.log(recorded[3] / recorded[0]) / np.log(WINDOWS[3] / WINDOWS[0])
+    if draw:
+        _draw_allan(recorded, low, middle, high, runs)
+    return {
+        "runs": runs,
+        "points": int(inside.size),
+        "inside": int(inside.sum()),
+        "points_to_20_s": int(inside[short].size),
+        "inside_to_20_s": int(inside[short].sum()),
+        "recorded_slope": slope.tolist(),
+        "median_slope": (np.log(middle[3] / middle[0]) / np.log(WINDOWS[3] / WINDOWS[0])).tolist(),
+        "recorded_m": recorded.tolist(),
+        "median_m": middle.tolist(),
+    }
+
+
+def day(systems: str, draw: Any = None) -> dict[str, Any]:
+    """Return satellites above 10 deg and dilutions over a day at the default site."""
+    times = receivers.MIDNIGHT_GPS_S + np.arange(0.0, 86400.0, 300.0)
+    site = Site()
+    rays = (NominalConstellations(systems).positions_ecef(times) - site.origin_ecef()) @ site.ned_from_ecef_rotation().T
+    seen = elevation_azimuth(rays)[0] > np.radians(10.0)
+    unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    enough = seen.sum(axis=1) >= 4
+    dops = np.array([dilution_of_precision(u[s])[:2] for u, s, good in zip(unit, seen, enough, strict=True) if good])
+    count = seen.sum(axis=1)
+    if draw is not None:
+        draw(systems, (times - times[0]) / 3600.0, count, np.where(enough, 0.0, np.nan), dops, enough)
+    return {
+        "satellites_mean": float(count.mean()), "satellites_least": int(count.min()), "satellites_most": int(count.max()),
+        "hdop_50": float(np.median(dops[:, 0])), "hdop_95": float(np.quantile(dops[:, 0], 0.95)),
+        "vdop_50": float(np.median(dops[:, 1])), "vdop_95": float(np.quantile(dops[:, 1], 0.95)),
+    }  # fmt: skip
+
+
+def _draw_allan(recorded: Values, low: Values, middle: Values, high: Values, runs: int) -> None:
+    from qrsim.runs.picture import new_figure
+
+    figure = new_figure(11.0, 4.2)
+    panels: Any = figure.subplots(1, 3, sharey=True)
+    windows = 0.4 * WINDOWS
+    for i, (panel, axis) in enumerate(zip(panels, ("north", "east", "down"), strict=True)):
+        panel.fill_between(windows, low[:, i], high[:, i], color="tab:blue", alpha=0.2, lw=0,
+                           label=f"gps_2011: 98 % of {runs} runs")  # fmt: skip
+        panel.plot(windows, middle[:, i], color="tab:blue", lw=1.0, label="their median")
+        panel.plot(windows, recorded[:, i], "o-", color="black", ms=3, lw=1.2, label="recorded")
+        panel.set(xscale="log", yscale="log", xlabel="averaging time [s]", title=axis)
+        panel.grid(alpha=0.3, which="both")
+    panels[0].set_ylabel("overlapping Allan deviation [m]")
+    panels[0].legend(fontsize=8)
+    figure.tight_layout()
+    figure.savefig(IMAGES / "gnss_allan.png", dpi=110)
+
+
+def _days(draw: bool) -> dict[str, Any]:
+    """Return the days of some systems, and draw them."""
+    systems = ("G", "GE", "GERC")
+    if not draw:
+        return {name: day(name) for name in systems}
+    from qrsim.runs.picture import new_figure
+
+    figure = new_figure(11.0, 4.2)
+    panels: Any = figure.subplots(1, 2)
+
+    def add(name: str, hours: Values, count: Values, gaps: Values, dops: Values, enough: Values) -> None:
+        panels[0].step(hours, count, where="post", label=name, lw=1.1)
+        hdop = gaps.copy()
+        hdop[enough] = dops[:, 0]
+        panels[1].plot(hours, hdop, label=name, lw=1.1)
+
+    found = {name: day(name, add) for name in systems}
+    panels[0].set(xlabel="time of day [h]", ylabel="satellites above 10°")
+    panels[1].set(xlabel="time of day [h]", ylabel="HDOP", ylim=(0.0, 3.0))
+    for panel in panels:
+        panel.grid(alpha=0.3)
+        panel.legend(fontsize=8)
+    figure.tight_layout()
+    figure.savefig(IMAGES / "gnss_day.png", dpi=110)
+    return found
+
+
+def run(full: bool) -> dict[str, Any]:
+    """Return all of it; the full form for every preset, and beside the recording."""
+    starts, worlds, hours, few, runs = FULL if full else SMALL
+    chosen = tuple(PRESETS) if full else ("f9p_single",)
+    found: dict[str, Any] = {
+        "times_of_day": starts,
+        "worlds": worlds,
+        "hours": hours,
+        "presets": {name: accuracy(name, starts, worlds) for name in chosen},
+        "steps": {name: steps(name, hours, few) for name in chosen if name != "gps_2011"},
+        "day": _days(draw=full),
+    }
+    if full:
+        from qrsim.files.recordings import data_file
+
+        found["recording"] = beside_the_recording(Path(data_file(RECORDING)), runs, draw=True)
+    return found
