@@ -58,8 +58,8 @@ def accuracy(preset: str, starts: int, worlds: int) -> dict[str, Any]:
         "satellites": float(flown.satellites.mean()),
         "heights_correlated": float(np.corrcoef(error[:, 0, 2], error[:, 1, 2])[0, 1]),
         "apart": {
-            name: {"horizontal_m": float(np.sqrt(np.mean(apart[:, i, :2] ** 2))), "vertical_m": float(apart[:, i, 2].std())}
-            for i, name in enumerate(OFFSETS)
+            name: {"horizontal_m": float(np.sqrt(np.mean(pair[:, :2] ** 2))), "vertical_m": float(pair[:, 2].std())}
+            for name, pair in zip(OFFSETS, np.moveaxis(apart, 1, 0), strict=True)
         },
     }  # fmt: skip
 
@@ -132,7 +132,8 @@ def day(systems: str, draw: Any = None) -> dict[str, Any]:
     if draw is not None:
         draw(systems, (times - times[0]) / 3600.0, count, np.where(enough, 0.0, np.nan), dops, enough)
     return {
-        "satellites_mean": float(count.mean()), "satellites_least": int(count.min()), "satellites_most": int(count.max()),
+        "satellites_mean": float(count.mean()), "satellites_least": int(count.min()),
+        "satellites_most": int(count.max()),
         "hdop_50": float(np.median(dops[:, 0])), "hdop_95": float(np.quantile(dops[:, 0], 0.95)),
         "vdop_50": float(np.median(dops[:, 1])), "vdop_95": float(np.quantile(dops[:, 1], 0.95)),
     }  # fmt: skip

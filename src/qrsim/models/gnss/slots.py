@@ -197,17 +197,17 @@ def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Arra
     # One place more, for what belongs nowhere.
     has_slot = jnp.zeros(count + 1, jnp.int32).at[jnp.where(kept, places, count)].set(1)[:count] > 0
     new = in_view & ~has_slot
-    free, wanted = jnp.sum((~kept).astype(jnp.int32)), jnp.sum(new.astype(jnp.int32))
+    free, wanted = jnp.sum(~kept, dtype=jnp.int32), jnp.sum(new, dtype=jnp.int32)
 
     def by_height() -> Array:
         height = jnp.where(new, highest, -2.0)
         same = (height[:, None] == height[None, :]) & (number[:, None] < number[None, :])
-        return jnp.sum((new[:, None] & ((height[:, None] > height[None, :]) | same)).astype(jnp.int32), axis=0)
+        return jnp.sum(new[:, None] & ((height[:, None] > height[None, :]) | same), axis=0, dtype=jnp.int32)
 
-    rank = lax.cond(wanted > free, by_height, lambda: jnp.cumsum(new.astype(jnp.int32)) - 1)
+    rank = lax.cond(wanted > free, by_height, lambda: jnp.cumsum(new, dtype=jnp.int32) - 1)
     rank = jnp.where(new, jnp.minimum(rank, slots), slots)
     in_turn = jnp.full(slots + 1, -1, jnp.int32).at[rank].set(number)
-    turn = jnp.cumsum((~kept).astype(jnp.int32)) - 1
+    turn = jnp.cumsum(~kept, dtype=jnp.int32) - 1
     found = jnp.where(turn < wanted, in_turn[jnp.clip(turn, 0, slots - 1)], -1)
     return jnp.where(kept, places, found), jnp.maximum(wanted - free, 0)
 
