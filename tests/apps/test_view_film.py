@@ -101,6 +101,7 @@ def test_it_keeps_heading_layers_marks_and_readings(page: str, flown: Flight):
     run = open_run(flown.folder)
     shape = (len(about["quantities"]), -1)
     assert about["period"] == pytest.approx(0.1)
+    assert about["units"][about["quantities"].index("barometer.height")] == "m"
     for vehicle in range(5):
         values = unpacked(found[f"readings-{vehicle}"])
         height = about["quantities"].index("barometer.height")

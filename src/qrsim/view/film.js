@@ -211,9 +211,10 @@
     mark();
     draw();
   };
+  const labels = about.quantities.map((name, i) => about.units[i] ? `${name} [${about.units[i]}]` : name);
   if (about.quantities.length) {
     reading.forEach((chosen, number) => {
-      choice(plots, "Reading", about.quantities, chosen, (now) => { reading[number] = now; draw(); });
+      choice(plots, "Reading", labels, chosen, (now) => { reading[number] = now; draw(); });
       canvases.push(make("canvas", plots, "", "width:100%;height:110px"));
     });
     make("div", plots, "measured in the colour of the vehicle, grey: true; the last minute", "color:#666;font-size:11px");

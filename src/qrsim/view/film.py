@@ -161,6 +161,12 @@ def _script(recording: Recording) -> str:
     return f"<script>{player}\n{{const data = {data};\n{timeline}}}".replace("</", "<\\/") + "</script>\n"
 
 
+def _units(recording: Recording) -> list[str]:
+    """Return the units of the quantities, "" where one has none."""
+    known = recording.run.units("measurements") if recording.quantities else {}
+    return [known[name] for name in recording.quantities]
+
+
 def _marks(recording: Recording) -> list[tuple[float, str]]:
     return marks(recording.run.events if EVENTS in recording.run else [])
 
@@ -226,6 +232,7 @@ class _Film:
             "flying": self._flying,
             "stops": [(event.time, i, recording.why(event)) for event, i in recording.stops],
             "quantities": recording.quantities,
+            "units": _units(recording),
             "period": float(times[1] - times[0]),
             "notes": thinned(recording),
         }
