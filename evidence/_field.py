@@ -200,10 +200,26 @@ def gust_at(turbulence: DrydenField, field: FieldWaves, place: Any, seconds: Any
 _compiled = quick_jit(gust_at)
 
 
-@partial(quick_jit, static_argnames=("places", "times"))
-def gusts(turbulence: Any, fields: Any, place: Any, seconds: Any, fraction: Any, places: Any, times: Any) -> Any:
-    """Return gusts and rates (W, n, 3) of many worlds; ``places`` and ``times`` are 0 where they have that axis too."""
-    return jax.vmap(gust_at, in_axes=(None, 0, places, times, times))(turbulence, fields, place, seconds, fraction)
+@quick_jit
+def series(turbulence: DrydenField, fields: FieldWaves, place: Any, seconds: Any, fraction: Any) -> Any:
+    """Return gusts and rates (W, T, 3) in worlds (W,) at places (T, 3), each with a time of its own (T,)."""
+
+    def one(world: FieldWaves, at: Any, whole: Any, rest: Any) -> Any:
+        return tuple(part[0] for part in gust_at(turbulence, world, at[None], whole, rest))
+
+    return jax.vmap(jax.vmap(one, (None, 0, 0, 0)), (0, None, None, None))(fields, place, seconds, fraction)
+
+
+def sampled(turbulence: DrydenField, worlds: int, place: Any, time: Any = 0.0, seed: int = 5) -> tuple[Floats, Floats]:
+    """Return gusts and rates (W, T, 3) in the first worlds of a seed at places (T, 3) and times (T,) [s]."""
+    fields = jax.tree.map(lambda part: part[:worlds], draws(turbulence, seed))
+    time = np.broadcast_to(np.asarray(time, float), (len(place),))
+    whole = np.floor(time)
+    found = series(
+        turbulence, fields, jnp.asarray(place, jnp.float32), jnp.asarray(whole, jnp.int32),
+        jnp.asarray(time - whole, jnp.float32),
+    )  # fmt: skip
+    return tuple(np.asarray(part, np.float64) for part in found)  # type: ignore[return-value]
 
 
 class Waves(NamedTuple):
