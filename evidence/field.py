@@ -6,6 +6,7 @@ hovering and flying vehicles, rotation and divergence are reported beside the st
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,9 @@ def run(full: bool) -> dict[str, Any]:
     """Return every comparison; the full form has more worlds and draws docs/images/turbulence_field.png."""
     worlds = 400 if full else 100
     pairs = two_points(worlds, 50 if full else 20)
+    levels = {str(h): spectra(h, 64 if full else 24) for h in ((5, 15, 100, 300) if full else (15,))}
+    every = [ratio for height in levels.values() for each in height.values() for bands in each.values()
+             for ratio in bands.values()]  # fmt: skip
     if full:
         draw_figure(worlds)
     return {
@@ -41,7 +45,7 @@ def run(full: bool) -> dict[str, Any]:
         "wind_over_20_m": {str(h): math.log(h / 0.3048 / 0.15) / math.log(20.0 / 0.3048 / 0.15) for h in (5, 60, 120)},
         "two_points": pairs,
         "sweep": swept(worlds),
-        "spectra": {str(h): spectra(h, 64 if full else 24) for h in ((5, 15, 100, 300) if full else (15,))},
+        "spectra": {"smallest": min(every), "largest": max(every), **levels},
         "rotation": {str(h): rotation(h, 20 if full else 5) for h in (5, 15, 60, 700)},
         "normality": normality(200 if full else 60),
         "independence": independence(1000 if full else 300),
@@ -113,7 +117,7 @@ def two_points(worlds: int, pairs: int) -> dict[str, Any]:
 
 
 def swept(worlds: int, sweep: float = 0.3) -> dict[str, Any]:
-    """Return the correlation of horizontal gusts with those of a time before, in the frame that moves with the field."""
+    """Return the correlation of horizontal gusts with earlier ones, in the frame that moves with the field."""
     turbulence, scales = of.component(sweep=sweep, convection_ned=[0.0, 0.0]), of.mil(HEIGHT)
     k, share = of.shells(float(scales.length_h), dilations=32)
     here, found = places(20), {}
@@ -150,7 +154,7 @@ def spectra(height: float, worlds: int) -> dict[str, Any]:
             power = np.mean(np.abs(np.fft.rfft(part * window, axis=1)) ** 2, axis=0)
             density = power * SPACING / (np.pi * np.sum(window**2))
             found[name][axis] = {}
-            for low, high in zip(BANDS, BANDS[1:], strict=False):
+            for low, high in itertools.pairwise(BANDS):
                 inside = (o > 2.0 * np.pi / high) & (o <= 2.0 * np.pi / low)
                 ratio = density[inside].mean() / (sigma**2 * form(o[inside], length)).mean()
                 found[name][axis][f"{low:g}_{high:g}_m"] = float(ratio)
@@ -158,7 +162,7 @@ def spectra(height: float, worlds: int) -> dict[str, Any]:
 
 
 def rotation(height: float, worlds: int) -> dict[str, Any]:
-    """Return how the rates follow half the exact curl, and the root mean square divergence over that of the gradient."""
+    """Return how the rates follow half the exact curl, and the divergence over the gradient, root mean squares."""
     turbulence, here = of.component(), places(200, height)
     rates, exact, divergence, size = [], [], 0.0, 0.0
     for world in range(worlds):
