@@ -45,6 +45,7 @@ NUMBERS = {
         "per_cpu_second",
         "flying",
     },
+    "turbulence": {"worlds", "vehicles", "ns", "tick_over_dryden", "compile_seconds"},
     "view": {"vehicles", "per_second"},
 }
 
@@ -87,6 +88,15 @@ def test_throughput():
     assert (many["worlds"], many["vehicles"], many["flying"]) == (2, 4, 4)
     assert (one["worlds"], one["vehicles"], one["flying"]) == (1, 1, 1)
     assert many["stage"] == one["stage"] == "everything"
+
+
+@pytest.mark.long
+def test_turbulence():
+    found = {row["turbulence"]: row for row in rows("turbulence")}
+    assert list(found) == ["still", "dryden", "dryden_field"]
+    assert found["dryden"]["tick_over_dryden"] == 1.0
+    # Three arrays of 32 words, a matrix, a sign and a dilation; filters share nothing.
+    assert [row["field_bytes"] for row in found.values()] == [0, 0, 3 * 32 * 4 + 9 * 4 + 2 * 4]
 
 
 def test_serve():
