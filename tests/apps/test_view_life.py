@@ -42,6 +42,8 @@ def test_a_page_without_a_world_says_what_it_waits_for():
     with contextlib.closing(page):
         page.wait_for("a client that connects to 127.0.0.1:10000")
         assert page._waiting.content == "**qrsim**  \nThis page waits for a client that connects to 127.0.0.1:10000."
+        sent = page._server._websock_server._broadcast_buffer.message_from_id.values()
+        assert [m.source for m in sent if hasattr(m, "source")] == ['{document.title = "qrsim"}']
 
 
 def test_a_live_page_becomes_a_replay_with_what_was_chosen(tmp_path: Path):

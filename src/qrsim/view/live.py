@@ -19,6 +19,7 @@ from qrsim.view.frame import Frame, cast_of, frame_of
 from qrsim.view.page import WIND, Page
 from qrsim.view.recording import Recording
 from qrsim.view.replay import Replay
+from qrsim.view.script import run_script
 from qrsim.view.server import LOOPBACK, address, start_server
 from qrsim.view.steering import Wind, change_wind, wind_of
 from qrsim.view.truth import true_values
@@ -87,6 +88,8 @@ class LiveView:
             return
         if self._waiting is None:
             self._waiting = self._server.gui.add_markdown("")
+            self._server.gui.set_panel_label("qrsim")
+            run_script(self._server, "title", 'document.title = "qrsim"')
         self._waiting.content = f"**qrsim**  \nThis page waits for {what}."
 
     def note(self, text: str) -> None:
