@@ -16,15 +16,16 @@ from qrsim.view import readings
 TICKS, PARTS = 50, 40
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log of 40 s in 40 parts."""
+    path = tmp_path_factory.mktemp("readings") / "run"
     info = RunInfo.collect(scenario="x", seed=1, precision="float64", time_step=STEP, vehicles=VEHICLES)
-    with RunWriter.create(tmp_path / "run", info=info, scenario_yaml="name: x\n", columns=COLUMNS) as writer:
+    with RunWriter.create(path, info=info, scenario_yaml="name: x\n", columns=COLUMNS) as writer:
         for number in range(PARTS):
             append_chunk(writer, number * TICKS, TICKS)
             writer.flush()
-    return tmp_path / "run"
+    return path
 
 
 def test_only_the_parts_of_the_time_are_read(folder: Path, monkeypatch: pytest.MonkeyPatch):
