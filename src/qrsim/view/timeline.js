@@ -26,7 +26,7 @@
   bar.append(button, track, label);
   document.body.append(bar);
   const at = location.href.split(/[?#]/)[0].replace(/^http/, "ws").replace(/\/$/, "") + "/timeline";
-  let socket = null, ended = false, playing = false, now = 0, last = 0;
+  let socket = null, ended = false, playing = false, now = 0, last = 0, later = 0;
   // A page without a server plays by itself (film.js).
   const film = window.qrsimFilm;
   const connect = () => {
@@ -57,7 +57,10 @@
     label.textContent = clock(time) + " / " + clock(data.end) + "  " + speed + " x";
   };
   const seek = (event, always) => {
-    if (!always && performance.now() - last < 80) return;
+    clearTimeout(later);
+    const wait = always ? 0 : 80 - (performance.now() - last), clientX = event.clientX;
+    // Not too often, but the last place is never left out.
+    if (wait > 0) { later = setTimeout(() => seek({clientX}, true), wait); return; }
     last = performance.now();
     const box = track.getBoundingClientRect();
     say({time: data.end * Math.min(1, Math.max(0, (event.clientX - box.left) / box.width))});
