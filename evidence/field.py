@@ -21,6 +21,7 @@ DOC = "correlations, spectra, rotation and divergence of dryden_field, and what 
 # The day on which Batchelor's book appeared is not known; its year, and a day.
 SEED = 19530101
 FIGURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "turbulence_field.png"
+LINE = FIGURE.with_name("turbulence_line.png")
 HEIGHT = 15.0
 SEPARATIONS = (1.0, 5.0, 20.0, 100.0)
 AXES = ("u", "v", "w")
@@ -40,6 +41,7 @@ def run(full: bool) -> dict[str, Any]:
              for ratio in bands.values()]  # fmt: skip
     if full:
         draw_figure(worlds)
+        draw_line()
     return {
         "kept": kept(),
         "wind_over_20_m": {str(h): math.log(h / 0.3048 / 0.15) / math.log(20.0 / 0.3048 / 0.15) for h in (5, 60, 120)},
@@ -239,3 +241,31 @@ def draw_figure(worlds: int) -> None:
     axes.grid(alpha=0.25)
     FIGURE.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(FIGURE, dpi=110)
+
+
+def draw_line(apart: float = 10.0, vehicles: int = 5) -> None:
+    """Draw the gusts of hovering vehicles in a line down the wind: each meets what the one before met, r/U later."""
+    from matplotlib.figure import Figure
+
+    turbulence, time = of.component(convection_ned=[CONVECTION, 0.0]), np.arange(0.0, 40.0, 0.1)
+    figure = Figure(figsize=(7.5, 4.2), layout="constrained")
+    axes = figure.subplots()
+    begun = 28.0
+    for i in range(vehicles):
+        gust, _ = of.sampled(turbulence, 1, np.tile([apart * i, 0.0, -HEIGHT], (len(time), 1)), time)
+        axes.plot(time, 4.0 * i + gust[0, :, 0], color=f"C{i}", lw=1.0)
+        axes.axhline(4.0 * i, color="0.8", lw=0.6, zorder=0)
+    axes.plot(
+        begun + apart * np.arange(vehicles) / CONVECTION,
+        4.0 * np.arange(vehicles),
+        "k--",
+        lw=1.4,
+        label="distance over wind",
+    )
+    axes.set_yticks(4.0 * np.arange(vehicles), [f"{apart * i:g} m" for i in range(vehicles)])
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("place down the wind")
+    title = f"Gusts along a wind of {CONVECTION:g} m/s at {vehicles} hovering vehicles; 4 m/s from line to line"
+    axes.set_title(title, fontsize=10)
+    axes.legend(frameon=False, fontsize=9, loc="upper right")
+    figure.savefig(LINE, dpi=110)
