@@ -3,7 +3,8 @@
 The stages are cumulative: the dynamics of quadrotors that hold their attitude; + mean wind and full Dryden turbulence;
 + process noise; + barometer, attitude, gyroscope and accelerometer and the waypoint controller fed with them; + a GNSS
 receiver at 5 Hz; + collisions between all vehicles, which is everything. The last stage is that of the wind for a
-multirotor by its rotors (an X500 in substeps of 4 ms) in place of the identified quadrotor.
+multirotor by its rotors (an X500 in substeps of 4 ms) in place of the identified quadrotor. ``--stages`` also takes that
+of GNSS with velocities from Doppler (gnss-doppler) and with the sensor gnss under four constellations (gnss-sensor).
 """
 
 from __future__ import annotations
@@ -22,6 +23,11 @@ MANY_WORLDS = (512, 8)
 STAGES = ("dynamics", "wind", "noise", "sensors", "gnss", "everything")
 # Not cumulative: beside the stage of the wind, whose world it has.
 ROTORS = "rotors"
+# Not cumulative either: that of GNSS with other receivers, and the skies they are made for.
+RECEIVERS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "gnss-doppler": ({"type": "gnss_receiver", "velocity": "doppler"}, {}),
+    "gnss-sensor": ({"type": "gnss"}, {}),
+}
 HEADINGS = {
     "stage": "stage",
     "worlds": "worlds",
@@ -53,7 +59,9 @@ def stage_world(count: int, stage: str) -> Any:
     world["turbulence"] = {"type": "dryden"}
     world["obstacles"] = [{"type": "cylinder", "x": 1e4, "y": 1e4, "radius": 1.0, "z_min": -10.0, "z_max": 0.0}]
     world["area"].update(x_min=-1e5, x_max=1e5, y_min=-1e5, y_max=1e5)
-    place = STAGES.index("wind" if stage == ROTORS else stage)
+    place = STAGES.index("wind" if stage == ROTORS else "gnss" if stage in RECEIVERS else stage)
+    if stage in RECEIVERS:
+        fleet["sensors"]["gnss"], world["sky"] = RECEIVERS[stage]
     if place < STAGES.index("wind"):
         world["turbulence"], world["wind"] = {"type": "still"}, {"type": "calm"}
     if place < STAGES.index("noise"):
@@ -152,7 +160,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--vehicles", type=int, nargs="*", metavar="N", help="in one world (default: 1 to 65 536)")
     parser.add_argument(
-        "--stages", nargs="*", choices=(*STAGES, ROTORS), default=(*STAGES, ROTORS), help="which stages (default: all)"
+        "--stages",
+        nargs="*",
+        choices=(*STAGES, ROTORS, *RECEIVERS),
+        default=(*STAGES, ROTORS),
+        help="which stages (default: all)",
     )
     parser.add_argument("--no-many-worlds", action="store_true", help="leave out the 512 worlds of 8 vehicles")
     parser.add_argument("--json", action="store_true", help="print JSON in place of a table")

@@ -29,6 +29,7 @@ OFFSETS = {"1": (1.0, 0.0, 0.0), "100": (100.0, 0.0, 0.0), "1000": (1000.0, 0.0,
 # Windows in rows of 0.4 s: to 20 s, and beyond.
 WINDOWS = np.array([1, 2, 3, 5, 8, 12, 20, 30, 50, 75, 100, 125, 150, 175])
 BAND = (0.01, 0.99)
+AXES = ("north", "east", "down")
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 # After a satellite has come or gone the filter takes so many fixes to follow.
 AFTER_CHANGE = 25
@@ -54,7 +55,7 @@ def accuracy(preset: str, starts: int, worlds: int) -> dict[str, Any]:
         "vertical_rms_m": float(np.sqrt(np.mean(down**2))),
         "horizontal_accuracy_m": float(reported[0]),
         "vertical_accuracy_m": float(reported[1]),
-        "velocity_m_s": dict(zip(("north", "east", "down"), velocity.tolist(), strict=True)),
+        "velocity_m_s": dict(zip(AXES, velocity.tolist(), strict=True)),
         "satellites": float(flown.satellites.mean()),
         "heights_correlated": float(np.corrcoef(error[:, 0, 2], error[:, 1, 2])[0, 1]),
         "apart": {
@@ -104,6 +105,7 @@ def beside_the_recording(path: Path, runs: int, draw: bool) -> dict[str, Any]:
     inside = (low <= recorded) & (recorded <= high)
     short = 0.4 * WINDOWS <= 20.0
     slope = np.log(recorded[3] / recorded[0]) / np.log(WINDOWS[3] / WINDOWS[0])
+    expected = np.log(middle[3] / middle[0]) / np.log(WINDOWS[3] / WINDOWS[0])
     if draw:
         _draw_allan(recorded, low, middle, high, runs)
     return {
@@ -112,10 +114,8 @@ def beside_the_recording(path: Path, runs: int, draw: bool) -> dict[str, Any]:
         "inside": int(inside.sum()),
         "points_to_20_s": int(inside[short].size),
         "inside_to_20_s": int(inside[short].sum()),
-        "recorded_slope": slope.tolist(),
-        "median_slope": (np.log(middle[3] / middle[0]) / np.log(WINDOWS[3] / WINDOWS[0])).tolist(),
-        "recorded_m": recorded.tolist(),
-        "median_m": middle.tolist(),
+        "recorded_slope": dict(zip(AXES, slope.tolist(), strict=True)),
+        "median_slope": dict(zip(AXES, expected.tolist(), strict=True)),
     }
 
 
@@ -145,7 +145,7 @@ def _draw_allan(recorded: Values, low: Values, middle: Values, high: Values, run
     figure = new_figure(11.0, 4.2)
     panels: Any = figure.subplots(1, 3, sharey=True)
     windows = 0.4 * WINDOWS
-    for i, (panel, axis) in enumerate(zip(panels, ("north", "east", "down"), strict=True)):
+    for i, (panel, axis) in enumerate(zip(panels, AXES, strict=True)):
         panel.fill_between(windows, low[:, i], high[:, i], color="tab:blue", alpha=0.2, lw=0,
                            label=f"gps_2011: 98 % of {runs} runs")  # fmt: skip
         panel.plot(windows, middle[:, i], color="tab:blue", lw=1.0, label="their median")
@@ -154,7 +154,6 @@ def _draw_allan(recorded: Values, low: Values, middle: Values, high: Values, run
         panel.grid(alpha=0.3, which="both")
     panels[0].set_ylabel("overlapping Allan deviation [m]")
     panels[0].legend(fontsize=8)
-    figure.tight_layout()
     figure.savefig(IMAGES / "gnss_allan.png", dpi=110)
 
 
@@ -180,7 +179,6 @@ def _days(draw: bool) -> dict[str, Any]:
     for panel in panels:
         panel.grid(alpha=0.3)
         panel.legend(fontsize=8)
-    figure.tight_layout()
     figure.savefig(IMAGES / "gnss_day.png", dpi=110)
     return found
 
