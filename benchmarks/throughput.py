@@ -3,8 +3,9 @@
 The stages are cumulative: the dynamics of quadrotors that hold their attitude; + mean wind and full Dryden turbulence;
 + process noise; + barometer, attitude, gyroscope and accelerometer and the waypoint controller fed with them; + a GNSS
 receiver at 5 Hz; + collisions between all vehicles, which is everything. The last stage is that of the wind for a
-multirotor by its rotors (an X500 in substeps of 4 ms) in place of the identified quadrotor. ``--stages`` also takes that
-of GNSS with velocities from Doppler (gnss-doppler) and with the sensor gnss under four constellations (gnss-sensor).
+multirotor by its rotors (an X500 in substeps of 4 ms) in place of the identified quadrotor. ``--stages`` also takes
+that of GNSS with velocities from Doppler (gnss-doppler), and with the sensor gnss under four constellations
+(gnss-sensor).
 """
 
 from __future__ import annotations

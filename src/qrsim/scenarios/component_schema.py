@@ -141,7 +141,7 @@ def component_model(
             continue
         if arrays is None or field.default is not dataclasses.MISSING:
             fields[field.name] = _field(field.name, hints[field.name], field, each)
-    presets: Mapping[str, Mapping[str, Any]] | None = getattr(component, "presets", None)
+    presets: Mapping[str, Mapping[str, Any]] | None = vars(component).get("presets")
     if presets:
         base = _preset_base(base, presets)
     doc = (component.__doc__ or "").split("\n\n")[0].strip()

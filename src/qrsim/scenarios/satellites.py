@@ -31,7 +31,7 @@ def receivers(scenario: ScenarioSpec) -> dict[str, Any]:
 
 def needs_slots(scenario: ScenarioSpec, errors: Any) -> bool:
     """Return whether the sky of a scenario gives satellites in view slots."""
-    return bool(receivers(scenario)) or bool(getattr(errors, "needs_sight", False))
+    return bool(receivers(scenario)) or bool(errors.needs_sight)
 
 
 def slotted_sky(scenario: ScenarioSpec, ephemeris: Any, orbits: Any, errors: Any, site: Site, start: float) -> Any:
@@ -57,7 +57,8 @@ def slotted_sky(scenario: ScenarioSpec, ephemeris: Any, orbits: Any, errors: Any
 
 def letters_of(ephemeris: Any) -> str:
     """Return the letter of each satellite's system; G where an ephemeris says none."""
-    return str(getattr(ephemeris, "system_of", "")) or "G" * len(ephemeris.satellites)
+    says = "system_of" in dir(type(ephemeris))
+    return str(ephemeris.system_of) if says else "G" * len(ephemeris.satellites)
 
 
 def satellite_problems(scenario: ScenarioSpec, ephemeris: Any) -> Iterator[str]:
@@ -72,7 +73,7 @@ def satellite_problems(scenario: ScenarioSpec, ephemeris: Any) -> Iterator[str]:
         if not there & set(sensor.systems):
             has = ", ".join(letter for letter in LETTERS if letter in there)
             yield f"{path}.systems: '{sensor.systems}', but world.sky.orbits has satellites of {has} only"
-    if getattr(scenario.world.sky.errors, "common", "shared") == "per_vehicle":
+    if vars(scenario.world.sky.errors).get("common") == "per_vehicle":
         for name, fleet in scenario.fleets.items():
             for sensor_name, sensor in fleet.sensors.items():
                 if sensor.type == "gnss_receiver":

@@ -211,7 +211,7 @@ def _buffer(where: str, name: str, content: dict[str, Any], known: tuple[str, ..
 def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
     """Yield where and what in a state is finite in every simulation."""
     # Recorded orbits end, and have gaps.
-    recorded = isinstance(getattr(world.sky, "orbits", None), Sp3Orbits)
+    recorded = isinstance(vars(world.sky).get("orbits"), Sp3Orbits)
     if not recorded:
         yield from _floats("the sky", state.sky)
     yield from _floats("what the episode has drawn", state.drawn)

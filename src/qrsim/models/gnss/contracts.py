@@ -21,9 +21,13 @@ class RangeErrors(Protocol):
 
     Attributes:
         needs_sight: whether they depend on how the satellites are seen. Such errors are stepped every few seconds.
+        std: their standard deviation [m], as receivers weigh them that report their accuracy.
+        common: "shared", or "per_vehicle" for an ``ErrorBudget`` of which each receiver of type gnss has one.
     """
 
     needs_sight: ClassVar[bool] = False
+    std: Any = 1.0
+    common: str = "shared"
 
     @abstractmethod
     def init(self, draw: Draw) -> Any:
@@ -43,7 +47,7 @@ class RangeErrors(Protocol):
 
     def scales(self, system: Array) -> Scales:
         """Return the standard deviations of the errors of satellites of systems (S,) by number."""
-        return plain_scales(getattr(self, "std", 1.0), system)
+        return plain_scales(self.std, system)
 
 
 @runtime_checkable

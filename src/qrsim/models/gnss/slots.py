@@ -167,7 +167,7 @@ class SlottedSky(Sky):
             dropped=dropped,
             knot=knot,
             part=jnp.zeros((), here.x.dtype),
-            own=self.errors if getattr(self.errors, "common", "shared") == "per_vehicle" else None,
+            own=self.errors if self.errors.common == "per_vehicle" else None,
             knot_s=self.knot_s,
             rough=not self.errors.needs_sight,
         )
