@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from qrsim.core.quaternions import Quaternion
 from qrsim.core.vectors import Vec3
 from qrsim.models.vehicles.multirotor.mixer import Mixer
 from qrsim.models.vehicles.multirotor.sets import SETS
-from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser
+from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser, rates_wanted
 
 NAMES = (
     "mass", "inertia_x", "inertia_y", "inertia_z", "thrust_coefficient", "torque_ratio", "speed_max", "spin_up",
@@ -57,3 +58,14 @@ def test_at_the_limit_of_the_rotors_fifteen_hundredths_of_a_yaw_torque_are_kept(
     keeps = Stabiliser().yaw_share
     found = np.stack(share(thrust, none, none, yaw))
     np.testing.assert_allclose(found.T, [[1.0, 0.88, 1.0, 0.88], [0.9, 0.1, 0.9, 0.1]], rtol=1e-6)
+
+
+def test_a_quarter_turn_is_asked_for_at_two_hundred_degrees_a_second() -> None:
+    """2 x 2.8/0.4 sin(0.4 x 45 degrees) are 4.3 rad/s, of which 3.5 are allowed; of an eighth turn 2.2 rad/s."""
+    halves = np.radians([45.0, 22.5])
+    none, one = np.zeros(2), np.ones(2)
+    wanted = jax.jit(lambda w, z: rates_wanted(
+        Stabiliser(), Quaternion(one, none, none, none), Quaternion(w, none, none, z), none  # type: ignore[arg-type]
+    ))(np.cos(halves), np.sin(halves))  # fmt: skip
+    np.testing.assert_allclose(wanted.z, [3.5, 14.0 * np.sin(np.radians(9.0))], rtol=1e-5)
+    np.testing.assert_allclose(wanted.x, 0.0, atol=1e-6)
