@@ -63,6 +63,8 @@ OTHERS = {
     "task_search_and_rescue.png": "make pictures",
     "training.png": "make evidence training",
     "turbulence.png": "make evidence turbulence",
+    "turbulence_field.png": "make evidence field",
+    "turbulence_line.png": "make evidence field",
 }
 
 
