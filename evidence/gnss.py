@@ -29,6 +29,8 @@ OFFSETS = {"1": (1.0, 0.0, 0.0), "100": (100.0, 0.0, 0.0), "1000": (1000.0, 0.0,
 # Windows in rows of 0.4 s: to 20 s, and beyond.
 WINDOWS = np.array([1, 2, 3, 5, 8, 12, 20, 30, 50, 75, 100, 125, 150, 175])
 BAND = (0.01, 0.99)
+# What the recording is rounded to [m]: 1e-7 deg of latitude and of longitude, 1 mm of height.
+RESOLUTION = np.array([0.0111, 0.0069, 0.001])
 AXES = ("north", "east", "down")
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 # After a satellite has come or gone the filter takes so many fixes to follow.
@@ -94,7 +96,8 @@ def simulated_deviations(runs: int) -> Values:
     for i in range(4):
         sensor = receivers.receiver("gps_2011")
         flown = receivers.fly(sensor, 0.4 * ROWS, runs // 4, seed=SEED + i, start_s=21600.0 * i)
-        parts.append(overlapping_allan_deviation(flown.error[:, :, 0], 0.4, WINDOWS)[1])
+        reported = np.round(flown.error[:, :, 0] / RESOLUTION) * RESOLUTION
+        parts.append(overlapping_allan_deviation(reported, 0.4, WINDOWS)[1])
     return np.concatenate(parts, axis=1)
 
 
