@@ -69,16 +69,18 @@
   track.onpointermove = (event) => { if (event.buttons) seek(event, false); };
   track.onpointerup = (event) => seek(event, true);
   button.onclick = () => { say({play: !playing}); button.blur(); };
+  // The next key goes on from there, before the server has said that it is there.
+  const go = (time) => { now = Math.min(data.end, Math.max(0, time)); say({time: now}); };
   const key = (event) => {
     const typing = event.target.closest?.("input, textarea, select, [contenteditable]");
     if (typing || event.ctrlKey || event.altKey || event.metaKey) return;
     const far = event.shiftKey ? 60 : 5;
     if (event.key === " ") say({play: !playing});
-    else if (event.key === "ArrowLeft") say({time: now - far});
-    else if (event.key === "ArrowRight") say({time: now + far});
+    else if (event.key === "ArrowLeft") go(now - far);
+    else if (event.key === "ArrowRight") go(now + far);
     else if (event.key === "ArrowUp") say({faster: 1});
     else if (event.key === "ArrowDown") say({faster: -1});
-    else if (/^[1-9]$/.test(event.key)) say({time: data.end * Number(event.key) / 10});
+    else if (/^[1-9]$/.test(event.key)) go(data.end * Number(event.key) / 10);
     else return;
     event.preventDefault();
     event.stopImmediatePropagation();
