@@ -232,7 +232,8 @@ def test_what_a_mission_is_asked_for_is_its_waypoints_own(write: Write) -> None:
 )
 def test_what_no_mission_can_fly_is_refused(write: Write, bad: dict[str, Any], expected: str) -> None:
     bad["params"] = bad["params"][:7]
-    with pytest.raises(ScenarioError, match=re.escape(expected)):
+    path, _, words = expected.partition(": ")
+    with pytest.raises(ScenarioError, match=rf"{re.escape(path)} \(line \d+\): {re.escape(words)}"):
         read_plan(write(plan(bad)))
 
 
@@ -449,7 +450,7 @@ def test_bad_plans(write: Write, case: str) -> None:
         read_plan(path)
     assert str(caught.value).startswith(f"{path}: 1 problem\n  ")
     (problem,) = caught.value.problems
-    assert problem.startswith(words)
+    assert re.sub(r" \(line \d+\)", "", problem, count=1).startswith(words)
 
 
 def test_all_problems_are_reported_at_once(write: Write) -> None:
@@ -459,10 +460,26 @@ def test_all_problems_are_reported_at_once(write: Write) -> None:
     )  # fmt: skip
     with pytest.raises(ScenarioError) as caught:
         read_plan(write(content))
-    assert [problem.split(":")[0] for problem in caught.value.problems] == [
+    assert [problem.split(" (line ")[0] for problem in caught.value.problems] == [
         "mission.items.0.command", "mission.items.1.frame", "mission.items.3.TransectStyleComplexItem.Items.0.command",
         "geoFence.polygons.0.polygon", "geoFence.circles.0.circle.radius",
     ]  # fmt: skip
+
+
+def test_problems_say_their_line(tmp_path: Path) -> None:
+    content = plan(
+        item(16, *GOOD), survey(item(82, *GOOD)), geoFence={"version": 2, "polygons": [], "circles": [circle(-1)]}
+    )
+    path = tmp_path / "lines.plan"
+    path.write_text(json.dumps(content, indent=1), "utf-8")
+    with pytest.raises(ScenarioError) as caught:
+        read_plan(path)
+    lines = path.read_text("utf-8").splitlines()
+    spline, ring = (int(problem.split("(line ")[1].split(")")[0]) for problem in caught.value.problems)
+    item_of = next(i for i, line in enumerate(lines) if '"command": 82' in line)
+    ring_of = next(i for i, line in enumerate(lines) if '"radius"' in line)
+    # The braces before them open the objects that they are in.
+    assert [spline, ring] == [max(i for i in range(at) if "{" in lines[i]) + 1 for at in (item_of, ring_of)]
 
 
 @pytest.mark.parametrize(

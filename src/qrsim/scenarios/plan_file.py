@@ -27,6 +27,7 @@ from qrsim.scenarios.plan_parts import (
     plan_content,
     section_of,
     shown,
+    with_lines,
 )
 
 WAYPOINT, LOITER_FOREVER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
@@ -109,7 +110,7 @@ def read_plan(path: str | Path) -> Plan:
     route.add_all(items, "mission.items")
     fence.add_all(content)
     if problems := route.problems + fence.problems:
-        raise ScenarioError(source, problems)
+        raise ScenarioError(source, with_lines(source, problems))
     return Plan(
         home, tuple(route.waypoints), tuple(fence.polygons), tuple(fence.circles), (*route.ignored, *fence.ignored),
         route.delay,

@@ -37,6 +37,48 @@ def plan_content(source: str) -> Any:
         raise ScenarioError(source, [str(fault)]) from None
 
 
+def with_lines(source: str, problems: list[str]) -> list[str]:
+    """Return problems that begin with the path of a value, with the line of the file on which its object begins."""
+    decoder: Any = json.JSONDecoder()
+    lines: dict[int, int] = {}
+    kept: list[Any] = []
+    parse = decoder.parse_object
+
+    def parse_object(text_and_begin: tuple[str, int], *args: Any) -> tuple[Any, int]:
+        found, end = parse(text_and_begin, *args)
+        # Kept, because the number of an object that is gone may become another's.
+        kept.append(found)
+        lines[id(found)] = text_and_begin[0].count("\n", 0, text_and_begin[1]) + 1
+        return found, end
+
+    decoder.parse_object = parse_object
+    # Only the scanner in Python asks for objects through the decoder.
+    decoder.scan_once = json.scanner.py_make_scanner(decoder)  # type: ignore[attr-defined]
+    try:
+        text = read_text(source)
+        content = decoder.decode(text)
+    except (OSError, ValueError, RecursionError):
+        return problems
+    # All on one line, as some tools write it: the path says more.
+    if "\n" not in text.strip():
+        return problems
+    return [_with_line(problem, content, lines) for problem in problems]
+
+
+def _with_line(problem: str, part: Any, lines: dict[int, int]) -> str:
+    path, colon, words = problem.partition(": ")
+    line = None
+    for key in path.split("."):
+        if isinstance(part, list) and key.isdecimal() and int(key) < len(part):
+            part = part[int(key)]
+        elif isinstance(part, dict) and key in part:
+            part = part[key]
+        else:
+            break
+        line = lines.get(id(part), line)
+    return problem if line is None else f"{path} (line {line}){colon}{words}"
+
+
 def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in pairs:
