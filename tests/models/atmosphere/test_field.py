@@ -51,10 +51,12 @@ def test_waves_are_across_their_direction_and_as_large_in_both_phases(chains: in
     np.testing.assert_allclose(np.mean(np.sum(of.cosine**2, axis=-1), axis=2), 1.0, rtol=1e-12)
     # Right-handed or left-handed: k x A is eps times k and -B, from curl v = eps k v.
     eps = of.handedness[:, :, None, None]
-    np.testing.assert_allclose(np.cross(n, of.cosine), eps * -of.sine * -1.0 * -1.0, atol=1e-12)
+    np.testing.assert_allclose(np.cross(n, of.cosine), -eps * of.sine, atol=1e-12)
     for segment in of.directions.reshape(2, chains, 3):
         share = np.linalg.eigvalsh(segment.T @ segment / chains)
-        assert 0.28 < share.min() <= share.max() < 0.40
+        # A third each; a few chains cannot be spread as evenly.
+        low, high = (0.30, 0.37) if chains >= 16 else (0.28, 0.40)
+        assert low < share.min() <= share.max() < high
 
 
 def test_wavenumbers_run_from_half_of_one_over_1750_ft_in_even_steps() -> None:
