@@ -62,6 +62,8 @@ OTHERS = {
     "task_plume_mapping.png": "make pictures",
     "task_search_and_rescue.png": "make pictures",
     "training.png": "make evidence training",
+    "gnss_allan.png": "make evidence gnss",
+    "gnss_day.png": "make evidence gnss",
     "turbulence.png": "make evidence turbulence",
     "turbulence_field.png": "make evidence field",
     "turbulence_line.png": "make evidence field",

@@ -55,7 +55,8 @@ def code_in_words(code: int, value: float, area: Any) -> str:
 
 def _where(axis: str, value: float, area: Any) -> str:
     """Return on which side a position (value [m] on one axis) is outside of an area, "" where that is not known."""
-    low, high = (getattr(area, f"{axis}_{end}", None) for end in ("min", "max"))
+    known = {} if area is None else vars(area)
+    low, high = (known.get(f"{axis}_{end}") for end in ("min", "max"))
     if low is None or high is None:
         return ""
     beyond = float(value) > 0.5 * (float(low) + float(high))
