@@ -52,6 +52,7 @@ def test_every_extra_is_one_of_the_package():
     assert extras["all"] == [f"qrsim[{','.join(EXTRAS)}]"]
 
 
+@pytest.mark.long
 def test_flying_plotting_and_exporting_need_no_extra(tmp_path: Path):
     run, fetched = str(tmp_path / "run"), str(tmp_path / "fetched")
     commands = {

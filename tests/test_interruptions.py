@@ -233,6 +233,7 @@ def ended(folder: Path, tries: int, seed: int, longest_s: float) -> None:
         assert not record.exists() or json.loads(record.read_text())["state"] == "interrupted", where
 
 
+@pytest.mark.long
 def test_at_some_moments_of_a_start(tmp_path: Path) -> None:
     ended(tmp_path, tries=3, seed=1, longest_s=2.0)
 

@@ -426,6 +426,7 @@ def test_full_disk(tmp_path, capsys):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs a shell")
+@pytest.mark.long
 def test_reader_that_goes_away(tmp_path):
     """As a process of its own: ``qrsim ... -o - | head -1`` says nothing on standard error."""
     path = write(tmp_path, *[HOVER_RAW] * 3000)

@@ -643,6 +643,7 @@ def stopped(tmp_path_factory, flown):
     ("name", "code", "message"),
     [("interrupted", 130, "stopped by the user"), ("terminated", 143, "stopped by SIGTERM")],
 )
+@pytest.mark.long
 def test_ctrl_c_and_sigterm_keep_the_log_to_the_moment(stopped, name, code, message):
     folder, process, (out, err), before = stopped[name]
     assert (process.returncode, out) == (code, "")

@@ -162,6 +162,7 @@ def test_a_reader_that_is_gone():
     assert (done.returncode, done.stderr) == (141, "")
 
 
+@pytest.mark.long
 def test_nothing_but_ascii_on_a_terminal_that_knows_no_more():
     program = "import sys; from qrsim.cli import main; sys.exit(main(['list']) or main(['run', '--help']))"
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}

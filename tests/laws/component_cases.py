@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import xarray
 from jax import Array
 
 from qrsim.control import (
@@ -34,7 +35,7 @@ from qrsim.control.paths import Leg, Limits, mission_of, plan
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import FieldInfo, cast, field_info, replace
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.atmosphere.wind import LogShear
+from qrsim.models.atmosphere.wind import LogShear, mean_wind_at
 from qrsim.models.gnss.orbits import NominalConstellation
 from qrsim.models.gnss.receivers import GnssReading, SkyState
 from qrsim.models.gnss.sight import CommonErrors, Scales, sight_of
@@ -125,7 +126,28 @@ def elevation_file(frame: str = "local") -> str:
     return str(path)
 
 
-FILES = {("ORBITS", "sp3"): sp3_file, ("WINDS", "series"): wind_file, ("GROUNDS", "dem"): elevation_file}
+@cache
+def wind_grid_file() -> str:
+    """Write a wind that differs from place to place, 2.4 km wide and 150 m high, and return its path."""
+    path = Path(_FOLDER.name) / "wind.nc"
+    x = y = np.linspace(-1200.0, 1200.0, 7)
+    z, time = np.array([2.0, 10.0, 40.0, 150.0]), np.array([0.0, 20.0, 300.0])
+    t, up, north, east = np.meshgrid(time, z, y, x, indexing="ij")
+    air = {"u": 3.0 + 1e-3 * north + 0.01 * up, "v": -1.0 + 1e-3 * east + 1e-3 * t, "w": 0.3 + 1e-4 * east}
+    xarray.Dataset(
+        {name: (("time", "z", "y", "x"), values, {"units": "m s-1"}) for name, values in air.items()},
+        {name: (name, values, {"units": "m"}) for name, values in (("x", x), ("y", y), ("z", z))}
+        | {"time": ("time", time, {"units": "s"})},
+    ).to_netcdf(path)
+    return str(path)
+
+
+FILES = {
+    ("ORBITS", "sp3"): sp3_file,
+    ("WINDS", "series"): wind_file,
+    ("WINDS", "grid"): wind_grid_file,
+    ("GROUNDS", "dem"): elevation_file,
+}
 # What a scenario must give where neither a default nor bounds say what is sensible.
 EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     ("OBSTACLES", "box"): {"x_min": -3.0, "x_max": 4.0, "y_min": -5.0, "y_max": 6.0, "z_min": -12.0},
@@ -390,7 +412,7 @@ def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
 
 def _wind(wind: Any, given: Any, draws: Draws) -> Any:
     height = -given["scene"]["position_ned"].z
-    return {"wind": wind.velocity_ned(height, *map(jnp.asarray, given["time"]))}
+    return {"wind": mean_wind_at(wind, height, given["scene"]["position_ned"], tuple(map(jnp.asarray, given["time"])))}
 
 
 def _gust(gust: Any, given: Any, draws: Draws) -> Any:

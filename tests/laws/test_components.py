@@ -131,6 +131,7 @@ def test_outputs_are_finite_and_eager_and_jitted_agree(group: str, name: str, se
 
 
 @every_option
+@pytest.mark.long
 def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str, settings: dict[str, Any]) -> None:
     """The same values to 1e-6, and the same noise to the bit."""
     alone = stacked(computed(group, name, settings)[0])

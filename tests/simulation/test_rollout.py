@@ -141,6 +141,7 @@ class TestWorldsAreSimulations:
         assert_alike(of_world(flown, 0), simulated(world, seed=seeds[0]))
         assert_alike(of_world(flown, 1), of_world(seven, 0))
 
+    @pytest.mark.long
     def test_worlds_of_their_own_numbers(self, bare):
         """Mass and area differ; the area of the last one is too small for its route."""
         heavy = bare_pair(vehicle={"type": "pelican", "mass": 2.0})

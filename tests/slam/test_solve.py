@@ -161,6 +161,7 @@ def functions(problem: graphs.Graph, x: Any, landmarks: Any) -> tuple[Any, Any]:
     return residuals, jacobian
 
 
+@pytest.mark.long
 def test_ceres_finds_the_same_optimum(small: tuple[graphs.Graph, Any, Any]) -> None:
     """The same residuals and Jacobians in Ceres: the cost to 6 digits."""
     pyceres = pytest.importorskip("pyceres", reason="pyceres, an optional oracle, is not installed")

@@ -197,6 +197,7 @@ def test_a_baseline_flies_what_qrsim_run_flies(tmp_path: Path) -> None:
     assert length == pytest.approx(float(data["distance_m"].sel(mass=1.7, seed=1)), rel=1e-4)
 
 
+@pytest.mark.long
 def test_a_policy_of_the_users_own_flies(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "import qrsim\n\ndef climb(reading):\n    return qrsim.WaypointSetpoint.of([[0.0, 0.0, -12.0]])\n"

@@ -53,6 +53,7 @@ def effort_of(commands: Array) -> Array:
         pytest.param("goto_waypoint", (0.02, 0.1, 0.5), [-50.0, -50.0, -10.0], marks=pytest.mark.long),
     ],
 )
+@pytest.mark.long
 def test_the_return_is_that_of_the_reference_whatever_the_period(
     name: str, periods: tuple[float, ...], goal: list[float]
 ) -> None:
@@ -95,6 +96,7 @@ def check_that_crashing_never_pays(name: str, seeds: int) -> dict[str, Array]:
     return totals
 
 
+@pytest.mark.long
 def test_cutting_the_throttle_scores_below_every_survivor() -> None:
     """In 100 of 100 seeds; and hovering costs more than a controller, which keeps within some metres."""
     totals = check_that_crashing_never_pays("keep_spot", 100)

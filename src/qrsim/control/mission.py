@@ -219,7 +219,9 @@ class MissionGuidance(Guidance):
             dt: step [s].
         """
         standing, low = where
-        length = before.norm()
+        squared = before.dot(before)
+        # A root has no slope at zero.
+        length = jnp.where(squared > 0.0, jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0)
         left = jnp.maximum(length - self.join_speed * dt, 0.0) / jnp.maximum(length, 1e-6)
         left = jnp.where(leg.rises, 1.0, left)
         beside = position_ned - planned.position_ned

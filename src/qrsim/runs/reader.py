@@ -292,7 +292,9 @@ def _codes(vehicle: pa.ChunkedArray, vehicles: Sequence[str]) -> npt.NDArray[np.
     """Return the index of each row's vehicle; -1 for a name that is not one of the run's."""
     index = {name: i for i, name in enumerate(vehicles)}
     chunks = [np.zeros(0, np.int64)]
-    for chunk in vehicle.chunks:
+    # In a file that was damaged it may be plain text, or something else.
+    coded = vehicle if pa.types.is_dictionary(vehicle.type) else vehicle.dictionary_encode()
+    for chunk in coded.chunks:
         # The last entry stands for an absent name, which the index -1 finds.
         lookup = np.array([*(index.get(name, -1) for name in chunk.dictionary.to_pylist()), -1])
         chunks.append(lookup[chunk.indices.fill_null(-1).to_numpy()])

@@ -24,6 +24,7 @@ from qrsim.engine.llvm import Mode, UnsupportedError, tracing
 from qrsim.engine.programs import forget
 from qrsim.envs.functional import Functional
 from qrsim.errors import CompilerWarning
+from qrsim.models.atmosphere.contracts import Wind
 from qrsim.simulation.rollout import rollout
 from qrsim.simulation.simulation import Simulation
 from qrsim.tasks import KeepSpot
@@ -268,7 +269,7 @@ def test_policies_of_real_worlds_by_both_compilers(count, monkeypatch):
 
 
 @record
-class Wake:
+class Wake(Wind):
     """A wind of a user's: whoever is highest is in calm air, and all others feel those before them in the list."""
 
     strength: Array = parameter(default=4.0, unit="m/s", doc="of the wind")

@@ -25,6 +25,7 @@ fleets:
 STANDS = [20.0, 0.0, -1.0, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 
 
+@pytest.mark.long
 def test_a_client_flies_one_fleet_beside_another_that_stands(serving: Running) -> None:
     with Client(port=serving.port) as client:
         begun = client.open(scenario=MIXED, seed=1)

@@ -66,6 +66,7 @@ def compare(states: Any, rows: dict[str, np.ndarray[Any, Any]], relative: float)
         np.testing.assert_allclose(np.asarray(values)[:, 0], want, rtol=0.0, atol=relative * scale, err_msg=name)
 
 
+@pytest.mark.long
 def test_motor_speeds_and_wind(vehicles: Path) -> None:
     """Six rotors with inertia and gyroscopic moments, 10 s in wind."""
     rows = table(vehicles / "hexa_motors.csv")
@@ -87,6 +88,7 @@ def test_attitude_commands(vehicles: Path) -> None:
         np.testing.assert_allclose(found, rows[name][1:], rtol=0.0, atol=1e-9 * np.max(np.abs(rows[name])))
 
 
+@pytest.mark.long
 def test_drop(vehicles: Path) -> None:
     """Falls, bounces, slides and rests, with the bristles of each foot; to a micrometre."""
     rows = table(vehicles / "contact_drop.csv")
