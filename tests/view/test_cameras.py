@@ -53,7 +53,7 @@ def test_windows_lie_where_the_camera_looks_and_say_what_the_classifier_says(sce
     positions, colours = drawn(scene)
     ratio = camera.ratio[1][np.isfinite(camera.ratio[1])]
     assert len(positions) == len(ratio) < count
-    np.testing.assert_array_equal(colours, shapes.ratio_colours(ratio, 10.0))
+    np.testing.assert_array_equal(colours, shapes.linear(shapes.ratio_colours(ratio, 10.0)))
     # About 0.5 m each, below the vehicle, which has hardly moved.
     below = positions[:, :2].mean(axis=0) - frame.position_ned[1, :2]
     assert np.abs(below).max() < 0.3 * -frame.position_ned[1, 2]
