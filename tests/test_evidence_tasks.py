@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import evidence.tasks as study
+import pytest
 from evidence.__main__ import plain
 
 
+@pytest.mark.long
 def test_the_small_form_scores_all_policies() -> None:
     """Ten seconds are too short to find anybody: every step costs 1/10, unless a person lies at the start."""
     results = plain(study.run(full=False))

@@ -117,6 +117,7 @@ def test_keys_go_through_a_replay(replay: Replay, browser: Browser):
     for tenth in range(1, 10):
         press(browser, str(tenth))
         eventually(lambda: replay.time == pytest.approx(0.1 * tenth * DURATION))  # noqa: B023
+        eventually(lambda: f"t = {0.1 * tenth * DURATION:.2f} s (paused)" in text(browser))  # noqa: B023
     # Five seconds back and forth, and at most to the ends; with Shift a minute.
     for key, shift, time_s in (
         ("ArrowLeft", False, 4.0), ("ArrowRight", False, 9.0), ("ArrowRight", False, 10.0), ("ArrowLeft", True, 0.0),

@@ -44,6 +44,8 @@ SLOW = [
     ("SENSORS", "gnss"),
     ("SKY_ERRORS", "error_budget"),
 ]
+# Compiled for minutes in each of its forms, whose flights tests/models/vehicles/multirotor looks at.
+ONE_FORM = [("VEHICLES", "multirotor")]
 # What receivers know of the sky alike, which is no vehicle's own.
 SHARED = (".geometry.", ".ids")
 
@@ -51,7 +53,7 @@ SHARED = (".geometry.", ".ids")
 def option_cases() -> list[Any]:
     cases = []
     for group, name in COMPONENTS:
-        for settings in options(group, name):
+        for settings in options(group, name)[: 1 if (group, name) in ONE_FORM else None]:
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
             # Every component by its defaults is in the short tier, but for those whose slopes take long to compile.
             marks = (pytest.mark.long,) if settings or (group, name) in SLOW else ()
@@ -121,6 +123,7 @@ def _computed(group: str, name: str, settings: tuple[tuple[str, Any], ...]) -> t
 
 
 @every_option
+@pytest.mark.long
 def test_outputs_are_finite_and_eager_and_jitted_agree(group: str, name: str, settings: dict[str, Any]) -> None:
     alone, _ = computed(group, name, settings)
     for found in alone:

@@ -118,6 +118,7 @@ def test_between_them_the_worlds_hold_every_component() -> None:
 
 
 @pytest.mark.parametrize("name", ["search_and_rescue/2D", "cats_and_mouse/1C", "plume_mapping/3F"])
+@pytest.mark.long
 def test_a_resumed_task_is_the_uninterrupted_one_bit_for_bit(name: str) -> None:
     """What an episode draws and what is in its world too: terrain and persons, a mouse, a plume."""
     scenario = load_scenario(name)

@@ -326,6 +326,7 @@ def test_an_unknown_fleet_and_a_set_point_of_another_kind_are_refused(shared: Si
     assert said(shared.step, {"bravo": hover()}).startswith("command: expected shape (2, 5)")
 
 
+@pytest.mark.long
 def test_controllers_can_be_fed_with_the_estimate_of_a_users_filter(flying: Simulation) -> None:
     """With an estimate 5 m north of the truth, the vehicles settle 5 m south of where they are asked to be."""
     start, truth = flying.save(), flying.truth

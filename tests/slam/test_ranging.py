@@ -80,6 +80,7 @@ def without_most_ranges(ranging: Ranging, landmark: int, kept: int) -> Ranging:
     return Ranging(ranges, counts, ranging.std, ranging.guess_ned, ranging.true_ned)
 
 
+@pytest.mark.long
 def test_a_landmark_with_too_few_ranges_is_named_and_left_out(flight: Flight) -> None:
     ranging = without_most_ranges(exact_ranges(flight), 4, 2)
     found = estimate(flight, ranging)

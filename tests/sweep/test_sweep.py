@@ -25,6 +25,7 @@ from qrsim.sweep.sweeping import sweep_here
 WIND, MASS = "world.wind.speed_20ft", "fleets.pelicans.vehicle.mass"
 
 
+@pytest.mark.long
 def test_an_episode_is_what_a_rollout_of_its_scenario_flies(tmp_path: Path) -> None:
     data = opened(flown(tmp_path))
     assert data["tracking_error_rms_m"].dims == ("wind", "mass", "seed")
@@ -155,6 +156,7 @@ def test_a_batch_that_cannot_be_flown_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("named", [True, False])
+@pytest.mark.long
 def test_the_command_of_an_episode_flies_it_again(tmp_path: Path, named: bool, capsys: Any) -> None:
     source = {"scenario": "hover"} if named else {"scenario": {"extends": "hover", "description": "own"}}
     results = Results(flown(tmp_path, first_seed=3, **source))

@@ -163,6 +163,7 @@ def ended(name: str, *overrides: str) -> Any:
         ),
     ],
 )
+@pytest.mark.long
 def test_the_return_after_a_crash(name: str, overrides: tuple[str, ...], paid: float, after: float) -> None:
     """In ``paid``: 7 for commands, the squared distance, and of a far goal the stake, half of what a crash costs."""
     first, last = ended(name, *overrides)

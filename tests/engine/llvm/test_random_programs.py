@@ -31,7 +31,7 @@ def primitives(jaxpr: Any) -> set[Any]:
     return found
 
 
-@pytest.mark.parametrize("programs", [40, pytest.param(300, marks=pytest.mark.long)])
+@pytest.mark.parametrize("programs", [20, pytest.param(300, marks=pytest.mark.long)])
 def test_random_programs_and_every_primitive(programs):
     """Equal to the bit or within the roundings of their operations; none crashes; no rule is left out."""
     seen: set[Any] = set()

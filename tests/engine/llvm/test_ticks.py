@@ -157,6 +157,7 @@ class TestChoice:
         with pytest.raises(UsageError, match="QRSIM_COMPILER: 'lvm' is not known"):
             configuration.uses_llvm()
 
+    @pytest.mark.long
     def test_what_cannot_be_compiled_flies_by_xla(self, caplog):
         """A policy that sorts; the same worlds with one that does not."""
 

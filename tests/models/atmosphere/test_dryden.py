@@ -439,6 +439,7 @@ def test_monte_carlo_spectrum() -> None:
         assert np.all(np.abs(decibel(ratio)) < 1.0), (low, high, decibel(ratio))
 
 
+@pytest.mark.long
 def test_airspeed_options() -> None:
     def transition(airspeed: str, ground: float, wind: float) -> float:
         with jax.enable_x64(True):

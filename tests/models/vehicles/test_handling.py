@@ -45,6 +45,7 @@ def test_the_pelican_answers_as_published() -> None:
     ],
     ids=["pelican", "separate", "expression"],
 )
+@pytest.mark.long
 def test_a_flight_settles_where_the_handling_says(vehicle: Quadrotor) -> None:
     told = of(vehicle)
     throttle = float(told.throttle(jnp.asarray(18.0)))

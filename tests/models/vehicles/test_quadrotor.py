@@ -302,6 +302,7 @@ def smooth_flight(integrator: Any, dt: float) -> Array:
 
 class TestNumerics:
     @pytest.mark.parametrize(("integrator", "order"), [("heun", 2), ("rk4", 4)])
+    @pytest.mark.long
     def test_converges_with_the_step(self, integrator: Any, order: int):
         """Held commands below the rate limit at constant thrust, where the slope is smooth."""
         exact = smooth_flight("rk4", 0.001)

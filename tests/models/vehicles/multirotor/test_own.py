@@ -128,6 +128,7 @@ def test_numbers_that_cannot_be_are_refused(changes: dict[str, Any], message: st
 
 
 @pytest.mark.parametrize("name", ["x500", "hummingbird", "hexa4"])
+@pytest.mark.long
 def test_it_stays_where_it_is_at_the_airspeed_of_its_lean(name: str) -> None:
     """The forces of the model itself, at the lean and the thrust of balance, are its weight."""
     vehicle, lean = SETS[name](), 0.4
