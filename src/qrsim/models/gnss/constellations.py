@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from qrsim.core.tree import cast, record, setting
-from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.gnss.orbits import (
     EARTH_GRAVITY,
@@ -19,6 +18,9 @@ from qrsim.models.gnss.orbits import (
     KeplerOrbits,
     NominalConstellation,
     Phase,
+    check_start,
+    circular_orbits,
+    circular_positions,
 )
 from qrsim.models.site import Float64, Site
 
@@ -118,18 +120,7 @@ class NominalConstellations:
                 found.append(NominalConstellation().positions_ecef(times))
                 continue
             argument, node, (_, _, inclination) = _angles(WALKERS[letter], times[..., None])
-            across = np.sin(argument) * math.cos(inclination)
-            found.append(
-                WALKERS[letter].radius
-                * np.stack(
-                    (
-                        np.cos(argument) * np.cos(node) - across * np.sin(node),
-                        np.cos(argument) * np.sin(node) + across * np.cos(node),
-                        np.sin(argument) * math.sin(inclination),
-                    ),
-                    axis=-1,
-                )
-            )
+            found.append(circular_positions(argument, node, WALKERS[letter].radius, inclination))
         return np.concatenate(found, axis=-2)
 
     def at(
@@ -146,8 +137,7 @@ class NominalConstellations:
         Raises:
             UsageError: the start is not finite.
         """
-        if not math.isfinite(start_gps_seconds):
-            raise UsageError(f"start_gps_seconds: {start_gps_seconds} is not a finite time")
+        check_start(start_gps_seconds)
         parts = [self._orbits(letter, site, start_gps_seconds) for letter in self._letters]
         first = parts[0]
         joined: Any = {
@@ -163,17 +153,8 @@ class NominalConstellations:
         """Return one system's orbits, in float64."""
         if letter == "G":
             return NominalConstellation().at(site, start, np.float64)
-        argument, node, (argument_rate, node_rate, inclination) = _angles(WALKERS[letter], np.array([start]))
-        like: Any = np.ones_like(argument)
-        return KeplerOrbits(
-            Phase.of(argument, argument_rate * like),
-            Phase.of(node, node_rate * like),
-            WALKERS[letter].radius * like,
-            math.cos(inclination) * like,
-            math.sin(inclination) * like,
-            Vec3(*site.origin_ecef()),
-            *(Vec3(*axis) for axis in site.ned_from_ecef_rotation()),
-        )
+        argument, node, (*rates, inclination) = _angles(WALKERS[letter], np.array([start]))
+        return circular_orbits((argument, node), (rates[0], rates[1]), WALKERS[letter].radius, inclination, site)
 
     @property
     def _letters(self) -> tuple[str, ...]:

@@ -167,6 +167,57 @@ _NODE_RATE = -_J2_FACTOR * _MEAN_MOTION * math.cos(_INCLINATION)
 _ARGUMENT_RATE = _MEAN_MOTION * (1.0 + _J2_FACTOR * (3.0 - 4.0 * math.sin(_INCLINATION) ** 2))
 
 
+def check_start(start_gps_seconds: float) -> None:
+    """Raise UsageError unless the time of tick 0 [GPS s] is finite."""
+    if not math.isfinite(start_gps_seconds):
+        raise UsageError(f"start_gps_seconds: {start_gps_seconds} is not a finite time")
+
+
+def circular_positions(argument: Float64, node: Float64, radius: float, inclination: float) -> Float64:
+    """Return Earth-fixed positions (..., 3) [m] on circular orbits.
+
+    Args:
+        argument: of latitude (...) [rad].
+        node: Earth-fixed longitude of the ascending node (...) [rad].
+        radius: [m].
+        inclination: [rad].
+    """
+    cos_u, across = np.cos(argument), np.sin(argument) * math.cos(inclination)
+    cos_node, sin_node = np.cos(node), np.sin(node)
+    return radius * np.stack(
+        (
+            cos_u * cos_node - across * sin_node,
+            cos_u * sin_node + across * cos_node,
+            np.sin(argument) * math.sin(inclination),
+        ),
+        axis=-1,
+    )
+
+
+def circular_orbits(
+    angles: tuple[Float64, Float64], rates: tuple[float, float], radius: float, inclination: float, site: Site
+) -> KeplerOrbits:
+    """Return circular orbits of S satellites as seen from a site, in float64.
+
+    Args:
+        angles: argument of latitude and Earth-fixed longitude of the node (S,) at tick 0 [rad].
+        rates: of these [rad/s].
+        radius: [m].
+        inclination: [rad].
+        site: where the signals are received.
+    """
+    like: Any = np.ones_like(angles[0])
+    return KeplerOrbits(
+        Phase.of(angles[0], rates[0] * like),
+        Phase.of(angles[1], rates[1] * like),
+        radius * like,
+        math.cos(inclination) * like,
+        math.sin(inclination) * like,
+        Vec3(*site.origin_ecef()),
+        *(Vec3(*axis) for axis in site.ned_from_ecef_rotation()),
+    )
+
+
 @record
 class NominalConstellation:
     """The nominal GPS constellation: 24 slots in 6 planes, circular orbits, secular J2 rates; any time.
@@ -187,16 +238,7 @@ class NominalConstellation:
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
         """Return Earth-fixed positions (..., 24, 3) [m] at times (...) [GPS s]; rounding is below 0.01 m until 2100."""
         argument, node = self._angles(np.asarray(gps_seconds, np.float64)[..., None])
-        cos_u, across = np.cos(argument), np.sin(argument) * math.cos(_INCLINATION)
-        cos_node, sin_node = np.cos(node), np.sin(node)
-        return _SEMI_MAJOR_AXIS * np.stack(
-            (
-                cos_u * cos_node - across * sin_node,
-                cos_u * sin_node + across * cos_node,
-                np.sin(argument) * math.sin(_INCLINATION),
-            ),
-            axis=-1,
-        )
+        return circular_positions(argument, node, _SEMI_MAJOR_AXIS, _INCLINATION)
 
     @property
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
@@ -217,20 +259,10 @@ class NominalConstellation:
         Raises:
             UsageError: the start is not finite.
         """
-        if not math.isfinite(start_gps_seconds):
-            raise UsageError(f"start_gps_seconds: {start_gps_seconds} is not a finite time")
+        check_start(start_gps_seconds)
         argument, node = self._angles(np.array([start_gps_seconds]))
-        like: Any = np.ones_like(argument)
-        orbits = KeplerOrbits(
-            Phase.of(argument, _ARGUMENT_RATE * like),
-            Phase.of(node, (_NODE_RATE - EARTH_ROTATION_RATE) * like),
-            _SEMI_MAJOR_AXIS * like,
-            math.cos(_INCLINATION) * like,
-            math.sin(_INCLINATION) * like,
-            Vec3(*site.origin_ecef()),
-            *(Vec3(*axis) for axis in site.ned_from_ecef_rotation()),
-        )
-        return cast(orbits, dtype)
+        rates = _ARGUMENT_RATE, _NODE_RATE - EARTH_ROTATION_RATE
+        return cast(circular_orbits((argument, node), rates, _SEMI_MAJOR_AXIS, _INCLINATION, site), dtype)
 
     @staticmethod
     def _angles(gps_seconds: Float64) -> tuple[Float64, Float64]:
