@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from qrsim.errors import UsageError
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT
-from qrsim.models.atmosphere.wind_series import read_wind
 from qrsim.models.vehicles.envelope import Envelope, envelope
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.scenarios import catalogue as known
@@ -155,13 +153,7 @@ def mean_wind(scenario: ScenarioSpec, heights: Any) -> Any:
     wind = scenario.world.wind
     if is_outside("wind", wind.type):
         return np.zeros(len(heights))
-    if wind.type == "series":
-        try:
-            _, air = read_wind(Path(wind.file), wind.max_gap)
-        except UsageError:
-            return np.zeros(len(heights))
-        return np.full(len(heights), np.linalg.norm(air[:, :2], axis=1).max())
-    if wind.type == "grid":
+    if wind.type in ("series", "grid"):
         try:
             return wind_of(scenario).largest_speed(heights)
         except UsageError:

@@ -37,6 +37,10 @@ class WindSeries(Wind):
         """Return the mean over the whole series [m/s], the same at all heights (n,)."""
         return self.mean_ned.map(lambda axis: jnp.broadcast_to(jnp.asarray(axis), height_agl.shape))
 
+    def largest_speed(self, height: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        """Return the largest horizontal speed [m/s] at any time, the same at heights of any shape [m]."""
+        return np.full(np.shape(height), np.hypot(np.asarray(self.air_ned.x), np.asarray(self.air_ned.y)).max())
+
     def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array) -> Vec3:
         """Return the air's velocity [m/s], the same at all heights (n,); beyond the series its end values.
 
