@@ -18,6 +18,7 @@ from qrsim.core.tree import INFO, FieldInfo, field_info
 from qrsim.errors import nearest
 from qrsim.models.atmosphere.contracts import GUST_READS, TURBULENCE_READS, WIND_READS, Gust, Turbulence, Wind
 from qrsim.models.gnss.contracts import RangeErrors
+from qrsim.models.gnss.orbits import Ephemeris
 from qrsim.models.scene.contracts import Area, Ground, Placement
 from qrsim.models.sensors.contracts import SCENE, Sensor
 from qrsim.models.vehicles.contracts import AROUND, Battery, Vehicle
@@ -32,6 +33,7 @@ CONTRACTS: dict[str, type] = {
     "turbulence": Turbulence,
     "gust": Gust,
     "sky": RangeErrors,
+    "orbits": Ephemeris,
     "controller": Controller,
     "guidance": Guidance,
     "battery": Battery,

@@ -42,7 +42,7 @@ def slotted_sky(scenario: ScenarioSpec, ephemeris: Any, orbits: Any, errors: Any
         orbits,
         errors,
         ephemeris.satellite_ids,
-        system_numbers(letters_of(ephemeris)).astype(np.int32),
+        system_numbers(ephemeris.system_of).astype(np.int32),
         scenario.world.sky.period,
         scenario.time_step,
         slots_needed(ephemeris, site, start, scenario.duration, lowest),
@@ -55,15 +55,9 @@ def slotted_sky(scenario: ScenarioSpec, ephemeris: Any, orbits: Any, errors: Any
     )
 
 
-def letters_of(ephemeris: Any) -> str:
-    """Return the letter of each satellite's system; G where an ephemeris says none."""
-    says = "system_of" in dir(type(ephemeris))
-    return str(ephemeris.system_of) if says else "G" * len(ephemeris.satellites)
-
-
 def satellite_problems(scenario: ScenarioSpec, ephemeris: Any) -> Iterator[str]:
     """Yield why receivers of type gnss could not work under these orbits."""
-    there = set(letters_of(ephemeris))
+    there = set(ephemeris.system_of)
     for path, sensor in receivers(scenario).items():
         try:
             check_systems(sensor.systems, f"{path}.systems")

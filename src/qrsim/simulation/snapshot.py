@@ -16,6 +16,8 @@ import numpy as np
 from qrsim.control import MissionState, RouteState
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.errors import RunError, UsageError
+from qrsim.models.gnss.receivers import SharedSky
+from qrsim.models.gnss.slots import SlottedSky
 from qrsim.models.gnss.sp3 import Sp3Orbits
 from qrsim.models.scene.area import REASONS
 from qrsim.models.scene.terrain import OCCLUSION
@@ -211,7 +213,7 @@ def _buffer(where: str, name: str, content: dict[str, Any], known: tuple[str, ..
 def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
     """Yield where and what in a state is finite in every simulation."""
     # Recorded orbits end, and have gaps.
-    recorded = isinstance(vars(world.sky).get("orbits"), Sp3Orbits)
+    recorded = isinstance(world.sky, SharedSky | SlottedSky) and isinstance(world.sky.orbits, Sp3Orbits)
     if not recorded:
         yield from _floats("the sky", state.sky)
     yield from _floats("what the episode has drawn", state.drawn)

@@ -15,6 +15,7 @@ from qrsim.models.gnss.orbits import (
     EARTH_J2,
     EARTH_RADIUS,
     EARTH_ROTATION_RATE,
+    Ephemeris,
     KeplerOrbits,
     NominalConstellation,
     Phase,
@@ -74,7 +75,7 @@ def check_systems(systems: str, what: str = "systems") -> None:
 
 
 @record
-class NominalConstellations:
+class NominalConstellations(Ephemeris):
     """Nominal constellations of GPS, Galileo, GLONASS and BeiDou: circular orbits, secular J2 rates; any time.
 
     They have the geometry of the systems, not today's satellites: GPS as ``nominal_constellation``, the others as

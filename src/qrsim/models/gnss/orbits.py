@@ -7,6 +7,7 @@ gives the satellites as they are seen from the site, accurate in single precisio
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from typing import Any, Protocol
 
 import numpy as np
@@ -51,24 +52,34 @@ class Ephemeris(Protocol):
     """Satellite positions by time, in float64: an embedded constellation, or a file."""
 
     @property
+    @abstractmethod
     def satellites(self) -> tuple[str, ...]:
         """Name of each of the S satellites."""
         ...
 
     @property
+    def system_of(self) -> str:
+        """Letter of each satellite's system, S of them; that of GPS where nothing else is said."""
+        return "G" * len(self.satellites)
+
+    @property
+    @abstractmethod
     def span_gps_seconds(self) -> tuple[float, float]:
         """First and last time [GPS s] with positions; infinite if unlimited."""
         ...
 
+    @abstractmethod
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
         """Return Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]."""
         ...
 
     @property
+    @abstractmethod
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
         """A number (S,) for each satellite, to which its randomness belongs; the lower byte is the PRN, if any."""
         ...
 
+    @abstractmethod
     def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf) -> Orbits:
         """Return the orbits of a run that starts at a time [GPS s] and lasts a duration."""
         ...
@@ -219,7 +230,7 @@ def circular_orbits(
 
 
 @record
-class NominalConstellation:
+class NominalConstellation(Ephemeris):
     """The nominal GPS constellation: 24 slots in 6 planes, circular orbits, secular J2 rates; any time.
 
     It has the geometry of GPS, not today's satellites; UT1 - UTC, precession and polar motion are left out.

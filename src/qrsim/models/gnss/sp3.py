@@ -15,7 +15,7 @@ from jax import Array, lax
 from qrsim.core.tree import cast, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, warn_user
-from qrsim.models.gnss.orbits import EARTH_ROTATION_RATE, SPEED_OF_LIGHT
+from qrsim.models.gnss.orbits import EARTH_ROTATION_RATE, SPEED_OF_LIGHT, Ephemeris
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES
 from qrsim.models.gnss.sp3_file import SYSTEMS, Sp3File, read_sp3
 from qrsim.models.site import Float64, Site, utc_from_gps_seconds
@@ -73,7 +73,7 @@ class Sp3Orbits:
 
 
 @record
-class Sp3Ephemeris:
+class Sp3Ephemeris(Ephemeris):
     """Satellite orbits from an SP3 file, interpolated by polynomials of degree 11 through the 12 nearest epochs.
 
     A satellite is used between two epochs where it has 12 or more positions in a row around them, and no manoeuvre in
