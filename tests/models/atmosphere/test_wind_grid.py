@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.atmosphere.wind_grid import WindGridFile
 
 xarray = pytest.importorskip("xarray", reason="python -m pip install 'qrsim[wind]'")
-pytest.importorskip("netCDF4", reason="python -m pip install 'qrsim[wind]'")
+netcdf = pytest.importorskip("netCDF4", reason="python -m pip install 'qrsim[wind]'")
 
 X, Y = np.arange(-300.0, 301.0, 100.0), np.arange(-200.0, 201.0, 80.0)
 Z, T = np.array([2.0, 5.0, 20.0, 60.0, 130.0]), np.array([0.0, 40.0, 100.0])
@@ -199,6 +200,30 @@ def test_air_inside_of_buildings_stands_still(tmp_path):
     found = blown(wind, there, 0.0)
     np.testing.assert_array_equal(found[0], 0.0)
     np.testing.assert_allclose(found[1], expected(there, 0.0)[1], atol=1e-4)
+
+
+def test_no_more_than_so_many_points_are_kept_or_read(tmp_path, whole):
+    """Eight million in the area, thirty million in the file, a hundred thousand along an axis."""
+    wind = WindGridFile(whole).at(100.0)
+    large = np.broadcast_to(np.float32(1.0), (3, 5, 1000, 534))
+    with pytest.raises(UsageError, match=r"8010000 points in world\.area; allowed: 8000000"):
+        replace(wind, air_ned=Vec3(large, large, large)).within(None, None)
+    assert replace(wind, air_ned=Vec3(*(large[..., :533],) * 3)).within(None, None).air_ned.x.size == 7_995_000
+    for sizes, words in (
+        ((31, 1000, 1000), "31000000 points; allowed: 30000000, so cut it to the area"),
+        ((2, 100_001, 2), "'y' has 100001 values; allowed: 100000"),
+    ):
+        path = tmp_path / f"{sizes[0]}.nc"
+        with netcdf.Dataset(path, "w") as file:
+            for name, size in zip("zyx", sizes, strict=True):
+                file.createDimension(name, size)
+                file.createVariable(name, "f8", (name,))[:] = np.arange(size)
+                file[name].units = "m"
+            for name in "uvw":
+                # Never written, so it takes no room.
+                file.createVariable(name, "f4", ("z", "y", "x"), chunksizes=(1, min(100, sizes[1]), 2)).units = "m s-1"
+        with pytest.raises(UsageError, match=words):
+            WindGridFile(str(path)).at(1.0)
 
 
 def test_no_such_file_and_no_netcdf(tmp_path):

@@ -93,9 +93,10 @@ class WindGrid(Wind):
         limits = (None, None) if bounds is None else (bounds[:2], bounds[2:])
         rows, columns = (self._needed(axis, each) for axis, each in enumerate(limits))
         whole: Any = self.air_ned
+        points = whole.x[:, :, rows, columns].size
+        if points > MOST_POINTS:
+            raise UsageError(f"{self.file}: {points} points in world.area; allowed: {MOST_POINTS}, so resample it")
         air = whole.map(lambda axis: np.ascontiguousarray(np.asarray(axis)[:, :, rows, columns]))
-        if air.x.size > MOST_POINTS:
-            raise UsageError(f"{self.file}: {air.x.size} points in world.area; allowed: {MOST_POINTS}, so resample it")
         begins: Any = tuple(
             low + part.start * step for low, part, step in zip(self.corner, (rows, columns), self.spacing, strict=True)
         )

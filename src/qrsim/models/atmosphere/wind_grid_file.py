@@ -33,6 +33,7 @@ AXES = {
 }
 # What is read before it is cut: 720 MB in double precision.
 MOST_READ = 30_000_000
+LONGEST_AXIS = 100_000
 # No wind that is none of a tornado; fill values that are not declared are far beyond it.
 FASTEST = 150.0
 
@@ -83,9 +84,12 @@ def read_grid(file: str, layout: Layout) -> GridFile:
 @lru_cache(maxsize=2)
 def _read(file: str, layout: Layout, changed: int, size: int) -> GridFile:
     xarray = extras.load("wind", "a wind from a NetCDF file", "xarray")
-    extras.require("wind", "a wind from a NetCDF file", "netCDF4")
+    path = os.path.expanduser(file)
     try:
-        content = xarray.open_dataset(os.path.expanduser(file), engine="netcdf4", decode_times=False)
+        _check_axes(file, path)
+        content = xarray.open_dataset(path, engine="netcdf4", decode_times=False)
+    except UsageError:
+        raise
     except (OSError, ValueError, RuntimeError):
         raise UsageError(f"{file}: is no NetCDF file; xarray's Dataset.to_netcdf writes one") from None
     with content:
@@ -114,6 +118,14 @@ def _read(file: str, layout: Layout, changed: int, size: int) -> GridFile:
         _check_increasing(file, axes[name], points[name], even=name != "z")
     found = _filled(file, layout, arrays)
     return GridFile(points["x"], points["y"], points["z"], times, (found[0], found[1], found[2]))
+
+
+def _check_axes(file: str, path: str) -> None:
+    """Refuse axes that are too long, before xarray reads them whole."""
+    with extras.load("wind", "a wind from a NetCDF file", "netCDF4").Dataset(path) as opened:
+        for name, dimension in opened.dimensions.items():
+            if name in opened.variables and len(dimension) > LONGEST_AXIS:
+                raise UsageError(f"{file}: '{name}' has {len(dimension)} values; allowed: {LONGEST_AXIS}")
 
 
 def _variable(file: str, content: Any, name: str, which: int) -> Any:
