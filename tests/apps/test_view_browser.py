@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -156,15 +157,14 @@ def test_a_click_on_a_vehicle_shows_its_readings(watched: Watched):
     scene.show("vehicles", True)
     assert changes(watched.browser, without)
     with_it = settled(watched.browser)
-    rows, columns = np.nonzero((np.abs(with_it - without).sum(axis=2) > 60)[VIEW])
     # It was followed, so it is in the middle of the canvas.
     box = "window.__viserMutable.canvas.getBoundingClientRect()"
-    middle = watched.browser.evaluate(f"[{box}.height / 2, {box}.width / 2]")
-    nearest = np.argmin((rows + VIEW[0].start - middle[0]) ** 2 + (columns + VIEW[1].start - middle[1]) ** 2)
-    x, y = float(columns[nearest] + VIEW[1].start), float(rows[nearest] + VIEW[0].start)
+    middle = watched.browser.evaluate(f"[{box}.width / 2, {box}.height / 2]")
+    places = itertools.cycle(inside(np.abs(with_it - without).sum(axis=2) > 60, middle)[:12:3])
 
     def clicked() -> bool:
-        watched.browser.click(x, y)
+        watched.page.choose(None)
+        watched.browser.click(*next(places))
         end = time.monotonic() + 5.0
         while not watched.page.chosen and time.monotonic() < end:
             time.sleep(0.05)
@@ -179,6 +179,16 @@ def test_a_click_on_a_vehicle_shows_its_readings(watched: Watched):
     watched.browser.evaluate("document.querySelector('.uplot').scrollIntoView()")
     eventually(lambda: violet_and_grey(watched.browser))
     watched.page.choose(None)
+
+
+def inside(changed: np.ndarray, middle: list[float]) -> list[tuple[float, float]]:
+    """Return the changed pixels (x, y) of the view whose neighbours have changed, those next to the middle first."""
+    seen = np.zeros_like(changed)
+    seen[VIEW] = changed[VIEW]
+    edges = [np.roll(seen, by, axis) for axis in (0, 1) for by in (-1, 1)]
+    rows, columns = np.nonzero(seen & np.all(edges, axis=0))
+    nearest = np.argsort((columns - middle[0]) ** 2 + (rows - middle[1]) ** 2)
+    return [(float(columns[k]), float(rows[k])) for k in nearest]
 
 
 def panel_values(browser: Browser) -> list[str]:

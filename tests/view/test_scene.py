@@ -46,6 +46,39 @@ def test_a_ray_means_the_vehicle_it_passes_nearest(scene: Scene):
     assert scene.nearest(behind, (0.0, 1.0, 0.0)) == 2
 
 
+def test_a_browser_that_is_behind_is_sent_one_thing_at_a_time(scene: Scene, monkeypatch):
+    """Beside the vehicles, which it gets always; what waits comes later, and all of it where there is no lag."""
+    now, drawn = 0.0, []
+    monkeypatch.setattr("qrsim.view.scene.time.perf_counter", lambda: now)
+    for title, layer in scene.layers.items():
+        layer.root.visible = True
+        monkeypatch.setattr(layer, "draw", lambda frame, title=title: drawn[-1].append(title))
+    slow = {title for title, layer in scene.layers.items() if layer.every > 1.0}
+    assert len(slow) >= 5
+    drawn.append([])
+    scene.draw(frame(PLACES), everything=True)
+    assert slow < set(drawn.pop())
+
+    def fly(frames: int) -> None:
+        nonlocal now
+        for _ in range(frames):
+            now += 1.0 / 30.0
+            drawn.append([])
+            scene.draw(frame(PLACES))
+
+    fly(60)
+    assert max(len(slow.intersection(found)) for found in drawn) > 1
+    drawn.clear()
+    scene.lag_s = lambda: 0.4
+    fly(1000)
+    assert all("vehicles" in found for found in drawn)
+    beside = [k for k, found in enumerate(drawn) if slow.intersection(found)]
+    assert all(len(slow.intersection(drawn[k])) == 1 for k in beside)
+    # 1.25 lags of 0.4 s are 15 frames.
+    assert min(np.diff(beside)) >= 15
+    assert slow == slow.intersection(*[{title for found in drawn for title in found}]), "none is forgotten"
+
+
 def test_of_many_vehicles_only_what_can_be_told_apart_is_shown_at_first():
     server = start_server(0)
     places = np.stack([np.arange(201.0) * 20.0, np.zeros(201), np.full(201, -10.0)], axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -23,6 +24,8 @@ Floats = np.ndarray[Any, Any]
 SMALLEST_SPAN, LARGEST_SPAN, SHARE_OF_ROOM, MANY = 0.65, 12.0, 0.35, 50
 # Lag of a browser [s] that spares it nothing; how much less often it may come to; what is left of that a frame later.
 LAG_S, MOST_STRAIN, STRAIN_LEFT = 0.15, 16.0, 0.99
+# Lags of a slow browser between two of its things beside the vehicles: what it waits for holds one of them at most.
+SPARED = 1.25
 GOLDEN = 0.618034
 
 
@@ -48,7 +51,7 @@ class Scene:
         self.cast = cast
         self.frame: Frame | None = None
         self.lag_s: Callable[[], float] = lambda: 0.0
-        self._strain = 1.0
+        self._strain, self._spared_at = 1.0, 0.0
         # Drawn by one thread, changed by those of the panel.
         self._lock = threading.RLock()
         scene = server.scene
@@ -107,13 +110,24 @@ class Scene:
             everything, self.frame = everything or self.frame is None, frame
             for paths in self.paths:
                 paths.note(frame)
-            strain = self._strained()
+            strain, waiting = self._strained(), []
             for number, layer in enumerate(self.layers.values()):
                 # Not all at the same frame.
                 self._due[number] += 1.0 if everything else 1.0 / (layer.every * (strain if layer.every > 1.0 else 1.0))
                 if layer.root.visible and self._due[number] >= 1.0:
-                    self._due[number] %= 1.0
-                    layer.draw(frame)
+                    if strain > 1.0 and layer.every > 1.0 and not everything:
+                        waiting.append(number)
+                    else:
+                        self._draw(number, layer)
+            if waiting and time.perf_counter() - self._spared_at > SPARED * self.lag_s():
+                self._spared_at = time.perf_counter()
+                number = max(waiting, key=lambda number: self._due[number])
+                self._draw(number, [*self.layers.values()][number])
+
+    def _draw(self, number: int, layer: Layer) -> None:
+        self._due[number] %= 1.0
+        assert self.frame is not None
+        layer.draw(self.frame)
 
     def _strained(self) -> float:
         """Return how many times less often than usual things beside the vehicles are drawn, for slow links."""
