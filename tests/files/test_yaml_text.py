@@ -95,6 +95,17 @@ def test_aliases_count_as_what_they_stand_for() -> None:
     assert f"nested deeper than {DEEPEST} levels" in problem("\n".join(levels))
 
 
+def test_what_the_program_wrote_itself_may_be_larger_but_for_aliases() -> None:
+    """Content from Python is not limited to what files may hold, and its run is read again."""
+    text = "[" + "1," * (MOST_NODES + 1) + "]"
+    assert f"more than {MOST_NODES} values" in problem(text)
+    assert len(parse_yaml(text, "text", own=True)) == MOST_NODES + 1
+    rows = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    rows += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 10)]
+    with pytest.raises(ScenarioError, match="aliases stand for included"):
+        parse_yaml("\n".join(rows), "text", own=True)
+
+
 def test_what_an_alias_stands_for_is_a_copy() -> None:
     """An override of one fleet leaves the other as it was."""
     fleet = "{controller: {type: waypoint, feed: truth}, vehicle: &v {type: pelican, mass: 1.5}"

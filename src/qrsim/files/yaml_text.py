@@ -38,8 +38,14 @@ class _FaultError(Exception):
         super().__init__(problem)
 
 
-def parse_yaml(text: str, source: str) -> Any:
+def parse_yaml(text: str, source: str, own: bool = False) -> Any:
     """Parse YAML text to dicts with string keys, lists, strings, numbers, booleans and None.
+
+    Args:
+        text: to parse.
+        source: named by errors.
+        own: whether this program wrote it, from content that may have been larger than files are allowed to be; then
+            the limit is as many values as the text has characters, which only aliases exceed.
 
     Raises:
         ScenarioError: it is no YAML, has a key twice, a tag beyond those of the core schema, or is beyond the limits;
@@ -52,7 +58,7 @@ def parse_yaml(text: str, source: str) -> Any:
             line, last = text.count("\n", 0, bad.start()) + 1, text.rfind("\n", 0, bad.start())
             where = f"line {line}, column {bad.start() - last}"
             raise _FaultError(f"{where}: the character #x{ord(bad[0]):04x} is not allowed in YAML")
-        return _Builder().build(text)
+        return _Builder(max(MOST_NODES, len(text)) if own else MOST_NODES).build(text)
     except _FaultError as fault:
         raise ScenarioError(source, [f"{fault.where}{fault.problem}"]) from None
     except yaml.MarkedYAMLError as error:
@@ -85,7 +91,8 @@ class _Open:
 class _Builder:
     """Builds the value of one document from its events."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int) -> None:
+        self.most = most
         self.stack: list[_Open] = []
         self.count = 0
         # Value, how many values it is, and how deeply nested.
@@ -139,8 +146,8 @@ class _Builder:
 
     def _add(self, nodes: int, mark: Any) -> None:
         self.count += nodes
-        if self.count > MOST_NODES:
-            raise _FaultError(f"more than {MOST_NODES} values, those that aliases stand for included", mark)
+        if self.count > self.most:
+            raise _FaultError(f"more than {self.most} values, those that aliases stand for included", mark)
 
     def _keep(self, anchor: str | None, value: Any, size: int) -> None:
         if anchor:

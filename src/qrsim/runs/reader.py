@@ -84,7 +84,7 @@ class Run:
         """The resolved scenario, a dict. Raises RunError if the file is not YAML."""
         source = self.folder / SCENARIO_FILE
         try:
-            return parse_yaml(self.scenario_yaml, str(source))
+            return parse_yaml(self.scenario_yaml, str(source), own=True)
         except ScenarioError as error:
             raise RunError(f"{source} is damaged: {error.problems[0]}") from error
 

@@ -89,7 +89,7 @@ class Results:
             raise RunError(f"{path}: no episode has been flown yet")
         attributes = self.dataset.attrs
         try:
-            self.scenario: Content = parse_yaml(attributes["scenario"], str(path))
+            self.scenario: Content = parse_yaml(attributes["scenario"], str(path), own=True)
             self.spec = StudySpec.model_validate({**json.loads(attributes["study"]), "scenario": attributes["source"]})
             self.source: str | None = attributes["source"] or None
         except (KeyError, TypeError, ValueError) as error:  # a ScenarioError and pydantic's are ValueErrors
