@@ -235,6 +235,8 @@ def test_degrees_override_radians_and_the_other_way_round() -> None:
             "fleets.pelicans.vehicles.0.position_ned.3: expected an index from 0 to 2, found '3'",
         ),
         ("fleets.pelican.controller.feed=truth", "no fleet is called 'pelican'; did you mean 'pelicans'?"),
+        ("world.wind={type:calm}", "'type:calm' is one key in YAML; write 'type: calm'"),
+        ("fleets.pelicans.vehicles=[{a: [b, {speed:3}]}]", "'speed:3' is one key in YAML; write 'speed: 3'"),
         ("fleets.pelicans.sensors.gns.period=0.4", "no sensor is called 'gns'; did you mean 'gnss'?"),
     ],
 )

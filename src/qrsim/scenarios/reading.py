@@ -200,6 +200,9 @@ def apply_override(content: dict[str, Any], assignment: str) -> None:
     if not equals or not all(parts) or len(parts) > DEEPEST or max(map(len, parts)) > LONGEST_NAME:
         raise UsageError(f"--set {shortened(assignment)}: expected path=value, for example world.wind.speed_20ft=7")
     value = parse_yaml(text, f"--set {path}") if text.strip() else ""
+    if crowded := _without_a_space(value):
+        spaced = ": ".join(crowded.split(":", 1))
+        raise UsageError(f"--set {shortened(assignment)}: '{crowded}' is one key in YAML; write '{spaced}'")
     target: Any = content
     for depth in range(len(parts) - 1):
         target = _enter(target, parts, depth, assignment)
@@ -211,6 +214,16 @@ def apply_override(content: dict[str, Any], assignment: str) -> None:
         return
     _drop_twin(target, last)
     target[last] = value
+
+
+def _without_a_space(value: Any) -> str | None:
+    """Return a key such as 'type:gnss' of {type:gnss}, which was meant as a key and its value; None: there is none."""
+    if isinstance(value, list):
+        return next(filter(None, map(_without_a_space, value)), None)
+    if not isinstance(value, dict):
+        return None
+    crowded = (key for key, inner in value.items() if inner is None and ":" in key.strip(":"))
+    return next(crowded, None) or _without_a_space(list(value.values()))
 
 
 def _drop_twin(target: dict[str, Any], name: str) -> None:
