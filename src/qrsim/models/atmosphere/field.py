@@ -28,7 +28,7 @@ from qrsim.models.atmosphere.dryden import HIGH_LENGTH_FT, dryden_scales
 from qrsim.models.atmosphere.field_modes import SEGMENTS, Floats, Modes, modes
 from qrsim.models.atmosphere.turbulence import StillState, carrying_speed
 
-# Above 2000 ft the von Karman form has a longer length (MIL-F-8785C, 3.7.3.1), and 1.339 is its (k L)'s factor.
+# Above 2000 ft the von Karman form has a longer length (MIL-F-8785C, 3.7.2.1), and 1.339 is its (k L)'s factor.
 VON_KARMAN_HIGH_LENGTH_FT = 2500.0
 VON_KARMAN_SCALE = math.gamma(1.0 / 3.0) / (math.sqrt(math.pi) * math.gamma(5.0 / 6.0))
 # E(k) = s^2 L E0 x^4/(1 + x^2)^p, with x = k L or k times the scaled length: E0.
