@@ -67,6 +67,7 @@ OTHERS = {
     "turbulence.png": "make evidence turbulence",
     "turbulence_field.png": "make evidence field",
     "turbulence_line.png": "make evidence field",
+    "turbulence_gust.gif": "make evidence formation_gusts",
 }
 
 

@@ -186,6 +186,8 @@ class _Film:
         self._shown = {title: layer.root.visible for title, layer in scene.layers.items()}
         for layer in scene.layers.values():
             layer.root.visible = True
+            if layer.most_in_film is not None:
+                layer.every = max(layer.every, len(self._times) / layer.most_in_film)
 
     def _draw(self, time: float, everything: bool = False) -> Floats:
         """Draw the frame of a time [s], and return the positions (n, 3) [m]."""
@@ -228,7 +230,9 @@ class _Film:
             "times": [round(time, 6) for time in self._times.tolist()],
             "first": self.first,
             "vehicles": recording.cast.names,
-            "layers": [{"title": t, "path": layer.path, "shown": self._shown[t]} for t, layer in layers.items()],
+            "layers": [
+                {"title": layer.label, "path": layer.path, "shown": self._shown[t]} for t, layer in layers.items()
+            ],
             "flying": self._flying,
             "stops": [(event.time, i, recording.why(event)) for event, i in recording.stops],
             "quantities": recording.quantities,

@@ -31,6 +31,7 @@ class Beside:
         contents: plume, cover of the ground, persons.
         fleet_keys: keys of each fleet's randomness.
         cameras: (number of the fleet, number of the sensor) -> where and when its last pictures were taken.
+        field: what the gusts of the episode share; None where they share nothing.
     """
 
     world: World
@@ -38,6 +39,7 @@ class Beside:
     contents: ContentsState
     fleet_keys: tuple[StreamKeys, ...]
     cameras: dict[tuple[int, int], CameraReading]
+    field: object = None
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,7 @@ def frame_of(state: State, time: float, world: World) -> Frame:
         gather(lambda fleet: fleet.gust_ned),
         codes == 0,
         {int(i): code_in_words(int(codes[i]), float(values[i]), world.area) for i in np.flatnonzero(codes)},
-        Beside(world, state.drawn, state.contents, state.fleet_keys, _pictures(state)),
+        Beside(world, state.drawn, state.contents, state.fleet_keys, _pictures(state), state.field),
     )
 
 

@@ -81,12 +81,14 @@ class Layer:
         every: it is drawn anew at every so-many-th frame, on average.
         most: of more vehicles than these it is hidden at first.
         beside: whether it shows something about each vehicle beside the vehicle itself; of many it is drawn less often.
+        most_in_film: a page without a server has it at so many times at most, None: at all that it has.
     """
 
     title = ""
     every: float = 1
     most = 1_000_000
     beside = False
+    most_in_film: int | None = None
 
     def __init__(self, stage: Stage):
         self.stage = stage
@@ -95,6 +97,11 @@ class Layer:
             self.every *= max(1.0, stage.cast.size / FULL_RATE) ** 0.5
         self.root = stage.scene.add_frame(self.path, show_axes=False, visible=stage.cast.size <= self.most)
         self.begin()
+
+    @property
+    def label(self) -> str:
+        """Return what a page without a server calls it."""
+        return self.title
 
     def begin(self) -> None:
         """Add the nodes."""

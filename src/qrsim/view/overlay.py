@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.runs import colours
+from qrsim.view.air import AIR, GUST, REACHES, WHOLE
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
 from qrsim.view.script import run_script
 
@@ -36,6 +37,10 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
     "GNSS positions": [("ghost", [colours.GREY], "GNSS position")],
     "mean wind": [("scale", list(colours.WIND), f"mean wind, 0 to {STRONG_WIND:g} m/s and more")],
     "gusts": [("arrow", [colours.GUST], "gust")],
+    AIR: [
+        ("arrow", [colours.GUST], f"gust in a plane, {REACHES[GUST]:g} m/s to the next arrow"),
+        ("scale", list(colours.WIND), f"or all of the wind, {REACHES[WHOLE]:g} m/s to the next"),
+    ],
     "area": [("thin", [colours.GREY], "flight area")],
     "persons": [("pin", [colours.MISSING], "person not found"), ("pin", [colours.FOUND], "person found")],
     "plume": [("body", [colours.PLUME], "plume")],

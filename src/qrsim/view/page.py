@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from viser import ClientHandle, ViserServer
 
+from qrsim.view.air import REACHES
 from qrsim.view.clock import Clock
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.gate import NOTABLE_S
@@ -133,6 +134,10 @@ class Page:
             if title in self.scene.layers and layer.root.visible != self.scene.layers[title].root.visible:
                 self._shown[title].value = layer.root.visible
                 self.scene.show(title, layer.root.visible)
+        if self._air is not None and other._air is not None:
+            for mine, theirs in zip(self._air, other._air, strict=True):
+                mine.value = theirs.value
+            self.scene.show_air(*(own.value for own in self._air))
         self._choice = other._choice
         with self._lock:
             self._choices = {number: viewer.choice for number, viewer in other.viewers.items()}
@@ -190,6 +195,7 @@ class Page:
             for title, layer in self.scene.layers.items():
                 self._shown[title] = gui.add_checkbox(title, layer.root.visible)
                 self._shown[title].on_update(partial(self._show, title))
+            self._add_air()
 
         def resize(_: Any) -> None:
             size.disabled = true.value
@@ -197,6 +203,22 @@ class Page:
 
         size.on_update(resize)
         true.on_update(resize)
+
+    def _add_air(self) -> None:
+        """Add the controls of the plane in which the air is shown, where there is one."""
+        layer, gui = self.scene.air, self.server.gui
+        self._air: tuple[Any, Any] | None = None
+        if layer is None:
+            return
+        height = gui.add_slider("Air at [m]", 1.0, layer.highest, 1.0, layer.height, hint="height over the origin")
+        shows = gui.add_dropdown("Air", list(REACHES), initial_value=layer.shows)
+        self._air = (height, shows)
+
+        def change(_: Any) -> None:
+            self.scene.show_air(height.value, shows.value)
+
+        height.on_update(change)
+        shows.on_update(change)
 
     def add_plots(self, quantities: list[str]) -> None:
         """Let browsers plot measurements of the vehicle they have chosen against the truth."""

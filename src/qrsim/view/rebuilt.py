@@ -1,8 +1,8 @@
 """Contents of a recorded world besides vehicles, which logs do not hold: computed again.
 
-Cover of the ground, persons, sources and puffs are drawn from the seed alone, so they are drawn again; who was found
-when, and which wind was asked for, the events say; where pictures were taken, the measurements do, and what they show
-follows from all of these.
+Cover of the ground, persons, sources, puffs and the field of gusts are drawn from the seed alone, so they are drawn
+again; who was found when, and which wind was asked for, the events say; where pictures were taken, the measurements do,
+and what they show follows from all of these.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ from qrsim.models.sensors.camera import CameraReading
 from qrsim.runs import Run
 from qrsim.runs.layout import EVENTS, PERSON_FOUND
 from qrsim.runs.surroundings import drawn_contents
+from qrsim.view.air import has_a_plane
 from qrsim.view.cameras import camera_places
 from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Beside
 from qrsim.view.steering import WIND_CHANGED, with_wind
 from qrsim.view.truth import ANGLES, AXES
 from qrsim.world.draws import keys_of
+from qrsim.world.episode import draw_field, episode_draws
 from qrsim.world.state import World, period_ticks
 
 Floats = np.ndarray[Any, Any]
@@ -45,7 +47,7 @@ class Rebuilt:
         self._wide = run.info.precision == "float64"
         with self._precision():
             self._keys = keys_of(world, Key.root(run.info.seed, 0))
-            self._drawn, self._start = jax.jit(drawn_contents)(world, self._keys)
+            self._drawn, self._start, self._field = jax.jit(_drawn_again)(world, self._keys)
         self._puffs, self._puffs_ticks = self._start.plume, 0
         self._blow = jax.jit(_blown)
         events = run.events if EVENTS in run else []
@@ -71,7 +73,7 @@ class Rebuilt:
         if self._world.contents.plume.changes:
             contents = replace(contents, plume=self._blown(tick))
         cameras = {place: camera.at(time) for place, camera in self._cameras.items()}
-        return Beside(self._blowing(time), self._drawn, contents, self._keys.fleets, cameras)
+        return Beside(self._blowing(time), self._drawn, contents, self._keys.fleets, cameras, self._field)
 
     def _blowing(self, time: float) -> World:
         """Return the world with the wind that was asked for last."""
@@ -96,7 +98,14 @@ def rebuilt(run: Run, world: World | None) -> Rebuilt | None:
     if world is None:
         return None
     parts = world.contents.random
-    return Rebuilt(run, world) if parts or camera_places(world) else None
+    return Rebuilt(run, world) if parts or camera_places(world) or has_a_plane(world) else None
+
+
+def _drawn_again(world: World, keys: Any) -> tuple[Any, Any, object]:
+    """Draw the ranges of an episode, its contents at the start, and what its gusts share."""
+    drawn, contents = drawn_contents(world, keys)
+    like = jnp.zeros((), world.fleets[0].start.position_ned.x.dtype)
+    return drawn, contents, draw_field(world.with_drawn(drawn), episode_draws(world, keys, like))
 
 
 def _blown(world: World, keys: Any, puffs: Any, done: Any, wanted: Any) -> Any:

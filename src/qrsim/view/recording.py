@@ -81,7 +81,10 @@ class Recording:
             why = "its vehicles are others"
         except (QrsimError, OSError) as error:
             why = str(error)
-        warn_user(f"{self.run.folder}: the recorded scenario cannot be built, so its area is not shown: {why}")
+        warn_user(
+            f"{self.run.folder}: the recorded scenario cannot be built, so its area is not shown, nor persons, "
+            f"plumes and air: {why}"
+        )
         count = len(self.run.vehicles)
         return None, Cast(self.run.vehicles, np.zeros(count, int), np.nan_to_num(start).astype(np.float64))
 

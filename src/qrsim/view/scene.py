@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from viser import ViserServer
 
+from qrsim.view.air import AIR, Air, air_layers
 from qrsim.view.cameras import Cameras, camera_layers
 from qrsim.view.contents import contents_layers
 from qrsim.view.frame import Cast, Frame
@@ -66,7 +67,7 @@ class Scene:
         solid: list[Layer] = []
         if world is not None:
             solid = [Area(self.stage, world), Obstacles(self.stage, world), *contents_layers(self.stage, world)]
-            solid += camera_layers(self.stage, world)
+            solid += [*camera_layers(self.stage, world), *air_layers(self.stage, world)]
         ground = Ground(self.stage, world)
         layers: list[Layer] = [ground, *solid, self.vehicles, *moving]
         self.layers = {layer.title: layer for layer in layers}
@@ -140,6 +141,22 @@ class Scene:
         with self._lock:
             layer.root.visible = visible
             if visible and self.frame is not None:
+                layer.draw(self.frame)
+
+    @property
+    def air(self) -> Air | None:
+        """Return the layer of the air in a plane; None in a world without one."""
+        found = self.layers.get(AIR)
+        return found if isinstance(found, Air) else None
+
+    def show_air(self, height: float, shows: str) -> None:
+        """Show the air at a height over the origin [m], GUST or WHOLE."""
+        layer = self.air
+        if layer is None:
+            return
+        with self._lock, self._server.atomic():
+            layer.height, layer.shows = height, shows
+            if layer.root.visible and self.frame is not None:
                 layer.draw(self.frame)
 
     def resize(self, span: float) -> None:
