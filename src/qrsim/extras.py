@@ -19,6 +19,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "envs": ("gymnasium", "pettingzoo"),
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
     "wind": ("xarray", "netCDF4"),
+    "buildings": ("shapely",),
 }
 
 

@@ -44,6 +44,7 @@ from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.contents import Contents, ContentsState, Surroundings
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.plume import GaussianPlume, GaussianState, Sources
+from qrsim.models.scene.prisms import PrismObstacle
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.inertial import AccelerometerReading
@@ -159,6 +160,7 @@ EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     **{("TASKS", name): {"fleet": "a"} for name in ("keep_spot", "reach_waypoint", "keep_velocity", "search")},
     ("TASKS", "plume_mapping"): {"fleet": "a"},
     ("TASKS", "pursuit"): {"fleet": "a", "prey": "a"},
+    ("OBSTACLES", "prism"): {"corners_ned": [[-6.0, -9.0], [-2.0, 8.0], [7.0, 3.0]], "z_min": -12.0},
     ("OBSTACLES", "cylinder"): {"x": 5.0, "y": -7.0, "radius": 2.0, "z_min": -9.0},
     # With a notch that ends among the positions of ``inputs``.
     ("AREAS", "polygon"): {"corners_ned": [[-60.0, -8.0], [50.0, -70.0], [6.0, 0.0], [70.0, 80.0]]},
@@ -187,7 +189,7 @@ SLOTS = {
 
 
 # A scenario writes these arrays another way, which tests/scenarios looks at.
-ARRAYS = {PolygonArea: ("north", "east")}
+ARRAYS = {PolygonArea: ("north", "east"), PrismObstacle: ("north", "east", "north_to", "east_to")}
 
 
 def fields_of(component: Any, prefix: str = "") -> list[tuple[str, Any, FieldInfo]]:
@@ -227,6 +229,9 @@ def parameters_needed(group: str, name: str) -> dict[str, Any]:
 def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> Any:
     """Return the component with its numbers as arrays, ready to be traced."""
     given = parameters_needed(group, name)
+    if GROUPS[group][name] is PrismObstacle:
+        of_numbers = {"z_min": given["z_min"]}
+        return jax.tree.map(jnp.asarray, cast(PrismObstacle.of(given["corners_ned"], **of_numbers), dtype))
     if "corners_ned" in given:
         given["north"], given["east"] = np.array(given.pop("corners_ned")).T
     if settings.get("frame") == "geodetic":

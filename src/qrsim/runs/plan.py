@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection
-from matplotlib.patches import Circle, Polygon, Rectangle
+from matplotlib.patches import Circle, PathPatch, Polygon, Rectangle
+from matplotlib.path import Path
 from matplotlib.transforms import ScaledTranslation
 
 from qrsim.runs.colours import FOUND, MISSING, PLUME, share
@@ -152,6 +153,9 @@ def _footprint(obstacle: Any) -> Any:
     look: dict[str, Any] = {"fc": "0.75", "ec": "0.35", "lw": 1.0, "zorder": 1}
     if "radius" in obstacle:
         return Circle((obstacle["y"], obstacle["x"]), obstacle["radius"], **look)
+    if "corners_ned" in obstacle:
+        rings = [np.asarray(ring, float)[:, ::-1] for ring in (obstacle["corners_ned"], *obstacle.get("holes_ned", ()))]
+        return PathPatch(Path.make_compound_path(*(Path([*ring, ring[0]], closed=True) for ring in rings)), **look)
     corner = obstacle["y_min"], obstacle["x_min"]
     return Rectangle(corner, obstacle["y_max"] - corner[0], obstacle["x_max"] - corner[1], **look)
 

@@ -18,6 +18,7 @@ from qrsim.models.gnss.receivers import SharedSky
 from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.contents import Contents
 from qrsim.models.scene.obstacles import Obstacles
+from qrsim.models.scene.prisms import prisms_of
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.faults import faults, rotor_faults, vehicle_names
@@ -110,7 +111,17 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
     numbers = [
         i for kind in ("box", "cylinder") for i, spec in enumerate(scenario.world.obstacles) if spec.type == kind
     ]
-    return Obstacles(gather("box"), gather("cylinder"), np.array(numbers, np.float64))  # type: ignore[arg-type]
+    prisms = {i: spec for i, spec in enumerate(scenario.world.obstacles) if spec.type == "prism"}
+    solids = [component(spec, known.OBSTACLES, scenario) for spec in prisms.values()]
+    solid = prisms_of(solids, list(prisms), _largest_radius(scenario)) if prisms else None
+    return Obstacles(gather("box"), gather("cylinder"), np.array(numbers, np.float64), solid)  # type: ignore[arg-type]
+
+
+def _largest_radius(scenario: ScenarioSpec) -> float:
+    """Return the largest distance [m] that vehicles keep from obstacles, whatever an episode draws."""
+    own = [fleet.radius for fleet in scenario.fleets.values() if fleet.radius is not None]
+    drawn = [item.high for item in scenario.ranges if item.path.endswith((".radius", ".collision_distance"))]
+    return float(max([0.5 * scenario.world.collision_distance, *own, *drawn]))
 
 
 def wind_of(scenario: ScenarioSpec) -> Any:

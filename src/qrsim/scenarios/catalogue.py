@@ -41,6 +41,7 @@ from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle
 from qrsim.models.scene.persons import NoPersons, Persons
 from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
 from qrsim.models.scene.plume import DispersionPlume, GaussianPlume, NoPlume, PuffPlume
+from qrsim.models.scene.prisms import PrismObstacle
 from qrsim.models.scene.terrain import ClearGround, PatchyGround
 from qrsim.models.sensors.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.sensors.barometer import Barometer, IdealBarometer
@@ -84,7 +85,7 @@ SKY_ERRORS: Catalogue = {
     "survey": SurveyErrors,
     "error_budget": ErrorBudget,
 }
-OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle}
+OBSTACLES: Catalogue = {"box": BoxObstacle, "cylinder": CylinderObstacle, "prism": PrismObstacle}
 AREAS: Catalogue = {"box": BoxArea, "polygon": PolygonArea}
 GROUNDS: Catalogue = {"flat": FlatGround, "dem": ElevationFile}
 PLUMES: Catalogue = {

@@ -16,6 +16,7 @@ from qrsim.models.vehicles.carried_point import CarriedPoint
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.air import air_problems
 from qrsim.scenarios.build import component, ground_if_any, ground_of, inherited, wind_of
+from qrsim.scenarios.buildings import prism_problems
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.faults import fault_problems, reading_fields
@@ -57,6 +58,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *air_problems(scenario),
         *_orbit_problems(scenario),
         *obstacle_problems(scenario),
+        *prism_problems(scenario),
         *_fleet_problems(scenario),
         *_ground_problems(scenario),
         *_standing_problems(scenario),
@@ -103,6 +105,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
     area = scenario.world.area
     names: dict[str, str] = {}
     solids = [component(spec, known.OBSTACLES, scenario) for spec in scenario.world.obstacles]
+    called = [f" ({spec.name})" if getattr(spec, "name", None) else "" for spec in scenario.world.obstacles]
     ground = ground_if_any(scenario)
     yield from area_problems(area)
     floor = has_floor(scenario)
@@ -125,7 +128,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
                 yield f"{path}.name: '{name}' is also the name of {names[name]}"
             names[name] = path
             yield from outside(f"{path}.position_ned", vehicle.position_ned, area, floor)
-            yield from inside_obstacles(path, vehicle, solids, *clearance_of(fleet, scenario))
+            yield from inside_obstacles(path, vehicle, solids, *clearance_of(fleet, scenario), called)
             yield from _too_fast(f"{path}.velocity_body", vehicle.velocity_body, fleet, i)
             for j, waypoint in enumerate(vehicle.waypoints_ned):
                 yield from outside(f"{path}.waypoints_ned.{j}", waypoint, area, floor)

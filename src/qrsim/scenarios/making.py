@@ -11,6 +11,7 @@ import numpy as np
 from qrsim.core.tree import field_info
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.scene.fence import PolygonArea
+from qrsim.models.scene.prisms import PrismObstacle
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.registry import name_of
 from qrsim.scenarios.scenario import Scenario, load_scenario
@@ -20,7 +21,7 @@ from qrsim.world.state import World
 SCENARIO_PARTS = ("name", "description", "duration", "time_step", "start_time", "site", "extends", "ranges", "task")
 WORLD_PARTS = (
     "area", "ground", "wind", "turbulence", "gust", "sky", "plume", "terrain", "persons", "obstacles",
-    "collision_distance",
+    "buildings", "collision_distance",
 )  # fmt: skip
 FLEET_PARTS = (
     "vehicle",
@@ -70,11 +71,11 @@ def make_scenario(
         fleets: several fleets by name, each a dict with ``vehicles`` and any of the parts of a fleet.
         parts: what a scenario has in YAML, by its name there: of the scenario (name, duration, time_step, start_time,
             site, extends, ranges, task), of its world (area, ground, wind, turbulence, gust, sky, plume, terrain,
-            persons, obstacles, collision_distance), and with ``vehicles`` of the fleet (vehicle, controller, guidance,
-            limits, sensors, battery, faults, placement, and ground, which is the world's unless it is "stop" or
-            "parked"). A component is the name of its type, a dict as in YAML, or an
-            object such as ``LogShear(...)``. Sensors are "ideal" (the default) or "noisy" ones of every kind, or given
-            by name. With ``extends``, ``fleets`` says what is different in them, and may be left out.
+            persons, obstacles, buildings, collision_distance), and with ``vehicles`` of the fleet (vehicle, controller,
+            guidance, limits, sensors, battery, faults, placement, and ground, which is the world's unless it is "stop"
+            or "parked"). A component is the name of its type, a dict as in YAML, or an object such as
+            ``LogShear(...)``. Sensors are "ideal" (the default) or "noisy" ones of every kind, or given by name. With
+            ``extends``, ``fleets`` says what is different in them, and may be left out.
 
     Raises:
         UsageError: an unknown part, or an object that is no component of its kind.
@@ -179,6 +180,9 @@ def _plain(value: Any, name: str, kind: str = "") -> Any:
         fields = {name: getattr(value, name) for name in given}
         if isinstance(value, PolygonArea):
             fields["corners_ned"] = np.column_stack([fields.pop("north"), fields.pop("east")])
+        elif isinstance(value, PrismObstacle):
+            outline, *holes = value.rings()
+            fields = {"corners_ned": outline, "holes_ned": holes, "z_min": value.z_min, "z_max": value.z_max}
         content = {key: _plain(entry, f"{name}.{key}") for key, entry in fields.items() if entry is not None}
         if type(value) in _TYPES:
             return {"type": _TYPES[type(value)], **content}

@@ -14,6 +14,7 @@ from qrsim.errors import ScenarioError, warn_user
 from qrsim.files.yaml_text import dump_yaml
 from qrsim.models.site import Site
 from qrsim.scenarios import build
+from qrsim.scenarios.buildings import with_buildings
 from qrsim.scenarios.cross_checks import problems
 from qrsim.scenarios.places import in_ned
 from qrsim.scenarios.plausibility import plausibility_warnings
@@ -135,6 +136,8 @@ def load_scenario(
     except ValidationError as error:
         raise ScenarioError(name, describe(error, ScenarioSpec, content)) from None
     spec, found, written = in_ned(spec)
+    if not found:
+        spec, found = with_buildings(spec, quiet)
     spec = spec if found else build.on_ground(spec)
     found = found or [_as_written(problem, written) for problem in problems(spec)]
     found = found or list(trial_problems(spec))

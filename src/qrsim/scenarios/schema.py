@@ -21,6 +21,7 @@ from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.component_schema import Finite, Strict, choice_of, component_model, slot_of
 from qrsim.scenarios.legs import Corner, GeodeticSpec, LegSpec, Position
+from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, BuildingsSpec, obstacle_slot
 from qrsim.scenarios.sky_of_receivers import with_sky
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
@@ -167,7 +168,7 @@ else:
     SkyErrorsSlot = slot_of(known.SKY_ERRORS)
     AreaSlot = _area_slot()
     GroundSlot = slot_of(known.GROUNDS)
-    ObstacleSlot = slot_of(known.OBSTACLES)
+    ObstacleSlot = obstacle_slot(known.OBSTACLES)
     GustSlot = slot_of(known.GUSTS)
     PlumeSlot = slot_of(known.PLUMES)
     TerrainSlot = slot_of(known.TERRAINS)
@@ -202,7 +203,8 @@ class WorldSpec(Strict):
     plume: PlumeSlot = Field({"type": "none"}, description="concentration field", validate_default=True)
     terrain: TerrainSlot = Field({"type": "clear"}, description="cover of the ground", validate_default=True)
     persons: PersonsSlot = Field({"type": "none"}, description="who is to be found", validate_default=True)
-    obstacles: list[ObstacleSlot] = Field([], description="solid things", max_length=10_000)
+    obstacles: list[ObstacleSlot] = Field([], description="solid things", max_length=MOST_OBSTACLES)
+    buildings: BuildingsSpec | None = Field(None, description="buildings from a file, which become obstacles")
     collision_distance: Finite = Field(
         2.0, description="vehicles closer than this [m] collide; half of it counts against obstacles", ge=0
     )

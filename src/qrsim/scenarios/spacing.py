@@ -74,15 +74,17 @@ def obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def inside_obstacles(
-    path: str, vehicle: VehicleSpec, solids: list[Any], clearance: float, source: str
+    path: str, vehicle: VehicleSpec, solids: list[Any], clearance: float, source: str, called: list[str] | None = None
 ) -> Iterator[str]:
-    """No vehicle starts at an obstacle or is sent there."""
+    """No vehicle starts at an obstacle or is sent there; ``called`` has what to add to the number of each."""
     points = {"position_ned": vehicle.position_ned, **vehicle.places_ned}
     positions, names = columns(list(points.values())), list(points)
     for i, solid in enumerate(solids):
         distances = solid.distance(positions)
         for j in np.flatnonzero((distances < clearance) | (distances == 0.0)):
             where = f"{distances[j]:.3g} m from" if distances[j] else "inside"
+            known = called[i] if called else ""
             yield (
-                f"{path}.{names[j]}: {where} world.obstacles.{i}; allowed: at least {clearance:g} m from it ({source})"
+                f"{path}.{names[j]}: {where} world.obstacles.{i}{known}; allowed: at least {clearance:g} m from it "
+                f"({source})"
             )

@@ -11,6 +11,7 @@ from qrsim.models.scene import contracts
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.ground import FlatGround
+from qrsim.models.scene.prisms import Prisms
 from qrsim.runs.colours import GREY
 from qrsim.view import shapes
 from qrsim.view.layers import Layer, Stage, down_at
@@ -87,7 +88,7 @@ class Area(Layer):
 
 
 class Obstacles(Layer):
-    """Boxes and cylinders."""
+    """Boxes, cylinders and prisms."""
 
     title = "obstacles"
 
@@ -96,7 +97,7 @@ class Obstacles(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Add a box or a cylinder for each obstacle."""
+        """Add a box or a cylinder for each obstacle, and one mesh for all prisms."""
         boxes, cylinders = self._obstacles.boxes, self._obstacles.cylinders
         low = np.stack([boxes.x_min, boxes.y_min, boxes.z_min], axis=1)
         high = np.stack([boxes.x_max, boxes.y_max, boxes.z_max], axis=1)
@@ -104,6 +105,11 @@ class Obstacles(Layer):
         z_min, z_max, radius = (np.asarray(v) for v in (cylinders.z_min, cylinders.z_max, cylinders.radius))
         middle = np.stack([cylinders.x, cylinders.y, 0.5 * (z_min + z_max)], axis=1)
         self._add("cylinders", shapes.prism(1.0, -0.5, 0.5), middle, np.stack([radius, radius, z_max - z_min], axis=1))
+        if self._obstacles.prisms is not None:
+            self.stage.scene.add_mesh_simple(
+                f"{self.path}/prisms", *solids(self._obstacles.prisms), color=OBSTACLE_COLOUR, flat_shading=True,
+                side="double", opacity=0.8, cast_shadow=False,
+            )  # fmt: skip
 
     def _add(self, name: str, mesh: shapes.Mesh, middle: Floats, size: Floats) -> None:
         if len(middle):
@@ -113,6 +119,22 @@ class Obstacles(Layer):
                 batched_colors=shapes.linear(OBSTACLE_COLOUR), lod="off", flat_shading=True, side="double", opacity=0.8,
                 cast_shadow=False,
             )  # fmt: skip
+
+
+def solids(prisms: Prisms) -> shapes.Mesh:
+    """Return all prisms as one mesh of their pieces."""
+    pieces = prisms.pieces
+    parts = np.stack(
+        [np.asarray(part, np.float64)[: prisms.count] for part in (
+            pieces.south, pieces.north, *pieces.west, *pieces.east, pieces.z_min, pieces.z_max)], axis=1
+    )  # fmt: skip
+    south, north, w0, w1, e0, e1, top, bottom = parts.T
+    plan = ((south, w0), (south, e0), (north, w1), (north, e1))
+    corners = np.stack([np.stack([x, y, z], axis=1) for x, y in plan for z in (top, bottom)], axis=1)
+    # Corners in the order of those of a box: south and north, west and east, up and down.
+    _, faces = shapes.box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    first = 8 * np.arange(len(parts))[:, None, None]
+    return corners.reshape(-1, 3).astype(np.float32), (faces[None] + first).reshape(-1, 3).astype(np.uint32)
 
 
 def surface(ground: contracts.Ground, outline: tuple[Floats, float, float] | None, reach: float) -> shapes.Mesh:

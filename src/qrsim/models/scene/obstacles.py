@@ -1,4 +1,4 @@
-"""Solid things in an area: boxes and upright cylinders (docs/scenarios.md)."""
+"""Solid things in an area: boxes, upright cylinders, and prisms (docs/scenarios.md)."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from jax import Array
 
 from qrsim.core.tree import parameter, quantity, record
 from qrsim.core.vectors import Vec3
+from qrsim.models.scene.prisms import Prisms
 
 T = TypeVar("T")
 
@@ -61,12 +62,24 @@ class Obstacles:
     boxes: BoxObstacle = quantity(doc="(B,) boxes")
     cylinders: CylinderObstacle = quantity(doc="(C,) cylinders")
     numbers: Array = quantity(doc="(B + C,) number of each in the scenario, boxes first")
+    prisms: Prisms | None = quantity(default=None, doc="prisms with their numbers; None without any")
 
     def nearest(self, position_ned: Vec3) -> tuple[Array, Array]:
         """Return for positions (n,) the distance [m] of the nearest obstacle and its number in the scenario.
 
-        Without any obstacle the distance is infinite and the number -1.
+        Without any obstacle the distance is infinite and the number -1. A prism that is farther than ``prisms.reach``
+        may be overlooked.
         """
+        if self.prisms is None:
+            return self._nearest_plain(position_ned)
+        distance, number = self._nearest_plain(position_ned)
+        other, its_number = self.prisms.nearest(position_ned)
+        # What is not a number stays so.
+        closer = ~(other >= distance)
+        return jnp.where(closer, other, distance), jnp.where(closer, its_number, number)
+
+    def _nearest_plain(self, position_ned: Vec3) -> tuple[Array, Array]:
+        """Return the same of boxes and cylinders alone."""
         row = position_ned.map(lambda axis: axis[None, :])
         rows = [
             kind.distance(row) for kind in (_as_columns(self.boxes), _as_columns(self.cylinders)) if kind.z_min.shape[0]

@@ -114,6 +114,9 @@ def _obstacles(around: Surroundings) -> list[Content]:
     found = []
     for number, item in enumerate(around.obstacles):
         middle, tall = 0.5 * (item["z_min"] + item["z_max"]), item["z_max"] - item["z_min"]
+        if "corners_ned" in item:
+            found.append(_entity(f"obstacle {number}", lines=_prism(item)))
+            continue
         if "radius" in item:
             wide = 2.0 * item["radius"]
             body = _solid((item["x"], item["y"], middle), (wide, wide, tall), GREY, bottom_scale=1.0, top_scale=1.0)
@@ -123,6 +126,17 @@ def _obstacles(around: Surroundings) -> list[Content]:
         deep, wide = (item[f"{axis}_max"] - item[f"{axis}_min"] for axis in "xy")
         found.append(_entity(f"obstacle {number}", cubes=[_solid((north, east, middle), (wide, deep, tall), GREY)]))
     return found
+
+
+def _prism(item: Any) -> list[Content]:
+    """Return the edges of a prism."""
+    lines = []
+    for ring in (item["corners_ned"], *item.get("holes_ned", ())):
+        corners = np.asarray(ring, float)
+        levels = [np.column_stack([corners, np.full(len(corners), item[end])]) for end in ("z_max", "z_min")]
+        lines += [_line(level, LOOP, GREY) for level in levels]
+        lines += [_line(pair, STRIP, GREY) for pair in zip(*levels, strict=True)]
+    return lines
 
 
 def _places(around: Surroundings) -> list[Content]:

@@ -1,0 +1,120 @@
+"""Where rays meet obstacles: for radio, scans and whatever else a wall is in the way of (docs/models/scene.md).
+
+All shapes of rays are allowed; every obstacle is looked at for every ray, exactly.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.vectors import Vec3
+from qrsim.models.scene.obstacles import Obstacles
+
+Span = tuple[Array, Array]
+# Slower than this part of its length per unit, a ray goes along a plane.
+_ALONG = 1e-12
+
+
+def ray_distance(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Array:
+    """Return how far rays (...) go until they meet an obstacle, in lengths of their direction.
+
+    0 where a ray begins inside one, infinite where it meets none.
+
+    Args:
+        obstacles: of the world, ``world.obstacles``.
+        origin_ned: where they begin (...) [m].
+        direction: of any length (...).
+    """
+    shape = jnp.broadcast_shapes(origin_ned.x.shape, direction.x.shape)
+    distance = jnp.full(shape, jnp.inf, direction.x.dtype)
+    origin, ray = (end.map(lambda axis: jnp.broadcast_to(axis, shape)[None]) for end in (origin_ned, direction))
+    for solids, meets in (
+        (obstacles.boxes, _in_boxes),
+        (obstacles.cylinders, _in_cylinders),
+        (None if obstacles.prisms is None else obstacles.prisms.pieces, _in_pieces),
+    ):
+        if solids is None or not solids.z_min.shape[0]:
+            continue
+        column = (-1,) + (1,) * len(shape)
+        low, high = meets(_each(solids, column), origin, ray)
+        met = (low <= high) & (high >= 0.0)
+        distance = jnp.minimum(distance, jnp.min(jnp.where(met, jnp.maximum(low, 0.0), jnp.inf), axis=0))
+    return distance
+
+
+def line_of_sight(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
+    """Return whether nothing (...) stands between places (...) [m]; inside an obstacle nothing is seen."""
+    return ray_distance(obstacles, from_ned, to_ned - from_ned) > 1.0
+
+
+def _each(solids: Any, column: tuple[int, ...]) -> Any:
+    import jax
+
+    return jax.tree.map(lambda leaf: jnp.reshape(jnp.asarray(leaf), column), solids)
+
+
+def _between(start: Array, rate: Array, low: Array, high: Array) -> Span:
+    """Return from when to when ``start`` + t ``rate`` is between two values; the first is the larger where never."""
+    still = jnp.abs(rate) <= _ALONG
+    inverse = 1.0 / jnp.where(still, 1.0, rate)
+    first, last = (low - start) * inverse, (high - start) * inverse
+    inside = (start >= low) & (start <= high)
+    never, always = (jnp.inf, -jnp.inf), (-jnp.inf, jnp.inf)
+    begin = jnp.where(still, jnp.where(inside, always[0], never[0]), jnp.minimum(first, last))
+    end = jnp.where(still, jnp.where(inside, always[1], never[1]), jnp.maximum(first, last))
+    return begin, end
+
+
+def _above(start: Array, rate: Array) -> Span:
+    """Return from when to when ``start`` + t ``rate`` is not negative."""
+    still = jnp.abs(rate) <= _ALONG
+    root = -start / jnp.where(still, 1.0, rate)
+    begin = jnp.where(rate > 0.0, root, -jnp.inf)
+    end = jnp.where(rate < 0.0, root, jnp.inf)
+    outside = still & (start < 0.0)
+    return jnp.where(outside, jnp.inf, jnp.where(still, -jnp.inf, begin)), jnp.where(
+        outside, -jnp.inf, jnp.where(still, jnp.inf, end)
+    )
+
+
+def _all(*spans: Span) -> Span:
+    low, high = spans[0]
+    for first, last in spans[1:]:
+        low, high = jnp.maximum(low, first), jnp.minimum(high, last)
+    return low, high
+
+
+def _in_boxes(boxes: Any, origin: Vec3, ray: Vec3) -> Span:
+    return _all(
+        _between(origin.x, ray.x, boxes.x_min, boxes.x_max),
+        _between(origin.y, ray.y, boxes.y_min, boxes.y_max),
+        _between(origin.z, ray.z, boxes.z_min, boxes.z_max),
+    )
+
+
+def _in_cylinders(cylinders: Any, origin: Vec3, ray: Vec3) -> Span:
+    x, y = origin.x - cylinders.x, origin.y - cylinders.y
+    square = ray.x * ray.x + ray.y * ray.y
+    upright = square <= _ALONG
+    middle = x * ray.x + y * ray.y
+    outside = x * x + y * y - cylinders.radius * cylinders.radius
+    under = middle * middle - square * outside
+    root = jnp.sqrt(jnp.maximum(under, 0.0))
+    inverse = 1.0 / jnp.where(upright, 1.0, square)
+    misses = jnp.where(upright, outside > 0.0, under < 0.0)
+    low = jnp.where(misses, jnp.inf, jnp.where(upright, -jnp.inf, (-middle - root) * inverse))
+    high = jnp.where(misses, -jnp.inf, jnp.where(upright, jnp.inf, (-middle + root) * inverse))
+    return _all((low, high), _between(origin.z, ray.z, cylinders.z_min, cylinders.z_max))
+
+
+def _in_pieces(pieces: Any, origin: Vec3, ray: Vec3) -> Span:
+    tall = pieces.north - pieces.south
+    spans = [_between(origin.x, ray.x, pieces.south, pieces.north)]
+    for (low, high), sign in ((pieces.west, 1.0), (pieces.east, -1.0)):
+        slope = (high - low) / tall
+        start = sign * (origin.y - low - slope * (origin.x - pieces.south))
+        spans.append(_above(start, sign * (ray.y - slope * ray.x)))
+    return _all(*spans, _between(origin.z, ray.z, pieces.z_min, pieces.z_max))

@@ -1,0 +1,267 @@
+"""Reads footprints and heights of buildings from GeoJSON (RFC 7946), as OpenStreetMap's exports have them."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import ScenarioError, UsageError, did_you_mean, did_you_mean_file
+from qrsim.extras import load
+from qrsim.files.user_files import LARGEST_TABLE, read_text
+from qrsim.models.scene.fence import polygon_problems
+from qrsim.models.site import Site
+from qrsim.scenarios.local import FARTHEST, local_ned
+from qrsim.scenarios.obstacle_specs import MOST_CORNERS, MOST_HOLES, MOST_OBSTACLES
+
+Ring = list[list[float]]
+# Of all outlines together, and what a storey is high [m], as OpenStreetMap's users take it to be.
+MOST_POINTS, STOREY = 50_000, 3.0
+HIGHEST = 1000.0
+# How a file may name longitude and latitude; RFC 7946 knows no other coordinates.
+_DEGREES = re.compile(r"(CRS:?84|EPSG:+4326)$", re.IGNORECASE)
+_NUMBER = re.compile(r"\s*([0-9]+(?:[.,][0-9]+)?)\s*(m|ft|')?\s*$", re.IGNORECASE)
+_FOOT = 0.3048
+
+
+@dataclass
+class Building:
+    """A building.
+
+    Attributes:
+        name: for messages.
+        rings: corners [north, east] [m] of its outline, then of each hole.
+        height: of its roof over the ground [m]; None where the file says none.
+        base: of its lowest floor over the ground [m].
+    """
+
+    name: str
+    rings: list[Ring]
+    height: float | None
+    base: float = 0.0
+
+
+@dataclass
+class BuildingsFile:
+    """What a file has.
+
+    Attributes:
+        buildings: in the order of the file.
+        skipped: how many features are neither polygon nor multipolygon.
+    """
+
+    buildings: list[Building] = field(default_factory=list)
+    skipped: int = 0
+
+
+def read_buildings(file: str, frame: str, site: Site) -> BuildingsFile:
+    """Read a file of buildings.
+
+    Args:
+        file: a GeoJSON file with polygons or multipolygons.
+        frame: "geodetic": longitude and latitude [deg]; "local": east and north of the site's origin [m].
+        site: origin of the local frame.
+
+    Raises:
+        UsageError: the file cannot be read, is no GeoJSON, or is too large.
+        ScenarioError: polygons that are none; every fault with its feature.
+    """
+    content = _content(file)
+    _check_frame(file, content, frame)
+    features = list(_features(file, content))
+    points = sum(_points(geometry) for _, _, geometry in features)
+    if points > MOST_POINTS:
+        raise UsageError(
+            f"{file}: has {points} corners; allowed: at most {MOST_POINTS} in all; cut it to the area, or simplify the "
+            "outlines (ogr2ogr -simplify)"
+        )
+    found, problems = BuildingsFile(), []
+    for name, properties, geometry in features:
+        polygons = _polygons(geometry)
+        found.skipped += not polygons
+        for i, rings in enumerate(polygons):
+            path = name if len(polygons) == 1 else f"{name}, polygon {i}"
+            try:
+                placed = [_placed(ring, frame, site) for ring in rings]
+                _check(placed, rings)
+                height, base = _heights(properties)
+            except UsageError as error:
+                problems.append(f"{path}: {error}")
+                continue
+            found.buildings.append(Building(path, placed, height, base))
+    if problems:
+        raise ScenarioError(file, problems)
+    if not found.buildings:
+        raise UsageError(f"{file}: has no polygon{f' among {len(features)} features' if features else ''}")
+    if len(found.buildings) > MOST_OBSTACLES:
+        raise UsageError(f"{file}: has {len(found.buildings)} buildings; allowed: at most {MOST_OBSTACLES}")
+    return found
+
+
+def _content(file: str) -> dict[str, Any]:
+    path = Path(file)
+    try:
+        text = read_text(file, LARGEST_TABLE)
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be read: {error.strerror or error}{did_you_mean_file(path)}") from None
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        where = f"line {error.lineno}: {error.msg}" if isinstance(error, json.JSONDecodeError) else str(error)
+        raise UsageError(f"{file}: is no JSON: {where}; expected GeoJSON with polygons") from None
+    kinds = ("FeatureCollection", "Feature", "Polygon", "MultiPolygon", "GeometryCollection")
+    kind = content.get("type") if isinstance(content, dict) else None
+    if kind not in kinds:
+        hint = did_you_mean(str(kind), kinds) if kind else ""
+        raise UsageError(f"{file}: its type is {kind!r:.40}; expected GeoJSON, a FeatureCollection of polygons{hint}")
+    return content
+
+
+def _check_frame(file: str, content: dict[str, Any], frame: str) -> None:
+    """Refuse a file that says it has other coordinates than it is taken to have."""
+    crs = content.get("crs")
+    properties = crs.get("properties") if isinstance(crs, dict) else None
+    name = properties.get("name") if isinstance(properties, dict) else None
+    if frame == "geodetic" and isinstance(name, str) and not _DEGREES.search(name):
+        raise UsageError(
+            f"{file}: its coordinates are {name[:60]}; allowed: longitude and latitude (ogr2ogr -t_srs EPSG:4326 makes "
+            "them), or with frame: local metres east and north of the site"
+        )
+
+
+def _features(file: str, content: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
+    """Yield name, properties and geometry of each feature."""
+    features = [content]
+    if content["type"] == "FeatureCollection":
+        features = content.get("features")  # type: ignore[assignment]
+        if not isinstance(features, list):
+            raise UsageError(f"{file}: its features are no list")
+    for number, feature in enumerate(features):
+        if not isinstance(feature, dict):
+            raise UsageError(f"{file}: feature {number} is no object")
+        bare = feature.get("type") != "Feature"
+        geometry = feature if bare else feature.get("geometry")
+        properties = None if bare else feature.get("properties")
+        properties = properties if isinstance(properties, dict) else {}
+        given = feature.get("id", properties.get("@id", properties.get("id")))
+        name = f"feature {number}" + (f" ({given!s:.40})" if isinstance(given, str | int) else "")
+        yield name, properties, geometry if isinstance(geometry, dict) else {}
+
+
+def _polygons(geometry: dict[str, Any]) -> list[Any]:
+    """Return the polygons of a geometry, each a list of rings."""
+    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
+    if kind == "Polygon":
+        return [coordinates] if coordinates else []
+    if kind == "MultiPolygon":
+        return list(coordinates) if isinstance(coordinates, list) else []
+    if kind == "GeometryCollection":
+        parts = geometry.get("geometries")
+        return [p for part in (parts if isinstance(parts, list) else []) if isinstance(part, dict)
+                for p in _polygons(part)]  # fmt: skip
+    return []
+
+
+def _points(geometry: dict[str, Any]) -> int:
+    return sum(
+        len(ring) if isinstance(ring, list) else 0
+        for rings in _polygons(geometry)
+        for ring in (rings if isinstance(rings, list) else [])
+    )
+
+
+def _placed(ring: Any, frame: str, site: Site) -> Ring:
+    """Return the corners [north, east] [m] of a ring, without the last one, which is the first again."""
+    try:
+        corners = np.array([point[:2] for point in ring], np.float64)
+    except (TypeError, ValueError, KeyError):
+        corners = np.zeros((0, 0))
+    if corners.ndim != 2 or corners.shape[1:] != (2,) or not np.isfinite(corners).all():
+        raise UsageError("its coordinates are no rings of pairs of numbers")
+    corners = corners[np.append((corners[1:] != corners[:-1]).any(axis=1), True)]
+    if len(corners) > 1 and (corners[0] == corners[-1]).all():
+        corners = corners[:-1]
+    if not 3 <= len(corners) <= MOST_CORNERS:
+        raise UsageError(f"a ring has {len(corners)} corners; allowed: 3 to {MOST_CORNERS}")
+    if frame == "local":
+        far = float(np.hypot(*corners.T).max())
+        if far > FARTHEST:
+            raise UsageError(
+                f"it is {far / 1000.0:.4g} km from the site; allowed: at most {FARTHEST / 1000.0:g} km; frame: local "
+                "is for metres east and north of the site itself"
+            )
+        return corners[:, ::-1].tolist()
+    wrong = np.flatnonzero((np.abs(corners[:, 0]) > 180.0) | (np.abs(corners[:, 1]) > 90.0))
+    if wrong.size:
+        east, north = corners[wrong[0]]
+        raise UsageError(
+            f"{east:.8g}, {north:.8g} is no longitude and latitude [deg]; metres east and north of the site are "
+            "frame: local, and other coordinates have to be converted (ogr2ogr -t_srs EPSG:4326)"
+        )
+    return [point[:2] for point in local_ned(site, [(latitude, longitude, 0.0) for longitude, latitude in corners])]
+
+
+def _check(placed: list[Ring], written: Any) -> None:
+    """Refuse an outline that crosses itself, and holes that are not in it."""
+    if len(placed) - 1 > MOST_HOLES:
+        raise UsageError(f"it has {len(placed) - 1} holes; allowed: at most {MOST_HOLES}")
+    shapely = load("buildings", "world.buildings.file", "shapely")
+    polygon = shapely.Polygon(placed[0], placed[1:])
+    if polygon.is_valid:
+        return
+    reason = str(shapely.is_valid_reason(polygon))
+    words, _, place = reason.partition("[")
+    try:
+        north, east = (float(part) for part in place.rstrip("]").split())
+        where = f" at north {north:.5g} m, east {east:.5g} m"
+    except ValueError:
+        where = ""
+    for number, ring in enumerate(placed):
+        problems = polygon_problems(ring)
+        if problems:
+            words = f"{'its outline' if number == 0 else f'hole {number - 1}'} {problems[0]}"
+            break
+    raise UsageError(
+        f"{words.strip()}{where}; allowed: an outline that does not cross itself, with its holes inside it; 'Fix "
+        "geometries' of QGIS and shapely.make_valid repair it"
+    )
+
+
+def _heights(properties: dict[str, Any]) -> tuple[float | None, float]:
+    """Return height and base [m] over the ground of a building; None where the file has no height."""
+    height = _length(properties, "height", "building:height")
+    levels = _length(properties, "building:levels", "levels")
+    if height is None and levels is not None:
+        height = levels * STOREY
+    base = _length(properties, "min_height", "building:min_height")
+    lowest = _length(properties, "building:min_level")
+    if base is None:
+        base = 0.0 if lowest is None else lowest * STOREY
+    if height is not None and not 0.0 < height <= HIGHEST:
+        raise UsageError(f"its height is {height:g} m; allowed: above 0, up to {HIGHEST:g}")
+    if not 0.0 <= base < (math.inf if height is None else height):
+        raise UsageError(f"it begins at {base:g} m, which is not below its height, {height:g} m")
+    return height, base
+
+
+def _length(properties: dict[str, Any], *names: str) -> float | None:
+    """Return the first of some properties that is a number, of metres or feet; texts that are none do not count."""
+    for name in names:
+        value = properties.get(name)
+        if isinstance(value, bool) or value is None:
+            continue
+        if isinstance(value, int | float):
+            if not math.isfinite(value):
+                continue
+            return float(value)
+        match = _NUMBER.match(value) if isinstance(value, str) else None
+        if match:
+            number = float(match[1].replace(",", "."))
+            return number * _FOOT if match[2] in ("ft", "'", "FT") else number
+    return None

@@ -1,0 +1,88 @@
+"""The schema of prisms and of a file of buildings, as a scenario has them in its world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field
+
+from qrsim.models.scene.prisms import PrismObstacle, edges_of
+from qrsim.scenarios.component_schema import Finite, Strict, choice_of, component_model
+from qrsim.scenarios.legs import Corner
+
+MOST_OBSTACLES, MOST_CORNERS, MOST_HOLES = 10_000, 1000, 100
+
+
+class _Prism(Strict):
+    """Shows the corners as a PrismObstacle has them."""
+
+    @property
+    def _edges(self) -> Any:
+        return edges_of([self.corners_ned, *self.holes_ned])  # type: ignore[attr-defined]
+
+    @property
+    def north(self) -> list[float]:
+        """Where each edge begins [m]."""
+        return self._edges[0][:, 0].tolist()
+
+    @property
+    def east(self) -> list[float]:
+        """Where each edge begins [m]."""
+        return self._edges[0][:, 1].tolist()
+
+    @property
+    def north_to(self) -> list[float]:
+        """Where each edge ends [m]."""
+        return self._edges[1][:, 0].tolist()
+
+    @property
+    def east_to(self) -> list[float]:
+        """Where each edge ends [m]."""
+        return self._edges[1][:, 1].tolist()
+
+
+def _prism_model() -> type[Strict]:
+    """Return the schema of a prism."""
+    ring = list[Corner]
+    text = "[north, east] [m] of each corner, in order; the last is joined to the first"
+    parts = {
+        "corners_ned": (ring, Field(description=text, min_length=3, max_length=MOST_CORNERS)),
+        "holes_ned": (list[ring], Field([], description="the same of each hole in it", max_length=MOST_HOLES)),
+        "z_min": (Finite, Field(description="top, negative above ground", json_schema_extra={"unit": "m"})),
+        "name": (str | None, Field(None, description="for messages", max_length=100)),
+    }
+    return component_model("prism", PrismObstacle, arrays=parts, base=_Prism)
+
+
+# Made at run time, so a type checker cannot see into it.
+PrismModel: Any = _prism_model()
+
+
+def obstacle_slot(choices: Mapping[str, type]) -> Any:
+    """Return the annotation of an obstacle of any kind."""
+    return choice_of(
+        [PrismModel if kind is PrismObstacle else component_model(name, kind) for name, kind in choices.items()]
+    )
+
+
+class MaskSpec(Strict):
+    """How finely a world says what its obstacles hide of the sky."""
+
+    pitch: Finite = Field(4.0, description="side of a cell [m]", ge=0.5, le=50)
+    azimuths: int = Field(64, description="directions at each cell", ge=16, le=256, strict=True)
+
+
+class BuildingsSpec(Strict):
+    """Buildings from a file, which become obstacles; and what obstacles hide of the sky."""
+
+    file: str | None = Field(None, description="a .geojson file with polygons", min_length=1)
+    frame: Literal["geodetic", "local"] = Field(
+        "geodetic", description="its coordinates: longitude and latitude [deg], or east and north of the site [m]"
+    )
+    default_height: Finite = Field(
+        9.0, description="height [m] of buildings that have neither height nor building:levels", gt=0, le=1000
+    )
+    table: MaskSpec = Field(
+        default_factory=lambda: MaskSpec.model_validate({}), description="what obstacles hide of the sky"
+    )

@@ -1,0 +1,162 @@
+"""Prisms and files of buildings in scenarios: what they become, and what is said of files that are wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from qrsim.errors import ScenarioError
+from qrsim.models.scene.prisms import PrismObstacle
+from qrsim.scenarios.making import make_scenario
+from qrsim.scenarios.scenario import load_scenario
+
+pytest.importorskip("shapely", reason="the extra 'buildings' is not installed")
+
+BLOCK = Path(__file__).parents[2] / "examples" / "buildings" / "city_block.geojson"
+# One second of arc along a meridian is 30.9 m; 18 m east of the site and 20 m north of it at its latitude.
+SQUARE = [[10.0, 20.0], [10.0, 40.0], [30.0, 40.0], [30.0, 20.0]]
+Written = Callable[..., dict[str, Any]]
+
+
+def with_world(world: dict[str, Any], start: tuple[float, float, float] = (0.0, 0.0, -3.0)) -> dict[str, Any]:
+    fleet = {"controller": {"type": "waypoint", "feed": "truth"}, "vehicles": [{"position_ned": list(start)}]}
+    return {"name": "x", "duration": 1.0, "world": world, "fleets": {"a": fleet}}
+
+
+def feature(corners: Any, *holes: Any, **properties: Any) -> dict[str, Any]:
+    """Return a polygon of corners north, east [m], for ``frame: local``."""
+    rings = [[[east, north] for north, east in (*ring, ring[0])] for ring in (corners, *holes)]
+    return {"type": "Feature", "properties": properties, "geometry": {"type": "Polygon", "coordinates": rings}}
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Written:
+    """Return a function that writes features and returns the scenario with that file."""
+
+    def write(*features: Any, text: str | None = None, frame: str = "local", **more: Any) -> dict[str, Any]:
+        content = json.dumps({"type": "FeatureCollection", "features": features, **more.pop("also", {})})
+        (tmp_path / "block.geojson").write_text(content if text is None else text)
+        return with_world({"buildings": {"file": str(tmp_path / "block.geojson"), "frame": frame}}, **more)
+
+    return write
+
+
+def problem_of(content: dict[str, Any]) -> str:
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(content)
+    (problem,) = caught.value.problems
+    return problem.replace(str(Path(content["world"]["buildings"]["file"]).parent) + "/", "")
+
+
+def test_a_file_becomes_prisms_in_the_order_of_the_file_and_its_defaults_are_said() -> None:
+    content = with_world({"buildings": {"file": str(BLOCK)}, "obstacles": [
+        {"type": "cylinder", "x": 90.0, "y": 0.0, "radius": 1.0, "z_min": -9.0}]})  # fmt: skip
+    with pytest.warns(UserWarning, match=r"1 of 9 buildings have neither height.*feature 6 \(shed\), taken to be 9 m"):
+        scenario = load_scenario(content)
+    kind, *buildings = scenario.spec.world.obstacles
+    assert kind.type == "cylinder"
+    assert [round(-b.z_min, 6) for b in buildings] == [18.0, 18.0, 21.0, 15.0, 45.0, 12.0, 9.0, 9.0, 9.0]
+    assert buildings[5].z_max == -4.0
+    # The file was written from these [m], to a centimetre.
+    np.testing.assert_allclose(buildings[0].corners_ned, [[8, -60], [8, -2], [22, -2], [22, -60]], atol=0.02)
+    np.testing.assert_allclose(buildings[2].holes_ned, [[[20, 52], [20, 68], [36, 68], [36, 52]]], atol=0.02)
+    again = load_scenario(scenario.spec.model_dump(mode="json"))
+    assert again.spec == scenario.spec, "what a run keeps has them once, and needs no file"
+    assert again.world().obstacles.prisms is not None
+
+
+def test_who_starts_or_flies_into_a_building_is_told_which(written: Written) -> None:
+    content = written(feature(SQUARE, height=10.0, id="town hall"), start=(20.0, 30.0, -3.0))
+    assert problem_of(content) == (
+        "fleets.a.vehicles.0.position_ned: inside world.obstacles.0 (feature 0 (town hall)); allowed: at least 1 m "
+        "from it (half of world.collision_distance)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda w: w(text="{\n  nonsense"), "block.geojson: is no JSON: line 2: Expecting property name"),
+        (lambda w: w(text="[1]"), "its type is None; expected GeoJSON, a FeatureCollection of polygons"),
+        (lambda w: w(text='{"type": "Topology"}'), "its type is 'Topology'; expected GeoJSON"),
+        (lambda w: w(), "block.geojson: has no polygon"),
+        (
+            lambda w: w({"type": "Feature", "geometry": {"type": "Point", "coordinates": [0, 0]}, "properties": {}}),
+            "has no polygon among 1 features",
+        ),
+        (
+            lambda w: w(feature([[0, 0], [20, 20], [20, 0], [0, 20]], id="bow tie")),
+            "feature 0 (bow tie): its outline crosses itself: the edge from corner 0 to 1 meets the edge from corner 2 "
+            "to 3 at north 10 m, east 10 m; allowed: an outline that does not cross itself, with its holes inside it",
+        ),
+        (
+            lambda w: w(feature(SQUARE, [[60, 60], [60, 70], [70, 70]])),
+            "feature 0: Hole lies outside shell at north 60 m, east 60 m; allowed: an outline that does not",
+        ),
+        (lambda w: w(feature(SQUARE[:2])), "feature 0: a ring has 2 corners; allowed: 3 to 1000"),
+        (lambda w: w(feature([["a", "b"]] * 4)), "feature 0: its coordinates are no rings of pairs of numbers"),
+        (lambda w: w(feature(SQUARE, height=-3)), "feature 0: its height is -3 m; allowed: above 0, up to 1000"),
+        (lambda w: w(feature(SQUARE, min_height=12)), "begins at 12 m, which is not below the height it gets, 9 m"),
+        (
+            lambda w: w(feature([[5.7e6, 5.5e5], [5.7e6, 5.6e5], [5.8e6, 5.5e5]]), frame="geodetic"),
+            "feature 0: 550000, 5700000 is no longitude and latitude [deg]; metres east and north of the site are "
+            "frame: local, and other coordinates have to be converted (ogr2ogr -t_srs EPSG:4326)",
+        ),
+        (
+            lambda w: w(feature(SQUARE), frame="geodetic", also={"crs": {"properties": {"name": "EPSG:27700"}}}),
+            "its coordinates are EPSG:27700; allowed: longitude and latitude (ogr2ogr -t_srs EPSG:4326 makes them)",
+        ),
+        (
+            lambda w: w(feature([[5.7e6, 5.5e5], [5.7e6, 5.6e5], [5.8e6, 5.5e5]])),
+            "feature 0: it is 5826 km from the site; allowed: at most 50 km; frame: local is for metres east and north",
+        ),
+        (lambda w: w(feature(SQUARE), frame="geodetic"), "km from the site; allowed: at most 50 km (see site."),
+        (
+            lambda w: w(feature((np.array(SQUARE) + 9000.0).tolist(), height=9)),
+            "all 1 buildings are far from world.area: at north 9010 to 9030 m, east 9020 to 9040 m; look at "
+            "site.latitude_deg",
+        ),
+        (
+            lambda w: w(*[feature([[n, 0.0], [n, 1.0], *[[n + 0.5, 0.5]] * 998]) for n in range(51)]),
+            "block.geojson: has 51051 corners; allowed: at most 50000 in all; cut it to the area, or simplify",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said_with_its_place(written: Written, make: Any, said: str) -> None:
+    problem = problem_of(make(written))
+    assert problem.startswith("world.buildings.file: block.geojson: ")
+    assert said in problem
+    assert "\n" not in problem
+
+
+def test_a_file_that_is_not_there_is_told_with_the_nearest_name(written: Written) -> None:
+    content = written(feature(SQUARE, height=9))
+    file = content["world"]["buildings"]["file"]
+    content["world"]["buildings"]["file"] = file.replace("block", "blok")
+    assert "blok.geojson: cannot be read: No such file or directory; did you mean" in problem_of(content)
+
+
+def test_heights_are_read_as_people_write_them(written: Written) -> None:
+    given: list[dict[str, Any]] = [
+        {"height": "12,5"}, {"height": "30 ft"}, {"building:levels": "4"}, {"building:height": 7},
+        {"height": "tall", "building:levels": 2}, {"building:levels": 3, "building:min_level": 1},
+    ]  # fmt: skip
+    features = [feature(SQUARE, **properties) for properties in given]
+    world = load_scenario(written(*features, start=(-9.0, 0.0, -3.0))).spec.world
+    assert [-round(prism.z_min, 3) for prism in world.obstacles] == [12.5, 9.144, 12.0, 7.0, 6.0, 9.0]
+    assert [-prism.z_max for prism in world.obstacles] == [0.0, 0.0, 0.0, 0.0, 0.0, 3.0]
+
+
+def test_prisms_in_a_scenario_are_checked_and_can_be_made_in_python() -> None:
+    bow_tie = {"type": "prism", "corners_ned": [[5, 0], [25, 20], [25, 0], [5, 20]], "z_min": -9.0}
+    with pytest.raises(ScenarioError, match=r"world.obstacles.0.corners_ned: crosses itself: the edge from corner 0"):
+        load_scenario(with_world({"obstacles": [bow_tie]}))
+    solid = PrismObstacle.of(SQUARE, -9.0, 0.0, [[[15, 25], [15, 30], [20, 30]]])
+    (found,) = make_scenario([[0.0, 0.0, -5.0]], obstacles=[solid]).spec.world.obstacles
+    assert found.corners_ned == SQUARE
+    assert found.holes_ned == [[[15.0, 25.0], [15.0, 30.0], [20.0, 30.0]]]
