@@ -88,6 +88,8 @@ class SensorReading:
             seen = ""
             if isinstance(self._reading, GnssFix):
                 seen = f" used of {self._reading.satellites_seen[vehicle]:.0f} above the mask"
+                if self._reading.satellites_blocked is not None:
+                    seen += f" ({self._reading.satellites_blocked[vehicle]:.0f} behind obstacles)"
             return f"no fix: {satellites[vehicle]:.0f} satellites{seen}, at least {FEWEST_SATELLITES} needed"
         known = np.isfinite(as_array(self._reading.position_ned)[vehicle]).all()
         return "no velocity: the fix before is missing" if known else "not available"

@@ -28,6 +28,7 @@ from qrsim.scenarios.missions import MISSION, mission
 from qrsim.scenarios.ranges import ranges_of
 from qrsim.scenarios.satellites import needs_slots, slotted_sky
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.skylines import skyline
 from qrsim.scenarios.spacing import columns
 from qrsim.world.state import Fleet, Start, World
 
@@ -90,6 +91,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         ),
         ranges=ranges_of(scenario),
         ground=ground,
+        skyline=skyline(scenario),
     )
     return cast(built, dtype)
 

@@ -28,6 +28,7 @@ from qrsim.scenarios.ranges import range_problems
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.satellites import satellite_problems
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.skylines import skyline_problems
 from qrsim.scenarios.spacing import clearance_of, close_starts, inside_obstacles, obstacle_problems
 from qrsim.scenarios.task import task_problems
 from qrsim.scenarios.timing import timing_problems
@@ -59,6 +60,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *_orbit_problems(scenario),
         *obstacle_problems(scenario),
         *prism_problems(scenario),
+        *skyline_problems(scenario),
         *_fleet_problems(scenario),
         *_ground_problems(scenario),
         *_standing_problems(scenario),

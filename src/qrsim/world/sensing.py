@@ -105,6 +105,7 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
         "sky": sky,
         "surroundings": view,
         "ground": None if view is None else view.ground,
+        "skyline": None if view is None else view.skyline,
     }
 
 

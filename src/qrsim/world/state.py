@@ -17,6 +17,7 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
 from qrsim.models.gnss.contracts import Sky
 from qrsim.models.gnss.receivers import SkyState
+from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.scene.area import StateLimits, Violation
 from qrsim.models.scene.contents import Contents, ContentsState
 from qrsim.models.scene.contracts import Area, Ground, Placement
@@ -116,6 +117,7 @@ class World:
     contents: Contents = quantity(default=Contents(), doc="plume, cover of the ground, persons")
     ranges: tuple[Range, ...] = quantity(default=(), doc="numbers that every episode draws anew")
     ground: Ground = quantity(default=FlatGround(), doc="what vehicles stand on")
+    skyline: Skyline | None = quantity(default=None, doc="what obstacles do to signals of satellites; None: nothing")
 
     @property
     def radii(self) -> Array | None:

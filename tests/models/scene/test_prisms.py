@@ -113,6 +113,7 @@ def test_rays_by_hand() -> None:
     np.testing.assert_array_equal(line_of_sight(found, first, last), [False, True, True, False])
 
 
+@pytest.mark.long
 def test_lines_of_sight_are_those_of_another_geometry() -> None:
     """Shapely cuts the plan of each line with each footprint; a line is blocked where it is below the roof there."""
     shapely = pytest.importorskip("shapely")

@@ -17,7 +17,7 @@ from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.sight import LETTERS
 from qrsim.models.gnss.slots import NOBODY, Slots
-from qrsim.models.gnss.solving import Solution, Symmetric, factor, solve, sums
+from qrsim.models.gnss.solving import Solution, Symmetric, factor, robust, solve, sums
 
 # Speed of light over the rate of the C/A code [m]: a chip.
 CHIP_M = 293.05
@@ -51,6 +51,9 @@ class Geometry:
     count: Array = quantity(unit="1", doc="(m,) satellites used")
     seen: Array = quantity(unit="1", doc="(m,) satellites above the mask")
     enough: Array = quantity(doc="(m,) bool: they are enough for a fix")
+    reflected: Any = quantity(default=None, unit="m", doc="(m,) error by reflections; None without obstacles")
+    blocked: Any = quantity(default=None, unit="1", doc="(m,) satellites that obstacles hide")
+    mirrored: Any = quantity(default=None, unit="1", doc="(m,) satellites of which a reflection alone is tracked")
 
     def of(self, ranges: Array) -> Vec3:
         """Return the error (n,) of the solution for errors of ranges (K, 1) or (K, n) [m]."""
@@ -59,6 +62,16 @@ class Geometry:
     def common(self, part: Array) -> Vec3:
         """Return the error (m,) by common errors a part of the way from the last knot to the next."""
         return self.before + (self.after - self.before) * part
+
+
+@record
+class View:
+    """Signals as receivers among obstacles get them; see hidden.py."""
+
+    loss: Array = quantity(unit="dB", doc="(K, m) what C/N0 lacks")
+    extra: Array = quantity(unit="m", doc="(K, m) error by a reflection")
+    multipath: Array = quantity(unit="1", doc="(K, m) sum of both halves, of unit variance each")
+    counted: Array = quantity(doc="(K, m) bool: above the mask")
 
 
 def column(receiver: Any) -> int:
@@ -83,6 +96,11 @@ def thermal_variance(receiver: Any) -> Array:
     return at_45 * jnp.asarray(receiver.code_bandwidth) * receiver.correlator_spacing
 
 
+def carrier_to_noise(receiver: Any, up: Array) -> Array:
+    """Return C/N0 [dB-Hz] of satellites of which the sine of the elevation is known, with nothing in between."""
+    return across(receiver.cn0_zenith) - _CN0_FALL * (1.0 - up)
+
+
 def passed(receiver: Any, rate: Array) -> Array:
     """Return the share of variance that both lags leave of a first-order process of a rate [1/s]."""
     first, second = 1.0 / jnp.asarray(receiver.loop_time), 1.0 / jnp.asarray(receiver.smoothing_time)
@@ -105,14 +123,14 @@ def sights(receiver: Any, slots: Slots, position_ned: Vec3 | None, ground: Any) 
     return seen & (-rays.z > ground.horizon_sine(position_ned, rays))
 
 
-def geometry_of(receiver: Any, slots: Slots, seen: Array, age: Array) -> Geometry:
+def geometry_of(receiver: Any, slots: Slots, seen: Array, age: Array, view: View | None = None) -> Geometry:
     """Return the geometry of receivers (a ``Gnss``) that see satellites (K, m) for a time (K, m) [s]."""
     age = jnp.where(seen, age, 0.0)
     ramp = jnp.clip((age - across(receiver.acquisition)) / across(receiver.entry), 0.0, 1.0)
     used = seen & (ramp > 0.0)
     sight, scales, which = slots.sight, slots.scales, column(receiver)
     up = -sight.line_of_sight.z[:, None]
-    cn0 = across(receiver.cn0_zenith) - _CN0_FALL * (1.0 - up)
+    cn0 = carrier_to_noise(receiver, up) if view is None else carrier_to_noise(receiver, up) - view.loss
     weaker = exp((_CN0_STRONG - cn0) * (0.1 * math.log(10.0)))
     low = exp(sight.elevation[:, None] * (-1.0 / math.radians(_MULTIPATH_DEG)))
     multipath = across(receiver.multipath) * (_MULTIPATH_ALL + _MULTIPATH_LOW * low)
@@ -121,8 +139,8 @@ def geometry_of(receiver: Any, slots: Slots, seen: Array, age: Array) -> Geometr
     zenith = scales.troposphere * sight.troposphere
     common = (scales.signal * scales.signal + delay * delay + zenith * zenith)[:, None]
     variance = multipath * multipath + thermal + common + _CN0_VARIANCE * jnp.maximum(weaker - 1.0, 0.0)
-    solution = solve(sight.line_of_sight.map(lambda axis: axis[:, None]), jnp.where(used, ramp / variance, 0.0), used)
-    rows = solution.rows()
+    directions, weight = sight.line_of_sight.map(lambda axis: axis[:, None]), jnp.where(used, ramp / variance, 0.0)
+    solution = solve(directions, weight, used)
     apart = [(slots.system == LETTERS.index(letter)).astype(up.dtype)[:, None] for letter in receiver.systems[1:]]
     before, after = (
         (errors.signal, errors.delay if which == 0 else errors.delay_dual) for errors in (slots.before, slots.after)
@@ -131,6 +149,12 @@ def geometry_of(receiver: Any, slots: Slots, seen: Array, age: Array) -> Geometr
     slope = scales.slope[which] * 1e-3
     columns = [before[0] + before[1], after[0] + after[1], carried,
                slope * slots.before.slope_north, slope * slots.before.slope_east]  # fmt: skip
+    if view is not None:
+        errors = view.extra + math.sqrt(0.5) * multipath * view.multipath
+        if not slots.rough:
+            errors = errors + (columns[0] + (columns[1] - columns[0]) * slots.part)[:, None]
+        solution = robust(solution, directions, weight, used, errors, jnp.sqrt(variance))
+    rows = solution.rows()
     found = solution.of([*(entry[:, None] for entry in columns), *apart])
     horizontal, vertical, speed = _accuracies(receiver, slots, solution, rows, multipath, weaker, found[5:])
     half = math.sqrt(0.5) * multipath
@@ -141,7 +165,8 @@ def geometry_of(receiver: Any, slots: Slots, seen: Array, age: Array) -> Geometr
         before=found[0], after=found[1], carried=found[2], slope_north=found[3], slope_east=found[4],
         systems=tuple(found[5:]), noise=factor(rows, weaker),
         horizontal=horizontal, vertical=vertical, speed=speed, hdop=solution.hdop, vdop=solution.vdop,
-        count=solution.count, seen=jnp.sum(seen.astype(up.dtype), axis=0), enough=solution.enough,
+        count=solution.count, seen=jnp.sum((seen if view is None else view.counted).astype(up.dtype), axis=0),
+        enough=solution.enough, reflected=None if view is None else solution.of([view.extra])[0],
     )  # fmt: skip
 
 

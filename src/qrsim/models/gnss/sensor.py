@@ -19,6 +19,7 @@ from qrsim.core.tree import parameter, quantity, record, replace, select, settin
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.apart import Apart, apart_at, apart_init, apart_step
 from qrsim.models.gnss.geometry import Geometry, across, column, geometry_of, passed, sights, thermal_variance, times
+from qrsim.models.gnss.hidden import Tracking, solved
 from qrsim.models.gnss.presets import PRESETS, default
 from qrsim.models.gnss.receivers import GnssReading, SkyState
 from qrsim.models.gnss.sight import LETTERS, MASK_LOWEST
@@ -50,6 +51,12 @@ class GnssFix(GnssReading):
     vertical_accuracy: Array = quantity(unit="m", doc="standard deviation of the vertical error")
     speed_accuracy: Array = quantity(unit="m/s", doc="standard deviation of the velocity error, all axes together")
     satellites_seen: Array = quantity(unit="1", doc="satellites above the mask")
+    satellites_blocked: Any = quantity(
+        default=None, unit="1", doc="of these, those that obstacles hide; None in worlds without obstacles"
+    )
+    satellites_reflected: Any = quantity(
+        default=None, unit="1", doc="of these, those of which a reflection alone is tracked; None without obstacles"
+    )
 
 
 @record
@@ -71,6 +78,7 @@ class GnssState:
     ranges: Any = quantity(doc="(K,) or (K, n) error of the carrier at the last fix, where it is needed, else None")
     apart: Any = quantity(doc="common errors where each receiver has its own, else None")
     history: tuple[GnssFix, ...] = quantity(doc="the last fixes, oldest first: as many as the delay, at least one")
+    tracking: Tracking | None = quantity(default=None, doc="signals that obstacles have hidden; None without obstacles")
 
 
 @record
@@ -88,6 +96,9 @@ class Gnss(Sensor):
     frequencies: Literal["single", "dual"] = setting(default=default("frequencies"), doc="that it uses")
     velocity: Literal["doppler", "differenced"] = setting(
         default=default("velocity"), doc="where the velocity comes from"
+    )
+    nlos: Literal["track", "ignore"] = setting(
+        default=default("nlos"), doc="what it does with reflections of satellites that obstacles hide"
     )
     elevation_mask_rad: float = setting(
         default=default("elevation_mask_rad"), unit="rad", doc="satellites below this elevation are not used",
@@ -116,24 +127,29 @@ class Gnss(Sensor):
     smoothing_time: Array = _number("smoothing_time", "s", "time constant of the second lag", positive=True)
     acquisition: Array = _number("acquisition", "s", "time until a satellite that comes into view is used")
     entry: Array = _number("entry", "s", "time in which its weight grows to the full one", positive=True)
+    reacquisition: Array = _number("reacquisition", "s", "time until one that obstacles have hidden is used again")
+    reacquisition_long: Array = _number(
+        "reacquisition_long", "s", "the same, of one that was hidden for more than a minute"
+    )
     coast: Array = _number("coast", "s", "time for which it goes on without enough satellites")
-    reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky", "position_low_ned", "ground")
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned", "sky", "position_low_ned", "ground", "skyline")
     draws_alone: ClassVar[bool] = True
     presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
 
     def init(
         self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState, position_low_ned: Vec3 | None = None,
-        ground: Any = None,
+        ground: Any = None, skyline: Any = None,
     ) -> tuple[GnssState, GnssFix]:  # fmt: skip
         """Return the first fix of receivers that have long been running."""
-        return self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, None)
+        return self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, None)
 
     def restart(
         self, state: GnssState, draw: Draw, since: Array, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState,
-        position_low_ned: Vec3 | None = None, ground: Any = None,
+        position_low_ned: Vec3 | None = None, ground: Any = None, skyline: Any = None,
     ) -> tuple[GnssState, GnssFix]:  # fmt: skip
         """Return the first fix of receivers placed anew, ``since`` [s] after an epoch."""
-        fresh, reading = self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, state.geometry)
+        shared = state.geometry
+        fresh, reading = self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, shared)
         return replace(fresh, true_ned=fresh.true_ned - velocity_ned * since), reading
 
     def placed(self, chosen: Array, fresh: GnssState, before: GnssState) -> GnssState:
@@ -146,7 +162,7 @@ class Gnss(Sensor):
 
     def step(
         self, state: GnssState, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState,
-        position_low_ned: Vec3 | None = None, ground: Any = None,
+        position_low_ned: Vec3 | None = None, ground: Any = None, skyline: Any = None,
     ) -> tuple[GnssState, GnssFix]:  # fmt: skip
         """Compute a fix of receivers at position_ned (n,), and report the one of ``delay`` periods ago."""
         slots: Slots = sky.slots
@@ -159,6 +175,9 @@ class Gnss(Sensor):
                 slots.knot == state.geometry.knot, lambda: state.geometry, lambda: self._renewed(state, slots)
             )
         fast, slow = self._multipath(state, draw, slots, same, velocity_ned)
+        whole, tracking = now, None
+        if skyline is not None:
+            now, tracking = solved(self, skyline, slots, whole, state.tracking, same, position_ned, fast, slow)
         normals = draw.normals(6)
         common, moved_on, ranges, apart = self._common(now, state, draw, sky, same)
         error = self._own_error(now, state.bias, position_ned, fast, slow) + common
@@ -185,16 +204,16 @@ class Gnss(Sensor):
         fresh = self._reading(now, place, velocity, held, coasting)
         history = (*state.history, fresh)
         state = GnssState(
-            geometry=None if state.geometry is None else now, age=None if state.geometry is not None else now.age,
+            geometry=None if state.geometry is None else whole, age=None if state.geometry is not None else whole.age,
             ids=slots.ids, fast=fast, slow=slow, inner=inner, outer=outer, fixes=fixes, coasted=coasted,
             bias=state.bias, true_ned=position_ned, true_low_ned=position_low_ned, ranges=ranges, apart=apart,
-            history=history[1:],
+            history=history[1:], tracking=tracking,
         )  # fmt: skip
         return state, history[-1 - self.delay]
 
     def _started(
         self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState, position_low_ned: Vec3 | None,
-        ground: Any, shared: Geometry | None,
+        ground: Any, skyline: Any, shared: Geometry | None,
     ) -> tuple[GnssState, GnssFix]:  # fmt: skip
         """Return state and reading of receivers whose filters have settled; ``shared`` is what they share already."""
         slots: Slots = sky.slots
@@ -208,6 +227,9 @@ class Gnss(Sensor):
         spread = jnp.asarray(self.system_bias)
         bias = tuple(spread * pair[i] for i in range(len(self.systems) - 1))
         fast, slow = draw.normal_pairs(slots.ids + jnp.uint32(_MULTIPATH_PAIRS))
+        whole, tracking = now, None
+        if skyline is not None:
+            now, tracking = solved(self, skyline, slots, whole, None, None, position_ned, fast, slow)
         speed = velocity_ned.norm()
         settled = [jnp.sqrt(passed(self, 1.0 / time + speed / self.multipath_length)) for time in times(self)]
         apart = None if slots.own is None else apart_init(slots.own, draw, slots)
@@ -229,11 +251,11 @@ class Gnss(Sensor):
         enough = jnp.broadcast_to(now.enough, nothing.shape)
         error = error.map(lambda axis: jnp.where(enough, axis, 0.0))
         state = GnssState(
-            geometry=now if alike else None, age=None if alike else jnp.broadcast_to(now.age, fast.shape),
+            geometry=whole if alike else None, age=None if alike else jnp.broadcast_to(whole.age, fast.shape),
             ids=slots.ids, fast=fast, slow=slow, inner=error, outer=error,
             fixes=jnp.where(enough, float(_MANY), nothing), coasted=nothing, bias=bias,
             true_ned=position_ned, true_low_ned=position_low_ned, ranges=ranges, apart=apart,
-            history=(reading,) * max(self.delay, 1),
+            history=(reading,) * max(self.delay, 1), tracking=tracking,
         )  # fmt: skip
         return state, reading
 
@@ -267,6 +289,8 @@ class Gnss(Sensor):
         error = now.multipath.map(lambda row: jnp.sum(row * both, axis=0))
         for part, value in zip(now.systems, bias, strict=True):
             error = error + part * value
+        if now.reflected is not None:
+            error = error + now.reflected
         return error + now.slope_north * position_ned.x + now.slope_east * position_ned.y
 
     def _multipath(
@@ -316,6 +340,8 @@ class Gnss(Sensor):
             chosen(now.vertical, held.vertical_accuracy + wider),
             chosen(now.speed, grown),
             jnp.broadcast_to(now.seen, shape),
+            now.blocked,
+            now.mirrored,
         )
 
 

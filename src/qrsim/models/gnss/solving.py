@@ -16,6 +16,8 @@ from qrsim.core.vectors import Vec3
 
 # Position and clock are four unknowns.
 FEWEST_SATELLITES = 4
+# Ranges that are off by fewer sigma than this fit, by more than that not at all; then this part of the weight is left.
+FITS, FITS_NOT, LEFT = 2.0, 6.0, 1e-3
 # Of variances [m^2], for slopes: a root has none at zero.
 _LEAST = 1e-20
 Symmetric = tuple[Array, Array, Array, Array, Array, Array]
@@ -79,6 +81,30 @@ def solve(line_of_sight: Vec3, weight: Array, used: Array) -> Solution:
     (xx, _, _, yy, _, zz), _ = _inverted(normal[6:], enough)
     hdop, vdop = jnp.sqrt(jnp.maximum(xx + yy, 0.0)), jnp.sqrt(jnp.maximum(zz, 0.0))
     return Solution(gain, inverse, count, enough & regular, hdop, vdop)
+
+
+def robust(solution: Solution, line_of_sight: Vec3, weight: Array, used: Array, errors: Array, std: Array) -> Solution:
+    """Solve again, twice, with less weight for ranges that do not fit the others (Huber, and a cut at six sigma).
+
+    Args:
+        solution: with the weights as they are.
+        line_of_sight: unit vectors to the satellites (K, 1).
+        weight, used: as ``solve`` has them.
+        errors: of the ranges (K, m) [m].
+        std: that they are taken to have (K, m) [m].
+    """
+    axes = (line_of_sight.x, line_of_sight.y, line_of_sight.z)
+    own = weight
+    for _ in range(2):
+        (moved,) = solution.of([errors])
+        left = errors + sum(u * d[None, :] for u, d in zip(axes, (moved.x, moved.y, moved.z), strict=True))
+        total, mean = sums([own, own * left])
+        left = left - (mean / jnp.where(total > 0.0, total, 1.0))[None, :]
+        size = jnp.abs(left) / std
+        factor = jnp.where(size < FITS, 1.0, jnp.where(size < FITS_NOT, FITS / jnp.maximum(size, FITS), LEFT))
+        own = weight * factor
+        solution = solve(line_of_sight, own, used)
+    return solution
 
 
 def _inverted(entries: Sequence[Array], enough: Array) -> tuple[Symmetric, Array]:

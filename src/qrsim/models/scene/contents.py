@@ -56,6 +56,7 @@ class Surroundings:
     tick: Array = quantity(doc="() int32")
     time_step: float = setting(unit="s", doc="simulation step")
     ground: Ground = quantity(default=FlatGround(), doc="what vehicles stand on")
+    skyline: Any = quantity(default=None, doc="what obstacles do to signals of satellites; None where they do nothing")
 
     def over_ground(self, position_ned: Vec3) -> Vec3:
         """Return positions of any shape with minus the height above the ground for z.

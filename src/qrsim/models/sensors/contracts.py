@@ -14,7 +14,7 @@ from jax import Array
 from qrsim.core.tree import Record, select
 from qrsim.core.vectors import Euler, Vec3
 
-# What a sensor may declare in ``reads``; each is (n,) but the last three.
+# What a sensor may declare in ``reads``; each is (n,) but the last four.
 SCENE = (
     "position_ned",
     "position_low_ned",
@@ -27,6 +27,7 @@ SCENE = (
     "sky",
     "surroundings",
     "ground",
+    "skyline",
 )
 
 

@@ -1,0 +1,116 @@
+"""Signals of satellites that obstacles hide or reflect, as receivers track and weigh them (docs/models/gnss.md).
+
+A signal is seen, seen with a reflection, reflected only (NLOS), or blocked. Receivers for which none is hidden or
+reflected have the solution of the open sky, to the bit.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import quantity, record, replace
+from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.geometry import CHIP_M, Geometry, View, across, carrier_to_noise, geometry_of
+from qrsim.models.gnss.skyline import Skyline
+from qrsim.models.gnss.slots import Slots
+
+# Envelope of a reflection beside the direct signal, for a narrow correlator: a part of its delay, up to half a spacing
+# of 0.1 chips; and how often its phase turns while slow multipath changes once: on the way of a wavelength.
+_ENVELOPE, _LONGEST, _TURNS = 0.3, 0.05 * CHIP_M, 5.0
+# A reflection alone is so much weaker, with this spread [dB], and tracked above this C/N0 [dB-Hz].
+_WEAKER, _SPREAD, _WEAKEST = 8.0, 2.0, 28.0
+# After so long [s] a satellite has to be found anew.
+_LOST = 60.0
+# Times [s] that are for ever.
+_LONG = 1e6
+
+
+@record
+class Tracking:
+    """What n receivers remember of the signals in each slot."""
+
+    held: Array = quantity(unit="s", doc="(K, n) time that counts for the weight since it came back; long: never away")
+    away: Array = quantity(unit="s", doc="(K, n) time for which it has been blocked; 0: it is not")
+
+
+def solved(
+    receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: Any,
+    position_ned: Vec3, fast: Array, slow: Array,
+) -> tuple[Geometry, Tracking]:  # fmt: skip
+    """Return the solutions of receivers (n,) among obstacles.
+
+    Args:
+        receiver: a ``Gnss``.
+        skyline: what obstacles do to signals.
+        slots: satellites in view.
+        whole: solution without obstacles; a last axis of 1 where all share it.
+        before: what they remember; None at the start.
+        same: (K,) bool: the slot has the satellite that it had before.
+        position_ned: of the receivers [m].
+        fast, slow: both halves of their multipath (K, n), of unit variance.
+    """
+    hides, detour = skyline.look(position_ned, slots.sight)
+    there = jnp.broadcast_to(whole.age > 0.0, hides.shape)
+    up = -slots.sight.line_of_sight.z[:, None]
+    extra = detour * jnp.sqrt(jnp.maximum(1.0 - up * up, 0.0))
+    mirrored = there & (detour > 0.0)
+    # Weaker by more or less for each reflection, as long as its slow multipath lasts.
+    weaker = _WEAKER - _SPREAD * slow
+    heard = receiver.nlos == "track"
+    alone = mirrored & hides & heard & (carrier_to_noise(receiver, up) - weaker > _WEAKEST)
+    echo = _ENVELOPE * jnp.minimum(extra, _LONGEST) * jnp.cos(_TURNS * slow)
+    tracking = _tracked(receiver, before, same, there, hides & ~alone, slow)
+    age = jnp.minimum(whole.age, tracking.held)
+    seen = there & (~hides | alone)
+    view = View(
+        loss=jnp.where(alone, weaker, 0.0),
+        extra=jnp.where(mirrored, jnp.where(hides, extra, echo), 0.0),
+        multipath=fast + slow,
+        counted=there,
+    )
+    now = geometry_of(receiver, slots, seen, age, view)
+    # Those for whom no signal is hidden, reflected or coming back.
+    settled = tracking.held >= jnp.minimum(whole.age, across(receiver.acquisition) + across(receiver.entry))
+    clear = jnp.all(~there | (settled & ~hides & ~mirrored), axis=0)
+    count = up.dtype
+    return (
+        replace(
+            _either(clear, whole, replace(now, reflected=None)),
+            reflected=now.reflected,
+            blocked=jnp.sum((there & hides & ~alone).astype(count), axis=0),
+            mirrored=jnp.sum(alone.astype(count), axis=0),
+        ),
+        tracking,
+    )
+
+
+def _tracked(receiver: Any, before: Tracking | None, same: Any, there: Array, blocked: Array, like: Array) -> Tracking:
+    """Return what receivers remember after an epoch with signals that are blocked (K, n)."""
+    blocked = there & blocked
+    if before is None:
+        long = jnp.full(blocked.shape, _LONG, like.dtype)
+        return Tracking(jnp.where(blocked, 0.0, long), jnp.where(blocked, long, 0.0))
+    kept = there & same[:, None]
+    held, away = jnp.where(kept, before.held, _LONG), jnp.where(kept, before.away, 0.0)
+    wait = jnp.where(away > _LOST, across(receiver.reacquisition_long), across(receiver.reacquisition))
+    back = across(receiver.acquisition) - wait
+    ahead = jnp.where(held >= _LONG, held, held + receiver.period)
+    return Tracking(
+        held=jnp.where(blocked, 0.0, jnp.where(away > 0.0, back, ahead)),
+        away=jnp.where(blocked, jnp.minimum(away + receiver.period, _LONG), 0.0),
+    )
+
+
+def _either(chosen: Array, yes: Geometry, no: Geometry) -> Geometry:
+    """Choose between two geometries, receiver by receiver (n,)."""
+
+    def pick(a: Array, b: Array) -> Array:
+        if not jnp.ndim(a):
+            return a
+        return jnp.where(chosen if jnp.ndim(b) == 1 else chosen[None, :], a, b)
+
+    return jax.tree.map(pick, yes, no)
