@@ -32,6 +32,7 @@ NUMBERS = {
         "first_step_seconds",
         "steps",
     },
+    "gnss": {"vehicles", "ns", "compile_seconds"},
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
     "peers": {"vehicles", "processes"},
     "serve": {"count", "median_us", "p95_us", "per_second"},

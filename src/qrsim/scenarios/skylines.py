@@ -22,7 +22,7 @@ from qrsim.scenarios.obstacle_specs import MaskSpec
 from qrsim.scenarios.satellites import receivers
 from qrsim.scenarios.schema import ScenarioSpec
 
-# A cylinder with a smaller radius [m] hides no satellite: signals bend around what is narrower than their Fresnel zone.
+# A cylinder of no larger radius [m] hides no satellite: signals bend around what is narrower than their Fresnel zone.
 NARROWEST = 1.0
 SIDES = 16
 LARGEST = 256 * 2**20
@@ -51,7 +51,7 @@ def _plan(scenario: ScenarioSpec) -> _Plan | None:
 def _solid(spec: Any) -> tuple[list[Any], float, float] | None:
     """Return rings, top and bottom over z = 0 [m] of an obstacle; None of one that hides nothing."""
     if spec.type == "cylinder":
-        if spec.radius < NARROWEST:
+        if spec.radius <= NARROWEST:
             return None
         # As wide on average as the circle.
         turns = 2.0 * math.pi * (np.arange(SIDES) + 0.5) / SIDES
