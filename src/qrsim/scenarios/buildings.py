@@ -90,7 +90,7 @@ def _prism(building: Building, height: float, ground: Any) -> Any:
     down = 0.0
     if ground is not None and not ground.at_zero:
         north, east = np.array(outline, np.float32).T
-        places: Any = Vec3(north, east, np.zeros_like(north))  # type: ignore[arg-type]
+        places: Any = Vec3(north, east, np.zeros_like(north))
         down = float(np.max(np.asarray(ground.down(places))))
     return PrismModel(
         type="prism", corners_ned=outline, holes_ned=holes, z_min=down - height, z_max=down - building.base,

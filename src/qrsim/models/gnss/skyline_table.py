@@ -115,8 +115,8 @@ def make_table(walls: Walls, frame: Frame, lowest: float) -> Skyline:
     shape = (frame.rows * frame.columns, len(frame.levels), frame.azimuths)
     tables = [np.zeros(shape, np.uint8) for _ in range(3)]
     slope = math.tan(lowest)
-    north = frame.corner[0] + frame.pitch * np.arange(frame.rows)
-    east = frame.corner[1] + frame.pitch * np.arange(frame.columns)
+    north: Float64 = frame.corner[0] + frame.pitch * np.arange(frame.rows, dtype=np.float64)
+    east: Float64 = frame.corner[1] + frame.pitch * np.arange(frame.columns, dtype=np.float64)
     for i in range(0, frame.rows, BLOCK):
         for j in range(0, frame.columns, BLOCK):
             x, y = (part.ravel() for part in np.meshgrid(north[i : i + BLOCK], east[j : j + BLOCK], indexing="ij"))
@@ -136,8 +136,11 @@ def make_table(walls: Walls, frame: Frame, lowest: float) -> Skyline:
 
 def skyline_of(words: npt.NDArray[np.int32], frame: Frame) -> Skyline:
     """Return the table of a frame as receivers look into it."""
-    parts: Any = (words, np.array(frame.levels), frame.corner, frame.pitch)
-    return Skyline(*parts, rows=frame.rows, columns=frame.columns, azimuths=frame.azimuths)
+    levels: Any = np.array(frame.levels)
+    corner: Any = frame.corner
+    pitch: Any = frame.pitch
+    entries: Any = words
+    return Skyline(entries, levels, corner, pitch, frame.rows, frame.columns, frame.azimuths)
 
 
 def _near(walls: Walls, x: Float64, y: Float64, slope: float) -> npt.NDArray[np.bool_]:

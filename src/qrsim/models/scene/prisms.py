@@ -240,7 +240,7 @@ def prisms_of(solids: Sequence[PrismObstacle], numbers: Sequence[int], radius: f
     )
     return Prisms(
         pieces, near.ravel(), corner, cell, rows=rows, columns=columns, most=near.shape[1], reach=float(reach)
-    )  # type: ignore[arg-type]
+    )
 
 
 def _pieces(flat: Float64, top: Float64, bottom: Float64, number: Float64) -> Pieces:
