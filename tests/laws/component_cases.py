@@ -392,6 +392,7 @@ def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
         attitude=Euler(axis(0.3), axis(0.3), axis(3.0)),
         velocity_body=vector(4.0),
         rates_body=vector(0.5),
+        thrust=np.linspace(14.0, 18.0, VEHICLES, dtype=dtype),
     )
     state = SimpleNamespace(
         vehicle=vehicle,
@@ -402,7 +403,8 @@ def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
     )
     command = Command(axis(0.3), axis(0.3), axis(0.1, offset=0.6, first=0.59), axis(0.5), axis(0.5, 11.0, 11.0))
     view = surroundings(world, dtype)
-    scene = jax.tree.map(np.asarray, scene_of(SimpleNamespace(vehicle=Quadrotor()), state, sky, view))  # type: ignore[arg-type]
+    readers = (SimpleNamespace(reads=("load",)),)
+    scene = jax.tree.map(np.asarray, scene_of(SimpleNamespace(vehicle=Quadrotor(), sensors=readers), state, sky, view))  # type: ignore[arg-type]
     moved = jax.tree.map(lambda leaf: leaf + dtype(3.0), scene["position_ned"])
     return {
         "scene": scene,

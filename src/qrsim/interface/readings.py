@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import cast
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -20,6 +20,8 @@ from qrsim.models.gnss.sensor import GnssFix
 from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.camera import CameraReading, Picture
+from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.fitting import Transit
 from qrsim.models.site import Site
 from qrsim.models.vehicles.contracts import Vehicle, VehicleState, velocity_of
 from qrsim.world.episode import picture
@@ -30,7 +32,8 @@ from qrsim.world.state import Fleet, FleetState, State, World, position_of
 class SensorReading:
     """The last reading of one sensor of n vehicles; its fields are attributes, see ``fields``.
 
-    Where a reading is NaN, ``reasons`` says why.
+    Where a reading is NaN, ``reasons`` says why. ``time_of_reading`` says when it was true, ``fresh`` whether it has
+    arrived just now.
 
     Beside what the sensor's model gives, a GNSS reading has ``latitude_deg``, ``longitude_deg``, ``height`` [m above
     the ellipsoid] (float64, each (n,)) and ``fix_type`` (3: three-dimensional, 0: none), and one of a sensor ``gnss``
@@ -47,8 +50,9 @@ class SensorReading:
         withheld: Callable[[], Sequence[str]] = tuple,
         picture: Callable[[], Picture] | None = None,
         taken: Callable[[], float | Array] | None = None,
+        arrived: Callable[[], bool | Array] | None = None,
     ):
-        self._taken = taken
+        self._taken, self._arrived = taken, arrived
         self._name = name
         self._reading = reading
         self._site = site
@@ -67,6 +71,23 @@ class SensorReading:
         if isinstance(self._reading, CameraReading):
             return (*own, *PICTURE_FIELDS)
         return (*own, "quaternion") if isinstance(self._reading, AttitudeReading) else own
+
+    @property
+    def time_of_reading(self) -> Floats:
+        """Time (n,) [s] at which what is reported was true; that of the start until a first delayed reading arrives."""
+        return self._for_each(self._taken)
+
+    @property
+    def fresh(self) -> Floats:
+        """(n,) bool: the reading has arrived at this very tick, and is not held since an earlier one."""
+        return self._for_each(self._arrived)
+
+    def _for_each(self, told: Callable[[], Any] | None) -> Floats:
+        if told is None:
+            raise UsageError(f"{self._name}: the time of its readings is not available here")
+        leaf = jax.tree.leaves(self._reading)[0]
+        library: Any = library_of(leaf)
+        return cast(Floats, library.broadcast_to(told(), leaf.shape))
 
     @property
     def reasons(self) -> list[str]:
@@ -158,12 +179,27 @@ class FleetReading:
         picture = None if self._picture is None else partial(self._picture, sensor)
         taken = partial(self._taken, sensor) if self._time_step else None
         withheld = partial(self._withheld, sensor)
-        return SensorReading(sensor, self._reading(sensor), self._site, withheld, picture, taken)
+        arrived = partial(self._arrived, sensor) if self._time_step else None
+        return SensorReading(sensor, self._reading(sensor), self._site, withheld, picture, taken, arrived)
 
     def _taken(self, sensor: str) -> float | Array:
         """Return the time [s] at which what a sensor reports was true."""
-        model = self._fleet.sensors[self.sensors.index(sensor)]
-        return model.time_of_reading(cast(Array, self._tick), self._time_step) * self._time_step
+        model, transit = self._delivery(sensor)
+        tick = cast(Array, self._tick)
+        taken = model.time_of_reading(tick, self._time_step) if transit is None else transit.time_of_reading(tick)
+        return _on_host(taken) * self._time_step
+
+    def _arrived(self, sensor: str) -> bool | Array:
+        """Return whether a sensor's reading arrives at this tick."""
+        model, transit = self._delivery(sensor)
+        tick = cast(Array, self._tick)
+        return _on_host(model.fresh(tick, self._time_step) if transit is None else transit.fresh(tick))
+
+    def _delivery(self, sensor: str) -> tuple[Sensor, Transit | None]:
+        """Return a sensor's model, and what is on its way of its readings, if they are held back."""
+        number = self.sensors.index(sensor)
+        fitted = self._state.fitted[number] if self._state.fitted else None
+        return self._fleet.sensors[number], None if fitted is None else fitted.transit
 
     def _reading(self, sensor: str) -> Record:
         return self._state.readings[self.sensors.index(sensor)]
@@ -277,6 +313,11 @@ def _picture(world: World, whole: Callable[[], State], number: int, camera: str)
     with jax.enable_x64(bool(x64)):
         found: Picture = jax.tree.map(np.asarray, _developed(world, state, number, camera))
     return found
+
+
+def _on_host(value: Any) -> Any:
+    """Return an array as NumPy's, unless a program is being compiled."""
+    return np.asarray(value) if isinstance(value, Array) and not isinstance(value, jax.core.Tracer) else value
 
 
 def _seconds(tick: int | Array, time_step: float) -> float:

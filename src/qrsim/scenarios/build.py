@@ -22,6 +22,7 @@ from qrsim.models.scene.prisms import prisms_of
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.faults import faults, rotor_faults, vehicle_names
+from qrsim.scenarios.fittings import fitted
 from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission
@@ -155,6 +156,7 @@ def ground_if_any(scenario: ScenarioSpec) -> Any:
 
 def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Fleet:
     vehicle = component(spec.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
+    sensors, fittings = fitted(spec, [component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()])
     return Fleet(
         vehicle=vehicle,
         controller=component(spec.controller, known.CONTROLLERS, scenario).fitted(vehicle),
@@ -162,7 +164,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> F
         route=mission(spec, ground) if spec.guidance.type == MISSION else _route(spec),
         start=_start(spec),
         limits=component(spec.limits, StateLimits, scenario),
-        sensors=tuple(component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()),
+        sensors=sensors,
         battery=component(spec.battery, known.BATTERIES, scenario),
         faults=faults(name, spec, scenario),
         name=name,
@@ -172,6 +174,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> F
         ground=spec.ground,
         radius=spec.radius,  # type: ignore[arg-type]
         rotor_faults=rotor_faults(name, spec, scenario),
+        fittings=fittings,
     )
 
 

@@ -120,6 +120,7 @@ def component_model(
     each: bool = False,
     arrays: Mapping[str, Any] | None = None,
     base: type[Strict] = Strict,
+    more: Mapping[str, Any] | None = None,
 ) -> type[Strict]:
     """Make the schema of one component.
 
@@ -130,6 +131,7 @@ def component_model(
         each: whether it belongs to a fleet, so that a number may be a list with one entry for each vehicle.
         arrays: what a scenario writes in place of the component's arrays, which are its fields without a default.
         base: class of the schema.
+        more: what a scenario says of every component of this kind, as it does of none of its own fields.
     """
     hints = get_type_hints(component)
     fields: dict[str, Any] = {}
@@ -141,6 +143,7 @@ def component_model(
             continue
         if arrays is None or field.default is not dataclasses.MISSING:
             fields[field.name] = _field(field.name, hints[field.name], field, each)
+    fields |= {key: field for key, field in (more or {}).items() if key not in fields}
     presets: Mapping[str, Mapping[str, Any]] | None = vars(component).get("presets")
     if presets:
         base = _preset_base(base, presets)
@@ -164,9 +167,9 @@ def _preset_base(base: type[Strict], presets: Mapping[str, Mapping[str, Any]]) -
     return Preset
 
 
-def slot_of(choices: Mapping[str, type], *, each: bool = False) -> Any:
-    """Return the annotation of a place where one of several components goes."""
-    return choice_of([component_model(name, component, each=each) for name, component in choices.items()])
+def slot_of(choices: Mapping[str, type], *, each: bool = False, more: Mapping[str, Any] | None = None) -> Any:
+    """Return the annotation of a place where one of several components goes; see ``component_model``."""
+    return choice_of([component_model(name, component, each=each, more=more) for name, component in choices.items()])
 
 
 def choice_of(models: list[type[Strict]]) -> Any:

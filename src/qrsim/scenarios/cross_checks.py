@@ -20,6 +20,7 @@ from qrsim.scenarios.buildings import prism_problems
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.faults import fault_problems, reading_fields
+from qrsim.scenarios.fittings import fitting_problems
 from qrsim.scenarios.ground import below_ground, has_floor, standing_problems
 from qrsim.scenarios.hand_list import hand_lists
 from qrsim.scenarios.missions import mission_problems
@@ -43,7 +44,7 @@ PROVIDED = {
     "position_ned": {"gnss_receiver", "gnss", "ideal_gnss"},
     "height": {"barometer", "ideal_barometer"},
     "attitude": {"attitude_estimator", "ideal_attitude"},
-    "specific_force": {"accelerometer", "ideal_accelerometer"},
+    "specific_force": {"accelerometer", "ideal_accelerometer", "imu", "ideal_imu"},
 }
 
 
@@ -54,6 +55,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
     """Check the parameters against each other; one sentence per fault."""
     return [
         *timing_problems(scenario),
+        *fitting_problems(scenario),
         *_inheritance_problems(scenario),
         *_wind_problems(scenario),
         *air_problems(scenario),

@@ -117,6 +117,9 @@ def _group(parts: list[str]) -> Mapping[str, type] | None:
 
 def _static(owner: Any, names: list[str]) -> bool:
     fields = {field.name: field for field in dataclasses.fields(owner)}
+    # What a scenario says of every sensor, as its delay, is no field of the sensor and is compiled.
+    if names[0] not in fields:
+        return True
     field = fields[names[0]]
     return field_info(field).static if len(names) == 1 else _static(type(field.default), names[1:])
 

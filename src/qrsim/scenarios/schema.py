@@ -20,6 +20,7 @@ from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.component_schema import Finite, Strict, choice_of, component_model, slot_of
+from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.legs import Corner, GeodeticSpec, LegSpec, Position
 from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, BuildingsSpec, obstacle_slot
 from qrsim.scenarios.sky_of_receivers import with_sky
@@ -163,7 +164,7 @@ if TYPE_CHECKING:
 else:
     WindSlot = slot_of(known.WINDS)
     TurbulenceSlot = slot_of(known.TURBULENCES)
-    SensorSlot = slot_of(known.SENSORS, each=True)
+    SensorSlot = slot_of(known.SENSORS, each=True, more=FITTING)
     OrbitsSlot = slot_of(known.ORBITS)
     SkyErrorsSlot = slot_of(known.SKY_ERRORS)
     AreaSlot = _area_slot()
@@ -379,7 +380,8 @@ def refresh(kind: str) -> None:
     if kind not in _PLACES:
         return
     model, name, each = _PLACES[kind]
-    slot = _area_slot() if kind == "area" else slot_of(known.KINDS[kind], each=each)
+    more = FITTING if kind == "sensor" else None
+    slot = _area_slot() if kind == "area" else slot_of(known.KINDS[kind], each=each, more=more)
     # The classes stay the same, because others have imported them; only what may stand in them is new.
     field = model.model_fields[name]
     if name == "sensors":

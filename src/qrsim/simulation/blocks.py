@@ -148,13 +148,15 @@ class LockStep:
 
         def heard(carry: Carry) -> Any:
             state = carry.state
-            return state.sky, [(fleet.readings, fleet.violation, fleet.passed_on) for fleet in state.fleets]
+            return state.sky, [
+                (fleet.readings, fleet.violation, fleet.passed_on, fleet.fitted) for fleet in state.fleets
+            ]
 
         found = []
         host = jax.tree.map(np.asarray, flight.get(heard))
         for world in range(len(self.rows)):
             sky, own = jax.tree.map(lambda leaf, world=world: leaf[world], host)
-            names = ("readings", "violation", "passed_on")
+            names = ("readings", "violation", "passed_on", "fitted")
             fleets = [SimpleNamespace(**dict(zip(names, fleet, strict=True))) for fleet in own]
             state: Any = SimpleNamespace(sky=sky, fleets=fleets)
             flying = np.concatenate([fleet.violation.code for fleet in fleets]) == 0

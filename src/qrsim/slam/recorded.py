@@ -149,7 +149,7 @@ def _fixes(fleet: Fleet, gnss: str, position: Floats, time_step: float, ticks: i
     """Return the ticks (F,) at which fixes were made and where they say the vehicle was, (F, 2) [m].
 
     Raises:
-        UsageError: fixes come between two states.
+        UsageError: fixes come between two states, or at times of their own.
     """
     sensor = dict(zip(fleet.sensor_names, fleet.sensors, strict=True))[gnss]
     period = period_ticks(sensor.period, time_step)
@@ -157,7 +157,10 @@ def _fixes(fleet: Fleet, gnss: str, position: Floats, time_step: float, ticks: i
         raise UsageError(
             f"state_period: fixes every {period * time_step:g} s are not all at states every {ticks * time_step:g} s"
         )
-    delay = sensor.delay * period
+    fitting = fleet.fitting(fleet.sensor_names.index(gnss))
+    if fitting is not None and fitting.jitter > 0.0:
+        raise UsageError(f"{gnss}: fixes that are delivered with a jitter cannot be told apart; give it none")
+    delay = sensor.delay * period if fitting is None or not fitting.is_late else round(fitting.delay * period)
     # Before a fix that is late was made, a receiver reports the one of the start.
     reported = np.arange(delay, len(position), period)
     places = position[reported, :2]

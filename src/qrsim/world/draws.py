@@ -47,19 +47,33 @@ def _streams(fleet: Fleet, keys: StreamKeys) -> dict[str, Stream]:
     return {name: keys.stream(i, ids) for i, name in enumerate(fleet.stream_names)}
 
 
-def draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array) -> dict[str, Noise]:
-    """Return the noise of one tick: drawn together for what steps at every tick, on demand for the others."""
+def draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array, first: bool = False) -> dict[str, Noise]:
+    """Return the noise of one tick: drawn together for what steps at every tick, on demand for the others.
+
+    Args:
+        world, fleet: parameters.
+        keys: of the fleet's streams.
+        tick: () integer.
+        first: whether it is that of a start.
+    """
     like = jnp.zeros((), fleet.start.position_ned.x.dtype)
     streams = _streams(fleet, keys)
     most: dict[str, int | None] = {}
+    counts: dict[str, int] = {}
     users: dict[str, Turbulence | Vehicle | Sensor] = {TURBULENCE: world.turbulence, PROCESS: fleet.vehicle}
     for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
         every_tick = period_ticks(sensor.period, world.time_step) == 1
         if every_tick and not sensor.draws_alone:
             users[name] = sensor
-        most[name] = None if sensor.draws_alone else sensor.normals
-    drawn = draw_together([streams[name] for name in users], [user.normals for user in users.values()], tick, like)
-    on_demand = {name: Draw(stream, tick, like, most[name]) for name, stream in streams.items() if name not in users}
+        count = (first and sensor.first_normals) or sensor.normals
+        counts[name] = count
+        most[name] = None if sensor.draws_alone else count
+    drawn = draw_together(
+        [streams[name] for name in users], [counts.get(name, user.normals) for name, user in users.items()], tick, like
+    )
+    on_demand = {
+        name: Draw(stream, tick, like, most.get(name)) for name, stream in streams.items() if name not in users
+    }
     return {**dict(zip(users, drawn, strict=True)), **on_demand}
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TypedDict, cast
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypedDict, cast
 
 import jax.numpy as jnp
 from jax import Array
@@ -14,7 +16,8 @@ from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.sensors.contracts import Sensor
-from qrsim.world.state import Belief, Fleet, FleetState, World, period_ticks, when_due
+from qrsim.models.sensors.fitting import Fitted, Fitting, mounted, start_fitted
+from qrsim.world.state import DELIVERY, Belief, Fleet, FleetState, World, period_ticks, when_due
 
 
 def sense(
@@ -30,12 +33,13 @@ def sense(
     """Step the sensors that are due; the readings of invalid vehicles are NaN."""
     scene = scene_of(fleet, state, sky, view)
     valid = state.violation.code == 0
-    states, delivered, undisturbed = [], [], []
+    states, delivered, undisturbed, fitted = [], [], [], []
     passed_on = state.passed_on
     for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
         faulty = any(fault.sensor == name for fault in fleet.faults)
         held = state.true_readings[i] if faulty else state.readings[i]
-        inputs = {item: scene[item] for item in sensor.reads}
+        fitting, memory_of_fitting = fleet.fitting(i), _fitted(state, i)
+        inputs = inputs_of(sensor, fitting, scene, memory_of_fitting, world.time_step)
 
         assert held is not None
 
@@ -48,14 +52,23 @@ def sense(
             return sensor.step(memory, noise[name], **inputs)
 
         ticks = period_ticks(sensor.period, world.time_step)
-        memory, reading = when_due(ticks, due, fresh, (state.sensors[i], held))
+        if fitting is not None and memory_of_fitting is not None and memory_of_fitting.transit is not None:
+            draw = noise.get(f"{name}{DELIVERY}", noise[name])
+            late = partial(_sent, fresh, fitting, memory_of_fitting, draw, sensor.period, world.time_step, after)
+            memory, transit = when_due(ticks, due, late, (state.sensors[i], memory_of_fitting.transit))
+            memory_of_fitting = replace(memory_of_fitting, transit=transit)
+            reading = transit.delivered(after)
+        else:
+            memory, reading = when_due(ticks, due, fresh, (state.sensors[i], held))
         states.append(memory)
+        fitted.append(_moved_on(memory_of_fitting, scene))
         undisturbed.append(reading if faulty else None)
         reading, passed_on = faulted(fleet, name, reading, passed_on, after)
         delivered.append(map_tree(lambda leaf: jnp.where(valid, leaf, jnp.nan), reading))
     return replace(
         state,
-        belief=_believed(world, fleet, state.belief, tuple(delivered), due),
+        belief=_believed(world, fleet, state.belief, tuple(delivered), tuple(fitted), due, after),
+        fitted=tuple(fitted) if state.fitted else (),
         sensors=tuple(states),
         readings=tuple(delivered),
         true_readings=tuple(undisturbed),
@@ -63,8 +76,57 @@ def sense(
     )
 
 
+def inputs_of(
+    sensor: Sensor, fitting: Fitting | None, scene: dict[str, object], memory: Fitted | None, time_step: float
+) -> dict[str, object]:
+    """Return what a sensor reads, where it is mounted."""
+    if fitting is None or (fitting.position_body is None and fitting.attitude is None):
+        return {item: scene[item] for item in sensor.reads}
+    before = None if memory is None else memory.rates_body
+    return cast(dict[str, object], mounted(fitting, scene, sensor.reads, before, time_step))
+
+
+def starting_fitted(fleet: Fleet, scene: dict[str, object], readings: tuple[Record, ...], tick: Array) -> Any:
+    """Return what the fittings of a fleet remember at a start, with the first readings of its sensors."""
+    if not fleet.fittings:
+        return ()
+    rates = cast(Vec3, scene["rates_body"])
+    return tuple(
+        None if fitting is None else start_fitted(fitting, sensor.reads, reading, sensor.period, tick, rates)
+        for fitting, sensor, reading in zip(fleet.fittings, fleet.sensors, readings, strict=True)
+    )
+
+
+def _fitted(state: FleetState, number: int) -> Fitted | None:
+    return state.fitted[number] if state.fitted else None
+
+
+def _moved_on(memory: Fitted | None, scene: dict[str, object]) -> Fitted | None:
+    """Return the memory of a fitting with the rates of now, where it needs them at the next tick."""
+    if memory is None or memory.rates_body is None:
+        return memory
+    return replace(memory, rates_body=cast(Vec3, scene["rates_body"]))
+
+
+def _sent(
+    step: Callable[[], tuple[object, Record]], fitting: Fitting, memory: Fitted, draw: Any, period: float, dt: float,
+    tick: Array,
+) -> tuple[object, Any]:  # fmt: skip
+    """Step a sensor and send its reading; return its state, and what is on its way."""
+    after, reading = step()
+    assert memory.transit is not None
+    late = fitting.ticks(period, dt, draw, memory.transit.due[0].shape)
+    return after, memory.transit.sent(reading, tick, late)
+
+
 def _believed(
-    world: World, fleet: Fleet, belief: Belief | None, readings: tuple[Record, ...], due: Array
+    world: World,
+    fleet: Fleet,
+    belief: Belief | None,
+    readings: tuple[Record, ...],
+    fitted: tuple[Fitted | None, ...],
+    due: Array,
+    after: Array,
 ) -> Belief | None:
     """Return what the controller's own estimator makes of the readings of now; None without one."""
     estimator = fleet.controller.estimator()
@@ -72,7 +134,10 @@ def _believed(
         return None
     named = dict(zip(fleet.sensor_names, readings, strict=True))
     dt = world.time_step
-    fresh = {name: sensor.fresh(due, dt) for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True)}
+    fresh = {
+        name: sensor.fresh(due, dt) if memory is None or memory.transit is None else memory.transit.fresh(after)
+        for name, sensor, memory in zip(fleet.sensor_names, fleet.sensors, fitted, strict=True)
+    }
     return Belief(*estimator.step(belief.memory, named, fresh, dt))
 
 
@@ -93,6 +158,7 @@ def faulted(
 def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings | None = None) -> dict[str, object]:
     """Everything a sensor may declare in ``reads``."""
     vehicle = fleet.vehicle.pose(state.vehicle)
+    loads = any("load" in sensor.reads for sensor in fleet.sensors)
     return {
         "position_ned": vehicle.position_ned,
         "position_low_ned": state.position_low_ned,
@@ -102,6 +168,7 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
         "rates_body": vehicle.rates_body,
         "specific_force": state.specific_force,
         "wind_ned": state.mean_wind_ned + state.gust_ned,
+        "load": fleet.vehicle.load(state.vehicle) if loads else None,
         "sky": sky,
         "surroundings": view,
         "ground": None if view is None else view.ground,

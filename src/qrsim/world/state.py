@@ -26,6 +26,7 @@ from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.placement import GivenPlaces
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.faults import Fault
+from qrsim.models.sensors.fitting import Fitted, Fitting
 from qrsim.models.vehicles.contracts import Battery, Vehicle, VehicleState
 from qrsim.models.vehicles.faults import RotorFault
 
@@ -36,6 +37,8 @@ Action = object
 SKY = "/sky"
 PLUME, TERRAIN, PERSONS, PLACEMENT, RANGE = "/plume", "/terrain", "/persons", "/placement", "/range"
 FIELD = "/turbulence"
+# What a sensor draws for the delivery of its readings is the stream of its name and this.
+DELIVERY = "/delivery"
 # Users of noise in a fleet beside its sensors, whose names are therefore taken.
 TURBULENCE, PROCESS = "turbulence", "process"
 
@@ -75,6 +78,9 @@ class Fleet:
     )
 
     rotor_faults: tuple[RotorFault, ...] = quantity(default=(), doc="faults of rotors")
+    fittings: tuple[Fitting | None, ...] = quantity(
+        default=(), doc="of each sensor, None for one at the centre of mass without delay; empty if all are"
+    )
 
     @property
     def size(self) -> int:
@@ -84,7 +90,17 @@ class Fleet:
     @property
     def stream_names(self) -> tuple[str, ...]:
         """Names of the fleet's noise streams, in the order of its keys."""
-        return (TURBULENCE, PROCESS, *self.sensor_names)
+        return (TURBULENCE, PROCESS, *self.sensor_names, *(f"{name}{DELIVERY}" for name in self._jittered))
+
+    @property
+    def _jittered(self) -> tuple[str, ...]:
+        """Names of the sensors whose readings take now longer, now shorter."""
+        pairs = zip(self.sensor_names, self.fittings, strict=False)
+        return tuple(name for name, fitting in pairs if fitting is not None and fitting.jitter > 0.0)
+
+    def fitting(self, number: int) -> Fitting | None:
+        """Return how a sensor is fitted; None: at the centre of mass, and its readings are there at once."""
+        return self.fittings[number] if self.fittings else None
 
 
 @record
@@ -203,6 +219,9 @@ class FleetState:
         default=None, unit="m", doc="what single precision leaves out of vehicle.position_ned; None in double precision"
     )
     belief: Belief | None = quantity(default=None, doc="the controller's own estimator; None without one")
+    fitted: tuple[Fitted | None, ...] = quantity(
+        default=(), doc="of each sensor what its fitting remembers; empty where no sensor has one"
+    )
     parked: Array | None = quantity(default=None, doc="bool: held on the ground; None where touching it ends a flight")
 
 

@@ -36,7 +36,7 @@ from qrsim.world.episode import (
     step_contents,
     surroundings,
 )
-from qrsim.world.sensing import estimate_of, faulted, scene_of, sense
+from qrsim.world.sensing import estimate_of, faulted, inputs_of, scene_of, sense, starting_fitted
 from qrsim.world.standing import ground_checks, on_ground, over_the_floor, seen_ground, settled, started
 from qrsim.world.state import (
     PROCESS,
@@ -304,7 +304,7 @@ def start_fleet(
         low = low or Vec3.zeros(like.shape, like.dtype)
     vehicle, low, parked = started(world, fleet, vehicle, low)
     pose = fleet.vehicle.pose(vehicle)
-    draws = draw_fleet(world, fleet, keys, tick)
+    draws = draw_fleet(world, fleet, keys, tick, first=True)
     height = world.height_agl(pose.position_ned)
     time = split_time(tick, world.time_step, height.dtype)
     mean_wind = mean_wind_at(world.wind, height, pose.position_ned, time)
@@ -350,7 +350,7 @@ def start_fleet(
     scene = scene_of(fleet, state, sky, view)
     firsts = []
     for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
-        inputs = {item: scene[item] for item in sensor.reads}
+        inputs = inputs_of(sensor, fleet.fitting(i), scene, None, world.time_step)
         if before is not None:
             since = (tick % period_ticks(sensor.period, world.time_step)).astype(like.dtype) * world.time_step
             firsts.append(sensor.restart(before.sensors[i], draws[name], since, **inputs))
@@ -368,6 +368,7 @@ def start_fleet(
     return replace(
         state,
         belief=None if estimator is None else Belief(*estimator.init(known, estimate)),
+        fitted=starting_fitted(fleet, scene, tuple(reading for _, reading in firsts), tick),
         sensors=tuple(memory for memory, _ in firsts),
         readings=tuple(delivered),
         true_readings=tuple(reading if name in faulty else None for name, reading in readings.items()),

@@ -12,9 +12,8 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 from jax import Array
 
 from qrsim.core.tree import Record, select
-from qrsim.core.vectors import Euler, Vec3
 
-# What a sensor may declare in ``reads``; each is (n,) but the last four.
+# What a sensor may declare in ``reads``; each is (n,) but the sky and what stands after it.
 SCENE = (
     "position_ned",
     "position_low_ned",
@@ -24,6 +23,7 @@ SCENE = (
     "rates_body",
     "specific_force",
     "wind_ned",
+    "load",
     "sky",
     "surroundings",
     "ground",
@@ -43,22 +43,19 @@ class Sensor(Protocol):
         period: interval between readings [s], a multiple of the time step.
         reads: what it looks at, of ``SCENE``.
         normals: standard normals that ``init`` and ``step`` draw for each vehicle.
+        first_normals: those of ``init``, where it draws another number of them; 0: as many.
         draws_alone: whether it draws any number of normals, from a ``Draw`` of its own; ``normals`` does not count.
-        delay: periods between the instant of a reading and its delivery, on average.
-        jitter: std of the time of delivery [s].
-        mount_position_body: where it is mounted [m] from the centre of mass; None: there.
-        mount_attitude: how it is turned against the body axes [rad]; None: not at all.
+        delay: periods for which it holds back each reading itself. Where it has no such parameter, the ``delay`` of a
+            scenario is the world's affair, which also mounts every sensor (fitting.py).
         takes_pictures: whether it has ``develop``, which makes a picture of a reading (camera.py).
     """
 
     period: float
     reads: ClassVar[tuple[str, ...]] = ()
     normals: ClassVar[int] = 0
+    first_normals: ClassVar[int] = 0
     draws_alone: ClassVar[bool] = False
     delay: int = 0
-    jitter: float = 0.0
-    mount_position_body: Vec3 | None = None
-    mount_attitude: Euler | None = None
     takes_pictures: ClassVar[bool] = False
 
     @abstractmethod

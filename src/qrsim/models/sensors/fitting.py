@@ -1,0 +1,166 @@
+"""How a sensor is fitted to its vehicle: where it sits, how it is turned, and how late its readings come.
+
+This is the same for every sensor, so no model has it: the world hands a sensor what is true where it sits, and holds
+its readings back until they are delivered (world/sensing.py).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.fastmath import arctan2
+from qrsim.core.tree import Record, quantity, record, select, setting
+from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
+
+# Periods that a reading may be on its way, and the spreads of its delay after which it is there at the latest.
+LONGEST_DELAY, LATEST = 50, 6.0
+
+
+@record
+class Fitting:
+    """Where a sensor is mounted, and how its readings are delivered.
+
+    Delays have a gamma distribution of the mean and the spread that are given (Wilson and Hilferty's approximation, at
+    most six spreads above the mean), because none can be negative. Readings arrive in the order in which they were
+    taken.
+    """
+
+    position_body: Vec3 | None = quantity(default=None, unit="m", doc="from the centre of mass; None: there")
+    attitude: Euler | None = quantity(default=None, unit="rad", doc="against the body axes; None: along them")
+    delay: float = setting(default=0.0, unit="periods", doc="mean time from reading to delivery", minimum=0.0)
+    jitter: float = setting(default=0.0, unit="s", doc="std of the time of delivery", minimum=0.0)
+
+    @property
+    def is_late(self) -> bool:
+        """Whether readings are held back at all."""
+        return self.delay > 0.0
+
+    def slots(self, period: float) -> int:
+        """Return how many readings are kept: those on their way, and the one delivered last."""
+        return math.ceil(round(self.delay + LATEST * self.jitter / period, 9)) + 1
+
+    def ticks(self, period: float, time_step: float, draw: Any, shape: tuple[int, ...]) -> Array:
+        """Return for how many ticks (n,) int32 readings taken now are on their way."""
+        mean = self.delay * period
+        if self.jitter == 0.0:
+            return jnp.full(shape, round(mean / time_step), jnp.int32)
+        spread = self.jitter / mean
+        cube = 1.0 - spread * spread / 9.0 + (spread / 3.0) * draw.normals(1)[0]
+        late = jnp.clip(mean * (cube * cube * cube), 0.0, mean + LATEST * self.jitter)
+        return jnp.round(late * (1.0 / time_step)).astype(jnp.int32)
+
+
+@record
+class Transit:
+    """Readings of n vehicles on their way, oldest first."""
+
+    readings: tuple[Record, ...] = quantity(doc="the first has always been delivered")
+    taken: tuple[Array, ...] = quantity(doc="(n,) int32 tick at which each was true")
+    due: tuple[Array, ...] = quantity(doc="(n,) int32 tick at which each is delivered")
+
+    @staticmethod
+    def starting(reading: Record, slots: int, tick: Array, like: Array) -> Transit:
+        """Return what is on its way at a start: the first reading, which is there at once."""
+        now = jnp.broadcast_to(jnp.asarray(tick, jnp.int32), like.shape)
+        return Transit((reading,) * slots, (now,) * slots, (now,) * slots)
+
+    def sent(self, reading: Record, tick: Array, ticks: Array) -> Transit:
+        """Return it with a reading that is sent at a tick and takes so many ticks (n,), but overtakes none."""
+        now = jnp.broadcast_to(jnp.asarray(tick, jnp.int32), ticks.shape)
+        due = jnp.maximum(now + ticks, self.due[-1])
+        return Transit((*self.readings[1:], reading), (*self.taken[1:], now), (*self.due[1:], due))
+
+    def delivered(self, tick: Array) -> Record:
+        """Return the newest reading (n,) that is there at a tick."""
+        found = self.readings[0]
+        for reading, due in zip(self.readings[1:], self.due[1:], strict=True):
+            found = select(due <= tick, reading, found)
+        return found
+
+    def time_of_reading(self, tick: Array) -> Array:
+        """Return the tick (n,) at which the reading that is there at a tick was true."""
+        found = self.taken[0]
+        for taken, due in zip(self.taken[1:], self.due[1:], strict=True):
+            found = jnp.where(due <= tick, taken, found)
+        return found
+
+    def fresh(self, tick: Array) -> Array:
+        """Return (n,) bool whether a reading arrives at a tick."""
+        found = self.due[0] == tick
+        for due in self.due[1:]:
+            found = found | (due == tick)
+        return found
+
+
+@record
+class Fitted:
+    """What a world remembers of a sensor's fitting."""
+
+    transit: Transit | None = quantity(default=None, doc="readings on their way; None where they are there at once")
+    rates_body: Vec3 | None = quantity(
+        default=None, unit="rad/s", doc="true rates at the last tick; None where the mounting does not need them"
+    )
+
+
+def start_fitted(
+    fitting: Fitting, reads: tuple[str, ...], reading: Record, period: float, tick: Array, rates_body: Vec3
+) -> Fitted:
+    """Return the memory of a fitting at a start, from the first reading and the true rates (n,) [rad/s]."""
+    transit = None
+    if fitting.is_late:
+        transit = Transit.starting(reading, fitting.slots(period), tick, rates_body.x)
+    lever = fitting.position_body is not None and "specific_force" in reads
+    return Fitted(transit, rates_body if lever else None)
+
+
+def mounted(fitting: Fitting, scene: Mapping[str, Any], reads: tuple[str, ...], before: Vec3 | None, dt: float) -> Any:
+    """Return what is true at a sensor, by its name in ``reads``, in the sensor's axes where those of the body stand.
+
+    With r from the centre of mass: position + D^T r, velocity + omega x r, and for the mean specific force of a step
+    + omega' x r + omega x (omega x r), with the mean rates of the step and omega' their change over it.
+
+    Args:
+        fitting: of the sensor.
+        scene: what is true at the centre of mass.
+        reads: what the sensor looks at.
+        before: rates (n,) [rad/s] one step ago; None: as now.
+        dt: step [s].
+    """
+    found = {item: scene[item] for item in reads}
+    lever, turned = fitting.position_body, fitting.attitude
+    rates: Vec3 = scene["rates_body"]
+    like = rates.x
+    if lever is not None:
+        arm = lever.map(lambda axis: jnp.broadcast_to(jnp.asarray(axis, like.dtype), like.shape))
+        direction = rotation(scene["attitude"])
+        swing = rates.cross(arm)
+        if "position_ned" in found:
+            found["position_ned"] = scene["position_ned"] + direction.to_ned(arm)
+        if "velocity_ned" in found:
+            found["velocity_ned"] = scene["velocity_ned"] + direction.to_ned(swing)
+        if "velocity_body" in found:
+            found["velocity_body"] = scene["velocity_body"] + swing
+        if "specific_force" in found:
+            old = rates if before is None else before
+            mean, change = (rates + old) * 0.5, (rates - old) * (1.0 / dt)
+            found["specific_force"] = scene["specific_force"] + change.cross(arm) + mean.cross(mean.cross(arm))
+    if turned is not None:
+        axes = rotation(Euler(*(jnp.asarray(angle, like.dtype) for angle in (turned.roll, turned.pitch, turned.yaw))))
+        for name in ("velocity_body", "rates_body", "specific_force"):
+            if name in found:
+                found[name] = axes.to_body(found[name])
+        if "attitude" in found:
+            found["attitude"] = _euler(axes, rotation(scene["attitude"]))
+    return found
+
+
+def _euler(axes: Rotation, body: Rotation) -> Euler:
+    """Return the attitude of axes that are turned against those of a body."""
+    forward, right, down = (body.to_ned(axis) for axis in (axes.forward, axes.right, axes.down))
+    pitch = arctan2(-forward.z, jnp.sqrt(forward.x * forward.x + forward.y * forward.y))
+    return Euler(arctan2(right.z, down.z), pitch, arctan2(forward.y, forward.x))
