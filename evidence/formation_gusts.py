@@ -83,10 +83,9 @@ def line(kind: str, over_ground: float, seconds: float, sweep: float = 0.0) -> d
             vehicle["waypoints_ned"] = [[north + over_ground * (seconds + 20.0), east, down]]
     world = load_study(STUDY).content["world"]
     wind = {"type": "log_shear", "speed_20ft": SPEED_20FT, "wind_from_deg": 180.0}
-    return {
-        "name": "line", "duration": seconds, "world": {**world, "wind": wind, "turbulence": turbulence(kind, sweep)},
-        "fleets": {"line": fleet},
-    }  # fmt: skip
+    area = {"type": "box", "x_min": -4e3, "x_max": 4e3, "y_min": -1e3, "y_max": 1e3, "z_min": -200.0, "z_max": 0.0}
+    parts = {"area": area, "wind": wind, "turbulence": turbulence(kind, sweep)}
+    return {"name": "line", "duration": seconds, "world": {**world, **parts}, "fleets": {"line": fleet}}
 
 
 def _looked(state: State) -> Any:

@@ -11,6 +11,8 @@ from evidence import _formation_pictures as pictures
 from evidence import _intervals as interval
 from evidence import formation_gusts as study
 
+from qrsim.scenarios.scenario import load_scenario
+
 
 def test_intervals_are_those_of_the_textbook() -> None:
     """Bootstrap of a mean beside s/sqrt(n), and the exact ones of 0 and 10 of 40 (Clopper and Pearson 1934)."""
@@ -55,6 +57,13 @@ def test_a_lag_is_found_between_steps() -> None:
     # u20 ln(20 m/z0)/ln(20 ft/z0) = 4 x 1.2430 m/s.
     assert found["expected_s"] == pytest.approx(10.0 / 4.972, rel=1e-3)
     assert found["lag_s"]["value"] == pytest.approx(found["expected_s"], abs=0.03)
+
+
+@pytest.mark.parametrize("over_ground", study.FLIGHTS.values())
+def test_lines_fly_within_their_area_for_as_long_as_the_study_lasts(over_ground: float) -> None:
+    """The corners of a route are checked where a scenario is read."""
+    content = study.line("dryden_field", over_ground, study.LEFT_OUT_S + study.FULL[1])
+    assert load_scenario(content, quiet=True).world().fleets[0].size == study.ABREAST
 
 
 def test_the_animation_is_small() -> None:
