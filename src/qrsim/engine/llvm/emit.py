@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +39,8 @@ class Emitter(Loops):
                 Neighbours(self).write(step.nodes[0])
             elif step.kind == "scatter":
                 write_scatter(self, step.nodes[0])
+            elif step.kind == "rows":
+                self._rows(step, stored)
             # Scalars stay in registers, between loops too.
             elif step.domain == ():
                 self._straight(step)
@@ -80,24 +84,53 @@ class Emitter(Loops):
         # A sum along the vector's own axis would be taken in another order.
         if self.side_by_side or self.lanes == 1 or (last in step.reduced and ordered):
             lane_axis = None
-        together = 1 if step.reduced else _together(step, lane_axis)
-        # Turns at once, each with values of its own: divisions and roots of one wait while those of the other run.
-        scopes = [Scope(step.domain, ["0"] * len(step.domain), lane_axis, {}, {}) for _ in range(together)]
-        self.scope = scopes[0]
-        with self.over(step.kept, step.domain, lane_axis, together):
-            self._spread_counters(scopes, lane_axis)
+        together = 1 if step.reduced else _together(step, shared_axis(step.kept, lane_axis))
+        self._loops(step, step.kept, Scope(step.domain, ["0"] * (last + 1), lane_axis, {}, {}), together, stored)
+
+    def _rows(self, step: Step, stored: set[int]) -> None:
+        """Write one loop over the last axis of several nests, in it one nest after the other."""
+        vectors = self.lanes > 1 and not self.side_by_side
+        # Numbers of which an element of the axis has one stay in registers for the parts that follow.
+        row: dict[int, str] = {}
+        self.open_scope(step.domain)
+        with self.loop(step.domain[0], self.lanes if vectors else 1) as counter:
+            for part in step.parts:
+                last = len(part.domain) - 1
+                kept = [axis for axis in part.kept if axis != last]
+                together = _together(part, shared_axis(part.reduced or kept, None))
+                scope = Scope(part.domain, ["0"] * last + [counter], last if vectors else None, {}, {}, row)
+                accumulators = self._loops(part, kept, scope, together, stored)
+                if not kept:
+                    row |= {n: self.load(node.dtype, pointer, self._reduced_width(node))
+                            for n, (node, pointer) in accumulators.items()}  # fmt: skip
+                if last == 0:
+                    row |= scope.values
+
+    def _loops(
+        self, step: Step, kept: Sequence[int], scope: Scope, together: int, stored: set[int]
+    ) -> dict[int, tuple[Node, str]]:
+        """Write a loop over kept axes, in it one over the reduced axes; return the reductions and where they lie.
+
+        Several turns of the innermost may be written at once, each with values of its own: divisions and roots of one
+        wait while those of the other run.
+        """
+        scopes = [scope, *(replace(scope, variables=[], values={}, offsets={}) for _ in range(1, together))]
+        self.scope, lane_axis = scope, scope.lane_axis
+        with self.over(kept, step.domain, lane_axis, 1 if step.reduced else together):
             # On the stack, which LLVM turns into registers: then nothing need be carried through the loops by hand.
-            accumulators = {node.number: self._accumulator(node) for node in step.nodes if node.op == "reduce"}
-            with self.over(step.reduced, step.domain, lane_axis):
+            reductions = [node for node in step.nodes if node.op == "reduce"]
+            accumulators = {node.number: (node, self._accumulator(node)) for node in reductions}
+            with self.over(step.reduced, step.domain, lane_axis, together):
+                self._spread_counters(scopes, shared_axis(step.reduced or kept, lane_axis))
                 if 0 not in step.domain:
                     self._body(step, scopes, accumulators, stored)
-            for node in step.nodes:
-                if node.op == "reduce":
-                    self._finish(node, accumulators[node.number])
+            for node, pointer in accumulators.values():
+                if node.number in stored:
+                    self._finish(node, pointer)
+        return accumulators
 
-    def _spread_counters(self, scopes: list[Scope], lane_axis: int | None) -> None:
-        """Let the further ones of several scopes stand beside the first along the axis that they share."""
-        axis = shared_axis(scopes[0].domain, lane_axis)
+    def _spread_counters(self, scopes: list[Scope], axis: int | None) -> None:
+        """Let the further ones of several scopes stand beside the first along an axis."""
         for i, scope in enumerate(scopes[1:], 1):
             scope.variables[:] = scopes[0].variables
             assert axis is not None
@@ -105,13 +138,15 @@ class Emitter(Loops):
             scope.variables[axis] = self.emit(f"add nuw nsw i64 {counter}, {i}")
             scope.offsets.clear()
 
-    def _body(self, step: Step, scopes: list[Scope], accumulators: dict[int, str], stored: set[int]) -> None:
+    def _body(
+        self, step: Step, scopes: list[Scope], accumulators: dict[int, tuple[Node, str]], stored: set[int]
+    ) -> None:
         """Write one turn of a loop, or several at once, operation by operation."""
         for node in step.nodes:
             for scope in scopes:
                 self.scope = scope
                 if node.op == "reduce":
-                    self._accumulate(node, accumulators[node.number])
+                    self._accumulate(*accumulators[node.number])
                 else:
                     scope.values[node.number] = self._compute(node, self._width(node))
         for scope in scopes:
@@ -323,13 +358,12 @@ def neutral(how: str, dtype: Any) -> str:
     return str(limits.max if how == "min" else limits.min)
 
 
-def _together(step: Step, lane_axis: int | None) -> int:
-    """Return how many turns of a loop are written as one.
+def _together(step: Step, axis: int | None) -> int:
+    """Return how many turns of a loop along an axis are written as one.
 
     One turn of a body of some hundred operations that wait for each other fills what the processor looks ahead, and
     few of them run at once. A shorter body needs no help, and a longer one no more of it than its registers hold.
     """
-    axis = shared_axis(step.domain, lane_axis)
-    if axis is None or not 100 <= len(step.nodes) <= 200:
+    if axis is None or not 60 <= len(step.nodes) <= 200 or (len(step.nodes) < 100 and not step.reduced):
         return 1
     return next((turns for turns in (4, 2) if step.domain[axis] % turns == 0), 1)

@@ -39,13 +39,13 @@ class Loops(Writer):
 
     @contextmanager
     def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Any:
-        """Write loops over some axes of the domain, ``together`` turns of one of them at once."""
+        """Write loops over some axes of the domain, ``together`` turns of the last but the vector's own at once."""
         if not axes:
             yield
             return
         axis = axes[0]
         # Only one axis is unrolled; more would need more registers than there are.
-        turns = together if axis == shared_axis(domain, lane_axis) else 1
+        turns = together if axis == shared_axis(axes, lane_axis) else 1
         with self.loop(domain[axis], self.lanes if axis == lane_axis else turns) as counter:
             self.scope.variables[axis] = counter
             with self.over(axes[1:], domain, lane_axis, together):
@@ -105,7 +105,7 @@ class Loops(Writer):
         return Access(copy, tuple((axis, 0) for axis in range(len(shape))))
 
 
-def shared_axis(domain: Shape, lane_axis: int | None) -> int | None:
+def shared_axis(axes: Sequence[int], lane_axis: int | None) -> int | None:
     """Return the axis along which several turns of a loop can be taken at once: the last but the vector's own."""
-    axes = [axis for axis in range(len(domain)) if axis != lane_axis]
-    return axes[-1] if axes else None
+    others = [axis for axis in axes if axis != lane_axis]
+    return others[-1] if others else None

@@ -177,8 +177,8 @@ class _Writer:
         done = {node.number for node in all_nodes(self.prologue)}
         self.body = scheduler.steps([node for node in nodes if not node.invariant], done)
         # A value that only its own loop reads needs no memory.
-        every = materialised([*self.prologue, *self.body], self.results)
-        computed = all_nodes([*self.prologue, *self.body])
+        whole, self.short = materialised([*self.prologue, *self.body], self.results)
+        every, computed = whole | self.short, all_nodes([*self.prologue, *self.body])
         self.stored = {node.number for node in computed if node.number in every and not _in_register(node)}
         self.in_place = in_place([*self.prologue, *self.body])
         self._place()
@@ -201,7 +201,7 @@ class _Writer:
                     # What a branch makes for itself is not needed after the branching.
                     inner = node not in step.nodes
                     end = i if inner else max(i, last.get(node.number, 0))
-                    ending.setdefault(end, []).append((place.offset, self._bytes(node.shape, node)))
+                    ending.setdefault(end, []).append((place.offset, self._bytes(self._kept_shape(node), node)))
             for offset, size in ending.pop(i, []):
                 self.arena.give(offset, size)
         self._place_carries()
@@ -231,19 +231,19 @@ class _Writer:
                 and node.number not in self.places
                 and node.op not in ("reduce", *ALONE)
                 and access.identical(leaf.shape)
-                and all(self._before(reading, step, leaf) for reading in read[leaf.number])
+                and all(self._before(reading, step, node) for reading in read[leaf.number])
             )
             if fits:
                 self.places[node.number] = place
             elif not (node is leaf and access.identical(leaf.shape)):
                 self.moves.append((access, leaf.shape, place))
 
-    def _before(self, reading: tuple[int, Any, Access], step: int, leaf: Node) -> bool:
+    def _before(self, reading: tuple[int, Any, Access], step: int, writer: Node) -> bool:
         at, reader, access = reading
         if at != step:
             return at < step
         if self.body[step].kind != "cond":
-            return reader is not None and access.identical(leaf.shape)
+            return reader is not None and self.body[step].reads_before(reader, access, writer)
         # A branching that each world takes for itself writes its results before it has read everything.
         return not self.side_by_side or self.body[step].nodes[0].args[0].node.uniform
 
@@ -263,11 +263,16 @@ class _Writer:
         return self._take(node, shape)
 
     def _take(self, node: Node, shape: Shape | None = None) -> Place:
-        shape = node.shape if shape is None else shape
+        shape = self._kept_shape(node) if shape is None else shape
         own = self.side_by_side and not node.uniform
         element = stored_bytes(node.dtype) * (self.lanes if own else 1)
         rows = (*shape[:-1], _whole(shape[-1], self.lanes)) if shape and not self.side_by_side else shape
-        return Place("%scratch", self.arena.take(self._bytes(shape, node)), _row_major(rows, element), own)
+        offset, short = self.arena.take(self._bytes(shape, node)), node.number in self.short
+        return Place("%scratch", offset, _row_major(rows, element), own, short=short)
+
+    def _kept_shape(self, node: Node) -> Shape:
+        """Return the shape of what is in memory of a node at one time."""
+        return (*node.shape[:-1], 1) if node.number in self.short else node.shape
 
     def text(self) -> str:
         """Return the module."""

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 from qrsim.engine.llvm.graph import Access, Node, Region, Shape
 from qrsim.engine.llvm.refusal import UnsupportedError
+from qrsim.engine.llvm.rows import along, together
 
 OUTSIDE = ("input", "constant", "carry")
 # Each of these is a step of its own.
 ALONE = ("concatenate", "nearest", "scatter", "running")
 # Of these, the steps of regions are parts.
 NESTED = ("cond", "while")
+# What no loop computes.
+NO_LOOP = (*OUTSIDE, "output", *ALONE, *NESTED)
 
 
 @dataclass(eq=False)
 class Step:
-    """One loop nest, one joining of arrays, or one branching.
+    """One loop nest, several in one loop over their last axis, one joining of arrays, or one branching.
 
     Attributes:
-        kind: ``loop``, or one of ALONE or NESTED.
+        kind: ``loop``, ``rows``, or one of ALONE or NESTED.
         domain: extents of the loops.
         nodes: computed in it, in order.
         kept, reduced: axes of the domain, outer loops first.
         branches: the steps of each region.
+        parts: of rows, the loop nests, each of which is gone through for every element of the last axis.
     """
 
     kind: str
@@ -34,6 +39,17 @@ class Step:
     kept: tuple[int, ...] = ()
     reduced: tuple[int, ...] = ()
     branches: list[list[Step]] = field(default_factory=list)
+    parts: list[Step] = field(default_factory=list)
+
+    def reads_before(self, reader: Node, access: Access, writer: Node) -> bool:
+        """Return whether of each element that ``writer`` computes ``reader``, of this step too, has read before."""
+        if not self.parts:
+            return access.identical(writer.shape)
+        part = {node.number: i for i, each in enumerate(self.parts) for node in each.nodes}
+        first, second = part[reader.number], part[writer.number]
+        if first == second:
+            return access.identical(writer.shape)
+        return first < second and along(access, reader)
 
 
 class Scheduler:
@@ -50,16 +66,54 @@ class Scheduler:
         # How many nodes each domain has: that of most comes last.
         sizes = Counter(node.domain for node in nodes)
         found: list[Step] = []
-        while waiting:
-            step = self._next(waiting, done, sizes)
+
+        def take(step: Step) -> None:
             for node in step.nodes:
                 done.add(node.number)
                 waiting.pop(node.number)
             found.append(step)
+
+        while rows := together(waiting, lambda node: node.op not in NO_LOOP, self._reads):
+            own = {node.number: node for node in rows}
+            before = self._needed(rows, waiting)
+            while any(number in waiting for number in before):
+                others = {number: node for number, node in waiting.items() if number not in own}
+                take(self._next(others, done, sizes, before))
+            take(self._rows(own, done, sizes))
+        while waiting:
+            take(self._next(waiting, done, sizes, waiting.keys()))
         return found
 
-    def _next(self, waiting: dict[int, Node], done: set[int], sizes: Counter[Shape]) -> Step:
-        ready = [node for node in waiting.values() if node.op != "output" and self._ready(node, done)]
+    def _needed(self, nodes: list[Node], waiting: dict[int, Node]) -> set[int]:
+        """Return the numbers of what must be computed before nodes."""
+        own = {node.number for node in nodes}
+        found: set[int] = set()
+        stack = list(nodes)
+        while stack:
+            for access in self._reads(stack.pop()):
+                number = access.node.number
+                if number in waiting and number not in own and number not in found:
+                    found.add(number)
+                    stack.append(access.node)
+        return found
+
+    def _rows(self, nodes: dict[int, Node], done: set[int], sizes: Counter[Shape]) -> Step:
+        extent = next(iter(nodes.values())).domain[-1]
+        step = Step("rows", (extent,), list(nodes.values()))
+        waiting, done = dict(nodes), set(done)
+        while waiting:
+            part = self._next(waiting, done, sizes, waiting.keys())
+            for node in part.nodes:
+                done.add(node.number)
+                waiting.pop(node.number)
+            step.parts.append(part)
+        return step
+
+    def _next(self, waiting: dict[int, Node], done: set[int], sizes: Counter[Shape], wanted: Collection[int]) -> Step:
+        ready = [
+            node for number, node in waiting.items()
+            if number in wanted and node.op != "output" and self._ready(node, done)
+        ]  # fmt: skip
         if not ready:
             # Cannot happen with a jaxpr; it is said rather than looped over for ever.
             raise UnsupportedError("a graph with a cycle")
@@ -80,7 +134,7 @@ class Scheduler:
         inside: set[int] = set()
         reduced: tuple[int, ...] | None = None
         for node in waiting.values():
-            if node.domain != domain or node.op in ("output", *ALONE, *NESTED):
+            if node.domain != domain or node.op in NO_LOOP:
                 continue
             if not all(self._available(access, domain, inside, done) for access in node.args):
                 continue
@@ -109,9 +163,10 @@ class Scheduler:
         return node.number in inside and access.identical(domain)
 
     def _ready(self, node: Node, done: set[int]) -> bool:
-        if node.op in NESTED:
-            return all(access.node.op in OUTSIDE or access.node.number in done for access in self._outer(node))
-        return all(access.node.op in OUTSIDE or access.node.number in done for access in node.args)
+        return all(access.node.op in OUTSIDE or access.node.number in done for access in self._reads(node))
+
+    def _reads(self, node: Node) -> Iterable[Access]:
+        return self._outer(node) if node.op in NESTED else node.args
 
     def _outer(self, cond: Node) -> list[Access]:
         """List the nodes that a step with parts reads from outside."""
@@ -204,10 +259,13 @@ def all_nodes(steps: list[Step]) -> list[Node]:
     return found
 
 
-def materialised(steps: list[Step], results: list[Access]) -> set[int]:
-    """Return the numbers of the nodes that are read outside the loop that computes them, so that they need memory."""
+def materialised(steps: list[Step], results: list[Access]) -> tuple[set[int], set[int]]:
+    """Return the numbers of the nodes that need memory: all of an array, and of one element of its last axis.
+
+    Whole are those that are read outside the loop that computes them.
+    """
     # The results are moved to the state after the last loop.
-    needed = {access.node.number for access in results}
+    needed, short = {access.node.number for access in results}, set()
 
     def visit(steps: list[Step]) -> None:
         for step in steps:
@@ -216,17 +274,29 @@ def materialised(steps: list[Step], results: list[Access]) -> set[int]:
                 needed.update(access.node.number for access in step.nodes[0].args)
                 needed.update(node.number for node in step.nodes if step.kind == "while" and node.op == "output")
             else:
-                own = {node.number for node in step.nodes} if step.kind == "loop" else set()
+                own = {node.number for node in step.nodes} if step.kind in ("loop", "rows") else set()
                 read = [access.node.number for _, access in inner_accesses(step)]
                 needed.update(number for number in read if number not in own)
                 needed.update(node.args[0].node.number for node in step.nodes if node.op == "pick")
             if step.kind == "loop":
                 needed.update(node.number for node in step.nodes if node.op == "reduce")
+            short.update(_between(step.parts))
             for branch in step.branches:
                 visit(branch)
 
     visit(steps)
-    return needed
+    return needed, short - needed
+
+
+def _between(parts: list[Step]) -> set[int]:
+    """Return the numbers of the nodes that one part makes and another reads, but for those of one number an element."""
+    made = {node.number for part in parts for node in part.nodes}
+    found = set()
+    for part in parts:
+        own = {node.number for node in part.nodes}
+        reads = (access.node for _, access in inner_accesses(part))
+        found |= {node.number for node in reads if len(node.shape) > 1 and node.number in made - own}
+    return found
 
 
 class Arena:

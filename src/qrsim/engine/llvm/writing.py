@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ class Place:
     Attributes:
         own: each world has its own elements, side by side.
         tight: nothing may be written behind the last element of a row.
+        short: only the present element, or vector of elements, of the last axis lies there.
     """
 
     pointer: str
@@ -36,17 +37,19 @@ class Place:
     strides: tuple[int, ...]
     own: bool
     tight: bool = False
+    short: bool = False
 
 
 @dataclass
 class Scope:
-    """A loop nest being written."""
+    """A loop nest being written; ``row`` has values (n,) of the present element of the last axis, made before it."""
 
     domain: Shape
     variables: list[str]
     lane_axis: int | None
     values: dict[int, str]
     offsets: dict[Any, Any]
+    row: dict[int, str] = field(default_factory=dict)
 
 
 class Writer:
@@ -143,6 +146,8 @@ class Writer:
     def address(self, place: Place, index: Sequence[tuple[str | None, int]]) -> str:
         """Return a pointer to an element; each axis is at a counter (None: none) plus an offset."""
         fixed, terms = place.offset, []
+        if place.short:
+            index = [*index[:-1], (None, 0)]
         for (variable, offset), stride in zip(index, place.strides, strict=True):
             fixed += offset * stride
             if variable is not None and variable != "0":
@@ -191,6 +196,8 @@ class Writer:
         # Of another element the value is in another turn of the loop, so it is read from memory.
         if node.number in scope.values and access.identical(scope.domain):
             return scope.values[node.number], self._width(node)
+        if node.number in scope.row and access.index == ((len(scope.domain) - 1, 0),):
+            return scope.row[node.number], self._width(node)
         if node.op == "constant" and node.shape == ():
             number = np.frombuffer(node.attributes[0], node.dtype)[0]
             return literal(number, node.dtype), 0
@@ -341,15 +348,13 @@ class Writer:
             # As bools lie in memory everywhere else.
             if array.dtype.kind == "b":
                 array = array.astype(np.int32)
-            # Rows are read in whole vectors.
-            padded = np.zeros((*array.shape[:-1], array.shape[-1] + 2 * self.lanes), array.dtype)
-            padded[..., : array.shape[-1]] = array
+            # Rows are read in whole vectors, so the last one needs something behind it.
+            padded = np.concatenate([array.ravel(), np.zeros(2 * self.lanes, array.dtype)])
             element = stored_type(node.dtype)
-            body = ", ".join(f"{element} {literal(v, np.dtype(array.dtype))}" for v in padded.ravel())
+            body = ", ".join(f"{element} {literal(v, np.dtype(array.dtype))}" for v in padded)
             symbol = f"@constant{node.number}"
             self.constants.append(f"{symbol} = private constant [{padded.size} x {element}] [{body}], align 64")
-            strides = tuple(int(s) for s in padded.strides)
-            self._constant_places[node.number] = Place(symbol, 0, strides, own=False)
+            self._constant_places[node.number] = Place(symbol, 0, tuple(map(int, array.strides)), own=False)
         return self._constant_places[node.number]
 
     def write(self, place: Place, dtype: Any, value: str, lanes: int, variables: Sequence[str]) -> None:
