@@ -63,6 +63,21 @@ class TestSinglePrecision:
         sine, _ = jax.jit(fastmath.sincos)(x)
         np.testing.assert_allclose(sine, np.sin(x.astype(np.float64)), rtol=4 * EPS32)
 
+    def test_sincos_of_turns(self):
+        turns = np.concatenate([np.linspace(-0.5, 0.5, COUNT // 2), np.linspace(-7.0, 7.0, COUNT // 2)]).astype(
+            np.float32
+        )
+        exact = 2.0 * np.pi * turns.astype(np.float64)
+        for result in both_forms(fastmath.sincos_turns, turns):
+            for value, want in zip(result, (np.sin(exact), np.cos(exact)), strict=True):
+                assert np.max(np.abs(np.asarray(value, np.float64) - want)) < 9e-7
+
+    def test_reciprocal_root(self):
+        exact = 1.0 / np.sqrt(POSITIVE32.astype(np.float64))
+        for value in both_forms(fastmath.reciprocal_root, POSITIVE32):
+            assert value.dtype == np.float32
+            np.testing.assert_allclose(value, exact, rtol=1e-6)
+
     def test_log(self):
         exact = np.log(POSITIVE32.astype(np.float64))
         for value in both_forms(fastmath.log, POSITIVE32):

@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
 from qrsim.core.fastmath import exp, power, reciprocal_root, rounded, sincos_turns
@@ -248,32 +249,46 @@ class DrydenField(Turbulence):
         amplitude = math.sqrt(2.0 * energy * math.log(2.0) / self.chains)
 
         def size(std: Array, length: Array) -> Array:
-            return amplitude * std * jnp.sqrt(length * scale)
+            scaled = length * scale
+            return (amplitude * std) * (scaled * scaled) * jnp.sqrt(scaled)
 
         return Vec3(size(sigma.x, lengths.x), size(sigma.y, lengths.y), size(sigma.z, lengths.z))
 
-    def _weight(self, kappa: Array, square_length: Array) -> Array:
-        """Return the rest of the amplitude (B, n) of waves of kappa (B, 1) for squares of lengths (1, n) [m^2]."""
-        square = (kappa * kappa) * square_length
-        root = reciprocal_root(1.0 + square)
-        share = (jnp.sqrt(kappa) * square) * (root * root)
-        return share * (root if self.spectrum == "dryden" else power(root, 5.0 / 6.0))
+    def _weight(self, square: Array) -> Array:
+        """Return the rest of the amplitude, of any shape, from squares of lengths plus one over kappa [m^2]."""
+        root = reciprocal_root(square)
+        return (root * root) * (root if self.spectrum == "dryden" else power(root, 5.0 / 6.0))
 
     def _sums(self, lengths: Vec3, position_ned: Vec3, seconds: Array, fraction: Array, field: FieldWaves) -> Sums:
-        """Sum all waves at positions (n,): the chains of each group, then the groups, weighted by the lengths (n,)."""
-        scale = field.dilation * (1.0 if self.spectrum == "dryden" else VON_KARMAN_SCALE)
+        """Sum all waves at positions (n,): the chains of each group, then the groups, weighted by the lengths (n,).
+
+        With x = kappa l the amplitude of a wave of the Dryden form goes with x^(5/2)/(1 + x^2)^(3/2), which is
+        l^(5/2)/(l^2 + 1/kappa^2)^(3/2) over the root of kappa. The last is in the tables of the waves, the first in
+        ``_size``.
+        """
+        dryden = self.spectrum == "dryden"
+        scale = field.dilation * (1.0 if dryden else VON_KARMAN_SCALE)
         squares = [((length * scale) * (length * scale))[None] for length in (lengths.x, lengths.z)]
         place = _times(field.turned, position_ned) * field.dilation
         of = self._modes()
-        kappas = _numbers(of.centre, scale)
-        curls = _numbers(0.5 * of.centre * of.handedness, scale)
-        totals: list[Vec3] | None = None
-        for octave, value in enumerate(_group_values(of, turns_at(field, seconds, fraction), place)):
-            across, down = (value * self._weight(kappas[octave], square) for square in squares)
-            parts = [across, down, across * curls[octave], down * curls[octave]]
-            totals = parts if totals is None else [total + part for total, part in zip(totals, parts, strict=True)]
-        assert totals is not None
-        return Sums(*(total.map(lambda axis: jnp.sum(axis, axis=0)) for total in totals))
+        # A group that an octave does not have is left out.
+        kappa = np.where(of.centre > 0.0, of.centre, np.inf)
+        own = kappa ** (-0.5 if dryden else -1.0 / 3.0)
+        values = list(_group_values(of, own, turns_at(field, seconds, fraction), place))
+        sums: list[Vec3] = []
+        curls: list[Vec3] = []
+        for square in squares:
+            parts = [
+                value * self._weight(square + _numbers(each**-2.0, scale))
+                for value, each in zip(values, kappa, strict=True)
+            ]
+            total = rotation = parts[-1]
+            # The wavenumber doubles from octave to octave.
+            for part in reversed(parts[:-1]):
+                total, rotation = total + part, (rotation + rotation) + part
+            sums.append(total)
+            curls.append(rotation * _numbers(0.5 * of.centre[0] * of.handedness, scale))
+        return Sums(*(total.map(lambda axis: jnp.sum(axis, axis=0)) for total in (*sums, *curls)))
 
 
 def whole_turns(frequency: Array) -> Array:
@@ -294,11 +309,12 @@ def turns_at(field: FieldWaves, seconds: Array, fraction: Array) -> Array:
     return signed * (1.0 / TURN) - field.frequency * fraction
 
 
-def _group_values(of: Modes, turns: Array, place: Vec3) -> Iterator[Vec3]:
-    """Yield for each octave the sums (B, n) of the waves of each group, in their own axes and unweighted.
+def _group_values(of: Modes, own: Floats, turns: Array, place: Vec3) -> Iterator[Vec3]:
+    """Yield for each octave the sums (B, n) of the waves of each group, in their own axes and weighted by ``own`` only.
 
     Args:
         of: the set of waves, B groups of C chains.
+        own: (J, B, 1), a factor of each group's waves.
         turns: (B C,) phases at the origin.
         place: (n,) dilated, in the axes of the waves [m].
     """
@@ -310,11 +326,12 @@ def _group_values(of: Modes, turns: Array, place: Vec3) -> Iterator[Vec3]:
         if octave:
             double = sine + sine
             sine, cosine = double * cosine, 1.0 - double * sine
-        by_cosine, by_sine = (Vec3.of(_numbers(table[octave], turns)) for table in (of.cosine, of.sine))
+        own_size = own[octave][:, None, None]
+        by_cosine, by_sine = (Vec3.of(_numbers(own_size * table[octave], turns)) for table in (of.cosine, of.sine))
         yield Vec3(
-            jnp.sum(by_cosine.x * cosine + by_sine.x * sine, axis=1),
-            jnp.sum(by_cosine.y * cosine + by_sine.y * sine, axis=1),
-            jnp.sum(by_cosine.z * cosine + by_sine.z * sine, axis=1),
+            jnp.sum(rounded(by_cosine.x * cosine) + by_sine.x * sine, axis=1),
+            jnp.sum(rounded(by_cosine.y * cosine) + by_sine.y * sine, axis=1),
+            jnp.sum(rounded(by_cosine.z * cosine) + by_sine.z * sine, axis=1),
         )
 
 
