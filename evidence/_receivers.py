@@ -14,6 +14,7 @@ from qrsim.core.clock import split_time
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.base_station import BaseStation
 from qrsim.models.gnss.budget import ErrorBudget
 from qrsim.models.gnss.constellations import NominalConstellations
 from qrsim.models.gnss.presets import PRESETS
@@ -36,12 +37,14 @@ class Flown(NamedTuple):
         velocity_error: the same of the velocity [m/s].
         accuracy: (T, W, V, 3) reported: horizontal, vertical [m], speed [m/s].
         satellites: (T, W, V) used.
+        fix_type: (T, W, V).
     """
 
     error: Values
     velocity_error: Values
     accuracy: Values
     satellites: Values
+    fix_type: Values
 
 
 def receiver(preset: str, **changes: Any) -> Gnss:
@@ -49,9 +52,15 @@ def receiver(preset: str, **changes: Any) -> Gnss:
     return Gnss(preset=preset, **{**PRESETS[preset], "delay": 0, **changes})
 
 
+def base_at(position_ned: tuple[float, float, float] = (0.0, 0.0, 0.0), **how: Any) -> BaseStation:
+    """Return a base station at a place [m], without an error of its own position."""
+    silent = np.array(how.pop("silent", ()), np.float64)
+    return BaseStation(position_ned=np.array(position_ned), silent=silent, **how)  # type: ignore[arg-type]
+
+
 def sky_of(
     sensor: Gnss, start_s: float = 0.0, errors: Any = None, dtype: Any = np.float32, orbits: Any = None,
-    site: Site | None = None,
+    site: Site | None = None, base: Any = None, interference: Any = None,
 ) -> SlottedSky:  # fmt: skip
     """Return the sky of a receiver over a site, from a time after midnight [s] on; errors default to the budget."""
     ephemeris = NominalConstellations(sensor.systems) if orbits is None else orbits
@@ -61,7 +70,8 @@ def sky_of(
         cast(ErrorBudget() if errors is None else errors, dtype),
         jnp.asarray(ephemeris.satellite_ids),
         jnp.asarray(system_numbers(ephemeris.system_of), jnp.int32),
-        sensor.period, sensor.period, SLOTS, math.sin(sensor.elevation_mask_rad),
+        sensor.period, sensor.period, SLOTS, math.sin(sensor.elevation_mask_rad), base=cast(base, dtype),
+        interference=cast(interference, dtype),
     )  # fmt: skip
 
 
@@ -90,11 +100,13 @@ def _flown(
             time = tick.astype(like.dtype) * sensor.period
             truth = offsets + velocity * time
             memory, reading = sensor.step(memory, Draw(later, tick, like), truth, velocity, state)
+            said = memory.outer if memory.link is None else memory.link.said
             return (state, memory), (
-                jnp.where((reading.fix_type == 3.0)[:, None], memory.outer.stack(), jnp.nan),
+                jnp.where((reading.fix_type > 0.0)[:, None], said.stack(), jnp.nan),
                 (reading.velocity_ned - velocity).stack(),
                 jnp.stack([reading.horizontal_accuracy, reading.vertical_accuracy, reading.speed_accuracy], axis=-1),
                 reading.satellites,
+                reading.fix_type,
             )
 
         def some(carry: Any, first: jax.Array) -> Any:
@@ -109,6 +121,7 @@ def _flown(
 def fly(
     sensor: Gnss, seconds: float, worlds: int, *, offsets: Any = ((0.0, 0.0, 0.0),), speed: float = 0.0, seed: int = 0,
     start_s: float = 0.0, keep: int = 1, errors: Any = None, dtype: Any = np.float32, sky: SlottedSky | None = None,
+    base: Any = None, interference: Any = None,
 ) -> Flown:  # fmt: skip
     """Let receivers at offsets (V, 3) [m] from the site report for a time, in each of several worlds.
 
@@ -124,12 +137,14 @@ def fly(
         errors: range errors, by default the error budget.
         dtype: precision.
         sky: in place of the nominal constellations and ``errors``.
+        base: see ``base_at``; None: no base station.
+        interference: of the world, as ``Interference``; None: nothing interferes.
     """
     with jax.enable_x64(np.dtype(dtype) == np.float64):
         places = np.asarray(offsets, dtype)
         where = Vec3(*(jnp.asarray(places[:, i]) for i in range(3)))
         north = Vec3(*(jnp.full(len(places), value, dtype) for value in (speed, 0.0, 0.0)))
-        sky = sky or sky_of(sensor, start_s, errors, dtype)
+        sky = sky or sky_of(sensor, start_s, errors, dtype, base=base, interference=interference)
         fixes = round(seconds / sensor.period)
         words = jnp.asarray([seed, 0], jnp.uint32)
         found = _flown(sky, cast(sensor, dtype), where, north, words, fixes - fixes % keep, worlds, keep)

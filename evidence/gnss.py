@@ -1,26 +1,32 @@
 """How good receivers of type gnss are, what they share, and the Allan deviation of one that was recorded.
 
-The full form needs the public recording (``qrsim data fetch``, or QRSIM_DATA_DIR) and draws docs/images/gnss_allan.png
-and gnss_day.png. Its data sheet numbers are u-blox's: NEO-M8N 2.5 m CEP, ZED-F9P 1.5 m CEP, 0.05 m/s (50 %).
+The full form needs the public recording (``qrsim data fetch``, or QRSIM_DATA_DIR) and draws docs/images/gnss_allan.png,
+gnss_day.png, gnss_fixes.png and gnss_jamming.png. Its data sheet numbers are u-blox's: NEO-M8N 2.5 m CEP, ZED-F9P
+1.5 m CEP, 0.05 m/s (50 %).
 """
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from evidence import _receivers as receivers
 from qrsim.core.allan import overlapping_allan_deviation
+from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.constellations import NominalConstellations
+from qrsim.models.gnss.geometry import FOUND, LOST
+from qrsim.models.gnss.interference import Interference, Jammer, jammed
 from qrsim.models.gnss.orbits import dilution_of_precision, elevation_azimuth
 from qrsim.models.gnss.presets import PRESETS
 from qrsim.models.site import Site
 from qrsim.validate.gnss import RECORDING, ROWS
 from qrsim.validate.receiver import recorded_receiver
 
-DOC = "receivers of type gnss: accuracy, what vehicles share, steps between fixes, and a recorded receiver"
+DOC = "receivers of type gnss: accuracy, fix types, jammers, what vehicles share, and a recorded receiver"
 SEED = 23
 # Times of a day, worlds at each, hours and worlds of steps, runs beside the recording.
 FULL, SMALL = (24, 200, 6.0, 5, 200), (4, 20, 0.2, 2, 20)
@@ -29,6 +35,10 @@ OFFSETS = {"1": (1.0, 0.0, 0.0), "100": (100.0, 0.0, 0.0), "1000": (1000.0, 0.0,
 # Windows in rows of 0.4 s: to 20 s, and beyond.
 WINDOWS = np.array([1, 2, 3, 5, 8, 12, 20, 30, 50, 75, 100, 125, 150, 175])
 BAND = (0.01, 0.99)
+# Baselines [m], seconds and worlds of fixing carrier phase; the base is silent for a while.
+BASELINES = {"0": 0.0, "10": 10e3, "30": 30e3}
+FIXING_S, SILENT = 240.0, (120.0, 135.0)
+POWERS_W = (0.001, 0.01, 0.1, 1.0)
 # What the recording is rounded to [m]: 1e-7 deg of latitude and of longitude, 1 mm of height.
 RESOLUTION = np.array([0.0111, 0.0069, 0.001])
 AXES = ("north", "east", "down")
@@ -42,7 +52,9 @@ Values = np.ndarray[Any, Any]
 def accuracy(preset: str, starts: int, worlds: int) -> dict[str, Any]:
     """Return how good a receiver is over a day, what it reports, and what it shares with others."""
     places = ((0.0, 0.0, 0.0), *OFFSETS.values())
-    flown = receivers.over_a_day(receivers.receiver(preset), starts, 20.0, worlds, seed=SEED, offsets=places)
+    sensor = receivers.receiver(preset, first_fix="fixed")
+    base = receivers.base_at() if sensor.takes_base else None
+    flown = receivers.over_a_day(sensor, starts, 20.0, worlds, seed=SEED, offsets=places, base=base)
     error = flown.error.reshape(-1, len(places), 3)
     horizontal, down = np.hypot(error[:, 0, 0], error[:, 0, 1]), error[:, 0, 2]
     reported = np.sqrt(np.mean(flown.accuracy[:, :, 0] ** 2, axis=(0, 1)))
@@ -83,6 +95,79 @@ def steps(preset: str, hours: float, worlds: int) -> dict[str, Any]:
         "else_max_m": float(step[~near].max()),
         "velocity_max_m_s": float(np.abs(flown.velocity_error).max()),
     }
+
+
+def fixing(worlds: int, draw: bool) -> dict[str, Any]:
+    """Return how long carrier phase takes to be fixed, how good fixed positions are, and what silence does to them."""
+    north = math.sqrt(0.5)
+    places = tuple((north * baseline, north * baseline, -20.0) for baseline in BASELINES.values())
+    base = receivers.base_at(silent=[SILENT])
+    flown = receivers.fly(receivers.receiver("f9p_rtk"), FIXING_S, worlds, offsets=places, base=base, seed=SEED)
+    fixed, time = flown.fix_type == 6.0, 0.2 * (1 + np.arange(len(flown.fix_type)))
+    before, after = time < SILENT[0], time > SILENT[1]
+    horizontal = np.hypot(flown.error[..., 0], flown.error[..., 1])
+    if draw:
+        _draw_fixes(time, flown, horizontal)
+    found = {}
+    for i, name in enumerate(BASELINES):
+        first = np.where(fixed[before, :, i].any(axis=0), time[np.argmax(fixed[before, :, i], axis=0)], np.inf)
+        again = np.argmax(fixed[after, :, i], axis=0) * 0.2
+        chosen = fixed[:, :, i]
+        found[name] = {
+            "first_median_s": float(np.median(first)),
+            "first_95_s": float(np.quantile(first, 0.95)),
+            "again_median_s": float(np.median(again)),
+            "cep_m": float(np.median(horizontal[:, :, i][chosen])),
+            "height_50_m": float(np.median(np.abs(flown.error[:, :, i, 2][chosen]))),
+            "float_rms_m": float(np.sqrt(np.mean(horizontal[:, :, i][flown.fix_type[:, :, i] == 5.0] ** 2))),
+        }
+    both = fixed[:, :, :2].all(axis=2)
+    found["wrong_share"] = float(np.mean(horizontal[:, :, 0][fixed[:, :, 0]] > 0.1))
+    found["both_fixed_share"] = float(both.mean())
+    return found
+
+
+def jamming() -> list[dict[str, Any]]:
+    """Return within what distance jammers on the ground end tracking from 45 dB-Hz, and keep it from being resumed."""
+    distances = np.geomspace(1.0, 1e6, 60001)
+    places = Vec3(*(jnp.asarray(part, jnp.float32) for part in (distances, 0.0 * distances, 0.0 * distances - 30.0)))
+    found = []
+    for power in POWERS_W:
+        jammer = Interference(jammers=(Jammer(np.zeros(3), power, 0.0, 1e9),))  # type: ignore[arg-type]
+        present = jammer.at(jnp.zeros(1, jnp.int32), jnp.int32(1), jnp.float32(0.0))
+        weakness = 1.0 + np.asarray(jammed(present, (), places, None))  # type: ignore[arg-type]
+        radii = [float(distances[np.argmax(weakness < limit)]) for limit in (LOST, FOUND)]
+        found.append({"power_w": power, "lost_m": radii[0], "not_found_m": radii[1]})
+    return found
+
+
+def _draw_fixes(time: Values, flown: receivers.Flown, horizontal: Values) -> None:
+    from qrsim.runs.picture import new_figure
+
+    figure = new_figure(11.0, 3.8)
+    panel: Any = figure.subplots(1, 1)
+    for i, name in enumerate(BASELINES):
+        panel.plot(time, np.median(horizontal[:, :, i], axis=1), lw=1.1, label=f"{name} km from the base")
+    panel.axvspan(*SILENT, color="0.9", label="the base is silent")
+    panel.set(xlabel="time [s]", ylabel="horizontal error, median [m]", yscale="log")
+    panel.grid(alpha=0.3, which="both")
+    panel.legend(fontsize=8)
+    figure.savefig(IMAGES / "gnss_fixes.png", dpi=110)
+
+
+def _draw_jamming(rows: list[dict[str, Any]]) -> None:
+    from qrsim.runs.picture import new_figure
+
+    figure = new_figure(6.5, 4.2)
+    panel: Any = figure.subplots(1, 1)
+    power = [1e3 * row["power_w"] for row in rows]
+    panel.fill_between(power, [row["lost_m"] for row in rows], 10.0, color="tab:red", alpha=0.25, lw=0, label="no fix")
+    panel.fill_between(power, [row["not_found_m"] for row in rows], [row["lost_m"] for row in rows],
+                       color="tab:orange", alpha=0.25, lw=0, label="a fix is kept, but not found again")  # fmt: skip
+    panel.set(xscale="log", yscale="log", xlabel="power of the jammer [mW]", ylabel="distance [m]", ylim=(50.0, 5e4))
+    panel.grid(alpha=0.3, which="both")
+    panel.legend(fontsize=8)
+    figure.savefig(IMAGES / "gnss_jamming.png", dpi=110)
 
 
 def recorded_deviation(path: Path) -> Values:
@@ -195,10 +280,13 @@ def run(full: bool) -> dict[str, Any]:
         "worlds": worlds,
         "hours": hours,
         "presets": {name: accuracy(name, starts, worlds) for name in chosen},
-        "steps": {name: steps(name, hours, few) for name in chosen if name != "gps_2011"},
+        "steps": {name: steps(name, hours, few) for name in chosen if name in ("m8n", "f9p_single")},
         "day": _days(draw=full),
+        "fixing": fixing(worlds, draw=full),
+        "jamming": jamming(),
     }
     if full:
+        _draw_jamming(found["jamming"])
         from qrsim.files.recordings import data_file
 
         found["recording"] = beside_the_recording(Path(data_file(RECORDING)), runs, draw=True)

@@ -27,6 +27,17 @@ def test_the_small_form_is_of_the_right_size() -> None:
     assert 0.6 < accuracy["heights_correlated"] < 0.95
     assert found["steps"]["f9p_single"]["else_max_m"] < 0.05
     assert found["steps"]["f9p_single"]["velocity_max_m_s"] < 0.5
+    assert 6.0 < found["fixing"]["0"]["first_median_s"] < 12.0
+    assert 0.008 < found["fixing"]["0"]["cep_m"] < 0.013
+    assert found["fixing"]["0"]["cep_m"] < found["fixing"]["10"]["cep_m"] < found["fixing"]["30"]["cep_m"]
+
+
+def test_jammers_reach_as_far_as_is_published() -> None:
+    """10 mW end tracking from 45 dB-Hz within 0.6 to 0.9 km; with the root of the power."""
+    rows = {row["power_w"]: row for row in study.jamming()}
+    assert 600.0 < rows[0.01]["lost_m"] < 900.0
+    assert rows[1.0]["lost_m"] / rows[0.01]["lost_m"] == pytest.approx(10.0, rel=0.03)
+    assert rows[0.01]["not_found_m"] / rows[0.01]["lost_m"] == pytest.approx(2.55, rel=0.05)
 
 
 @pytest.mark.long

@@ -36,6 +36,7 @@ from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import FieldInfo, cast, field_info, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.atmosphere.wind import LogShear, mean_wind_at
+from qrsim.models.gnss.base_station import BaseSeen
 from qrsim.models.gnss.orbits import NominalConstellation
 from qrsim.models.gnss.receivers import GnssReading, SkyState
 from qrsim.models.gnss.sight import CommonErrors, Scales, sight_of
@@ -312,11 +313,23 @@ class Recorder:
 def slots_of(satellites: Vec3, ids: Any, numbers: np.random.Generator, dtype: Any) -> Slots:
     """Return slots in which all satellites are, with errors that all receivers share."""
     sight = jax.tree.map(np.asarray, sight_of(satellites.map(jnp.asarray)))
-    errors = [CommonErrors(*(np.asarray(numbers.normal(size=len(ids)), dtype) for _ in range(5))) for _ in range(2)]
+    errors = [CommonErrors(*(np.asarray(numbers.normal(size=len(ids)), dtype) for _ in range(6))) for _ in range(2)]
     one = np.asarray(1.0, dtype)
     scales = Scales(np.ones(len(ids), dtype), one, *((one, one),) * 4)  # type: ignore[arg-type]
     where = np.arange(len(ids), dtype=np.int32)
-    return Slots(ids, where % 4, where, sight, *errors, scales, np.int32(0), np.int32(0), np.asarray(0.5, dtype))  # type: ignore[arg-type]
+    parts = (np.int32(0), np.int32(0), np.asarray(0.5, dtype))
+    return Slots(ids, where % 4, where, sight, *errors, scales, *parts, base=base_of(len(ids), numbers, dtype))  # type: ignore[arg-type]
+
+
+def base_of(satellites: int, numbers: np.random.Generator, dtype: Any) -> BaseSeen:
+    """Return what receivers see of a base station, for those that take its corrections."""
+
+    def vector(*shape: int) -> Vec3:
+        return Vec3(*(np.asarray(numbers.normal(size=shape), dtype) for _ in range(3)))  # type: ignore[arg-type]
+
+    code = [np.asarray(numbers.normal(size=satellites), dtype) for _ in range(2)]
+    far = [np.asarray(value, dtype) for value in (1.0, 0.2, 1e6)]
+    return BaseSeen(vector(), *(vector(1) for _ in range(4)), *code, *far[:2], np.array(True), far[2])  # type: ignore[arg-type]
 
 
 CALLS = ("init", "step", "field")

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from qrsim.runs import Run
 
 FIGURE, PANELS = "figure.png", "panels.png"
+# In place of a quantity: the satellites over a vehicle.
+SKY = "sky"
 _Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the whole run)")]
 
 
@@ -29,6 +31,7 @@ class Plot:
     Example:
       qrsim plot runs/first
       qrsim plot runs/first --list
+      qrsim plot runs/first --panel sky --vehicle scout
       qrsim plot runs/first --panel truth.position_ned.z --panel wind.gust_ned --out first.pdf
       qrsim plot runs/first --panel "measurements.gnss.position_ned.x, truth.position_ned.x" --from 5 --to 15
     """
@@ -38,7 +41,8 @@ class Plot:
     panel: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="QUANTITY[,QUANTITY...]")] = field(
         default_factory=list
     )
-    """Draw these quantities, of one unit, in a panel, vectors in one for each axis; given again, below."""
+    """Draw these quantities, of one unit, in a panel, vectors in one for each axis; given again, below. 'sky' is the
+    sky over a vehicle whose receiver has per_satellite: true."""
     vehicle: Annotated[
         tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")
     ] = field(default_factory=list)
@@ -86,6 +90,8 @@ class Plot:
         alone = [option for option, value in given.items() if value not in (None, [])]
         if alone and not self.panel:
             raise UsageError(f"{', '.join(alone)}: only for panels; add --panel, for example truth.position_ned.z")
+        if SKY in self.panel and len(self.panel) > 1:
+            raise UsageError(f"--panel {SKY} is a picture of its own; leave the other panels out")
         if self.show and (self.panel or self.out):
             raise UsageError("--list draws nothing: leave out --panel and --out")
         for option, time in (("--from", self.start), ("--to", self.end)):
@@ -103,6 +109,11 @@ class Plot:
         from qrsim.runs.panels import draw_panels
         from qrsim.runs.picture import save_picture
 
+        if SKY in self.panel:
+            from qrsim.runs.sky_plot import draw_sky
+
+            save_picture(lambda: draw_sky(recorded, self.vehicle, self.start, self.end), path)
+            return
         save_picture(lambda: draw_panels(recorded, self.panel, self.vehicle, self.start, self.end), path)
 
 

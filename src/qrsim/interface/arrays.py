@@ -33,7 +33,9 @@ def library_of(*values: object) -> Library:
 
 
 def as_array(value: object) -> Floats:
-    """Convert a Vec3 or Euler to (n, 3), leave others as they are; also under tracing."""
+    """Convert a Vec3 or Euler to (n, 3) and a tuple of K to (n, K), leave others; also under tracing."""
+    if isinstance(value, tuple):
+        return library_of(*value).stack(value, axis=-1)
     if isinstance(value, Vec3 | Euler):
         axes: list[Array] = jax.tree.leaves(value)
         return library_of(*axes).stack(axes, axis=-1)

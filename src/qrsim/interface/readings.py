@@ -15,8 +15,8 @@ from qrsim.core.tree import Record
 from qrsim.engine.layout import LazyTree
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.arrays import Floats, as_array, library_of, quaternion_of
+from qrsim.models.gnss.fixes import OF_SATELLITES, GnssFix
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading, SkyState
-from qrsim.models.gnss.sensor import GnssFix
 from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.camera import CameraReading, Picture
@@ -62,7 +62,11 @@ class SensorReading:
     @property
     def fields(self) -> tuple[str, ...]:
         """Names of the sensor's fields."""
-        own = tuple(field.name for field in dataclasses.fields(self._reading))
+        said = vars(self._reading)
+        own = tuple(
+            field.name for field in dataclasses.fields(self._reading)
+            if said[field.name] is not None or field.name not in OF_SATELLITES
+        )  # fmt: skip
         if isinstance(self._reading, GnssReading):
             more = ["latitude_deg", "longitude_deg", "height", "fix_type"]
             if isinstance(self._reading, GnssFix) and self._taken is not None:
@@ -109,8 +113,12 @@ class SensorReading:
             seen = ""
             if isinstance(self._reading, GnssFix):
                 seen = f" used of {self._reading.satellites_seen[vehicle]:.0f} above the mask"
-                if self._reading.satellites_blocked is not None:
-                    seen += f" ({self._reading.satellites_blocked[vehicle]:.0f} behind obstacles)"
+                counts = {
+                    "behind obstacles": self._reading.satellites_blocked,
+                    "jammed": self._reading.satellites_jammed,
+                }
+                parts = [f"{n[vehicle]:.0f} {why}" for why, n in counts.items() if n is not None and n[vehicle] > 0]
+                seen += f" ({', '.join(parts)})" if parts else ""
             return f"no fix: {satellites[vehicle]:.0f} satellites{seen}, at least {FEWEST_SATELLITES} needed"
         known = np.isfinite(as_array(self._reading.position_ned)[vehicle]).all()
         return "no velocity: the fix before is missing" if known else "not available"
@@ -119,9 +127,13 @@ class SensorReading:
         if field.startswith("__"):
             raise AttributeError(field)
         if field not in self.fields:
+            if field in OF_SATELLITES and isinstance(self._reading, GnssFix):
+                raise AttributeError(f"sensor '{self._name}' has no '{field}'; give it per_satellite: true")
             raise AttributeError(f"sensor '{self._name}' has no '{field}'{did_you_mean(field, self.fields)}")
         if field in vars(self._reading):
-            return as_array(getattr(self._reading, field))
+            value = getattr(self._reading, field)
+            # What a receiver has nothing to say about, as the age of corrections that it does not take.
+            return as_array(jax.tree.leaves(self._reading)[0] * 0.0 if value is None else value)
         return self._derived(field)
 
     def _derived(self, field: str) -> Floats:

@@ -27,7 +27,7 @@ from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission
 from qrsim.scenarios.ranges import ranges_of
-from qrsim.scenarios.satellites import needs_slots, slotted_sky
+from qrsim.scenarios.satellites import needs_slots, of_vehicles, slotted_sky
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.skylines import skyline
 from qrsim.scenarios.spacing import columns
@@ -156,7 +156,8 @@ def ground_if_any(scenario: ScenarioSpec) -> Any:
 
 def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Fleet:
     vehicle = component(spec.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
-    sensors, fittings = fitted(spec, [component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()])
+    built = [component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()]
+    sensors, fittings = fitted(spec, [of_vehicles(sensor, name, spec, scenario) for sensor in built])
     return Fleet(
         vehicle=vehicle,
         controller=component(spec.controller, known.CONTROLLERS, scenario).fitted(vehicle),

@@ -83,7 +83,11 @@ def reading_fields(sensor_type: str) -> list[str]:
         return []
     reading = pair[1]
     found: list[str] = []
+    # What only some sensors of the type report has no value in the others.
+    optional = {field.name for field in dataclasses.fields(reading) if field.default is None}
     for name, hint in typing.get_type_hints(reading).items():
+        if name in optional:
+            continue
         if hint in (Vec3, Euler):
             found += [f"{name}.{field.name}" for field in dataclasses.fields(hint)]
         else:

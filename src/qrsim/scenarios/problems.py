@@ -99,7 +99,7 @@ class _Fault:
         """Return the user's name of a part: its type, its kind, or its field."""
         if model.__name__.endswith("Spec"):
             return re.sub(r"(?<!^)(?=[A-Z])", " ", model.__name__.removesuffix("Spec")).lower()
-        if "type" in model.model_fields:
+        if {"type", "kind"} & set(model.model_fields):
             return model.__name__
         return self.path[-1]
 
@@ -123,10 +123,14 @@ class _Fault:
             return f"{where}: no such parameter of '{self.owner_name}'{did_you_mean(self.path[-1], self._known())}"
         if kind == "missing":
             return f"{where}: missing{self._types() if self.path[-1] == 'type' else self._meaning() + self._twin()}"
+        # Components are told apart by their types, what interferes with receivers by its kind.
+        key = "kind" if context.get("discriminator") == "'kind'" else "type"
         if kind == "union_tag_not_found":
-            return f"{where}.type: missing{self._types()}"
+            return f"{where}.{key}: missing{self._types()}"
         if kind == "union_tag_invalid":
-            return f"{where}.type: no such type '{context['tag']}'{did_you_mean(str(context['tag']), self._choices())}"
+            return (
+                f"{where}.{key}: no such {key} '{context['tag']}'{did_you_mean(str(context['tag']), self._choices())}"
+            )
         if kind == "literal_error":
             allowed = self._choices()
             if self.path[-1] == "type":

@@ -13,7 +13,9 @@ from pydantic import BaseModel, ValidationError
 from qrsim.core.tree import field_info
 from qrsim.errors import did_you_mean
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.interference import world_path as interference_path
 from qrsim.scenarios.problems import describe
+from qrsim.scenarios.satellites import base_station
 from qrsim.scenarios.schema import RangeSpec, ScenarioSpec
 from qrsim.world.state import Range
 
@@ -23,6 +25,7 @@ IN_WORLD: dict[str, tuple[str, ...]] = {
     "world.turbulence": ("turbulence",),
     "world.gust": ("gust",),
     "world.sky.errors": ("sky", "errors"),
+    "world.base_station": ("sky", "base"),
     "world.plume": ("contents", "plume"),
     "world.terrain": ("contents", "terrain"),
     "world.persons": ("contents", "persons"),
@@ -69,10 +72,16 @@ def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[Any, str]:
     """Return the value at a path of the scenario, or the fault of the path."""
     value: Any = scenario
     for i, part in enumerate(parts):
-        known_names = list(value) if isinstance(value, Mapping) else list(getattr(type(value), "model_fields", ()))
+        if isinstance(value, list):
+            known_names = [str(number) for number in range(len(value))]
+        else:
+            known_names = list(value) if isinstance(value, Mapping) else list(getattr(type(value), "model_fields", ()))
         if part not in known_names:
             return None, f"{'.'.join(parts[: i + 1])}: there is no such number{did_you_mean(part, known_names)}"
-        value = value[part] if isinstance(value, Mapping) else getattr(value, part)
+        if isinstance(value, list):
+            value = value[int(part)]
+        else:
+            value = value[part] if isinstance(value, Mapping) else getattr(value, part)
     return value, ""
 
 
@@ -83,7 +92,12 @@ def _path_problem(scenario: ScenarioSpec, path: str) -> str:
         return problem
     where = world_path(scenario, path)
     if where is None:
-        parts_known = [*IN_WORLD, *(f"fleets.NAME.{part}" for part in IN_FLEET), "fleets.NAME.sensors.NAME"]
+        parts_known = [
+            *IN_WORLD,
+            "world.interference.NUMBER",
+            *(f"fleets.NAME.{part}" for part in IN_FLEET),
+            "fleets.NAME.sensors.NAME",
+        ]
         return f"{path} cannot be drawn; allowed: numbers of {', '.join(parts_known)}"
     if isinstance(value, bool) or not isinstance(value, int | float) or _is_setting(scenario, path):
         return f"{path} is not a number that can differ from episode to episode: it is part of what is compiled"
@@ -132,7 +146,7 @@ def _bound_problems(scenario: ScenarioSpec, i: int, item: RangeSpec, path: str) 
         target: Any = content
         *way, last = path.split(".")
         for part in way:
-            target = target[part]
+            target = target[int(part) if isinstance(target, list) else part]
         target[last] = value
         try:
             ScenarioSpec.model_validate(content)
@@ -144,8 +158,10 @@ def _bound_problems(scenario: ScenarioSpec, i: int, item: RangeSpec, path: str) 
 def world_path(scenario: ScenarioSpec, path: str) -> Path | None:
     """Return the path in a World of a number of the scenario, None if it may not be drawn."""
     for prefix, where in IN_WORLD.items():
-        if path.startswith(f"{prefix}."):
+        if path.startswith(f"{prefix}.") and (prefix != "world.base_station" or base_station(scenario) is not None):
             return (*where, *path.removeprefix(f"{prefix}.").split("."))
+    if path.startswith("world.interference."):
+        return interference_path(scenario, path)
     parts = path.split(".")
     if parts[0] != "fleets" or len(parts) < 4:
         return None

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from qrsim.errors import UsageError
+from qrsim.core.tree import replace
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.gnss.base_station import BaseStation
 from qrsim.models.gnss.constellations import check_systems
+from qrsim.models.gnss.sensor import Gnss
 from qrsim.models.gnss.sight import LETTERS, MASK_LOWEST, system_numbers
 from qrsim.models.gnss.slots import SlottedSky, slots_needed
 from qrsim.models.site import Site
 from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.schema import ScenarioSpec
+from qrsim.scenarios.faults import vehicle_names
+from qrsim.scenarios.interference import interference, interference_problems, spoofed
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
 RECEIVER = "gnss"
+BASED = ("dgps", "rtk")
+# How far from a base its corrections are meant for [m].
+FARTHEST_BASE = 50e3
 
 
 def receivers(scenario: ScenarioSpec) -> dict[str, Any]:
@@ -52,11 +61,86 @@ def slotted_sky(scenario: ScenarioSpec, ephemeris: Any, orbits: Any, errors: Any
             for fleet in scenario.fleets.values()
             for sensor in fleet.sensors.values()
         ),
+        base=base_station(scenario),
+        interference=interference(scenario, ephemeris) if receivers(scenario) else None,
     )
+
+
+def base_station(scenario: ScenarioSpec) -> BaseStation | None:
+    """Build the base station, if any receiver takes its corrections."""
+    spec: Any = scenario.world.base_station
+    if spec is None or not any(
+        _takes_base(sensor) and not sensor.moving_base for sensor in receivers(scenario).values()
+    ):
+        return None
+    names = [field.name for field in dataclasses.fields(BaseStation)]
+    values = {name: getattr(spec, name) for name in names}
+    lists = {name: np.array(value, np.float64) for name, value in values.items() if isinstance(value, list)}
+    return BaseStation(**{**values, **lists})
+
+
+def of_vehicles(sensor: Any, fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Any:
+    """Return a receiver of a fleet that knows which vehicle is its moving base, and which of them are spoofed."""
+    if not isinstance(sensor, Gnss):
+        return sensor
+    names = vehicle_names(fleet_name, fleet)
+    base = np.array([name == sensor.moving_base for name in names]) if sensor.moving_base else None
+    return replace(sensor, base_vehicle=base, spoofed=spoofed(scenario, names))
+
+
+def _takes_base(sensor: Any) -> bool:
+    return sensor.corrections in BASED
+
+
+def correction_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield why receivers could not get the corrections they ask for."""
+    base: Any = scenario.world.base_station
+    own = vars(scenario.world.sky.errors).get("common") == "per_vehicle"
+    for fleet_name, fleet in scenario.fleets.items():
+        for sensor_name, sensor in fleet.sensors.items():
+            if sensor.type != RECEIVER or sensor.corrections == "none":
+                continue
+            path = f"fleets.{fleet_name}.sensors.{sensor_name}"
+            if own:
+                yield (
+                    f"{path}.corrections: '{sensor.corrections}' takes away what receivers have in common, which "
+                    "world.sky.errors.common: per_vehicle leaves them nothing of; use common: shared"
+                )
+            if _takes_base(sensor) and sensor.moving_base:
+                names = vehicle_names(fleet_name, fleet)
+                if sensor.moving_base not in names:
+                    hint = did_you_mean(sensor.moving_base, names)
+                    yield f"{path}.moving_base: no vehicle of the fleet is called '{sensor.moving_base}'{hint}"
+            elif _takes_base(sensor) and base is None:
+                yield (
+                    f"{path}.corrections: '{sensor.corrections}' needs a base; "
+                    "give world.base_station, such as {position_ned: [0, 0, -2]}, or moving_base"
+                )
+    if base is not None:
+        yield from _base_problems(base, scenario.duration)
+
+
+def _base_problems(base: Any, duration: float) -> Iterator[str]:
+    """Yield what is wrong with a base station itself."""
+    away = math.hypot(*base.position_ned)
+    if away > FARTHEST_BASE:
+        yield (
+            f"world.base_station.position_ned: {away / 1e3:.4g} km from the site; "
+            f"allowed: up to {FARTHEST_BASE / 1e3:g} km, for which corrections are modelled"
+        )
+    for i, (start, end) in enumerate(base.silent):
+        path = f"world.base_station.silent.{i}"
+        if start < 0.0 or start >= duration:
+            yield f"{path}: begins at {start:g} s; allowed: from 0 s to before the end of the run at {duration:g} s"
+        elif end <= start:
+            yield f"{path}: ends at {end:g} s, not after its start, {start:g} s"
 
 
 def satellite_problems(scenario: ScenarioSpec, ephemeris: Any) -> Iterator[str]:
     """Yield why receivers of type gnss could not work under these orbits."""
+    yield from correction_problems(scenario)
+    names = [name for fleet_name, fleet in scenario.fleets.items() for name in vehicle_names(fleet_name, fleet)]
+    yield from interference_problems(scenario, ephemeris, names, bool(receivers(scenario)))
     there = set(ephemeris.system_of)
     for path, sensor in receivers(scenario).items():
         try:

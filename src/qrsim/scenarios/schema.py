@@ -16,18 +16,21 @@ from pydantic import (
 )
 
 from qrsim.control import PathSetpoint
+from qrsim.models.gnss.base_station import BaseStation
 from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.component_schema import Finite, Strict, choice_of, component_model, slot_of
 from qrsim.scenarios.fitting_schema import FITTING
+from qrsim.scenarios.interference import MOST, InterferenceSlot
 from qrsim.scenarios.legs import Corner, GeodeticSpec, LegSpec, Position
 from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, BuildingsSpec, obstacle_slot
 from qrsim.scenarios.sky_of_receivers import with_sky
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9_.-]+$"
-LONGEST_ROUTE, MOST_CORNERS = 2000, 1000
+LONGEST_ROUTE, MOST_CORNERS, MOST_SPANS = 2000, 1000, 100
+Span = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 # Where a vehicle flies is given in one of these.
 ROUTES = ("waypoints_ned", "waypoints_geodetic", "plan", "legs")
 # Kinds of components by where they stand: in the world, in its sky by another name, in a fleet.
@@ -183,6 +186,22 @@ else:
     LimitsModel = component_model("limits", StateLimits, tagged=False, each=True)
 
 
+def _base_model() -> Any:
+    """Return the schema of a base station with its place, and the times at which it is silent."""
+    places = {
+        "position_ned": (Position, Field(description="where its antenna is [m]: north, east, down")),
+        "silent": (
+            list[Span],
+            Field([], description="from when to when it sends nothing [s], [start, end] each", max_length=MOST_SPANS),
+        ),
+    }
+    return component_model("base_station", BaseStation, tagged=False, arrays=places)
+
+
+# Made at run time, so a type checker cannot see into it.
+BaseStationModel: Any = _base_model()
+
+
 class SkySpec(Strict):
     """The GNSS space segment, shared by all receivers."""
 
@@ -201,11 +220,17 @@ class WorldSpec(Strict):
     turbulence: TurbulenceSlot = Field({"type": "still"}, description="random gusts", validate_default=True)
     gust: GustSlot = Field({"type": "none"}, description="discrete gust", validate_default=True)
     sky: SkySpec = Field(default_factory=lambda: SkySpec.model_validate({}), description="GNSS space segment")
+    base_station: BaseStationModel | None = Field(
+        None, description="a receiver on the ground that sends corrections to others"
+    )
     plume: PlumeSlot = Field({"type": "none"}, description="concentration field", validate_default=True)
     terrain: TerrainSlot = Field({"type": "clear"}, description="cover of the ground", validate_default=True)
     persons: PersonsSlot = Field({"type": "none"}, description="who is to be found", validate_default=True)
     obstacles: list[ObstacleSlot] = Field([], description="solid things", max_length=MOST_OBSTACLES)
     buildings: BuildingsSpec | None = Field(None, description="buildings from a file, which become obstacles")
+    interference: list[InterferenceSlot] = Field(
+        [], description="jammers, spoofers, outages and storms that receivers of type gnss feel", max_length=MOST
+    )
     collision_distance: Finite = Field(
         2.0, description="vehicles closer than this [m] collide; half of it counts against obstacles", ge=0
     )

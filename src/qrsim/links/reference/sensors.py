@@ -156,7 +156,8 @@ def _sensor(name: str, reading: Any, site: Site) -> _Sensor | None:
     """Return a sensor's part of the message, from the places of its reading; None for one with pictures."""
     if isinstance(reading, CameraReading):
         return None
-    own = {field.name: as_array(getattr(reading, field.name)) for field in dataclasses.fields(reading)}
+    said = {field.name: getattr(reading, field.name) for field in dataclasses.fields(reading)}
+    own = {name: as_array(value) for name, value in said.items() if value is not None}
     own = {field: places.reshape(len(places), -1) for field, places in own.items()}
     fields = [(field, places.shape[1]) for field, places in own.items()]
     sources: list[tuple[Array, Derive | None]] = [(np.concatenate(list(own.values()), axis=1), None)]

@@ -96,17 +96,19 @@ class ErrorBudget(RangeErrors):
     def seen(self, state: BudgetState, sight: Sight, system: Array) -> CommonErrors:
         """Return the errors of satellites (S,) seen so, of systems (S,) by number."""
         std = self.scales(system).signal
+        weather = self.troposphere * state.troposphere.error * sight.troposphere
 
         def delay(vertical: Array, gradient: Array, local: Array) -> Array:
             plane = state.gradient_north.error * sight.pierce_north + state.gradient_east.error * sight.pierce_east
             return sight.ionosphere * (vertical * state.vertical.error + gradient * plane + local * state.local.error)
 
         return CommonErrors(
-            signal=std * state.signal.error + self.troposphere * state.troposphere.error * sight.troposphere,
+            signal=std * state.signal.error + weather,
             delay=delay(self.ionosphere, self.gradient, self.local),
             delay_dual=delay(self.ionosphere_dual, self.gradient_dual, self.local_dual),
             slope_north=sight.ionosphere * state.slope_north.error,
             slope_east=sight.ionosphere * state.slope_east.error,
+            weather=weather,
         )
 
     def scales(self, system: Array) -> Scales:

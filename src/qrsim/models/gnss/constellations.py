@@ -74,6 +74,15 @@ def check_systems(systems: str, what: str = "systems") -> None:
         raise UsageError(f"{what}: '{systems}' names a system twice; allowed: each of {', '.join(SYSTEMS)} once")
 
 
+def satellite_name(number: int) -> str:
+    """Return the name of a satellite by its number (``satellite_ids``): G05 of a file, G-A1 of a nominal one."""
+    letter, middle = number >> 16, (number >> 8) & 0xFF
+    if letter or middle < ord("A"):
+        # The constellation of GPS alone has no letters in its numbers.
+        return NominalConstellations(chr(letter or ord("G"))).satellites[middle]
+    return f"{chr(middle)}{number & 0xFF:02}"
+
+
 @record
 class NominalConstellations(Ephemeris):
     """Nominal constellations of GPS, Galileo, GLONASS and BeiDou: circular orbits, secular J2 rates; any time.

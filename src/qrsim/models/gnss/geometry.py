@@ -12,7 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.core.fastmath import exp
+from qrsim.core.fastmath import exp, log
 from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.sight import LETTERS
@@ -26,6 +26,32 @@ _MULTIPATH_ALL, _MULTIPATH_LOW, _MULTIPATH_DEG = 0.13, 0.53, 10.0
 # By how much C/N0 falls from the zenith to the horizon [dB], ours; above which one it costs no weight [dB-Hz]; and
 # variance that comes with every tenfold less power [m^2].
 _CN0_FALL, _CN0_STRONG, _CN0_VARIANCE = 10.0, 45.0, 0.15
+# What corrections of satellites leave of clocks and ephemerides, and of the ionosphere; ours.
+SBAS_SIGNAL, SBAS_DELAY = 0.5, 0.25
+# Carrier phase is fixed with satellites above this C/N0 [dB-Hz], tracked for so long [s].
+_STRONG_CN0, _LOCKED_S = 35.0, 3.0
+# Satellites are lost below the one and found again above the other [dB-Hz]; what that is in weakness, 1 at 45 dB-Hz.
+_LOST_CN0, _FOUND_CN0 = 25.0, 33.0
+LOST, FOUND = (10.0 ** (0.1 * (_CN0_STRONG - cn0)) for cn0 in (_LOST_CN0, _FOUND_CN0))
+# Ages below this are of satellites that are not seen, which count on downwards from there. After so long [s] they have
+# to be found anew.
+AWAY = -1000.0
+_COLD_S, _OLDEST_S = 60.0, 1e6
+# Rate [1/s] of a base station's multipath, as an accuracy takes it.
+_BASE_RATE = 0.01
+
+
+@record
+class Differential:
+    """What a solution makes of the corrections of a base station; m is 1 or n."""
+
+    before: Any = quantity(unit="m", doc="(m,) error by the base's code at the last knot; None for a base that moves")
+    after: Any = quantity(unit="m", doc="(m,) at the next")
+    strong: Array = quantity(unit="1", doc="(m,) satellites that carrier phase can be fixed with")
+    horizontal: Array = quantity(unit="m", doc="(m,) accuracy of a fix by code, both axes together")
+    vertical: Array = quantity(unit="m", doc="(m,) of its height")
+    float_horizontal: Array = quantity(unit="m", doc="(m,) accuracy of one that carrier phase has smoothed for long")
+    float_vertical: Array = quantity(unit="m", doc="(m,) of its height")
 
 
 @record
@@ -51,6 +77,7 @@ class Geometry:
     count: Array = quantity(unit="1", doc="(m,) satellites used")
     seen: Array = quantity(unit="1", doc="(m,) satellites above the mask")
     enough: Array = quantity(doc="(m,) bool: they are enough for a fix")
+    differential: Any = quantity(default=None, doc="Differential, of receivers that take corrections of a base")
     reflected: Any = quantity(default=None, unit="m", doc="(m,) error by reflections; None without obstacles")
     blocked: Any = quantity(default=None, unit="1", doc="(m,) satellites that obstacles hide")
     mirrored: Any = quantity(default=None, unit="1", doc="(m,) satellites of which a reflection alone is tracked")
@@ -101,9 +128,10 @@ def carrier_to_noise(receiver: Any, up: Array) -> Array:
     return across(receiver.cn0_zenith) - _CN0_FALL * (1.0 - up)
 
 
-def passed(receiver: Any, rate: Array) -> Array:
+def passed(receiver: Any, rate: Any, smoothing_time: Any = None) -> Array:
     """Return the share of variance that both lags leave of a first-order process of a rate [1/s]."""
-    first, second = 1.0 / jnp.asarray(receiver.loop_time), 1.0 / jnp.asarray(receiver.smoothing_time)
+    second_time = receiver.smoothing_time if smoothing_time is None else smoothing_time
+    first, second = 1.0 / jnp.asarray(receiver.loop_time), 1.0 / jnp.asarray(second_time)
     above = first * second * (rate + first + second)
     return above / ((rate + first) * (rate + second) * (first + second))
 
@@ -123,30 +151,81 @@ def sights(receiver: Any, slots: Slots, position_ned: Vec3 | None, ground: Any) 
     return seen & (-rays.z > ground.horizon_sine(position_ned, rays))
 
 
-def geometry_of(receiver: Any, slots: Slots, seen: Array, age: Array, view: View | None = None) -> Geometry:
-    """Return the geometry of receivers (a ``Gnss``) that see satellites (K, m) for a time (K, m) [s]."""
+def weakness(receiver: Any, slots: Slots, jam: Array | None = None, loss: Any = 0.0) -> Array:
+    """Return the inverse of the satellites' C/N0 (K, m), 1 at 45 dB-Hz.
+
+    ``jam`` (n,) is what jammers add, ``loss`` (K, m) what C/N0 lacks [dB].
+    """
+    cn0 = carrier_to_noise(receiver, -slots.sight.line_of_sight.z[:, None]) - loss
+    weaker = exp((_CN0_STRONG - cn0) * (0.1 * math.log(10.0)))
+    return weaker if jam is None else weaker + jam[None, :]
+
+
+def strengths(receiver: Any, slots: Slots, jam: Array | None = None) -> Array:
+    """Return the C/N0 (K, m) [dB-Hz] of the satellites."""
+    return _CN0_STRONG - 10.0 / math.log(10.0) * log(weakness(receiver, slots, jam))
+
+
+def clear_weakness(receiver: Any) -> Array:
+    """Return the inverse of the C/N0 at the zenith without jammers, 1 at 45 dB-Hz."""
+    return exp((_CN0_STRONG - jnp.asarray(receiver.cn0_zenith)) * (0.1 * math.log(10.0)))
+
+
+def tracked(receiver: Any, slots: Slots, seen: Array, age: Array, jam: Array) -> Array:
+    """Return which satellites (K, n) are tracked of those seen, with ages (K, n) [s], by jammed receivers (n,)."""
+    weaker = weakness(receiver, slots, jam)
+    strong = weaker < jnp.where(age > 0.5 * AWAY, LOST, FOUND)
+    return seen & (strong | ~(jam > 0.0)[None, :])
+
+
+def aged(receiver: Any, seen: Array, same: Array, age: Array) -> Array:
+    """Return the ages (K, n) [s] of satellites a period later: seen or not, and the same (K, 1) as before or not."""
+    period = receiver.period
+    long = AWAY - age > _COLD_S
+    found = across(receiver.acquisition) - jnp.where(
+        long, across(receiver.reacquisition_long), across(receiver.reacquisition)
+    )
+    begins = jnp.where(age > 0.5 * AWAY, age, found)
+    on = jnp.minimum(begins + period, _OLDEST_S)
+    off = jnp.where(age > 0.5 * AWAY, AWAY, jnp.maximum(age, 10.0 * AWAY)) - period
+    return jnp.where(same, jnp.where(seen, on, off), jnp.where(seen, period, AWAY - period))
+
+
+def geometry_of(
+    receiver: Any, slots: Slots, seen: Array, age: Array, view: View | None = None, jam: Array | None = None
+) -> Geometry:
+    """Return the geometry of receivers (a ``Gnss``) that see satellites (K, m) for a time (K, m) [s].
+
+    Of satellites that are not seen the age does not count; ``jam`` (n,) is what jammers add to their weakness.
+    """
     age = jnp.where(seen, age, 0.0)
     ramp = jnp.clip((age - across(receiver.acquisition)) / across(receiver.entry), 0.0, 1.0)
     used = seen & (ramp > 0.0)
     sight, scales, which = slots.sight, slots.scales, column(receiver)
     up = -sight.line_of_sight.z[:, None]
-    cn0 = carrier_to_noise(receiver, up) if view is None else carrier_to_noise(receiver, up) - view.loss
-    weaker = exp((_CN0_STRONG - cn0) * (0.1 * math.log(10.0)))
+    weaker = weakness(receiver, slots, jam, 0.0 if view is None else view.loss)
     low = exp(sight.elevation[:, None] * (-1.0 / math.radians(_MULTIPATH_DEG)))
     multipath = across(receiver.multipath) * (_MULTIPATH_ALL + _MULTIPATH_LOW * low)
     thermal = across(thermal_variance(receiver)) * weaker
     delay = 0.5 * scales.vertical[which] * sight.ionosphere
     zenith = scales.troposphere * sight.troposphere
-    common = (scales.signal * scales.signal + delay * delay + zenith * zenith)[:, None]
+    signal, left = _left(receiver)
+    clock = signal * scales.signal
+    delay = left * delay
+    common = (clock * clock + delay * delay + zenith * zenith)[:, None]
     variance = multipath * multipath + thermal + common + _CN0_VARIANCE * jnp.maximum(weaker - 1.0, 0.0)
     directions, weight = sight.line_of_sight.map(lambda axis: axis[:, None]), jnp.where(used, ramp / variance, 0.0)
     solution = solve(directions, weight, used)
     apart = [(slots.system == LETTERS.index(letter)).astype(up.dtype)[:, None] for letter in receiver.systems[1:]]
     before, after = (
-        (errors.signal, errors.delay if which == 0 else errors.delay_dual) for errors in (slots.before, slots.after)
+        (
+            errors.signal if signal == 1.0 else errors.weather + signal * (errors.signal - errors.weather),
+            left * (errors.delay if which == 0 else errors.delay_dual),
+        )
+        for errors in (slots.before, slots.after)
     )
     carried = (after[0] - after[1]) - (before[0] - before[1])
-    slope = scales.slope[which] * 1e-3
+    slope = left * scales.slope[which] * 1e-3
     columns = [before[0] + before[1], after[0] + after[1], carried,
                slope * slots.before.slope_north, slope * slots.before.slope_east]  # fmt: skip
     if view is not None:
@@ -158,6 +237,8 @@ def geometry_of(receiver: Any, slots: Slots, seen: Array, age: Array, view: View
     found = solution.of([*(entry[:, None] for entry in columns), *apart])
     horizontal, vertical, speed = _accuracies(receiver, slots, solution, rows, multipath, weaker, found[5:])
     half = math.sqrt(0.5) * multipath
+    # Carrier phase is not fixed with reflections, which are all that is weaker for obstacles.
+    direct = used if view is None else used & ~(view.loss > 0.0)
     return Geometry(
         knot=slots.knot, age=age,
         rows=rows if slots.rough or slots.own is not None else None,
@@ -167,6 +248,58 @@ def geometry_of(receiver: Any, slots: Slots, seen: Array, age: Array, view: View
         horizontal=horizontal, vertical=vertical, speed=speed, hdop=solution.hdop, vdop=solution.vdop,
         count=solution.count, seen=jnp.sum((seen if view is None else view.counted).astype(up.dtype), axis=0),
         enough=solution.enough, reflected=None if view is None else solution.of([view.extra])[0],
+        differential=_differential(receiver, slots, solution, rows, age, direct, multipath, weaker, found[5:]),
+    )  # fmt: skip
+
+
+def left_signal(receiver: Any) -> float:
+    """Return what corrections of satellites leave of errors that know no ionosphere."""
+    return _left(receiver)[0]
+
+
+def _left(receiver: Any) -> tuple[float, float]:
+    """Return what corrections of satellites leave of clocks and ephemerides, and of the ionosphere."""
+    return (SBAS_SIGNAL, SBAS_DELAY) if receiver.corrections == "sbas" else (1.0, 1.0)
+
+
+def _own_variance(receiver: Any, multipath: Array, weaker: Array, smoothing_time: Any = None) -> Array:
+    """Return the variance (K, m) [m^2] that both lags leave of a receiver's own errors of ranges."""
+    fast, slow = (passed(receiver, 1.0 / jnp.asarray(time), smoothing_time) for time in times(receiver))
+    white = passed(receiver, 2.0 / receiver.period, smoothing_time)
+    return multipath * multipath * across(0.5 * (fast + slow)) + across(thermal_variance(receiver) * white) * weaker
+
+
+def _differential(
+    receiver: Any, slots: Slots, solution: Solution, rows: Vec3, age: Array, used: Array, multipath: Array,
+    weaker: Array, systems: list[Vec3],
+) -> Differential | None:  # fmt: skip
+    """Return what the solution makes of corrections of a base station, if the receiver takes any."""
+    if not receiver.takes_base:
+        return None
+    before = after = None
+    if receiver.moving_base:
+        # The base is a receiver like this one.
+        other = [_own_variance(receiver, multipath, weaker, time) for time in (None, receiver.float_time)]
+        spread = math.sqrt(2.0)
+    else:
+        low = exp(slots.sight.elevation * (-1.0 / math.radians(_MULTIPATH_DEG)))
+        std = slots.base.multipath * (_MULTIPATH_ALL + _MULTIPATH_LOW * low)
+        before, after = (-part for part in solution.of([
+            (std * code)[:, None] for code in (slots.base.code_before, slots.base.code_after)]))  # fmt: skip
+        other = [passed(receiver, _BASE_RATE, time) * (std * std)[:, None] for time in (None, receiver.float_time)]
+        spread = 1.0
+    squares = [axis * axis for axis in (rows.x, rows.y, rows.z)]
+    own = [_own_variance(receiver, multipath, weaker, time) for time in (None, receiver.float_time)]
+    found = sums([square * (a + b) for a, b in zip(own, other, strict=True) for square in squares])
+    bias = spread * receiver.system_bias
+    for part in systems:
+        found = [v + (bias * a) ** 2 for v, a in zip(found, (part.x, part.y, part.z) * 2, strict=True)]
+    strong = used & (age > _LOCKED_S) & (weaker < 10.0 ** (0.1 * (_CN0_STRONG - _STRONG_CN0)))
+    count = jnp.sum(strong.astype(weaker.dtype), axis=0)
+    north, east, down, float_north, float_east, float_down = found
+    return Differential(
+        before, after, count, jnp.sqrt(north + east), jnp.sqrt(down),
+        jnp.sqrt(float_north + float_east), jnp.sqrt(float_down),
     )  # fmt: skip
 
 
@@ -175,17 +308,15 @@ def _accuracies(
 ) -> tuple[Array, Array, Array]:
     """Return the standard deviations of horizontal error, height and velocity that receivers report."""
     sight, scales, which = slots.sight, slots.scales, column(receiver)
-    fast, slow = (passed(receiver, 1.0 / jnp.asarray(time)) for time in times(receiver))
-    own = multipath * multipath * across(0.5 * (fast + slow))
-    white = passed(receiver, jnp.asarray(2.0 / receiver.period))
-    own = own + across(thermal_variance(receiver) * white) * weaker
-    local = scales.local[which] * sight.ionosphere
-    each = own + (scales.signal * scales.signal + local * local)[:, None]
+    signal, left = _left(receiver)
+    own = _own_variance(receiver, multipath, weaker)
+    clock, local = signal * scales.signal, left * scales.local[which] * sight.ionosphere
+    each = own + (clock * clock + local * local)[:, None]
     squares = [axis * axis for axis in (rows.x, rows.y, rows.z)]
     north, east, down, *rates = sums([s * part for part in (each, weaker) for s in squares])
-    gradient = scales.gradient[which]
+    gradient = left * scales.gradient[which]
     together = [
-        (scales.vertical[which], sight.ionosphere), (scales.troposphere, sight.troposphere),
+        (left * scales.vertical[which], sight.ionosphere), (scales.troposphere, sight.troposphere),
         (gradient, sight.ionosphere * sight.pierce_north), (gradient, sight.ionosphere * sight.pierce_east),
     ]  # fmt: skip
     parts = [*solution.of([entry[:, None] for _, entry in together]), *systems]

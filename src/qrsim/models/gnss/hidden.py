@@ -15,6 +15,7 @@ from jax import Array
 from qrsim.core.tree import quantity, record, replace
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.geometry import CHIP_M, Geometry, View, across, carrier_to_noise, geometry_of
+from qrsim.models.gnss.interference import Effect
 from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.gnss.slots import Slots
 
@@ -39,7 +40,7 @@ class Tracking:
 
 def solved(
     receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: Any,
-    position_ned: Vec3, fast: Array, slow: Array,
+    position_ned: Vec3, fast: Array, slow: Array, effect: Effect | None = None,
 ) -> tuple[Geometry, Tracking]:  # fmt: skip
     """Return the solutions of receivers (n,) among obstacles.
 
@@ -52,6 +53,7 @@ def solved(
         same: (K,) bool: the slot has the satellite that it had before.
         position_ned: of the receivers [m].
         fast, slow: both halves of their multipath (K, n), of unit variance.
+        effect: of interference, if there is any.
     """
     hides, detour = skyline.look(position_ned, slots.sight)
     there = jnp.broadcast_to(whole.age > 0.0, hides.shape)
@@ -72,7 +74,7 @@ def solved(
         multipath=fast + slow,
         counted=there,
     )
-    now = geometry_of(receiver, slots, seen, age, view)
+    now = geometry_of(receiver, slots, seen, age, view, None if effect is None else effect.jam)
     # Those for whom no signal is hidden, reflected or coming back.
     settled = tracking.held >= jnp.minimum(whole.age, across(receiver.acquisition) + across(receiver.entry))
     clear = jnp.all(~there | (settled & ~hides & ~mirrored), axis=0)

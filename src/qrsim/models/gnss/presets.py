@@ -23,9 +23,26 @@ _COMMON: dict[str, Any] = {
     "reacquisition_long": 30.0,
     "nlos": "track",
     "coast": 1.0,
+    "corrections": "none",
+    "moving_base": "",
+    "first_fix": "float",
+    "float_time": 60.0,
+    "fix_time": 9.0,
+    "wrong_fixes": 0.003,
+    "fixed_accuracy": 0.01,
+    "fixed_per_distance": 1e-6,
     "delay": 1,
     "velocity": "doppler",
+    "per_satellite": False,
     "period": 0.2,
+}
+_F9P: dict[str, Any] = {
+    "systems": "GERC",
+    "frequencies": "dual",
+    "multipath": 4.0,
+    "cn0_zenith": 50.0,
+    "doppler_noise": 0.05,
+    "smoothing_time": 10.0,
 }
 _OWN: dict[str, dict[str, Any]] = {
     "m8n": {
@@ -35,14 +52,9 @@ _OWN: dict[str, dict[str, Any]] = {
         "cn0_zenith": 48.0,
         "doppler_noise": 0.06,
     },
-    "f9p_single": {
-        "systems": "GERC",
-        "frequencies": "dual",
-        "multipath": 4.0,
-        "cn0_zenith": 50.0,
-        "doppler_noise": 0.05,
-        "smoothing_time": 10.0,
-    },
+    "f9p_single": _F9P,
+    "f9p_sbas": {**_F9P, "corrections": "sbas"},
+    "f9p_rtk": {**_F9P, "corrections": "rtk"},
     "gps_2011": {
         "systems": "G",
         "frequencies": "single",

@@ -47,6 +47,7 @@ class CommonErrors:
     delay_dual: Array = quantity(unit="m", doc="ionosphere, for receivers of two")
     slope_north: Array = quantity(unit="1", doc="slant slope of the ionosphere to the north, per unit of its std")
     slope_east: Array = quantity(unit="1", doc="the same, east")
+    weather: Array = quantity(unit="m", doc="the part of signal that is the troposphere's")
 
 
 @record
@@ -86,7 +87,7 @@ def sight_of(satellites_ned: Vec3) -> Sight:
 def without_ionosphere(signal: Array) -> CommonErrors:
     """Return range errors (S,) [m] that know no ionosphere."""
     zero = jnp.zeros_like(signal)
-    return CommonErrors(signal, zero, zero, zero, zero)
+    return CommonErrors(signal, zero, zero, zero, zero, zero)
 
 
 def plain_scales(signal: Any, like: Array) -> Scales:

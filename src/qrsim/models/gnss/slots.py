@@ -17,7 +17,9 @@ from qrsim.core.clock import split_time
 from qrsim.core.noise import Draw
 from qrsim.core.tree import map_tree, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.base_station import BaseStation
 from qrsim.models.gnss.contracts import RangeErrors, Sky
+from qrsim.models.gnss.interference import Interference
 from qrsim.models.gnss.orbits import Orbits, elevation_azimuth
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.sight import CommonErrors, Scales, Sight, sight_of
@@ -44,6 +46,8 @@ class Slots:
     knot: Array = quantity(doc="() int32 number of the knot: while it lasts, all of the above does")
     part: Array = quantity(unit="1", doc="() how far it is from the last knot to the next")
     own: Any = quantity(default=None, doc="the range errors, where every receiver has its own")
+    base: Any = quantity(default=None, doc="BaseSeen of a base station, None without one")
+    interference: Any = quantity(default=None, doc="Interfering, what interferes at this epoch; None if nothing can")
     knot_s: float = setting(default=KNOT_S, unit="s", doc="time from one knot to the next")
     rough: bool = setting(default=False, doc="range errors are stepped at every epoch, and not by knots")
 
@@ -64,6 +68,7 @@ class SlottedMemory:
     errors: Any = quantity(doc="state of the range errors, at the next knot or at the epoch")
     after_ned: Vec3 = quantity(unit="m", doc="positions at the next knot")
     ends: Any = quantity(doc="Ends, where receivers of the older kind need them, else None")
+    base: Any = quantity(default=None, doc="state of the base station, None without one")
 
 
 @record
@@ -81,6 +86,8 @@ class SlottedSky(Sky):
     each_epoch: bool = setting(
         default=True, doc="positions and errors of all satellites are of every epoch, not of the last knot"
     )
+    base: BaseStation | None = quantity(default=None, doc="base station that sends corrections")
+    interference: Interference | None = quantity(default=None, doc="jammers, spoofers, outages, storms")
 
     @property
     def knot_ticks(self) -> int:
@@ -99,9 +106,14 @@ class SlottedSky(Sky):
         here = self.orbits.positions_ned(jnp.int32(0), zero)
         later = self.orbits.positions_ned(*split_time(jnp.int32(self.knot_ticks), self.time_step, zero.dtype))
         # Of the same stream at another tick, because two steps must not have the same normals.
-        advanced = self._advanced(errors, replace(draw, tick=draw.tick + 1))
+        ahead = replace(draw, tick=draw.tick + 1)
+        advanced = self._advanced(errors, ahead)
         nobody = jnp.full((self.slots,), -1, jnp.int32)
         memory, slots, error = self._from(errors, advanced, here, later, nobody, jnp.int32(0))
+        if self.base is not None:
+            base = self.base.init(draw)
+            memory, slots = self._with_base(memory, slots, base, self.base.step(base, ahead, self.knot_s))
+        slots = self._told(memory, slots, jnp.int32(0), zero)
         return SkyState(here, error, jnp.zeros_like(error), memory, jnp.asarray(self.ids), slots)
 
     def step(self, state: SkyState, draw: Draw, seconds: Array, fraction: Array) -> SkyState:
@@ -109,10 +121,14 @@ class SlottedSky(Sky):
         tick = draw.tick.astype(jnp.int32)
 
         def held() -> tuple[Any, ...]:
-            return state.memory, state.slots, state.satellites_ned, state.range_error
+            # What interferes is of the epoch, and told below.
+            return state.memory, replace(state.slots, interference=None), state.satellites_ned, state.range_error
 
         memory, slots, satellites, error = lax.cond(tick % self.knot_ticks == 0, lambda: self._knot(state, draw), held)
         part = (tick % self.knot_ticks).astype(fraction.dtype) * (1.0 / self.knot_ticks)
+        if self.base is not None:
+            memory = replace(memory, base=self.base.carried(memory.base, draw, self.period))
+        slots = self._told(memory, slots, seconds, fraction)
         if self.each_epoch:
             satellites = map_tree(lambda a, b: _between(a, b, part), memory.ends.before_ned, memory.after_ned)
             error = _between(memory.ends.error_before, memory.ends.error_after, part)
@@ -134,8 +150,26 @@ class SlottedSky(Sky):
         ahead = map_tree(lambda line, orbit: jnp.where(missing, line, orbit), here + (here - before), ahead)
         advanced = self._advanced(memory.errors, draw)
         knot = tick // self.knot_ticks
+        base = memory.base
         memory, slots, error = self._from(memory.errors, advanced, here, ahead, state.slots.places, knot)
+        if self.base is not None:
+            memory, slots = self._with_base(memory, slots, base, self.base.step(base, draw, self.knot_s))
         return memory, slots, here, error
+
+    def _with_base(self, memory: SlottedMemory, slots: Slots, now: Any, later: Any) -> tuple[SlottedMemory, Slots]:
+        """Return memory and slots with the base station, from a knot to the next."""
+        assert self.base is not None
+        seen, taken = self.base.seen(now, later), jnp.maximum(slots.places, 0)
+        seen = replace(seen, code_before=seen.code_before[taken], code_after=seen.code_after[taken])
+        return replace(memory, base=later), replace(slots, base=seen)
+
+    def _told(self, memory: SlottedMemory, slots: Slots, seconds: Array, fraction: Array) -> Slots:
+        """Return slots with what is heard of the base station at an epoch, and what interferes."""
+        if self.base is not None:
+            slots = replace(slots, base=self.base.heard(slots.base, memory.base.carrier, seconds, fraction))
+        if self.interference is not None:
+            slots = replace(slots, interference=self.interference.at(slots.places, seconds, fraction))
+        return slots
 
     def _advanced(self, errors: Any, draw: Draw) -> Any:
         """Return errors at the next knot; those that are stepped at every epoch wait for theirs."""
@@ -148,6 +182,10 @@ class SlottedSky(Sky):
         sights = [sight_of(where) for where in (here, later)]
         system = jnp.asarray(self.system)
         common = [self.errors.seen(e, s, system) for e, s in zip((errors, advanced), sights, strict=True)]
+        if self.interference is not None:
+            ticks = (knot * self.knot_ticks, (knot + 1) * self.knot_ticks)
+            times = [split_time(tick, self.time_step, here.x.dtype) for tick in ticks]
+            common = [self.interference.stormy(c, *time) for c, time in zip(common, times, strict=True)]
         highest = jnp.maximum(*(-sight.line_of_sight.z for sight in sights))
         # Of a satellite without a position this is NaN, which fails the comparison.
         places, dropped = assigned(highest > self.lowest_sine, highest, places)

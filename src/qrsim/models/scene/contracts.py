@@ -71,6 +71,10 @@ class Ground(Protocol):
         """Return the sine (S, n) of the horizon's elevation below lines of sight (S, n) from positions (n,) [m]."""
         return jnp.full(line_of_sight.z.shape, -1.0, line_of_sight.z.dtype)
 
+    def line_of_sight(self, position_ned: Vec3, point_ned: Vec3) -> Array:
+        """Return whether a point () [m] is seen from positions (n,) [m]: (n,) bool; by default it is."""
+        return jnp.ones(position_ned.x.shape, bool)
+
     @abstractmethod
     def down(self, position_ned: Vec3) -> Array:
         """Return the down coordinate [m] of the ground below (or above) positions of any shape [m]."""

@@ -22,6 +22,8 @@ MOST_POINTS = 4_000_000
 # The table of the horizon: heights of the eye and bearings, and how far it looks [m], in steps of a part of the way.
 EYES, BEARINGS = 8, 180
 FARTHEST, STEP = 50_000.0, 0.005
+# Parts of a way between two points, at whose ends the ground is asked whether it is in between.
+_LOOKS = 32
 
 
 @record
@@ -67,6 +69,13 @@ class GridGround(Ground):
         (a, b), corners = self._cell(position_ned)
         south, north = (low + b * (high - low) for low, high in corners)
         return south + a * (north - south)
+
+    def line_of_sight(self, position_ned: Vec3, point_ned: Vec3) -> Array:
+        """Return whether a point () [m] is seen from positions (n,) [m], by the ground at places in between."""
+        part = jnp.arange(1, _LOOKS, dtype=position_ned.x.dtype)[:, None] * (1.0 / _LOOKS)
+        pairs = zip(vars(position_ned).values(), vars(point_ned).values(), strict=True)
+        north, east, down = (a[None, :] + (b - a)[None, :] * part for a, b in pairs)
+        return jnp.all(down <= self.down(Vec3(north, east, down)), axis=0)
 
     def normal(self, position_ned: Vec3) -> Vec3:
         """Return the unit normal, upwards, of the bilinear patch below positions of any shape."""

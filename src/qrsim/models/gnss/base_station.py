@@ -1,0 +1,136 @@
+"""A base station, whose corrections take away what receivers near it have in common with it (docs/gnss.md)."""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.noise import Draw, Drawn, ou_step
+from qrsim.core.tree import parameter, quantity, record, replace
+from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.errors import GaussMarkov2, GaussMarkov2State
+from qrsim.models.gnss.schedule import is_on, since
+
+# Number of the "satellite" that the randomness of the base alone belongs to, and pairs of its normals; of satellites
+# the error budget has the first ones.
+BASE = 0xFFFFFFFE
+_CODE_PAIR, _TILT_PAIR, _SURVEY_PAIR = 64, 8, 32
+# Time constants [s]: of the multipath of a base that stands still (ours), of what the ionosphere and troposphere leave
+# of carrier phase over a baseline, and of carrier multipath.
+_CODE_TIMES, _TILT_TIMES, CARRIER_TIME = (100.0, 20.0), (3600.0, 600.0), 30.0
+
+
+@record
+class BaseState:
+    """Processes of unit variance."""
+
+    code: GaussMarkov2State = quantity(doc="(S,) multipath of the base, at the next knot")
+    tilt: tuple[GaussMarkov2State, ...] = quantity(doc="(1,) each: of north, east, down per way north, then east")
+    carrier: Vec3 = quantity(unit="1", doc="(1,) error of its carrier phase, in position")
+    coordinates: Vec3 = quantity(unit="1", doc="(1,) error of its stated position")
+
+
+@record
+class BaseSeen:
+    """What receivers know of a base station, or suffer from it; its multipath is of the satellites in K slots."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="() where it is")
+    coordinates: Vec3 = quantity(unit="m", doc="(1,) error of where it says that it is")
+    carrier: Vec3 = quantity(unit="1", doc="(1,) error of its carrier phase, of unit variance")
+    tilt_north: Vec3 = quantity(unit="1", doc="(1,) error of a fixed position per way north, of unit variance")
+    tilt_east: Vec3 = quantity(unit="1", doc="(1,) the same, east")
+    code_before: Array = quantity(unit="1", doc="(K,) its multipath at the last knot, of unit variance")
+    code_after: Array = quantity(unit="1", doc="(K,) at the next")
+    multipath: Array = quantity(unit="1", doc="() its multipath per that of an airborne antenna")
+    age: Array = quantity(unit="s", doc="() time since it last sent corrections, while it does")
+    sends: Array = quantity(doc="() bool: it does")
+    reach: Array = quantity(unit="m", doc="() distance up to which it is heard")
+
+
+@record
+class BaseStation:
+    """A receiver on the ground that sends corrections to those with ``corrections: dgps`` or ``rtk``.
+
+    It uses all satellites of theirs. An error of its stated position moves all that it corrects.
+    """
+
+    position_ned: Array = parameter(unit="m", doc="where its antenna is: north, east, down", length=3)
+    silent: Array = quantity(unit="s", doc="(M, 2) from when to when it sends nothing")
+    survey_error: Array = parameter(default=0.0, unit="m", doc="std of its stated position, per axis", minimum=0.0)
+    multipath: Array = parameter(default=1.0, unit="1", doc="multipath per that of an airborne antenna", minimum=0.0)
+    interval: Array = parameter(default=1.0, unit="s", doc="between corrections", above=0.0)
+    reach: Array = parameter(default=1.0e6, unit="m", doc="distance up to which corrections are received", minimum=0.0)
+
+    def init(self, draw: Draw) -> BaseState:
+        """Return a stationary first state; ``draw`` is for the S satellites."""
+        code = draw.normal_rows(2, first=_CODE_PAIR)
+        alone = draw.alone(BASE)
+        first, survey = alone.normals(3), alone.normal_rows(3, first=_SURVEY_PAIR)
+        tilt = alone.normal_rows(12, first=_TILT_PAIR)
+        tilts = tuple(_unit(_TILT_TIMES, code).init(Drawn((tilt[2 * i], tilt[2 * i + 1]))) for i in range(6))
+        started = _unit(_CODE_TIMES, code).init(Drawn((code[0], code[1])))
+        return BaseState(started, tilts, Vec3(*first), Vec3(survey[0], survey[1], survey[2]))
+
+    def step(self, state: BaseState, draw: Draw, dt: float) -> BaseState:
+        """Advance all but the carrier from knot to knot, by dt [s]."""
+        code = draw.normal_rows(2, first=_CODE_PAIR)
+        tilt = draw.alone(BASE).normal_rows(12, first=_TILT_PAIR)
+        process = _unit(_TILT_TIMES, code)
+        tilts = tuple(
+            process.step(before, Drawn((tilt[2 * i], tilt[2 * i + 1])), dt) for i, before in enumerate(state.tilt)
+        )
+        stepped = _unit(_CODE_TIMES, code).step(state.code, Drawn((code[0], code[1])), dt)
+        return replace(state, code=stepped, tilt=tilts)
+
+    def carried(self, state: BaseState, draw: Draw, dt: float) -> BaseState:
+        """Advance the carrier's error by a period of the sky, dt [s]."""
+        return replace(state, carrier=carrier_step(state.carrier, draw.alone(BASE).normals(3), dt))
+
+    def seen(self, now: BaseState, later: BaseState) -> BaseSeen:
+        """Return what receivers see from a knot on, with the multipath (S,) of all satellites."""
+        north, east, down = self.position_ned[0], self.position_ned[1], self.position_ned[2]
+        tilt = [state.error for state in now.tilt]
+        zero = jnp.zeros((), now.carrier.x.dtype)
+        return BaseSeen(
+            position_ned=Vec3(north, east, down),
+            coordinates=now.coordinates * jnp.asarray(self.survey_error),
+            carrier=now.carrier,
+            tilt_north=Vec3(*tilt[:3]),
+            tilt_east=Vec3(*tilt[3:]),
+            code_before=now.code.error,
+            code_after=later.code.error,
+            multipath=jnp.asarray(self.multipath),
+            age=zero,
+            sends=zero == 0.0,
+            reach=jnp.asarray(self.reach),
+        )
+
+    def heard(self, seen: BaseSeen, carrier: Vec3, seconds: Array, fraction: Array) -> BaseSeen:
+        """Return it at an epoch: its carrier's error, and whether and when it has sent corrections."""
+        passed = since(0.0, seconds, fraction)
+        spans = jnp.reshape(jnp.asarray(self.silent, passed.dtype), (-1, 2))
+        quiet = [is_on(spans[i, 0], spans[i, 1], seconds, fraction) for i in range(spans.shape[0])]
+        sends = ~jnp.any(jnp.stack(quiet)) if quiet else jnp.ones((), bool)
+        # Half a millisecond, so that what was sent now is not an interval old.
+        age = jnp.maximum(passed - self.interval * jnp.floor((passed + 5e-4) / self.interval), 0.0)
+        return replace(seen, carrier=carrier, age=age, sends=sends)
+
+
+def carrier_step(carrier: Vec3, normals: tuple[Array, ...], dt: float) -> Vec3:
+    """Advance the error of carrier phase, of unit variance, by dt [s]."""
+    axes = zip((carrier.x, carrier.y, carrier.z), normals, strict=True)
+    one, time = jnp.ones((), carrier.x.dtype), jnp.asarray(CARRIER_TIME, carrier.x.dtype)
+    return Vec3(*(ou_step(axis, normal, dt, one, time) for axis, normal in axes))
+
+
+def _unit(times: tuple[float, float], like: Array) -> GaussMarkov2:
+    """Return a process of unit variance."""
+    one, time, drive = (jnp.asarray(value, like.dtype) for value in (1.0, *times))
+    return GaussMarkov2(one, time, drive)
+
+
+def distance(way: Vec3) -> Array:
+    """Return the length of ways, with a slope where it is zero."""
+    return jnp.sqrt(way.x * way.x + way.y * way.y + way.z * way.z + math.ulp(1.0))

@@ -1,0 +1,262 @@
+"""What keeps satellites from receivers or lies to them: jammers, discs, spoofers, outages, storms (docs/gnss.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import map_tree, parameter, quantity, record, replace
+from qrsim.core.tree import setting as choice
+from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.schedule import is_on, since
+from qrsim.models.gnss.sight import CommonErrors
+
+# Power of a satellite's signal at the ground [dBW], frequency of L1 [Hz], rate of the C/A code [1/s].
+_SIGNAL_DBW, _L1_HZ, _CODE_HZ = -157.0, 1575.42e6, 1.023e6
+_LIGHT = 299792458.0
+# How little of a jammer's power goes against the code, 1/(R_c int S_j S_s df) of both spectra: white noise over the
+# main lobe of the code's spectrum, which has 0.903 of its power, and a tone in the middle of it.
+QUALITY = {"wide": 2.0 / 0.903, "narrow": 1.0}
+# Gain of an antenna that looks up towards what is below it, and what is left of a jammer that is hidden, in power.
+_FROM_BELOW, _HIDDEN = 10.0**-0.5, 10.0**-2.0
+# Losses of satellites count from 45 dB-Hz on, as in geometry.py.
+_STRONG = 10.0**4.5
+# Above every limit of what can be tracked.
+BLIND = 1e9
+# A storm of the ionosphere grows and fades over so long [s].
+_RAMP_S = 60.0
+# Of a jammer that is nearer than this [m], the power does not grow.
+_NEAREST = 1.0
+
+
+def _start() -> Any:
+    return parameter(default=0.0, unit="s", doc="when it begins", minimum=0.0)
+
+
+def _end() -> Any:
+    return parameter(default=None, unit="s", doc="when it ends; null: not before the run", above=0.0, nullable=True)
+
+
+@record
+class Jammer:
+    """A transmitter of noise on the frequency of the satellites."""
+
+    position_ned: Array = parameter(unit="m", doc="where it is: north, east, down", length=3)
+    power_w: Array = parameter(default=0.01, unit="W", doc="power that it radiates", minimum=0.0)
+    start: Array = _start()
+    end: Array = _end()
+    band: Literal["wide", "narrow"] = choice(default="wide", doc="as wide as the signals, or a single tone")
+
+
+@record
+class Disc:
+    """A plain jammer: no receiver tracks any satellite within a radius."""
+
+    position_ned: Array = parameter(unit="m", doc="where its centre is: north, east, down", length=3)
+    radius: Array = parameter(default=100.0, unit="m", doc="around the centre", minimum=0.0)
+    start: Array = _start()
+    end: Array = _end()
+
+
+@record
+class Spoofer:
+    """A transmitter of satellites' signals that are false: it moves the fixes of those that take them for true."""
+
+    position_ned: Array = parameter(unit="m", doc="centre of where it is heard", length=3)
+    offset_ned: Array = parameter(unit="m", doc="by which it moves a fix at the start", length=3)
+    rate_ned: Array = parameter(unit="m/s", doc="by which it moves it on", length=3)
+    radius: Array = parameter(
+        default=None, unit="m", doc="within which it is heard; null: everywhere", minimum=0.0, nullable=True
+    )
+    jam_first: Array = parameter(
+        default=0.0, unit="s", doc="for which it jams at first, so that the true signals are lost", minimum=0.0
+    )
+    start: Array = _start()
+    end: Array = _end()
+
+
+@record
+class Outage:
+    """Satellites that send nothing."""
+
+    satellites: Array = quantity(doc="(S,) bool: it is of these")
+    start: Array = _start()
+    end: Array = _end()
+
+
+@record
+class IonoStorm:
+    """A storm of the ionosphere: its delay and slopes are multiplied, ramped over a minute."""
+
+    factor: Array = parameter(default=3.0, unit="1", doc="by which they are multiplied", minimum=0.0)
+    start: Array = _start()
+    end: Array = _end()
+
+
+@record
+class Emitter:
+    """A jammer at an epoch."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="() where it is")
+    strength: Array = quantity(unit="m^2", doc="() what it adds at 1 m to the inverse of C/N0, 1 at 45 dB-Hz; 0 if off")
+
+
+@record
+class Circle:
+    """What is within a radius at an epoch."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="() centre")
+    radius: Array = quantity(unit="m", doc="() negative while it is off")
+
+
+@record
+class Lie:
+    """A spoofer at an epoch."""
+
+    where: Circle = quantity(doc="where it is heard")
+    jams: Array = quantity(doc="() bool: it still jams")
+    offset_ned: Vec3 = quantity(unit="m", doc="() by which it moves fixes now")
+    rate_ned: Vec3 = quantity(unit="m/s", doc="() by which it moves velocities")
+
+
+@record
+class Interfering:
+    """What interferes with receivers at an epoch."""
+
+    emitters: tuple[Emitter, ...] = quantity(doc="jammers")
+    discs: tuple[Circle, ...] = quantity(doc="places without satellites")
+    lies: tuple[Lie, ...] = quantity(doc="spoofers")
+    silent: Array = quantity(doc="(K,) bool: the satellite of this slot sends nothing")
+
+
+@record
+class Effect:
+    """What interference does to receivers (n,) at an epoch."""
+
+    jam: Array = quantity(unit="1", doc="what it adds to the inverse of C/N0, 1 at 45 dB-Hz")
+    misled: Any = quantity(doc="bool: they believe a spoofer; None where there is none")
+    offset_ned: Any = quantity(unit="m", doc="by which spoofers move their positions, or None")
+    rate_ned: Any = quantity(unit="m/s", doc="by which they move their velocities, or None")
+    above: Array = quantity(unit="1", doc="satellites above the mask that send")
+    lost: Array = quantity(unit="1", doc="of these, those lost to jammers")
+
+
+@record
+class Interference:
+    """All that interferes with the receivers of a world."""
+
+    jammers: tuple[Jammer, ...] = quantity(default=(), doc="jammers")
+    discs: tuple[Disc, ...] = quantity(default=(), doc="discs")
+    spoofers: tuple[Spoofer, ...] = quantity(default=(), doc="spoofers")
+    outages: tuple[Outage, ...] = quantity(default=(), doc="outages")
+    storms: tuple[IonoStorm, ...] = quantity(default=(), doc="storms")
+
+    @property
+    def local(self) -> bool:
+        """Whether receivers see other satellites for it."""
+        return bool(self.jammers or self.discs or self.spoofers or self.outages)
+
+    def at(self, places: Array, seconds: Array, fraction: Array) -> Interfering | None:
+        """Return what interferes at an epoch with the satellites ``places`` (K,) of all; None if nothing can."""
+        if not self.local:
+            return None
+
+        def on(item: Any) -> Array:
+            return is_on(item.start, item.end, seconds, fraction)
+
+        emitters = tuple(
+            Emitter(_vector(item.position_ned), jnp.where(on(item), strength(item.power_w, item.band), 0.0))
+            for item in self.jammers
+        )
+        discs = tuple(Circle(_vector(item.position_ned), jnp.where(on(item), item.radius, -1.0)) for item in self.discs)
+        taken = jnp.maximum(places, 0)
+        silent = jnp.zeros(places.shape, bool)
+        for item in self.outages:
+            silent = silent | (on(item) & jnp.asarray(item.satellites)[taken])
+        lies = tuple(self._lie(item, on(item), seconds, fraction) for item in self.spoofers)
+        return Interfering(emitters, discs, lies, silent)
+
+    def _lie(self, item: Spoofer, on: Array, seconds: Array, fraction: Array) -> Lie:
+        passed = since(item.start, seconds, fraction)
+        rate = _vector(item.rate_ned)
+        where = Circle(_vector(item.position_ned), jnp.where(on, jnp.asarray(item.radius), -1.0))
+        return Lie(where, passed < item.jam_first - 1e-4, _vector(item.offset_ned) + rate * passed, rate)
+
+    def stormy(self, common: CommonErrors, seconds: Array, fraction: Array) -> CommonErrors:
+        """Return common errors in the storms of a time."""
+        for item in self.storms:
+            begun, ended = (jnp.clip(since(t, seconds, fraction) / _RAMP_S, 0.0, 1.0) for t in (item.start, item.end))
+            factor = 1.0 + (item.factor - 1.0) * (begun - ended)
+            names = ("delay", "delay_dual", "slope_north", "slope_east")
+            more = [map_tree(lambda leaf: leaf * factor, getattr(common, name)) for name in names]  # noqa: B023
+            common = replace(common, **dict(zip(names, more, strict=True)))
+        return common
+
+
+def strength(power_w: Any, band: str) -> Array:
+    """Return what a jammer adds at 1 m to the inverse of C/N0, which is 1 at 45 dB-Hz (Kaplan and Hegarty).
+
+    1/(c/n0) = 1/(c/n0 without it) + (j/s)/(Q R_c), j by the power, free space and an antenna of no gain.
+    """
+    at_1_m = (_LIGHT / (4.0 * math.pi * _L1_HZ)) ** 2 * 10.0 ** (-0.1 * _SIGNAL_DBW)
+    return jnp.asarray(power_w) * (at_1_m * _STRONG / (QUALITY[band] * _CODE_HZ))
+
+
+def jammed(now: Interfering, affected: Any, position_ned: Vec3, ground: Any) -> Array:
+    """Return what is added to the inverse of C/N0, 1 at 45 dB-Hz, of receivers (n,).
+
+    Args:
+        now: what interferes.
+        affected: for each spoofer which receivers (n,) it is for.
+        position_ned: of the receivers (n,).
+        ground: asked by ``line_of_sight(position_ned, point_ned)`` for what is hidden from whom; None: nothing is.
+    """
+    total = jnp.zeros_like(position_ned.x)
+    for item in now.emitters:
+        way = _from(position_ned, item.position_ned)
+        gain = jnp.where(way.z > 0.0, 1.0, _FROM_BELOW)
+        if ground is not None:
+            gain = jnp.where(ground.line_of_sight(position_ned, item.position_ned), gain, gain * _HIDDEN)
+        total = total + item.strength * gain / jnp.maximum(way.dot(way), _NEAREST**2)
+    for circle in now.discs:
+        total = total + jnp.where(_inside(circle, position_ned), BLIND, 0.0)
+    for lie, chosen in zip(now.lies, affected, strict=True):
+        total = total + jnp.where(chosen & lie.jams & _inside(lie.where, position_ned), BLIND, 0.0)
+    return total
+
+
+def lied_to(now: Interfering, affected: Any, position_ned: Vec3) -> tuple[Array, Vec3, Vec3]:
+    """Return which receivers (n,) believe a spoofer, and by how much it moves their positions and velocities."""
+    zero = jnp.zeros_like(position_ned.x)
+    believed, offset, rate = zero > 0.0, Vec3(zero, zero, zero), Vec3(zero, zero, zero)
+    for lie, chosen in zip(now.lies, affected, strict=True):
+        heard = chosen & ~lie.jams & _inside(lie.where, position_ned)
+        believed = believed | heard
+        offset, rate = (
+            Vec3(*(a + jnp.where(heard, b, 0.0) for a, b in zip(_axes(total), _axes(more), strict=True)))
+            for total, more in ((offset, lie.offset_ned), (rate, lie.rate_ned))
+        )
+    return believed, offset, rate
+
+
+def _inside(circle: Circle, position_ned: Vec3) -> Array:
+    way = _from(position_ned, circle.position_ned)
+    # Negative while it is off, so that nobody is inside.
+    return way.dot(way) <= circle.radius * jnp.abs(circle.radius)
+
+
+def _from(position_ned: Vec3, point: Vec3) -> Vec3:
+    """Return the ways (n,) from a point () to positions (n,)."""
+    return Vec3(*(a - b for a, b in zip(_axes(position_ned), _axes(point), strict=True)))
+
+
+def _vector(values: Any) -> Vec3:
+    array = jnp.asarray(values)
+    return Vec3(array[0], array[1], array[2])
+
+
+def _axes(vector: Vec3) -> tuple[Array, Array, Array]:
+    return vector.x, vector.y, vector.z

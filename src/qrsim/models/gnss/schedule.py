@@ -1,0 +1,25 @@
+"""What begins and ends at times of a run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+# Half of the shortest time step: an event at a tick has begun at that tick.
+_HALF_STEP = 5e-5
+
+
+def since(start: Any, seconds: Array, fraction: Array) -> Array:
+    """Return the time [s] since a start [s], at a time of whole seconds (int32) and a fraction."""
+    begin = jnp.asarray(start, fraction.dtype)
+    whole = jnp.floor(begin)
+    return (seconds - whole.astype(np.int32)).astype(fraction.dtype) + (fraction - (begin - whole))
+
+
+def is_on(start: Any, end: Any, seconds: Array, fraction: Array) -> Array:
+    """Return whether a time is within [start, end) [s]."""
+    passed = since(start, seconds, fraction)
+    return (passed > -_HALF_STEP) & (passed < jnp.asarray(end, fraction.dtype) - start - _HALF_STEP)

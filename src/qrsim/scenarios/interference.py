@@ -1,0 +1,161 @@
+"""What a scenario says of jammers, spoofers, outages and storms: its schema, its checks, and what is built of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Literal, Union
+
+import numpy as np
+from pydantic import Field
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.models.gnss.constellations import check_systems
+from qrsim.models.gnss.interference import Disc, Interference, IonoStorm, Jammer, Outage, Spoofer
+from qrsim.scenarios.component_schema import Strict, component_model
+from qrsim.scenarios.legs import Position
+
+# Where an Interference has what is of each kind.
+PLACES = {"jammer": "jammers", "disc": "discs", "spoofer": "spoofers", "outage": "outages", "iono_storm": "storms"}
+_CLASSES: dict[str, type] = {
+    "jammer": Jammer,
+    "disc": Disc,
+    "spoofer": Spoofer,
+    "outage": Outage,
+    "iono_storm": IonoStorm,
+}
+MOST = 100
+# The end of what has none, and the radius of what is heard everywhere.
+_NEVER, _EVERYWHERE = 1e9, 1e9
+_WHERE = (Position, Field(description="where it is [m]: north, east, down"))
+_ZERO = [0.0, 0.0, 0.0]
+_GIVEN: dict[str, dict[str, Any]] = {
+    "jammer": {"position_ned": _WHERE},
+    "disc": {"position_ned": _WHERE},
+    "spoofer": {
+        "position_ned": (Position, Field(_ZERO, description="centre of where it is heard [m]: north, east, down")),
+        "offset_ned": (Position, Field(_ZERO, description="by which it moves a fix at the start [m]")),
+        "rate_ned": (Position, Field(_ZERO, description="by which it moves a fix on [m/s]")),
+        "vehicles": (list[str] | None, Field(None, description="names; default: all that hear it", min_length=1)),
+    },
+    "outage": {
+        "systems": (str | None, Field(None, description="letters of the systems that fail, of G, E, R, C")),
+        "satellites": (list[str] | None, Field(None, description="names of satellites that fail", min_length=1)),
+    },
+    "iono_storm": {},
+}  # fmt: skip
+
+
+def _model(kind: str) -> type[Strict]:
+    """Return the schema of a kind, which carries its name."""
+    named = {"kind": (Literal[kind], Field(description="what it is"))}
+    return component_model(kind, _CLASSES[kind], tagged=False, arrays={**named, **_GIVEN[kind]})
+
+
+_MODELS = tuple(_model(kind) for kind in PLACES)
+# Made at run time, so a type checker cannot see into it.
+InterferenceSlot: Any = Annotated[Union[_MODELS], Field(discriminator="kind")]  # noqa: UP007
+
+
+def interference(scenario: Any, ephemeris: Any) -> Interference | None:
+    """Build what interferes; a jammer without power does not, and None is nothing."""
+    kept = _kept(scenario)
+    if not kept:
+        return None
+    found: dict[str, list[Any]] = {place: [] for place in PLACES.values()}
+    for _, spec in kept:
+        found[PLACES[spec.kind]].append(_built(spec, ephemeris))
+    return Interference(**{place: tuple(items) for place, items in found.items()})
+
+
+def _kept(scenario: Any) -> list[tuple[int, Any]]:
+    """Return the parts that are built, by their numbers: all but jammers without power that get none by a range."""
+    drawn = {item.path for item in scenario.ranges}
+    return [
+        (i, spec)
+        for i, spec in enumerate(scenario.world.interference)
+        if spec.kind != "jammer" or spec.power_w > 0.0 or f"world.interference.{i}.power_w" in drawn
+    ]
+
+
+def _built(spec: Any, ephemeris: Any) -> Any:
+    cls = _CLASSES[spec.kind]
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(cls):
+        if spec.kind == "outage" and field.name == "satellites":
+            values[field.name] = _failing(spec, ephemeris)
+            continue
+        value = getattr(spec, field.name)
+        if value is None:
+            value = _EVERYWHERE if field.name == "radius" else _NEVER
+        values[field.name] = np.array(value, np.float64) if isinstance(value, list) else value
+    return cls(**values)
+
+
+def _failing(spec: Any, ephemeris: Any) -> Any:
+    """Return which satellites (S,) an outage is of."""
+    names, systems = spec.satellites or (), spec.systems or ""
+    pairs = zip(ephemeris.satellites, ephemeris.system_of, strict=True)
+    return np.array([name in names or letter in systems for name, letter in pairs])
+
+
+def world_path(scenario: Any, path: str) -> tuple[str | int, ...] | None:
+    """Return where a World has a number ``world.interference.I.NAME``, None if it is not there."""
+    _, _, number, *rest = path.split(".")
+    before: dict[str, int] = {}
+    for i, spec in _kept(scenario):
+        place = PLACES[spec.kind]
+        if str(i) == number and len(rest) == 1 and getattr(spec, rest[0], None) is not None:
+            return ("sky", "interference", place, before.get(place, 0), rest[0])
+        before[place] = before.get(place, 0) + 1
+    return None
+
+
+def spoofed(scenario: Any, names: Sequence[str]) -> tuple[Any, ...] | None:
+    """Return for each spoofer which vehicles of these names it is for; None without any."""
+    specs = [spec for _, spec in _kept(scenario) if spec.kind == "spoofer"]
+    chosen = tuple(np.array([spec.vehicles is None or name in spec.vehicles for name in names]) for spec in specs)
+    return chosen or None
+
+
+def interference_problems(scenario: Any, ephemeris: Any, names: Sequence[str], heard: bool) -> Iterator[str]:
+    """Yield what is wrong with it; ``names`` are those of all vehicles, ``heard``: a receiver of type gnss is there."""
+    if scenario.world.interference and not heard:
+        yield "world.interference: there is no sensor of type gnss, which alone feels it"
+    errors = scenario.world.sky.errors
+    for i, spec in enumerate(scenario.world.interference):
+        path = f"world.interference.{i}"
+        if spec.start >= scenario.duration:
+            yield (
+                f"{path}.start: {spec.start:g} s is not within the run; "
+                f"allowed: from 0 s to before its end at {scenario.duration:g} s (duration)"
+            )
+        if spec.end is not None and spec.end <= spec.start:
+            yield f"{path}.end: {spec.end:g} s is not after the start, {spec.start:g} s"
+        if spec.kind == "spoofer":
+            for name in spec.vehicles or ():
+                if name not in names:
+                    yield f"{path}.vehicles: no vehicle is called '{name}'{did_you_mean(name, names)}"
+        elif spec.kind == "outage":
+            yield from _outage_problems(path, spec, ephemeris)
+        elif spec.kind == "iono_storm" and (errors.type != "error_budget" or errors.common == "per_vehicle"):
+            yield f"{path}: a storm is one of world.sky.errors of type error_budget with common: shared"
+
+
+def _outage_problems(path: str, spec: Any, ephemeris: Any) -> Iterator[str]:
+    if (spec.systems is None) == (spec.satellites is None):
+        yield f"{path}: an outage is either of systems or of satellites; give one of the two"
+    if spec.systems is not None:
+        try:
+            check_systems(spec.systems, f"{path}.systems")
+        except UsageError as error:
+            yield str(error)
+            return
+        there = set(ephemeris.system_of)
+        for letter in spec.systems:
+            if letter not in there:
+                yield f"{path}.systems: world.sky.orbits has no satellite of '{letter}'"
+    known = list(ephemeris.satellites)
+    for name in spec.satellites or ():
+        if name not in known:
+            yield f"{path}.satellites: no satellite is called '{name}'{did_you_mean(name, known)}"
