@@ -55,7 +55,7 @@ class TestScenarios:
     @pytest.mark.parametrize(
         ("sensor", "sky", "expected"),
         [
-            ({"preset": "f9p"}, None, "allowed: m8n, f9p_single, f9p_sbas, f9p_rtk, gps_2011; did you mean f9p_"),
+            ({"preset": "f9p"}, None, "allowed: m8n, f9p_single, f9p_sbas, f9p_rtk, gps_2011; did you mean 'f9p_"),
             ({"systems": "X"}, None, "fleets.a.sensors.gnss.systems: 'X' does not consist of letters"),
             ({"systems": "R"}, {"orbits": {"type": "nominal_constellation"}}, "has satellites of G only"),
             ({}, {"orbits": {"type": "nominal_constellations", "systems": "GX"}}, "world.sky.orbits: systems: 'GX'"),
