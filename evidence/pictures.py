@@ -68,6 +68,7 @@ OTHERS = {
     "turbulence_field.png": "make evidence field",
     "turbulence_line.png": "make evidence field",
     "turbulence_gust.gif": "make evidence formation_gusts",
+    "turbulence_spacing.png": "make evidence formation_gusts",
 }
 
 

@@ -16,6 +16,7 @@ from qrsim.simulation.simulation import Simulation
 from qrsim.view.air import ALONG, GUST, WHOLE, Air, air_at
 from qrsim.view.film import film, times_of
 from qrsim.view.frame import Frame, cast_of, frame_of
+from qrsim.view.page import Page
 from qrsim.view.recording import Recording
 from qrsim.view.scene import Scene
 from qrsim.view.server import start_server
@@ -88,13 +89,30 @@ def test_arrows_are_along_the_air_and_as_long_as_it_is_fast() -> None:
         assert found.batched_wxyzs[0] == pytest.approx([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], abs=0.005)
         scene.show_air(40.0, WHOLE)
         assert asked[-1][4][:, 2] == pytest.approx(-40.0)
-        assert found.batched_scales[-1] == pytest.approx(np.hypot(3.0, 2.0) * 6.0 / 8.0)
+        assert found.batched_scales[-1] == pytest.approx(np.hypot(3.0, 2.0) * 6.0 / 8.0, abs=0.016)
         turn = np.arctan2(2.0, 3.0)
         assert found.batched_wxyzs[-1] == pytest.approx([np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)], abs=0.005)
         assert (found.batched_colors != linear((188, 115, 43))).any(axis=1).all()
         assert layer.label == "gust and mean wind at 40 m"
     finally:
         scene._server.stop()
+
+
+def test_the_panel_sets_height_and_content_and_hands_them_on() -> None:
+    places = np.array([[0.0, 0.0, -15.0], [70.0, 0.0, -15.0], [0.0, 20.0, -12.0]])
+    server = start_server(0)
+    try:
+        pages = [Page(server, cast_of(world, places), world, "held, seed 1", None) for world in [HELD.world()] * 2]
+        height, shows = pages[0]._air or pytest.fail("no controls")
+        assert (height.value, height.max, shows.options) == (15.0, 60.0, (GUST, WHOLE))
+        height.value, shows.value = 30.0, WHOLE
+        pages[1].adopt(pages[0])
+        for page in pages:
+            layer = page.scene.air
+            assert layer is not None
+            assert (layer.height, layer.shows) == (30.0, WHOLE)
+    finally:
+        server.stop()
 
 
 @pytest.mark.parametrize("turbulence", ["still", "dryden"])

@@ -31,8 +31,10 @@ REACHES = {GUST: 2.0, WHOLE: 8.0}
 ALONG, LEAST_SIDE, SIDES = 15, 30.0, 1.2
 # Height of the plane above the origin [m] where vehicles start on the ground.
 LOW, LOWEST = 10.0, 1.0
-# Turns are rounded to this: a page without a server is so a third smaller, and nobody sees it.
-FINENESS = 128.0
+# How thick they are beside those of vehicles, which are few.
+THICKNESS = 0.5
+# Steps of turns, and of lengths a metre: a page without a server is much smaller so, and nobody sees it.
+TURN_STEPS, LENGTH_STEPS = 128.0, 32.0
 
 
 class Air(Contents):
@@ -65,9 +67,10 @@ class Air(Contents):
         self._dtype = np.asarray(self.world.fleets[0].start.position_ned.x).dtype
         self._ask = jax.jit(air_at)
         self._placed: Any = None
+        corners, faces = shapes.arrow()
         self._handle: Any = self.stage.scene.add_batched_meshes_simple(
-            f"{self.path}/arrows", *shapes.arrow(), batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (ALONG**2, 1)),
-            batched_positions=self._offsets, batched_scales=np.zeros(ALONG**2, np.float32),
+            f"{self.path}/arrows", corners * [1.0, THICKNESS, THICKNESS], faces, batched_positions=self._offsets,
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (ALONG**2, 1)), batched_scales=np.zeros(ALONG**2, np.float32),
             batched_colors=np.tile(shapes.linear(GUST_COLOUR), (ALONG**2, 1)), lod="off", flat_shading=True,
             side="double", cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
@@ -93,8 +96,8 @@ class Air(Contents):
         length = np.where(height > 0.0, speed * (self.cell / REACHES[self.shows]), 0.0)
         if self._placed is None or not np.array_equal(places, self._placed):
             self._handle.batched_positions = self._placed = places
-        self._handle.batched_wxyzs = np.round(shapes.along(vector) * FINENESS) / FINENESS
-        self._handle.batched_scales = length.astype(np.float32)
+        self._handle.batched_wxyzs = np.round(shapes.along(vector) * TURN_STEPS) / TURN_STEPS
+        self._handle.batched_scales = (np.round(length * LENGTH_STEPS) / LENGTH_STEPS).astype(np.float32)
         colours: Any = GUST_COLOUR if self.shows == GUST else shapes.speed_colours(speed, STRONG_WIND)
         self._handle.batched_colors = np.broadcast_to(shapes.linear(colours), (ALONG**2, 3)).copy()
 

@@ -38,8 +38,8 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
     "mean wind": [("scale", list(colours.WIND), f"mean wind, 0 to {STRONG_WIND:g} m/s and more")],
     "gusts": [("arrow", [colours.GUST], "gust")],
     AIR: [
-        ("arrow", [colours.GUST], f"gust in a plane, {REACHES[GUST]:g} m/s to the next arrow"),
-        ("scale", list(colours.WIND), f"or all of the wind, {REACHES[WHOLE]:g} m/s to the next"),
+        ("arrow", [colours.GUST], f"gust in a plane, {REACHES[GUST]:g} m/s a step"),
+        ("scale", list(colours.WIND), f"or all of the wind, {REACHES[WHOLE]:g} m/s a step"),
     ],
     "area": [("thin", [colours.GREY], "flight area")],
     "persons": [("pin", [colours.MISSING], "person not found"), ("pin", [colours.FOUND], "person found")],
