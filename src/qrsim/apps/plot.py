@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 FIGURE, PANELS = "figure.png", "panels.png"
 # In place of a quantity: the satellites over a vehicle.
 SKY = "sky"
+# A panel that is no quantity: errors of the estimate within what its estimator says of them.
+ESTIMATE = "estimate"
 _Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the whole run)")]
 
 
@@ -42,7 +44,7 @@ class Plot:
         default_factory=list
     )
     """Draw these quantities, of one unit, in a panel, vectors in one for each axis; given again, below. 'sky' is the
-    sky over a vehicle whose receiver has per_satellite: true."""
+    sky over a vehicle whose receiver has per_satellite: true; 'estimate' what the estimate errs by, with 3 std."""
     vehicle: Annotated[
         tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")
     ] = field(default_factory=list)
@@ -106,7 +108,6 @@ class Plot:
 
             save_figure(recorded, path)
             return
-        from qrsim.runs.panels import draw_panels
         from qrsim.runs.picture import save_picture
 
         if SKY in self.panel:
@@ -114,6 +115,15 @@ class Plot:
 
             save_picture(lambda: draw_sky(recorded, self.vehicle, self.start, self.end), path)
             return
+        if ESTIMATE in self.panel:
+            from qrsim.runs.estimate_figure import draw_estimate
+
+            if len(self.panel) > 1:
+                raise UsageError(f"--panel {ESTIMATE} is a figure of its own; leave out the other panels")
+            save_picture(lambda: draw_estimate(recorded, self.vehicle, self.start, self.end), path)
+            return
+        from qrsim.runs.panels import draw_panels
+
         save_picture(lambda: draw_panels(recorded, self.panel, self.vehicle, self.start, self.end), path)
 
 

@@ -13,6 +13,7 @@ from qrsim.control.controllers import (
     VelocityHeightController,
     WaypointController,
 )
+from qrsim.control.ekf import ErrorStateKalmanFilter
 from qrsim.control.filter import ComplementaryFilter
 from qrsim.control.flee import FleeGuidance
 from qrsim.control.guidance import (
@@ -51,6 +52,7 @@ __all__ = [
     "CascadeController",
     "ClimbLoop",
     "ComplementaryFilter",
+    "ErrorStateKalmanFilter",
     "Estimate",
     "FleeGuidance",
     "HeightLoop",

@@ -99,6 +99,10 @@ class Estimator(Protocol):
 
     reads: ClassVar[tuple[str, ...]] = ()
 
+    def fitted(self, ages: Mapping[str, int]) -> Estimator:
+        """Return the estimator for a fleet's sensors, of how many ticks ago each reading is, by name."""
+        return self
+
     @abstractmethod
     def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[Any, Estimate]:
         """Return the state and the estimate (n,) at the start.

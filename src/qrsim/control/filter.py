@@ -9,9 +9,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control.contracts import Estimator
+from qrsim.control.reading_fields import field_of, known, source_of
 from qrsim.control.setpoints import Estimate
 from qrsim.core.pairs import added
-from qrsim.core.tree import map_tree, parameter, quantity, record, replace
+from qrsim.core.tree import parameter, quantity, record, replace
 from qrsim.core.vectors import Euler, Vec3, rotation
 
 
@@ -57,8 +58,8 @@ class ComplementaryFilter(Estimator):
 
     def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[FilterState, Estimate]:
         """Return state and estimate (n,) at the first readings; what they do not say is that of the start."""
-        place, velocity = _of(readings, "position_ned"), _of(readings, "velocity_ned")
-        height, rate, attitude = (_of(readings, name) for name in ("height", "height_rate", "attitude"))
+        place, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
+        height, rate, attitude = (field_of(readings, name) for name in ("height", "height_rate", "attitude"))
         position = start.position_ned if place is None else place
         position = replace(position, z=start.position_ned.z if height is None else -height)
         velocity = start.velocity_ned if velocity is None else velocity
@@ -66,8 +67,8 @@ class ComplementaryFilter(Estimator):
         zero = jnp.zeros_like(start.position_ned.x)
         none = Vec3(zero, zero, zero)
         state = FilterState(
-            _known(position, start.position_ned), none, _known(velocity, start.velocity_ned), none,
-            start.attitude if attitude is None else _known(attitude, start.attitude), zero, zero,
+            known(position, start.position_ned), none, known(velocity, start.velocity_ned), none,
+            start.attitude if attitude is None else known(attitude, start.attitude), zero, zero,
         )  # fmt: skip
         return state, _estimate(state)
 
@@ -75,10 +76,10 @@ class ComplementaryFilter(Estimator):
         self, state: FilterState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
     ) -> tuple[FilterState, Estimate]:
         """Advance one tick of dt [s] to the readings (n,) of now, and return the estimate (n,)."""
-        attitude = _of(readings, "attitude")
+        attitude = field_of(readings, "attitude")
         if attitude is not None:
-            state = replace(state, attitude=_known(attitude, state.attitude))
-        state = self._predicted(state, _of(readings, "specific_force"), dt)
+            state = replace(state, attitude=known(attitude, state.attitude))
+        state = self._predicted(state, field_of(readings, "specific_force"), dt)
         state = self._by_fix(state, readings, fresh)
         state = self._by_height(state, readings, fresh)
         return state, _estimate(state)
@@ -89,8 +90,8 @@ class ComplementaryFilter(Estimator):
         if force is not None:
             felt = rotation(state.attitude).to_ned(force)
             felt = replace(felt, z=felt.z + self.gravity) - state.bias_ned
-            known = jnp.isfinite(felt.x) & jnp.isfinite(felt.y) & jnp.isfinite(felt.z)
-            change = felt.map(lambda axis: jnp.where(known, axis * dt, 0.0))
+            seen = jnp.isfinite(felt.x) & jnp.isfinite(felt.y) & jnp.isfinite(felt.z)
+            change = felt.map(lambda axis: jnp.where(seen, axis * dt, 0.0))
         way = (state.velocity_ned + 0.5 * change) * dt
         position, low = added(state.position_ned, state.position_low_ned + way)
         return replace(
@@ -100,10 +101,10 @@ class ComplementaryFilter(Estimator):
 
     def _by_fix(self, state: FilterState, readings: Mapping[str, Any], fresh: Mapping[str, Array]) -> FilterState:
         """Return the state corrected by horizontal place and velocity, where a fix is new (C17)."""
-        place, velocity = _of(readings, "position_ned"), _of(readings, "velocity_ned")
+        place, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         if place is None:
             return state
-        new = fresh[_source(readings, "position_ned")] & jnp.isfinite(place.x) & jnp.isfinite(place.y)
+        new = fresh[source_of(readings, "position_ned")] & jnp.isfinite(place.x) & jnp.isfinite(place.y)
         span = jnp.where(new, jnp.minimum(state.since_fix, self.longest), 0.0)
         moved, gained, learned = {}, {}, {}
         for axis in "xy":
@@ -121,10 +122,10 @@ class ComplementaryFilter(Estimator):
 
     def _by_height(self, state: FilterState, readings: Mapping[str, Any], fresh: Mapping[str, Array]) -> FilterState:
         """Return the state corrected by height and climb, where they are new (C17)."""
-        height, rate = _of(readings, "height"), _of(readings, "height_rate")
+        height, rate = field_of(readings, "height"), field_of(readings, "height_rate")
         if height is None:
             return state
-        new = fresh[_source(readings, "height")] & jnp.isfinite(height)
+        new = fresh[source_of(readings, "height")] & jnp.isfinite(height)
         span = jnp.where(new, jnp.minimum(state.since_height, self.longest), 0.0)
         error = jnp.where(new, -height - state.position_ned.z - state.position_low_ned.z, 0.0)
         slip = jnp.zeros_like(error)
@@ -158,19 +159,3 @@ def _corrected(state: FilterState, moved: Vec3, gained: Vec3, learned: Vec3) -> 
         state, position_ned=position, position_low_ned=low, velocity_ned=state.velocity_ned + gained,
         bias_ned=state.bias_ned + learned,
     )  # fmt: skip
-
-
-def _source(readings: Mapping[str, Any], field: str) -> str:
-    """Return the first sensor, by its name in the fleet, whose reading has a field; "" if none has."""
-    return next((name for name, reading in readings.items() if field in reading.__dataclass_fields__), "")
-
-
-def _of(readings: Mapping[str, Any], field: str) -> Any:
-    """Return a field of the first reading that has it, None if none has."""
-    name = _source(readings, field)
-    return getattr(readings[name], field) if name else None
-
-
-def _known(new: Any, old: Any) -> Any:
-    """Return a tree of arrays (n,), and those of another where a value is not finite."""
-    return map_tree(lambda now, before: jnp.where(jnp.isfinite(now), now, before), new, old)

@@ -96,9 +96,9 @@ def quantity(
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc, minimum, maximum)})
 
 
-def derived(default: Any = None, *, doc: str) -> Any:
+def derived(default: Any = None, *, doc: str, static: bool = False) -> Any:
     """Declare a part of a component that is set while a world is built, None before; no scenario can give it."""
-    return dataclasses.field(default=default, metadata={INFO: FieldInfo(doc=doc, derived=True)})
+    return dataclasses.field(default=default, metadata={INFO: FieldInfo(doc=doc, derived=True, static=static)})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter, setting, quantity, derived))

@@ -58,7 +58,7 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class _Data:
+class Data:
     """Data of the figure.
 
     Attributes:
@@ -132,7 +132,7 @@ def draw_panels(
         RunError: nothing was recorded yet, or a part of the log is damaged.
     """
     parsed = [axis for text in panels for axis in per_axis(parse_panel(run, text))]
-    data = _read(run, [item for panel in parsed for item in panel.quantities], vehicles, start, end)
+    data = read_data(run, [item for panel in parsed for item in panel.quantities], vehicles, start, end)
     figure = new_figure(12, max(4.0, 1.2 + 2.4 * len(parsed)))
     every = figure.subplots(len(parsed), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(every, parsed, strict=True):
@@ -150,9 +150,10 @@ def draw_panels(
     return figure
 
 
-def _read(
+def read_data(
     run: Run, wanted: Sequence[Quantity], vehicles: Sequence[str], start: float | None, end: float | None
-) -> _Data:
+) -> Data:
+    """Return quantities of the vehicles named, or of all, in a span of time. Raises as ``draw_panels`` does."""
     for name in vehicles:
         if name not in run.vehicles:
             raise UsageError(f"{run.folder} has no vehicle '{name}'{did_you_mean(name, run.vehicles)}")
@@ -175,7 +176,7 @@ def _read(
     last = float(max(time[-1] for time in times))
     span = (float(min(time[0] for time in times)) if start is None else start, last if end is None else end)
     seen = {i: stop for i, stop in stops.items() if span[0] <= stop.time <= span[1]}
-    return _Data(names, series, seen, span, last)
+    return Data(names, series, seen, span, last)
 
 
 def _rows(run: Run, time: Floats, start: float | None, end: float | None) -> Any:
@@ -192,7 +193,7 @@ def _rows(run: Run, time: Floats, start: float | None, end: float | None) -> Any
     return rows
 
 
-def _draw(axes: Any, panel: Panel, data: _Data) -> None:
+def _draw(axes: Any, panel: Panel, data: Data) -> None:
     handles = [line for i, item in enumerate(panel.quantities) for line in _lines(axes, i, item, data)]
     if len(panel.quantities) > 1:
         names = [item.name for item in panel.quantities]
@@ -208,7 +209,7 @@ def _draw(axes: Any, panel: Panel, data: _Data) -> None:
     axes.grid(alpha=0.3)
 
 
-def _lines(axes: Any, number: int, item: Quantity, data: _Data) -> Iterator[Any]:
+def _lines(axes: Any, number: int, item: Quantity, data: Data) -> Iterator[Any]:
     """Draw the quantity number ``number`` of a panel; yield one line for its legend."""
     time, values = data.series[item]
     colour = colours_of(MOST_NAMED)[number]

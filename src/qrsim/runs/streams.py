@@ -36,9 +36,15 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
         "wind": [("mean_ned.", state.mean_wind_ned), ("gust_ned.", state.gust_ned)],
     }
     if state.belief is not None:
-        # Without an estimator of its own a controller is fed with the readings, which are logged.
+        # Without an estimator of its own a controller is fed with the readings, which are logged. A fleet's estimator
+        # is logged as it is at this tick, a controller's own as it fed the command of this tick.
         parts = ("position_ned", "velocity_ned", "attitude")
-        roots["commands"] += [(f"estimate.{part}.", getattr(state.estimate, part)) for part in parts]
+        fed = state.estimate if fleet.estimator is None else state.belief.estimate
+        roots["commands"] += [(f"estimate.{part}.", getattr(fed, part)) for part in parts]
+        if state.belief.std is not None:
+            roots["commands"] += [(f"estimate_std.{part}.", getattr(state.belief.std, part)) for part in parts]
+        if (innovations := getattr(state.belief.memory, "innovations", None)) is not None:
+            roots["commands"].append(("innovation.", innovations))
     if state.gust_rates_ned is not None:
         roots["wind"].append(("gust_rates_ned.", state.gust_rates_ned))
     if fleet.battery.drains:
@@ -51,6 +57,9 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
         "estimate.position_ned.": "m",
         "estimate.velocity_ned.": "m/s",
         "estimate.attitude.": "rad",
+        "estimate_std.position_ned.": "m",
+        "estimate_std.velocity_ned.": "m/s",
+        "estimate_std.attitude.": "rad",
     }
     items = [
         (name, leaf, info.unit or units.get(prefix, ""), info.doc)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -176,7 +176,20 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> F
         radius=spec.radius,  # type: ignore[arg-type]
         rotor_faults=rotor_faults(name, spec, scenario),
         fittings=fittings,
+        estimator=_estimator(spec, scenario, sensors, fittings),
     )
+
+
+def _estimator(spec: FleetSpec, scenario: ScenarioSpec, sensors: Sequence[Any], fittings: Sequence[Any]) -> Any:
+    if spec.estimator is None:
+        return None
+    ages = {}
+    for name, sensor, fitting in zip(spec.sensors, sensors, fittings or [None] * len(sensors), strict=True):
+        # Of sensors that hold readings back themselves, and of those whose fitting does, on average.
+        late = getattr(sensor, "delay", 0) if fitting is None or not fitting.is_late else fitting.delay
+        if late:
+            ages[name] = round(late * sensor.period / scenario.time_step)
+    return component(spec.estimator, known.FILTERS, scenario).fitted(ages)
 
 
 def _start(spec: FleetSpec) -> Start:

@@ -8,6 +8,8 @@ from qrsim.control import (
     AttitudeHeightController,
     AttitudeHeightGuidance,
     CascadeController,
+    ComplementaryFilter,
+    ErrorStateKalmanFilter,
     FleeGuidance,
     MissionGuidance,
     NoController,
@@ -151,6 +153,7 @@ SENSORS: Catalogue = {
     "camera": Camera,
     "ideal_camera": IdealCamera,
 }
+FILTERS: Catalogue = {"complementary": ComplementaryFilter, "ekf": ErrorStateKalmanFilter}
 # What a scenario cannot name, but a command or a rollout can.
 ESTIMATORS: Catalogue = {}
 METRICS: Catalogue = {}

@@ -45,6 +45,17 @@ PROVIDED = {
     "height": {"barometer", "ideal_barometer"},
     "attitude": {"attitude_estimator", "ideal_attitude"},
     "specific_force": {"accelerometer", "ideal_accelerometer", "imu", "ideal_imu"},
+    "rates_body": {"gyroscope", "ideal_gyroscope", "imu", "ideal_imu"},
+}
+# What estimators need.
+ESTIMATED = {
+    "complementary": {**NEEDED, "specific_force": "accelerometer"},
+    "ekf": {
+        "position_ned": "gnss_receiver",
+        "attitude": "attitude_estimator",
+        "specific_force": "accelerometer",
+        "rates_body": "gyroscope",
+    },
 }
 
 
@@ -174,6 +185,7 @@ def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     """A list of numbers has one for each vehicle."""
     size = len(fleet.vehicles)
     parts = {name: getattr(fleet, name) for name in ("vehicle", "controller", "guidance", "limits", "battery")}
+    parts |= {} if fleet.estimator is None else {"estimator": fleet.estimator}
     parts |= {f"sensors.{name}": sensor for name, sensor in fleet.sensors.items()}
     for name, part in parts.items():
         for path, value in _numbers(part, f"fleets.{fleet_name}.{name}"):
@@ -250,10 +262,15 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
     kind: Any = known.CONTROLLERS[fleet.controller.type]
     # A controller that cannot be told has it as an attribute of its class (control/contracts.py).
     feed = fleet.controller.feed if "feed" in type(fleet.controller).model_fields else kind.feed
-    if feed == "truth":
+    if feed == "truth" and fleet.estimator is None:
         return
-    needed = NEEDED | ({"specific_force": "accelerometer"} if feed == "filter" else {})
-    others = "measurements or truth" if feed == "filter" else "truth"
+    what, needed = f"controller is fed with {FED.get(feed, feed)}", NEEDED
+    other = f"set fleets.{name}.controller.feed to " + ("measurements or truth" if feed == "filter" else "truth")
+    if fleet.estimator is not None:
+        what, needed = f"estimator is of type {fleet.estimator.type}", ESTIMATED[fleet.estimator.type]
+        other = f"leave out fleets.{name}.estimator"
+    elif feed == "filter":
+        needed = ESTIMATED["complementary"]
     types = {sensor.type for sensor in fleet.sensors.values()}
     own = [reading_fields(kind) for kind in types if is_outside("sensor", kind)]
     given = {name.partition(".")[0] for names in own for name in names}
@@ -262,8 +279,8 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
     for quantity, suggestion in needed.items():
         if not types & PROVIDED[quantity] and quantity not in given:
             yield (
-                f"fleets.{name}.sensors: the controller is fed with {FED[feed]}, but no sensor gives {quantity}; "
-                f"add one of type {suggestion}, or set fleets.{name}.controller.feed to {others}"
+                f"fleets.{name}.sensors: the {what}, but no sensor gives {quantity}; "
+                f"add one of type {suggestion}, or {other}"
             )
 
 

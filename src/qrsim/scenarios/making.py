@@ -29,6 +29,7 @@ FLEET_PARTS = (
     "guidance",
     "limits",
     "sensors",
+    "estimator",
     "battery",
     "faults",
     "placement",

@@ -30,7 +30,7 @@ IN_WORLD: dict[str, tuple[str, ...]] = {
     "world.terrain": ("contents", "terrain"),
     "world.persons": ("contents", "persons"),
 }
-IN_FLEET = ("vehicle", "controller", "guidance", "limits", "battery", "placement")
+IN_FLEET = ("vehicle", "controller", "guidance", "limits", "battery", "placement", "estimator")
 GROUPS = {
     "wind": known.WINDS,
     "turbulence": known.TURBULENCES,
@@ -125,6 +125,7 @@ def _group(parts: list[str]) -> Mapping[str, type] | None:
         "guidance": known.GUIDANCE,
         "battery": known.BATTERIES,
         "placement": known.PLACEMENTS,
+        "estimator": known.FILTERS,
     }
     return known.SENSORS if parts[2] == "sensors" else names.get(parts[2])
 

@@ -155,6 +155,7 @@ if TYPE_CHECKING:
     VehicleSlot: TypeAlias = Any
     ControllerSlot: TypeAlias = Any
     GuidanceSlot: TypeAlias = Any
+    EstimatorSlot: TypeAlias = Any
     ObstacleSlot: TypeAlias = Any
     GustSlot: TypeAlias = Any
     BatterySlot: TypeAlias = Any
@@ -183,6 +184,7 @@ else:
     VehicleSlot = slot_of(known.VEHICLES, each=True)
     ControllerSlot = slot_of(known.CONTROLLERS, each=True)
     GuidanceSlot = slot_of(known.GUIDANCE, each=True)
+    EstimatorSlot = slot_of(known.FILTERS, each=True)
     LimitsModel = component_model("limits", StateLimits, tagged=False, each=True)
 
 
@@ -289,6 +291,9 @@ class FleetSpec(Strict):
     )
     limits: LimitsModel = Field(default_factory=LimitsModel, description="state limits")
     sensors: dict[str, SensorSlot] = Field({}, description="sensors by name")
+    estimator: EstimatorSlot | None = Field(
+        None, description="runs on the readings and feeds the controller; default: the controller's own, if it has one"
+    )
     battery: BatterySlot = Field({"type": "given"}, description="battery", validate_default=True)
     faults: list[AnyFault] = Field(
         [], description="faults of rotors, and of sensors, applied in this order", max_length=100

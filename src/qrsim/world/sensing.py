@@ -129,7 +129,7 @@ def _believed(
     after: Array,
 ) -> Belief | None:
     """Return what the controller's own estimator makes of the readings of now; None without one."""
-    estimator = fleet.controller.estimator()
+    estimator = fleet.own_estimator
     if estimator is None or belief is None:
         return None
     named = dict(zip(fleet.sensor_names, readings, strict=True))
@@ -138,7 +138,7 @@ def _believed(
         name: sensor.fresh(due, dt) if memory is None or memory.transit is None else memory.transit.fresh(after)
         for name, sensor, memory in zip(fleet.sensor_names, fleet.sensors, fitted, strict=True)
     }
-    return Belief(*estimator.step(belief.memory, named, fresh, dt))
+    return Belief.of(estimator, *estimator.step(belief.memory, named, fresh, dt))
 
 
 def faulted(
@@ -178,7 +178,7 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
 
 def estimate_of(fleet: Fleet, state: FleetState) -> Estimate:
     """Return the controller's estimate: its own, the truth, or from horizontal GNSS, barometer and attitude."""
-    if state.belief is not None:
+    if state.belief is not None and fleet.controller.feed != "truth":
         return state.belief.estimate
     truth = fleet.vehicle.pose(state.vehicle)
     if fleet.controller.feed == "truth":

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from qrsim.control import Estimate, Mission, MissionState, Route, RouteState
-from qrsim.control.contracts import Controller, Guidance
+from qrsim.control.contracts import Controller, Estimator, Guidance
 from qrsim.core.noise import StreamKeys
 from qrsim.core.pairs import joined
 from qrsim.core.tree import Record, parameter, quantity, record, replace, setting
@@ -81,11 +81,17 @@ class Fleet:
     fittings: tuple[Fitting | None, ...] = quantity(
         default=(), doc="of each sensor, None for one at the centre of mass without delay; empty if all are"
     )
+    estimator: Estimator | None = quantity(default=None, doc="estimator of the fleet; None: that of its controller")
 
     @property
     def size(self) -> int:
         """Number of vehicles."""
         return len(self.vehicle_names)
+
+    @property
+    def own_estimator(self) -> Estimator | None:
+        """What runs on the readings: the fleet's estimator, else that of its controller; None without one."""
+        return self.controller.estimator() if self.estimator is None else self.estimator
 
     @property
     def stream_names(self) -> tuple[str, ...]:
@@ -183,6 +189,12 @@ class Belief:
 
     memory: object = quantity(doc="of the estimator")
     estimate: Estimate = quantity(doc="at this instant, by all readings so far")
+    std: Estimate | None = quantity(default=None, doc="standard deviations that it states; None where it states none")
+
+    @staticmethod
+    def of(estimator: Estimator, memory: object, estimate: Estimate) -> Belief:
+        """Return what an estimator has come to."""
+        return Belief(memory, estimate, estimator.std(memory))
 
 
 @record

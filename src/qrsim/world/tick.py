@@ -363,11 +363,11 @@ def start_fleet(
     for name, reading in readings.items():
         first, passed_on = faulted(fleet, name, reading, passed_on, tick)
         delivered.append(first)
-    estimator = fleet.controller.estimator()
+    estimator = fleet.own_estimator
     known = dict(zip(fleet.sensor_names, delivered, strict=True))
     return replace(
         state,
-        belief=None if estimator is None else Belief(*estimator.init(known, estimate)),
+        belief=None if estimator is None else Belief.of(estimator, *estimator.init(known, estimate)),
         fitted=starting_fitted(fleet, scene, tuple(reading for _, reading in firsts), tick),
         sensors=tuple(memory for memory, _ in firsts),
         readings=tuple(delivered),

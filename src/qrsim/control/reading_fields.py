@@ -1,0 +1,26 @@
+"""What estimators take from the readings of a fleet: fields by their names, whatever sensor has them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+
+from qrsim.core.tree import map_tree
+
+
+def source_of(readings: Mapping[str, Any], field: str) -> str:
+    """Return the first sensor, by its name in the fleet, whose reading has a field; "" if none has."""
+    return next((name for name, reading in readings.items() if field in reading.__dataclass_fields__), "")
+
+
+def field_of(readings: Mapping[str, Any], field: str) -> Any:
+    """Return a field of the first reading that has it, None if none has."""
+    name = source_of(readings, field)
+    return getattr(readings[name], field) if name else None
+
+
+def known(new: Any, old: Any) -> Any:
+    """Return a tree of arrays (n,), and those of another where a value is not finite."""
+    return map_tree(lambda now, before: jnp.where(jnp.isfinite(now), now, before), new, old)

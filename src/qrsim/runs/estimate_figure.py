@@ -1,0 +1,130 @@
+"""Errors of an estimator's estimate over time, within three of the standard deviations that it states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from qrsim.errors import UsageError
+from qrsim.runs.panels import read_data
+from qrsim.runs.picture import (
+    MOST_NAMED,
+    Floats,
+    binned_text,
+    colours_of,
+    name_vehicles,
+    new_figure,
+    spread,
+    time_limits,
+    title_of,
+    trace,
+)
+from qrsim.runs.quantities import quantities
+from qrsim.runs.reader import Run
+
+# Rows of the figure: what is estimated, its axes, and its unit.
+ROWS = {
+    "position_ned": (("x", "y", "z"), ("north", "east", "down"), "m"),
+    "velocity_ned": (("x", "y", "z"), ("north", "east", "down"), "m/s"),
+    "attitude": (("roll", "pitch", "yaw"), ("roll", "pitch", "yaw"), "rad"),
+}
+WIDE = 3.0
+
+
+def draw_estimate(
+    run: Run, vehicles: Sequence[str] = (), start: float | None = None, end: float | None = None
+) -> Figure:
+    """Draw what an estimate errs by, estimate minus truth, and 3 std to both sides where it states them.
+
+    Args:
+        run: the run.
+        vehicles: names of those to draw; none for all.
+        start, end: span of time [s], both included; None for the whole run.
+
+    Raises:
+        UsageError: unknown names, a span without a tick, or a run whose log has no estimate.
+        RunError: nothing was recorded yet, or a part of the log is damaged.
+    """
+    wanted = {item.name: item for item in quantities(run)}
+    if "commands.estimate.position_ned.x" not in wanted:
+        raise UsageError(
+            f"{run.folder}: no estimate was recorded; a fleet has one with an estimator, as in "
+            "--set fleets.NAME.estimator=ekf, or with a cascade fed with its filter"
+        )
+    used = [wanted[name] for name in _names() if name in wanted]
+    data = read_data(run, used, vehicles, start, end)
+    series = {item.name: found for item, found in data.series.items()}
+    time = series["truth.position_ned.x"][0]
+    errors, stds = _errors({name: values for name, (_, values) in series.items()})
+    figure = new_figure(13, 8.5)
+    every = figure.subplots(3, 3, sharex=True)
+    for row, (what, (axes, titles, unit)) in zip(every, ROWS.items(), strict=True):
+        for panel, axis, title in zip(row, axes, titles, strict=True):
+            _draw(panel, time, errors[f"{what}.{axis}"], stds.get(f"{what}.{axis}"))
+            panel.set_title(f"{what.removesuffix('_ned')}, {title} [{unit}]", loc="left", fontsize=10)
+    for panel in every[-1]:
+        panel.set_xlabel("time [s]")
+        time_limits(panel, *data.span)
+    names = data.names
+    stated = "; shaded: 3 std as stated" if stds else ""
+    many = "" if len(names) <= MOST_NAMED else "; median, quartiles, range"
+    title = title_of(run, names, len(data.stops), data.last, "")
+    figure.suptitle(f"{title}: estimate minus truth{stated}{many}{binned_text(time)}")
+    if 1 < len(names) <= MOST_NAMED:
+        name_vehicles(figure, [Line2D([], [], color=c) for c in colours_of(len(names))], names)
+    return figure
+
+
+def _names() -> list[str]:
+    parts = [f"{what}.{axis}" for what, (axes, _, _) in ROWS.items() for axis in axes]
+    truth = [f"truth.{what}.{axis}" for what in ("position_ned", "velocity_body") for axis in "xyz"]
+    truth += [f"truth.attitude.{axis}" for axis in ("roll", "pitch", "yaw")]
+    return truth + [f"commands.{kind}.{part}" for kind in ("estimate", "estimate_std") for part in parts]
+
+
+def _errors(values: dict[str, Floats]) -> tuple[dict[str, Floats], dict[str, Floats]]:
+    """Return estimate minus truth, and the std that is stated, (T, n) by name."""
+    truth = {name.removeprefix("truth."): array for name, array in values.items() if name.startswith("truth.")}
+    truth |= dict(zip((f"velocity_ned.{axis}" for axis in "xyz"), _velocity_ned(truth), strict=True))
+    errors, stds = {}, {}
+    for what, (axes, _, _) in ROWS.items():
+        for axis in axes:
+            name = f"{what}.{axis}"
+            error = values[f"commands.estimate.{name}"] - truth[name]
+            errors[name] = (error + np.pi) % (2.0 * np.pi) - np.pi if what == "attitude" else error
+            if f"commands.estimate_std.{name}" in values:
+                stds[name] = values[f"commands.estimate_std.{name}"]
+    return errors, stds
+
+
+def _velocity_ned(truth: dict[str, Floats]) -> tuple[Floats, Floats, Floats]:
+    """Return the velocity over ground (T, n) north, east and down."""
+    u, v, w = (truth[f"velocity_body.{axis}"] for axis in "xyz")
+    angles = [truth[f"attitude.{name}"] for name in ("roll", "pitch", "yaw")]
+    (sr, sp, sy), (cr, cp, cy) = map(np.sin, angles), map(np.cos, angles)
+    return (
+        cp * cy * u + (sr * sp * cy - cr * sy) * v + (cr * sp * cy + sr * sy) * w,
+        cp * sy * u + (sr * sp * sy + cr * cy) * v + (cr * sp * sy - sr * cy) * w,
+        -sp * u + sr * cp * v + cr * cp * w,
+    )
+
+
+def _draw(axes: Any, time: Floats, errors: Floats, stds: Floats | None) -> None:
+    count = errors.shape[1]
+    if count > MOST_NAMED:
+        spread(axes, time, errors, colours_of(1)[0])
+        if stds is not None:
+            bound = WIDE * np.nanmedian(stds, axis=1)
+            axes.fill_between(time, -bound, bound, color="gray", alpha=0.25, lw=0)
+    else:
+        for i, colour in enumerate(colours_of(count)):
+            trace(axes, time, errors[:, i], color=colour, lw=1.0)
+            if stds is not None:
+                bound = WIDE * stds[:, i]
+                axes.fill_between(time, -bound, bound, color=colour if count == 1 else "gray", alpha=0.12, lw=0)
+    axes.axhline(0.0, color="gray", lw=0.6)
+    axes.grid(alpha=0.3)

@@ -1,0 +1,187 @@
+"""The error-state Kalman filter: its algebra against matrices, its errors against what it states, gates, late fixes."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from evidence.estimator import DT, Fix, Heading, Height, Inertial, errors, filtered, flown
+from scipy import stats
+
+from qrsim.control.covariance import corrected, forgotten, propagated
+from qrsim.control.ekf import SIZE, TURN, ErrorStateKalmanFilter, _of_angles, _transition
+from qrsim.control.setpoints import Estimate
+from qrsim.core.quaternions import Quaternion
+from qrsim.core.tree import replace
+from qrsim.core.vectors import Euler, Vec3, rotation
+
+
+def vec(*axes: float) -> Vec3:
+    return Vec3(*(jnp.array([axis]) for axis in axes))
+
+
+@pytest.fixture
+def covariance() -> np.ndarray:
+    """Of one vehicle, (15, 15)."""
+    half = np.random.default_rng(3).normal(size=(SIZE, SIZE))
+    return half @ half.T + np.eye(SIZE)
+
+
+def test_a_transition_is_that_of_matrices(covariance: np.ndarray):
+    """F by its blocks (Sola 2017, section 7: rotations in the fixed frame)."""
+    turned = rotation(Euler(*(jnp.array([angle]) for angle in (0.3, -0.2, 1.1))))
+    axes = (turned.forward, turned.right, turned.down)
+    to_ned = np.array([[float(part[0]) for part in (axis.x, axis.y, axis.z)] for axis in axes]).T
+    # Of the specific force (1, -2, -9): cross @ x is force x x.
+    cross = np.array([[0.0, 9.0, -2.0], [-9.0, 0.0, -1.0], [2.0, 1.0, 0.0]])
+    whole = np.eye(SIZE)
+    whole[0:3, 3:6] = 0.02 * np.eye(3)
+    whole[3:6, 6:9] = -0.02 * cross
+    whole[3:6, 12:15] = whole[6:9, 9:12] = -0.02 * to_ned
+    noise = np.arange(15.0) * 1e-3
+    found = propagated(
+        jnp.asarray(covariance[:, :, None], jnp.float32), _transition(vec(1.0, -2.0, -9.0), turned, 0.02),
+        [jnp.array([value]) for value in noise],
+    )  # fmt: skip
+    np.testing.assert_allclose(found[..., 0], whole @ covariance @ whole.T + np.diag(noise), rtol=2e-5, atol=2e-4)
+
+
+def test_a_measurement_is_that_of_matrices(covariance: np.ndarray):
+    """Kalman's equations with a sensitivity that is zero in most places; where it is not used nothing changes."""
+    row = np.zeros(SIZE)
+    row[[1, 4, 13]] = 1.0, -0.3, 0.5
+    mean = np.linspace(-1.0, 1.0, SIZE)
+    gain = covariance @ row / (row @ covariance @ row + 0.7)
+    given = jnp.asarray(np.repeat(covariance[:, :, None], 2, axis=2), jnp.float32)
+    after, moved = corrected(
+        given, jnp.asarray(np.repeat(mean[:, None], 2, axis=1), jnp.float32),
+        {k: jnp.full(2, row[k]) for k in (1, 4, 13)}, jnp.array([2.0, jnp.nan]), jnp.full(2, 0.7),
+        jnp.array([True, False]),
+    )  # fmt: skip
+    np.testing.assert_allclose(moved[:, 0], mean + gain * (2.0 - row @ mean), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(after[..., 0], covariance - np.outer(gain, row @ covariance), rtol=1e-4, atol=1e-4)
+    np.testing.assert_array_equal(moved[:, 1], jnp.asarray(mean, jnp.float32))
+    np.testing.assert_array_equal(after[..., 1], given[..., 1])
+
+
+def test_what_is_forgotten_is_independent(covariance: np.ndarray):
+    given = jnp.asarray(np.repeat(covariance[:, :, None], 2, axis=2), jnp.float32)
+    found = forgotten(given, {0: jnp.full(2, 4.0), 3: jnp.full(2, 9.0)}, jnp.array([True, False]))
+    expected = covariance.copy()
+    expected[[0, 3], :] = expected[:, [0, 3]] = 0.0
+    expected[0, 0], expected[3, 3] = 4.0, 9.0
+    np.testing.assert_allclose(found[..., 0], expected, rtol=1e-6)
+    np.testing.assert_array_equal(found[..., 1], given[..., 1])
+
+
+def test_angles_turn_as_differences_say():
+    """Roll, pitch and yaw of an attitude that is turned a little about each axis of NED."""
+    angles = Euler(jnp.array([0.4]), jnp.array([-0.3]), jnp.array([2.0]))
+    rows = _of_angles(rotation(angles))
+    small = 1e-3
+    for axis in range(3):
+        half = [0.5 * small if axis == k else 0.0 for k in range(3)]
+        turned = (Quaternion(jnp.ones(1), *(jnp.array([part]) for part in half)) * Quaternion.of(angles)).euler()
+        for row, name in zip(rows, ("roll", "pitch", "yaw"), strict=True):
+            slope = (getattr(turned, name) - getattr(angles, name)) / small
+            expected = row.get(TURN + axis, jnp.zeros(1))
+            assert float(slope[0]) == pytest.approx(float(expected[0]), abs=2e-3), (name, axis)
+
+
+@pytest.mark.parametrize(
+    ("ticks", "count", "late"), [(160, 64, 10), pytest.param(600, 100, 15, marks=pytest.mark.long)]
+)
+def test_errors_are_as_large_as_stated(ticks: int, count: int, late: int):
+    """Normalised squares of all 15 errors, with the noise that the filter is told of, on time and late.
+
+    Each sum over the vehicles is chi-square distributed, here within its 99.9 % band. In three seconds the errors of
+    place and speed fall to what 15 fixes of 1.5 m and 0.2 m/s allow.
+    """
+    kalman = replace(ErrorStateKalmanFilter(), ages=(("gnss", late),) if late else ())
+    truth = flown(ticks, count, np.random.default_rng(1))
+    states, biases = filtered(kalman, truth, 2, late)
+    low, high = stats.chi2.ppf([0.0005, 0.9995], SIZE * count)
+    for k in np.linspace(ticks // 5, ticks, 5).astype(int):
+        found, stated = errors(states, truth, biases, k)
+        nees = np.einsum("ni,nij,nj->", found, np.linalg.inv(stated), found)
+        assert low < nees < high, (k, nees / count)
+    assert found[:, :2].std() < 0.6
+    assert found[:, 3:5].std() < 0.25
+
+
+@pytest.mark.long
+def test_rounding_leaves_a_covariance_one_for_minutes():
+    """After 200 s in single precision: symmetric, and no error has a variance below zero in any direction."""
+    truth = flown(10_000, 3, np.random.default_rng(5))
+    states, _ = filtered(replace(ErrorStateKalmanFilter(), ages=(("gnss", 10),)), truth, 6, 10)
+    for k in (5000, 10_000):
+        found = np.moveaxis(np.asarray(states.covariance[k - 1], np.float64), -1, 0)
+        scale = np.sqrt(np.einsum("nii->ni", found))
+        scaled = found / scale[:, :, None] / scale[:, None]
+        np.testing.assert_allclose(scaled, np.swapaxes(scaled, 1, 2), atol=1e-4)
+        assert np.linalg.eigvalsh(scaled).min() > -1e-4
+
+
+def readings(fix: tuple[float, ...], **other: Vec3) -> dict[str, Any]:
+    level = Vec3(jnp.zeros(1), jnp.zeros(1), jnp.full(1, -9.81))
+    zero = jnp.zeros(1)
+    return {
+        "imu": Inertial(vec(0.0, 0.0, 0.0), level),
+        "gnss": Fix(vec(*fix), other.get("velocity", vec(0.0, 0.0, 0.0))),
+        "barometer": Height(zero),
+        "compass": Heading(Euler(zero, zero, zero)),
+    }
+
+
+def start() -> Estimate:
+    zero = jnp.zeros(1)
+    return Estimate(vec(0.0, 0.0, 0.0), vec(0.0, 0.0, 0.0), Euler(zero, zero, zero))
+
+
+@pytest.mark.long
+def test_a_jump_is_not_believed_until_it_lasts():
+    """Of 100 m: beyond the gate for 7 s, then the filter begins there again. NaN is no reading; std grows meanwhile."""
+    kalman = ErrorStateKalmanFilter()
+    always = {name: jnp.array(True) for name in ("imu", "gnss", "barometer", "compass")}
+    state, _ = kalman.init(readings((0.0, 0.0, 0.0)), start())
+    step = jax.jit(lambda state, given: kalman.step(state, given, always, DT))
+    for _ in range(100):
+        state, estimate = step(state, readings((0.0, 0.0, 0.0)))
+    calm = float(kalman.std(state).position_ned.x[0])
+    assert float(state.innovations.position_ned[0]) == 0.0
+    nothing = readings((float("nan"),) * 3, velocity=vec(*(float("nan"),) * 3))
+    for _ in range(50):
+        state, estimate = step(state, nothing)
+    assert float(kalman.std(state).position_ned.x[0]) > 1.2 * calm
+    assert abs(float(estimate.position_ned.x[0])) < 1e-3
+    far = readings((100.0, 0.0, 0.0))
+    for _ in range(290):
+        state, estimate = step(state, far)
+    assert abs(float(estimate.position_ned.x[0])) < 1e-3, "6.8 s after the last fix"
+    assert float(state.innovations.position_ned[0]) > 5.0
+    for _ in range(20):
+        state, estimate = step(state, far)
+    assert float(estimate.position_ned.x[0]) == pytest.approx(100.0, abs=0.5)
+
+
+def test_accuracies_that_a_fix_states_count():
+    """``horizontal_accuracy`` is of both axes together: of 2 m each has a variance of 2 m2."""
+    kalman = ErrorStateKalmanFilter()
+    plain = kalman.init(readings((0.0, 0.0, 0.0)), start())[0]
+    assert float(plain.covariance[0, 0, 0]) == pytest.approx(2.25)
+    fix = SimpleNamespace(
+        position_ned=vec(0.0, 0.0, 0.0), velocity_ned=vec(0.0, 0.0, 0.0), horizontal_accuracy=jnp.array([2.0]),
+        vertical_accuracy=jnp.array([3.0]), speed_accuracy=jnp.array([0.1]),
+    )  # fmt: skip
+    fix.__dataclass_fields__ = dict(vars(fix))
+    given = {**readings((0.0, 0.0, 0.0)), "gnss": fix}
+    stated = kalman.init(given, start())[0]
+    assert float(stated.covariance[0, 0, 0]) == pytest.approx(2.0)
+    assert float(stated.covariance[3, 3, 0]) == pytest.approx(0.01)
+    assert float(stated.covariance[2, 2, 0]) == pytest.approx(0.09), "the barometer has the height"
+    del given["barometer"]
+    assert float(kalman.init(given, start())[0].covariance[2, 2, 0]) == pytest.approx(9.0)
