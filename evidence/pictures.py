@@ -64,6 +64,7 @@ OTHERS = {
     "training.png": "make evidence training",
     "gnss_allan.png": "make evidence gnss",
     "gnss_day.png": "make evidence gnss",
+    "imu_allan.png": "make evidence imu",
     "turbulence.png": "make evidence turbulence",
     "turbulence_field.png": "make evidence field",
     "turbulence_line.png": "make evidence field",

@@ -35,6 +35,7 @@ NUMBERS = {
     "gnss": {"vehicles", "ns", "compile_seconds"},
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
     "peers": {"vehicles", "processes"},
+    "sensors": {"worlds", "vehicles", "ns", "over_pair", "compile_seconds"},
     "serve": {"count", "median_us", "p95_us", "per_second"},
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},
     "throughput": {
@@ -98,6 +99,14 @@ def test_turbulence():
     assert found["dryden"]["tick_over_dryden"] == 1.0
     # Three arrays of 32 words, a matrix, a sign and a dilation; filters share nothing.
     assert [row["field_bytes"] for row in found.values()] == [0, 0, 3 * 32 * 4 + 9 * 4 + 2 * 4]
+
+
+@pytest.mark.long
+def test_sensors():
+    pair, imu = rows("sensors")
+    assert (pair["sensors"], imu["sensors"]) == ("gyroscope, accelerometer", "imu")
+    assert pair["over_pair"] == 1.0
+    assert imu["over_pair"] > 0.0
 
 
 def test_serve():

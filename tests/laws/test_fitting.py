@@ -48,6 +48,13 @@ class TestEverySensor:
         assert fitting.attitude is not None
         assert float(fitting.attitude.yaw) == pytest.approx(np.pi / 2)
 
+    def test_a_place_is_one_for_all_vehicles_however_many(self) -> None:
+        for count in (1, 2, 3):
+            sensors = {"one": {"type": "barometer", "mount_position_body": ARM, "white_std": [0.1] * count}}
+            (fleet,) = make_scenario(STARTS[:count], sensors=sensors, controller={
+                "type": "waypoint", "feed": "truth"}).world().fleets  # fmt: skip
+            assert fleet.fittings[0] is not None
+
     @pytest.mark.parametrize("name", SENSORS)
     def test_is_what_it_was_without_them(self, name: str) -> None:
         (fleet,) = scenario({"one": {"type": name, "mount_position_body": [0.0, 0.0, 0.0]}}).world().fleets
@@ -76,7 +83,7 @@ class TestEverySensor:
             simulation.reset()
             seen = []
             for _ in range(12):
-                simulation.step(duration=0.2)
+                simulation.step(ticks=10)
                 seen.append(simulation.state.fleets[0].readings)
             flown.append(seen)
         for now, late in zip(flown[0][:-2], flown[1][2:], strict=True):

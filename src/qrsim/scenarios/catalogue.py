@@ -49,6 +49,7 @@ from qrsim.models.sensors.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.sensors.barometer import Barometer, IdealBarometer
 from qrsim.models.sensors.camera import Camera, IdealCamera
 from qrsim.models.sensors.concentration import ConcentrationSensor, IdealConcentration
+from qrsim.models.sensors.imu import IdealImu, Imu
 from qrsim.models.sensors.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
 from qrsim.models.vehicles.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
@@ -148,6 +149,8 @@ SENSORS: Catalogue = {
     "ideal_gyroscope": IdealGyroscope,
     "accelerometer": Accelerometer,
     "ideal_accelerometer": IdealAccelerometer,
+    "imu": Imu,
+    "ideal_imu": IdealImu,
     "concentration": ConcentrationSensor,
     "ideal_concentration": IdealConcentration,
     "camera": Camera,

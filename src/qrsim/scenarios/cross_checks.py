@@ -20,6 +20,7 @@ from qrsim.scenarios.buildings import prism_problems
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.faults import fault_problems, reading_fields
+from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.fittings import fitting_problems
 from qrsim.scenarios.ground import below_ground, has_floor, standing_problems
 from qrsim.scenarios.hand_list import hand_lists
@@ -189,7 +190,7 @@ def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     parts |= {f"sensors.{name}": sensor for name, sensor in fleet.sensors.items()}
     for name, part in parts.items():
         for path, value in _numbers(part, f"fleets.{fleet_name}.{name}"):
-            if isinstance(value, list) and len(value) != size:
+            if isinstance(value, list) and len(value) != size and path.rpartition(".")[2] not in FITTING:
                 yield f"{path}: {len(value)} numbers in a list; allowed: {size}, one for each vehicle, or a number"
 
 

@@ -45,6 +45,19 @@ def timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
                 yield f"{path}: {sensor.period:g} s is not a multiple of the time step {dt:g} s"
             elif "sky" in _reads(sensor.type) and not is_multiple(sensor.period, sky):
                 yield f"{path}: {sensor.period:g} s is not a multiple of world.sky.period, {sky:g} s"
+            if sensor.type == "imu":
+                yield from _bandwidth_problems(path.removesuffix("period"), sensor)
+
+
+def _bandwidth_problems(path: str, sensor: Any) -> Iterator[str]:
+    """Yield a low-pass that passes more than a sensor's rate can show."""
+    bandwidth = sensor.bandwidth_hz
+    half = 0.5 * sensor.subsamples / sensor.period
+    if bandwidth >= half:
+        yield (
+            f"{path}bandwidth_hz: {bandwidth:g} Hz; allowed: below {half:g} Hz, half the rate of its measurements "
+            "(subsamples/period), or 0 for no filter"
+        )
 
 
 def _reads(sensor: str) -> tuple[str, ...]:

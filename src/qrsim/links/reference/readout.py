@@ -16,6 +16,7 @@ from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.barometer import BarometerReading
+from qrsim.models.sensors.imu import ImuReading
 from qrsim.models.sensors.inertial import AccelerometerReading, GyroscopeReading
 from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.world.state import FleetState, World
@@ -267,6 +268,9 @@ def _measured_places(fleet: FleetState) -> dict[int, Any]:
         elif isinstance(reading, AccelerometerReading):
             force = reading.specific_force
             found |= {13: force.x, 14: force.y, 15: force.z}
+        elif isinstance(reading, ImuReading):
+            rates, force = reading.rates_body, reading.specific_force
+            found |= {9: rates.x, 10: rates.y, 11: rates.z, 13: force.x, 14: force.y, 15: force.z}
         elif isinstance(reading, BarometerReading):
             found |= {16: reading.height, 19: reading.height_rate}
     return found
