@@ -200,7 +200,14 @@ CARRIED = {"convection_ned": [-5.0, 4.0]}
 
 @pytest.mark.parametrize(
     ("settings", "offset", "most"),
-    [({}, 0.0, 1e-4), ({}, 1e4, 3e-3), pytest.param({"spectrum": "von_karman"}, 0.0, 1e-4, marks=pytest.mark.long)],
+    [
+        ({}, 0.0, 1e-4),
+        ({}, 1e4, 3e-3),
+        pytest.param({"spectrum": "von_karman"}, 0.0, 1e-4, marks=pytest.mark.long),
+        # A last octave that one segment has and the other has not.
+        pytest.param({"octaves": 11, "chains": 12}, 0.0, 1e-4, marks=pytest.mark.long),
+        pytest.param({"octaves": 9, "spectrum": "von_karman"}, 0.0, 1e-4, marks=pytest.mark.long),
+    ],
 )
 def test_single_precision_is_the_sum_of_the_waves_at_any_time(
     settings: dict[str, Any], offset: float, most: float
