@@ -124,6 +124,8 @@ def _step_sky(world: World, state: State, due: Array, after: Array) -> SkyState:
     draw = draw_sky(world, state.sky_keys, after, state.sky.range_error[0])
     seconds, fraction = split_time(after, world.time_step, draw.like.dtype)
     ticks = period_ticks(world.sky.period, world.time_step)
+    if after is due and world.sky.steps_by_parts:
+        return world.sky.step_by_parts(state.sky, draw, due)
     return when_due(ticks, due, lambda: world.sky.step(state.sky, draw, seconds, fraction), state.sky)
 
 

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from evidence import _receivers as receivers
 
+from qrsim.core.clock import split_time
+from qrsim.core.noise import Draw, Key
+from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.models.gnss.constellations import NominalConstellations
@@ -179,3 +186,31 @@ class TestSolving:
         few = solve(self.columns, used.astype(jnp.float32), used)
         assert not bool(few.enough[0])
         assert np.isfinite(few.rows().stack()).all()
+
+
+@pytest.mark.long
+def test_a_sky_that_steps_by_parts_is_the_same():
+    """At every tick of three knots, to the bit."""
+    sky = receivers.sky_of(receivers.receiver("f9p_single"))
+    sky = replace(sky, time_step=0.02, each_epoch=False)
+    assert sky.steps_by_parts
+    stream = Key.root(3).stream("/sky", sky.ids)
+    like = jnp.zeros((), jnp.float32)
+    start = sky.init(Draw(stream, jnp.int32(0), like))
+
+    @jax.jit
+    def run(start: Any) -> Any:
+        def step(both: Any, tick: jax.Array) -> Any:
+            whole, parts = both
+            draw = Draw(stream, tick, like)
+            seconds, fraction = split_time(tick, 0.02, like.dtype)
+            whole = jax.lax.cond(tick % 10 == 0, lambda: sky.step(whole, draw, seconds, fraction), lambda: whole)
+            parts = sky.step_by_parts(parts, draw, tick)
+            pairs = zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True)
+            return (whole, parts), jnp.all(jnp.stack([jnp.all(a == b) for a, b in pairs]))
+
+        return jax.lax.scan(step, (start, start), jnp.arange(1, 760, dtype=jnp.int32))
+
+    (end, _), same = run(start)
+    assert bool(np.all(same))
+    assert int(end.slots.knot) == 3

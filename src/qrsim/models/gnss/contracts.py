@@ -59,10 +59,20 @@ class Sky(Protocol):
     Attributes:
         period: interval between epochs [s], a multiple of the time step.
         ids: (S,) uint32 number of each satellite, which its randomness belongs to.
+        steps_by_parts: whether it has ``step_by_parts``, which a world of one clock calls at every tick instead.
     """
 
     period: float
     ids: Array
+
+    @property
+    def steps_by_parts(self) -> bool:
+        """Whether ``step_by_parts`` is to be called at every tick."""
+        return False
+
+    def step_by_parts(self, state: Any, draw: Draw, tick: Array) -> Any:
+        """Return the state at a tick () int32, with whatever changes at it."""
+        raise NotImplementedError
 
     @abstractmethod
     def init(self, draw: Draw) -> Any:

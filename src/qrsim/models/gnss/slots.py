@@ -139,6 +139,29 @@ class SlottedSky(Sky):
         rate = (error - state.range_error) * (1.0 / self.period) if changes else state.range_rate_error
         return SkyState(satellites, error, rate, memory, state.ids, replace(slots, part=part))
 
+    @property
+    def steps_by_parts(self) -> bool:
+        """Whether nothing but the part of the way changes from knot to knot."""
+        plain = self.base is None and self.interference is None
+        return plain and self.errors.needs_sight and not self.each_epoch
+
+    def step_by_parts(self, state: SkyState, draw: Draw, tick: Array) -> SkyState:
+        """Return the state at a tick () int32: a condition in another one would copy all of it at every epoch."""
+        epoch = max(1, round(self.period / self.time_step))
+
+        def held() -> tuple[Any, ...]:
+            return state.memory, replace(state.slots, part=None), state.satellites_ned, state.range_error
+
+        def knot() -> tuple[Any, ...]:
+            memory, slots, satellites, error = self._knot(state, draw)
+            return memory, replace(slots, part=None), satellites, error
+
+        memory, slots, satellites, error = lax.cond(tick % self.knot_ticks == 0, knot, held)
+        old = state.slots.part
+        part = (tick % self.knot_ticks).astype(old.dtype) * (1.0 / self.knot_ticks)
+        slots = replace(slots, part=jnp.where(tick % epoch == 0, part, old))
+        return SkyState(satellites, error, state.range_rate_error, memory, state.ids, slots)
+
     def _knot(self, state: SkyState, draw: Draw) -> tuple[Any, ...]:
         """Advance to a knot: what was to come is here, and the next one is computed."""
         memory, tick = state.memory, draw.tick.astype(jnp.int32)
