@@ -8,6 +8,7 @@ gnss_day.png, gnss_fixes.png and gnss_jamming.png. Its data sheet numbers are u-
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ DOC = "receivers of type gnss: accuracy, fix types, jammers, what vehicles share
 SEED = 23
 # Times of a day, worlds at each, hours and worlds of steps, runs beside the recording.
 FULL, SMALL = (24, 200, 6.0, 5, 200), (4, 20, 0.2, 2, 20)
+PARTS = ("presets", "steps", "day", "fixing", "jamming", "recording")
 # Where receivers stand beside the first [m].
 OFFSETS = {"1": (1.0, 0.0, 0.0), "100": (100.0, 0.0, 0.0), "1000": (1000.0, 0.0, 0.0), "10000": (10000.0, 0.0, 0.0)}
 # Windows in rows of 0.4 s: to 20 s, and beyond.
@@ -127,7 +129,7 @@ def fixing(worlds: int, draw: bool) -> dict[str, Any]:
     return found
 
 
-def jamming() -> list[dict[str, Any]]:
+def jamming(draw: bool = False) -> list[dict[str, Any]]:
     """Return within what distance jammers on the ground end tracking from 45 dB-Hz, and keep it from being resumed."""
     distances = np.geomspace(1.0, 1e6, 60001)
     places = Vec3(*(jnp.asarray(part, jnp.float32) for part in (distances, 0.0 * distances, 0.0 * distances - 30.0)))
@@ -138,6 +140,8 @@ def jamming() -> list[dict[str, Any]]:
         weakness = 1.0 + np.asarray(jammed(present, (), places, None))  # type: ignore[arg-type]
         radii = [float(distances[np.argmax(weakness < limit)]) for limit in (LOST, FOUND)]
         found.append({"power_w": power, "lost_m": radii[0], "not_found_m": radii[1]})
+    if draw:
+        _draw_jamming(found)
     return found
 
 
@@ -271,22 +275,20 @@ def _days(draw: bool) -> dict[str, Any]:
     return found
 
 
-def run(full: bool) -> dict[str, Any]:
-    """Return all of it; the full form for every preset, and beside the recording."""
+def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
+    """Return some parts of it or all; the full form for every preset, and beside the recording."""
     starts, worlds, hours, few, runs = FULL if full else SMALL
     chosen = tuple(PRESETS) if full else ("f9p_single",)
-    found: dict[str, Any] = {
-        "times_of_day": starts,
-        "worlds": worlds,
-        "hours": hours,
-        "presets": {name: accuracy(name, starts, worlds) for name in chosen},
-        "steps": {name: steps(name, hours, few) for name in chosen if name in ("m8n", "f9p_single")},
-        "day": _days(draw=full),
-        "fixing": fixing(worlds, draw=full),
-        "jamming": jamming(),
+    made: dict[str, Callable[[], Any]] = {
+        "presets": lambda: {name: accuracy(name, starts, worlds) for name in chosen},
+        "steps": lambda: {name: steps(name, hours, few) for name in chosen if name in ("m8n", "f9p_single")},
+        "day": lambda: _days(draw=full),
+        "fixing": lambda: fixing(worlds, draw=full),
+        "jamming": lambda: jamming(draw=full),
     }
-    if full:
-        _draw_jamming(found["jamming"])
+    found: dict[str, Any] = {"times_of_day": starts, "worlds": worlds, "hours": hours}
+    found |= {name: make() for name, make in made.items() if name in parts}
+    if full and "recording" in parts:
         from qrsim.files.recordings import data_file
 
         found["recording"] = beside_the_recording(Path(data_file(RECORDING)), runs, draw=True)
