@@ -154,6 +154,16 @@ class TestOnce:
         expected = (np.eye(3) + matrices[1]) @ force + bias[3:]
         np.testing.assert_allclose(np.asarray(reading.specific_force.stack())[0], expected, rtol=1e-6)
 
+    def test_a_chip_keeps_its_bias_where_its_vehicle_is_placed_anew(self) -> None:
+        sensor = chip(gyroscope_turn_on_bias=0.3, accelerometer_turn_on_bias=0.7)
+        ones = Drawn((np.ones(1, np.float32),) * sensor.first_normals)  # type: ignore[arg-type]
+        load, still = Load(np.ones(1), np.ones(1)), vector(0.0, 0.0, 0.0)  # type: ignore[arg-type]
+        state, _ = sensor.init(ones, still, still, load)
+        moved = vector(1.0, 2.0, 3.0)
+        state, reading = sensor.restart(state, zeros(sensor.first_normals), np.zeros(1), moved, moved, load)  # type: ignore[arg-type]
+        np.testing.assert_allclose(np.asarray(reading.rates_body.stack())[0], [1.3, 2.3, 3.3], rtol=1e-6)
+        np.testing.assert_allclose(np.asarray(reading.specific_force.stack())[0], [1.7, 2.7, 3.7], rtol=1e-6)
+
 
 class TestSignal:
     def test_a_clean_chip_says_the_means_of_the_step(self) -> None:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.imu_presets import PRESETS, default
@@ -167,6 +167,15 @@ class Imu(Sensor):
             turns - jnp.round(turns) if self._shakes else None,
         )  # fmt: skip
         return self._measure(state, normals[_START:], rates_body, specific_force, load, settled=True)
+
+    def restart(
+        self, state: ImuState, draw: Noise, since: Array, rates_body: Vec3, specific_force: Vec3, load: Load
+    ) -> tuple[ImuState, ImuReading]:
+        """Return state and reading of the same chips on vehicles placed anew: they stay turned on, with their bias."""
+        zero = jnp.zeros_like(rates_body.x)
+        moved = replace(state, rates=rates_body, angle=Vec3(zero, zero, zero))
+        normals = draw.normals(self.first_normals)[_START:]
+        return self._measure(moved, normals, rates_body, specific_force, load, settled=True)
 
     def step(
         self, state: ImuState, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load
