@@ -19,7 +19,7 @@ SEED = 29
 HEIGHTS = (1.5, 5.0, 12.0, 25.0, 40.0)
 BUILDINGS, HALF = 200, 300.0
 # Places at each height, and times of a day.
-FULL, SMALL = (400, 4), (40, 1)
+FULL, SMALL = (200, 4), (40, 1)
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 # Of the flight: height [m] above which it is over the roofs.
 ROOFS = 33.0

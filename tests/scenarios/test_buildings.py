@@ -12,6 +12,7 @@ import pytest
 
 from qrsim.errors import ScenarioError
 from qrsim.models.scene.prisms import PrismObstacle
+from qrsim.scenarios import skylines
 from qrsim.scenarios.making import make_scenario
 from qrsim.scenarios.scenario import load_scenario
 
@@ -160,3 +161,49 @@ def test_prisms_in_a_scenario_are_checked_and_can_be_made_in_python() -> None:
     (found,) = make_scenario([[0.0, 0.0, -5.0]], obstacles=[solid]).spec.world.obstacles
     assert found.corners_ned == SQUARE
     assert found.holes_ned == [[[15.0, 25.0], [15.0, 30.0], [20.0, 30.0]]]
+
+
+def seen_by(obstacles: list[Any], **buildings: Any) -> dict[str, Any]:
+    """Return a scenario with a receiver, in the area of 2 km by 2 km that scenarios have by default."""
+    content = with_world({"obstacles": obstacles, **({"buildings": buildings} if buildings else {})})
+    content["fleets"]["a"]["sensors"] = {"gnss": {"type": "gnss"}}
+    return content
+
+
+def test_a_table_that_would_not_fit_is_refused_with_the_pitch_that_does() -> None:
+    far = [{"type": "prism", "corners_ned": (np.array(SQUARE) + at).tolist(), "z_min": -30.0} for at in (-990, 960)]
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(seen_by(far))
+    # 2 km by 2 km in cells of 4 m, at 8 heights and 64 azimuths, 4 bytes each: 488 MB; 5.5 m make it 258 MB, 6 m 217.
+    assert caught.value.problems == [
+        "world.buildings.table.pitch: 4 m makes a table of 488 MB of what obstacles hide of the sky; allowed: at most "
+        "256 MB; a pitch of 6 m fits, or a smaller world.area"
+    ]
+    coarse = load_scenario(seen_by(far, table={"pitch": 20.0, "azimuths": 32})).world().skyline
+    assert coarse is not None
+    assert (coarse.rows, coarse.columns, coarse.azimuths) == (100, 100, 32)
+    assert load_scenario(with_world({"obstacles": far})).world().skyline is None, "nobody looks at satellites"
+
+
+def test_a_table_is_kept_and_made_anew_where_it_is_damaged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(skylines, "LEAST_KEPT", 0)
+    block = [{"type": "prism", "corners_ned": SQUARE, "z_min": -3.0}]
+    spec = load_scenario(seen_by(block, table={"pitch": 10.0, "azimuths": 16})).spec
+
+    def words() -> Any:
+        skylines._made.cache_clear()
+        table = skylines.skyline(spec)
+        assert table is not None
+        return np.asarray(table.words)
+
+    first = words()
+    (kept,) = (tmp_path / "qrsim" / "skylines").iterdir()
+    monkeypatch.setattr(skylines, "make_table", None)
+    np.testing.assert_array_equal(words(), first)
+    monkeypatch.undo()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(skylines, "LEAST_KEPT", 0)
+    kept.write_bytes(b"nonsense")
+    np.testing.assert_array_equal(words(), first)
+    assert kept.read_bytes() != b"nonsense"

@@ -137,6 +137,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield from _feed_problems(fleet_name, fleet)
         if ground is not None:
             yield from mission_problems(f"fleets.{fleet_name}", fleet, scenario, ground)
+        hits = inside_obstacles(f"fleets.{fleet_name}", fleet, solids, *clearance_of(fleet, scenario), called)
         for i, vehicle in enumerate(fleet.vehicles):
             path = f"fleets.{fleet_name}.vehicles.{i}"
             name = vehicle.name or f"{fleet_name}_{i}"
@@ -144,7 +145,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
                 yield f"{path}.name: '{name}' is also the name of {names[name]}"
             names[name] = path
             yield from outside(f"{path}.position_ned", vehicle.position_ned, area, floor)
-            yield from inside_obstacles(path, vehicle, solids, *clearance_of(fleet, scenario), called)
+            yield from hits.get(i, ())
             yield from _too_fast(f"{path}.velocity_body", vehicle.velocity_body, fleet, i)
             for j, waypoint in enumerate(vehicle.waypoints_ned):
                 yield from outside(f"{path}.waypoints_ned.{j}", waypoint, area, floor)

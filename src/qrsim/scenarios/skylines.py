@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
 import math
 import os
+import zlib
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -115,12 +115,12 @@ def _made(digest: str, held: _Held) -> Skyline:
     """Return the table of a plan from the user's cache, or make and keep it."""
     plan = held.plan
     place = _folder() if plan.frame.size >= LEAST_KEPT else None
-    found = None if place is None else _read(place / f"{digest}.npz", plan.frame)
+    found = None if place is None else _read(place / f"{digest}.bin", plan.frame)
     if found is not None:
         return found
     made = make_table(plan.walls, plan.frame, plan.lowest)
     if place is not None:
-        _write(place / f"{digest}.npz", made)
+        _write(place / f"{digest}.bin", made)
     return made
 
 
@@ -136,19 +136,16 @@ def _folder() -> Path | None:
 def _read(path: Path, frame: Frame) -> Skyline | None:
     """Return a table that was kept; None without one, or where it is damaged."""
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            words = kept["words"]
-    except Exception:  # whatever is wrong with it, the table is made anew
+        data = zlib.decompressobj().decompress(path.read_bytes(), frame.size + 1)
+    except (OSError, zlib.error):
         return None
-    return skyline_of(words, frame) if words.shape == (frame.size // 4,) and words.dtype == np.int32 else None
+    return skyline_of(np.frombuffer(data, np.int32), frame) if len(data) == frame.size else None
 
 
 def _write(path: Path, made: Skyline) -> None:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, words=np.asarray(made.words))
     # A cache that cannot be written costs time, nothing else.
     with contextlib.suppress(OSError):
         tidy(path.parent)
         kept = temporary(path)
-        kept.write_bytes(buffer.getvalue())
+        kept.write_bytes(zlib.compress(np.asarray(made.words).tobytes(), 1))
         os.replace(kept, path)

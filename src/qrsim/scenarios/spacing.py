@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.vectors import Vec3
-from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
 
 def clearance_of(fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[float, str]:
@@ -74,17 +74,29 @@ def obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def inside_obstacles(
-    path: str, vehicle: VehicleSpec, solids: list[Any], clearance: float, source: str, called: list[str] | None = None
-) -> Iterator[str]:
-    """No vehicle starts at an obstacle or is sent there; ``called`` has what to add to the number of each."""
-    points = {"position_ned": vehicle.position_ned, **vehicle.places_ned}
-    positions, names = columns(list(points.values())), list(points)
-    for i, solid in enumerate(solids):
+    fleet_path: str, fleet: FleetSpec, solids: list[Any], clearance: float, source: str, called: list[str]
+) -> dict[int, list[str]]:
+    """Return who starts at an obstacle or is sent there: sentences by the vehicle's number.
+
+    ``called`` has what to add to the number of each obstacle.
+    """
+    if not solids:
+        return {}
+    points = [
+        (i, name, point)
+        for i, vehicle in enumerate(fleet.vehicles)
+        for name, point in {"position_ned": vehicle.position_ned, **vehicle.places_ned}.items()
+    ]
+    # All places at once: with many vehicles and buildings there are millions of pairs.
+    positions = columns([point for _, _, point in points])
+    found: dict[int, list[str]] = {}
+    for number, solid in enumerate(solids):
         distances = solid.distance(positions)
         for j in np.flatnonzero((distances < clearance) | (distances == 0.0)):
+            i, name, _ = points[j]
             where = f"{distances[j]:.3g} m from" if distances[j] else "inside"
-            known = called[i] if called else ""
-            yield (
-                f"{path}.{names[j]}: {where} world.obstacles.{i}{known}; allowed: at least {clearance:g} m from it "
-                f"({source})"
+            found.setdefault(i, []).append(
+                f"{fleet_path}.vehicles.{i}.{name}: {where} world.obstacles.{number}{called[number]}; allowed: at "
+                f"least {clearance:g} m from it ({source})"
             )
+    return found
