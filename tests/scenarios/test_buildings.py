@@ -174,10 +174,10 @@ def test_a_table_that_would_not_fit_is_refused_with_the_pitch_that_does() -> Non
     far = [{"type": "prism", "corners_ned": (np.array(SQUARE) + at).tolist(), "z_min": -30.0} for at in (-990, 960)]
     with pytest.raises(ScenarioError) as caught:
         load_scenario(seen_by(far))
-    # 2 km by 2 km in cells of 4 m, at 8 heights and 64 azimuths, 4 bytes each: 488 MB; 5.5 m make it 258 MB, 6 m 217.
+    # 2 km by 2 km in cells of 4 m, at 0, 2, 5, 10, 15, 20 and 30 m, 64 azimuths, 4 bytes each: 427 MB. 5 m make it 273.
     assert caught.value.problems == [
-        "world.buildings.table.pitch: 4 m makes a table of 488 MB of what obstacles hide of the sky; allowed: at most "
-        "256 MB; a pitch of 6 m fits, or a smaller world.area"
+        "world.buildings.table.pitch: 4 m makes a table of 427 MB of what obstacles hide of the sky; allowed: at most "
+        "256 MB; a pitch of 5.5 m fits, or a smaller world.area"
     ]
     coarse = load_scenario(seen_by(far, table={"pitch": 20.0, "azimuths": 32})).world().skyline
     assert coarse is not None

@@ -6,12 +6,14 @@ reflected have the solution of the open sky, to the bit.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.core.fastmath import sincos_turns
 from qrsim.core.tree import quantity, record, replace
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.geometry import CHIP_M, Geometry, View, across, carrier_to_noise, geometry_of
@@ -64,7 +66,7 @@ def solved(
     weaker = _WEAKER - _SPREAD * slow
     heard = receiver.nlos == "track"
     alone = mirrored & hides & heard & (carrier_to_noise(receiver, up) - weaker > _WEAKEST)
-    echo = _ENVELOPE * jnp.minimum(extra, _LONGEST) * jnp.cos(_TURNS * slow)
+    echo = _ENVELOPE * jnp.minimum(extra, _LONGEST) * sincos_turns((_TURNS / (2.0 * math.pi)) * slow)[1]
     tracking = _tracked(receiver, before, same, there, hides & ~alone, slow)
     age = jnp.minimum(whole.age, tracking.held)
     seen = there & (~hides | alone)
