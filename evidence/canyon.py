@@ -97,7 +97,7 @@ def by_height(preset: str, count: int, times: int) -> dict[str, Any]:
         )
         horizontal, by_walls = np.hypot(error[:, 0], error[:, 1]), np.hypot(away[:, 0], away[:, 1])
         direct = seen - blocked - mirrored
-        found[f"{height:g}"] = {
+        found[f"h{height:g}m".replace(".", "_")] = {
             "above_the_mask": float(seen.mean()),
             "direct": float(direct.mean()),
             "reflected": float(mirrored.mean()),

@@ -155,20 +155,25 @@ def test_a_higher_building_hides_no_less() -> None:
 
 def test_a_satellite_that_was_hidden_is_used_again_after_a_while() -> None:
     """1 s after it is seen again, 30 s if it was away for over a minute; new ones wait for their own time."""
-    receiver = SimpleNamespace(acquisition=5.0, reacquisition=1.0, reacquisition_long=30.0, period=1.0)
-    there, same, like = jnp.ones((1, 1), bool), jnp.ones(1, bool), jnp.zeros((1, 1))
+    receiver = SimpleNamespace(acquisition=5.0, reacquisition=1.0, reacquisition_long=30.0)
+    there, same, second = jnp.ones((1, 1), bool), jnp.ones(1, bool), jnp.ones(())
     for away, wait in ((20, 1.0), (60, 1.0), (61, 30.0)):
-        now = hidden._tracked(receiver, None, None, there, ~there, like)
+
+        def later(before: Any, blocked: Any, same: Any = same) -> Any:
+            found = hidden._tracked(receiver, before, same, there, blocked, second)
+            return SimpleNamespace(held=found[0], away=found[1])
+
+        now = later(None, ~there)
         assert float(now.held[0, 0]) > 1e5
         for _ in range(away):
-            now = hidden._tracked(receiver, now, same, there, there, like)
+            now = later(now, there)
             assert float(now.held[0, 0]) == 0.0
-        now = hidden._tracked(receiver, now, same, there, ~there, like)
+        now = later(now, ~there)
         # Its weight begins to grow when this is the time of acquisition.
         assert float(now.held[0, 0]) == 5.0 - wait
-        now = hidden._tracked(receiver, now, same, there, ~there, like)
+        now = later(now, ~there)
         assert float(now.held[0, 0]) == 6.0 - wait
-        assert float(hidden._tracked(receiver, now, ~same, there, ~there, like).held[0, 0]) > 1e5
+        assert float(later(now, ~there, ~same).held[0, 0]) > 1e5
 
 
 STREET = [

@@ -11,10 +11,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from qrsim.core.fastmath import sincos_turns
-from qrsim.core.tree import quantity, record, replace
+from qrsim.core.tree import quantity, record, replace, select
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.geometry import CHIP_M, Geometry, View, across, carrier_to_noise, geometry_of
 from qrsim.models.gnss.interference import Effect
@@ -34,17 +34,29 @@ _LONG = 1e6
 
 @record
 class Tracking:
-    """What n receivers remember of the signals in each slot."""
+    """What n receivers remember of the signals in each slot, and of when they last looked at them."""
 
     held: Array = quantity(unit="s", doc="(K, n) time that counts for the weight since it came back; long: never away")
     away: Array = quantity(unit="s", doc="(K, n) time for which it has been blocked; 0: it is not")
+    knot: Array = quantity(doc="() int32 number of the knot at which they looked, or after which")
+    part: Array = quantity(unit="1", doc="() how far it was to the next")
+    solution: Geometry = quantity(doc="solutions since then")
+
+    def placed(self, chosen: Array, fresh: Tracking) -> Tracking:
+        """Return it with that of chosen receivers (n,) made anew; what all of them share stays."""
+        own, new = (
+            replace(each, knot=None, part=None, solution=replace(each.solution, knot=None)) for each in (self, fresh)
+        )
+        found = select(chosen, new, own)
+        solution = replace(found.solution, knot=self.solution.knot)
+        return replace(found, knot=self.knot, part=self.part, solution=solution)
 
 
 def solved(
     receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: Any,
     position_ned: Vec3, fast: Array, slow: Array, effect: Effect | None = None,
 ) -> tuple[Geometry, Tracking]:  # fmt: skip
-    """Return the solutions of receivers (n,) among obstacles.
+    """Return the solutions of receivers (n,) among obstacles, new ones every ``obstacle_period``.
 
     Args:
         receiver: a ``Gnss``.
@@ -57,6 +69,26 @@ def solved(
         fast, slow: both halves of their multipath (K, n), of unit variance.
         effect: of interference, if there is any.
     """
+    if before is None:
+        start = jnp.zeros_like(slots.part)
+        return _looked(receiver, skyline, slots, whole, None, same, position_ned, fast, slow, start, effect)
+    passed = (slots.knot - before.knot).astype(slots.part.dtype) * slots.knot_s
+    passed = passed + (slots.part - before.part) * slots.knot_s
+    # A knot may have other satellites in the slots.
+    due = (slots.knot != before.knot) | (passed > receiver.obstacle_period - 0.5 * receiver.period)
+
+    def fresh() -> tuple[Geometry, Tracking]:
+        return _looked(receiver, skyline, slots, whole, before, same, position_ned, fast, slow, passed, effect)
+
+    # What interferes does so at every fix.
+    return lax.cond(due, fresh, lambda: (before.solution, before)) if effect is None else fresh()
+
+
+def _looked(
+    receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: Any,
+    position_ned: Vec3, fast: Array, slow: Array, passed: Array, effect: Effect | None,
+) -> tuple[Geometry, Tracking]:  # fmt: skip
+    """Return solutions that are new, ``passed`` () [s] after the last ones."""
     hides, detour = skyline.look(position_ned, slots.sight)
     there = jnp.broadcast_to(whole.age > 0.0, hides.shape)
     up = -slots.sight.line_of_sight.z[:, None]
@@ -67,8 +99,8 @@ def solved(
     heard = receiver.nlos == "track"
     alone = mirrored & hides & heard & (carrier_to_noise(receiver, up) - weaker > _WEAKEST)
     echo = _ENVELOPE * jnp.minimum(extra, _LONGEST) * sincos_turns((_TURNS / (2.0 * math.pi)) * slow)[1]
-    tracking = _tracked(receiver, before, same, there, hides & ~alone, slow)
-    age = jnp.minimum(whole.age, tracking.held)
+    held, away = _tracked(receiver, before, same, there, hides & ~alone, passed)
+    age = jnp.minimum(whole.age, held)
     seen = there & (~hides | alone)
     view = View(
         loss=jnp.where(alone, weaker, 0.0),
@@ -78,35 +110,31 @@ def solved(
     )
     now = geometry_of(receiver, slots, seen, age, view, None if effect is None else effect.jam)
     # Those for whom no signal is hidden, reflected or coming back.
-    settled = tracking.held >= jnp.minimum(whole.age, across(receiver.acquisition) + across(receiver.entry))
+    settled = held >= jnp.minimum(whole.age, across(receiver.acquisition) + across(receiver.entry))
     clear = jnp.all(~there | (settled & ~hides & ~mirrored), axis=0)
     count = up.dtype
-    return (
-        replace(
-            _either(clear, whole, replace(now, reflected=None)),
-            reflected=now.reflected,
-            blocked=jnp.sum((there & hides & ~alone).astype(count), axis=0),
-            mirrored=jnp.sum(alone.astype(count), axis=0),
-        ),
-        tracking,
+    solution = replace(
+        _either(clear, whole, replace(now, reflected=None)),
+        reflected=now.reflected,
+        blocked=jnp.sum((there & hides & ~alone).astype(count), axis=0),
+        mirrored=jnp.sum(alone.astype(count), axis=0),
     )
+    return solution, Tracking(held, away, slots.knot, slots.part, solution)
 
 
-def _tracked(receiver: Any, before: Tracking | None, same: Any, there: Array, blocked: Array, like: Array) -> Tracking:
-    """Return what receivers remember after an epoch with signals that are blocked (K, n)."""
+def _tracked(receiver: Any, before: Any, same: Any, there: Array, blocked: Array, passed: Array) -> tuple[Array, Array]:
+    """Return ``held`` and ``away`` (K, n) of ``Tracking``, ``passed`` () [s] later, with signals that are blocked."""
     blocked = there & blocked
     if before is None:
-        long = jnp.full(blocked.shape, _LONG, like.dtype)
-        return Tracking(jnp.where(blocked, 0.0, long), jnp.where(blocked, long, 0.0))
+        long = jnp.full(blocked.shape, _LONG, passed.dtype)
+        return jnp.where(blocked, 0.0, long), jnp.where(blocked, long, 0.0)
     kept = there & same[:, None]
     held, away = jnp.where(kept, before.held, _LONG), jnp.where(kept, before.away, 0.0)
     wait = jnp.where(away > _LOST, across(receiver.reacquisition_long), across(receiver.reacquisition))
     back = across(receiver.acquisition) - wait
-    ahead = jnp.where(held >= _LONG, held, held + receiver.period)
-    return Tracking(
-        held=jnp.where(blocked, 0.0, jnp.where(away > 0.0, back, ahead)),
-        away=jnp.where(blocked, jnp.minimum(away + receiver.period, _LONG), 0.0),
-    )
+    ahead = jnp.where(held >= _LONG, held, held + passed)
+    since = jnp.where(blocked, jnp.minimum(away + passed, _LONG), 0.0)
+    return jnp.where(blocked, 0.0, jnp.where(away > 0.0, back, ahead)), since
 
 
 def _either(chosen: Array, yes: Geometry, no: Geometry) -> Geometry:

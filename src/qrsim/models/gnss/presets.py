@@ -22,6 +22,7 @@ _COMMON: dict[str, Any] = {
     "reacquisition": 1.0,
     "reacquisition_long": 30.0,
     "nlos": "track",
+    "obstacle_period": 1.0,
     "coast": 1.0,
     "corrections": "none",
     "moving_base": "",

@@ -100,6 +100,9 @@ class Gnss(Sensor):
     per_satellite: bool = setting(
         default=default("per_satellite"), doc="whether a reading has C/N0, state, number and place of each satellite"
     )
+    obstacle_period: float = setting(
+        default=default("obstacle_period"), unit="s", doc="interval at which it looks at what obstacles hide", above=0.0
+    )
     multipath: Array = _number("multipath", "1", "multipath per that of an airborne antenna")
     multipath_time: Array = _number("multipath_time", "s", "time constant of its faster half at rest", positive=True)
     multipath_slow_time: Array = _number(
@@ -153,7 +156,9 @@ class Gnss(Sensor):
 
     def placed(self, chosen: Array, fresh: GnssState, before: GnssState) -> GnssState:
         """Return the state in which only chosen receivers (n,) were placed anew; what all share stays."""
-        shared = {"geometry": before.geometry, "ids": before.ids}
+        shared: dict[str, Any] = {"geometry": before.geometry, "ids": before.ids}
+        if fresh.tracking is not None and before.tracking is not None:
+            shared["tracking"] = before.tracking.placed(chosen, fresh.tracking)
         if before.ranges is not None and before.apart is None:
             shared["ranges"] = before.ranges
         nothing = dict.fromkeys(shared)
