@@ -131,7 +131,7 @@ def flight(duration: float, draw: bool) -> dict[str, Any]:
             satellites[name].append((own.satellites[0] - own.satellites_reflected[0], own.satellites_reflected[0]))
     flown = np.array(truth)
     streets_, above = flown[:, 2] > -15.0, flown[:, 2] < -ROOFS
-    found: dict[str, Any] = {"flown_to_the_end": bool(sim.valid.all())}
+    found: dict[str, Any] = {"flown_to_the_end": int(sim.valid.all())}
     for name, values in fixes.items():
         error = np.array(values) - flown
         horizontal = np.hypot(error[:, 0], error[:, 1])
@@ -140,10 +140,11 @@ def flight(duration: float, draw: bool) -> dict[str, Any]:
             "street_r50_m": float(np.nanmedian(horizontal[streets_])),
             "street_r95_m": float(np.nanquantile(horizontal[streets_], 0.95)),
             "street_largest_m": float(np.nanmax(horizontal[streets_])),
-            "above_m": float(horizontal[above][-1]) if above.any() else None,
             "largest_step_m": float(np.nanmax(step)),
             "fix": float(np.isfinite(horizontal).mean()),
         }  # fmt: skip
+        if above.any():
+            found[name]["above_m"] = float(horizontal[above][-1])
     if draw:
         _draw(sim, flown, {name: np.array(values) for name, values in fixes.items()}, satellites["gnss"])
     return found
