@@ -63,6 +63,7 @@ OTHERS = {
     "task_search_and_rescue.png": "make pictures",
     "training.png": "make evidence training",
     "gnss_allan.png": "make evidence gnss",
+    "gnss_canyon.png": "make evidence canyon",
     "gnss_day.png": "make evidence gnss",
     "imu_allan.png": "make evidence imu",
     "turbulence.png": "make evidence turbulence",
