@@ -6,8 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_seed_test
 
 import qrsim
+from qrsim.envs import parallel_env
+from qrsim.envs.single import SingleTask
 from qrsim.simulation.rollout import rollout
 from qrsim.simulation.simulation import Simulation
 
@@ -90,3 +94,27 @@ def test_a_saved_run_goes_on_and_a_placed_vehicle_meets_the_gust_of_its_new_plac
     simulation.set_state(np.concatenate([PLACES[4:8], np.full((4, 3), np.nan)]))
     simulation.step(ticks=35)
     np.testing.assert_array_equal(air(simulation.state), flown(np.concatenate([PLACES[4:8], PLACES[4:8]])))
+
+
+def test_worlds_whose_wind_is_drawn_have_fields_that_move_with_it() -> None:
+    """Frequencies go with the speed of the wind, and nothing else of the field is another one."""
+    base = content(PLACES[:1], sweep=0.0)
+
+    def drawn(more: dict[str, Any]) -> Any:
+        world = qrsim.load_scenario({**base, **more}, quiet=True).world()
+        found = rollout(world, ticks=1, worlds=6, seed=4, record=lambda s: (s.drawn, s.field), record_every=1)
+        return found.recorded
+
+    _, fixed = drawn({})
+    (speeds,), ranged = drawn({"ranges": [{"path": "world.wind.speed_20ft", "low": 2.0, "high": 10.0}]})
+    assert np.ptp(speeds) > 1.0
+    np.testing.assert_array_equal(ranged.phase, fixed.phase)
+    np.testing.assert_array_equal(ranged.dilation, fixed.dilation)
+    np.testing.assert_allclose(ranged.frequency, fixed.frequency * (speeds / 6.0)[..., None], rtol=1e-4, atol=1e-8)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_tasks_are_flown_in_it() -> None:
+    wind = "world.wind={type: log_shear, speed_20ft: 4, wind_from_deg: 200}"
+    check_env(SingleTask("keep_spot", [wind, "world.turbulence=dryden_field"]))
+    parallel_seed_test(lambda: parallel_env("cats_and_mouse/1C", overrides=["world.turbulence=dryden_field"]))
