@@ -93,7 +93,7 @@ def test_arrows_are_along_the_air_and_as_long_as_it_is_fast() -> None:
         turn = np.arctan2(2.0, 3.0)
         assert found.batched_wxyzs[-1] == pytest.approx([np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)], abs=0.005)
         assert (found.batched_colors != linear((188, 115, 43))).any(axis=1).all()
-        assert layer.label == "gust and mean wind at 40 m"
+        assert layer.label == "air in a plane: gust and mean wind at 40 m"
     finally:
         scene._server.stop()
 
@@ -165,5 +165,5 @@ def test_a_page_without_a_server_has_it_at_so_many_times_only(tmp_path: Path, mo
     assert len(times_of(recording)) == 81
     # And the first frame.
     assert 8 <= len(drawn) <= 10
-    assert '"title": "gust at 15 m"' in page
+    assert '"title": "air in a plane: gust at 15 m"' in page
     assert '"path": "/world/air", "shown": false' in page

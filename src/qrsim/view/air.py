@@ -83,7 +83,7 @@ class Air(Contents):
     @property
     def label(self) -> str:
         """Return what a page without controls of it says."""
-        return f"{self.shows} at {self.height:g} m"
+        return f"{self.title}: {self.shows} at {self.height:g} m"
 
     def draw(self, frame: Frame) -> None:
         """Turn the arrows; they are where the vehicles are."""
