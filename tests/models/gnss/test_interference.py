@@ -93,7 +93,7 @@ class TestJammer:
 
 class TestAges:
     def test_who_was_away_is_used_after_a_second_or_after_half_a_minute(self):
-        receiver = SimpleNamespace(period=0.2, acquisition=5.0)
+        receiver = SimpleNamespace(period=0.2, acquisition=5.0, reacquisition=1.0, reacquisition_long=30.0)
         found = []
         for away in (10.0, 59.0, 61.0, 500.0):
             same = jnp.ones((1, 1), bool)
@@ -107,7 +107,10 @@ class TestAges:
         np.testing.assert_allclose(found, [1.0, 1.0, 30.0, 30.0], atol=0.41)
 
     def test_a_satellite_that_rises_is_new(self):
-        receiver, no = SimpleNamespace(period=0.2, acquisition=5.0), jnp.zeros((1, 1), bool)
+        receiver, no = (
+            SimpleNamespace(period=0.2, acquisition=5.0, reacquisition=1.0, reacquisition_long=30.0),
+            jnp.zeros((1, 1), bool),
+        )
         assert float(aged(receiver, ~no, no, jnp.full((1, 1), 900.0))[0, 0]) == pytest.approx(0.2)
 
 
