@@ -129,19 +129,19 @@ def fixing(worlds: int, draw: bool) -> dict[str, Any]:
     return found
 
 
-def jamming(draw: bool = False) -> list[dict[str, Any]]:
-    """Return within what distance jammers on the ground end tracking from 45 dB-Hz, and keep it from being resumed."""
+def jamming(draw: bool = False) -> dict[str, dict[str, float]]:
+    """Return, by power [mW], within what distance jammers on the ground end tracking from 45 dB-Hz, and keep it from being resumed."""
     distances = np.geomspace(1.0, 1e6, 60001)
     places = Vec3(*(jnp.asarray(part, jnp.float32) for part in (distances, 0.0 * distances, 0.0 * distances - 30.0)))
-    found = []
+    found = {}
     for power in POWERS_W:
         jammer = Interference(jammers=(Jammer(np.zeros(3), power, 0.0, 1e9),))  # type: ignore[arg-type]
         present = jammer.at(jnp.zeros(1, jnp.int32), jnp.int32(1), jnp.float32(0.0))
         weakness = 1.0 + np.asarray(jammed(present, (), places, None))  # type: ignore[arg-type]
         radii = [float(distances[np.argmax(weakness < limit)]) for limit in (LOST, FOUND)]
-        found.append({"power_w": power, "lost_m": radii[0], "not_found_m": radii[1]})
+        found[f"{1e3 * power:g}"] = {"power_w": power, "lost_m": radii[0], "not_found_m": radii[1]}
     if draw:
-        _draw_jamming(found)
+        _draw_jamming(list(found.values()))
     return found
 
 
