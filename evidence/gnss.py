@@ -130,7 +130,7 @@ def fixing(worlds: int, draw: bool) -> dict[str, Any]:
 
 
 def jamming(draw: bool = False) -> dict[str, dict[str, float]]:
-    """Return, by power [mW], within what distance jammers end tracking from 45 dB-Hz, and keep it from being resumed."""
+    """Return, by power [mW], how far jammers end tracking from 45 dB-Hz, and keep it from being resumed."""
     distances = np.geomspace(1.0, 1e6, 60001)
     places = Vec3(*(jnp.asarray(part, jnp.float32) for part in (distances, 0.0 * distances, 0.0 * distances - 30.0)))
     found = {}
