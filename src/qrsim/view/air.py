@@ -48,7 +48,7 @@ class Air(Contents):
 
     title = AIR
     every = 3
-    # It costs what several hundred vehicles do.
+    # Asked for only: it is as many bytes of a frame as sixty vehicles.
     most = -1
     most_in_film = 300
 
