@@ -15,7 +15,7 @@ from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
-from qrsim.models.gnss.constellations import NominalConstellations
+from qrsim.models.gnss.constellations import NominalConstellations, satellite_name
 from qrsim.models.gnss.orbits import NominalConstellation, dilution_of_precision, elevation_azimuth
 from qrsim.models.gnss.sight import sight_of
 from qrsim.models.gnss.slots import assigned
@@ -32,6 +32,15 @@ def rays(systems: str, times: np.ndarray, site: Site) -> np.ndarray:
 
 
 class TestConstellations:
+    def test_numbers_of_satellites_say_their_names(self):
+        for ephemeris in (NominalConstellations("GERC"), NominalConstellations("RC")):
+            names = [satellite_name(int(number)) for number in ephemeris.satellite_ids]
+            assert names == list(ephemeris.satellites)
+        alone = NominalConstellation()
+        assert satellite_name(int(alone.satellite_ids[5])) == f"G-{alone.satellites[5]}"
+        # Of a file: 256 times the letter's code plus the number.
+        assert satellite_name(256 * ord("E") + 7) == "E07"
+
     def test_gps_is_the_constellation_of_gps(self):
         times = EPOCH + np.array([0.0, 1e5, 3e8])
         expected = NominalConstellation().positions_ecef(times)
