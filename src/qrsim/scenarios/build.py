@@ -121,10 +121,9 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
 
 
 def _largest_radius(scenario: ScenarioSpec) -> float:
-    """Return the largest distance [m] that vehicles keep from obstacles, whatever an episode draws."""
+    """Return the largest distance [m] that vehicles keep from obstacles."""
     own = [fleet.radius for fleet in scenario.fleets.values() if fleet.radius is not None]
-    drawn = [item.high for item in scenario.ranges if item.path.endswith((".radius", ".collision_distance"))]
-    return float(max([0.5 * scenario.world.collision_distance, *own, *drawn]))
+    return float(max([0.5 * scenario.world.collision_distance, *own]))
 
 
 def wind_of(scenario: ScenarioSpec) -> Any:
