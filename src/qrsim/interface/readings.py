@@ -133,7 +133,7 @@ class SensorReading:
         if field in vars(self._reading):
             value = getattr(self._reading, field)
             # What a receiver has nothing to say about, as the age of corrections that it does not take.
-            return as_array(jax.tree.leaves(self._reading)[0] * 0.0 if value is None else value)
+            return as_array(jax.tree.leaves(self._reading)[0] * 0.0 + 0.0 if value is None else value)
         return self._derived(field)
 
     def _derived(self, field: str) -> Floats:
