@@ -48,7 +48,7 @@ from qrsim.models.scene.plume import GaussianPlume, GaussianState, Sources
 from qrsim.models.scene.prisms import PrismObstacle
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.barometer import BarometerReading
-from qrsim.models.sensors.inertial import AccelerometerReading
+from qrsim.models.sensors.inertial import AccelerometerReading, GyroscopeReading
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.contracts import Load
 from qrsim.models.vehicles.multirotor import Multirotor
@@ -184,6 +184,7 @@ SLOTS = {
     "VEHICLES": "fleets.a.vehicle",
     "BATTERIES": "fleets.a.battery",
     "CONTROLLERS": "fleets.a.controller",
+    "FILTERS": "fleets.a.estimator",
     "GUIDANCE": "fleets.a.guidance",
     "SENSORS": "fleets.a.sensors.tested",
 }
@@ -530,7 +531,25 @@ def _readings(scene: Any) -> dict[str, Any]:
         "barometer": BarometerReading(-position.z, -velocity.z),
         "attitude": AttitudeReading(scene["attitude"]),
         "accelerometer": AccelerometerReading(scene["specific_force"]),
+        "gyroscope": GyroscopeReading(scene["rates_body"]),
     }
+
+
+def _believed(estimator: Any, given: Any) -> list[Estimate]:
+    """Return the estimates of an estimator at first, and a tick later."""
+    scene = given["scene"]
+    estimate = Estimate(scene["position_ned"], scene["velocity_ned"], scene["attitude"])
+    memory, first = estimator.init(_readings(scene), estimate)
+    fresh = dict.fromkeys(_readings(scene), jnp.asarray(True))
+    memory, second = estimator.step(memory, _readings(given["later"]), fresh, DT)
+    stds = [std for std in (estimator.std(memory),) if std is not None]
+    # What is left out of a position is its rounding, which is another in another program.
+    return [replace(item, position_low_ned=None) for item in (first, second, *stds)]
+
+
+def _filter(estimator: Any, given: Any, draws: Draws) -> Any:
+    late = estimator.fitted({"gnss": 2})
+    return {"believed": _believed(estimator, given), "late": _believed(late, given)}
 
 
 def _controller(controller: Any, given: Any, draws: Draws) -> Any:
@@ -546,13 +565,8 @@ def _controller(controller: Any, given: Any, draws: Draws) -> Any:
         for _ in range(steps):
             state, command = controller.step(state, estimate, setpoints[kind], DT)
             commands.append(command)
-    believed = []
-    if (estimator := controller.estimator()) is not None:
-        memory, first = estimator.init(_readings(scene), estimate)
-        fresh = dict.fromkeys(_readings(scene), jnp.asarray(True))
-        after = (first, *estimator.step(memory, _readings(given["later"]), fresh, DT))
-        # What is left out of a position is its rounding, which is another in another program.
-        believed = [replace(item, position_low_ned=None) for item in after]
+    estimator = controller.estimator()
+    believed = [] if estimator is None else _believed(estimator, given)
     return {"state": state, "commands": commands, "believed": believed, "zero": jnp.zeros_like(given["thrust"])}
 
 
@@ -643,6 +657,7 @@ EVALUATE: dict[str, Callable[[Any, Any, Draws], Any]] = {
     "VEHICLES": _vehicle,
     "BATTERIES": _battery,
     "CONTROLLERS": _controller,
+    "FILTERS": _filter,
     "GUIDANCE": _guidance,
     "SENSORS": _sensor,
     "PLUMES": _plume,

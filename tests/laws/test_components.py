@@ -40,6 +40,7 @@ every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-
 SLOW = [
     ("VEHICLES", "multirotor"),
     ("CONTROLLERS", "cascade"),
+    ("FILTERS", "ekf"),
     ("TURBULENCES", "dryden_field"),
     ("SENSORS", "gnss"),
     ("SKY_ERRORS", "error_budget"),
@@ -233,6 +234,8 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
         fleet["controller"] = mission if part["type"] == "mission" else {"type": "offboard"}
     if group in ("CONTROLLERS", "GUIDANCE") and part["type"] == "none":
         fleet |= {"vehicle": {"type": "fixed_point"}, "controller": {"type": "none"}}
+    if group == "FILTERS":
+        sensors["rates"] = {"type": "ideal_gyroscope"}
     if group == "BATTERIES" and part["type"] == "lithium_cells":
         fleet["vehicle"] = {"type": "multirotor"}
     world: dict[str, Any] = {"wind": wind, "obstacles": [None], "sky": {}}

@@ -38,7 +38,7 @@ CONTRACTS = {
     "WINDS": Wind, "TURBULENCES": Turbulence, "GUSTS": Gust, "SKY_ERRORS": RangeErrors, "AREAS": Area,
     "GROUNDS": Ground,
     "PLUMES": Plume, "TERRAINS": GroundCover, "PERSONS": People, "TASKS": Task, "VEHICLES": Vehicle,
-    "BATTERIES": Battery, "CONTROLLERS": Controller, "GUIDANCE": Guidance, "SENSORS": Sensor,
+    "BATTERIES": Battery, "CONTROLLERS": Controller, "FILTERS": Estimator, "GUIDANCE": Guidance, "SENSORS": Sensor,
 }  # fmt: skip
 # A file that is read before the run; what it returns flies.
 READ_BEFORE = {"series", "dem", "grid"}

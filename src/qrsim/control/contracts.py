@@ -127,3 +127,7 @@ class Estimator(Protocol):
     def std(self, state: Any) -> Estimate | None:
         """Return the standard deviations (n,) of its estimate, None if it states none."""
         return None
+
+    def innovations(self, state: Any) -> object | None:
+        """Return what the last readings said beside what was expected, a record of (n,), None if it does not say."""
+        return None

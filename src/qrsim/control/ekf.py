@@ -1,4 +1,4 @@
-"""An error-state extended Kalman filter on inertial, GNSS, height and heading readings (docs/control.md, C23, C24).
+"""An error-state extended Kalman filter on inertial, GNSS, height and heading readings (docs/estimators.md, F1 and F2).
 
 Errors of the attitude are small rotations in NED (Sola, "Quaternion kinematics for the error-state Kalman filter",
 2017, section 7); gates, late measurements and resets follow what autopilots do.
@@ -166,6 +166,10 @@ class ErrorStateKalmanFilter(Estimator):
         angles = [jnp.sqrt(jnp.maximum(variance_of(state.covariance, row)[1], 0.0)) for row in rows]
         return Estimate(Vec3(*own[:SPEED]), Vec3(*own[SPEED:]), Euler(*angles))
 
+    def innovations(self, state: KalmanState) -> Innovations:
+        """Return what the last readings said beside what was expected, in std."""
+        return state.innovations
+
     def _as(self, like: Array, std: Array) -> Array:
         return jnp.zeros_like(like) + std * std
 
@@ -189,7 +193,7 @@ class ErrorStateKalmanFilter(Estimator):
         return level, level, down
 
     def _predicted(self, state: KalmanState, readings: Mapping[str, Any], dt: float) -> KalmanState:
-        """Return the state a tick later, by body rates and the mean specific force of the tick (C23)."""
+        """Return the state a tick later, by body rates and the mean specific force of the tick (F1)."""
         zero = jnp.zeros_like(state.since_fix)
         rates, force = field_of(readings, "rates_body"), field_of(readings, "specific_force")
         rates = state.rates_body if rates is None else known(rates, state.rates_body)
@@ -220,7 +224,7 @@ class ErrorStateKalmanFilter(Estimator):
     def _measured(
         self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
     ) -> KalmanState:
-        """Return the state corrected by what is new (C24)."""
+        """Return the state corrected by what is new (F2)."""
         covariance, errors = state.covariance, jnp.zeros_like(state.covariance[0])
         for what, scalars, new in self._groups(state, readings, fresh, dt):
             for scalar in scalars:
@@ -270,7 +274,7 @@ class ErrorStateKalmanFilter(Estimator):
     def _by_fix(
         self, state: KalmanState, readings: Mapping[str, Any], new: Callable[[str], Array], dt: float
     ) -> Iterator[tuple[str, list[_Measured], Array]]:
-        """Yield what a fix measures: place and velocity of as many ticks ago as it is late (C24)."""
+        """Yield what a fix measures: place and velocity of as many ticks ago as it is late (F2)."""
         one = jnp.ones_like(state.since_fix)
         late = dt * len(state.past)
         then = state.past[0] if state.past else Past(state.position_ned, state.position_low_ned, state.velocity_ned)
@@ -316,7 +320,7 @@ def _small(half: Vec3) -> Quaternion:
 
 
 def _transition(felt: Vec3, turned: Rotation, dt: float) -> Callable[[Array], Array]:
-    """Return what a tick makes of the errors: F X for X (15, k, n) (C23)."""
+    """Return what a tick makes of the errors: F X for X (15, k, n) (F1)."""
     none = jnp.zeros_like(felt.x)
     swung = jnp.stack([jnp.stack([dt * row.get(k, none) for k in range(3)]) for row in _swung(felt)])
     rows = zip(*map(_axes, _body_axes(turned)), strict=True)

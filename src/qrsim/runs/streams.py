@@ -43,7 +43,9 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
         roots["commands"] += [(f"estimate.{part}.", getattr(fed, part)) for part in parts]
         if state.belief.std is not None:
             roots["commands"] += [(f"estimate_std.{part}.", getattr(state.belief.std, part)) for part in parts]
-        if (innovations := getattr(state.belief.memory, "innovations", None)) is not None:
+        estimator = fleet.own_estimator
+        innovations = None if estimator is None else estimator.innovations(state.belief.memory)
+        if innovations is not None:
             roots["commands"].append(("innovation.", innovations))
     if state.gust_rates_ned is not None:
         roots["wind"].append(("gust_rates_ned.", state.gust_rates_ned))

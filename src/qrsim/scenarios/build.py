@@ -185,7 +185,7 @@ def _estimator(spec: FleetSpec, scenario: ScenarioSpec, sensors: Sequence[Any], 
     ages = {}
     for name, sensor, fitting in zip(spec.sensors, sensors, fittings or [None] * len(sensors), strict=True):
         # Of sensors that hold readings back themselves, and of those whose fitting does, on average.
-        late = getattr(sensor, "delay", 0) if fitting is None or not fitting.is_late else fitting.delay
+        late = sensor.delay if fitting is None or not fitting.is_late else fitting.delay
         if late:
             ages[name] = round(late * sensor.period / scenario.time_step)
     return component(spec.estimator, known.FILTERS, scenario).fitted(ages)
