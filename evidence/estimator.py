@@ -234,7 +234,8 @@ def run(full: bool) -> dict[str, Any]:
         "late_s": LATE * DT,
         "correlation_s": CORRELATION_S,
         "errors": SIZE,
-        "band": [round(float(low), 2), round(float(high), 2)],
+        "band_low": round(float(low), 2),
+        "band_high": round(float(high), 2),
         **{name: _summary(found, later, low, high) for name, found in curves.items()},
     }
 
