@@ -262,5 +262,5 @@ def _draw(times: Floats, curves: dict[str, Floats], band: tuple[float, float]) -
     axes.set_xlabel("time [s]")
     axes.set_ylabel(f"mean NEES of {SIZE} errors [1]")
     axes.grid(alpha=0.3, which="both")
-    axes.legend(loc="upper left")
+    axes.legend(loc="center right")
     figure.savefig(PICTURE, dpi=110)

@@ -62,6 +62,7 @@ OTHERS = {
     "task_plume_mapping.png": "make pictures",
     "task_search_and_rescue.png": "make pictures",
     "training.png": "make evidence training",
+    "estimator_nees.png": "make evidence estimator",
     "gnss_allan.png": "make evidence gnss",
     "gnss_canyon.png": "make evidence canyon",
     "gnss_day.png": "make evidence gnss",
