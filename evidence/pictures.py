@@ -66,6 +66,8 @@ OTHERS = {
     "gnss_allan.png": "make evidence gnss",
     "gnss_canyon.png": "make evidence canyon",
     "gnss_day.png": "make evidence gnss",
+    "gnss_fixes.png": "make evidence gnss",
+    "gnss_jamming.png": "make evidence gnss",
     "imu_allan.png": "make evidence imu",
     "turbulence.png": "make evidence turbulence",
     "turbulence_field.png": "make evidence field",

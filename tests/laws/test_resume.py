@@ -28,6 +28,7 @@ OF_A_WORLD = {
     "SKY_ERRORS": "errors",
 }
 OF_A_FLEET = {"VEHICLES": "vehicle", "BATTERIES": "battery", "CONTROLLERS": "controller"}
+BESIDE = {"waypoint": "ekf", "velocity": "complementary"}
 WORLDS = range(max(len(GROUPS[group]) for group in OF_A_WORLD))
 # The sky steps every 10 ticks, so both parts have one of its steps.
 SAVED_AT, TICKS = 13, 30
@@ -83,6 +84,11 @@ def content(number: int) -> dict[str, Any]:
             fleet["guidance"] = {"type": "mission"}
             own = ("gnss_receiver", "barometer", "attitude_estimator", "accelerometer")
             sensors = {name: {"type": name} for name in own} | sensors
+        if fleet["controller"]["type"] in BESIDE:
+            # On the truth, with an estimator beside.
+            fleet["estimator"] = {"type": BESIDE[fleet["controller"]["type"]]}
+            own = ("gnss_receiver", "barometer", "attitude_estimator", "accelerometer", "gyroscope")
+            sensors = {name: {"type": name} for name in own} | sensors
         fleets[f"fleet_{i}"] = {**fleet, "sensors": sensors, "faults": faults}
         sensors, faults = {}, []
     return {"name": f"world_{number}", "duration": 30.0, "start_time": START, "world": world, "fleets": fleets}
@@ -90,6 +96,8 @@ def content(number: int) -> dict[str, Any]:
 
 def types_of(spec: Any) -> set[str]:
     """Return every type in a part of a resolved scenario."""
+    if spec is None:
+        return set()
     if isinstance(spec, list):
         return set(chain.from_iterable(map(types_of, spec)))
     if isinstance(spec, dict):
@@ -112,6 +120,7 @@ def test_between_them_the_worlds_hold_every_component() -> None:
     places["GUIDANCE"] = [*(fleet["guidance"] for fleet in fleets), {"type": "flee"}]
     places["SENSORS"] = [fleet["sensors"] for fleet in fleets]
     places["OBSTACLES"] = [spec["world"]["obstacles"] for spec in specs]
+    places["FILTERS"] = [fleet["estimator"] for fleet in fleets]
     assert set(places) | OF_TASKS == set(GROUPS), "a new kind of component needs its place in these worlds"
     for group, found in places.items():
         assert types_of(found) >= set(GROUPS[group]), group

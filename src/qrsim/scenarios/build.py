@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from qrsim.control import Route
-from qrsim.core.tree import cast, field_info
+from qrsim.core.tree import cast, field_info, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.gnss.contracts import Sky
@@ -74,14 +74,14 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
     sky: Sky = SharedSky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
     if needs_slots(scenario, errors):
         sky = slotted_sky(scenario, ephemeris, orbits, errors, site, start)
-    ground = ground_of(scenario)
+    ground, obstacles = ground_of(scenario), _obstacles(scenario)
     built = World(
         wind=wind_of(scenario),
         turbulence=component(world.turbulence, known.TURBULENCES, scenario),
         gust=component(world.gust, known.GUSTS, scenario),
         sky=sky,
         area=component(world.area, known.AREAS, scenario),
-        obstacles=_obstacles(scenario),
+        obstacles=obstacles,
         fleets=tuple(_fleet(name, fleet, scenario, ground) for name, fleet in scenario.fleets.items()),
         collision_distance=world.collision_distance,  # type: ignore[arg-type]
         time_step=scenario.time_step,
@@ -92,7 +92,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         ),
         ranges=ranges_of(scenario),
         ground=ground,
-        skyline=skyline(scenario),
+        skyline=_skyline(scenario, obstacles),
     )
     return cast(built, dtype)
 
@@ -100,6 +100,13 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
 def build_task(scenario: ScenarioSpec, precision: str) -> Any:
     """Build the task of a scenario without problems; ``NoTask`` if it has none."""
     return cast(component(scenario.task, known.TASKS, scenario), np.dtype(precision))
+
+
+def _skyline(scenario: ScenarioSpec, obstacles: Obstacles) -> Any:
+    """Return what obstacles do to satellites, and, where somebody jams them, to jammers."""
+    found = skyline(scenario)
+    jams = any(entry.kind == "jammer" for entry in scenario.world.interference)
+    return replace(found, solids=obstacles) if found is not None and jams else found
 
 
 def _obstacles(scenario: ScenarioSpec) -> Obstacles:

@@ -186,6 +186,10 @@ def _plain(value: Any, name: str, kind: str = "") -> Any:
             fields = {"corners_ned": outline, "holes_ned": holes, "z_min": value.z_min, "z_max": value.z_max}
         content = {key: _plain(entry, f"{name}.{key}") for key, entry in fields.items() if entry is not None}
         if type(value) in _TYPES:
+            # A part of a component is of one type only, and a scenario does not name it.
+            for part in content.values():
+                if isinstance(part, dict):
+                    part.pop("type", None)
             return {"type": _TYPES[type(value)], **content}
         if type(value).__module__.startswith("qrsim."):
             return content

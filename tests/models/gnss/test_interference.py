@@ -69,6 +69,24 @@ class TestJammer:
         assert radius(0.01, LOST, hill, -1.0) / plain == pytest.approx(0.1, rel=0.01)
         assert radius(0.01, LOST, band="narrow") / plain == pytest.approx(np.sqrt(2.215), rel=0.01)
 
+    @pytest.mark.long
+    def test_a_building_hides_it(self):
+        """A box 20 m high between the two takes 20 dB; above its roof the jammer is seen."""
+        box = {"type": "box", "x_min": 40.0, "x_max": 60.0, "y_min": -30.0, "y_max": 30.0, "z_min": -20.0, "z_max": 0.0}
+        jammer = {"kind": "jammer", "position_ned": [100.0, 0.0, -2.0], "power_w": 0.01}
+        fleet = {"sensors": {"gnss": {"type": "gnss"}}, "controller": {"type": "cascade", "feed": "truth"},
+                 "vehicles": [{"position_ned": [0.0, 0.0, -5.0]}]}  # fmt: skip
+        content = {"name": "x", "duration": 1.0, "fleets": {"a": fleet}, "world": {"obstacles": [box]}}
+        skyline = load_scenario(content, quiet=True).world().skyline
+        assert skyline is not None
+        assert skyline.solids is None, "nobody jams"
+        content["world"] = {"obstacles": [box], "interference": [jammer]}
+        skyline = load_scenario(content, quiet=True).world().skyline
+        here = Vec3(jnp.zeros(3), jnp.array([0.0, 0.0, 80.0]), jnp.array([-5.0, -60.0, -5.0]))
+        now = at(Interference(jammers=(Jammer((100.0, 0.0, -2.0), 0.01, end=NEVER),)), 1.0)
+        bare, behind = (jammed(now, (), here, None, walls) for walls in (None, skyline))
+        np.testing.assert_allclose(np.asarray(behind / bare), [0.01, 1.0, 1.0], rtol=1e-5)
+
     def test_a_band_and_a_tone_go_against_the_code_as_their_spectra_say(self):
         """S_s = sinc^2(f/R_c)/R_c; noise from -R_c to R_c, and a tone at 0."""
         frequency = np.linspace(-1.0, 1.0, 200001)

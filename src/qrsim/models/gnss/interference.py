@@ -205,7 +205,7 @@ def strength(power_w: Any, band: str) -> Array:
     return jnp.asarray(power_w) * (at_1_m * _STRONG / (QUALITY[band] * _CODE_HZ))
 
 
-def jammed(now: Interfering, affected: Any, position_ned: Vec3, ground: Any) -> Array:
+def jammed(now: Interfering, affected: Any, position_ned: Vec3, ground: Any, skyline: Any = None) -> Array:
     """Return what is added to the inverse of C/N0, 1 at 45 dB-Hz, of receivers (n,).
 
     Args:
@@ -213,6 +213,7 @@ def jammed(now: Interfering, affected: Any, position_ned: Vec3, ground: Any) -> 
         affected: for each spoofer which receivers (n,) it is for.
         position_ned: of the receivers (n,).
         ground: asked by ``line_of_sight(position_ned, point_ned)`` for what is hidden from whom; None: nothing is.
+        skyline: asked by ``sees`` for the same; None: nothing is.
     """
     total = jnp.zeros_like(position_ned.x)
     for item in now.emitters:
@@ -220,6 +221,8 @@ def jammed(now: Interfering, affected: Any, position_ned: Vec3, ground: Any) -> 
         gain = jnp.where(way.z > 0.0, 1.0, _FROM_BELOW)
         if ground is not None:
             gain = jnp.where(ground.line_of_sight(position_ned, item.position_ned), gain, gain * _HIDDEN)
+        if skyline is not None:
+            gain = jnp.where(skyline.sees(position_ned, item.position_ned), gain, gain * _HIDDEN)
         total = total + item.strength * gain / jnp.maximum(way.dot(way), _NEAREST**2)
     for circle in now.discs:
         total = total + jnp.where(_inside(circle, position_ned), BLIND, 0.0)

@@ -173,7 +173,7 @@ class Gnss(Sensor):
         same = slots.ids == state.ids
         age, effect = None, None
         if state.geometry is None:
-            seen, effect = self._seen(slots, position_ned, ground, state.age)
+            seen, effect = self._seen(slots, position_ned, ground, skyline, state.age)
             age = aged(self, seen, same[:, None], state.age)
             now = geometry_of(self, slots, seen, age, None, None if effect is None else effect.jam)
         else:
@@ -247,7 +247,7 @@ class Gnss(Sensor):
         if now is None:
             old = jnp.full((*slots.ids.shape, *(() if alike else position_ned.x.shape)), _LONG_S, slots.part.dtype)
             old = old[:, None] if alike else old
-            seen, effect = self._seen(slots, position_ned, ground, old)
+            seen, effect = self._seen(slots, position_ned, ground, skyline, old)
             age = None if alike else jnp.where(seen, old, 2.0 * AWAY)
             now = geometry_of(self, slots, seen, old, None, None if effect is None else effect.jam)
         normals = draw.normals(6)
@@ -298,13 +298,15 @@ class Gnss(Sensor):
         )  # fmt: skip
         return state, reading
 
-    def _seen(self, slots: Slots, position_ned: Vec3, ground: Any, age: Array) -> tuple[Array, Effect | None]:
+    def _seen(
+        self, slots: Slots, position_ned: Vec3, ground: Any, skyline: Any, age: Array
+    ) -> tuple[Array, Effect | None]:
         """Return which satellites (K, m) receivers track, tracked for ages (K, m) [s] so far, and what interferes."""
         seen, present = sights(self, slots, position_ned, ground), slots.interference
         if present is None:
             return seen, None
         of_whom = self.spoofed or ()
-        jam = jammed(present, of_whom, position_ned, ground)
+        jam = jammed(present, of_whom, position_ned, ground, skyline)
         misled, offset, rate = lied_to(present, of_whom, position_ned) if present.lies else (None, None, None)
         there = seen & ~present.silent[:, None]
         kept = tracked(self, slots, there, age, jam)

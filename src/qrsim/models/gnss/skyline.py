@@ -15,6 +15,8 @@ from jax import Array
 from qrsim.core.tree import quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.sight import Sight
+from qrsim.models.scene.obstacles import Obstacles
+from qrsim.models.scene.rays import line_of_sight
 
 # Elevations are kept in 255 parts of a right angle.
 ANGLE = 0.5 * math.pi / 255.0
@@ -36,6 +38,13 @@ class Skyline:
     rows: int = setting(doc="cells to the north")
     columns: int = setting(doc="cells to the east")
     azimuths: int = setting(doc="directions")
+    solids: Obstacles | None = quantity(default=None, doc="what hides jammers, which stand near; None without any")
+
+    def sees(self, position_ned: Vec3, point_ned: Vec3) -> Array:
+        """Return whether no obstacle stands between receivers (n,) and a place, exactly."""
+        if self.solids is None:
+            return jnp.ones(position_ned.x.shape, bool)
+        return line_of_sight(self.solids, position_ned, point_ned)
 
     def look(self, position_ned: Vec3, sight: Sight) -> tuple[Array, Array]:
         """Return for receivers (n,) and satellites (K,) whether walls are in between, and the reflection's detour.
