@@ -38,7 +38,8 @@ def test_memory_is_looked_at_twice() -> None:
     found = study.run(full=False, parts=("hours",))["hours"]
     count, seconds, speed = study.SMALL_HOURS
     assert (found["vehicles"], found["simulated_s"], found["speed"]) == (count, seconds, speed)
-    assert 100.0 < found["memory_after_a_third_megabytes"] < 5000.0
+    # Of this process, whatever other tests have left in it.
+    assert 100.0 < found["memory_after_a_third_megabytes"] < 50_000.0
     growth = 100.0 * (found["memory_at_end_megabytes"] / found["memory_after_a_third_megabytes"] - 1.0)
     assert found["memory_growth_percent"] == pytest.approx(growth, abs=0.01)
 
