@@ -108,9 +108,8 @@ class ErrorStateKalmanFilter(Estimator):
     ages: tuple[tuple[str, int], ...] = derived(default=(), doc="sensors by name, and ticks their readings are late by",
                                                 static=True)  # fmt: skip
 
-    reads: ClassVar[tuple[str, ...]] = (
-        "gnss_receiver", "barometer", "attitude_estimator", "gyroscope", "accelerometer",
-    )  # fmt: skip
+    # A barometer is of use, and not needed.
+    reads: ClassVar[tuple[str, ...]] = ("gnss_receiver", "attitude_estimator", "accelerometer", "gyroscope")
 
     def fitted(self, ages: Mapping[str, int]) -> ErrorStateKalmanFilter:
         """Return the filter that knows how late the readings of each sensor are [ticks]."""
@@ -207,7 +206,7 @@ class ErrorStateKalmanFilter(Estimator):
             found = 0.5 * (before.to_ned(body) + after.to_ned(body))
             # Without a reading the velocity is held.
             seen = jnp.isfinite(found.x) & jnp.isfinite(found.y) & jnp.isfinite(found.z)
-            felt = Vec3(*(jnp.where(seen, axis, still) for axis, still in zip(_axes(found), _axes(felt), strict=True)))
+            felt = Vec3(*(jnp.where(seen, axis, still) for axis, still in zip(found.axes, felt.axes, strict=True)))
         change = replace(felt, z=felt.z + self.gravity) * dt
         position, low = added(state.position_ned, state.position_low_ned + (state.velocity_ned + 0.5 * change) * dt)
         covariance = propagated(state.covariance, _transition(felt, after, dt), self._noise(zero, dt))
@@ -291,7 +290,7 @@ class ErrorStateKalmanFilter(Estimator):
         if velocity is not None:
             variances = self._variances(readings, "velocity_ned", one)
             turns = _swung(state.force_ned)
-            body = zip(*map(_axes, _body_axes(state.attitude.rotation())), strict=True)
+            body = zip(*(axis.axes for axis in _body_axes(state.attitude.rotation())), strict=True)
             scalars = []
             for i, (axis, cosines) in enumerate(zip("xyz", body, strict=True)):
                 back = {TURN + k: -late * factor for k, factor in turns[i].items()} if state.past else {}
@@ -308,10 +307,6 @@ def _lost(covariance: Array, scalars: list[_Measured], where: Array) -> Array:
     return forgotten(covariance, wide, where)
 
 
-def _axes(vector: Vec3) -> tuple[Array, Array, Array]:
-    return vector.x, vector.y, vector.z
-
-
 def _small(half: Vec3) -> Quaternion:
     """Return the rotation by twice a small vector (n,) [rad], to its third order."""
     square = half.dot(half)
@@ -323,7 +318,7 @@ def _transition(felt: Vec3, turned: Rotation, dt: float) -> Callable[[Array], Ar
     """Return what a tick makes of the errors: F X for X (15, k, n) (F1)."""
     none = jnp.zeros_like(felt.x)
     swung = jnp.stack([jnp.stack([dt * row.get(k, none) for k in range(3)]) for row in _swung(felt)])
-    rows = zip(*map(_axes, _body_axes(turned)), strict=True)
+    rows = zip(*(axis.axes for axis in _body_axes(turned)), strict=True)
     biased = jnp.stack([jnp.stack([-dt * cosine for cosine in row]) for row in rows])
 
     def moved(x: Array) -> Array:
@@ -343,7 +338,7 @@ def _transition(felt: Vec3, turned: Rotation, dt: float) -> Callable[[Array], Ar
 
 def _swung(force: Vec3) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
     """Return how each axis of a specific force changes with a small rotation: it turns with the attitude."""
-    x, y, z = _axes(force)
+    x, y, z = force.axes
     return {1: z, 2: -y}, {0: -z, 2: x}, {0: y, 1: -x}
 
 

@@ -38,6 +38,11 @@ class Vec3:
     def __neg__(self) -> Vec3:
         return Vec3(-self.x, -self.y, -self.z)
 
+    @property
+    def axes(self) -> tuple[Array, Array, Array]:
+        """The components in their order."""
+        return self.x, self.y, self.z
+
     def dot(self, other: Vec3) -> Array:
         """Return the scalar product."""
         return self.x * other.x + self.y * other.y + self.z * other.z

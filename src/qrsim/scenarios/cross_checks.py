@@ -48,16 +48,6 @@ PROVIDED = {
     "specific_force": {"accelerometer", "ideal_accelerometer", "imu", "ideal_imu"},
     "rates_body": {"gyroscope", "ideal_gyroscope", "imu", "ideal_imu"},
 }
-# What estimators need.
-ESTIMATED = {
-    "complementary": {**NEEDED, "specific_force": "accelerometer"},
-    "ekf": {
-        "position_ned": "gnss_receiver",
-        "attitude": "attitude_estimator",
-        "specific_force": "accelerometer",
-        "rates_body": "gyroscope",
-    },
-}
 
 
 FED = {"measurements": "measurements", "filter": "a filter of measurements"}
@@ -260,6 +250,12 @@ def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -
             yield f"{path}: {axis} = {value:g} m/s; allowed: -{limit:g} to {limit:g} (limits.velocity of the fleet)"
 
 
+def _estimated(estimator: str) -> dict[str, str]:
+    """Return what an estimator needs, and for each quantity a sensor that measures it."""
+    kind: Any = known.FILTERS[estimator]
+    return {quantity: sensor for sensor in kind.reads for quantity, types in PROVIDED.items() if sensor in types}
+
+
 def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
     kind: Any = known.CONTROLLERS[fleet.controller.type]
     # A controller that cannot be told has it as an attribute of its class (control/contracts.py).
@@ -269,10 +265,10 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
     what, needed = f"controller is fed with {FED.get(feed, feed)}", NEEDED
     other = f"set fleets.{name}.controller.feed to " + ("measurements or truth" if feed == "filter" else "truth")
     if fleet.estimator is not None:
-        what, needed = f"estimator is of type {fleet.estimator.type}", ESTIMATED[fleet.estimator.type]
+        what, needed = f"estimator is of type {fleet.estimator.type}", _estimated(fleet.estimator.type)
         other = f"leave out fleets.{name}.estimator"
     elif feed == "filter":
-        needed = ESTIMATED["complementary"]
+        needed = _estimated("complementary")
     types = {sensor.type for sensor in fleet.sensors.values()}
     own = [reading_fields(kind) for kind in types if is_outside("sensor", kind)]
     given = {name.partition(".")[0] for names in own for name in names}

@@ -117,13 +117,12 @@ class Scene:
                 self._due[number] += 1.0 if everything else 1.0 / (layer.every * (strain if layer.every > 1.0 else 1.0))
                 if layer.root.visible and self._due[number] >= 1.0:
                     if strain > 1.0 and layer.every > 1.0 and not everything:
-                        waiting.append(number)
+                        waiting.append((number, layer))
                     else:
                         self._draw(number, layer)
             if waiting and time.perf_counter() - self._spared_at > SPARED * self.lag_s():
                 self._spared_at = time.perf_counter()
-                number = max(waiting, key=lambda number: self._due[number])
-                self._draw(number, [*self.layers.values()][number])
+                self._draw(*max(waiting, key=lambda late: self._due[late[0]]))
 
     def _draw(self, number: int, layer: Layer) -> None:
         self._due[number] %= 1.0

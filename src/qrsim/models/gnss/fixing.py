@@ -110,7 +110,7 @@ def received(
         fresh = nothing
     else:
         seen, part = slots.base, now.differential
-        way = Vec3(*(a - b for a, b in zip(_axes(position_ned), _axes(seen.position_ned), strict=True)))
+        way = position_ned - seen.position_ned
         of_base = part.before + (part.after - part.before) * slots.part
         relative = own + of_base - now.slope_north * seen.position_ned.x - now.slope_east * seen.position_ned.y
         live = jnp.broadcast_to(seen.sends & (distance(way) <= seen.reach), nothing.shape)
@@ -182,18 +182,18 @@ def _said(receiver: Any, link: Link, slots: Slots, got: Received, outer: Vec3, w
         origin, other = slots.base.coordinates, slots.base.carrier
     if receiver.corrections == "rtk":
         scale = [receiver.fixed_accuracy * (math.sqrt(0.5) / s) for s in (_CIRCLE, _CIRCLE, _AXIS)]
-        both = zip(_axes(link.carrier), _axes(other), scale, strict=True)
+        both = zip(link.carrier.axes, other.axes, scale, strict=True)
         phase = Vec3(*((own + base) * s for own, base, s in both)) + white + link.wrong
         if not receiver.moving_base:
             north, east = slots.base.tilt_north, slots.base.tilt_east
             scale = [receiver.fixed_per_distance / s for s in (_CIRCLE, _CIRCLE, _AXIS)]
-            parts = zip(_axes(north), _axes(east), scale, strict=True)
+            parts = zip(north.axes, east.axes, scale, strict=True)
             phase = phase + Vec3(*((a * got.way.x + b * got.way.y) * s for a, b, s in parts))
         against = select(link.fixed, phase, outer)
     else:
         against = outer
     with_base = against + link.drift
-    whole = Vec3(*(a + b for a, b in zip(_axes(with_base), _axes(origin), strict=True)))
+    whole = with_base + origin
     return select(got.on, whole, outer)
 
 
@@ -219,7 +219,3 @@ def _quality(receiver: Any, link: Link, now: Geometry, got: Received, fixes: Arr
         jnp.where(got.on, vertical, now.vertical),
         got.age,
     )
-
-
-def _axes(vector: Vec3) -> tuple[Array, Array, Array]:
-    return vector.x, vector.y, vector.z

@@ -217,7 +217,7 @@ def jammed(now: Interfering, affected: Any, position_ned: Vec3, ground: Any, sky
     """
     total = jnp.zeros_like(position_ned.x)
     for item in now.emitters:
-        way = _from(position_ned, item.position_ned)
+        way = position_ned - item.position_ned
         gain = jnp.where(way.z > 0.0, 1.0, _FROM_BELOW)
         if ground is not None:
             gain = jnp.where(ground.line_of_sight(position_ned, item.position_ned), gain, gain * _HIDDEN)
@@ -239,27 +239,18 @@ def lied_to(now: Interfering, affected: Any, position_ned: Vec3) -> tuple[Array,
         heard = chosen & ~lie.jams & _inside(lie.where, position_ned)
         believed = believed | heard
         offset, rate = (
-            Vec3(*(a + jnp.where(heard, b, 0.0) for a, b in zip(_axes(total), _axes(more), strict=True)))
+            Vec3(*(a + jnp.where(heard, b, 0.0) for a, b in zip(total.axes, more.axes, strict=True)))
             for total, more in ((offset, lie.offset_ned), (rate, lie.rate_ned))
         )
     return believed, offset, rate
 
 
 def _inside(circle: Circle, position_ned: Vec3) -> Array:
-    way = _from(position_ned, circle.position_ned)
+    way = position_ned - circle.position_ned
     # Negative while it is off, so that nobody is inside.
     return way.dot(way) <= circle.radius * jnp.abs(circle.radius)
-
-
-def _from(position_ned: Vec3, point: Vec3) -> Vec3:
-    """Return the ways (n,) from a point () to positions (n,)."""
-    return Vec3(*(a - b for a, b in zip(_axes(position_ned), _axes(point), strict=True)))
 
 
 def _vector(values: Any) -> Vec3:
     array = jnp.asarray(values)
     return Vec3(array[0], array[1], array[2])
-
-
-def _axes(vector: Vec3) -> tuple[Array, Array, Array]:
-    return vector.x, vector.y, vector.z
