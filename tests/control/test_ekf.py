@@ -168,6 +168,28 @@ def test_a_jump_is_not_believed_until_it_lasts():
     assert float(estimate.position_ned.x[0]) == pytest.approx(100.0, abs=0.5)
 
 
+def test_what_a_late_fix_says_of_errors_now():
+    """0.2 s late: where the vehicle was then is 0.2 s of its velocity behind, and that by what accelerates it.
+
+    By hand, level and facing north, with a specific force of (1, -2, -9): d(dv) = -0.2 (dr x a - db_a).
+    """
+    kalman = replace(ErrorStateKalmanFilter(), ages=(("gnss", 10),))
+    given = readings((0.0, 0.0, 0.0))
+    state = replace(kalman.init(given, start())[0], force_ned=vec(1.0, -2.0, -9.0))
+    found = {what: scalars for what, scalars, _ in kalman._by_fix(state, given, lambda _: jnp.array([True]), DT)}
+    factors = [
+        {k: pytest.approx(float(factor[0])) for k, factor in scalar.sensitivity.items() if float(factor[0])}
+        for scalar in (*found["position_ned"], *found["velocity_ned"])
+    ]
+    assert factors == [
+        {0: 1.0, 3: -0.2},
+        {1: 1.0, 4: -0.2},
+        {3: 1.0, 7: 1.8, 8: -0.4, 12: 0.2},
+        {4: 1.0, 6: -1.8, 8: -0.2, 13: 0.2},
+        {5: 1.0, 6: 0.4, 7: 0.2, 14: 0.2},
+    ]
+
+
 def test_accuracies_that_a_fix_states_count():
     """``horizontal_accuracy`` is of both axes together: of 2 m each has a variance of 2 m2."""
     kalman = ErrorStateKalmanFilter()
