@@ -142,6 +142,15 @@ def start() -> Estimate:
     return Estimate(vec(0.0, 0.0, 0.0), vec(0.0, 0.0, 0.0), Euler(zero, zero, zero))
 
 
+def test_the_gate_is_five_times_what_is_expected():
+    """A first fix of 1.5 m std beside a place of 1.5 m std: 2.12 m are expected, and 10.6 m are the limit."""
+    kalman = ErrorStateKalmanFilter()
+    state = kalman.init(readings((0.0, 0.0, 0.0)), start())[0]
+    step = jax.jit(lambda state, given: kalman.step(state, given, dict.fromkeys(given, jnp.array(True)), 1e-4))
+    believed = [float(step(state, readings((north, 0.0, 0.0)))[1].position_ned.x[0]) for north in (10.4, 10.8)]
+    assert believed == pytest.approx([5.2, 0.0], abs=0.01)
+
+
 @pytest.mark.long
 def test_a_jump_is_not_believed_until_it_lasts():
     """Of 100 m: beyond the gate for 7 s, then the filter begins there again. NaN is no reading; std grows meanwhile."""
