@@ -17,6 +17,7 @@ from qrsim.models.vehicles.faults import RotorFault
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FaultSpec, FleetSpec, RotorFaultSpec, ScenarioSpec
+from qrsim.scenarios.spans import moment_problems, span_problems
 from qrsim.scenarios.timing import is_multiple
 
 LAST_TICK = 2**31 - 1
@@ -121,11 +122,7 @@ def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec, scenario
     """Yield what is wrong with the fault of a rotor."""
     if not is_multiple(fault.at, scenario.time_step, math.inf):
         yield f"{path}.at: {fault.at:g} s is not a multiple of the time step {scenario.time_step:g} s"
-    if fault.at >= scenario.duration:
-        yield (
-            f"{path}.at: {fault.at:g} s is not within the run; "
-            f"allowed: from 0 s to before its end at {scenario.duration:g} s (duration)"
-        )
+    yield from moment_problems(f"{path}.at", fault.at, scenario.duration)
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
         yield f"{path}.type: a '{fleet.vehicle.type}' has no rotors of its own that could fail; a 'multirotor' has"
     elif fault.rotor >= len(fleet.vehicle.rotors):
@@ -138,13 +135,7 @@ def _time_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Itera
         # An end beyond all steps is that of the run.
         if seconds and not is_multiple(seconds, scenario.time_step, math.inf):
             yield f"{path}.{name}: {seconds:g} s is not a multiple of the time step {scenario.time_step:g} s"
-    if fault.start >= scenario.duration:
-        yield (
-            f"{path}.start: {fault.start:g} s is not within the run; "
-            f"allowed: from 0 s to before its end at {scenario.duration:g} s (duration)"
-        )
-    if fault.end is not None and fault.end <= fault.start:
-        yield f"{path}.end: {fault.end:g} s is not after the start, {fault.start:g} s"
+    yield from span_problems(path, fault.start, fault.end, scenario.duration)
 
 
 def _problems(path: str, fault: FaultSpec, fleet: FleetSpec) -> Iterator[str]:

@@ -14,6 +14,7 @@ from qrsim.models.gnss.constellations import check_systems
 from qrsim.models.gnss.interference import Disc, Interference, IonoStorm, Jammer, Outage, Spoofer
 from qrsim.scenarios.component_schema import Strict, component_model
 from qrsim.scenarios.legs import Position
+from qrsim.scenarios.spans import span_problems
 
 # Where an Interference has what is of each kind.
 PLACES = {"jammer": "jammers", "disc": "discs", "spoofer": "spoofers", "outage": "outages", "iono_storm": "storms"}
@@ -125,13 +126,7 @@ def interference_problems(scenario: Any, ephemeris: Any, names: Sequence[str], h
     errors = scenario.world.sky.errors
     for i, spec in enumerate(scenario.world.interference):
         path = f"world.interference.{i}"
-        if spec.start >= scenario.duration:
-            yield (
-                f"{path}.start: {spec.start:g} s is not within the run; "
-                f"allowed: from 0 s to before its end at {scenario.duration:g} s (duration)"
-            )
-        if spec.end is not None and spec.end <= spec.start:
-            yield f"{path}.end: {spec.end:g} s is not after the start, {spec.start:g} s"
+        yield from span_problems(path, spec.start, spec.end, scenario.duration)
         if spec.kind == "spoofer":
             for name in spec.vehicles or ():
                 if name not in names:
