@@ -184,10 +184,7 @@ class Imu(Sensor):
         normals = draw.normals(self.normals)
         wandering, walk = self._moved_on(state, normals[AXES * self.subsamples :])
         last = state.turn > AXES - 1.5
-        state = ImuState(
-            state.gyroscope_error, state.accelerometer_error, state.g_sensitivity, wandering, walk,
-            jnp.where(last, 0.0, state.turn + 1.0), state.rates, state.angle, state.low_pass, state.phase,
-        )  # fmt: skip
+        state = replace(state, wandering=wandering, walk=walk, turn=jnp.where(last, 0.0, state.turn + 1.0))
         return self._measure(state, normals, rates_body, specific_force, load)
 
     def _moved_on(self, state: ImuState, normals: tuple[Array, ...]) -> tuple[tuple[Six, ...], Six]:
@@ -236,7 +233,7 @@ class Imu(Sensor):
                 rates, force = rates + gyroscope_waves, force + accelerometer_waves
             gyroscope = rates + _times(state.gyroscope_error, rates) + _times(state.g_sensitivity, force) + biases[0]
             accelerometer = force + _times(state.accelerometer_error, force) + biases[1]
-            clean = (*_axes(gyroscope), *_axes(accelerometer))
+            clean = (*gyroscope.axes, *accelerometer.axes)
             noise = normals[AXES * part : AXES * (part + 1)]
             noisy = tuple(x + std * normal for x, std, normal in zip(clean, spreads, noise, strict=True))
             if self.bandwidth_hz > 0.0:
@@ -250,11 +247,7 @@ class Imu(Sensor):
             turned, last = turned + step, step
         mean = [axis * (1.0 / parts) for axis in total]
         reading = ImuReading(Vec3(*mean[:3]), Vec3(*mean[3:]), turned + coning, Vec3(*mean[3:]) * self.period)
-        after = ImuState(
-            state.gyroscope_error, state.accelerometer_error, state.g_sensitivity, state.wandering, state.walk,
-            state.turn, rates_body, last, low_pass, phase,
-        )  # fmt: skip
-        return after, reading
+        return replace(state, rates=rates_body, angle=last, low_pass=low_pass, phase=phase), reading
 
     def _spreads(self, levels: Vibration, thrust: Array, dt: float) -> tuple[Any, ...]:
         """Return the std of white noise of each axis in a part of dt [s], that of vibration with it."""
@@ -262,7 +255,7 @@ class Imu(Sensor):
         white = [rate * jnp.asarray(self.gyroscope_noise)] * 3 + [rate * jnp.asarray(self.accelerometer_noise)] * 3
         if not self._shakes:
             return tuple(white)
-        shaken = [axis for vector in levels.spreads(thrust) for axis in _axes(vector)]
+        shaken = [axis for vector in levels.spreads(thrust) for axis in vector.axes]
         return tuple(jnp.sqrt(a * a + b * b) for a, b in zip(white, shaken, strict=True))
 
     def _low_pass(self, dt: float) -> tuple[float, float, float]:
@@ -329,10 +322,6 @@ def _rows(given: Any, diagonal: Any, beside: Any) -> tuple[Vec3, Vec3, Vec3]:
 
 def _times(rows: tuple[Vec3, Vec3, Vec3], vector: Vec3) -> Vec3:
     return Vec3(*(row.dot(vector) for row in rows))
-
-
-def _axes(vector: Vec3) -> tuple[Array, Array, Array]:
-    return vector.x, vector.y, vector.z
 
 
 def _sum(values: Six) -> Array:
