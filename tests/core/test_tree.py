@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ import pytest
 
 from qrsim.core.tree import FieldInfo, cast, field_info, parameter, quantity, record, replace, select, setting, walk
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.errors import UsageError
 
 
 @record
@@ -36,9 +37,54 @@ class Reading:
     period: float = setting(default=0.2, unit="s", doc="between readings")
 
 
+@record
+class Chip:
+    """A component with presets."""
+
+    preset: str = setting(default="good", doc="which")
+    noise: Any = parameter(default=1.0, unit="m", doc="std")
+    rate: float = setting(default=50.0, unit="Hz", doc="of samples")
+    bias: Any = parameter(default=0.5, unit="m", doc="in no preset")
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "good": {"noise": 1.0, "rate": 50.0},
+        "poor": {"noise": 3.0, "rate": 10.0},
+    }
+
+
+@record
+class OwnChip(Chip):
+    """One that a user has derived, with another preset where none is given."""
+
+    preset: str = setting(default="poor", doc="which")
+
+
 def reading() -> Reading:
     axis = jnp.zeros(2, jnp.float32)
     return Reading(Vec3(axis, axis, axis), Euler(axis, axis, axis), jnp.ones(2, bool))
+
+
+class TestPresets:
+    def test_what_is_not_given_is_that_of_the_preset(self):
+        assert (Chip().noise, Chip().rate) == (1.0, 50.0)
+        poor = Chip(preset="poor")
+        assert (poor.preset, poor.noise, poor.rate, poor.bias) == ("poor", 3.0, 10.0, 0.5)
+        assert (Chip("poor").noise, OwnChip().rate) == (3.0, 10.0)
+
+    def test_what_is_given_counts_instead(self):
+        # Also where it is the number of the default preset.
+        assert (Chip(preset="poor", noise=1.0).noise, Chip(preset="poor", noise=1.0).rate) == (1.0, 10.0)
+        assert (Chip("poor", 1.0).noise, Chip("poor", 1.0, 50.0).rate) == (1.0, 50.0)
+
+    def test_a_tree_comes_back_with_its_own_numbers(self):
+        doubled = jax.tree.map(lambda leaf: 2.0 * leaf, Chip("poor"))
+        assert (doubled.noise, doubled.rate, doubled.bias) == (6.0, 10.0, 1.0)
+        assert (replace(doubled, rate=7.0).noise, replace(doubled, rate=7.0).rate) == (6.0, 7.0)
+
+    def test_there_is_no_other(self):
+        with pytest.raises(UsageError, match="Chip: no preset is called 'por'; did you mean 'poor'"):
+            Chip(preset="por")
+        with pytest.raises(UsageError, match="Chip: no preset is called 3; known: good, poor"):
+            Chip(preset=3)  # type: ignore[arg-type]
 
 
 class TestRecord:

@@ -14,9 +14,12 @@ from qrsim.control import CascadeController, HeightLoop, VelocityController, Way
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.atmosphere.turbulence import DrydenFirstOrder
 from qrsim.models.atmosphere.wind import LogShear
+from qrsim.models.gnss.interference import Jammer
 from qrsim.models.gnss.receivers import GnssReceiver, OrnsteinUhlenbeckErrors
+from qrsim.models.gnss.sensor import Gnss
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle
+from qrsim.models.sensors.imu import Imu
 from qrsim.models.vehicles.battery import LithiumPolymer
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.scenarios.making import SENSORS, make_scenario, make_world
@@ -227,3 +230,27 @@ class TestBadInput:
 
         with pytest.raises(UsageError, match=r"test_making.py: class MyWind is no record; write @qrsim.record"):
             make_scenario([[0, 0, -10]], wind=MyWind())
+
+
+def test_presets_of_objects_act_as_those_of_a_scenario() -> None:
+    """MPU-6000: 0.005 deg/s/sqrt(Hz), one-sided; M8 class: GPS and GLONASS on one frequency."""
+    jammer = Jammer(position_ned=np.array([200.0, 0.0, -2.0]), power_w=0.001)  # type: ignore[arg-type]
+    sensors = {"imu": Imu(preset="mpu6000"), "gnss": Gnss(preset="m8n", multipath=3.0), "rtk": Gnss(preset="f9p_rtk")}  # type: ignore[arg-type]
+    world = {"base_station": {"position_ned": [0, 0, -2]}, "interference": [jammer]}
+    controller = {"type": "waypoint", "feed": "truth"}
+    made = make_scenario([[0, 0, -10]], sensors=sensors, controller=controller, **world).spec  # type: ignore[arg-type]
+    found: Any = made.fleets["vehicles"].sensors
+    assert found["imu"].gyroscope_noise == pytest.approx(np.radians(0.005) / np.sqrt(2.0))
+    assert (found["gnss"].systems, found["gnss"].frequencies, found["gnss"].cn0_zenith) == ("GR", "single", 48.0)
+    assert found["gnss"].multipath == 3.0
+    assert found["rtk"].corrections == "rtk"
+    assert [(item.kind, item.power_w) for item in made.world.interference] == [("jammer", 0.001)]
+    written = {
+        "imu": {"type": "imu", "preset": "mpu6000"},
+        "gnss": {"type": "gnss", "preset": "m8n", "multipath": 3.0},
+        "rtk": {"type": "gnss", "preset": "f9p_rtk"},
+    }
+    assert (
+        found
+        == make_scenario([[0, 0, -10]], sensors=written, controller=controller, **world).spec.fleets["vehicles"].sensors
+    )  # type: ignore[arg-type]

@@ -16,6 +16,8 @@ from typing import Any, ClassVar, Protocol, TypeVar, dataclass_transform, overlo
 import jax
 import numpy as np
 
+from qrsim.core.presets import with_presets
+
 T = TypeVar("T")
 INFO = "qrsim"
 
@@ -103,8 +105,11 @@ def derived(default: Any = None, *, doc: str, static: bool = False) -> Any:
 
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter, setting, quantity, derived))
 def record(cls: type[T]) -> type[T]:
-    """Make a class a frozen dataclass and a PyTree; fields made with ``setting`` are static."""
-    cls = dataclasses.dataclass(frozen=True)(cls)
+    """Make a class a frozen dataclass and a PyTree; fields made with ``setting`` are static.
+
+    What is not given to a component with ``presets`` is that of its ``preset``.
+    """
+    cls = with_presets(dataclasses.dataclass(frozen=True)(cls))
     static = [f.name for f in dataclasses.fields(cls) if field_info(f).static]  # type: ignore[arg-type]
     data = [f.name for f in dataclasses.fields(cls) if f.name not in static]  # type: ignore[arg-type]
     _register(cls, data, static)

@@ -144,7 +144,7 @@ def component_model(
         if arrays is None or field.default is not dataclasses.MISSING:
             fields[field.name] = _field(field.name, hints[field.name], field, each)
     fields |= {key: field for key, field in (more or {}).items() if key not in fields}
-    presets: Mapping[str, Mapping[str, Any]] | None = vars(component).get("presets")
+    presets: Mapping[str, Mapping[str, Any]] | None = getattr(component, "presets", None)
     if presets:
         base = _preset_base(base, presets)
     doc = (component.__doc__ or "").split("\n\n")[0].strip()

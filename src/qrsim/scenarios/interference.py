@@ -25,6 +25,7 @@ _CLASSES: dict[str, type] = {
     "outage": Outage,
     "iono_storm": IonoStorm,
 }
+KIND_OF = {cls: kind for kind, cls in _CLASSES.items()}
 MOST = 100
 # The end of what has none, and the radius of what is heard everywhere.
 _NEVER, _EVERYWHERE = 1e9, 1e9

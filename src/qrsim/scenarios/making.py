@@ -13,6 +13,7 @@ from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.prisms import PrismObstacle
 from qrsim.scenarios import catalogue
+from qrsim.scenarios.interference import KIND_OF
 from qrsim.scenarios.registry import name_of
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.scenarios.schema import SKY_KINDS
@@ -21,7 +22,7 @@ from qrsim.world.state import World
 SCENARIO_PARTS = ("name", "description", "duration", "time_step", "start_time", "site", "extends", "ranges", "task")
 WORLD_PARTS = (
     "area", "ground", "wind", "turbulence", "gust", "sky", "plume", "terrain", "persons", "obstacles",
-    "buildings", "collision_distance",
+    "buildings", "base_station", "interference", "collision_distance",
 )  # fmt: skip
 FLEET_PARTS = (
     "vehicle",
@@ -72,11 +73,11 @@ def make_scenario(
         fleets: several fleets by name, each a dict with ``vehicles`` and any of the parts of a fleet.
         parts: what a scenario has in YAML, by its name there: of the scenario (name, duration, time_step, start_time,
             site, extends, ranges, task), of its world (area, ground, wind, turbulence, gust, sky, plume, terrain,
-            persons, obstacles, buildings, collision_distance), and with ``vehicles`` of the fleet (vehicle, controller,
-            guidance, limits, sensors, battery, faults, placement, and ground, which is the world's unless it is "stop"
-            or "parked"). A component is the name of its type, a dict as in YAML, or an object such as
-            ``LogShear(...)``. Sensors are "ideal" (the default) or "noisy" ones of every kind, or given by name. With
-            ``extends``, ``fleets`` says what is different in them, and may be left out.
+            persons, obstacles, buildings, base_station, interference, collision_distance), and with ``vehicles`` of
+            the fleet (vehicle, controller, guidance, limits, sensors, battery, faults, placement, and ground, which is
+            the world's unless it is "stop" or "parked"). A component is the name of its type, a dict as in YAML, or an
+            object such as ``LogShear(...)``. Sensors are "ideal" (the default) or "noisy" ones of every kind, or given
+            by name. With ``extends``, ``fleets`` says what is different in them, and may be left out.
 
     Raises:
         UsageError: an unknown part, or an object that is no component of its kind.
@@ -191,6 +192,8 @@ def _plain(value: Any, name: str, kind: str = "") -> Any:
                 if isinstance(part, dict):
                     part.pop("type", None)
             return {"type": _TYPES[type(value)], **content}
+        if type(value) in KIND_OF:
+            return {"kind": KIND_OF[type(value)], **content}
         if type(value).__module__.startswith("qrsim."):
             return content
         if kind in catalogue.KINDS:

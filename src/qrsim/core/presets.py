@@ -1,0 +1,37 @@
+"""Presets of a component: named sets of its parameters, of which each that is given counts instead."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+from qrsim.errors import UsageError, did_you_mean
+
+
+def with_presets(cls: Any) -> Any:
+    """Return a dataclass whose constructor takes what it is not given from the preset, if the class has any.
+
+    Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them. The
+    schema of a scenario does the same (``scenarios/component_schema.py``).
+    """
+    presets: Mapping[str, Mapping[str, Any]] | None = getattr(cls, "presets", None)
+    fields = {field.name: field for field in dataclasses.fields(cls) if field.init}
+    if not presets or "preset" not in fields:
+        return cls
+    plain, usual = cls.__init__, fields["preset"].default
+
+    @functools.wraps(plain)
+    def filled(self: Any, *args: Any, **given: Any) -> None:
+        # All are given where JAX or dataclasses make one anew.
+        if len(args) + len(given) < len(fields):
+            named = {*list(fields)[: len(args)], *given}
+            chosen = dict(zip(fields, args, strict=False)).get("preset", given.get("preset", usual))
+            if not isinstance(chosen, str) or chosen not in presets:
+                raise UsageError(f"{cls.__name__}: no preset is called {chosen!r}{did_you_mean(str(chosen), presets)}")
+            given |= {name: value for name, value in presets[chosen].items() if name not in named}
+        plain(self, *args, **given)
+
+    cls.__init__ = filled
+    return cls
