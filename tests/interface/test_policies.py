@@ -230,7 +230,7 @@ class TestWhatIsWrong:
             (np.zeros((2, 4)), r"expected shape \(2, 5\) .* found shape \(2, 4\)"),
             ([[0.0] * 5, [0.0] * 4], r"expected shape \(2, 5\)"),
             (VelocitySetpoint.of(np.zeros((1, 3))), r"velocity_ned.x: expected shape \(2,\), found shape \(1,\)"),
-            ({"vehicle": None}, "no fleet is called 'vehicle'; did you mean 'vehicles'"),
+            ({"vehicle": None}, "no fleet and no vehicle is called 'vehicle'; did you mean 'vehicles'"),
             ("hover", "expected an array .* found 'hover'"),
         ],
     )

@@ -24,7 +24,7 @@ from qrsim.control import (
 from qrsim.core.tree import map_tree, walk
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.vehicles.commands import fields_of, limits_of
-from qrsim.world.state import Action, Fleet, World
+from qrsim.world.state import Action, Fleet, Some, World
 
 T = TypeVar("T")
 FloatArray = np.ndarray[Any, Any]
@@ -74,7 +74,7 @@ class ActionChecker:
         if command is None:
             return (None,) * len(self.fleets)
         if isinstance(command, Mapping):
-            return self._by_fleet(command, flying)
+            return self._by_name(command, flying)
         whole = self._checked(command, self.names, self.fleets, flying)
         return tuple(self._cut(whole))
 
@@ -95,21 +95,72 @@ class ActionChecker:
         position = self._broadcast("position_ned", position_ned, (len(self.names), 3))
         return WaypointSetpoint.of(position, self._broadcast("yaw_rad", yaw_rad, (len(self.names),)))
 
-    def _by_fleet(self, commands: Mapping[object, object], flying: Flying | None) -> tuple[Action, ...]:
-        known = [fleet.name for fleet in self.fleets]
+    def _by_name(self, commands: Mapping[object, object], flying: Flying | None) -> tuple[Action, ...]:
+        """Return what is asked of each fleet by commands of fleets and of vehicles."""
+        fleets = [fleet.name for fleet in self.fleets]
         for name in commands:
-            if name not in known:
-                raise UsageError(f"command: no fleet is called '{name}'{did_you_mean(str(name), known)}")
+            if name not in fleets and name not in self.names:
+                hint = did_you_mean(str(name), [*fleets, *self.names])
+                raise UsageError(f"command: no fleet and no vehicle is called '{name}'{hint}")
         actions, first = [], 0
         for fleet in self.fleets:
             own = slice(first, first + fleet.size)
             first += fleet.size
+            own_flying = None if flying is None else partial(_part, flying, own)
+            rows = {
+                row: commands[name]
+                for row, name in enumerate(fleet.vehicle_names)
+                if name in commands and name not in fleets
+            }
             command = commands.get(fleet.name)
-            if command is not None:
-                own_flying = None if flying is None else partial(_part, flying, own)
-                command = self._checked(command, list(fleet.vehicle_names), (fleet,), own_flying)
-            actions.append(command)
+            if command is None:
+                actions.append(self._of_vehicles(fleet, rows, own_flying))
+                continue
+            for row in rows:
+                raise UsageError(
+                    f"command: '{fleet.vehicle_names[row]}' is of fleet '{fleet.name}', which is given a command too; "
+                    "give one of both"
+                )
+            actions.append(self._checked(command, list(fleet.vehicle_names), (fleet,), own_flying))
         return tuple(actions)
+
+    def _of_vehicles(self, fleet: Fleet, rows: Mapping[int, object], flying: Flying | None) -> Action:
+        """Return what is asked of a fleet by commands of some of its vehicles, by their rows; those of None are left to
+        their guidance.
+        """
+        kinds: dict[type, dict[int, object]] = {}
+        for row, command in rows.items():
+            if command is None:
+                continue
+            name = fleet.vehicle_names[row]
+            own_flying = None if flying is None else partial(_part, flying, slice(row, row + 1))
+            one = self._checked(self._one_row(command, fleet), [name], (fleet,), own_flying)
+            kinds.setdefault(type(one), {})[row] = one
+        # In one order whoever comes first, so that the same kinds are the same program.
+        parts = tuple(self._filled(fleet.size, kinds[kind]) for kind in sorted(kinds, key=lambda kind: kind.__name__))
+        if len(parts) == 1 and len(next(iter(kinds.values()))) == fleet.size:
+            return parts[0][1]
+        return Some(parts) if parts else None
+
+    def _one_row(self, command: object, fleet: Fleet) -> object:
+        """Return a command of one vehicle as that of a fleet of one."""
+        if type(command) in _NAME_OF or dataclasses.is_dataclass(command):
+            return jax.tree.map(lambda leaf: leaf[None] if np.shape(leaf) == () else leaf, _arrays(command))
+        if isinstance(command, str | bytes | Mapping):
+            raise UsageError(f"command: expected one of a vehicle of fleet '{fleet.name}', found {command!r}")
+        try:
+            flat = np.ndim(cast(npt.ArrayLike, command)) == 1
+        except ValueError:
+            return command
+        return (jnp if self.traced else np).asarray(command)[None] if flat else command
+
+    def _filled(self, size: int, asked: Mapping[int, Any]) -> tuple[Any, Any]:
+        """Return which vehicles (n,) of a fleet something is asked of, and that as (n,) each."""
+        which = np.isin(np.arange(size), list(asked))
+        first = next(iter(asked.values()))
+        ones = [asked.get(row, first) for row in range(size)]
+        library: Any = jnp if self.traced else np
+        return which, jax.tree.map(lambda *leaves: library.concatenate(leaves), *ones)
 
     def _cut(self, whole: T) -> list[T]:
         if len(self.fleets) == 1:
@@ -263,6 +314,11 @@ def _is_row(leaf: object, size: int) -> bool:
 
 def _rows(own: slice, leaf: Array) -> Array:
     return leaf[own]
+
+
+def _arrays(record: Any) -> Any:
+    """Return a record with arrays in place of numbers."""
+    return jax.tree.map(lambda leaf: leaf if hasattr(leaf, "shape") else np.asarray(leaf), record)
 
 
 def _part(flying: Flying, own: slice) -> FloatArray:

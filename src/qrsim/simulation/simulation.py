@@ -165,7 +165,7 @@ class Simulation(Alone):
             command: None lets every fleet's own guidance and controller fly; an array (n, 5) of SI commands (pitch,
                 roll, throttle, yaw rate, battery) or a Command is flown as it is; a set-point (``WaypointSetpoint``,
                 ``VelocitySetpoint``, ...) is handed to the controllers, which must take its kind. A dict has one of
-                these for each fleet by name.
+                these for some fleets, or vehicles, by name; all others fly by their own guidance.
             ticks: how many steps the command is held.
             estimate: what the controllers are fed with in place of the sensors, for all n vehicles: the output of
                 your own filter.

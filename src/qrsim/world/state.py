@@ -31,7 +31,7 @@ from qrsim.models.vehicles.contracts import Battery, Vehicle, VehicleState
 from qrsim.models.vehicles.faults import RotorFault
 
 S = TypeVar("S")
-# What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, or nothing.
+# What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, Some of these, or nothing.
 Action = object
 # Names of noise streams are FLEET/USER; a fleet has no slash in its name, so this is no fleet's.
 SKY = "/sky"
@@ -41,6 +41,16 @@ FIELD = "/turbulence"
 DELIVERY = "/delivery"
 # Users of noise in a fleet beside its sensors, whose names are therefore taken.
 TURBULENCE, PROCESS = "turbulence", "process"
+
+
+@record
+class Some:
+    """What is asked of some vehicles of a fleet; the others fly by their own guidance."""
+
+    parts: tuple[tuple[Array, object], ...] = quantity(
+        doc="for each kind of command or set-point: which vehicles (n,) bool it is for, none of them in two kinds, and "
+        "what is asked of them (n,), with anything in the rows of the others"
+    )
 
 
 @record

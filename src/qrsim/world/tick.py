@@ -26,6 +26,7 @@ from qrsim.models.vehicles.contracts import Charged, VehicleState
 from qrsim.models.vehicles.faults import failed_rotors
 from qrsim.models.vehicles.moving import move
 from qrsim.world.air import around_of, gust_at, gust_rates_at, wakes_at
+from qrsim.world.asking import by_kind, what_is_asked
 from qrsim.world.draws import draw_fleet, draw_sky, keys_of
 from qrsim.world.episode import (
     draw_field,
@@ -36,8 +37,8 @@ from qrsim.world.episode import (
     step_contents,
     surroundings,
 )
-from qrsim.world.sensing import estimate_of, faulted, inputs_of, scene_of, sense, starting_fitted
-from qrsim.world.standing import ground_checks, on_ground, over_the_floor, seen_ground, settled, started
+from qrsim.world.sensing import faulted, inputs_of, scene_of, sense, starting_fitted
+from qrsim.world.standing import ground_checks, over_the_floor, settled, started
 from qrsim.world.state import (
     PROCESS,
     TURBULENCE,
@@ -154,65 +155,37 @@ def _fly(
     gust_rates = gust_rates_at(world, whole.field, turbulence, *at)
     air = mean_wind + gust
 
-    guidance, setpoint, controller, estimate = state.guidance, state.setpoint, state.controller, state.estimate
-    if isinstance(action, model.actions):
-        wanted = action
-    else:
-        fed = estimate_of(fleet, state) if believed is None else believed
-        standing = on_ground(fleet, state)
-        alone = replace(fed, position_low_ned=None)
-        estimate = map_tree(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, estimate)
-        asked = action
-        if asked is None:
-            others = _others(world, whole.fleets, fleet) | seen_ground(fleet, standing)
-            motion: dict[str, Any] = {}
-            if fleet.guidance.sees_motion:
-                motion = {"velocity_ned": estimate.velocity_ned, "dt": dt}
-            guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others, **motion)
-        known = replace(estimate, position_low_ned=fed.position_low_ned)
-        if standing is not None:
-            # What it cannot move would fill its integrals, so it starts anew until it flies.
-            controller = select(standing, fleet.controller.init(known), controller)
-        controller, wanted = fleet.controller.step(controller, known, asked, dt)
-        setpoint = fleet.controller.shown(asked)
+    asked = what_is_asked(world, whole, fleet, state, action, believed)
     load = model.load(state.vehicle)
     voltage = fleet.battery.voltage(state.battery, load)
-    command, clipped = model.clip(model.powered(wanted, voltage), voltage is not None)
+    commands = [
+        (which, *model.clip(model.powered(wanted, voltage), voltage is not None)) for which, wanted in asked.commands
+    ]
     battery = fleet.battery.step(state.battery, load, dt)
     drawn = model.draw_noise(noise[PROCESS], dt)
     around = None
     if model.reads:
         wakes, failed = wakes_at(world, whole.fleets, fleet), failed_rotors(fleet.rotor_faults, tick)
         around = around_of(world, pose.attitude, gust_rates, wakes, failed)
-    vehicle, low, force = move(
-        model, state.vehicle, state.position_low_ned, command, lambda trig: trig.rotation().to_body(air), drawn, dt,
-        around,
-    )  # fmt: skip
-    parked = state.parked
-    if parked is not None:
-        vehicle, low, force, parked = settled(world, fleet, state, command, vehicle, low, force)
+
+    def moved(command: object, clipped: Array) -> tuple[Any, ...]:
+        vehicle, low, force = move(
+            model, state.vehicle, state.position_low_ned, command, lambda trig: trig.rotation().to_body(air), drawn, dt,
+            around,
+        )  # fmt: skip
+        parked = state.parked
+        if parked is not None:
+            vehicle, low, force, parked = settled(world, fleet, state, command, vehicle, low, force)
+        return vehicle, low, force, parked, model.shown(command), clipped
+
+    vehicle, low, force, parked, command, clipped = by_kind(commands, moved)
     return replace(
         state, vehicle=vehicle, position_low_ned=low, specific_force=force, parked=parked,
         turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
         gust_rates_ned=gust_rates,
-        estimate=estimate, guidance=guidance, setpoint=setpoint, controller=controller, command=model.shown(command),
-        command_clipped=clipped, battery=battery,
+        estimate=asked.estimate, guidance=asked.guidance, setpoint=asked.setpoint, controller=asked.controller,
+        command=command, command_clipped=clipped, battery=battery,
     )  # fmt: skip
-
-
-def _others(world: World, before: tuple[FleetState, ...], fleet: Fleet) -> dict[str, Any]:
-    """Return where all other fleets say they are, (m,), for a guidance that looks at them; NaN for who has stopped."""
-    if not fleet.guidance.sees_others:
-        return {}
-    positions = []
-    for other, state in zip(world.fleets, before, strict=True):
-        if other.name != fleet.name:
-            flies = state.violation.code == 0
-            position = estimate_of(other, state).position_ned
-            positions.append(position.map(lambda axis: jnp.where(flies, axis, jnp.nan)))  # noqa: B023
-    if not positions:
-        return {}
-    return {"others_ned": concatenated(positions)}
 
 
 def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:

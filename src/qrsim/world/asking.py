@@ -1,0 +1,108 @@
+"""What is asked of the vehicles of a fleet in a tick: by a user, or by its own guidance and controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from qrsim.control import Estimate
+from qrsim.core.tree import concatenated, map_tree, replace, select
+from qrsim.world.sensing import estimate_of
+from qrsim.world.standing import on_ground, seen_ground
+from qrsim.world.state import Action, Fleet, FleetState, Some, State, World
+
+# Commands (n,) of one kind each, and which vehicles (n,) fly them; the first is for all others, and has None.
+Commands = list[tuple[Any, Any]]
+
+
+class Asked(NamedTuple):
+    """What guidance and controller of a fleet (n,) have come to, and what its vehicles are commanded."""
+
+    guidance: Any
+    setpoint: Any
+    controller: Any
+    estimate: Estimate
+    commands: Commands
+
+
+def what_is_asked(
+    world: World, whole: State, fleet: Fleet, state: FleetState, action: Action, believed: Estimate | None
+) -> Asked:
+    """Return what is asked of a fleet at the start of a tick; see ``step`` of world/tick.py for the arguments."""
+    if isinstance(action, Some):
+        return _of_some(world, whole, fleet, state, action, believed)
+    if isinstance(action, fleet.vehicle.actions):
+        return Asked(state.guidance, state.setpoint, state.controller, state.estimate, [(None, action)])
+    guidance = state.guidance
+    fed = estimate_of(fleet, state) if believed is None else believed
+    standing = on_ground(fleet, state)
+    alone = replace(fed, position_low_ned=None)
+    estimate = map_tree(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, state.estimate)
+    asked: Any = action
+    if asked is None:
+        others = _others(world, whole, fleet) | seen_ground(fleet, standing)
+        motion: dict[str, Any] = {}
+        if fleet.guidance.sees_motion:
+            motion = {"velocity_ned": estimate.velocity_ned, "dt": world.time_step}
+        guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others, **motion)
+    known = replace(estimate, position_low_ned=fed.position_low_ned)
+    controller = state.controller
+    if standing is not None:
+        # What it cannot move would fill its integrals, so it starts anew until it flies.
+        controller = select(standing, fleet.controller.init(known), controller)
+    controller, wanted = fleet.controller.step(controller, known, asked, world.time_step)
+    return Asked(guidance, fleet.controller.shown(asked), controller, estimate, [(None, wanted)])
+
+
+def _of_some(
+    world: World, whole: State, fleet: Fleet, state: FleetState, some: Some, believed: Estimate | None
+) -> Asked:
+    """Return what is asked of a fleet of which others command some vehicles."""
+    asked = what_is_asked(world, whole, fleet, state, None, believed)
+    kept, commands = asked[:-1], asked.commands
+    for which, action in some.parts:
+        theirs = what_is_asked(world, whole, fleet, state, action, believed)
+        kept = select(which, theirs[:-1], kept)
+        commands = _joined(commands, which, theirs.commands[0][1])
+    return Asked(*kept, commands)
+
+
+def _joined(commands: Commands, which: Any, command: object) -> Commands:
+    """Add a command for some vehicles (n,) bool; those of one kind become one."""
+    for number, (theirs, other) in enumerate(commands):
+        if _alike(command, other):
+            both = (None if theirs is None else theirs | which, select(which, command, other))
+            return [*commands[:number], both, *commands[number + 1 :]]
+    return [*commands, (which, command)]
+
+
+def _alike(one: object, other: object) -> bool:
+    structures: list[Any] = [jax.tree.structure(command) for command in (one, other)]
+    # To JAX, records that differ in nothing but their type are alike.
+    return type(one) is type(other) and structures[0] == structures[1]
+
+
+def by_kind(commands: Sequence[tuple[Any, ...]], function: Callable[..., Any]) -> Any:
+    """Return what a function makes of each vehicle; commands have which (n,) bool it is, and the arguments."""
+    found = function(*commands[0][1:])
+    for which, *given in commands[1:]:
+        found = select(which, function(*given), found)
+    return found
+
+
+def _others(world: World, whole: State, fleet: Fleet) -> dict[str, Any]:
+    """Return where all other fleets say they are, (m,), for a guidance that looks at them; NaN for who has stopped."""
+    if not fleet.guidance.sees_others:
+        return {}
+    positions = []
+    for other, state in zip(world.fleets, whole.fleets, strict=True):
+        if other.name != fleet.name:
+            flies = state.violation.code == 0
+            position = estimate_of(other, state).position_ned
+            positions.append(position.map(lambda axis: jnp.where(flies, axis, jnp.nan)))  # noqa: B023
+    if not positions:
+        return {}
+    return {"others_ned": concatenated(positions)}
