@@ -1,0 +1,148 @@
+"""The K nearest others of each point within reach, by cells of space: work grows with the number of points.
+
+Unlike ``nearest_squared``, which tells collisions, this says who is near. It is written in operations that both
+compilers take (no sort). Space is cut into upright columns as wide as the reach, so that who is in reach of a point is
+in its own column or in the eight around it. Points lie in memory by their columns, three of which are one stretch: each
+point looks along three stretches. A stretch has room for a fixed number; who finds more there is counted.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from qrsim.core.tree import quantity, record
+
+# Columns for each point: fewer collisions of far columns in the table for more memory.
+_COLUMNS_FOR_A_POINT = 2
+# Points of one column that are told apart at most; the rest are out of sight, and counted.
+_DEEPEST = 64
+# Wider than the reach by more than rounding, 50 km from the origin too.
+_WIDTH_IN_REACHES = 1.01
+_NOBODY = -1
+
+
+@record
+class Neighbours:
+    """The nearest others of n points, nearest first; of two as far, the one of the lower number."""
+
+    index: Array = quantity(doc="(K, n) int32 number of the other point; -1: nobody")
+    squared: Array = quantity(unit="m^2", doc="(K, n) squared distance; infinite: nobody")
+    overfull: Array = quantity(doc="(n,) bool: more points around it than there is room for, so it may miss some")
+
+
+def neighbours(x: Array, y: Array, z: Array, reach: Array | float, count: int, room: int | None = None) -> Neighbours:
+    """Find for each of n points the nearest others within reach.
+
+    Args:
+        x, y, z: coordinates (n,) [m]; a point that is not finite has no neighbours and is nobody's.
+        reach: () [m] how far is looked.
+        count: K, how many are wanted at most.
+        room: for the points in three columns side by side, each as wide as the reach; default: twice as many as are
+            wanted, at least 32. Where there are no more points than in three such stretches, all pairs are looked at,
+            and nothing is ever overfull.
+    """
+    room = max(2 * count, 32) if room is None else room
+    reach = jnp.asarray(reach, x.dtype)
+    if x.shape[0] - 1 <= 3 * room:
+        return _nearest_of(*_all_others(x, y, z), reach, count, jnp.zeros(x.shape, bool))
+    candidates, overfull = _in_cells(x, y, z, reach, room)
+    return _nearest_of(*_apart(x, y, z, candidates), reach, count, overfull)
+
+
+def by_all_pairs(x: Array, y: Array, z: Array, reach: Array | float, count: int) -> Neighbours:
+    """Return ``neighbours`` from the distances of all pairs; to compare with."""
+    return _nearest_of(*_all_others(x, y, z), jnp.asarray(reach, x.dtype), count, jnp.zeros(x.shape, bool))
+
+
+def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+    """Return numbers and squared distances (n, n) of all points; infinite of itself."""
+    n = x.shape[0]
+    number = jnp.broadcast_to(jnp.arange(n, dtype=jnp.int32)[:, None], (n, n))
+    squared = sum((axis[None, :] - axis[:, None]) ** 2 for axis in (x, y, z))
+    return number, jnp.where(number == jnp.arange(n, dtype=jnp.int32)[None, :], jnp.inf, squared)
+
+
+def _apart(x: Array, y: Array, z: Array, candidates: Array) -> tuple[Array, Array]:
+    """Return numbers and squared distances (M, n) of candidates; infinite of itself and of nobody."""
+    there = jnp.maximum(candidates, 0)
+    squared = sum((axis[None, :] - axis.at[there].get(mode="promise_in_bounds")) ** 2 for axis in (x, y, z))
+    itself = candidates == jnp.arange(x.shape[0], dtype=jnp.int32)[None, :]
+    return candidates, jnp.where(itself | (candidates < 0), jnp.inf, squared)
+
+
+def _nearest_of(number: Array, squared: Array, reach: Array, count: int, overfull: Array) -> Neighbours:
+    """Select the nearest of candidates (M, n) by their squared distances, one after the other."""
+    # Written so that a NaN, which compares false, is out of reach.
+    squared = jnp.where(squared <= reach * reach, squared, jnp.inf)
+    most = jnp.int32(squared.shape[1])
+    found, distances = [], []
+    for _ in range(count):
+        nearest = jnp.min(squared, axis=0)
+        chosen = jnp.min(jnp.where(squared == nearest[None], number, most), axis=0)
+        found.append(jnp.where(nearest < jnp.inf, chosen, _NOBODY))
+        distances.append(nearest)
+        # Nobody is there twice.
+        squared = jnp.where(number == chosen[None], jnp.inf, squared)
+    return Neighbours(jnp.stack(found), jnp.stack(distances), overfull)
+
+
+def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Array, Array]:
+    """Return who is in the nine columns around each point, (3 room, n) with -1 for nobody, and who is overfull."""
+    n = x.shape[0]
+    side = max(4, int((_COLUMNS_FOR_A_POINT * n) ** 0.5) + 1)
+    known = jnp.isfinite(x + y + z)
+    scale = 1.0 / jnp.maximum(_WIDTH_IN_REACHES * reach, 1e-3)
+    # The table repeats in space: who shares a column from afar is told by the distance.
+    cell = [
+        jnp.mod(jnp.floor(jnp.where(known, axis, 0.0) * scale), side).astype(jnp.int32).clip(0, side - 1)
+        for axis in (x, y)
+    ]
+    columns = side * side
+    column = jnp.where(known, cell[0] * side + cell[1], columns)
+    rank = _ranks(column, columns)
+    inside = known & (rank >= 0)
+    members = jnp.zeros(columns, jnp.int32).at[jnp.where(inside, column, columns)].add(1, mode="drop")
+    # From 0 on: where the points of each column begin.
+    begin = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(members)])
+    place = begin.at[jnp.minimum(column, columns - 1)].get(mode="promise_in_bounds") + rank
+    order = jnp.zeros(n, jnp.int32).at[jnp.where(inside, place, n)].set(jnp.arange(n, dtype=jnp.int32), mode="drop")
+    parts, overfull = [], known & (rank < 0)
+    slot = jnp.arange(room, dtype=jnp.int32)[:, None]
+    for row in (-1, 0, 1):
+        first_of_row = jnp.mod(cell[0] + row, side) * side
+        lengths = [
+            members.at[first_of_row + jnp.mod(cell[1] + beside, side)].get(mode="promise_in_bounds")
+            for beside in (-1, 0, 1)
+        ]
+        length = lengths[0] + lengths[1] + lengths[2]
+        start = begin.at[first_of_row + jnp.mod(cell[1] - 1, side)].get(mode="promise_in_bounds")
+        whole, end = (begin.at[first_of_row + k].get(mode="promise_in_bounds") for k in (0, side))
+        # Around the end of the row, the stretch goes on at its beginning.
+        at = start[None] + slot
+        at = jnp.where(at >= end[None], at - (end - whole)[None], at)
+        who = order.at[jnp.clip(at, 0, n - 1)].get(mode="promise_in_bounds")
+        parts.append(jnp.where((slot < length[None]) & known[None], who, _NOBODY))
+        overfull = overfull | (known & (length > room))
+    return jnp.concatenate(parts), overfull
+
+
+def _ranks(column: Array, columns: int) -> Array:
+    """Return how many points (n,) of a lower number are in the same column; -1 for nowhere, or too many."""
+    n = column.shape[0]
+    number = jnp.arange(n, dtype=jnp.int32)
+    somewhere = column < columns
+    place = jnp.minimum(column, columns - 1)
+
+    def waits(carry: tuple[Array, Array]) -> Array:
+        turn, rank = carry
+        return (turn < _DEEPEST) & jnp.any(somewhere & (rank < 0))
+
+    def one_more(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        turn, rank = carry
+        left = somewhere & (rank < 0)
+        lowest = jnp.full(columns, n, jnp.int32).at[place].min(jnp.where(left, number, n), mode="drop")
+        mine = left & (lowest.at[place].get(mode="promise_in_bounds") == number)
+        return turn + 1, jnp.where(mine, turn, rank)
+
+    return lax.while_loop(waits, one_more, (jnp.int32(0), jnp.full(n, -1, jnp.int32)))[1]
