@@ -27,7 +27,7 @@ from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission
 from qrsim.scenarios.ranges import ranges_of
-from qrsim.scenarios.satellites import needs_slots, of_vehicles, slotted_sky
+from qrsim.scenarios.satellites import for_receivers, needs_slots, of_vehicles, slotted_sky, warn_of_systems
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.skylines import skyline
 from qrsim.scenarios.spacing import columns
@@ -66,10 +66,11 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
     dtype = np.dtype(precision)
     world = scenario.world
     site = Site.from_degrees(scenario.site.latitude_deg, scenario.site.longitude_deg, scenario.site.height)
-    ephemeris = component(world.sky.orbits, known.ORBITS, scenario)
+    ephemeris = for_receivers(scenario, component(world.sky.orbits, known.ORBITS, scenario))
     start = gps_seconds_from_utc(scenario.start_time)
     orbits = ephemeris.at(site, start, dtype, scenario.duration)
     warn_of_hand_lists(scenario, ephemeris.satellite_ids)
+    warn_of_systems(scenario, ephemeris)
     errors = component(world.sky.errors, known.SKY_ERRORS, scenario)
     sky: Sky = SharedSky(orbits, errors, ephemeris.satellite_ids, world.sky.period)
     if needs_slots(scenario, errors):

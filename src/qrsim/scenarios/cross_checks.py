@@ -28,7 +28,7 @@ from qrsim.scenarios.missions import mission_problems
 from qrsim.scenarios.multirotor_checks import multirotor_problems
 from qrsim.scenarios.ranges import range_problems
 from qrsim.scenarios.registry import is_outside
-from qrsim.scenarios.satellites import satellite_problems
+from qrsim.scenarios.satellites import for_receivers, satellite_problems
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.skylines import skyline_problems
 from qrsim.scenarios.spacing import clearance_of, close_starts, inside_obstacles, obstacle_problems
@@ -293,7 +293,7 @@ def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
     """Read the ephemeris and see that it spans the run."""
     orbits = scenario.world.sky.orbits
     try:
-        ephemeris = component(orbits, known.ORBITS, scenario)
+        ephemeris = for_receivers(scenario, component(orbits, known.ORBITS, scenario))
         first, last = ephemeris.span_gps_seconds
         _ = ephemeris.satellites
         start = gps_seconds_from_utc(scenario.start_time)

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.tree import replace
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError, did_you_mean, warn_user
 from qrsim.models.gnss.base_station import BaseStation
 from qrsim.models.gnss.constellations import check_systems
 from qrsim.models.gnss.sensor import Gnss
 from qrsim.models.gnss.sight import LETTERS, MASK_LOWEST, system_numbers
 from qrsim.models.gnss.slots import SlottedSky, slots_needed
+from qrsim.models.gnss.sp3 import Sp3Ephemeris
 from qrsim.models.site import Site
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.faults import vehicle_names
@@ -43,6 +44,46 @@ def needs_slots(scenario: ScenarioSpec, errors: Any) -> bool:
     return bool(receivers(scenario)) or bool(errors.needs_sight)
 
 
+def for_receivers(scenario: ScenarioSpec, ephemeris: Any) -> Any:
+    """Return an ephemeris with the systems of the receivers, where it is of a file and the scenario names none.
+
+    Raises:
+        UsageError: the file cannot be read.
+    """
+    if not isinstance(ephemeris, Sp3Ephemeris) or ephemeris.systems is not None:
+        return ephemeris
+    asked = {letter for sensor in receivers(scenario).values() for letter in sensor.systems}
+    if asked and _others_read(scenario):
+        asked.add("G")
+    systems = "".join(letter for letter in LETTERS if letter in asked and not ephemeris.lacking(letter))
+    found = replace(ephemeris, systems=systems or None)
+    # Read once.
+    vars(found)["data"] = ephemeris.data
+    return found
+
+
+def warn_of_systems(scenario: ScenarioSpec, ephemeris: Any) -> None:
+    """Warn of receivers that use systems of which a file of orbits has no satellite."""
+    if not isinstance(ephemeris, Sp3Ephemeris):
+        return
+    for path, sensor in receivers(scenario).items():
+        lacking = ephemeris.lacking(sensor.systems)
+        if lacking:
+            warn_user(
+                f"{path}.systems: '{sensor.systems}', but {ephemeris.file} has no satellite of "
+                f"'{lacking}'; it has {ephemeris.content}"
+            )
+
+
+def _others_read(scenario: ScenarioSpec) -> bool:
+    """Return whether a sensor of another type reads the sky."""
+    return any(
+        sensor.type != RECEIVER and "sky" in known.SENSORS[sensor.type].reads  # type: ignore[attr-defined]
+        for fleet in scenario.fleets.values()
+        for sensor in fleet.sensors.values()
+    )
+
+
 def slotted_sky(scenario: ScenarioSpec, ephemeris: Any, orbits: Any, errors: Any, site: Site, start: float) -> Any:
     """Build the sky of receivers of type gnss."""
     masks = [sensor.elevation_mask_rad for sensor in receivers(scenario).values()]
@@ -56,11 +97,7 @@ def slotted_sky(scenario: ScenarioSpec, ephemeris: Any, orbits: Any, errors: Any
         scenario.time_step,
         slots_needed(ephemeris, site, start, scenario.duration, lowest),
         lowest,
-        each_epoch=any(
-            sensor.type != RECEIVER and "sky" in known.SENSORS[sensor.type].reads  # type: ignore[attr-defined]
-            for fleet in scenario.fleets.values()
-            for sensor in fleet.sensors.values()
-        ),
+        each_epoch=_others_read(scenario),
         base=base_station(scenario),
         interference=interference(scenario, ephemeris) if receivers(scenario) else None,
     )

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 import numpy as np
 
+from qrsim.models.gnss.constellations import NominalConstellations
 from qrsim.models.gnss.orbits import NominalConstellation
 from qrsim.models.site import GPS_EPOCH
 
@@ -23,14 +25,16 @@ def names_of(letter: str, count: int = 24) -> list[str]:
 def sp3_text(
     version: str = "c", names: Iterable[str] = tuple(names_of("G")), epochs: int = 20, *, interval: float = 900.0,
     time_system: str = "GPS", first: datetime = datetime(2010, 8, 31, 15), shift_s: float = 0.0,
+    orbits: Any = NOMINAL,
 ) -> str:  # fmt: skip
     """An SP3 file of the nominal constellation, its slots repeated under as many names as asked for.
 
-    ``first`` is what the first epoch line says; ``shift_s`` is GPS time minus the file's time system.
+    ``first`` is what the first epoch line says; ``shift_s`` is GPS time minus the file's time system; ``orbits`` are
+    others that the positions are of.
     """
     names = list(names)
     start = (first.replace(tzinfo=UTC) - GPS_EPOCH).total_seconds() + shift_s
-    positions = NOMINAL.positions_ecef(start + interval * np.arange(epochs)) / 1000.0
+    positions = orbits.positions_ecef(start + interval * np.arange(epochs)) / 1000.0
     rows = max(5, math.ceil(len(names) / 17))
     padded = names + ["  0"] * (17 * rows - len(names))
     lines = [
@@ -51,9 +55,15 @@ def sp3_text(
         when = first + timedelta(seconds=interval * epoch)
         lines.append(f"*  {when:%Y %m %d %H %M} {when.second + when.microsecond / 1e6:11.8f}")
         for i, name in enumerate(names):
-            x, y, z = positions[epoch, i % 24]
+            x, y, z = positions[epoch, i % positions.shape[1]]
             lines.append(f"P{name}{x:14.6f}{y:14.6f}{z:14.6f}{100.0 + i:14.6f} 10  9  8  77")
     return "\n".join([*lines, "EOF", ""])
+
+
+def four_systems(letters: str = "GERC", version: str = "d") -> str:
+    """An SP3 file of the nominal constellations of these systems, 24 satellites each."""
+    names = [name for letter in letters for name in names_of(letter)]
+    return sp3_text(version, names, orbits=NominalConstellations(letters))
 
 
 def line_of(text: str, start: str, occurrence: int = 0) -> int:

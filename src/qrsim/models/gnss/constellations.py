@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from qrsim.core.tree import cast, record, setting
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import UsageError, nearest
 from qrsim.models.gnss.orbits import (
     EARTH_GRAVITY,
     EARTH_J2,
@@ -68,7 +68,8 @@ def check_systems(systems: str, what: str = "systems") -> None:
     wrong = [letter for letter in systems if letter not in SYSTEMS]
     if wrong or not systems:
         names = {name: letter for letter, name in SYSTEMS.items()}
-        hint = did_you_mean(systems, [*SYSTEMS, *names, "GERC"])
+        match = nearest(systems, [*names, "GERC"])
+        hint = f"; did you mean '{names.get(match, match)}'?" if match else ""
         raise UsageError(f"{what}: '{systems}' does not consist of letters of satellite systems: {known}{hint}")
     if len(set(systems)) != len(systems):
         raise UsageError(f"{what}: '{systems}' names a system twice; allowed: each of {', '.join(SYSTEMS)} once")

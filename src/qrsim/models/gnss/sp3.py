@@ -82,7 +82,11 @@ class Sp3Ephemeris(Ephemeris):
     """
 
     file: str = setting(doc="path of an SP3 file, version a, c or d")
-    systems: str = setting(default="G", doc="letters of the satellite systems used, such as GE: GPS and Galileo")
+    systems: str | None = setting(
+        default=None,
+        doc="letters of the satellite systems used, such as GE: GPS and Galileo; default: those of receivers of type "
+        "gnss that the file has, and G without any",
+    )
 
     @cached_property
     def data(self) -> Sp3File:
@@ -158,14 +162,14 @@ class Sp3Ephemeris(Ephemeris):
         if names:
             why = next((self.data.gaps[name] for name in names if name in self.data.gaps), "epochs are missing")
             found.append(f"{self.file}: not available during all of the run: {', '.join(names)} ({why})")
-        unlocated = [name for name in self.data.unlocated if name[0] in self.systems]
+        unlocated = [name for name in self.data.unlocated if name[0] in self._letters]
         if unlocated:
             found.append(f"{self.file}: in the header's list, but without positions: {', '.join(unlocated)}")
         fewest = int(np.min(np.sum(self._windows[low : high + 1, self._wanted] >= 0, axis=1)))
         if fewest < FEWEST_SATELLITES:
             found.append(
-                f"{self.file}: only {fewest} satellites of systems '{self.systems}' have positions during the run or a "
-                f"part of it; a fix needs {FEWEST_SATELLITES}"
+                f"{self.file}: only {fewest} satellites of systems '{self._letters}' have positions during the run or "
+                f"a part of it; a fix needs {FEWEST_SATELLITES}"
             )
         return tuple(found)
 
@@ -199,15 +203,30 @@ class Sp3Ephemeris(Ephemeris):
     @cached_property
     def _wanted(self) -> npt.NDArray[np.bool_]:
         """Which of the file's satellites belong to the systems asked for."""
-        if not self.systems or set(self.systems) - set(SYSTEMS):
+        letters = self._letters
+        if not letters or set(letters) - set(SYSTEMS):
             known = ", ".join(f"{letter} ({name})" for letter, name in SYSTEMS.items())
-            raise UsageError(f"systems: '{self.systems}' does not consist of letters of satellite systems: {known}")
-        wanted = np.array([name[0] in self.systems for name in self.data.satellites])
-        if not wanted.any():
-            has = Counter(name[0] for name in self.data.satellites)
-            there = ", ".join(f"{letter} ({SYSTEMS[letter]}): {count}" for letter, count in has.items())
-            raise UsageError(f"{self.file}: no satellite of systems '{self.systems}'; the file has {there}")
-        return wanted
+            raise UsageError(f"systems: '{letters}' does not consist of letters of satellite systems: {known}")
+        lacking = self.lacking(letters)
+        if lacking:
+            which = "" if lacking == letters else f" of '{letters}'"
+            raise UsageError(f"{self.file}: no satellite of systems '{lacking}'{which}; the file has {self.content}")
+        return np.array([name[0] in letters for name in self.data.satellites])
+
+    @property
+    def content(self) -> str:
+        """The systems of the file with their numbers of satellites, in words."""
+        has = Counter(name[0] for name in self.data.satellites)
+        return ", ".join(f"{letter} ({SYSTEMS[letter]}): {count}" for letter, count in has.items())
+
+    def lacking(self, systems: str) -> str:
+        """Return the letters among these of systems that the file has no satellite of."""
+        there = {name[0] for name in self.data.satellites}
+        return "".join(letter for letter in systems if letter not in there)
+
+    @property
+    def _letters(self) -> str:
+        return "G" if self.systems is None else self.systems
 
     @cached_property
     def _columns(self) -> npt.NDArray[np.intp]:
@@ -215,7 +234,7 @@ class Sp3Ephemeris(Ephemeris):
         usable = np.flatnonzero(self._wanted & (self._windows >= 0).any(axis=0))
         if not len(usable):
             raise UsageError(
-                f"{self.file}: no satellite of systems '{self.systems}' has positions at {DEGREE + 1} epochs in a "
+                f"{self.file}: no satellite of systems '{self._letters}' has positions at {DEGREE + 1} epochs in a "
                 f"row, which interpolation needs; the file has {len(self.data.clocks)} epochs{self.cut_off}"
             )
         return usable
