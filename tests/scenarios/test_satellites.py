@@ -113,7 +113,7 @@ def test_fixes_are_those_of_the_orbits_that_the_file_was_made_of(
 ) -> None:
     found = []
     for orbits in (sp3(files["GERC"]), {"type": "nominal_constellations"}):
-        simulation = qrsim.load(scenario(gnss(preset=preset, first_fix="fixed"), orbits), seed=1)
+        simulation = qrsim.Simulation(scenario(gnss(preset=preset, first_fix="fixed"), orbits).world(), seed=1)
         simulation.reset()
         for _ in range(500):
             reading = simulation.step()
