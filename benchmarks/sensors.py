@@ -1,4 +1,4 @@
-"""What inertial sensors cost in the whole tick of ``patrol_published``, and what late delivery adds.
+"""What inertial sensors cost in the whole tick of ``patrol_published``, what late delivery and others beside them add.
 
 Each row is a world of its own in one process: with ``gyroscope`` and ``accelerometer``, with one ``imu`` in their
 place, and with both of the former late by two periods. Columns: worlds of so many vehicles; ns of CPU of a
@@ -21,6 +21,11 @@ KINDS: dict[str, dict[str, dict[str, Any]]] = {
     "none": {},
     "late by two periods": {name: {**sensor, "delay": 2} for name, sensor in PAIR.items()},
 }
+# Beside the pair.
+BESIDE: dict[str, dict[str, Any]] = {
+    "rangefinder": {"type": "rangefinder"},
+}
+KINDS |= {f"+ {name}": {**PAIR, "beside": sensor} for name, sensor in BESIDE.items()}
 PLACES = ((512, 8), (1, 1000))
 HEADINGS = {
     "sensors": "sensors",

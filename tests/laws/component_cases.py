@@ -44,8 +44,10 @@ from qrsim.models.gnss.slots import Slots
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.contents import Contents, ContentsState, Surroundings
 from qrsim.models.scene.fence import PolygonArea
+from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle, Obstacles
 from qrsim.models.scene.plume import GaussianPlume, GaussianState, Sources
 from qrsim.models.scene.prisms import PrismObstacle
+from qrsim.models.scene.traffic import Traffic
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.inertial import AccelerometerReading, GyroscopeReading
@@ -373,7 +375,17 @@ def surroundings(world: int, dtype: Any) -> Surroundings:
     wind, area = LogShear(3.0, 0.7), BoxArea(-140.0, 140.0, -140.0, 140.0, -80.0, 0.0)  # type: ignore[arg-type]
     contents = cast(Contents(plume=GaussianPlume()), dtype)
     state = ContentsState(plume=sources)
-    return Surroundings(contents, state, cast(wind, dtype), cast(area, dtype), np.int32(50), DT)  # type: ignore[arg-type]
+    others = np.random.default_rng([world, 2]).uniform(-20.0, 20.0, (6, 2))
+    traffic = Traffic(
+        Vec3(*(others[i] for i in range(3))), Vec3(*(0.1 * others[3 + i] for i in range(3))), np.ones(2, bool),  # type: ignore[arg-type]
+        np.ones(2), ("a", "b"), (1, 1),  # type: ignore[arg-type]
+    )  # fmt: skip
+    walls = [np.array([value]) for value in (8.0, 11.0, -30.0, 30.0, -40.0, 0.0)]
+    masts = [np.array([value]) for value in (-9.0, 3.0, 1.5, -25.0, 0.0)]
+    solids = Obstacles(BoxObstacle(*walls), CylinderObstacle(*masts), np.arange(2.0))  # type: ignore[arg-type]
+    scene: Any = cast((wind, area, solids, traffic), dtype)
+    wind, area, solids, traffic = scene
+    return Surroundings(contents, state, wind, area, np.int32(50), DT, obstacles=solids, traffic=traffic)  # type: ignore[arg-type]
 
 
 def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
@@ -418,7 +430,9 @@ def inputs(world: int, dtype: Any = np.float32) -> dict[str, Any]:
     command = Command(axis(0.3), axis(0.3), axis(0.1, offset=0.6, first=0.59), axis(0.5), axis(0.5, 11.0, 11.0))
     view = surroundings(world, dtype)
     readers = (SimpleNamespace(reads=("load",)),)
-    scene = jax.tree.map(np.asarray, scene_of(SimpleNamespace(vehicle=Quadrotor(), sensors=readers), state, sky, view))  # type: ignore[arg-type]
+    scene = jax.tree.map(
+        np.asarray, scene_of(SimpleNamespace(vehicle=Quadrotor(), sensors=readers, name="a"), state, sky, view)
+    )  # type: ignore[arg-type]
     moved = jax.tree.map(lambda leaf: leaf + dtype(3.0), scene["position_ned"])
     return {
         "scene": scene,

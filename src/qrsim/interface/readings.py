@@ -20,7 +20,7 @@ from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading, SkyState
 from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.camera import CameraReading, Picture
-from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.contracts import Explained, Sensor
 from qrsim.models.sensors.fitting import Transit
 from qrsim.models.site import Site
 from qrsim.models.vehicles.contracts import Vehicle, VehicleState, velocity_of
@@ -107,7 +107,7 @@ class SensorReading:
     def _own_reason(self, vehicle: int) -> str:
         """Return why the sensor itself has nothing to say about a vehicle."""
         if not isinstance(self._reading, GnssReading):
-            return "not available"
+            return self._reading.reason(vehicle) if isinstance(self._reading, Explained) else "not available"
         satellites = self._reading.satellites
         if satellites[vehicle] < FEWEST_SATELLITES:
             seen = ""

@@ -51,6 +51,7 @@ from qrsim.models.sensors.camera import Camera, IdealCamera
 from qrsim.models.sensors.concentration import ConcentrationSensor, IdealConcentration
 from qrsim.models.sensors.imu import IdealImu, Imu
 from qrsim.models.sensors.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
+from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
 from qrsim.models.vehicles.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
 from qrsim.models.vehicles.fixed_point import FixedPoint
@@ -151,6 +152,8 @@ SENSORS: Catalogue = {
     "ideal_accelerometer": IdealAccelerometer,
     "imu": Imu,
     "ideal_imu": IdealImu,
+    "rangefinder": Rangefinder,
+    "ideal_rangefinder": IdealRangefinder,
     "concentration": ConcentrationSensor,
     "ideal_concentration": IdealConcentration,
     "camera": Camera,

@@ -15,6 +15,7 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.scene.area import Violation, collisions, reason_text
 from qrsim.world.episode import surroundings
+from qrsim.world.sensing import with_traffic
 from qrsim.world.state import Fleet, FleetState, State, World
 from qrsim.world.tick import own_checks, start_fleet
 
@@ -37,13 +38,18 @@ def place(world: World, given: tuple[Any, Any], state: State, tick: Any) -> Stat
     """
     rows, chosen = given
     world = world.with_drawn(state.drawn)
-    view = surroundings(world, state.contents, tick)
-    fleets, first = [], 0
-    for fleet, before, keys in zip(world.fleets, state.fleets, state.fleet_keys, strict=True):
-        mine = slice(first, first + fleet.size)
+    spans, first = [], 0
+    for fleet in world.fleets:
+        spans.append(slice(first, first + fleet.size))
         first += fleet.size
+    puts = [_vehicles(fleet, rows[mine]) for fleet, mine in zip(world.fleets, spans, strict=True)]
+    together = zip(puts, state.fleets, spans, strict=True)
+    there = [(select(chosen[mine], put, now.vehicle), chosen[mine] | (now.violation.code == 0))
+             for put, now, mine in together]  # fmt: skip
+    view = with_traffic(world, surroundings(world, state.contents, tick), *zip(*there, strict=True))
+    fleets = []
+    for fleet, before, keys, mine, put in zip(world.fleets, state.fleets, state.fleet_keys, spans, puts, strict=True):
         low = Vec3(*(rows[mine, i] for i in range(13, 16)))
-        put = _vehicles(fleet, rows[mine])
         fresh = start_fleet(world, fleet, put, keys, tick, state.sky, view, state.field, before, low)
         fresh = replace(fresh, guidance=before.guidance, setpoint=before.setpoint, battery=before.battery)
         pairs = zip(fleet.sensors, fresh.sensors, before.sensors, strict=True)

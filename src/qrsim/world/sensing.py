@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypedDict, cast
 
@@ -11,12 +11,14 @@ from jax import Array
 
 from qrsim.control import Estimate
 from qrsim.core.noise import Noise
-from qrsim.core.tree import Record, map_tree, replace
+from qrsim.core.tree import Record, concatenated, map_tree, replace
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.contents import Surroundings
+from qrsim.models.scene.traffic import Traffic
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.fitting import Fitted, Fitting, mounted, start_fitted
+from qrsim.models.vehicles.contracts import VehicleState
 from qrsim.world.state import DELIVERY, Belief, Fleet, FleetState, World, period_ticks, when_due
 
 
@@ -74,6 +76,33 @@ def sense(
         true_readings=tuple(undisturbed),
         passed_on=passed_on,
     )
+
+
+def with_traffic(
+    world: World, view: Surroundings, vehicles: Sequence[VehicleState], flies: Sequence[Array | None]
+) -> Surroundings:
+    """Return surroundings with all vehicles of a world, as they are where no sensor looks at them.
+
+    Args:
+        world: its parameters.
+        view: what sensors may look at.
+        vehicles: true states of each fleet.
+        flies: of each fleet whether each vehicle (n,) is still valid; None: all are.
+    """
+    if not any(
+        "traffic" in sensor.reads and sensor.wants_traffic for fleet in world.fleets for sensor in fleet.sensors
+    ):
+        return view
+    parts = []
+    for fleet, state, flying in zip(world.fleets, vehicles, flies, strict=True):
+        pose = fleet.vehicle.pose(state)
+        velocity = rotation(pose.attitude).to_ned(pose.velocity_body)
+        like = pose.position_ned.x
+        radius = jnp.broadcast_to(jnp.asarray(world.radius_of(fleet), like.dtype), like.shape)
+        parts.append((pose.position_ned, velocity, jnp.ones(like.shape, bool) if flying is None else flying, radius))
+    sizes = tuple(fleet.size for fleet in world.fleets)
+    traffic = Traffic(*concatenated(parts), tuple(fleet.name for fleet in world.fleets), sizes)
+    return replace(view, traffic=traffic)
 
 
 def inputs_of(
@@ -173,6 +202,8 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
         "surroundings": view,
         "ground": None if view is None else view.ground,
         "skyline": None if view is None else view.skyline,
+        "obstacles": None if view is None else view.obstacles,
+        "traffic": None if view is None or view.traffic is None else view.traffic.seen_by(fleet.name),
     }
 
 

@@ -37,7 +37,7 @@ from qrsim.world.episode import (
     step_contents,
     surroundings,
 )
-from qrsim.world.sensing import faulted, inputs_of, scene_of, sense, starting_fitted
+from qrsim.world.sensing import faulted, inputs_of, scene_of, sense, starting_fitted, with_traffic
 from qrsim.world.standing import ground_checks, over_the_floor, settled, started
 from qrsim.world.state import (
     PROCESS,
@@ -70,11 +70,12 @@ def reset(world: World, key: Key | WorldKeys) -> State:
     sky = world.sky.init(draw_sky(world, keys.sky_start, jnp.int32(0), like))
     contents = start_contents(world, draws)
     placed = [place(world, fleet, draws) for fleet in world.fleets]
-    view = surroundings(world, contents, jnp.int32(0))
+    vehicles = [_vehicle_at(fleet, start) for fleet, (start, _) in zip(world.fleets, placed, strict=True)]
+    view = with_traffic(world, surroundings(world, contents, jnp.int32(0)), vehicles, [None] * len(vehicles))
     field = draw_field(world, draws)
     fleets = tuple(
-        start_fleet(world, fleet, _vehicle_at(fleet, start), first, jnp.int32(0), sky, view, field)
-        for fleet, (start, _), first in zip(world.fleets, placed, keys.fleets_start, strict=True)
+        start_fleet(world, fleet, vehicle, first, jnp.int32(0), sky, view, field)
+        for fleet, vehicle, first in zip(world.fleets, vehicles, keys.fleets_start, strict=True)
     )
     found = tuple(found for _, found in placed if found is not None)
     return State(sky, fleets, keys.sky, keys.fleets, contents, keys.plume, drawn, found, field)
@@ -113,7 +114,10 @@ def step(
     )
     checked = _check(world, state.fleets, flown)
     contents = step_contents(world, state, checked, due, after)
-    view = surroundings(world, contents, after)
+    view = with_traffic(
+        world, surroundings(world, contents, after), [fleet.vehicle for fleet in checked],
+        [fleet.violation.code == 0 for fleet in checked],
+    )  # fmt: skip
     sensed = tuple(
         sense(world, fleet, fleet_state, sky, view, drawn, due, after)
         for fleet, fleet_state, drawn in zip(world.fleets, checked, noise, strict=True)

@@ -57,6 +57,8 @@ class Surroundings:
     time_step: float = setting(unit="s", doc="simulation step")
     ground: Ground = quantity(default=FlatGround(), doc="what vehicles stand on")
     skyline: Any = quantity(default=None, doc="what obstacles do to signals of satellites; None where they do nothing")
+    obstacles: Any = quantity(default=None, doc="solid things, an ``Obstacles``")
+    traffic: Any = quantity(default=None, doc="all vehicles of the world, a ``Traffic``; None where nobody looks")
 
     def over_ground(self, position_ned: Vec3) -> Vec3:
         """Return positions of any shape with minus the height above the ground for z.

@@ -7,6 +7,7 @@ variables, have the defaults that stand here.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import jax.numpy as jnp
@@ -15,6 +16,9 @@ from jax import Array
 from qrsim.core.noise import Draw
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
+
+# Places along a ray at which the ground is asked whether it is there, and halvings of the part where it begins.
+LOOKS, HALVINGS = 32, 6
 
 
 @runtime_checkable
@@ -79,6 +83,19 @@ class Ground(Protocol):
     def down(self, position_ned: Vec3) -> Array:
         """Return the down coordinate [m] of the ground below (or above) positions of any shape [m]."""
 
+    def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
+        """Return how far [m] rays (...) go until they meet the ground, 0 from below it, infinite beyond their reach.
+
+        By default the ground is looked at every ``reach``/32, and the first crossing found there is narrowed down: a
+        ridge that a ray passes between two looks is overlooked.
+
+        Args:
+            origin_ned: where they begin (...) [m].
+            direction: unit vectors (...).
+            reach: how far they are followed [m].
+        """
+        return crossing(self.down, origin_ned, direction, reach)
+
     def normal(self, position_ned: Vec3) -> Vec3:
         """Return the unit normal, upwards, of the ground below positions of any shape [m].
 
@@ -89,6 +106,32 @@ class Ground(Protocol):
         north = self.down(position_ned + half) - self.down(position_ned - half)
         east = self.down(position_ned + across) - self.down(position_ned - across)
         return upward(north, east)
+
+
+def crossing(down: Callable[[Vec3], Array], origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
+    """Return how far [m] rays (...) go until they are below a surface with this down coordinate; see ``Ground``."""
+    shape = jnp.broadcast_shapes(origin_ned.x.shape, direction.x.shape)
+    origin, ray = (end.map(lambda axis: jnp.broadcast_to(axis, shape)) for end in (origin_ned, direction))
+
+    def above(distance: Array) -> Array:
+        wide = (1,) * (distance.ndim - len(shape)) + shape
+        place = origin.map(lambda axis: axis.reshape(wide)) + ray.map(lambda axis: axis.reshape(wide)) * distance
+        return down(place) - place.z
+
+    length = jnp.broadcast_to(jnp.asarray(reach, ray.x.dtype), shape)
+    step = length * (1.0 / LOOKS)
+    number = jnp.arange(1, LOOKS + 1).astype(ray.x.dtype).reshape(-1, *(1,) * len(shape))
+    first = jnp.min(jnp.where(above(step[None] * number) <= 0.0, number, jnp.inf), axis=0)
+    high = step * jnp.where(first <= LOOKS, first, 1.0)
+    low = high - step
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        crossed = above(middle) <= 0.0
+        low, high = jnp.where(crossed, low, middle), jnp.where(crossed, middle, high)
+    before, after = above(low), above(high)
+    part = before / jnp.where(before > after, before - after, 1.0)
+    met = jnp.where(first <= LOOKS, low + (high - low) * jnp.clip(part, 0.0, 1.0), jnp.inf)
+    return jnp.where(down(origin) <= origin.z, 0.0, met)
 
 
 def upward(north: Array, east: Array) -> Vec3:

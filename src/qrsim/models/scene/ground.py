@@ -41,6 +41,13 @@ class FlatGround(Ground):
         """Return the down coordinate [m] of the ground below positions of any shape."""
         return jnp.full_like(position_ned.z, 0.0 - self.height)
 
+    def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
+        """Return how far [m] rays (...) go until they meet the plane, infinite where they do not within their reach."""
+        above = -self.height - origin_ned.z
+        falls = direction.z > 0.0
+        met = above / jnp.where(falls, direction.z, 1.0)
+        return jnp.where(above <= 0.0, 0.0, jnp.where(falls & (met <= reach), met, jnp.inf))
+
     def normal(self, position_ned: Vec3) -> Vec3:
         """Return the normal, straight up."""
         flat = jnp.zeros_like(position_ned.z)

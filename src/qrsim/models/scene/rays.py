@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.vectors import Vec3
+from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
 
 Span = tuple[Array, Array]
@@ -43,6 +44,26 @@ def ray_distance(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Arr
         met = (low <= high) & (high >= 0.0)
         distance = jnp.minimum(distance, jnp.min(jnp.where(met, jnp.maximum(low, 0.0), jnp.inf), axis=0))
     return distance
+
+
+def first_hit(obstacles: Obstacles, ground: Ground, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
+    """Return how far [m] rays (...) go until they meet an obstacle or the ground; infinite beyond their reach.
+
+    Args:
+        obstacles, ground: of the world.
+        origin_ned: where they begin (...) [m].
+        direction: unit vectors (...).
+        reach: how far they are followed [m].
+    """
+    solid = ray_distance(obstacles, origin_ned, direction)
+    nearest = jnp.minimum(solid, ground.ray_distance(origin_ned, direction, reach))
+    return jnp.where(nearest <= reach, nearest, jnp.inf)
+
+
+def any_of(obstacles: Obstacles) -> bool:
+    """Return whether a world has any obstacle, which is known while a program is compiled."""
+    kinds = (obstacles.boxes, obstacles.cylinders, None if obstacles.prisms is None else obstacles.prisms.pieces)
+    return any(kind is not None and kind.z_min.shape[0] > 0 for kind in kinds)
 
 
 def line_of_sight(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:

@@ -28,7 +28,17 @@ SCENE = (
     "surroundings",
     "ground",
     "skyline",
+    "obstacles",
+    "traffic",
 )
+
+
+class Explained:
+    """Base of readings that can say what they lack."""
+
+    def reason(self, vehicle: int) -> str:
+        """Return why the reading of a vehicle is not complete."""
+        raise NotImplementedError
 
 
 @runtime_checkable
@@ -57,6 +67,11 @@ class Sensor(Protocol):
     draws_alone: ClassVar[bool] = False
     delay: int = 0
     takes_pictures: ClassVar[bool] = False
+
+    @property
+    def wants_traffic(self) -> bool:
+        """Whether a sensor that reads ``traffic`` looks at it; where none does, it is handed None."""
+        return True
 
     @abstractmethod
     def init(self, draw: Any, *args: Any, **reads: Any) -> tuple[object, Record]:

@@ -1,0 +1,30 @@
+"""Where all vehicles of a world are, for sensors that look at others."""
+
+from __future__ import annotations
+
+from jax import Array
+
+from qrsim.core.tree import quantity, record, replace, setting
+from qrsim.core.vectors import Vec3
+
+
+@record
+class Traffic:
+    """All N vehicles of a world, fleet after fleet."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="(N,) position")
+    velocity_ned: Vec3 = quantity(unit="m/s", doc="(N,) velocity over ground")
+    flies: Array = quantity(doc="(N,) bool: the vehicle is still valid")
+    radius: Array = quantity(unit="m", doc="(N,) radius of the sphere that collides")
+    fleets: tuple[str, ...] = setting(doc="names of the fleets")
+    sizes: tuple[int, ...] = setting(doc="vehicles of each")
+    first: int = setting(default=0, doc="number of the first vehicle of the fleet that looks")
+
+    @property
+    def count(self) -> int:
+        """Vehicles of the world (N)."""
+        return sum(self.sizes)
+
+    def seen_by(self, fleet: str) -> Traffic:
+        """Return it for the sensors of a fleet."""
+        return replace(self, first=sum(self.sizes[: self.fleets.index(fleet)]))
