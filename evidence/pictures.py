@@ -69,6 +69,7 @@ OTHERS = {
     "gnss_fixes.png": "make evidence gnss",
     "gnss_jamming.png": "make evidence gnss",
     "imu_allan.png": "make evidence imu",
+    "magnetometer_allan.png": "make evidence magnetometer",
     "turbulence.png": "make evidence turbulence",
     "turbulence_field.png": "make evidence field",
     "turbulence_line.png": "make evidence field",

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from qrsim.core.tree import parameter, quantity, record, setting
     from qrsim.core.vectors import Euler, Vec3
     from qrsim.engine.settings import configure
+    from qrsim.models.sensors.earth_field import compass_heading
     from qrsim.models.vehicles.quadrotor import Command
     from qrsim.runs import Run, open_run
     from qrsim.runs.recorder import fly
@@ -60,6 +61,7 @@ _LAZY = {
     "WaypointSetpoint": "qrsim.control",
     "Vec3": "qrsim.core.vectors",
     "World": "qrsim.world.tick",
+    "compass_heading": "qrsim.models.sensors.earth_field",
     "configure": "qrsim.engine.settings",
     "fly": "qrsim.runs.recorder",
     "load_scenario": "qrsim.scenarios.scenario",
@@ -97,6 +99,7 @@ __all__ = [
     "WaypointSetpoint",
     "World",
     "__version__",
+    "compass_heading",
     "configure",
     "fly",
     "load",

@@ -28,9 +28,11 @@ from component_cases import (
 )
 
 from qrsim.core.tree import walk
+from qrsim.core.vectors import rotation
 from qrsim.errors import ScenarioError
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.scene.area import StateLimits
+from qrsim.models.sensors.magnetometer import USUAL_FIELD
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import load_scenario
 
@@ -362,12 +364,14 @@ def test_every_sensor_has_an_ideal_form_that_says_the_truth() -> None:
                 "concentration": later["surroundings"].concentration(later["position_ned"]),
                 "taken_at_ned": later["position_ned"],
                 "taken_attitude": later["attitude"],
+                "field_body": rotation(later["attitude"]).to_body(USUAL_FIELD),
                 "status": np.zeros(VEHICLES, np.float32),
             }
             reading = found["results"]["second"]
             named = [field for field in reading.__dataclass_fields__ if field in truth]
             assert named, name
             for field in named:
-                # The only one that takes arithmetic, which this program and that of the sensor may round otherwise.
-                assert_close(getattr(reading, field), truth[field], 1e-6 if field == "concentration" else 0.0)
+                # Some take arithmetic, which this program and that of the sensor may round otherwise.
+                computed_too = field in ("concentration", "field_body")
+                assert_close(getattr(reading, field), truth[field], 1e-6 if computed_too else 0.0)
     assert kinds[True] == kinds[False]

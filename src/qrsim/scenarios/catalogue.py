@@ -51,6 +51,7 @@ from qrsim.models.sensors.camera import Camera, IdealCamera
 from qrsim.models.sensors.concentration import ConcentrationSensor, IdealConcentration
 from qrsim.models.sensors.imu import IdealImu, Imu
 from qrsim.models.sensors.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
+from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer
 from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
 from qrsim.models.vehicles.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
@@ -152,6 +153,8 @@ SENSORS: Catalogue = {
     "ideal_accelerometer": IdealAccelerometer,
     "imu": Imu,
     "ideal_imu": IdealImu,
+    "magnetometer": Magnetometer,
+    "ideal_magnetometer": IdealMagnetometer,
     "rangefinder": Rangefinder,
     "ideal_rangefinder": IdealRangefinder,
     "concentration": ConcentrationSensor,

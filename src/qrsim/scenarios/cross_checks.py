@@ -24,6 +24,7 @@ from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.fittings import fitting_problems
 from qrsim.scenarios.ground import below_ground, has_floor, standing_problems
 from qrsim.scenarios.hand_list import hand_lists
+from qrsim.scenarios.magnetism import magnetism_problems
 from qrsim.scenarios.missions import mission_problems
 from qrsim.scenarios.multirotor_checks import multirotor_problems
 from qrsim.scenarios.ranges import range_problems
@@ -58,6 +59,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
     return [
         *timing_problems(scenario),
         *fitting_problems(scenario),
+        *magnetism_problems(scenario),
         *_inheritance_problems(scenario),
         *_wind_problems(scenario),
         *air_problems(scenario),

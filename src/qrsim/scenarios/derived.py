@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
+from qrsim.models.sensors.earth_field import declination, inclination
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.multirotor.derived import derived
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.build import component
+from qrsim.scenarios.magnetism import TYPES as MAGNETOMETERS
 from qrsim.scenarios.scenario import Scenario
 from qrsim.scenarios.wind_limits import limits_of
 
@@ -30,4 +33,16 @@ def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
         if name in found and (limits := limits_of(fleet, scenario.spec)) is not None:
             held = [each.airspeed.min() for each in (limits.own, limits.lets) if each is not None]
             found[name]["wind_held_m_s"] = float(min(held))
+        if any(sensor.type in MAGNETOMETERS for sensor in fleet.sensors.values()):
+            found.setdefault(name, {}).update(_earth_field(scenario))
     return found
+
+
+def _earth_field(scenario: Scenario) -> dict[str, float]:
+    """Return what a compass at the site has to do with."""
+    field = scenario.earth_field_ned
+    return {
+        "earth_field_uT": float(np.linalg.norm(field)),
+        "declination_deg": math.degrees(declination(field)),
+        "inclination_deg": math.degrees(inclination(field)),
+    }

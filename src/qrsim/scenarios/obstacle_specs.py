@@ -14,6 +14,21 @@ from qrsim.scenarios.legs import Corner
 MOST_OBSTACLES, MOST_CORNERS, MOST_HOLES = 10_000, 1000, 100
 
 
+# What an obstacle of any kind may say besides its shape.
+STEEL: dict[str, Any] = {
+    "steel_radius": (
+        Finite,
+        Field(
+            0.0,
+            description="radius of the solid steel sphere at its centre that turns a compass as it does [m]; 0: none",
+            ge=0,
+            le=100,
+            json_schema_extra={"unit": "m"},
+        ),
+    )
+}
+
+
 class _Prism(Strict):
     """Shows the corners as a PrismObstacle has them."""
 
@@ -52,7 +67,7 @@ def _prism_model() -> type[Strict]:
         "z_min": (Finite, Field(description="top, negative above ground", json_schema_extra={"unit": "m"})),
         "name": (str | None, Field(None, description="for messages", max_length=100)),
     }
-    return component_model("prism", PrismObstacle, arrays=parts, base=_Prism)
+    return component_model("prism", PrismObstacle, arrays=parts, base=_Prism, more=STEEL)
 
 
 # Made at run time, so a type checker cannot see into it.
@@ -62,7 +77,10 @@ PrismModel: Any = _prism_model()
 def obstacle_slot(choices: Mapping[str, type]) -> Any:
     """Return the annotation of an obstacle of any kind."""
     return choice_of(
-        [PrismModel if kind is PrismObstacle else component_model(name, kind) for name, kind in choices.items()]
+        [
+            PrismModel if kind is PrismObstacle else component_model(name, kind, more=STEEL)
+            for name, kind in choices.items()
+        ]
     )
 
 

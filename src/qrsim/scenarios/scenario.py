@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import ValidationError
 
 from qrsim.errors import ScenarioError, warn_user
 from qrsim.files.yaml_text import dump_yaml
+from qrsim.models.sensors.earth_field import earth_field_ned
 from qrsim.models.site import Site
 from qrsim.scenarios import build
 from qrsim.scenarios.buildings import with_buildings
@@ -72,6 +75,15 @@ class Scenario:
         """Origin of the local frame."""
         site = self.spec.site
         return Site.from_degrees(site.latitude_deg, site.longitude_deg, site.height)
+
+    @property
+    def earth_field_ned(self) -> npt.NDArray[np.float64]:
+        """Earth's magnetic field (3,) at the site and the start in NED [uT], which magnetometers measure.
+
+        Raises:
+            UsageError: the start is outside the years of the World Magnetic Model.
+        """
+        return earth_field_ned(self.site, self.spec.start_time)
 
     @property
     def outside(self) -> list[dict[str, str]]:

@@ -217,7 +217,7 @@ class Imu(Sensor):
         parts = self.subsamples
         dt = self.period / parts
         levels = measured() if self.vibration == "measured" else self.vibration_levels
-        thrust = _thrust(load, rates_body.x) if self._shakes else rates_body.x
+        thrust = load.per_weight(rates_body.x) if self._shakes else rates_body.x
         spreads = self._spreads(levels, thrust, dt)
         biases = self.bias(state)
         low_pass, phase, last = state.low_pass, state.phase, state.angle
@@ -329,9 +329,3 @@ def _sum(values: Six) -> Array:
     for value in values[1:]:
         total = total + value
     return total
-
-
-def _thrust(load: Load, like: Array) -> Array:
-    """Return the thrust (n,) per weight; 1 for a vehicle that knows none."""
-    ratio = jnp.broadcast_to(jnp.asarray(load.thrust / load.weight, like.dtype), like.shape)
-    return jnp.where(jnp.isfinite(ratio), ratio, 1.0)

@@ -36,6 +36,11 @@ class Load:
     weight: Array = quantity(unit="N", doc="weight, which is the thrust in hover")
     power: Array | None = quantity(default=None, unit="W", doc="electrical power; None where the model has none")
 
+    def per_weight(self, like: Array) -> Array:
+        """Return the thrust (n,) per weight; 1 for a vehicle that knows none. ``like`` is any array (n,)."""
+        ratio = jnp.broadcast_to(jnp.asarray(self.thrust / self.weight, like.dtype), like.shape)
+        return jnp.where(jnp.isfinite(ratio), ratio, 1.0)
+
 
 @record
 class Pose:

@@ -1,0 +1,47 @@
+"""Presets of the sensor ``magnetometer``: full sets of a chip's parameters (docs/sensors.md).
+
+A data sheet's noise is the rms of single samples; with the rate of the samples it is a density N = rms/sqrt(rate), as
+that of IEEE Std 952, by which a reading that is the mean of more samples has less of it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+DEFAULT = "rm3100"
+# Microtesla in a milligauss.
+_MILLIGAUSS = 0.1
+
+
+def _chip(
+    rms: float, rate: float, step: float, largest: float, scale: float, cross_axis: float, drift: float
+) -> dict[str, Any]:
+    """Return the parameters of a chip.
+
+    Args:
+        rms, rate: noise of a sample [uT], and samples a second [Hz].
+        step, largest: of a sample [uT].
+        scale, cross_axis: [1], [rad].
+        drift: slow error of each axis [uT].
+    """
+    return {
+        "noise": rms / math.sqrt(rate), "sample_rate": rate, "resolution": step, "range": largest, "scale": scale,
+        "misalignment": cross_axis, "drift_std": drift, "drift_time_constant": 600.0,
+    }  # fmt: skip
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    # Gain 1090 LSB/G in +-1.3 G, 2 mG.
+    "hmc5883l": _chip(2.0 * _MILLIGAUSS, 75.0, 1000.0 / 1090.0 * _MILLIGAUSS, 130.0, 0.02, 0.002, 0.2),
+    "ist8310": _chip(0.3, 100.0, 0.3, 1600.0, 0.02, 0.005, 0.3),
+    # 6842 LSB/G in +-4 G.
+    "lis3mdl": _chip(3.2 * _MILLIGAUSS, 80.0, 1000.0 / 6842.0 * _MILLIGAUSS, 400.0, 0.02, 0.005, 0.2),
+    # 200 cycles: 75 LSB/uT, 15 nT.
+    "rm3100": _chip(0.015, 147.0, 1.0 / 75.0, 800.0, 0.005, 0.002, 0.02),
+}
+
+
+def default(name: str) -> Any:
+    """Return a parameter's default, which is that of the default preset."""
+    return PRESETS[DEFAULT][name]
