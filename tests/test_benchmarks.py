@@ -35,6 +35,7 @@ NUMBERS = {
     "gnss": {"vehicles", "ns", "compile_seconds"},
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
     "peers": {"vehicles", "processes"},
+    "policies": {"worlds", "vehicles", "per_wall_second", "microseconds_a_call"},
     "sensors": {"worlds", "vehicles", "ns", "over_pair", "compile_seconds"},
     "serve": {"count", "median_us", "p95_us", "per_second"},
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},

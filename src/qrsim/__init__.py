@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from qrsim.models.vehicles.quadrotor import Command
     from qrsim.runs import Run, open_run
     from qrsim.runs.recorder import fly
-    from qrsim.scenarios.flying import rollout
+    from qrsim.scenarios.flying import Flight, play, rollout
     from qrsim.scenarios.making import make_scenario, make_world
     from qrsim.scenarios.registry import register
     from qrsim.scenarios.scenario import Scenario, load_scenario
@@ -50,6 +50,7 @@ _LAZY = {
     "Command": "qrsim.models.vehicles.quadrotor",
     "Estimate": "qrsim.control",
     "Euler": "qrsim.core.vectors",
+    "Flight": "qrsim.scenarios.flying",
     "PathSetpoint": "qrsim.control",
     "Rollout": "qrsim.simulation.rollout",
     "Run": "qrsim.runs",
@@ -70,6 +71,7 @@ _LAZY = {
     "open_run": "qrsim.runs",
     "own_multirotor": "qrsim.models.vehicles.multirotor.own",
     "parameter": "qrsim.core.tree",
+    "play": "qrsim.scenarios.flying",
     "quantity": "qrsim.core.tree",
     "record": "qrsim.core.tree",
     "register": "qrsim.scenarios.registry",
@@ -87,6 +89,7 @@ __all__ = [
     "Command",
     "Estimate",
     "Euler",
+    "Flight",
     "PathSetpoint",
     "Rollout",
     "Run",
@@ -109,6 +112,7 @@ __all__ = [
     "open_run",
     "own_multirotor",
     "parameter",
+    "play",
     "quantity",
     "record",
     "register",

@@ -214,7 +214,7 @@ class TestWhatIsWrong:
             (jax.jit(lambda reading, gain: None), "it is called with 1 argument"),
             (Broken(init=lambda: 0), r"Broken.init: it is called with 1 argument \(reading\)"),
             (Broken(step=lambda reading: None), r"Broken.step: it is called with 2 arguments \(reading, memory\)"),
-            (Steer, "expected a function of a reading, or an object with init and step, found <class"),
+            (Steer, r"Steer: a class with init and step; give an object of it, Steer\(...\)"),
             (3, "expected a function of a reading, .* found 3"),
             ("hover", "expected a function of a reading"),
         ],

@@ -179,5 +179,5 @@ class TestWhatIsWrong:
 
         with pytest.raises(RunError, match=r"policy .*Breaks: OSError: no file"):
             Pilot(simulation(world), Breaks())
-        with pytest.raises(UsageError, match="expected a function of a reading"):
+        with pytest.raises(UsageError, match="a class with init and step; give an object of it"):
             Pilot(simulation(world), Counting)

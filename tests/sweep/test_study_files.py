@@ -96,6 +96,19 @@ def test_a_policy_that_is_changed_makes_another_study(study: Callable[..., Path]
     assert len(digests) == 2
 
 
+def test_policies_of_teams_are_told_apart_by_their_files(study: Callable[..., Path], tmp_path: Path) -> None:
+    one, other = tmp_path / "one.py", tmp_path / "other.py"
+    one.write_text("def fly(reading):\n    return None\n")
+    digests = set()
+    for answer in ("None", "{}"):
+        other.write_text(f"def fly(reading):\n    return {answer}\n")
+        found = load_study(str(study(policy={"pelicans": "one.py:fly", "pelicans_0": "other.py:fly"})))
+        assert found.spec.policy == f"pelicans={one}:fly,pelicans_0={other}:fly"
+        digests.add(found.digest)
+    assert len(digests) == 2
+    assert "has no 'fli'" in complaint(study(policy={"pelicans": "one.py:fli"}))
+
+
 def test_the_command_line_makes_a_study_small(study: Callable[..., Path]) -> None:
     small = load_study(str(study()), {"seeds": 2}, ["duration=0.5"], 2)
     assert small.spec.seeds == 2

@@ -200,11 +200,12 @@ def test_a_baseline_flies_what_qrsim_run_flies(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_policy_of_the_users_own_flies(tmp_path: Path) -> None:
+@pytest.mark.parametrize("policy", ["mine.py:climb", {"pelicans": "mine.py:climb"}])
+def test_a_policy_of_the_users_own_flies(tmp_path: Path, policy: Any) -> None:
     (tmp_path / "mine.py").write_text(
         "import qrsim\n\ndef climb(reading):\n    return qrsim.WaypointSetpoint.of([[0.0, 0.0, -12.0]])\n"
     )
-    changes = {"policy": "mine.py:climb", "policy_ticks": 25, "vary": {MASS: {"values": [1.5, 1.6]}}, "seeds": 1}
+    changes = {"policy": policy, "policy_ticks": 25, "vary": {MASS: {"values": [1.5, 1.6]}}, "seeds": 1}
     data = opened(flown(tmp_path, metrics=["end_error_m", "distance_m"], **changes))
     assert (data["end_error_m"].values > 0.05).all()
 

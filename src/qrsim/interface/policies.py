@@ -7,7 +7,12 @@ A policy is one of
 - the same function under ``jax.jit``. It is compiled into the loop, for thousands of worlds at once;
 - an object with ``init(reading)``, which returns its memory, and ``step(reading, memory)``, which returns the command
   and the new memory (any tree of arrays). It is compiled into the loop, its attributes as constants: a rollout looks at
-  them when it begins, and compiles anew where one has changed.
+  them when it begins, and compiles anew where one has changed. With an attribute ``compiled = False`` it is called
+  between two ticks with NumPy arrays, and its memory may be anything;
+- a class: each world has an object of its own, made without arguments, which is called as ``object(reading)`` between
+  two ticks and may keep in itself what it likes;
+- a dict of these by the names of fleets or vehicles: each sees the readings of its own, and commands these. Who is in
+  none flies by its own guidance. All are compiled into the loop if each of them can be.
 
 An estimator is the same with a ``qrsim.Estimate`` in place of the command; where that is NaN, a controller believes
 what it did before, as with sensors that have nothing to say. Both see readings only, never the truth.
@@ -16,7 +21,7 @@ what it did before, as with sensors that have nothing to say. Both see readings 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
@@ -24,7 +29,7 @@ from typing import Any, Protocol, cast
 import jax
 
 from qrsim.core.sameness import Itself, sameness
-from qrsim.errors import QrsimError, RunError, UsageError
+from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
 from qrsim.files.code import load_object
 
 
@@ -107,14 +112,24 @@ def user_function(what: str, given: object) -> UserFunction | None:
     """
     if given is None or isinstance(given, UserFunction):
         return given
+    if isinstance(given, Mapping):
+        return _of_teams(what, given)
     name: str = getattr(given, "__qualname__", None) or type(given).__qualname__
-    if not inspect.isclass(given) and hasattr(given, "init") and hasattr(given, "step"):
+    if inspect.isclass(given):
+        return _of_class(what, name, given)
+    if hasattr(given, "init") and hasattr(given, "step"):
         own = cast(WithMemory, given)
         _check_arguments(what, f"{name}.init", own.init, ["reading"])
         _check_arguments(what, f"{name}.step", own.step, ["reading", "memory"])
-        return UserFunction(what, name, sameness(given), True, own.init, own.step, given)
-    if not callable(given) or inspect.isclass(given):
-        raise UsageError(f"{what}: expected a function of a reading, or an object with init and step, found {given!r}")
+        compiled = bool(getattr(given, "compiled", True))
+        return UserFunction(
+            what, name, sameness(given) if compiled else Itself(given), compiled, own.init, own.step, given
+        )
+    if not callable(given):
+        raise UsageError(
+            f"{what}: expected a function of a reading, an object with init and step, a class, or a dict of these by "
+            f"fleet, found {given!r}"
+        )
     # Compiled into the loop, the user's own function is what is traced.
     compiled = isinstance(given, jax.stages.Wrapped)
     plain: Callable[[object], object] = cast(Compiled, given).__wrapped__ if compiled else given
@@ -124,6 +139,69 @@ def user_function(what: str, given: object) -> UserFunction | None:
         return plain(reading), memory
 
     return UserFunction(what, name, Itself(given), compiled, lambda reading: None, step, given)
+
+
+def _of_class(what: str, name: str, given: type) -> UserFunction:
+    """Wrap a class of which each world has an object."""
+    if hasattr(given, "init") and hasattr(given, "step"):
+        raise UsageError(f"{what} {name}: a class with init and step; give an object of it, {name}(...)")
+    if "__call__" not in vars(given) and not any("__call__" in vars(base) for base in given.__mro__[1:-1]):
+        raise UsageError(f"{what} {name}: objects of this class cannot be called; give it __call__(self, reading)")
+    _check_arguments(what, name, given, [])
+    _check_arguments(what, f"{name}.__call__", given.__call__, ["self", "reading"])
+
+    def step(reading: object, memory: object) -> tuple[object, object]:
+        return cast(Callable[[object], object], memory)(reading), memory
+
+    return UserFunction(what, name, Itself(given), False, lambda reading: given(), step, given)
+
+
+def _of_teams(what: str, given: Mapping[Any, object]) -> UserFunction:
+    """Wrap a policy for each of some fleets or vehicles, by name."""
+    if what != "policy":
+        raise UsageError(f"{what}: a dict by fleet is for policies alone; an {what} speaks for all vehicles")
+    members = {name: user_function(what, each) for name, each in given.items()}
+    own = {str(name): member for name, member in members.items() if member is not None}
+    if not own:
+        raise UsageError(f"{what}: the dict names no policy for any fleet or vehicle")
+
+    def init(reading: Any) -> object:
+        for name in own:
+            if name not in reading.names:
+                raise UsageError(f"no fleet and no vehicle is called '{name}'{did_you_mean(name, reading.names)}")
+        return {name: _blamed(name, member.init, reading.of(name)) for name, member in own.items()}
+
+    def step(reading: Any, memory: Any) -> tuple[object, object]:
+        asked: dict[str, object] = {}
+        after = {}
+        for name, member in own.items():
+            theirs, after[name] = _blamed(name, member, reading.of(name), memory[name])
+            _take(asked, name, theirs, reading.of(name).names)
+        return asked, after
+
+    title = ", ".join(f"{name}: {member.name}" for name, member in own.items())
+    identity = tuple((name, member.identity) for name, member in own.items())
+    compiled = all(member.compiled for member in own.values())
+    return UserFunction(what, f"{{{title}}}", identity, compiled, init, step, dict(given))
+
+
+def _blamed(team: str, function: Callable[..., Any], *given: object) -> Any:
+    """Call one of several policies; its errors say whose they are."""
+    try:
+        return function(*given)
+    except UsageError as error:
+        raise UsageError(f"of '{team}': {error}") from None
+
+
+def _take(asked: dict[str, object], team: str, theirs: object, names: Sequence[str]) -> None:
+    """Add what a policy asks of a fleet or vehicle, or of single vehicles of its fleet, to what all ask."""
+    each = theirs if isinstance(theirs, Mapping) else {team: theirs}
+    for name, command in each.items():
+        if name not in names:
+            raise UsageError(f"of '{team}': it commands '{name}', which is not its own{did_you_mean(str(name), names)}")
+        if name in asked:
+            raise UsageError(f"of '{team}': '{name}' is commanded by another policy too")
+        asked[name] = command
 
 
 def _check_arguments(what: str, name: str, function: Callable[..., object], arguments: list[str]) -> None:
@@ -138,10 +216,23 @@ def _check_arguments(what: str, name: str, function: Callable[..., object], argu
         raise UsageError(f"{what} {name}: it is called with {expected}, but takes {signature}") from None
 
 
+def sources_by_team(source: str) -> dict[str, str] | None:
+    """Return the source of each team of ``TEAM=SOURCE,TEAM=SOURCE``; None where it is one source for all."""
+    pairs = [part.partition("=") for part in source.split(",")]
+    if not all(equals and name.strip() and ":" not in name for name, equals, _ in pairs):
+        return None
+    return {name.strip(): each.strip() for name, _, each in pairs}
+
+
 def load_function(what: str, source: str, words: Sequence[str] = ()) -> object:
     """Load the function ``module:name`` or ``file.py:name``, see ``qrsim.files.code``.
+
+    ``scouts=file.py:one,cats=file.py:other`` is a dict of these, a policy for each fleet or vehicle.
 
     Raises:
         UsageError: no such module, file or name in it, or it fails while it is imported.
     """
-    return load_object(what, source, words)
+    teams = sources_by_team(source)
+    if teams is None:
+        return load_object(what, source, words)
+    return {name: load_object(what, each) for name, each in teams.items()}

@@ -23,10 +23,8 @@ from qrsim.models.sensors.camera import CameraReading, Picture
 from qrsim.models.sensors.contracts import Explained, Sensor
 from qrsim.models.sensors.fitting import Transit
 from qrsim.models.site import Site
-from qrsim.models.vehicles.contracts import Vehicle, VehicleState, velocity_of
 from qrsim.world.episode import picture
-from qrsim.world.standing import on_ground
-from qrsim.world.state import Fleet, FleetState, State, World, position_of
+from qrsim.world.state import Fleet, FleetState, State, World
 
 
 class SensorReading:
@@ -51,8 +49,9 @@ class SensorReading:
         picture: Callable[[], Picture] | None = None,
         taken: Callable[[], float | Array] | None = None,
         arrived: Callable[[], bool | Array] | None = None,
+        rows: slice = slice(None),
     ):
-        self._taken, self._arrived = taken, arrived
+        self._taken, self._arrived, self._rows = taken, arrived, rows
         self._name = name
         self._reading = reading
         self._site = site
@@ -91,7 +90,7 @@ class SensorReading:
             raise UsageError(f"{self._name}: the time of its readings is not available here")
         leaf = jax.tree.leaves(self._reading)[0]
         library: Any = library_of(leaf)
-        return cast(Floats, library.broadcast_to(told(), leaf.shape))
+        return cast(Floats, library.broadcast_to(told(), leaf.shape)[self._rows])
 
     @property
     def reasons(self) -> list[str]:
@@ -102,7 +101,7 @@ class SensorReading:
         return [
             "" if whole else why or self._own_reason(i)
             for i, (whole, why) in enumerate(zip(complete, withheld, strict=True))
-        ]
+        ][self._rows]
 
     def _own_reason(self, vehicle: int) -> str:
         """Return why the sensor itself has nothing to say about a vehicle."""
@@ -133,8 +132,10 @@ class SensorReading:
         if field in vars(self._reading):
             value = getattr(self._reading, field)
             # What a receiver has nothing to say about, as the age of corrections that it does not take.
-            return as_array(jax.tree.leaves(self._reading)[0] * 0.0 + 0.0 if value is None else value)
-        return self._derived(field)
+            found = as_array(jax.tree.leaves(self._reading)[0] * 0.0 + 0.0 if value is None else value)
+        else:
+            found = self._derived(field)
+        return found[self._rows]
 
     def _derived(self, field: str) -> Floats:
         if field == "quaternion":
@@ -173,9 +174,9 @@ class FleetReading:
 
     def __init__(
         self, fleet: Fleet, state: FleetState, sky: Callable[[], SkyState], tick: int, site: Site,
-        picture: Callable[[str], Picture] | None = None, time_step: float = 0.0,
+        picture: Callable[[str], Picture] | None = None, time_step: float = 0.0, rows: slice = slice(None),
     ):  # fmt: skip
-        self._picture, self._time_step = picture, time_step
+        self._picture, self._time_step, self._rows = picture, time_step, rows
         self._fleet, self._state, self._sky, self._tick, self._site = fleet, state, sky, tick, site
 
     @property
@@ -192,7 +193,7 @@ class FleetReading:
         taken = partial(self._taken, sensor) if self._time_step else None
         withheld = partial(self._withheld, sensor)
         arrived = partial(self._arrived, sensor) if self._time_step else None
-        return SensorReading(sensor, self._reading(sensor), self._site, withheld, picture, taken, arrived)
+        return SensorReading(sensor, self._reading(sensor), self._site, withheld, picture, taken, arrived, self._rows)
 
     def _taken(self, sensor: str) -> float | Array:
         """Return the time [s] at which what a sensor reports was true."""
@@ -261,9 +262,9 @@ class Reading:
         time: simulated time [s].
     """
 
-    def __init__(self, world: World, state: State, tick: int, site: Site):
+    def __init__(self, world: World, state: State, tick: int, site: Site, only: str | None = None):
         self.time = _seconds(tick, world.time_step)
-        self._world, self._state, self._tick, self._site = world, state, tick, site
+        self._world, self._state, self._tick, self._site, self._only = world, state, tick, site, only
 
     @property
     def state(self) -> State:
@@ -283,17 +284,49 @@ class Reading:
             fleet.name: FleetReading(
                 fleet, state.fleets[i], partial(getattr, state, "sky"), self._tick, self._site,
                 partial(_picture, self._world, self._whole, i) if pictured else None, self._world.time_step,
+                self._rows(fleet),
             )
             for i, fleet in enumerate(self._world.fleets)
+            if fleet.name in self.fleets
         }  # fmt: skip
+
+    def _rows(self, fleet: Fleet) -> slice:
+        """Return which vehicles of a fleet it is about."""
+        if self._only is None or self._only == fleet.name:
+            return slice(None)
+        row = fleet.vehicle_names.index(self._only)
+        return slice(row, row + 1)
 
     @property
     def fleets(self) -> tuple[str, ...]:
         """Names of the fleets."""
-        return tuple(fleet.name for fleet in self._world.fleets)
+        every = tuple(fleet.name for fleet in self._world.fleets)
+        if self._only is None or self._only in every:
+            return every if self._only is None else (self._only,)
+        return tuple(fleet.name for fleet in self._world.fleets if self._only in fleet.vehicle_names)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all that it is about: of the fleets, and of their vehicles."""
+        if self._only is not None and self._only not in self.fleets:
+            return (self._only,)
+        own = [fleet for fleet in self._world.fleets if fleet.name in self.fleets]
+        return (*self.fleets, *(name for fleet in own for name in fleet.vehicle_names))
+
+    def of(self, name: str) -> Reading:
+        """Return the readings of one fleet or of one vehicle alone, whose arrays are then (1, ...).
+
+        Raises:
+            UsageError: none is called so.
+        """
+        if name not in self.names:
+            raise UsageError(f"no fleet and no vehicle is called '{name}'{did_you_mean(str(name), self.names)}")
+        return Reading(self._world, self._state, self._tick, self._site, name)
 
     def __getitem__(self, fleet: str) -> FleetReading:
         if fleet not in self.fleets:
+            if any(fleet == other.name for other in self._world.fleets):
+                raise UsageError(f"the readings of '{fleet}' are not among those of '{self._only}'")
             raise UsageError(f"no fleet is called '{fleet}'{did_you_mean(str(fleet), self.fleets)}")
         return self._fleets[fleet]
 
@@ -335,95 +368,3 @@ def _on_host(value: Any) -> Any:
 def _seconds(tick: int | Array, time_step: float) -> float:
     """Return the time [s] of a tick; in a program that is being compiled in the precision of its numbers."""
     return cast(float, tick.astype(float) * time_step) if isinstance(tick, Array) else tick * time_step
-
-
-class Truth:
-    """The true state of all n vehicles, fleets one after the other."""
-
-    def __init__(self, world: World, state: State):
-        self._world, self._state = world, state
-
-    def _gather(self, pick: Callable[[FleetState], object]) -> Floats:
-        fleets = self._state.fleets
-        return np.concatenate([as_array(pick(fleets[number])) for number in range(len(fleets))])
-
-    def _of_vehicles(self, pick: Callable[[Vehicle, VehicleState], object]) -> Floats:
-        """Return something of the states of all vehicles, by their models."""
-        fleets = self._state.fleets
-        models = [fleet.vehicle for fleet in self._world.fleets]
-        return np.concatenate([as_array(pick(model, fleets[i].vehicle)) for i, model in enumerate(models)])
-
-    @property
-    def position_ned(self) -> Floats:
-        """(n, 3) position [m], in double precision."""
-        return self._gather(position_of)
-
-    @property
-    def attitude(self) -> Floats:
-        """(n, 3) roll, pitch, yaw [rad]."""
-        return self._of_vehicles(lambda model, state: model.pose(state).attitude)
-
-    @property
-    def velocity_body(self) -> Floats:
-        """(n, 3) velocity over ground in body axes [m/s]."""
-        return self._of_vehicles(lambda model, state: model.pose(state).velocity_body)
-
-    @property
-    def velocity_ned(self) -> Floats:
-        """(n, 3) velocity over ground [m/s]."""
-        # JAX would silently compute in single precision otherwise.
-        with jax.enable_x64(True):
-            return np.asarray(self._of_vehicles(lambda model, state: velocity_of(model.pose(state))))
-
-    @property
-    def rates_body(self) -> Floats:
-        """(n, 3) body rates [rad/s]."""
-        return self._of_vehicles(lambda model, state: model.pose(state).rates_body)
-
-    @property
-    def thrust(self) -> Floats:
-        """(n,) collective thrust [N], NaN where a vehicle has none."""
-
-        def thrust(model: Vehicle, state: VehicleState) -> Floats:
-            # A load may be one number for all.
-            return np.broadcast_to(model.load(state).thrust, np.shape(state.position_ned.x))
-
-        return self._of_vehicles(thrust)
-
-    @property
-    def on_ground(self) -> Floats:
-        """(n,) bool: stands on the ground; False where touching it ends a flight."""
-        found = [on_ground(fleet, self._state.fleets[i]) for i, fleet in enumerate(self._world.fleets)]
-        sizes = [fleet.size for fleet in self._world.fleets]
-        return np.concatenate([np.zeros(n, bool) if now is None else now for n, now in zip(sizes, found, strict=True)])
-
-    @property
-    def specific_force(self) -> Floats:
-        """(n, 3) mean specific force of the last step in body axes [m/s^2]."""
-        return self._gather(lambda fleet: fleet.specific_force)
-
-    @property
-    def wind_ned(self) -> Floats:
-        """(n, 3) air velocity at the vehicle during the last step [m/s], gusts included."""
-        return self._gather(lambda fleet: fleet.mean_wind_ned + fleet.gust_ned)
-
-    @property
-    def command(self) -> Floats:
-        """(n, C) the last command as flown, the fields of each fleet's own; those of the quadrotor are pitch, roll,
-        throttle, yaw rate, battery. NaN where another fleet has more fields.
-        """
-        commands = [self._state.fleets[number].command for number in range(len(self._world.fleets))]
-        sizes = [fleet.size for fleet in self._world.fleets]
-        rows = [
-            np.stack(list(vars(command).values()), axis=-1) if vars(command) else np.zeros((size, 0))
-            for command, size in zip(commands, sizes, strict=True)
-        ]
-        widest = max(row.shape[1] for row in rows)
-        wide = [np.pad(row, ((0, 0), (0, widest - row.shape[1])), constant_values=np.nan) for row in rows]
-        return np.concatenate(wide)
-
-    @property
-    def state(self) -> Floats:
-        """(n, 13) position, Euler angles, body velocity, body rates, thrust, in double precision."""
-        parts = (self.position_ned, self.attitude, self.velocity_body, self.rates_body, self.thrust[:, None])
-        return np.concatenate(parts, axis=1)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from qrsim.errors import UsageError
 from qrsim.models.site import Site
@@ -14,6 +17,9 @@ from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.simulation import rollout as rollouts
 from qrsim.simulation.rollout import Rollout
 from qrsim.world.state import State, World
+
+if TYPE_CHECKING:
+    from qrsim.simulation.simulation import Simulation
 
 Source = World | Scenario | str | Path | dict[str, Any]
 
@@ -92,6 +98,96 @@ def rollout(
         record=record, record_every=record_every, sink=sink, progress=progress,
         site=site or (first.site if first else None),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flight of a world.
+
+    Attributes:
+        simulation: at the end of the flight, with ``truth``, ``valid`` and ``reasons``.
+        ticks: (R,) recorded ticks, the start included.
+        time: (R,) their times [s].
+        position_ned: (R, n, 3) true positions [m] of all vehicles.
+        velocity_ned: (R, n, 3) true velocities over ground [m/s].
+    """
+
+    simulation: Simulation
+    ticks: Any
+    time: Any
+    position_ned: Any
+    velocity_ned: Any
+
+    @property
+    def vehicles(self) -> tuple[str, ...]:
+        """Names of the n vehicles."""
+        return self.simulation.vehicle_names
+
+
+def play(
+    world: Source,
+    policies: Mapping[str, Any],
+    *,
+    ticks: int | None = None,
+    seed: int = 0,
+    policy_ticks: int = 1,
+    record_every: int = 1,
+    precision: str = "float32",
+    overrides: Iterable[str] = (),
+) -> Flight:
+    """Fly a world once with a policy for each team, tick by tick.
+
+    >>> import numpy as np
+    >>> import qrsim
+    >>> def climb(reading):
+    ...     return qrsim.WaypointSetpoint.of(np.array([[0.0, 0.0, -30.0]]), 0.0)
+    >>> qrsim.play("hover", {"pelicans": climb}, ticks=50).position_ned.shape
+    (51, 1, 3)
+
+    The same dict is a policy of ``rollout``, which flies many worlds.
+
+    Args:
+        world: a scenario by its name, file, or content, a Scenario, or a World.
+        policies: by the names of fleets or of single vehicles, see ``qrsim.interface.policies``. Each sees the readings
+            of its own vehicles and commands these; who is in none flies by its own guidance.
+        ticks: how many steps; None: the duration of the scenario.
+        seed, precision, overrides: as in ``rollout``.
+        policy_ticks: the policies are asked at every so-many-th tick.
+        record_every: ticks between two records.
+
+    Raises:
+        UsageError: no such scenario, fleet or vehicle, wrong numbers, or a policy of the wrong kind, shape or value.
+        RunError: a policy failed.
+    """
+    from qrsim.simulation.arguments import check_precision
+    from qrsim.simulation.pilot import Pilot
+    from qrsim.simulation.simulation import Simulation
+
+    if not isinstance(policies, Mapping):
+        raise UsageError(f"policies: expected a dict with one for each team, found {policies!r}")
+    check_precision(precision)
+    scenario = _scenario(world, checked_overrides(overrides))
+    if ticks is None:
+        if scenario is None:
+            raise UsageError("ticks: how many is not said, and a World has no duration as a scenario has")
+        ticks = scenario.ticks
+    for what, value in {"ticks": ticks, "record_every": record_every}.items():
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise UsageError(f"{what}: {value!r} is not a positive whole number")
+    built: Any = world if scenario is None else scenario.world(precision)
+    named: dict[str, Any] = {} if scenario is None else {"name": scenario.name, "site": scenario.site}
+    simulation = Simulation(built, seed=seed, **named)
+    simulation.reset()
+    pilot = Pilot(simulation, policies, None, policy_ticks)
+    rows = [(0, simulation.truth.position_ned, simulation.truth.velocity_ned)]
+    while simulation.tick < ticks:
+        until = min(ticks, (simulation.tick // record_every + 1) * record_every)
+        while simulation.tick < until:
+            pilot.advance(until - simulation.tick)
+        truth = simulation.truth
+        rows.append((simulation.tick, truth.position_ned, truth.velocity_ned))
+    counted, positions, velocities = (np.stack(column) for column in zip(*rows, strict=True))
+    return Flight(simulation, counted, counted * built.time_step, positions, velocities)
 
 
 def _scenario(source: Any, overrides: Iterable[str]) -> Scenario | None:

@@ -131,7 +131,7 @@ class Engine:
 
 
 class LockStep:
-    """Calls the user's functions without memory between ticks, world by world."""
+    """Calls the user's functions that are not compiled between ticks, world by world, each with its own memory."""
 
     def __init__(self, engine: Engine, rows: Array):
         self.engine, self.rows = engine, rows
@@ -142,6 +142,15 @@ class LockStep:
         )
         self.asked_every = 1 if self.estimator else setup.policy_ticks if self.policy else 0
         self.actions: list[Any] = []
+        self._memories: dict[tuple[str, int], Any] = {}
+
+    def _asked(self, function: UserFunction, reading: Reading, world: int) -> Any:
+        """Return what a function answers in a world, and keep its memory."""
+        which = (function.what, world)
+        if which not in self._memories:
+            self._memories[which] = function.init(reading)
+        answer, self._memories[which] = function(reading, self._memories[which])
+        return answer
 
     def _readings(self, flight: Flight, tick: int) -> list[tuple[Reading, Array]]:
         """Return the reading of each world, and which of its vehicles (n,) fly."""
@@ -175,11 +184,11 @@ class LockStep:
             where = f", at tick {tick} of world {self.rows[world]}"
             if self.policy is not None and asks:
                 with self.policy.blamed(where):
-                    command, _ = self.policy(reading, None)
+                    command = self._asked(self.policy, reading, world)
                     self.actions.append(self.engine.checker.actions(command, partial(np.asarray, flying)))
             if self.estimator is not None:
                 with self.estimator.blamed(where):
-                    estimate, _ = self.estimator(reading, None)
+                    estimate = self._asked(self.estimator, reading, world)
                     estimates.append(self.engine.checker.estimates(estimate))
         return self._stack(self.policy, self.actions, count), self._stack(self.estimator, estimates, count)
 

@@ -65,13 +65,23 @@ class Pilot:
             UsageError: what the user's function returned cannot be flown.
             RunError: it failed.
         """
+        count, estimate = self._asked(ticks)
+        return self.simulation.record(count, self.command, capacity, estimate)
+
+    def advance(self, ticks: int) -> None:
+        """Fly as ``record`` does, and return nothing."""
+        count, estimate = self._asked(ticks)
+        self.simulation.advance(self.command, count, estimate)
+
+    def _asked(self, ticks: int) -> tuple[int, Any]:
+        """Ask whom it is the time of; return for how many ticks, of so many, and the estimate."""
         simulation, estimate = self.simulation, None
         if self.policy is not None and simulation.tick % self.policy_ticks == 0:
             self.command = self._ask(self.policy)
         if self.estimator is not None:
             estimate = self._ask(self.estimator)
         period = 1 if self.estimator else self.policy_ticks
-        return simulation.record(min(ticks, period - simulation.tick % period), self.command, capacity, estimate)
+        return min(ticks, period - simulation.tick % period), estimate
 
     def _ask(self, function: UserFunction) -> Any:
         simulation, memory = self.simulation, self.memories[function.what]
@@ -81,7 +91,7 @@ class Pilot:
                 answer = self._compiled[function.what](simulation.state, np.int32(simulation.tick), memory)
                 result, self.memories[function.what] = jax.tree.map(np.asarray, answer)
             else:
-                result, _ = function(simulation.reading, memory)
+                result, self.memories[function.what] = function(simulation.reading, memory)
             # Checked here, where it is known whose it is.
             if function is self.policy:
                 self._checker.actions(result, lambda: simulation.valid)

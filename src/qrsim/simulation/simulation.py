@@ -16,7 +16,8 @@ from qrsim.engine.layout import Buffers, LazyTree, Packer
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
-from qrsim.interface.readings import Reading, Truth
+from qrsim.interface.readings import Reading
+from qrsim.interface.truth import Truth
 from qrsim.models.scene.area import reason_text
 from qrsim.models.site import Site
 from qrsim.simulation.alone import Alone, alone

@@ -10,14 +10,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.files.user_files import read_text
 from qrsim.files.yaml_text import parse_yaml
-from qrsim.interface.policies import load_function
+from qrsim.interface.policies import load_function, sources_by_team
 from qrsim.scenarios.component_schema import Finite
 from qrsim.scenarios.problems import describe
 from qrsim.scenarios.providing import anchor_code
@@ -106,6 +106,13 @@ class FailureSpec(Part):
         return self
 
 
+def _in_one_line(policy: Any) -> Any:
+    """Return the policies of several teams as the command line has them."""
+    if isinstance(policy, dict) and all(isinstance(part, str) for pair in policy.items() for part in pair):
+        return ",".join(f"{team}={source}" for team, source in policy.items())
+    return policy
+
+
 class StudySpec(Part):
     """A study: a scenario, a policy, the varied parameters, and the metrics to keep."""
 
@@ -113,7 +120,10 @@ class StudySpec(Part):
     description: str = Field("", description="one or two sentences")
     scenario: str | dict[str, Any] = Field(description="a built-in name, a .yaml file, or the content of one")
     set: dict[str, Any] = Field({}, description="values of the scenario that are changed at all points, by path")
-    policy: str | None = Field(None, description="MODULE:NAME or FILE.py:NAME, or 'baseline', that of the task")
+    policy: Annotated[str | None, BeforeValidator(_in_one_line, str | dict[str, str] | None)] = Field(
+        None,
+        description="MODULE:NAME or FILE.py:NAME, one for each fleet or vehicle by name, or 'baseline', the task's",
+    )
     estimator: str | None = Field(None, description="MODULE:NAME or FILE.py:NAME, in place of the sensors")
     policy_ticks: int = Field(1, description="the policy is asked at every so-many-th tick", ge=1)
     vary: dict[str, VarySpec] = Field(description="parameters by path", min_length=1)
@@ -327,10 +337,19 @@ def _code(what: str, name: str, folder: Path) -> tuple[str, str]:
     """Return a function's name that holds from any folder, and a digest of the file that it is in."""
     if what == "policy" and name == BASELINE:
         return name, ""
+    teams = sources_by_team(name) if what == "policy" else None
+    if teams is None:
+        name = _from_anywhere(name, folder)
+    else:
+        name = ",".join(f"{team}={_from_anywhere(source, folder)}" for team, source in teams.items())
+    return name, digest_of(what, name)
+
+
+def _from_anywhere(name: str, folder: Path) -> str:
     place, _, function = name.rpartition(":")
     if place.endswith(".py"):
-        name = f"{(folder / Path(place).expanduser()).absolute()}:{function}"
-    return name, digest_of(what, name)
+        return f"{(folder / Path(place).expanduser()).absolute()}:{function}"
+    return name
 
 
 def digest_of(what: str, name: str) -> str:
@@ -339,6 +358,9 @@ def digest_of(what: str, name: str) -> str:
     Raises:
         UsageError: there is no such function.
     """
+    teams = sources_by_team(name) if what == "policy" else None
+    if teams is not None:
+        return ",".join(digest_of(what, source) for source in teams.values())
     found: Any = made("metric", name) if what == OWN else load_function(what, name)
     place = name.rpartition(":")[0]
     if not place.endswith(".py"):
