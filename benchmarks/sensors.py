@@ -24,6 +24,8 @@ KINDS: dict[str, dict[str, dict[str, Any]]] = {
 # Beside the pair.
 BESIDE: dict[str, dict[str, Any]] = {
     "rangefinder": {"type": "rangefinder"},
+    "scan": {"type": "scan"},
+    "scan of 360 rays": {"type": "scan", "preset": "rplidar_a1"},
 }
 KINDS |= {f"+ {name}": {**PAIR, "beside": sensor} for name, sensor in BESIDE.items()}
 PLACES = ((512, 8), (1, 1000))

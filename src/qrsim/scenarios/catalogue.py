@@ -53,6 +53,7 @@ from qrsim.models.sensors.imu import IdealImu, Imu
 from qrsim.models.sensors.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
 from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer
 from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
+from qrsim.models.sensors.scan import IdealScan, Scan
 from qrsim.models.vehicles.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
 from qrsim.models.vehicles.fixed_point import FixedPoint
@@ -157,6 +158,8 @@ SENSORS: Catalogue = {
     "ideal_magnetometer": IdealMagnetometer,
     "rangefinder": Rangefinder,
     "ideal_rangefinder": IdealRangefinder,
+    "scan": Scan,
+    "ideal_scan": IdealScan,
     "concentration": ConcentrationSensor,
     "ideal_concentration": IdealConcentration,
     "camera": Camera,

@@ -6,6 +6,7 @@ range at which each holds.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 # Of the TFmini: 4 cm at 0.3 to 6 m and 6 cm at 6 to 12 m.
@@ -26,7 +27,24 @@ RANGEFINDERS: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 
+SCANS: dict[str, dict[str, Any]] = {
+    "generic": {
+        "rays": 36, "field_of_view_rad": 2.0 * math.pi, "sees_vehicles": False, "noise_std": 0.03,
+        "noise_per_range": 0.0, "range_min": 0.1, "range_max": 40.0, "dropouts": 0.01, "period": 0.1,
+    },
+    # 5.5 scans a second.
+    "rplidar_a1": {
+        "rays": 360, "field_of_view_rad": 2.0 * math.pi, "sees_vehicles": False, "noise_std": 0.0,
+        "noise_per_range": 0.01, "range_min": 0.15, "range_max": 12.0, "dropouts": 0.01, "period": 0.18,
+    },
+}  # fmt: skip
+
 
 def default_rangefinder(name: str) -> Any:
     """Return a parameter's default, which is that of the default preset."""
     return RANGEFINDERS["generic"][name]
+
+
+def default_scan(name: str) -> Any:
+    """Return a parameter's default of a scan, which is that of the default preset."""
+    return SCANS["generic"][name]

@@ -1,0 +1,191 @@
+"""The sensor ``scan``: a planar lidar, rays in the plane of the body's x and y axes (docs/models/perception.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar, Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from qrsim.core.noise import Draw
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.models.scene.contracts import Ground
+from qrsim.models.scene.obstacles import Obstacles
+from qrsim.models.scene.rays import first_hit
+from qrsim.models.scene.traffic import Traffic
+from qrsim.models.sensors.contracts import Explained, Sensor
+from qrsim.models.sensors.rangefinder_presets import SCANS, default_scan
+from qrsim.models.sensors.uniforms import along_rows, uniforms
+
+# How far [m] an ideal one sees.
+FARTHEST = 100.0
+MOST_RAYS = 720
+
+
+def _number(name: str, unit: str, doc: str, **bounds: float) -> Any:
+    return parameter(default=default_scan(name), unit=unit, doc=doc, **bounds)  # type: ignore[arg-type]
+
+
+def _rays(default: int) -> Any:
+    return setting(default=default, unit="1", doc="rays of a scan", minimum=1, maximum=MOST_RAYS)
+
+
+def _field_of_view(default: float) -> Any:
+    return setting(
+        default=default, unit="rad", doc="angle about forward that the rays divide evenly", above=0.0,
+        maximum=2.0 * math.pi,
+    )  # fmt: skip
+
+
+def _sees_vehicles(default: bool) -> Any:
+    return setting(default=default, doc="whether other vehicles are seen, as spheres of their radius")
+
+
+@record
+class ScanReading(Explained):
+    """Distances along the rays, from left to right."""
+
+    range: tuple[Array, ...] = quantity(unit="m", doc="distance along a ray, NaN where nothing comes back")
+
+    def reason(self, vehicle: int) -> str:
+        """Return how much is lacking of a scan."""
+        lacking = sum(not math.isfinite(float(ray[vehicle])) for ray in self.range)
+        return f"nothing came back along {lacking} of {len(self.range)} rays"
+
+
+@record
+class Scan(Sensor):
+    """Distances along rays in the plane of the body, all at once, to ground, obstacles and, if asked for, vehicles."""
+
+    preset: Literal["generic", "rplidar_a1"] = setting(
+        default="generic", doc="which one the parameters that are not given are of"
+    )
+    rays: int = _rays(default_scan("rays"))
+    field_of_view_rad: float = _field_of_view(default_scan("field_of_view_rad"))
+    sees_vehicles: bool = _sees_vehicles(default_scan("sees_vehicles"))
+    noise_std: Array = _number("noise_std", "m", "white noise of each range at distance 0", minimum=0.0)
+    noise_per_range: Array = _number("noise_per_range", "1", "what white noise grows by with the range", minimum=0.0)
+    range_min: Array = _number("range_min", "m", "shortest range", minimum=0.0)
+    range_max: Array = _number("range_max", "m", "longest range", above=0.0)
+    dropouts: Array = _number("dropouts", "1", "share of rays that are lost", minimum=0.0, maximum=1.0)
+    period: float = setting(
+        default=default_scan("period"), unit="s", doc="interval between scans, a multiple of the time step", above=0.0
+    )
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground", "traffic")
+    draws_alone: ClassVar[bool] = True
+    presets: ClassVar[dict[str, dict[str, Any]]] = SCANS
+
+    @property
+    def wants_traffic(self) -> bool:
+        """Whether it looks at other vehicles."""
+        return self.sees_vehicles
+
+    def init(
+        self, draw: Draw, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
+        traffic: Traffic | None,
+    ) -> tuple[None, ScanReading]:  # fmt: skip
+        """Return a scan of vehicles (n,)."""
+        seen = traffic if self.sees_vehicles else None
+        beam = beams(attitude, self.rays, self.field_of_view_rad)
+        distance = met_by(obstacles, ground, seen, position_ned, beam, self.range_max)
+        near = jnp.isfinite(distance)
+        distance = jnp.where(near, distance, 0.0)
+        spread = along_rows(self.noise_std) + along_rows(self.noise_per_range) * distance
+        measured = distance + spread * draw.normal_rows(self.rays)
+        lost = uniforms(draw, self.rays) < along_rows(self.dropouts)
+        shown = near & ~lost & (distance >= along_rows(self.range_min))
+        return None, _reading(jnp.where(shown, jnp.maximum(measured, 0.0), jnp.nan))
+
+    def step(
+        self, state: None, draw: Draw, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
+        traffic: Traffic | None,
+    ) -> tuple[None, ScanReading]:  # fmt: skip
+        """Return a scan of vehicles (n,)."""
+        return self.init(draw, position_ned, attitude, obstacles, ground, traffic)
+
+
+@record
+class IdealScan(Sensor):
+    """The true distances along the rays, up to 100 m."""
+
+    rays: int = _rays(default_scan("rays"))
+    field_of_view_rad: float = _field_of_view(default_scan("field_of_view_rad"))
+    sees_vehicles: bool = _sees_vehicles(default_scan("sees_vehicles"))
+    period: float = setting(
+        default=default_scan("period"), unit="s", doc="interval between scans, a multiple of the time step", above=0.0
+    )
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground", "traffic")
+    normals: ClassVar[int] = 0
+
+    @property
+    def wants_traffic(self) -> bool:
+        """Whether it looks at other vehicles."""
+        return self.sees_vehicles
+
+    def init(
+        self, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
+        traffic: Traffic | None,
+    ) -> tuple[None, ScanReading]:  # fmt: skip
+        """Return the true scan."""
+        seen = traffic if self.sees_vehicles else None
+        beam = beams(attitude, self.rays, self.field_of_view_rad)
+        distance = met_by(obstacles, ground, seen, position_ned, beam, jnp.full_like(position_ned.x, FARTHEST))
+        return None, _reading(jnp.where(jnp.isfinite(distance), distance, jnp.nan))
+
+    def step(
+        self, state: None, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
+        traffic: Traffic | None,
+    ) -> tuple[None, ScanReading]:  # fmt: skip
+        """Return the true scan."""
+        return self.init(draw, position_ned, attitude, obstacles, ground, traffic)
+
+
+def ray_angles(rays: int, field_of_view_rad: float) -> np.ndarray[Any, Any]:
+    """Return the angles (R,) [rad] of rays against forward, to the right positive: the middles of even sectors."""
+    return (np.arange(rays) + 0.5 - 0.5 * rays) * (field_of_view_rad / rays)
+
+
+def beams(attitude: Euler, rays: int, field_of_view_rad: float) -> Vec3:
+    """Return unit vectors (R, n) along the rays of vehicles (n,)."""
+    direction, angles = rotation(attitude), ray_angles(rays, field_of_view_rad)
+    dtype = attitude.roll.dtype
+    ahead, aside = (jnp.asarray(part[:, None], dtype) for part in (np.cos(angles), np.sin(angles)))
+    forward, right = (axis.map(lambda part: part[None, :]) for axis in (direction.forward, direction.right))
+    return forward * ahead + right * aside
+
+
+def met_by(
+    obstacles: Obstacles, ground: Ground, traffic: Traffic | None, position_ned: Vec3, beam: Vec3, reach: Array
+) -> Array:
+    """Return how far [m] rays (R, n) of vehicles go until they meet something; infinite beyond their reach."""
+    limit = jnp.broadcast_to(jnp.asarray(reach, beam.x.dtype), position_ned.x.shape)[None, :]
+    origin = position_ned.map(lambda axis: axis[None, :])
+    distance = first_hit(obstacles, ground, origin, beam, limit)
+    if traffic is None:
+        return distance
+    others = spheres_met(traffic, position_ned, beam)
+    return jnp.where(others <= limit, jnp.minimum(distance, others), distance)
+
+
+def spheres_met(traffic: Traffic, position_ned: Vec3, beam: Vec3) -> Array:
+    """Return how far [m] rays (R, n) of the vehicles that look go until they meet the sphere of another."""
+    to_centre = Vec3(*(
+        (other[:, None] - own[None, :])[:, None, :]
+        for other, own in zip(traffic.position_ned.axes, position_ned.axes, strict=True)
+    ))  # fmt: skip
+    along = to_centre.dot(beam.map(lambda axis: axis[None]))
+    radius = traffic.radius[:, None, None]
+    # Half the chord squared: what the radius leaves of the distance from the ray.
+    chord = radius * radius - (to_centre.dot(to_centre) - along * along)
+    number = jnp.arange(position_ned.x.shape[0])[None, :] + traffic.first
+    itself = jnp.arange(traffic.count)[:, None] == number
+    there = traffic.flies[:, None, None] & ~itself[:, None, :] & (chord >= 0.0) & (along > 0.0)
+    met = along - jnp.sqrt(jnp.where(there, chord, 1.0))
+    return jnp.min(jnp.where(there, jnp.maximum(met, 0.0), jnp.inf), axis=0)
+
+
+def _reading(rows: Array) -> ScanReading:
+    return ScanReading(tuple(rows[i] for i in range(rows.shape[0])))
