@@ -17,18 +17,22 @@ IMPORTS = {
     """import numpy as np
 
 from qrsim.errors import UsageError
+from qrsim.links.reference.claiming import SharedCalls, kind_of
 from qrsim.links.reference.protocol import DecodeError
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 """: """import numpy as np
 from google.protobuf.message import DecodeError
 
 from qrsim_client import qrsim_pb2 as pb
+from qrsim_client.claiming import SharedCalls, kind_of
 from qrsim_client.errors import UsageError
 """,
     "from qrsim.errors import": "from qrsim_client.errors import",
     "from qrsim.links.reference.protocol.framing import": "from qrsim_client.framing import",
     "from qrsim.links.reference.protocol.qrsim_pb2 import": "from qrsim_client.qrsim_pb2 import",
     "from qrsim.links.reference.replies import": "from qrsim_client.replies import",
+    "from qrsim.links.reference.claiming import": "from qrsim_client.claiming import",
+    "from qrsim.links.reference.protocol import qrsim_pb2 as pb": "from qrsim_client import qrsim_pb2 as pb",
 }
 MESSAGES = '''{note}"""The messages of the protocol."""
 
@@ -70,6 +74,7 @@ def generated() -> dict[Path, str]:
     """Return path -> text of all that is written."""
     return {
         PACKAGE / "client.py": copied("client.py"),
+        PACKAGE / "claiming.py": copied("claiming.py"),
         PACKAGE / "replies.py": copied("replies.py"),
         PACKAGE / "framing.py": copied("protocol/framing.py"),
         PACKAGE / "qrsim_pb2.py": messages(),

@@ -33,6 +33,7 @@ from qrsim.apps.export import Export
 from qrsim.apps.identify import Identify
 from qrsim.apps.openloop.command import OpenLoop
 from qrsim.apps.plot import Plot
+from qrsim.apps.replay import Replay
 from qrsim.apps.run.command import Run
 from qrsim.apps.run.page import completed
 from qrsim.apps.scenario import List, Schema, Show
@@ -115,6 +116,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "identify": Identify,
     "discover": Discover,
     "serve": Serve,
+    "replay": Replay,
     "slam": SlamCommand,
     "sweep": Sweep,
     "sweep-report": SweepReport,

@@ -33,6 +33,13 @@ from qrsim.scenarios.scenario import load_scenario
         (["TaskComplac"], "did you mean 'TaskComplacs'?"),
         (["keep_spott"], "did you mean 'keep_spot'?"),
         (["--set", "duration=3"], "there is no SCENARIO to change"),
+        (["hover", "--pace", "fre"], "--pace fre: expected owner, barrier or free; did you mean 'free'?"),
+        (["--pace", "free"], "--pace free: name the SCENARIO whose vehicles the clients share"),
+        (["hover", "--pace", "barrier", "--sessions"], "--pace barrier: its clients share one world"),
+        (["hover", "--pace", "free", "--timeout", "1"], "--timeout: it is for --pace barrier"),
+        (["hover", "--pace", "barrier", "--timeout", "-1"], "--timeout -1: expected a number of seconds"),
+        (["hover", "--on-silence", "hodl"], "--on-silence 'hodl': expected hold or return or stop"),
+        (["hover", "--hold", "-2"], "hold -2 s: expected a number of seconds, or 0 for never"),
     ],
 )
 def test_wrong_options_are_refused(words, said, refused):

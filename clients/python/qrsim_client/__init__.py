@@ -2,20 +2,26 @@
 
 from qrsim_client.client import (
     Axis,
+    Claim,
     Client,
     ConnectionFailed,
     Episode,
     InvalidState,
     Outcome,
     Refused,
+    Sensed,
+    SensedVehicle,
     Session,
     State,
+    Status,
+    VehicleStatus,
 )
 from qrsim_client.errors import QrsimError, RunError, UsageError
 
 __version__ = "0.1.0"
 __all__ = [
     "Axis",
+    "Claim",
     "Client",
     "ConnectionFailed",
     "Episode",
@@ -24,7 +30,11 @@ __all__ = [
     "QrsimError",
     "Refused",
     "RunError",
+    "Sensed",
+    "SensedVehicle",
     "Session",
     "State",
+    "Status",
     "UsageError",
+    "VehicleStatus",
 ]

@@ -11,7 +11,7 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -32,7 +32,8 @@ class Serve:
 
     Speaks the protocol of the reference simulator, whose clients work unchanged, with extensions; docs/serve.md
     explains both, with a client in Python and one in C++. Clients choose a task by its name: any of 'qrsim list', those
-    of the reference simulator, or SCENARIO. One client at a time controls the simulation, others can watch it.
+    of the reference simulator, or SCENARIO. One client at a time controls the simulation, others can watch it. With
+    --pace barrier or free all clients share one world of SCENARIO: each claims vehicles of it and flies these.
 
     Anybody who can connect can control the simulation. Nothing is encrypted and nobody is asked who they are, so only
     programs on this machine can connect unless --allow-remote is given.
@@ -43,6 +44,7 @@ class Serve:
       qrsim serve
       qrsim serve keep_spot --realtime 1 --view
       qrsim serve my_scenario.yaml --sessions --record runs/served
+      qrsim serve cats_and_mouse/1A --pace free
     """
 
     scenario: Annotated[
@@ -61,7 +63,17 @@ class Serve:
     realtime: Annotated[
         float | None, tyro.conf.arg(metavar="FACTOR", help_behavior_hint="(default: as fast as clients ask)")
     ] = None
-    """Simulated seconds per second of the wall clock."""
+    """Simulated seconds per second of the wall clock; with --pace free 1, if nothing is said."""
+    pace: Annotated[str, tyro.conf.arg(metavar="owner|barrier|free")] = "owner"
+    """Who moves the world on: the client whose it is, by its steps; all clients that have claimed vehicles, together;
+    or the wall clock, from the first claim on."""
+    on_silence: Annotated[str, tyro.conf.arg(metavar="hold|return|stop")] = "hold"
+    """What a claimed vehicle does without its controller: hold its place, return to above its start, or stop its
+    motors."""
+    hold: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 0.5
+    """Without a command for so long, a claimed vehicle does so; 0: never, it flies on its last command."""
+    timeout: Annotated[float, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: for ever)")] = 0.0
+    """How long a barrier waits for a client, by the wall clock, before the world goes on without it."""
     seed: int = 0
     """Seed of the first episode; with --episodes new those that follow have the seeds that follow it."""
     episodes: Annotated[str, tyro.conf.arg(metavar="new|same")] = "new"
@@ -96,7 +108,7 @@ class Serve:
         from qrsim.links.reference.tasks import Tasks
 
         tasks = Tasks(scenario, self.scenario)
-        if scenario is not None:
+        if scenario is not None and options.pace == "owner":
             _prepare(tasks, options)
 
         log = _Log()
@@ -104,7 +116,8 @@ class Serve:
         def ready(host: str, port: int) -> None:
             log.say(f"qrsim serves on {host}:{port}")
             if options.view is not None:
-                options.view.wait_for(f"a client that connects to {host}:{port} and starts a task")
+                if options.pace == "owner":
+                    options.view.wait_for(f"a client that connects to {host}:{port} and starts a task")
                 log.say(f"page: {options.view.address}")
 
         async def serve() -> None:
@@ -135,16 +148,39 @@ class Serve:
             raise UsageError(f"--realtime {self.realtime:g}: expected a positive number")
         if not (math.isfinite(self.idle_timeout) and self.idle_timeout >= 0.0):
             raise UsageError(f"--idle-timeout {self.idle_timeout:g}: expected a number of seconds, or 0 for never")
+        shared = self._shared()
         self._check_host()
         if self.record is not None:
             try:
                 self.record.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise RunError(f"--record {self.record}: {error.strerror or error}") from None
+        own = 1.0 if self.pace == "free" else 0.0
         return Options(
-            self.host, self.port, checked_factor(self.realtime or 0.0), self.allow_quit, self.max_clients, self.record,
-            self.sessions, self.seed, self.episodes, self.idle_timeout, self._page(),
+            self.host, self.port, checked_factor(self.realtime or own), self.allow_quit, self.max_clients, self.record,
+            self.sessions, self.seed, self.episodes, self.idle_timeout, self._page(), **shared,
         )  # fmt: skip
+
+    def _shared(self) -> dict[str, Any]:
+        """Return the options of a world that clients share."""
+        from qrsim.links.contracts import PACES
+        from qrsim.links.shared.plant import checked_silence
+
+        if self.pace not in PACES:
+            near = did_you_mean(self.pace, PACES)
+            raise UsageError(f"--pace {self.pace}: expected {', '.join(PACES[:-1])} or {PACES[-1]}{near}")
+        silence = checked_silence(self.on_silence, self.hold, "--on-silence")
+        if not (math.isfinite(self.timeout) and self.timeout >= 0.0):
+            raise UsageError(f"--timeout {self.timeout:g}: expected a number of seconds, or 0 for ever")
+        if self.pace == "owner":
+            return {}
+        if self.scenario is None:
+            raise UsageError(f"--pace {self.pace}: name the SCENARIO whose vehicles the clients share")
+        if self.sessions:
+            raise UsageError(f"--pace {self.pace}: its clients share one world, and with --sessions each has its own")
+        if self.timeout and self.pace != "barrier":
+            raise UsageError("--timeout: it is for --pace barrier; --hold says what becomes of silent controllers")
+        return {"pace": self.pace, "silence": silence, "barrier_timeout": self.timeout}
 
     def _page(self) -> LiveView | None:
         if not self.view:

@@ -174,6 +174,9 @@ class ActionChecker:
     def _checked(self, command: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
         if type(command) in _NAME_OF:
             return self._setpoint(command, names, fleets, flying)
+        if isinstance(command, Some):
+            # Who mixes kinds by himself has checked them too (links/shared/latches.py).
+            return command
         # A command of another vehicle is no array either; who takes what is said below.
         given = type(command) if dataclasses.is_dataclass(command) else None
         kind = self._kind(given, fleets)

@@ -96,3 +96,40 @@ class Pacer:
             simulated=self._last - self._begin[0],
             wall=self._clock() - self._begin[1],
         )
+
+
+class Metronome(Pacer):
+    """Schedules the ticks of a world that runs by itself.
+
+    A tick is late (an overrun) where its state is ready only when the next one is due already.
+
+    Args:
+        factor: simulated seconds per second of the wall clock, above 0.
+        simulated: simulated time now [s].
+        time_step: of a tick [s].
+        clock: returns the wall time [s].
+    """
+
+    def __init__(
+        self, factor: float, simulated: float, time_step: float, clock: Callable[[], float] = time.perf_counter
+    ):
+        if factor == 0.0:
+            raise UsageError("real-time factor 0: a world that runs by itself needs one above 0")
+        super().__init__(factor, simulated, clock)
+        self._period = time_step / factor
+
+    def until_s(self, simulated: float) -> float:
+        """Return how long it is [s] until the state of a simulated time [s] is due; negative where it is late."""
+        return self._anchor[1] + (simulated - self._anchor[0]) / self.factor - self._clock()
+
+    def ended(self, simulated: float) -> None:
+        """Count a tick whose state, of a simulated time [s], is out now."""
+        self.steps += 1
+        self._last = simulated
+        late = -self.until_s(simulated)
+        if late <= self._period:
+            return
+        self.overruns += 1
+        self.worst_delay = max(self.worst_delay, late)
+        if late > LONGEST_DELAY_S:
+            self._anchor = (simulated, self._clock())

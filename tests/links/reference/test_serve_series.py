@@ -18,7 +18,7 @@ from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import frame
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.seeds import Seeds
-from qrsim.links.reference.sensors import SensorReadout, _sensor, sensor_readings
+from qrsim.links.reference.sensors import SensorReadout, sensor_of, sensor_readings
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.runs import open_run
 from small_worlds import quiet, simulate
@@ -182,7 +182,7 @@ def test_readings_that_are_missing_are_left_to_protobuf():
     simulation.step(cut, ticks=200)
     assert readout.frame() is None
     assert [vehicle.valid for vehicle in sensor_readings(simulation).vehicle].count(False) == 1
-    assert _sensor("camera", CameraReading(None, None, None), simulation.site) is None, "its pictures are seldom new"
+    assert sensor_of("camera", CameraReading(None, None, None), simulation.site) is None, "its pictures are seldom new"
 
 
 # ---- owners who fall idle ----

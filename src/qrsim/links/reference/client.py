@@ -11,39 +11,51 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from qrsim.errors import UsageError
+from qrsim.links.reference.claiming import SharedCalls, kind_of
 from qrsim.links.reference.protocol import DecodeError
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import Deframer, frame
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 from qrsim.links.reference.replies import (
     Axis,
+    Claim,
     ConnectionFailed,
     Episode,
     InvalidState,
     Outcome,
     Refused,
+    Sensed,
+    SensedVehicle,
     Session,
     State,
+    Status,
+    VehicleStatus,
+    arrays_of,
+    seen_of,
+    state_of,
 )
 
 if TYPE_CHECKING:
     Array = np.ndarray[Any, Any]
 
-__all__ = ["Axis", "Client", "ConnectionFailed", "Episode", "InvalidState", "Outcome", "Refused", "Session", "State"]
+__all__ = [
+    "Axis", "Claim", "Client", "ConnectionFailed", "Episode", "InvalidState", "Outcome", "Refused", "Sensed",
+    "SensedVehicle", "Session", "State", "Status", "VehicleStatus",
+]  # fmt: skip
 
 # A state of 200 000 vehicles.
 LARGEST_REPLY = 1 << 26
 INVALID = "invalid uav state"
 
 
-class Client:
+class Client(SharedCalls):
     """A connection to a server; use it as a context manager.
 
     Args:
@@ -60,6 +72,7 @@ class Client:
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 10000, *, timeout: float = 60.0):
+        super().__init__()
         self._where = f"{host}:{port}"
         self._timeout = timeout
         self._deframer = Deframer(LARGEST_REPLY)
@@ -77,7 +90,7 @@ class Client:
     def init(self, task: str, *, realtime: bool = False) -> State:
         """Start a task by its name and return the state at the start; see also ``open``."""
         request = Message(type=Message.INIT, init=pb.Init(task=task, realTime=realtime))
-        state = _state(self._ask(request, Message.STATE).state)
+        state = state_of(self._ask(request, Message.STATE).state)
         self._note(self._expect(self._receive(self._timeout), Message.TASKINFO).taskInfo)
         return state
 
@@ -111,6 +124,10 @@ class Client:
         """Fly at velocities NED (n, 3) [m/s], heading north, for a simulated time [s]."""
         return self._step(dt, Step.VEL, velocities, 3)
 
+    def step_setpoint(self, dt: float, kind: str, setpoints: Any) -> State:
+        """Fly set-points of a kind of ``claiming.KINDS``, one row for each vehicle, for a simulated time [s]."""
+        return self._fly(Step(dt=dt, type=kind_of(kind), cmd=_vectors("set-point", setpoints)))
+
     def disconnect(self) -> None:
         """End the session and the connection."""
         self._leave(quit_server=False)
@@ -129,7 +146,7 @@ class Client:
         return self._fly(Step(dt=dt, type=kind, cmd=_vectors("command", rows, (width,))))
 
     def _fly(self, step: Step) -> State:
-        return _state(self._ask(Message(type=Message.STEP, step=step), Message.STATE).state)
+        return state_of(self._ask(Message(type=Message.STEP, step=step), Message.STATE).state)
 
     # ---- extensions ----
 
@@ -173,7 +190,7 @@ class Client:
         found = self._ask(request, Message.SESSION).session
         self._note(found.info)
         return Session(
-            found.id, found.scenario, found.seed, tuple(found.vehicle), found.info.timestep, _state(found.state)
+            found.id, found.scenario, found.seed, tuple(found.vehicle), found.info.timestep, state_of(found.state)
         )
 
     def readings(self) -> dict[str, dict[str, dict[str, Any]]]:
@@ -225,8 +242,8 @@ class Client:
         return Episode(
             session=found.id, scenario=found.scenario, seed=found.seed, number=found.number, agents=tuple(found.agent),
             axes=tuple(Axis(axis.name, axis.unit, axis.low, axis.high) for axis in found.axis), period=found.period,
-            steps=found.steps, answer_shape=tuple(found.answer_shape), observation=_seen(found.observation),
-            info=_arrays(found.info),
+            steps=found.steps, answer_shape=tuple(found.answer_shape), observation=seen_of(found.observation),
+            info=arrays_of(found.info),
         )  # fmt: skip
 
     def act(self, action: Any, answer: Any = None) -> Outcome:
@@ -239,8 +256,8 @@ class Client:
         request = pb.Act(action=_vectors("action", action), answer=_answers(answer))
         found = self._ask(Message(type=Message.ACT, act=request), Message.OUTCOME).outcome
         return Outcome(
-            step=found.step, time=found.t, observation=_seen(found.observation), reward=np.array(found.reward),
-            terminated=found.terminated, truncated=found.truncated, info=_arrays(found.info),
+            step=found.step, time=found.t, observation=seen_of(found.observation), reward=np.array(found.reward),
+            terminated=found.terminated, truncated=found.truncated, info=arrays_of(found.info),
         )  # fmt: skip
 
     def watch(
@@ -259,7 +276,7 @@ class Client:
 
     def _states(self, timeout: float | None) -> Iterator[State]:
         while True:
-            yield _state(self._expect(self._receive(timeout), Message.STATE).state)
+            yield state_of(self._expect(self._receive(timeout), Message.STATE).state)
 
     # ---- the connection ----
 
@@ -289,7 +306,9 @@ class Client:
                 return self._expect(self._receive(0.5), expected)
             except ConnectionFailed:
                 raise self._failed(f"the connection is lost: {error.strerror or error}") from None
-        return self._expect(self._receive(self._timeout), expected)
+        while (reply := self._receive(self._timeout)).type == Message.SENSED:
+            self._pushed.append(reply.sensed)
+        return self._expect(reply, expected)
 
     def _expect(self, reply: Message, expected: Message.Type) -> Message:
         if reply.type == expected and not (expected == Message.ACK and reply.ack.error):
@@ -313,6 +332,23 @@ class Client:
             raise self._failed(f"no answer within {timeout:g} s") from None
         except OSError as error:
             raise self._failed(f"the connection is lost: {error.strerror or error}") from None
+        except (UsageError, DecodeError) as error:
+            raise self._failed(f"this is no qrsim server: {error}") from None
+
+    def _take_in(self) -> None:
+        connection = self._open_socket()
+        connection.settimeout(0.0)
+        try:
+            while data := connection.recv(1 << 18):
+                self._deframer.feed(data)
+        except (BlockingIOError, InterruptedError):
+            pass
+        except OSError as error:
+            raise self._failed(f"the connection is lost: {error.strerror or error}") from None
+        # Where it has ended, the next to receive says so.
+        try:
+            while (payload := self._deframer.next()) is not None:
+                self._pushed.append(self._expect(Message.FromString(payload), Message.SENSED).sensed)
         except (UsageError, DecodeError) as error:
             raise self._failed(f"this is no qrsim server: {error}") from None
 
@@ -353,21 +389,3 @@ def _answers(answer: Any) -> list[pb.Act.Answer]:
     if array.ndim < 2:
         raise UsageError(f"answer: expected numbers of shape (agents, ...), found shape {np.shape(array)}")
     return [pb.Act.Answer(value=row.ravel().tolist()) for row in array]
-
-
-def _state(found: pb.State) -> State:
-    return State(
-        found.t,
-        np.array([row.value for row in found.X]).reshape(len(found.X), -1),
-        np.array([row.value for row in found.eX]).reshape(len(found.eX), -1),
-        tuple(found.reason),
-    )
-
-
-def _arrays(found: Iterable[pb.Values]) -> dict[str, Array]:
-    return {part.name: np.array(part.value, np.float32).reshape(part.shape) for part in found}
-
-
-def _seen(found: Iterable[pb.Values]) -> Array | dict[str, Array]:
-    arrays = _arrays(found)
-    return arrays[""] if list(arrays) == [""] else arrays

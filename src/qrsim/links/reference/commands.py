@@ -11,7 +11,9 @@ import numpy as np
 from qrsim.control import VelocitySetpoint, WaypointSetpoint
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
+from qrsim.links.reference.kinds import KINDS, WIDTHS
 from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Message, Step
+from qrsim.links.shared.kinds import record_of
 from qrsim.models.vehicles.commands import fields_of, limits_of
 from qrsim.models.vehicles.quadrotor import Command
 from qrsim.world.state import Fleet
@@ -19,7 +21,8 @@ from qrsim.world.state import Fleet
 Array = np.ndarray[Any, Any]
 # Tags and lengths of a vector and of the Arrayd in it.
 HEAD_SIZE = 4
-WIDTHS = {Step.WP: 4, Step.CTRL: 5, Step.VEL: 3}
+# Offboard set-points beyond those of the reference.
+MORE_KINDS = (Step.VEL_YAW, Step.VEL_HEIGHT, Step.ATT_HEIGHT, Step.ATT, Step.PATH)
 
 
 def rows_of(given: Sequence[Arrayd], widths: Sequence[int], what: str, names: Sequence[str]) -> list[list[float]]:
@@ -84,7 +87,10 @@ class Commands:
             Step.VEL: (velocity.T, VelocitySetpoint(Vec3(*velocity), still)),
             Step.CTRL: (control, control),
         }
-        # By length, which those of each kind have their own of.
+        for kind in MORE_KINDS:
+            columns = np.zeros((WIDTHS[kind], len(names)), dtype)
+            self._made[kind] = (columns.T, record_of(KINDS[kind], columns, Command))
+        # By length, of which there is one at a time.
         self._known: dict[int, _Known] = {}
         self._last: bytes = b""
 
@@ -201,6 +207,8 @@ def commands_of(fleets: Sequence[Fleet], dtype: np.dtype[Any]) -> Commands:
 
 def _command(kind: int, rows: Array) -> Any:
     """Return the command of a fleet from the vectors (n, width) of a STEP."""
+    if kind in MORE_KINDS:
+        return record_of(KINDS[kind], rows.T, Command)
     if kind == Step.WP:
         return WaypointSetpoint.of(rows[:, :3], rows[:, 3])
     return VelocitySetpoint.of(rows) if kind == Step.VEL else rows

@@ -40,6 +40,7 @@ class Connection(asyncio.Protocol):
         reasons: whether it asked for states of invalid vehicles.
         gone: set when nothing can be sent any more, or the server ends.
         leaving: set when the client sends nothing more, or is gone.
+        number: of the client, from 1.
     """
 
     def __init__(self, server: Host):
@@ -48,6 +49,7 @@ class Connection(asyncio.Protocol):
         self.lost = ""
         self._waits_since: float | None = None
         self.reasons = False
+        self.number = 0
         self.gone, self.leaving = asyncio.Event(), asyncio.Event()
         self._deframer = Deframer(LARGEST_REQUEST)
         self._more: asyncio.Future[None] | None = None
@@ -166,6 +168,8 @@ class Connection(asyncio.Protocol):
         Raises:
             UsageError: there is none.
         """
+        if self.session is None and self.server.sharing is not None:
+            return cast("Session", self.server.sharing.session)
         if self.session is None:
             raise UsageError(self.lost or "there is no session on this connection: send INIT first")
         return self.session

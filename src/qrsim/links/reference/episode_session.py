@@ -96,6 +96,10 @@ class EpisodeSession:
         self.seed = self._seeds.next()
         self._start()
 
+    def start_clock(self, factor: float) -> None:
+        """Begin to count the pace, at a factor (0: lock-step); raises UsageError."""
+        self.pacer = Pacer(factor, self.time)
+
     def restart(self, seed: int | None) -> None:
         """Start the first episode of a new seed, or the next one of the same series.
 

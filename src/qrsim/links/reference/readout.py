@@ -142,6 +142,15 @@ class Readout:
         """Write the present STATE with its length message."""
         floats = np.asarray(self._simulation.packed[1][0])
         self._time[0] = self._simulation.time
+        self.vectors()
+        self._ex[self._ex_rows, self._ex_columns] = floats.take(self._ex_places)
+        if self._explains and not self.all_valid():
+            return self._explained()
+        return bytes(self._buffer)
+
+    def vectors(self) -> Array:
+        """Write the present state vectors (n, 13) and return them."""
+        floats = np.asarray(self._simulation.packed[1][0])
         self._x[...] = floats.take(self._x_places)
         if self._unknown is not None:
             self._x[self._unknown] = np.nan
@@ -149,10 +158,7 @@ class Readout:
             self._x[posed.rows] = posed.vectors(*self._simulation.packed)
         if self._low_places is not None:
             self._x[:, :3] += floats.take(self._low_places)
-        self._ex[self._ex_rows, self._ex_columns] = floats.take(self._ex_places)
-        if self._explains and not self.all_valid():
-            return self._explained()
-        return bytes(self._buffer)
+        return self._x
 
     def _explained(self) -> bytes:
         """Return the STATE with a reason for each vehicle that is invalid, the numbers being there already."""
@@ -184,6 +190,10 @@ class States:
     def frame(self, reasons: bool = False) -> bytes:
         """Write the present STATE with its length message."""
         return (self._with_reasons() if reasons else self._plain).frame()
+
+    def vectors(self) -> Array:
+        """Return the present state vectors (n, 13)."""
+        return self._plain.vectors()
 
     def message(self) -> State:
         """Return the message State of now, with reasons."""

@@ -10,6 +10,8 @@ import numpy as np
 from qrsim.errors import RunError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     Array = np.ndarray[Any, Any]
 
 
@@ -126,3 +128,127 @@ class Outcome:
     terminated: bool
     truncated: bool
     info: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a client has claimed of a world that it shares with others.
+
+    Attributes:
+        client: its number, by which others know it.
+        vehicles: names of all that it has now.
+        scenario, seed: of the episode that is flown.
+        pace: "barrier" or "free".
+        factor: simulated seconds per second of the wall clock; 0: as fast as the clients ask.
+        time_step: simulation step [s].
+        tick: now.
+        on_silence, hold: what the vehicles do without this client, and after how many seconds (0: never).
+    """
+
+    client: int
+    vehicles: tuple[str, ...]
+    scenario: str
+    seed: int
+    pace: str
+    factor: float
+    time_step: float
+    tick: int
+    on_silence: str
+    hold: float
+
+
+@dataclass(frozen=True)
+class SensedVehicle:
+    """What one vehicle senses.
+
+    Attributes:
+        valid: it flies.
+        reason: why it does not, "" where it does.
+        sensors: sensor -> field -> value, a number or an array; "time" is when the reading was true [s], "fresh"
+            whether it has arrived at this tick, "reason" why one is missing.
+        state: (13,) true state as in ``State``, None where it was not asked for.
+    """
+
+    valid: bool
+    reason: str
+    sensors: dict[str, dict[str, Any]]
+    state: Array | None
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """What some vehicles sense at a tick.
+
+    Attributes:
+        tick, time: simulated, of the tick [s].
+        sent: monotonic clock of the server when it was sent [s].
+        missed: how many this client was too slow for.
+        vehicles: by name.
+    """
+
+    tick: int
+    time: float
+    sent: float
+    missed: int
+    vehicles: dict[str, SensedVehicle]
+
+
+@dataclass(frozen=True)
+class VehicleStatus:
+    """Who flies a vehicle, and how.
+
+    Attributes:
+        client: number of the client that has claimed it, 0: nobody.
+        flies: by "guidance", "command", or without its controller "hold", "return" or "stop".
+        source_tick: of the readings that its last order was computed from; None: unknown, or no order.
+        arrival_tick, age: of that order, the latter in seconds; None: there was none.
+        misses: how often a barrier went on without its client.
+        silent_since: time of the last order [s], where nothing was heard for too long; else None.
+    """
+
+    client: int
+    flies: str
+    source_tick: int | None
+    arrival_tick: int | None
+    age: float | None
+    misses: int
+    silent_since: float | None
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a shared world goes.
+
+    Attributes:
+        pace: "barrier" or "free".
+        tick, time: now [s].
+        pacing: of its clock, as ``pace`` returns it: factor, steps, overruns, worst_delay, simulated, wall.
+        vehicles: by name.
+    """
+
+    pace: str
+    tick: int
+    time: float
+    pacing: dict[str, float]
+    vehicles: dict[str, VehicleStatus]
+
+
+def state_of(found: Any) -> State:
+    """Return what a message STATE says."""
+    return State(
+        found.t,
+        np.array([row.value for row in found.X]).reshape(len(found.X), -1),
+        np.array([row.value for row in found.eX]).reshape(len(found.eX), -1),
+        tuple(found.reason),
+    )
+
+
+def arrays_of(found: Iterable[Any]) -> dict[str, Array]:
+    """Return the arrays of Values by their names."""
+    return {part.name: np.array(part.value, np.float32).reshape(part.shape) for part in found}
+
+
+def seen_of(found: Iterable[Any]) -> Array | dict[str, Array]:
+    """Return what agents see: an array, or several by name."""
+    arrays = arrays_of(found)
+    return arrays[""] if list(arrays) == [""] else arrays

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Awaitable, Callable
 from importlib.metadata import version
-from typing import Any
+from typing import Any, cast
 
 from qrsim.errors import UsageError
-from qrsim.links.pacing import Pacer, checked_factor
+from qrsim.links.pacing import checked_factor
+from qrsim.links.reference import shared_requests as shared
+from qrsim.links.reference.describing import description
 from qrsim.links.reference.episode_session import EpisodeSession
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import LARGEST_REQUEST
@@ -17,7 +20,10 @@ from qrsim.links.reference.sensors import sensor_readings
 from qrsim.links.reference.session import Session, SessionOptions
 from qrsim.links.reference.tasks import offboard, uploaded
 
-CAPABILITIES = ("seed", "scenario", "realtime", "readings", "reasons", "watch", "events", "episodes")
+CAPABILITIES = (
+    "seed", "scenario", "realtime", "readings", "reasons", "watch", "events", "episodes", "setpoints", "describe",
+    "claims",
+)  # fmt: skip
 # What clients of the reference implementation look for.
 INVALID = "invalid uav state"
 # A STEP that takes less than this is not handed to another thread, which would take as long.
@@ -74,6 +80,8 @@ def _say_episode(connection: Client, session: Session) -> None:
 async def disconnect(connection: Client, message: Message) -> bool:
     """End the session, and the server if requested and allowed."""
     await connection.server.close_session(connection)
+    if connection.server.sharing is not None:
+        connection.server.sharing.release(connection)
     if not message.disconnect.quit:
         connection.acknowledge()
     elif connection.server.options.allow_quit:
@@ -105,6 +113,8 @@ def parsed_step(connection: Client, message: Message, payload: bytes) -> tuple[A
     Raises:
         UsageError: the request is wrong, or there is nothing to advance.
     """
+    if connection.server.sharing is not None:
+        raise UsageError("STEP: this server's world is shared by its clients; CLAIM vehicles of it, and send COMMANDs")
     session, request = connection.required_session(), message.step
     if not message.HasField("step"):
         raise UsageError("STEP: the message has no 'step'")
@@ -190,10 +200,29 @@ def _seed(request: pb.Open | pb.Play | pb.Restart) -> int | None:
 async def restart(connection: Client, message: Message) -> bool:
     """Start the next episode of the task, or the first one of a seed."""
     session, seed = connection.required_session(), _seed(message.restart)
-    await connection.server.run(session, lambda: session.restart(seed))
+    async with _still(connection, "RESTART"):
+        await connection.server.run(session, lambda: session.restart(seed))
     _say_episode(connection, session)
     _send_session(connection, session)
     return True
+
+
+def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContextManager[Any]:
+    """Return a context in which a world that clients share does not move.
+
+    Args:
+        connection: whose request it is.
+        what: that changes the world for all; nothing: it only looks.
+
+    Raises:
+        UsageError: others fly in the world that is to be changed.
+    """
+    sharing = connection.server.sharing
+    if sharing is None:
+        return contextlib.nullcontext()
+    if what:
+        sharing.check_alone(connection, what)
+    return cast("contextlib.AbstractAsyncContextManager[Any]", sharing.lock)
 
 
 def _send_session(connection: Client, session: Session) -> None:
@@ -213,11 +242,12 @@ def _send_session(connection: Client, session: Session) -> None:
 async def get_readings(connection: Client, message: Message) -> bool:
     """Send every sensor's reading, or the reason it is missing."""
     session = connection.required_session()
-    told = session.sensors.frame()
-    if told is not None:
-        connection.send_frame(told)
-        return True
-    found = await connection.server.run(session, lambda: sensor_readings(session.simulation))
+    async with _still(connection):
+        told = session.sensors.frame()
+        if told is not None:
+            connection.send_frame(told)
+            return True
+        found = await connection.server.run(session, lambda: sensor_readings(session.simulation))
     connection.send(Message(type=Message.READINGS, readings=found))
     return True
 
@@ -238,7 +268,8 @@ async def watch(connection: Client, message: Message) -> bool:
 
 async def get_events(connection: Client, message: Message) -> bool:
     """Send the events since the last request."""
-    found = connection.required_session().events()
+    async with _still(connection):
+        found = connection.required_session().events()
     connection.send(Message(type=Message.EVENTS, events=found))
     return True
 
@@ -248,8 +279,17 @@ async def pace(connection: Client, message: Message) -> bool:
     session = connection.any_session()
     report = session.pacer.report()
     if message.pace.HasField("factor"):
-        session.pacer = Pacer(message.pace.factor, session.time)
+        async with _still(connection, "PACE"):
+            session.start_clock(message.pace.factor)
     connection.send(Message(type=Message.PACING, pacing=pb.Pacing(**vars(report))))
+    return True
+
+
+async def describe(connection: Client, message: Message) -> bool:
+    """Say what the world is made of."""
+    session = connection.required_session()
+    found = await connection.server.run(session, lambda: description(session.scenario, session.simulation))
+    connection.send(Message(type=Message.WORLD, world=found))
     return True
 
 
@@ -332,6 +372,15 @@ HANDLERS: dict[int, Handler] = {
     Message.PACE: pace,
     Message.PLAY: play,
     Message.ACT: act,
+    Message.CLAIM: shared.claim,
+    Message.RELEASE: shared.release,
+    Message.COMMAND: shared.command,
+    Message.SUBSCRIBE: shared.subscribe,
+    Message.GET_STATUS: shared.get_status,
+    Message.DESCRIBE: describe,
 }
+# What only a world that clients share has, and what it has not.
+SHARED = {Message.CLAIM, Message.RELEASE, Message.COMMAND, Message.SUBSCRIBE, Message.GET_STATUS}
+OWNED = {Message.INIT, Message.RESET, Message.SETSTATE, Message.OPEN, Message.PLAY, Message.ACT}
 # The part of a message that a request of the reference protocol needs.
 NEEDED = {Message.INIT: "init", Message.RESET: "reset", Message.DISCONNECT: "disconnect"}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+from qrsim.links.contracts import Pace, Silence
 from qrsim.links.reference.episode_session import EpisodeSession
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.seeds import Seeds
@@ -35,6 +37,9 @@ class Options:
     episodes: str = "new"
     idle_timeout: float = 0.0
     view: LiveView | None = None
+    pace: Pace = "owner"
+    silence: Silence = field(default_factory=Silence)
+    barrier_timeout: float = 0.0
 
 
 class Host(Protocol):
@@ -51,6 +56,10 @@ class Host(Protocol):
     @property
     def say(self) -> Callable[[str], None]:
         """Tells the operator something."""
+
+    @property
+    def sharing(self) -> Any:
+        """The world that all clients share (sharing.py); None where each session has an owner."""
 
     def stop(self) -> None:
         """End the server."""
@@ -98,6 +107,12 @@ class Client(Protocol):
     server: Host
     session: Session | EpisodeSession | None
     reasons: bool
+    number: int
+    leaving: asyncio.Event
+
+    @property
+    def backlog(self) -> int:
+        """Number of bytes waiting to be sent."""
 
     def send(self, message: Message) -> None:
         """Send a message."""

@@ -46,7 +46,7 @@ def sensor_readings(simulation: Simulation) -> pb.Readings:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Sensor:
+class SensorPart:
     """Message parts of one sensor of the n vehicles of a fleet.
 
     Attributes:
@@ -82,7 +82,7 @@ class SensorReadout:
         places = layout.unpack((np.arange(floats), np.arange(integers, dtype=np.int32)))
         self._codes = np.concatenate([fleet.violation.code for fleet in places.fleets])
         fleets = [
-            [_sensor(*named, simulation.site) for named in zip(fleet.sensor_names, state.readings, strict=True)]
+            [sensor_of(*named, simulation.site) for named in zip(fleet.sensor_names, state.readings, strict=True)]
             for fleet, state in zip(simulation.world.fleets, places.fleets, strict=True)
         ]
         self._writable = all(sensor is not None for sensors in fleets for sensor in sensors)
@@ -125,7 +125,7 @@ class SensorReadout:
         self._places = (first + numbers[:, None] + np.arange(8)).ravel()
 
 
-def _vehicle(name: str, sensors: list[_Sensor]) -> tuple[bytes, list[list[int]]]:
+def _vehicle(name: str, sensors: list[SensorPart]) -> tuple[bytes, list[list[int]]]:
     """Return a Vehicle, its numbers zero, and where in it those of each sensor are."""
     content = _text(_NAME, name) + _VALID + _text(_VEHICLE_REASON, "")
     found = []
@@ -152,7 +152,7 @@ def _text(tag: bytes, text: str) -> bytes:
     return tag + varint(len(encoded)) + encoded
 
 
-def _sensor(name: str, reading: Any, site: Site) -> _Sensor | None:
+def sensor_of(name: str, reading: Any, site: Site) -> SensorPart | None:
     """Return a sensor's part of the message, from the places of its reading; None for one with pictures."""
     if isinstance(reading, CameraReading):
         return None
@@ -175,4 +175,4 @@ def _sensor(name: str, reading: Any, site: Site) -> _Sensor | None:
             return np.stack(columns[: len(derived)], axis=1)
 
         sources.append((own["position_ned"], geodetic))
-    return _Sensor(name, fields, sources)
+    return SensorPart(name, fields, sources)

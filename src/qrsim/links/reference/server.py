@@ -18,10 +18,12 @@ from qrsim.errors import RunError, UsageError
 from qrsim.links.reference.connection import MOST_WAITING, Connection
 from qrsim.links.reference.episode_session import EpisodeSession
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
-from qrsim.links.reference.requests import HANDLERS, NEEDED
+from qrsim.links.reference.requests import HANDLERS, NEEDED, OWNED, SHARED
 from qrsim.links.reference.roles import Options
 from qrsim.links.reference.seeds import Seeds
-from qrsim.links.reference.session import Session
+from qrsim.links.reference.session import Session, SessionOptions
+from qrsim.links.reference.shared_session import SharedSession
+from qrsim.links.reference.sharing import Sharing
 from qrsim.links.reference.tasks import Tasks
 
 if TYPE_CHECKING:
@@ -64,6 +66,7 @@ class Server:
     Attributes:
         sessions: id -> session.
         seeds: of the episodes of all clients that ask for no seed of their own.
+        sharing: the world that all clients share; None where each session has an owner.
     """
 
     def __init__(self, options: Options, tasks: Tasks, say: Callable[[str], None] = lambda line: None):
@@ -80,6 +83,8 @@ class Server:
         self._stopped = threading.Event()
         self._stopping = asyncio.Event()
         self._others = ThreadPoolExecutor(1, thread_name_prefix="load")
+        self._numbered = 0
+        self.sharing: Sharing | None = None
 
     # ---- life ----
 
@@ -107,13 +112,37 @@ class Server:
                     loop.add_signal_handler(number, self.stop)
         if self.options.idle_timeout:
             threading.Thread(target=self._watch_idle, args=(loop,), name="idle", daemon=True).start()
+        begun = await self._share() if self.options.pace != "owner" else ""
         ready(*listening.sockets[0].getsockname()[:2])
+        if begun:
+            self.say(begun)
         try:
             await self._stopping.wait()
         finally:
             self._stopped.set()
         listening.close()
         await self._end()
+
+    async def _share(self) -> str:
+        """Begin the world that all clients share; return a line about it."""
+        options = self.options
+        scenario = await self.run_in_thread(lambda: self.tasks.offboard(""))
+        session_options = SessionOptions(
+            scenario, self.seeds, realtime=options.realtime, events=True, record=options.record
+        )
+        self._opened += 1
+        session = SharedSession(
+            self._opened, session_options, options.view, pace=options.pace, silence=options.silence, say=self.say
+        )
+        try:
+            await asyncio.get_running_loop().run_in_executor(session.thread, session.begin)
+        except BaseException:
+            session.end()
+            raise
+        self.sessions[session.number] = session
+        self.sharing = Sharing(self, session, options.barrier_timeout)
+        count = f"{session.size} vehicle{'s' if session.size != 1 else ''}"
+        return f"session {session.number} begins: {scenario.name}, {count}, seed {session.seed}, pace {session.pace}"
 
     def _why_not(self, error: OSError) -> str:
         where = f"{self.options.host}:{self.options.port}"
@@ -132,10 +161,22 @@ class Server:
         tasks += self._endings
         if tasks:
             await asyncio.wait(tasks, timeout=5.0)
+        if self.sharing is not None:
+            await self._end_sharing(self.sharing)
         self._others.shutdown(wait=False)
+
+    async def _end_sharing(self, sharing: Sharing) -> None:
+        """End the world that clients share, after its last tick."""
+        session = sharing.session
+        async with sharing.lock:
+            sharing.end()
+        await self.run(session, session.end)
+        self.say(f"session {session.number} ended: {session.summary()}")
 
     def admit(self, connection: Connection) -> str | None:
         """Register a new connection; return the reason for refusing it, or None."""
+        self._numbered += 1
+        connection.number = self._numbered
         refused = None
         if len(self._connections) >= self.options.max_clients:
             refused = f"the server has {self.options.max_clients} clients, which is all that its operator allows"
@@ -145,6 +186,8 @@ class Server:
     async def forget(self, connection: Connection) -> None:
         """End the session and the watching of a connection that is closing."""
         await self.close_session(connection)
+        if self.sharing is not None:
+            self.sharing.forget(connection)
         self._watching.pop(connection, None)
         self._connections.discard(connection)
 
@@ -167,6 +210,17 @@ class Server:
         needed = NEEDED.get(message.type)
         if needed is not None and not message.HasField(needed):
             raise UsageError(f"{name}: the message has no '{needed}'")
+        if self.sharing is None:
+            if message.type in SHARED:
+                raise UsageError(
+                    f"{name}: this server's worlds are flown by one client each; its operator can have several fly one "
+                    "(--pace barrier or free)"
+                )
+        elif message.type in OWNED:
+            raise UsageError(
+                f"{name}: this server's world is shared by its clients (--pace {self.options.pace}); CLAIM vehicles of "
+                "it, and send COMMANDs"
+            )
         return await handler(connection, message)
 
     async def open(self, connection: Connection, make: Callable[[int], S]) -> S:

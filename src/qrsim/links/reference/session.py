@@ -21,8 +21,8 @@ from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Events
 from qrsim.links.reference.readout import States
 from qrsim.links.reference.seeds import Seeds
 from qrsim.links.reference.sensors import SensorReadout
-from qrsim.runs import EpisodesWriter, RunInfo, RunWriter
-from qrsim.runs.streams import STREAMS, EventFinder, columns, values
+from qrsim.runs import Column, EpisodesWriter, RunInfo, RunWriter
+from qrsim.runs.streams import EventFinder, Values, columns, values
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.simulation import History, Simulation
 
@@ -124,23 +124,31 @@ class Session:
         )
         self.simulation.reset()
         self.commands = commands_of(self.simulation.world.fleets, self.simulation.dtype)
-        if options.realtime:
-            self.warm()
+        self.prepare()
         self._start_episode()
         self.pacer = Pacer(options.realtime, 0.0)
         if self._view is not None:
             self._view.begin(self.simulation, f"{scenario.name}, session {self.number}")
+
+    def prepare(self) -> None:
+        """Do what is to be done before the first episode: in real time, to compile."""
+        if self._options.realtime:
+            self.warm()
 
     def warm(self) -> None:
         """Compile every kind of step, from and to the start."""
         start = self.simulation.truth.position_ned
         self.simulation.set_state(np.full_like(start, np.nan))
         for command in self.commands.samples(start):
-            if self._tick_by_tick:
+            if self.ticks_are_kept:
                 self.simulation.record(1, command, PIECE_TICKS)
             else:
                 self.simulation.advance(command)
         self.simulation.reset()
+
+    def start_clock(self, factor: float) -> None:
+        """Begin to count the pace, at a factor (0: lock-step); raises UsageError."""
+        self.pacer = Pacer(factor, self.time)
 
     def restart(self, seed: int | None = None) -> None:
         """Start the next episode, or with a seed the first one of that seed's series.
@@ -161,17 +169,17 @@ class Session:
         self.states, self.sensors = States(self.simulation), SensorReadout(self.simulation)
         self.close_recording()
         self.episode += 1
-        if not self._tick_by_tick:
+        if not self.ticks_are_kept:
             return
         beginning = self.simulation.history
         self._finder = EventFinder(self.simulation)
         if self._options.record is not None:
-            self._columns = columns(self.simulation.world, beginning)
+            self._columns = columns(self.simulation.world, beginning) | self.more_columns()
             self._writer = self._new_writer(self._options.record)
         self._keep(beginning)
 
     @property
-    def _tick_by_tick(self) -> bool:
+    def ticks_are_kept(self) -> bool:
         """Whether somebody looks at every tick."""
         return self._options.events or self._options.record is not None
 
@@ -227,13 +235,13 @@ class Session:
         self._advance(command, ticks)
         if self._view is not None:
             self._view.show(self.simulation)
-            self._keep_events(self._view.changes(self.simulation))
+            self.keep_events(self._view.changes(self.simulation))
         # The first call compiles, which says nothing about the next one.
         known = _kind(command) in self._seconds
         self._seconds[_kind(command)] = (time.perf_counter() - begun, ticks) if known else (PIECE_S, PIECE_TICKS)
 
     def _advance(self, command: Any, ticks: int) -> None:
-        if self._tick_by_tick:
+        if self.ticks_are_kept:
             for done in range(0, ticks, PIECE_TICKS):
                 self._keep(self.simulation.record(min(PIECE_TICKS, ticks - done), command, PIECE_TICKS))
         else:
@@ -258,24 +266,33 @@ class Session:
 
     # ---- what is kept ----
 
+    def more_columns(self) -> dict[str, list[Column]]:
+        """Return the columns of streams that a recording has beside those of every run."""
+        return {}
+
+    def more_values(self, ticks: int) -> dict[str, Values]:
+        """Return their values (T, n) for the last ticks that were flown."""
+        return {}
+
     def _keep(self, history: History) -> None:
         assert self._finder is not None
         found = self._finder.find(history)
         if self._writer is None:
-            self._keep_events(found)
+            self.keep_events(found)
             return
-        arrays = values(self.simulation.world, history, self._columns)
+        arrays = values(self.simulation.world, history, self._columns) | self.more_values(len(history.ticks))
         try:
             with self._writer.together():
-                for stream in STREAMS:
-                    self._writer.append(stream, history.ticks, history.time, arrays[stream])
-                self._keep_events(found)
+                for stream, found_in_it in arrays.items():
+                    self._writer.append(stream, history.ticks, history.time, found_in_it)
+                self.keep_events(found)
         except RunError as error:
             # The client flies on: it is the operator who has no room.
             warn_user(f"session {self.number} is no longer recorded: {error}")
             self._writer = None
 
-    def _keep_events(self, found: list[dict[str, Any]]) -> None:
+    def keep_events(self, found: list[dict[str, Any]]) -> None:
+        """Keep events for GET_EVENTS and in the recording."""
         if self._options.events:
             self._events.extend(found)
             while len(self._events) > MOST_EVENTS:

@@ -65,12 +65,13 @@ def test_messages_of_the_reference_are_these_bytes(name):
 
 
 def test_kinds_of_steps_and_required_fields_are_those_of_the_reference():
-    assert dict(Step.Type.items()) == {"WP": 1, "CTRL": 2, "VEL": 3}
+    assert {name: number for name, number in Step.Type.items() if number < 100} == {"WP": 1, "CTRL": 2, "VEL": 3}
     file = FileDescriptorProto()
     pb.DESCRIPTOR.CopyToProto(file)
     labels = {f"{message.name}.{field.name}": field.label for message in file.message_type for field in message.field}
     required = {name for name, label in labels.items() if label == FieldDescriptorProto.LABEL_REQUIRED}
     own = {"Server", "Session", "Event", "Events", "Pacing", "Readings", "Values", "Episode", "Outcome"}
+    own |= {"Claimed", "Order", "Commanded", "Status", "World"}
     assert {name for name in required if name.partition(".")[0] not in own} == {
         "Size.value", "Init.task", "Reset.value", "Disconnect.quit", "Step.dt", "Step.type", "State.t", "Ack.error",
         "Message.type",

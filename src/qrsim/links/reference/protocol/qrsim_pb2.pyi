@@ -51,9 +51,19 @@ class Step(_message.Message):
         WP: _ClassVar[Step.Type]
         CTRL: _ClassVar[Step.Type]
         VEL: _ClassVar[Step.Type]
+        VEL_YAW: _ClassVar[Step.Type]
+        VEL_HEIGHT: _ClassVar[Step.Type]
+        ATT_HEIGHT: _ClassVar[Step.Type]
+        ATT: _ClassVar[Step.Type]
+        PATH: _ClassVar[Step.Type]
     WP: Step.Type
     CTRL: Step.Type
     VEL: Step.Type
+    VEL_YAW: Step.Type
+    VEL_HEIGHT: Step.Type
+    ATT_HEIGHT: Step.Type
+    ATT: Step.Type
+    PATH: Step.Type
     DT_FIELD_NUMBER: _ClassVar[int]
     TYPE_FIELD_NUMBER: _ClassVar[int]
     CMD_FIELD_NUMBER: _ClassVar[int]
@@ -151,7 +161,7 @@ class GetReadings(_message.Message):
     def __init__(self) -> None: ...
 
 class Readings(_message.Message):
-    __slots__ = ("t", "vehicle")
+    __slots__ = ("t", "vehicle", "tick", "sent", "missed")
     class Field(_message.Message):
         __slots__ = ("name", "value")
         NAME_FIELD_NUMBER: _ClassVar[int]
@@ -160,30 +170,42 @@ class Readings(_message.Message):
         value: _containers.RepeatedScalarFieldContainer[float]
         def __init__(self, name: _Optional[str] = ..., value: _Optional[_Iterable[float]] = ...) -> None: ...
     class Sensor(_message.Message):
-        __slots__ = ("name", "field", "reason")
+        __slots__ = ("name", "field", "reason", "time", "fresh")
         NAME_FIELD_NUMBER: _ClassVar[int]
         FIELD_FIELD_NUMBER: _ClassVar[int]
         REASON_FIELD_NUMBER: _ClassVar[int]
+        TIME_FIELD_NUMBER: _ClassVar[int]
+        FRESH_FIELD_NUMBER: _ClassVar[int]
         name: str
         field: _containers.RepeatedCompositeFieldContainer[Readings.Field]
         reason: str
-        def __init__(self, name: _Optional[str] = ..., field: _Optional[_Iterable[_Union[Readings.Field, _Mapping]]] = ..., reason: _Optional[str] = ...) -> None: ...
+        time: float
+        fresh: bool
+        def __init__(self, name: _Optional[str] = ..., field: _Optional[_Iterable[_Union[Readings.Field, _Mapping]]] = ..., reason: _Optional[str] = ..., time: _Optional[float] = ..., fresh: bool = ...) -> None: ...
     class Vehicle(_message.Message):
-        __slots__ = ("name", "valid", "reason", "sensor")
+        __slots__ = ("name", "valid", "reason", "sensor", "X")
         NAME_FIELD_NUMBER: _ClassVar[int]
         VALID_FIELD_NUMBER: _ClassVar[int]
         REASON_FIELD_NUMBER: _ClassVar[int]
         SENSOR_FIELD_NUMBER: _ClassVar[int]
+        X_FIELD_NUMBER: _ClassVar[int]
         name: str
         valid: bool
         reason: str
         sensor: _containers.RepeatedCompositeFieldContainer[Readings.Sensor]
-        def __init__(self, name: _Optional[str] = ..., valid: bool = ..., reason: _Optional[str] = ..., sensor: _Optional[_Iterable[_Union[Readings.Sensor, _Mapping]]] = ...) -> None: ...
+        X: Arrayd
+        def __init__(self, name: _Optional[str] = ..., valid: bool = ..., reason: _Optional[str] = ..., sensor: _Optional[_Iterable[_Union[Readings.Sensor, _Mapping]]] = ..., X: _Optional[_Union[Arrayd, _Mapping]] = ...) -> None: ...
     T_FIELD_NUMBER: _ClassVar[int]
     VEHICLE_FIELD_NUMBER: _ClassVar[int]
+    TICK_FIELD_NUMBER: _ClassVar[int]
+    SENT_FIELD_NUMBER: _ClassVar[int]
+    MISSED_FIELD_NUMBER: _ClassVar[int]
     t: float
     vehicle: _containers.RepeatedCompositeFieldContainer[Readings.Vehicle]
-    def __init__(self, t: _Optional[float] = ..., vehicle: _Optional[_Iterable[_Union[Readings.Vehicle, _Mapping]]] = ...) -> None: ...
+    tick: int
+    sent: float
+    missed: int
+    def __init__(self, t: _Optional[float] = ..., vehicle: _Optional[_Iterable[_Union[Readings.Vehicle, _Mapping]]] = ..., tick: _Optional[int] = ..., sent: _Optional[float] = ..., missed: _Optional[int] = ...) -> None: ...
 
 class Watch(_message.Message):
     __slots__ = ("session", "period", "stop")
@@ -332,8 +354,229 @@ class Outcome(_message.Message):
     info: _containers.RepeatedCompositeFieldContainer[Values]
     def __init__(self, step: _Optional[int] = ..., t: _Optional[float] = ..., observation: _Optional[_Iterable[_Union[Values, _Mapping]]] = ..., reward: _Optional[_Iterable[float]] = ..., terminated: bool = ..., truncated: bool = ..., info: _Optional[_Iterable[_Union[Values, _Mapping]]] = ...) -> None: ...
 
+class Claim(_message.Message):
+    __slots__ = ("vehicle", "on_silence", "hold")
+    VEHICLE_FIELD_NUMBER: _ClassVar[int]
+    ON_SILENCE_FIELD_NUMBER: _ClassVar[int]
+    HOLD_FIELD_NUMBER: _ClassVar[int]
+    vehicle: _containers.RepeatedScalarFieldContainer[str]
+    on_silence: str
+    hold: float
+    def __init__(self, vehicle: _Optional[_Iterable[str]] = ..., on_silence: _Optional[str] = ..., hold: _Optional[float] = ...) -> None: ...
+
+class Claimed(_message.Message):
+    __slots__ = ("client", "vehicle", "scenario", "seed", "pace", "factor", "time_step", "tick", "on_silence", "hold")
+    CLIENT_FIELD_NUMBER: _ClassVar[int]
+    VEHICLE_FIELD_NUMBER: _ClassVar[int]
+    SCENARIO_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    PACE_FIELD_NUMBER: _ClassVar[int]
+    FACTOR_FIELD_NUMBER: _ClassVar[int]
+    TIME_STEP_FIELD_NUMBER: _ClassVar[int]
+    TICK_FIELD_NUMBER: _ClassVar[int]
+    ON_SILENCE_FIELD_NUMBER: _ClassVar[int]
+    HOLD_FIELD_NUMBER: _ClassVar[int]
+    client: int
+    vehicle: _containers.RepeatedScalarFieldContainer[str]
+    scenario: str
+    seed: int
+    pace: str
+    factor: float
+    time_step: float
+    tick: int
+    on_silence: str
+    hold: float
+    def __init__(self, client: _Optional[int] = ..., vehicle: _Optional[_Iterable[str]] = ..., scenario: _Optional[str] = ..., seed: _Optional[int] = ..., pace: _Optional[str] = ..., factor: _Optional[float] = ..., time_step: _Optional[float] = ..., tick: _Optional[int] = ..., on_silence: _Optional[str] = ..., hold: _Optional[float] = ...) -> None: ...
+
+class Release(_message.Message):
+    __slots__ = ("vehicle",)
+    VEHICLE_FIELD_NUMBER: _ClassVar[int]
+    vehicle: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, vehicle: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class Order(_message.Message):
+    __slots__ = ("vehicle", "type", "cmd")
+    VEHICLE_FIELD_NUMBER: _ClassVar[int]
+    TYPE_FIELD_NUMBER: _ClassVar[int]
+    CMD_FIELD_NUMBER: _ClassVar[int]
+    vehicle: str
+    type: Step.Type
+    cmd: Arrayd
+    def __init__(self, vehicle: _Optional[str] = ..., type: _Optional[_Union[Step.Type, str]] = ..., cmd: _Optional[_Union[Arrayd, _Mapping]] = ...) -> None: ...
+
+class Command(_message.Message):
+    __slots__ = ("order", "computed_from", "until_tick", "ticks", "truth")
+    ORDER_FIELD_NUMBER: _ClassVar[int]
+    COMPUTED_FROM_FIELD_NUMBER: _ClassVar[int]
+    UNTIL_TICK_FIELD_NUMBER: _ClassVar[int]
+    TICKS_FIELD_NUMBER: _ClassVar[int]
+    TRUTH_FIELD_NUMBER: _ClassVar[int]
+    order: _containers.RepeatedCompositeFieldContainer[Order]
+    computed_from: int
+    until_tick: int
+    ticks: int
+    truth: bool
+    def __init__(self, order: _Optional[_Iterable[_Union[Order, _Mapping]]] = ..., computed_from: _Optional[int] = ..., until_tick: _Optional[int] = ..., ticks: _Optional[int] = ..., truth: bool = ...) -> None: ...
+
+class Commanded(_message.Message):
+    __slots__ = ("tick",)
+    TICK_FIELD_NUMBER: _ClassVar[int]
+    tick: int
+    def __init__(self, tick: _Optional[int] = ...) -> None: ...
+
+class Subscribe(_message.Message):
+    __slots__ = ("vehicle", "rate", "truth", "stop")
+    VEHICLE_FIELD_NUMBER: _ClassVar[int]
+    RATE_FIELD_NUMBER: _ClassVar[int]
+    TRUTH_FIELD_NUMBER: _ClassVar[int]
+    STOP_FIELD_NUMBER: _ClassVar[int]
+    vehicle: _containers.RepeatedScalarFieldContainer[str]
+    rate: float
+    truth: bool
+    stop: bool
+    def __init__(self, vehicle: _Optional[_Iterable[str]] = ..., rate: _Optional[float] = ..., truth: bool = ..., stop: bool = ...) -> None: ...
+
+class GetStatus(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class Status(_message.Message):
+    __slots__ = ("pace", "tick", "t", "pacing", "vehicle")
+    class Vehicle(_message.Message):
+        __slots__ = ("name", "client", "flies", "source_tick", "arrival_tick", "age", "misses", "silent_since")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        CLIENT_FIELD_NUMBER: _ClassVar[int]
+        FLIES_FIELD_NUMBER: _ClassVar[int]
+        SOURCE_TICK_FIELD_NUMBER: _ClassVar[int]
+        ARRIVAL_TICK_FIELD_NUMBER: _ClassVar[int]
+        AGE_FIELD_NUMBER: _ClassVar[int]
+        MISSES_FIELD_NUMBER: _ClassVar[int]
+        SILENT_SINCE_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        client: int
+        flies: str
+        source_tick: int
+        arrival_tick: int
+        age: float
+        misses: int
+        silent_since: float
+        def __init__(self, name: _Optional[str] = ..., client: _Optional[int] = ..., flies: _Optional[str] = ..., source_tick: _Optional[int] = ..., arrival_tick: _Optional[int] = ..., age: _Optional[float] = ..., misses: _Optional[int] = ..., silent_since: _Optional[float] = ...) -> None: ...
+    PACE_FIELD_NUMBER: _ClassVar[int]
+    TICK_FIELD_NUMBER: _ClassVar[int]
+    T_FIELD_NUMBER: _ClassVar[int]
+    PACING_FIELD_NUMBER: _ClassVar[int]
+    VEHICLE_FIELD_NUMBER: _ClassVar[int]
+    pace: str
+    tick: int
+    t: float
+    pacing: Pacing
+    vehicle: _containers.RepeatedCompositeFieldContainer[Status.Vehicle]
+    def __init__(self, pace: _Optional[str] = ..., tick: _Optional[int] = ..., t: _Optional[float] = ..., pacing: _Optional[_Union[Pacing, _Mapping]] = ..., vehicle: _Optional[_Iterable[_Union[Status.Vehicle, _Mapping]]] = ...) -> None: ...
+
+class Describe(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class World(_message.Message):
+    __slots__ = ("scenario", "time_step", "collision_distance", "area", "obstacle", "ground", "wind", "turbulence", "gust", "fleet", "origin")
+    class Quantity(_message.Message):
+        __slots__ = ("name", "unit", "value", "text")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        UNIT_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        TEXT_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        unit: str
+        value: _containers.RepeatedScalarFieldContainer[float]
+        text: str
+        def __init__(self, name: _Optional[str] = ..., unit: _Optional[str] = ..., value: _Optional[_Iterable[float]] = ..., text: _Optional[str] = ...) -> None: ...
+    class Part(_message.Message):
+        __slots__ = ("type", "quantity")
+        TYPE_FIELD_NUMBER: _ClassVar[int]
+        QUANTITY_FIELD_NUMBER: _ClassVar[int]
+        type: str
+        quantity: _containers.RepeatedCompositeFieldContainer[World.Quantity]
+        def __init__(self, type: _Optional[str] = ..., quantity: _Optional[_Iterable[_Union[World.Quantity, _Mapping]]] = ...) -> None: ...
+    class Sensor(_message.Message):
+        __slots__ = ("name", "type", "period", "field")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        TYPE_FIELD_NUMBER: _ClassVar[int]
+        PERIOD_FIELD_NUMBER: _ClassVar[int]
+        FIELD_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        type: str
+        period: float
+        field: _containers.RepeatedScalarFieldContainer[str]
+        def __init__(self, name: _Optional[str] = ..., type: _Optional[str] = ..., period: _Optional[float] = ..., field: _Optional[_Iterable[str]] = ...) -> None: ...
+    class Command(_message.Message):
+        __slots__ = ("type", "name", "field")
+        class Field(_message.Message):
+            __slots__ = ("name", "unit", "low", "high")
+            NAME_FIELD_NUMBER: _ClassVar[int]
+            UNIT_FIELD_NUMBER: _ClassVar[int]
+            LOW_FIELD_NUMBER: _ClassVar[int]
+            HIGH_FIELD_NUMBER: _ClassVar[int]
+            name: str
+            unit: str
+            low: float
+            high: float
+            def __init__(self, name: _Optional[str] = ..., unit: _Optional[str] = ..., low: _Optional[float] = ..., high: _Optional[float] = ...) -> None: ...
+        TYPE_FIELD_NUMBER: _ClassVar[int]
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        FIELD_FIELD_NUMBER: _ClassVar[int]
+        type: Step.Type
+        name: str
+        field: _containers.RepeatedCompositeFieldContainer[World.Command.Field]
+        def __init__(self, type: _Optional[_Union[Step.Type, str]] = ..., name: _Optional[str] = ..., field: _Optional[_Iterable[_Union[World.Command.Field, _Mapping]]] = ...) -> None: ...
+    class Fleet(_message.Message):
+        __slots__ = ("name", "vehicle", "model", "controller", "guidance", "radius", "limits", "sensor", "command", "start")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        VEHICLE_FIELD_NUMBER: _ClassVar[int]
+        MODEL_FIELD_NUMBER: _ClassVar[int]
+        CONTROLLER_FIELD_NUMBER: _ClassVar[int]
+        GUIDANCE_FIELD_NUMBER: _ClassVar[int]
+        RADIUS_FIELD_NUMBER: _ClassVar[int]
+        LIMITS_FIELD_NUMBER: _ClassVar[int]
+        SENSOR_FIELD_NUMBER: _ClassVar[int]
+        COMMAND_FIELD_NUMBER: _ClassVar[int]
+        START_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        vehicle: _containers.RepeatedScalarFieldContainer[str]
+        model: World.Part
+        controller: str
+        guidance: str
+        radius: float
+        limits: World.Part
+        sensor: _containers.RepeatedCompositeFieldContainer[World.Sensor]
+        command: _containers.RepeatedCompositeFieldContainer[World.Command]
+        start: _containers.RepeatedCompositeFieldContainer[Arrayd]
+        def __init__(self, name: _Optional[str] = ..., vehicle: _Optional[_Iterable[str]] = ..., model: _Optional[_Union[World.Part, _Mapping]] = ..., controller: _Optional[str] = ..., guidance: _Optional[str] = ..., radius: _Optional[float] = ..., limits: _Optional[_Union[World.Part, _Mapping]] = ..., sensor: _Optional[_Iterable[_Union[World.Sensor, _Mapping]]] = ..., command: _Optional[_Iterable[_Union[World.Command, _Mapping]]] = ..., start: _Optional[_Iterable[_Union[Arrayd, _Mapping]]] = ...) -> None: ...
+    SCENARIO_FIELD_NUMBER: _ClassVar[int]
+    TIME_STEP_FIELD_NUMBER: _ClassVar[int]
+    COLLISION_DISTANCE_FIELD_NUMBER: _ClassVar[int]
+    AREA_FIELD_NUMBER: _ClassVar[int]
+    OBSTACLE_FIELD_NUMBER: _ClassVar[int]
+    GROUND_FIELD_NUMBER: _ClassVar[int]
+    WIND_FIELD_NUMBER: _ClassVar[int]
+    TURBULENCE_FIELD_NUMBER: _ClassVar[int]
+    GUST_FIELD_NUMBER: _ClassVar[int]
+    FLEET_FIELD_NUMBER: _ClassVar[int]
+    ORIGIN_FIELD_NUMBER: _ClassVar[int]
+    scenario: str
+    time_step: float
+    collision_distance: float
+    area: World.Part
+    obstacle: _containers.RepeatedCompositeFieldContainer[World.Part]
+    ground: World.Part
+    wind: World.Part
+    turbulence: World.Part
+    gust: World.Part
+    fleet: _containers.RepeatedCompositeFieldContainer[World.Fleet]
+    origin: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, scenario: _Optional[str] = ..., time_step: _Optional[float] = ..., collision_distance: _Optional[float] = ..., area: _Optional[_Union[World.Part, _Mapping]] = ..., obstacle: _Optional[_Iterable[_Union[World.Part, _Mapping]]] = ..., ground: _Optional[_Union[World.Part, _Mapping]] = ..., wind: _Optional[_Union[World.Part, _Mapping]] = ..., turbulence: _Optional[_Union[World.Part, _Mapping]] = ..., gust: _Optional[_Union[World.Part, _Mapping]] = ..., fleet: _Optional[_Iterable[_Union[World.Fleet, _Mapping]]] = ..., origin: _Optional[_Iterable[float]] = ...) -> None: ...
+
 class Message(_message.Message):
-    __slots__ = ("type", "init", "reset", "disconnect", "setsState", "step", "state", "taskInfo", "ack", "hello", "server", "open", "session", "restart", "get_readings", "readings", "watch", "get_events", "events", "pace", "pacing", "play", "episode", "act", "outcome")
+    __slots__ = ("type", "init", "reset", "disconnect", "setsState", "step", "state", "taskInfo", "ack", "hello", "server", "open", "session", "restart", "get_readings", "readings", "watch", "get_events", "events", "pace", "pacing", "play", "episode", "act", "outcome", "claim", "claimed", "release", "command", "commanded", "subscribe", "sensed", "get_status", "status", "describe", "world")
     class Type(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         NONE: _ClassVar[Message.Type]
@@ -361,6 +604,17 @@ class Message(_message.Message):
         EPISODE: _ClassVar[Message.Type]
         ACT: _ClassVar[Message.Type]
         OUTCOME: _ClassVar[Message.Type]
+        CLAIM: _ClassVar[Message.Type]
+        CLAIMED: _ClassVar[Message.Type]
+        RELEASE: _ClassVar[Message.Type]
+        COMMAND: _ClassVar[Message.Type]
+        COMMANDED: _ClassVar[Message.Type]
+        SUBSCRIBE: _ClassVar[Message.Type]
+        SENSED: _ClassVar[Message.Type]
+        GET_STATUS: _ClassVar[Message.Type]
+        STATUS: _ClassVar[Message.Type]
+        DESCRIBE: _ClassVar[Message.Type]
+        WORLD: _ClassVar[Message.Type]
     NONE: Message.Type
     INIT: Message.Type
     RESET: Message.Type
@@ -386,6 +640,17 @@ class Message(_message.Message):
     EPISODE: Message.Type
     ACT: Message.Type
     OUTCOME: Message.Type
+    CLAIM: Message.Type
+    CLAIMED: Message.Type
+    RELEASE: Message.Type
+    COMMAND: Message.Type
+    COMMANDED: Message.Type
+    SUBSCRIBE: Message.Type
+    SENSED: Message.Type
+    GET_STATUS: Message.Type
+    STATUS: Message.Type
+    DESCRIBE: Message.Type
+    WORLD: Message.Type
     TYPE_FIELD_NUMBER: _ClassVar[int]
     INIT_FIELD_NUMBER: _ClassVar[int]
     RESET_FIELD_NUMBER: _ClassVar[int]
@@ -411,6 +676,17 @@ class Message(_message.Message):
     EPISODE_FIELD_NUMBER: _ClassVar[int]
     ACT_FIELD_NUMBER: _ClassVar[int]
     OUTCOME_FIELD_NUMBER: _ClassVar[int]
+    CLAIM_FIELD_NUMBER: _ClassVar[int]
+    CLAIMED_FIELD_NUMBER: _ClassVar[int]
+    RELEASE_FIELD_NUMBER: _ClassVar[int]
+    COMMAND_FIELD_NUMBER: _ClassVar[int]
+    COMMANDED_FIELD_NUMBER: _ClassVar[int]
+    SUBSCRIBE_FIELD_NUMBER: _ClassVar[int]
+    SENSED_FIELD_NUMBER: _ClassVar[int]
+    GET_STATUS_FIELD_NUMBER: _ClassVar[int]
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    DESCRIBE_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FIELD_NUMBER: _ClassVar[int]
     type: Message.Type
     init: Init
     reset: Reset
@@ -436,4 +712,15 @@ class Message(_message.Message):
     episode: Episode
     act: Act
     outcome: Outcome
-    def __init__(self, type: _Optional[_Union[Message.Type, str]] = ..., init: _Optional[_Union[Init, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., disconnect: _Optional[_Union[Disconnect, _Mapping]] = ..., setsState: _Optional[_Union[SetState, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., state: _Optional[_Union[State, _Mapping]] = ..., taskInfo: _Optional[_Union[TaskInfo, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., hello: _Optional[_Union[Hello, _Mapping]] = ..., server: _Optional[_Union[Server, _Mapping]] = ..., open: _Optional[_Union[Open, _Mapping]] = ..., session: _Optional[_Union[Session, _Mapping]] = ..., restart: _Optional[_Union[Restart, _Mapping]] = ..., get_readings: _Optional[_Union[GetReadings, _Mapping]] = ..., readings: _Optional[_Union[Readings, _Mapping]] = ..., watch: _Optional[_Union[Watch, _Mapping]] = ..., get_events: _Optional[_Union[GetEvents, _Mapping]] = ..., events: _Optional[_Union[Events, _Mapping]] = ..., pace: _Optional[_Union[Pace, _Mapping]] = ..., pacing: _Optional[_Union[Pacing, _Mapping]] = ..., play: _Optional[_Union[Play, _Mapping]] = ..., episode: _Optional[_Union[Episode, _Mapping]] = ..., act: _Optional[_Union[Act, _Mapping]] = ..., outcome: _Optional[_Union[Outcome, _Mapping]] = ...) -> None: ...
+    claim: Claim
+    claimed: Claimed
+    release: Release
+    command: Command
+    commanded: Commanded
+    subscribe: Subscribe
+    sensed: Readings
+    get_status: GetStatus
+    status: Status
+    describe: Describe
+    world: World
+    def __init__(self, type: _Optional[_Union[Message.Type, str]] = ..., init: _Optional[_Union[Init, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., disconnect: _Optional[_Union[Disconnect, _Mapping]] = ..., setsState: _Optional[_Union[SetState, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., state: _Optional[_Union[State, _Mapping]] = ..., taskInfo: _Optional[_Union[TaskInfo, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., hello: _Optional[_Union[Hello, _Mapping]] = ..., server: _Optional[_Union[Server, _Mapping]] = ..., open: _Optional[_Union[Open, _Mapping]] = ..., session: _Optional[_Union[Session, _Mapping]] = ..., restart: _Optional[_Union[Restart, _Mapping]] = ..., get_readings: _Optional[_Union[GetReadings, _Mapping]] = ..., readings: _Optional[_Union[Readings, _Mapping]] = ..., watch: _Optional[_Union[Watch, _Mapping]] = ..., get_events: _Optional[_Union[GetEvents, _Mapping]] = ..., events: _Optional[_Union[Events, _Mapping]] = ..., pace: _Optional[_Union[Pace, _Mapping]] = ..., pacing: _Optional[_Union[Pacing, _Mapping]] = ..., play: _Optional[_Union[Play, _Mapping]] = ..., episode: _Optional[_Union[Episode, _Mapping]] = ..., act: _Optional[_Union[Act, _Mapping]] = ..., outcome: _Optional[_Union[Outcome, _Mapping]] = ..., claim: _Optional[_Union[Claim, _Mapping]] = ..., claimed: _Optional[_Union[Claimed, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., command: _Optional[_Union[Command, _Mapping]] = ..., commanded: _Optional[_Union[Commanded, _Mapping]] = ..., subscribe: _Optional[_Union[Subscribe, _Mapping]] = ..., sensed: _Optional[_Union[Readings, _Mapping]] = ..., get_status: _Optional[_Union[GetStatus, _Mapping]] = ..., status: _Optional[_Union[Status, _Mapping]] = ..., describe: _Optional[_Union[Describe, _Mapping]] = ..., world: _Optional[_Union[World, _Mapping]] = ...) -> None: ...

@@ -1,0 +1,242 @@
+"""The calls of a client that shares a world with others; for Python 3.8 and later, as ``client``."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from qrsim.errors import UsageError
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.replies import Claim, Sensed, SensedVehicle, Status, VehicleStatus
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+# What a vehicle may be ordered to do, with the numbers of it.
+KINDS = {
+    "waypoint": Step.WP,  # x, y, z NED [m], yaw [rad]
+    "velocity": Step.VEL_YAW,  # north, east, down [m/s], yaw
+    "velocity_height": Step.VEL_HEIGHT,  # north, east [m/s], z down [m], yaw
+    "attitude_height": Step.ATT_HEIGHT,  # roll, pitch [rad], z, yaw
+    "attitude": Step.ATT,  # roll, pitch, yaw [rad], throttle 0 to 1
+    "path": Step.PATH,  # x, y, z, velocity and acceleration NED, yaw
+    "control": Step.CTRL,  # the vehicle's own command
+}
+MOST_PUSHED = 1000
+
+
+class SharedCalls(ABC):
+    """The calls of ``Client`` to a world that several clients share (``qrsim serve SCENARIO --pace barrier|free``)."""
+
+    def __init__(self) -> None:
+        self._pushed: deque[pb.Readings] = deque(maxlen=MOST_PUSHED)
+
+    def claim(self, *vehicles: str, on_silence: str | None = None, hold: float | None = None) -> Claim:
+        """Claim the exclusive command of vehicles, all of them or none; without names all that are free.
+
+        Args:
+            vehicles: names.
+            on_silence: what they do without this client: "hold" their place, "return" to above their start, or "stop"
+                their motors; default: the server's.
+            hold: after how many seconds without a command, 0: never; default: the server's. At once where the
+                connection is lost.
+        """
+        request = pb.Claim(vehicle=vehicles, on_silence=on_silence, hold=hold)
+        found = self._ask(Message(type=Message.CLAIM, claim=request), Message.CLAIMED).claimed
+        return Claim(
+            found.client, tuple(found.vehicle), found.scenario, found.seed, found.pace, found.factor, found.time_step,
+            found.tick, found.on_silence, found.hold,
+        )  # fmt: skip
+
+    def release(self, *vehicles: str) -> None:
+        """Give claimed vehicles back to the guidance of their scenario; without names all."""
+        self._ask(Message(type=Message.RELEASE, release=pb.Release(vehicle=vehicles)), Message.ACK)
+
+    def command(self, orders: Mapping[str, Any], *, computed_from: int | None = None) -> int:
+        """Have claimed vehicles fly by orders until the next ones; return the tick from which they do (pace "free").
+
+        Args:
+            orders: vehicle -> (kind, numbers), as ``{"a": ("waypoint", [8.0, -6.0, -10.0, 0.0])}``; see ``KINDS``.
+            computed_from: tick of the readings that they were computed from.
+        """
+        request = pb.Command(order=_orders(orders), computed_from=computed_from)
+        return int(self._ask(Message(type=Message.COMMAND, command=request), Message.COMMANDED).commanded.tick)
+
+    def advance(
+        self,
+        orders: Mapping[str, Any] | None = None,
+        *,
+        ticks: int | None = None,
+        until_tick: int | None = None,
+        computed_from: int | None = None,
+        truth: bool = False,
+    ) -> Sensed:
+        """Give orders, wait until all who fly here have come to a tick, and return what one's vehicles sense there
+        (pace "barrier").
+
+        Args:
+            orders: as in ``command``; those left out fly on by their last order.
+            ticks: for so many ticks; or
+            until_tick: until this one; neither: until the next one.
+            computed_from: tick of the readings that the orders were computed from.
+            truth: return true states too.
+        """
+        if ticks is not None and until_tick is not None:
+            raise UsageError("advance: give ticks or until_tick, not both")
+        request = pb.Command(
+            order=_orders(orders or {}), computed_from=computed_from, until_tick=until_tick, truth=truth, ticks=ticks
+        )
+        return sensed_of(self._ask(Message(type=Message.COMMAND, command=request), Message.READINGS).readings)
+
+    def subscribe(self, *vehicles: str, rate: float | None = None, truth: bool = False, stop: bool = False) -> None:
+        """Have what vehicles sense pushed; ``sensed`` returns it.
+
+        Args:
+            vehicles: names; none: those that one has claimed, at any time.
+            rate: per simulated second; default: at every tick.
+            truth: with true states.
+            stop: no more.
+        """
+        request = pb.Subscribe(vehicle=vehicles, rate=rate, truth=truth, stop=stop)
+        self._ask(Message(type=Message.SUBSCRIBE, subscribe=request), Message.ACK)
+        if stop:
+            self._pushed.clear()
+
+    def sensed(self, timeout: float | None = None, *, newest: bool = True) -> Sensed:
+        """Return what was pushed, and wait for it where nothing is there that was not returned before.
+
+        Args:
+            timeout: how long to wait [s]; default: for ever.
+            newest: of several, the last one, the others being dropped; else the first one.
+        """
+        self._take_in()
+        if not self._pushed:
+            self._pushed.append(self._expect(self._receive(timeout), Message.SENSED).sensed)
+        found = self._pushed.pop() if newest else self._pushed.popleft()
+        if newest:
+            self._pushed.clear()
+        return sensed_of(found)
+
+    def status(self) -> Status:
+        """Return who flies what, how old the orders are, and how the pace is kept."""
+        found = self._ask(Message(type=Message.GET_STATUS, get_status=pb.GetStatus()), Message.STATUS).status
+        vehicles = {
+            each.name: VehicleStatus(
+                each.client, each.flies, _given(each, "source_tick"), _given(each, "arrival_tick"), _given(each, "age"),
+                each.misses, _given(each, "silent_since"),
+            )
+            for each in found.vehicle
+        }  # fmt: skip
+        pacing = {field.name: value for field, value in found.pacing.ListFields()}
+        return Status(found.pace, found.tick, found.t, pacing, vehicles)
+
+    def describe(self) -> dict[str, Any]:
+        """Return what the world is made of: area, obstacles, ground, wind, fleets with their sensors and commands."""
+        found = self._ask(Message(type=Message.DESCRIBE, describe=pb.Describe()), Message.WORLD).world
+        parts = {name: _part(getattr(found, name)) for name in ("area", "ground", "wind", "turbulence", "gust")}
+        return {
+            "scenario": found.scenario,
+            "time_step": found.time_step,
+            "collision_distance": found.collision_distance,
+            "origin": list(found.origin),
+            **parts,
+            "obstacles": [_part(each) for each in found.obstacle],
+            "fleets": {fleet.name: _fleet(fleet) for fleet in found.fleet},
+        }
+
+    # ---- of the client ----
+
+    @abstractmethod
+    def _ask(self, request: Message, expected: Message.Type) -> Message:
+        """Send a request and return its reply."""
+
+    @abstractmethod
+    def _receive(self, timeout: float | None) -> Message:
+        """Return the next message."""
+
+    @abstractmethod
+    def _expect(self, reply: Message, expected: Message.Type) -> Message:
+        """Return a reply of a type; raises Refused and ConnectionFailed."""
+
+    @abstractmethod
+    def _take_in(self) -> None:
+        """Take in what was pushed and has arrived."""
+
+
+def sensed_of(found: pb.Readings) -> Sensed:
+    """Return what a message of stamped readings says."""
+    return Sensed(found.tick, found.t, found.sent, found.missed, {each.name: _vehicle(each) for each in found.vehicle})
+
+
+def _vehicle(found: Any) -> SensedVehicle:
+    sensors = {
+        sensor.name: {
+            **{f.name: f.value[0] if len(f.value) == 1 else np.array(f.value) for f in sensor.field},
+            "time": sensor.time,
+            "fresh": sensor.fresh,
+            "reason": sensor.reason,
+        }
+        for sensor in found.sensor
+    }
+    state = np.array(found.X.value) if found.HasField("X") else None
+    return SensedVehicle(found.valid, found.reason, sensors, state)
+
+
+def _given(found: Any, name: str) -> Any:
+    return getattr(found, name) if found.HasField(name) else None
+
+
+def _orders(orders: Mapping[str, Any]) -> list[pb.Order]:
+    found = []
+    for vehicle, order in orders.items():
+        try:
+            kind, numbers = order
+            values = np.asarray(numbers, np.float64)
+        except (TypeError, ValueError):
+            values = np.zeros((0, 0))
+        if values.ndim != 1:
+            raise UsageError(f"order of '{vehicle}': expected (kind, numbers), found {order!r:.100}")
+        found.append(pb.Order(vehicle=vehicle, type=kind_of(kind), cmd=pb.Arrayd(value=values.tolist())))
+    return found
+
+
+def kind_of(name: str) -> Step.Type:
+    """Return the number of a kind of order; raises UsageError for one that is none."""
+    if name not in KINDS:
+        raise UsageError(f"no order is of kind {name!r:.60}; there are {', '.join(KINDS)}")
+    return KINDS[name]
+
+
+def _part(found: Any) -> dict[str, Any]:
+    """Return a component: its type, its numbers, and the units of these."""
+    values: dict[str, Any] = {"type": found.type}
+    for each in found.quantity:
+        numbers = list(each.value)
+        values[each.name] = each.text if each.HasField("text") else numbers[0] if len(numbers) == 1 else numbers
+    values["units"] = {each.name: each.unit for each in found.quantity if each.unit}
+    return values
+
+
+def _fleet(found: Any) -> dict[str, Any]:
+    return {
+        "vehicles": list(found.vehicle),
+        "model": _part(found.model),
+        "controller": found.controller,
+        "guidance": found.guidance,
+        "radius": found.radius,
+        "limits": _part(found.limits),
+        "sensors": {
+            each.name: {"type": each.type, "period": each.period, "fields": list(each.field)} for each in found.sensor
+        },
+        "commands": {
+            each.name: [
+                {"name": field.name, "unit": field.unit, "low": field.low, "high": field.high} for field in each.field
+            ]
+            for each in found.command
+        },
+        "start": [list(row.value) for row in found.start],
+    }

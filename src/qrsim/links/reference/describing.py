@@ -1,0 +1,115 @@
+"""WORLD: what a world is made of, for clients that have not seen its scenario."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.tree import field_info
+from qrsim.interface.arrays import as_array
+from qrsim.interface.readings import FleetReading
+from qrsim.links.reference.kinds import TYPES
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.shared.kinds import kinds_of
+from qrsim.scenarios import catalogue
+from qrsim.scenarios.scenario import Scenario
+from qrsim.simulation.simulation import Simulation
+from qrsim.world.state import Fleet, World
+
+Part = pb.World.Part
+
+
+def description(scenario: Scenario, simulation: Simulation) -> pb.World:
+    """Return the message WORLD of a scenario's simulation."""
+    world, reading = simulation.world, simulation.reading
+    spec = scenario.spec.model_dump(mode="json")
+    air = spec["world"]
+    origin = [math.degrees(scenario.site.latitude_rad), math.degrees(scenario.site.longitude_rad), scenario.site.height]
+    found = pb.World(
+        scenario=scenario.name,
+        time_step=world.time_step,
+        collision_distance=float(np.asarray(world.collision_distance)),
+        area=_part(air["area"], catalogue.AREAS),
+        obstacle=[_part(each, catalogue.OBSTACLES) for each in air["obstacles"]],
+        ground=_part(air["ground"], catalogue.GROUNDS),
+        wind=_part(air["wind"], catalogue.WINDS),
+        turbulence=_part(air["turbulence"], catalogue.TURBULENCES),
+        gust=_part(air["gust"], catalogue.GUSTS),
+        origin=origin,
+    )
+    for fleet in world.fleets:
+        _add_fleet(found, spec["fleets"][fleet.name], fleet, world, reading[fleet.name])
+    return found
+
+
+def _add_fleet(found: pb.World, spec: Mapping[str, Any], fleet: Fleet, world: World, reading: FleetReading) -> None:
+    start = as_array(fleet.start.position_ned)
+    added = found.fleet.add(
+        name=fleet.name,
+        vehicle=fleet.vehicle_names,
+        model=_part(spec["vehicle"], catalogue.VEHICLES),
+        controller=spec["controller"]["type"],
+        guidance=spec["guidance"]["type"],
+        radius=float(np.asarray(world.radius_of(fleet))),
+        limits=_limits(fleet),
+        start=[pb.Arrayd(value=np.asarray(row, np.float64).tolist()) for row in start],
+    )
+    for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
+        of_sensor = spec["sensors"][name]
+        period = float(sensor.period) or world.time_step
+        added.sensor.add(name=name, type=of_sensor["type"], period=period, field=getattr(reading, name).fields)
+    for kind, fields in kinds_of(fleet).items():
+        command = added.command.add(type=pb.Step.Type.Name(TYPES[kind]), name=kind)
+        for field in fields:
+            command.field.add(name=field.name, unit=field.unit, low=field.low, high=field.high)
+
+
+def _limits(fleet: Fleet) -> Part:
+    limits = fleet.limits
+    found = Part(type=type(limits).__name__)
+    for field in dataclasses.fields(limits):
+        value = getattr(limits, field.name)
+        if value is not None:
+            numbers = np.asarray(value, np.float64).ravel().tolist()
+            found.quantity.add(name=field.name, unit=field_info(field).unit, value=numbers)
+    return found
+
+
+def _part(spec: Any, known: Mapping[str, Any]) -> Part:
+    """Return a component from its place in a scenario."""
+    content = {"type": spec} if isinstance(spec, str) else dict(spec)
+    kind = str(content.pop("type"))
+    units = _units(known.get(kind))
+    found = Part(type=kind)
+    for name, value in _values(content, ""):
+        unit = units.get(name.partition(".")[0], "")
+        if isinstance(value, str):
+            found.quantity.add(name=name, text=value)
+        else:
+            found.quantity.add(name=name, value=value, **({"unit": unit} if unit else {}))
+    return found
+
+
+def _units(kind: Any) -> dict[str, str]:
+    if not dataclasses.is_dataclass(kind):
+        return {}
+    return {field.name: field_info(field).unit for field in dataclasses.fields(kind)}
+
+
+def _values(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    """Yield (dotted name, text or numbers) of what is in a part of a scenario; lists of lists are flat."""
+    for key, value in content.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _values(value, f"{name}.")
+        elif isinstance(value, str):
+            yield name, value
+        elif value is not None:
+            try:
+                yield name, np.asarray(value, np.float64).ravel().tolist()
+            except (TypeError, ValueError):
+                yield name, str(value)

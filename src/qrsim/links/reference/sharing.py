@@ -1,0 +1,291 @@
+"""One world for several clients: its clock, or the barrier that they meet at, and who is told what."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from qrsim.errors import UsageError
+from qrsim.links.contracts import Order, Silence
+from qrsim.links.pacing import Metronome
+from qrsim.links.reference.protocol.qrsim_pb2 import Message
+from qrsim.links.reference.roles import Client, Host
+from qrsim.links.reference.session import MOST_TICKS
+from qrsim.links.reference.shared_session import SharedSession
+
+# Ticks that take less than this are not handed to another thread, which would take as long.
+SHORT_S = 0.0005
+# Bytes that wait for a reader: with more it misses what is sensed meanwhile, rather than to hear old news.
+MOST_STALE = 1 << 16
+
+
+@dataclass
+class Subscription:
+    """What a client wants to be pushed.
+
+    Attributes:
+        rows: numbers of vehicles; None: those that it has claimed.
+        every: ticks between two.
+        truth: with true states.
+        last: tick of the last one.
+        missed: so many it was too slow for.
+    """
+
+    rows: tuple[int, ...] | None
+    every: int
+    truth: bool
+    last: int = -(2**62)
+    missed: int = 0
+
+
+@dataclass
+class Waiting:
+    """A client at the barrier: until which tick it wants to go, and what tells it that the world is there."""
+
+    until: int
+    there: asyncio.Future[Any]
+
+
+class Sharing:
+    """The world of a server whose clients share it.
+
+    Args:
+        server: whose it is.
+        session: begun.
+        timeout: of the barrier, in seconds of the wall clock; 0: it waits for ever.
+
+    Attributes:
+        lock: held while the world moves.
+    """
+
+    def __init__(self, server: Host, session: SharedSession, timeout: float):
+        self._server, self.session, self._timeout = server, session, timeout
+        self.lock = asyncio.Lock()
+        self._subscriptions: dict[Client, Subscription] = {}
+        self._waiting: dict[int, Waiting] = {}
+        self._claimed = asyncio.Event()
+        self._mover: asyncio.Task[None] | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._late = False
+        self._clock = asyncio.create_task(self._run()) if session.pace == "free" else None
+
+    def end(self) -> None:
+        """Stop the clock."""
+        for task in (self._clock, self._mover):
+            if task is not None:
+                task.cancel()
+        if self._timer is not None:
+            self._timer.cancel()
+
+    # ---- claims ----
+
+    def claim(self, client: Client, names: Sequence[str], silence: Silence | None) -> tuple[str, ...]:
+        """Claim vehicles for a client, and return all that it has; raises UsageError."""
+        plant = self.session.plant
+        new = plant.claim(client.number, names, silence)
+        if new:
+            self._server.say(f"client {client.number} flies {_list(new)}")
+        if not self._claimed.is_set():
+            # The clock begins with the first claim.
+            self.session.start_clock()
+            self._claimed.set()
+        return plant.claims.of(client.number)
+
+    def release(self, client: Client, names: Sequence[str] = ()) -> None:
+        """Give a client's vehicles back to the guidance of their scenario; raises UsageError."""
+        found = self.session.plant.release(client.number, names)
+        if found:
+            self._server.say(f"client {client.number} releases {_list(found)}")
+        self._consider()
+
+    def forget(self, client: Client) -> None:
+        """Free what a client has claimed that has gone without a word."""
+        self._subscriptions.pop(client, None)
+        self._waiting.pop(client.number, None)
+        found = self.session.plant.lose(client.number)
+        if found:
+            self._server.say(f"client {client.number} has gone; {_list(found)}: on without it")
+        self._consider()
+
+    def check_alone(self, client: Client, what: str) -> None:
+        """Check that no other client flies in this world; raises UsageError."""
+        claims = self.session.plant.claims
+        for other in claims.holders:
+            if other != client.number:
+                raise UsageError(
+                    f"{what}: client {other} flies {_list(claims.of(other))} in this world, which would be disturbed"
+                )
+
+    # ---- orders ----
+
+    def order(self, client: Client, orders: Sequence[Order], source_tick: int | None) -> int:
+        """Take orders, and return the tick from which they are flown; raises UsageError."""
+        plant = self.session.plant
+        plant.check(client.number, orders)
+        plant.order(orders, source_tick)
+        return plant.now + 1
+
+    async def meet(self, client: Client, orders: Sequence[Order], source_tick: int | None, until: int | None) -> None:
+        """Take orders and wait at the barrier until the world is at a tick.
+
+        Raises:
+            UsageError: an order is wrong, the client has claimed nothing, or the tick is no later one; or it leaves.
+        """
+        plant = self.session.plant
+        plant.check(client.number, orders)
+        if not plant.claims.of(client.number):
+            raise UsageError("COMMAND: this client has claimed no vehicle, so there is nobody to wait for; CLAIM first")
+        now = plant.now
+        until = now + 1 if until is None else until
+        if until > now + MOST_TICKS:
+            raise UsageError(f"COMMAND: until_tick {until} is {until - now} ticks away; allowed: up to {MOST_TICKS}")
+        if until <= now and not self._timeout:
+            raise UsageError(f"COMMAND: until_tick {until}: the world is at tick {now} already")
+        plant.order(orders, source_tick)
+        plant.heard_until(client.number, until)
+        if until <= now:
+            return
+        waiting = self._waiting[client.number] = Waiting(until, asyncio.get_running_loop().create_future())
+        self._consider()
+        leaving: asyncio.Future[Any] = asyncio.ensure_future(client.leaving.wait())
+        try:
+            await asyncio.wait({waiting.there, leaving}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            leaving.cancel()
+        if not waiting.there.done():
+            self._waiting.pop(client.number, None)
+            raise UsageError("COMMAND: the client closes the connection")
+        waiting.there.result()
+
+    def _agreed(self) -> int | None:
+        """Return the tick to go to, None while somebody has not said how far he goes."""
+        if not self._waiting:
+            return None
+        claims = self.session.plant.claims
+        missing = [holder for holder in claims.holders if holder not in self._waiting]
+        if missing and not self._late:
+            return None
+        for holder in missing:
+            self.session.plant.missed(holder)
+        self._late = False
+        return min(waiting.until for waiting in self._waiting.values())
+
+    def _consider(self) -> None:
+        """Move on where everybody is there; else wait for who is not, up to the timeout."""
+        if self.session.pace != "barrier" or (self._mover is not None and not self._mover.done()):
+            return
+        until = self._agreed()
+        if until is not None:
+            self._stop_timer()
+            self._mover = asyncio.create_task(self._move(until))
+        elif self._waiting and self._timeout and self._timer is None:
+            self._timer = asyncio.get_running_loop().call_later(self._timeout, self._expired)
+
+    def _expired(self) -> None:
+        self._timer, self._late = None, True
+        self._consider()
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    async def _move(self, until: int | None) -> None:
+        """Move on to the tick that was agreed upon, tell those who wait for it, and go on while all are agreed."""
+        session, plant = self.session, self.session.plant
+        try:
+            while until is not None:
+                async with self.lock:
+                    while session.simulation.tick < until:
+                        actions = plant.begin()
+                        await self._advance(actions, session.piece(actions, until - session.simulation.tick))
+                        plant.now = session.simulation.tick
+                wait = session.pacer.wait_s(session.time)
+                if wait > 0.0:
+                    await asyncio.sleep(wait)
+                self._publish()
+                for number, waiting in list(self._waiting.items()):
+                    if waiting.until <= plant.now:
+                        del self._waiting[number]
+                        if not waiting.there.done():
+                            waiting.there.set_result(None)
+                until = self._agreed()
+        except Exception as error:
+            self._server.report_bug(error)
+            for waiting in self._waiting.values():
+                if not waiting.there.done():
+                    waiting.there.set_exception(error)
+            self._waiting.clear()
+        self._mover = None
+        self._consider()
+
+    # ---- the clock ----
+
+    async def _run(self) -> None:
+        """Let the world run by itself from the first claim on."""
+        await self._claimed.wait()
+        session = self.session
+        session.start_clock()
+        try:
+            async with self.lock:
+                actions = session.plant.begin()
+            while True:
+                pacer = session.pacer
+                assert isinstance(pacer, Metronome)
+                # Also where it is late: others have their turn.
+                await asyncio.sleep(max(0.0, pacer.until_s(session.time + session.time_step)))
+                async with self.lock:
+                    if session.pacer is not pacer:
+                        actions = session.plant.begin()
+                        continue
+                    await self._advance(actions, 1)
+                    self._publish()
+                    actions = session.plant.begin()
+                    pacer.ended(session.time)
+        except Exception as error:
+            self._server.report_bug(error)
+
+    async def _advance(self, actions: Any, ticks: int) -> None:
+        session = self.session
+        if session.expected_s(actions, ticks) < SHORT_S:
+            session.advance(actions, ticks)
+        else:
+            await asyncio.get_running_loop().run_in_executor(session.thread, session.advance, actions, ticks)
+
+    # ---- what is told ----
+
+    def subscribe(self, client: Client, subscription: Subscription | None) -> None:
+        """Begin to push what vehicles sense to a client, or end it."""
+        if subscription is None:
+            self._subscriptions.pop(client, None)
+        else:
+            self._subscriptions[client] = subscription
+
+    def sensed(self, client: Client, rows: Sequence[int] | None, truth: bool) -> bytes:
+        """Return READINGS of vehicles, by default those that a client has claimed."""
+        return self.session.sensed.frame(Message.READINGS, self._rows(client, rows), truth)
+
+    def _rows(self, client: Client, rows: Sequence[int] | None) -> Sequence[int]:
+        plant = self.session.plant
+        return [plant.latches.row(name) for name in plant.claims.of(client.number)] if rows is None else rows
+
+    def _publish(self) -> None:
+        """Tell everybody who wants to know; who reads too slowly misses it, and delays nobody."""
+        tick = self.session.simulation.tick
+        for client, wanted in self._subscriptions.items():
+            if 0 <= tick - wanted.last < wanted.every:
+                continue
+            wanted.last = tick
+            if client.backlog > MOST_STALE:
+                wanted.missed += 1
+                continue
+            rows = self._rows(client, wanted.rows)
+            client.send_frame(self.session.sensed.frame(Message.SENSED, rows, wanted.truth, wanted.missed))
+        self._server.broadcast(self.session)
+
+
+def _list(names: Sequence[str]) -> str:
+    shown = ", ".join(f"'{name}'" for name in names[:8])
+    return f"{shown} and {len(names) - 8} more" if len(names) > 8 else shown

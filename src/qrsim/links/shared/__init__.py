@@ -1,0 +1,1 @@
+"""One world with several controllers: claims, orders, silence, pace and replay; no protocol is known here."""

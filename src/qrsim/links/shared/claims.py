@@ -1,0 +1,90 @@
+"""Who may command which vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from qrsim.errors import UsageError, did_you_mean
+
+
+class Claims:
+    """Exclusive command of vehicles by name.
+
+    Args:
+        names: of all vehicles.
+        deaf: those of them that take no orders.
+    """
+
+    def __init__(self, names: Sequence[str], deaf: Sequence[str] = ()):
+        self._names, self._deaf = list(names), set(deaf)
+        self._holders: dict[str, int] = {}
+
+    def holder(self, vehicle: str) -> int:
+        """Return the number of who has claimed a vehicle, 0 where nobody has."""
+        return self._holders.get(vehicle, 0)
+
+    def of(self, holder: int) -> tuple[str, ...]:
+        """Return the vehicles of a claimer, in their order in the world."""
+        return tuple(name for name in self._names if self._holders.get(name) == holder)
+
+    @property
+    def holders(self) -> list[int]:
+        """All who have claimed a vehicle, in order."""
+        return sorted(set(self._holders.values()))
+
+    def take(self, holder: int, wanted: Sequence[str]) -> tuple[str, ...]:
+        """Claim vehicles, all of them or none; without names all that are free. Return those that are new.
+
+        Raises:
+            UsageError: no vehicle is called so, takes orders, or is free; another one has it, who is named.
+        """
+        if not wanted:
+            wanted = [name for name in self._names if name not in self._holders and name not in self._deaf]
+            if not wanted:
+                raise UsageError(f"CLAIM: no vehicle is free: {self._who()}")
+        for name in wanted:
+            self._check(name)
+            other = self.holder(name)
+            if other not in (0, holder):
+                raise UsageError(f"CLAIM: '{name}' is flown by client {other}, which has to release it first")
+        found = tuple(dict.fromkeys(name for name in wanted if name not in self._holders))
+        self._holders.update(dict.fromkeys(found, holder))
+        return found
+
+    def give_back(self, holder: int, names: Sequence[str] = ()) -> tuple[str, ...]:
+        """Release vehicles, without names all that one has, and return them.
+
+        Raises:
+            UsageError: one of them is not his.
+        """
+        for name in names:
+            self.check_own(holder, name, "RELEASE")
+        found = tuple(names) or self.of(holder)
+        for name in found:
+            self._holders.pop(name, None)
+        return found
+
+    def check_own(self, holder: int, name: str, what: str) -> None:
+        """Check that one has claimed a vehicle; raises UsageError."""
+        other = self.holder(name)
+        if other == holder:
+            return
+        if name not in self._names:
+            raise self._unknown(name, what)
+        if other:
+            raise UsageError(f"{what}: '{name}' is flown by client {other}")
+        raise UsageError(f"{what}: '{name}' is not claimed; CLAIM it first")
+
+    def _check(self, name: str) -> None:
+        if name not in self._names:
+            raise self._unknown(name, "CLAIM")
+        if name in self._deaf:
+            raise UsageError(f"CLAIM: '{name}' takes no orders: it moves as its scenario says")
+
+    def _unknown(self, name: str, what: str) -> UsageError:
+        return UsageError(f"{what}: no vehicle is called '{name[:60]}'{did_you_mean(name[:60], self._names)}")
+
+    def _who(self) -> str:
+        held = [f"'{name}' is flown by client {holder}" for name, holder in self._holders.items()]
+        shown = "; ".join(held[:5])
+        return f"{shown}; and {len(held) - 5} more" if len(held) > 5 else shown or "none of them takes orders"

@@ -1,0 +1,104 @@
+"""The orders that the vehicles of a world fly by now, as the actions of its next tick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.links.contracts import Order
+from qrsim.links.shared.kinds import NAMES, Field, checked, kinds_of, record_of
+from qrsim.world.state import Fleet, Some
+
+Array = np.ndarray[Any, Any]
+
+
+class Latches:
+    """The last order of each vehicle, until it is replaced; vehicles without one fly by their scenario's guidance.
+
+    Whatever the orders are, the actions are of one kind: a mixture of all kinds that a fleet takes. So nothing is
+    compiled while a world flies, and what one vehicle is asked changes no bit of another's flight.
+
+    Args:
+        fleets: of the world.
+        dtype: of the simulation's numbers.
+
+    Attributes:
+        names: of the n vehicles.
+        codes: (n,) number of each order's kind, in NAMES from 1; 0: the guidance of the scenario.
+        numbers: (n, W) of each order; NaN beyond those of its kind.
+    """
+
+    def __init__(self, fleets: Sequence[Fleet], dtype: np.dtype[Any]):
+        self.names = [name for fleet in fleets for name in fleet.vehicle_names]
+        self._dtype = dtype
+        kinds = [kinds_of(fleet) for fleet in fleets]
+        self._kinds = {name: own for fleet, own in zip(fleets, kinds, strict=True) for name in fleet.vehicle_names}
+        width = max((len(fields) for own in kinds for fields in own.values()), default=0)
+        self.codes = np.zeros(len(self.names), np.int32)
+        self.numbers = np.full((len(self.names), width), np.nan)
+        self._rows = {name: row for row, name in enumerate(self.names)}
+        self._fleets, first = [], 0
+        for fleet, own in zip(fleets, kinds, strict=True):
+            if own:
+                self._fleets.append(_FleetParts(fleet, own, slice(first, first + fleet.size), dtype))
+            first += fleet.size
+
+    def row(self, vehicle: str) -> int:
+        """Return the number of a vehicle; raises UsageError where none is called so."""
+        if vehicle not in self._rows:
+            raise UsageError(f"no vehicle is called '{vehicle[:60]}'{did_you_mean(vehicle[:60], self.names)}")
+        return self._rows[vehicle]
+
+    def kinds(self, vehicle: str) -> Mapping[str, tuple[Field, ...]]:
+        """Return what a vehicle takes; raises UsageError where none is called so."""
+        return self._kinds[self.names[self.row(vehicle)]]
+
+    def checked(self, order: Order) -> Order:
+        """Check an order and return it; raises UsageError."""
+        return checked(order, self.kinds(order.vehicle), self._dtype)
+
+    def put(self, order: Order) -> None:
+        """Have a vehicle fly by an order that has been checked."""
+        row = self.row(order.vehicle)
+        self.codes[row] = NAMES.index(order.kind) + 1
+        self.numbers[row] = np.nan
+        self.numbers[row, : len(order.numbers)] = order.numbers
+
+    def clear(self, vehicle: str) -> None:
+        """Have a vehicle fly by the guidance of its scenario."""
+        row = self.row(vehicle)
+        self.codes[row] = 0
+        self.numbers[row] = np.nan
+
+    def actions(self) -> dict[str, Some]:
+        """Return what ``Simulation.step`` takes, by fleet; it is valid until the next call."""
+        return {fleet.name: fleet.filled(self.codes, self.numbers) for fleet in self._fleets}
+
+
+class _FleetParts:
+    """Arrays of one fleet, allocated once: for each kind whom it is for and its numbers."""
+
+    def __init__(self, fleet: Fleet, kinds: Mapping[str, tuple[Field, ...]], own: slice, dtype: np.dtype[Any]):
+        self.name, self._own = fleet.name, own
+        self._parts = []
+        for kind, fields in kinds.items():
+            which, columns = np.zeros(fleet.size, bool), np.zeros((len(fields), fleet.size), dtype)
+            self._parts.append((NAMES.index(kind) + 1, which, columns))
+        command = fleet.vehicle.command_type
+        parts: list[Any] = [
+            (which, record_of(kind, columns, command))
+            for kind, (_, which, columns) in zip(kinds, self._parts, strict=True)
+        ]
+        self._some = Some(tuple(parts))
+
+    def filled(self, codes: Array, numbers: Array) -> Some:
+        """Return the action of the fleet for orders of all vehicles (n,), (n, W)."""
+        codes, numbers = codes[self._own], numbers[self._own]
+        for code, which, columns in self._parts:
+            np.equal(codes, code, out=which)
+            # Nothing that is no number goes in, also where nobody looks.
+            columns[...] = np.where(which, numbers[:, : len(columns)].T, 0.0)
+        return self._some

@@ -1,0 +1,232 @@
+"""A world that several controllers share: whose orders each vehicle flies by, and what happens in silence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.links.contracts import ON_SILENCE, Order, Silence
+from qrsim.links.shared.claims import Claims
+from qrsim.links.shared.failsafe import failsafe
+from qrsim.links.shared.latches import Latches
+from qrsim.simulation.simulation import Simulation
+from qrsim.world.state import Some
+
+Array = np.ndarray[Any, Any]
+# By what a vehicle flies, by number in a recording.
+FLIES = ("guidance", "command", "hold", "return", "stop")
+_DOES = {
+    "guidance": "flies by its guidance, as it takes no such order",
+    "hold": "holds its place",
+    "return": "returns to above its start",
+    "stop": "stops its motors",
+}
+_ON = {"guidance": "by its guidance", "command": "by its last order"}
+# Silence is worth a line after so long, where nothing else comes of it [s].
+SAID_AFTER_S = 0.5
+
+
+@dataclass
+class Controlled:
+    """What is known of a vehicle's controller.
+
+    Attributes:
+        flies: by what, one of FLIES.
+        silence: what it does without its controller.
+        source_tick: of the last order, of the readings that it was computed from; None: unknown, or no order.
+        arrival_tick: at which the last order arrived; None: there was none.
+        heard: tick until which nothing more was to be heard.
+        misses: how often a barrier went on without its controller.
+        silent_since: tick of the last order, once nothing was heard for too long.
+        lost: its controller has gone.
+        waiting: order that the next tick flies.
+    """
+
+    flies: str = "guidance"
+    silence: Silence = field(default_factory=Silence)
+    source_tick: int | None = None
+    arrival_tick: int | None = None
+    heard: int = 0
+    misses: int = 0
+    silent_since: int | None = None
+    lost: bool = False
+    waiting: Order | None = None
+
+
+class Plant:
+    """Claims, orders and silence of one simulation. Nothing here waits or knows of connections.
+
+    Args:
+        simulation: reset; who has it calls ``begin`` before the ticks that it flies.
+        silence: of claims that say nothing else.
+        factor: simulated seconds per second of the wall clock; 0: unknown.
+        note: told what happened: kind, vehicle and one line.
+
+    Attributes:
+        claims: who may command which vehicle.
+        latches: what they fly by.
+        controlled: by vehicle.
+        now: the tick at which what arrives now arrives.
+        flown: what the ticks since the last ``begin`` are flown by, (n,) or (n, W) each, by name.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        silence: Silence | None = None,
+        factor: float = 0.0,
+        note: Callable[[str, str, str], None] = lambda kind, vehicle, text: None,
+    ):
+        self.simulation, self._default, self._note = simulation, silence or Silence(), note
+        self._stretch = max(1.0, factor)
+        self.latches = Latches(simulation.world.fleets, simulation.dtype)
+        names = self.latches.names
+        self.claims = Claims(names, [name for name in names if not self.latches.kinds(name)])
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with an episode of the simulation: all fly by their guidance, and claims stay."""
+        before: dict[str, Controlled] = getattr(self, "controlled", {})
+        self.controlled = {name: Controlled() for name in self.latches.names}
+        for name, now in self.controlled.items():
+            self.latches.clear(name)
+            if name in before and self.claims.holder(name):
+                now.silence = before[name].silence
+        self._home = self.simulation.truth.position_ned.copy()
+        self.now = self.simulation.tick
+        self._remember()
+
+    # ---- what controllers ask ----
+
+    def claim(self, holder: int, names: Sequence[str] = (), silence: Silence | None = None) -> tuple[str, ...]:
+        """Claim vehicles for a controller, by default all that are free, and return them; raises UsageError."""
+        found = self.claims.take(holder, names)
+        for name in found:
+            now = self.controlled[name]
+            now.silence, now.lost = silence or self._default, False
+            now.heard, now.silent_since, now.misses = self.now, None, 0
+            now.source_tick = now.arrival_tick = None
+        return found
+
+    def release(self, holder: int, names: Sequence[str] = ()) -> tuple[str, ...]:
+        """Give vehicles back to the guidance of their scenario, and return them; raises UsageError."""
+        found = self.claims.give_back(holder, names)
+        for name in found:
+            self.controlled[name] = Controlled()
+            self.latches.clear(name)
+        return found
+
+    def lose(self, holder: int) -> tuple[str, ...]:
+        """Free the vehicles of a controller that has gone, and return them; they do what they do in silence."""
+        found = self.claims.give_back(holder)
+        for name in found:
+            now = self.controlled[name]
+            now.lost, now.waiting = True, None
+        return found
+
+    def check(self, holder: int, orders: Sequence[Order]) -> None:
+        """Check orders of a controller.
+
+        Raises:
+            UsageError: one is for a vehicle that it has not claimed, or cannot be flown.
+        """
+        for order in orders:
+            self.claims.check_own(holder, order.vehicle, "COMMAND")
+            self.latches.checked(order)
+
+    def order(self, orders: Sequence[Order], source_tick: int | None = None) -> None:
+        """Take orders that have been checked; the next ``begin`` has them flown."""
+        for order in orders:
+            now = self.controlled[order.vehicle]
+            now.waiting, now.source_tick, now.arrival_tick = order, source_tick, self.now
+            now.heard = max(now.heard, self.now)
+
+    def heard_until(self, holder: int, tick: int) -> None:
+        """Note that nothing more is to be heard of a controller before a tick."""
+        for name in self.claims.of(holder):
+            self.controlled[name].heard = max(self.controlled[name].heard, tick)
+
+    def missed(self, holder: int) -> None:
+        """Count that the world went on without a controller."""
+        for name in self.claims.of(holder):
+            self.controlled[name].misses += 1
+
+    # ---- ticks ----
+
+    def begin(self) -> dict[str, Some]:
+        """Latch what has arrived, let failsafes take over, and return what the next ticks fly by."""
+        self.now = self.simulation.tick
+        for name, now in self.controlled.items():
+            if now.waiting is not None:
+                self._obey(name, now, now.waiting)
+            elif now.lost or self.claims.holder(name):
+                self._listen(name, now)
+        self._remember()
+        return self.latches.actions()
+
+    def _remember(self) -> None:
+        controlled, latches = self.controlled.values(), self.latches
+        self.flown = {
+            "kind": latches.codes.copy(),
+            "numbers": latches.numbers.copy(),
+            "flies": np.array([FLIES.index(now.flies) for now in controlled]),
+            "client": np.array([self.claims.holder(name) for name in latches.names]),
+            "source_tick": np.array([-1 if now.source_tick is None else now.source_tick for now in controlled]),
+            "arrival_tick": np.array([-1 if now.arrival_tick is None else now.arrival_tick for now in controlled]),
+        }
+
+    def _obey(self, name: str, now: Controlled, order: Order) -> None:
+        self.latches.put(order)
+        now.flies, now.waiting = "command", None
+        if now.silent_since is not None:
+            since = now.silent_since * self._dt
+            self._note("controller_back", name, f"commanded again, after silence since {since:.10g} s")
+            now.silent_since = None
+
+    def _listen(self, name: str, now: Controlled) -> None:
+        """Let a vehicle do without its controller what it is to do, where nothing is heard for too long."""
+        lost, now.lost = now.lost, False
+        silent, after = self.simulation.tick - now.heard, now.silence.after
+        limit = math.ceil((after or SAID_AFTER_S) * self._stretch / self._dt - 1e-9)
+        overdue = silent >= limit and now.silent_since is None
+        if now.flies not in ("guidance", "command") or not (lost or overdue):
+            return
+        now.silent_since = now.heard
+        why = "its controller has gone" if lost else "nothing is heard from its controller"
+        since = f"{why}; last order at {now.heard * self._dt:.10g} s" if now.arrival_tick is not None else why
+        if not lost and not after:
+            self._note("controller_silent", name, f"{since}; it flies on {_ON[now.flies]}")
+            return
+        row = self.latches.row(name)
+        order = failsafe(now.silence.does, self.simulation, row, self._home[row], self.latches.kinds(name))
+        if order is None:
+            self.latches.clear(name)
+            now.flies = "guidance"
+        else:
+            self.latches.put(order)
+            now.flies = now.silence.does
+        self._note("controller_silent", name, f"{since}; it {_DOES[now.flies]}")
+
+    @property
+    def _dt(self) -> float:
+        return self.simulation.world.time_step
+
+    def age(self, vehicle: str) -> float | None:
+        """Return how old the last order of a vehicle is [s], None where there was none."""
+        arrived = self.controlled[vehicle].arrival_tick
+        return None if arrived is None else (self.simulation.tick - arrived) * self._dt
+
+
+def checked_silence(does: str, after: float, what: str) -> Silence:
+    """Check what a vehicle does in silence and after how long [s]; raises UsageError."""
+    if does not in ON_SILENCE:
+        hint = did_you_mean(does[:60], ON_SILENCE)
+        raise UsageError(f"{what} '{does[:60]}': expected {' or '.join(ON_SILENCE)}{hint}")
+    if not (math.isfinite(after) and 0.0 <= after <= 1e6):
+        raise UsageError(f"hold {after:g} s: expected a number of seconds, or 0 for never")
+    return Silence(does, after)  # type: ignore[arg-type]

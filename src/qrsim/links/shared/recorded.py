@@ -1,0 +1,39 @@
+"""Which order each vehicle flew by in each tick, in a recording: the stream "orders"."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.links.shared.kinds import NAMES
+from qrsim.links.shared.plant import FLIES, Plant
+from qrsim.runs import Column
+
+Array = np.ndarray[Any, Any]
+STREAM = "orders"
+_KINDS = ", ".join(f"{number} {name}" for number, name in enumerate(NAMES, 1))
+_FLIES = ", ".join(f"{number} {name}" for number, name in enumerate(FLIES))
+
+
+def order_columns(plant: Plant) -> list[Column]:
+    """Return the columns of the stream."""
+    width = plant.latches.numbers.shape[1]
+    return [
+        Column("kind", "", f"kind of the order that this tick was flown by: 0 guidance, {_KINDS}", "int32"),
+        *(Column(f"number_{i}", "", f"number {i} of the order", "float64") for i in range(width)),
+        Column("flies", "", f"by what the vehicle flew: {_FLIES}", "int32"),
+        Column("client", "", "number of the client that had claimed it; 0: nobody", "int32"),
+        Column("source_tick", "", "of the readings that the order was computed from; -1: unknown", "int64"),
+        Column("arrival_tick", "", "at which the order arrived; -1: there was none", "int64"),
+    ]
+
+
+def order_values(plant: Plant, ticks: int) -> dict[str, Array]:
+    """Return the values (ticks, n) of the stream for the ticks since the last ``begin`` of the plant."""
+    found = dict(plant.flown)
+    numbers = found.pop("numbers")
+    found |= {f"number_{i}": column for i, column in enumerate(numbers.T)}
+    types = {column.name: column.dtype for column in order_columns(plant)}
+    shape = (ticks, len(numbers))
+    return {name: np.broadcast_to(found[name].astype(dtype), shape) for name, dtype in types.items()}

@@ -1,0 +1,96 @@
+"""Flies a recorded world of several controllers again: by the orders that its recording says were flown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import RunError, UsageError
+from qrsim.links.shared.kinds import NAMES
+from qrsim.links.shared.latches import Latches
+from qrsim.links.shared.recorded import STREAM
+from qrsim.runs import Run, RunInfo, RunWriter
+from qrsim.runs.streams import EventFinder, Values, columns, values
+from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation.simulation import History, Simulation
+
+# Ticks that are flown in one call, where their orders are the same.
+MOST_AT_ONCE = 50
+
+
+def replay(run: Run, out: Path) -> Path:
+    """Fly the orders of a recorded run again, record that as another run, and return its folder.
+
+    Args:
+        run: of a server with pace "barrier" or "free".
+        out: the new run folder; must not exist.
+
+    Raises:
+        UsageError: the run has no orders, is of other vehicles than its scenario has, or the folder exists.
+        RunError: a part is damaged or missing, or the new run cannot be written.
+    """
+    if STREAM not in run:
+        raise UsageError(
+            f"{run.folder}: it has no orders; 'qrsim serve SCENARIO --pace free --record DIR' (or --pace barrier) "
+            "records them, and 'qrsim run scenario.yaml' flies the scenario of any other run again"
+        )
+    scenario = load_scenario(run.scenario, quiet=True)
+    simulation = Simulation(
+        scenario.world(run.info.precision), seed=run.info.seed, name=scenario.name, site=scenario.site, number=0
+    )
+    if simulation.vehicle_names != tuple(run.vehicles):
+        raise RunError(f"{run.folder}: its vehicles are not those of its scenario.yaml")
+    simulation.reset()
+    beginning, finder = simulation.history, EventFinder(simulation)
+    # Those of the orders are written as they are read.
+    known = columns(simulation.world, beginning)
+    orders = [run[STREAM].column(name) for name in run[STREAM].columns()]
+    info = RunInfo.collect(
+        scenario=scenario.name, seed=simulation.seed, precision=simulation.precision,
+        time_step=simulation.world.time_step, vehicles=simulation.vehicle_names, components=scenario.outside,
+    )  # fmt: skip
+    with RunWriter.create(out, info=info, scenario_yaml=run.scenario_yaml, columns=known | {STREAM: orders}) as writer:
+        for history, flown in _flights(run, simulation, beginning):
+            with writer.together():
+                for stream, arrays in (values(simulation.world, history, known) | {STREAM: flown}).items():
+                    writer.append(stream, history.ticks, history.time, arrays)
+                for event in finder.find(history):
+                    writer.append_event(**event)
+    return out
+
+
+def _flights(run: Run, simulation: Simulation, beginning: History) -> Iterator[tuple[History, Values]]:
+    """Yield some ticks after the other, with the orders that they were flown by."""
+    latches = Latches(simulation.world.fleets, simulation.dtype)
+    for batch in run[STREAM].batches():
+        first = 0
+        if batch.tick[0] == 0:
+            yield beginning, {name: array[:1] for name, array in batch.arrays.items()}
+            first = 1
+        for begin, end in _alike(batch.arrays, first, len(batch.tick)):
+            if batch.tick[begin] != simulation.tick + 1:
+                raise RunError(f"{run.folder}: tick {simulation.tick + 1} is missing in its stream '{STREAM}'")
+            latches.codes[...] = batch.arrays["kind"][begin]
+            if latches.codes.max(initial=0) > len(NAMES):
+                raise RunError(f"{run.folder}: its orders are of a kind that this qrsim does not know")
+            for i in range(latches.numbers.shape[1]):
+                latches.numbers[:, i] = batch.arrays[f"number_{i}"][begin]
+            history = simulation.record(end - begin, latches.actions(), MOST_AT_ONCE)
+            yield history, {name: array[begin:end] for name, array in batch.arrays.items()}
+
+
+def _alike(arrays: Any, first: int, count: int) -> Iterator[tuple[int, int]]:
+    """Yield begin and end of ticks with the same orders."""
+    names = ["kind", *(name for name in arrays if name.startswith("number_"))]
+    rows = np.concatenate([np.asarray(arrays[name], np.float64) for name in names], axis=1)
+    same = np.zeros(count, bool)
+    same[1:] = ((rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1]))).all(axis=1)
+    while first < count:
+        end = first + 1
+        while end < count and same[end] and end - first < MOST_AT_ONCE:
+            end += 1
+        yield first, end
+        first = end

@@ -1,0 +1,347 @@
+"""One world for several clients: at a barrier and by the wall clock, and what is wrong there."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from wires import Running, Wire, running, step
+
+import qrsim
+from qrsim.errors import UsageError
+from qrsim.links.contracts import Silence
+from qrsim.links.reference.claiming import KINDS
+from qrsim.links.reference.client import Client, Refused
+from qrsim.links.reference.kinds import TYPES
+from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.tasks import Tasks
+from qrsim.links.shared.replay import replay
+from qrsim.runs import RunInfo, RunWriter, open_run
+from qrsim.runs.compare import compare_runs
+from qrsim.simulation.simulation import Simulation
+from small_worlds import pair
+
+A, B = "vehicles_0", "vehicles_1"
+SEED = 5
+Clients = Callable[[], Client]
+
+
+@contextlib.contextmanager
+def sharing(**options: Any) -> Iterator[tuple[Running, Clients]]:
+    """Serve the pair; hand out clients, which are closed at the end."""
+    with contextlib.ExitStack() as stack:
+        found = stack.enter_context(running(Tasks(pair()), seed=SEED, **options))
+        yield found, lambda: stack.enter_context(Client(port=found.port))
+
+
+@pytest.fixture(scope="module")
+def barrier() -> Iterator[tuple[Running, Clients]]:
+    with sharing(pace="barrier") as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def free() -> Iterator[tuple[Running, Clients]]:
+    with sharing(pace="free", realtime=1.0) as found:
+        yield found
+
+
+def together(*calls: Callable[[], Any]) -> list[Any]:
+    """Make calls at the same time, each a little later than the one before; return what they return."""
+    found: list[Any] = [None] * len(calls)
+
+    def call(number: int) -> None:
+        found[number] = calls[number]()
+
+    threads = [threading.Thread(target=call, args=(number,)) for number in range(len(calls))]
+    for thread in threads:
+        thread.start()
+        time.sleep(0.002)
+    for thread in threads:
+        thread.join(30.0)
+    return found
+
+
+def goal(vehicle: int, k: int) -> list[float]:
+    return [3.0 + 0.25 * k, 9.0 * vehicle - 0.125 * k, -11.0, 0.1 * k]
+
+
+@contextlib.contextmanager
+def alone(client: Client, seed: int | None = None) -> Iterator[None]:
+    """Begin an episode, and leave nothing claimed."""
+    client.restart(SEED if seed is None else seed)
+    yield
+    client.release()
+
+
+# ---- the barrier ----
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_clients_with_one_vehicle_each_fly_as_one_owner_whoever_comes_first(barrier, order):
+    """Each step is 5 ticks, and is that of a simulation in this process in which all fly waypoints, to the bit."""
+    _, connect = barrier
+    clients = [connect(), connect()]
+    clients[0].restart(SEED)
+    here = Simulation(pair().world(), seed=SEED)
+    here.reset()
+    for client, name in zip(clients, (A, B), strict=True):
+        client.claim(name)
+    for k in range(8):
+        orders = [{name: ("waypoint", goal(v, k))} for v, name in enumerate((A, B))]
+        sensed = together(*(partial(clients[v].advance, orders[v], ticks=5, truth=True) for v in order))
+        goals = np.array([goal(0, k), goal(1, k)])
+        here.step(qrsim.WaypointSetpoint.of(goals[:, :3], goals[:, 3]), ticks=5)
+        for v, found in zip(order, sensed, strict=True):
+            assert (found.tick, list(found.vehicles)) == (5 * (k + 1), [(A, B)[v]])
+            assert found.vehicles[(A, B)[v]].state.tobytes() == here.truth.state[v].tobytes()
+            gnss = found.vehicles[(A, B)[v]].sensors["gnss"]
+            np.testing.assert_array_equal(gnss["position_ned"], here.reading.gnss.position_ned[v])
+            # Every 10 ticks of 0.02 s, delayed by one period.
+            assert gnss["fresh"] == bool(here.reading.gnss.fresh[v])
+            assert gnss["time"] == here.reading.gnss.time_of_reading[v]
+    for client in clients:
+        client.close()
+
+
+def test_the_world_goes_to_the_least_of_the_ticks_and_tells_who_is_there(barrier):
+    _, connect = barrier
+    one, other = connect(), connect()
+    with alone(one):
+        one.claim(A)
+        other.claim(B)
+
+        def twice() -> list[int]:
+            return [other.advance(ticks=ticks).tick for ticks in (1, 3)]
+
+        far, near = together(lambda: one.advance(until_tick=4), twice)
+        assert (far.tick, near) == (4, [1, 4])
+    one.close()
+    other.close()
+
+
+def test_who_dies_is_not_waited_for_and_changes_nobody(barrier):
+    _, connect = barrier
+    found = []
+    for dies in (True, False):
+        one, other = connect(), connect()
+        one.restart(SEED)
+        one.claim(A)
+        other.claim(B, on_silence="return")
+        for k in range(4):
+            together(
+                partial(one.advance, {A: ("waypoint", goal(0, k))}, ticks=3),
+                partial(other.advance, {B: ("velocity", [1.0, 0.0, 0.0, 0.0])}, ticks=3),
+            )
+        if dies:
+            other.close()
+            last = one.advance(ticks=12, truth=True)
+            status = one.status().vehicles[B]
+            assert (status.client, status.flies) == (0, "return")
+        else:
+            last = together(partial(one.advance, ticks=12, truth=True), partial(other.advance, ticks=12))[0]
+        assert last.tick == 24
+        found.append(last.vehicles[A].state.tobytes())
+        one.close()
+        other.close()
+    assert found[0] == found[1]
+
+
+def test_with_a_timeout_the_world_goes_on_and_counts_who_was_missed():
+    with sharing(pace="barrier", barrier_timeout=0.05) as (_, connect):
+        one, other = connect(), connect()
+        one.claim(A)
+        other.claim(B)
+        for k in range(3):
+            assert one.advance({A: ("waypoint", goal(0, k))}).tick == k + 1
+        status = one.status()
+        assert (status.vehicles[A].misses, status.vehicles[B].misses) == (0, 3)
+        # Who comes late to a tick is told where the world is.
+        assert other.advance(until_tick=2).tick == 3
+
+
+# ---- the wall clock ----
+
+
+def test_a_free_world_begins_with_the_first_claim_and_does_not_wait(free):
+    server, connect = free
+    one, other = connect(), connect()
+    assert one.status().tick == 0
+    claim = one.claim(A)
+    assert (claim.pace, claim.factor, claim.time_step, claim.vehicles) == ("free", 1.0, 0.02, (A,))
+    one.subscribe(rate=25.0, truth=True)
+    other.subscribe(A, B)
+    first = one.sensed(10.0)
+    tick = one.command({A: ("waypoint", goal(0, 1))}, computed_from=first.tick)
+    # It is flown from the tick after the one at which it arrives, and not computed from readings that are to come.
+    assert tick >= first.tick + 1
+    with pytest.raises(Refused, match=r"computed_from 999999: the world is at tick \d+"):
+        one.command({A: ("waypoint", goal(0, 1))}, computed_from=999999)
+    ticks = [one.sensed(10.0, newest=False).tick for _ in range(5)]
+    assert np.diff(ticks).tolist() == [2] * 4
+    status = one.status().vehicles[A]
+    assert (status.client, status.flies, status.source_tick) == (claim.client, "command", first.tick)
+    assert status.arrival_tick == tick - 1
+    assert set(other.sensed(10.0).vehicles) == {A, B}
+    # A controller that sleeps: nothing stands still, and after 0.5 s its vehicle holds.
+    deadline = time.monotonic() + 20.0
+    while one.status().vehicles[A].flies != "hold" and time.monotonic() < deadline:
+        time.sleep(0.05)
+    silent = one.status().vehicles[A]
+    assert silent.silent_since == pytest.approx(0.02 * status.arrival_tick)
+    assert silent.age >= 0.5
+    assert any("it holds its place" in line for line in server.lines)
+    with pytest.raises(Refused, match=r"RESTART: client \d+ flies 'vehicles_0' in this world"):
+        other.restart()
+    one.disconnect()
+    assert other.status().vehicles[A].flies == "guidance"
+    # Nobody else flies here now.
+    assert other.restart(9).seed == 9
+
+
+def test_a_free_run_is_flown_again_to_the_bit(tmp_path):
+    with sharing(pace="free", realtime=20.0, record=tmp_path) as (_, connect):
+        one, other = connect(), connect()
+        one.claim(A)
+        other.claim(B)
+        one.subscribe()
+        for k in range(20):
+            seen = one.sensed(10.0)
+            one.command({A: ("velocity_height", [0.5, 0.1 * k, -10.0, 0.0])}, computed_from=seen.tick)
+            if k < 5:
+                other.command({B: ("control", [0.0, 0.02 * k, 0.59, 0.0, 12.0])})
+            elif k == 5:
+                other.close()
+        one.close()
+        time.sleep(0.05)
+    (folder,) = tmp_path.iterdir()
+    recorded = open_run(folder)
+    kinds, flies = recorded["orders"]["kind"], recorded["orders"]["flies"]
+    assert set(kinds[:, 0]) >= {0, 1, 3}, "guidance, velocity_height, and at last the waypoint at which it holds"
+    assert flies[-1].tolist() == [2, 2]
+    assert {event.kind for event in recorded.events} >= {"controller_silent"}
+    again = open_run(replay(recorded, tmp_path / "again"))
+    streams = ["truth", "measurements", "commands", "wind", "orders"]
+    found = compare_runs(recorded, again, 0.0, streams)
+    assert found.bit_identical
+    assert recorded.info.ticks == again.info.ticks > 20
+    with pytest.raises(UsageError, match="exists already"):
+        replay(recorded, tmp_path / "again")
+
+
+def test_a_run_without_orders_is_not_replayed(tmp_path):
+    info = RunInfo.collect(scenario="pair", seed=0, precision="float32", time_step=0.02, vehicles=[A, B])
+    RunWriter.create(tmp_path / "run", info=info, scenario_yaml=pair().to_yaml(), columns={}).close()
+    with pytest.raises(UsageError, match="it has no orders"):
+        replay(open_run(tmp_path / "run"), tmp_path / "again")
+
+
+# ---- what is wrong ----
+
+NAMED = pb.Order(vehicle=A, type=Step.WP, cmd=pb.Arrayd(value=[0.0, 0.0, -10.0, 0.0]))
+
+
+def claim(*names: str, **others: Any) -> Message:
+    return Message(type=Message.CLAIM, claim=pb.Claim(vehicle=names, **others))
+
+
+def command(*orders: pb.Order, **others: Any) -> Message:
+    return Message(type=Message.COMMAND, command=pb.Command(order=orders, **others))
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        (claim("vehicle_0"), "CLAIM: no vehicle is called 'vehicle_0'; did you mean 'vehicles_0'?"),
+        (claim(B), "CLAIM: 'vehicles_1' is flown by client"),
+        (claim(A, on_silence="retrun"), "CLAIM: on_silence 'retrun': expected hold or return or stop; did"),
+        (claim(A, hold=-1.0), "hold -1 s"),
+        (Message(type=Message.RELEASE, release=pb.Release(vehicle=[B])), "RELEASE: 'vehicles_1' is flown by client"),
+        (command(NAMED), "COMMAND: 'vehicles_0' is not claimed; CLAIM it first"),
+        (command(pb.Order(vehicle=B, type=Step.WP, cmd=NAMED.cmd)), "COMMAND: 'vehicles_1' is flown by client"),
+        (command(NAMED, NAMED), "COMMAND: 'vehicles_0' is given 2 orders"),
+        (command(until_tick=5), "this client has claimed no vehicle"),
+        (command(ticks=0), "COMMAND: ticks 0; allowed: from 1"),
+        (Message(type=Message.SUBSCRIBE, subscribe=pb.Subscribe(vehicle=["x"])), "no vehicle is called 'x'"),
+        (Message(type=Message.SUBSCRIBE, subscribe=pb.Subscribe(rate=0.0)), "SUBSCRIBE: rate 0 Hz"),
+        (step(), "STEP: this server's world is shared by its clients"),
+        (Message(type=Message.RESET, reset=pb.Reset(value=True)), "RESET: this server's world is shared"),
+        (Message(type=Message.SETSTATE), "SETSTATE: this server's world is shared"),
+        (Message(type=Message.OPEN), "OPEN: this server's world is shared"),
+        (Message(type=Message.RESTART), "RESTART: client "),
+        (Message(type=Message.PACE, pace=pb.Pace(factor=2.0)), "PACE: client "),
+        (Message(type=Message.SENSED), "SENSED is not a request"),
+    ],
+)  # fmt: skip
+def test_a_wrong_request_gets_one_reply_and_disturbs_nobody(message, said, barrier):
+    server, connect = barrier
+    other = connect()
+    with alone(other):
+        other.claim(B)
+        with Wire(server.port) as wire:
+            assert said in wire.refused(message)
+            # It has claimed nothing by it, so nobody waits for it.
+            assert other.advance({B: ("waypoint", goal(1, 0))}).tick == 1
+            assert wire.ask(Message(type=Message.HELLO, hello=pb.Hello())).type == Message.SERVER
+    other.close()
+
+
+def test_what_is_wrong_at_the_barrier_alone(barrier):
+    _, connect = barrier
+    one = connect()
+    with alone(one):
+        one.claim(A)
+        one.advance(until_tick=3)
+        with pytest.raises(Refused, match="until_tick 3: the world is at tick 3 already"):
+            one.advance(until_tick=3)
+        with pytest.raises(Refused, match="until_tick 9999999999 is 9999999996 ticks away"):
+            one.advance(until_tick=9999999999)
+        with pytest.raises(UsageError, match="not both"):
+            one.advance(until_tick=5, ticks=1)
+        with pytest.raises(UsageError, match="no order is of kind 'waypont'"):
+            one.advance({A: ("waypont", goal(0, 0))})
+        with pytest.raises(UsageError, match=r"order of 'vehicles_0': expected \(kind, numbers\)"):
+            one.advance({A: goal(0, 0)})
+
+
+@pytest.mark.parametrize("kind", ["CLAIM", "RELEASE", "COMMAND", "SUBSCRIBE", "GET_STATUS"])
+def test_other_servers_say_that_their_worlds_have_owners(kind, wire):
+    message = Message(type=Message.Type.Value(kind))
+    assert wire.refused(message).startswith(f"{kind}: this server's worlds are flown by one client each")
+
+
+# ---- what is there ----
+
+
+def test_the_world_is_described(barrier):
+    _, connect = barrier
+    one = connect()
+    found = one.describe()
+    assert (found["scenario"], found["time_step"], found["obstacles"]) == ("pair", 0.02, [])
+    assert (found["area"]["type"], found["area"]["x_min"], found["area"]["units"]["x_min"]) == ("box", -40.0, "m")
+    fleet = found["fleets"]["vehicles"]
+    assert (fleet["vehicles"], fleet["model"]["type"], fleet["controller"]) == ([A, B], "pelican", "offboard")
+    assert fleet["start"][1] == [0.0, 9.0, -12.0]
+    assert fleet["sensors"]["gnss"]["period"] == pytest.approx(0.2)
+    assert fleet["limits"]["velocity"] == 15.0
+    throttle = fleet["commands"]["control"][2]
+    assert throttle == {"name": "throttle", "unit": "1", "low": 0.0, "high": 1.0}
+    assert "velocity_height" in fleet["commands"]
+    one.close()
+
+
+def test_the_client_has_every_kind_of_order():
+    assert KINDS == TYPES
+
+
+def test_silence_of_the_operator_is_that_of_claims():
+    with sharing(pace="barrier", silence=Silence("stop", 3.0)) as (_, connect):
+        claim = connect().claim(A)
+        assert (claim.on_silence, claim.hold) == ("stop", 3.0)
