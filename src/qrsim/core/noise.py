@@ -24,6 +24,8 @@ from qrsim.core.fastmath import exp, log, log_f32, rounded, sincos_ratio
 from qrsim.core.tree import quantity, record, setting
 
 ROUNDS = 13
+# No normal is larger: the root of -2 log of the least uniform number.
+LARGEST_NORMAL = 6.67
 _ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
 _PARITY = 0x1BD11BDA
 

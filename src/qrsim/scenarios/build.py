@@ -15,6 +15,7 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.gnss.contracts import Sky
 from qrsim.models.gnss.receivers import SharedSky
+from qrsim.models.radio.network import Network
 from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.contents import Contents
 from qrsim.models.scene.obstacles import Obstacles
@@ -27,6 +28,7 @@ from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
 from qrsim.scenarios.magnetism import in_earth_field
 from qrsim.scenarios.missions import MISSION, mission
+from qrsim.scenarios.radio import with_fleets
 from qrsim.scenarios.ranges import ranges_of
 from qrsim.scenarios.satellites import for_receivers, needs_slots, of_vehicles, slotted_sky, warn_of_systems
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
@@ -95,6 +97,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
         ranges=ranges_of(scenario),
         ground=ground,
         skyline=_skyline(scenario, obstacles),
+        radio=with_fleets(network_of(scenario), scenario),
     )
     return cast(built, dtype)
 
@@ -102,6 +105,11 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
 def build_task(scenario: ScenarioSpec, precision: str) -> Any:
     """Build the task of a scenario without problems; ``NoTask`` if it has none."""
     return cast(component(scenario.task, known.TASKS, scenario), np.dtype(precision))
+
+
+def network_of(scenario: ScenarioSpec) -> Network | None:
+    """Build the radio of a world without what fleets have of their own; None without one."""
+    return None if scenario.world.radio is None else component(scenario.world.radio, Network, scenario)
 
 
 def _skyline(scenario: ScenarioSpec, obstacles: Obstacles) -> Any:

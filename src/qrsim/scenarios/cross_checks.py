@@ -15,7 +15,7 @@ from qrsim.models.site import gps_seconds_from_utc, utc_from_gps_seconds
 from qrsim.models.vehicles.carried_point import CarriedPoint
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.air import air_problems
-from qrsim.scenarios.build import component, ground_if_any, ground_of, inherited, wind_of
+from qrsim.scenarios.build import component, ground_if_any, ground_of, inherited, network_of, wind_of
 from qrsim.scenarios.buildings import prism_problems
 from qrsim.scenarios.checks import area_problems, outside
 from qrsim.scenarios.contents import contents_problems
@@ -27,6 +27,7 @@ from qrsim.scenarios.hand_list import hand_lists
 from qrsim.scenarios.magnetism import magnetism_problems
 from qrsim.scenarios.missions import mission_problems
 from qrsim.scenarios.multirotor_checks import multirotor_problems
+from qrsim.scenarios.radio import radio_problems
 from qrsim.scenarios.ranges import range_problems
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.satellites import for_receivers, satellite_problems
@@ -73,6 +74,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *fault_problems(scenario),
         *contents_problems(scenario),
         *range_problems(scenario),
+        *radio_problems(network_of(scenario), scenario),
         *task_problems(scenario),
     ]
 

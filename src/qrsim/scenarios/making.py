@@ -22,7 +22,7 @@ from qrsim.world.state import World
 SCENARIO_PARTS = ("name", "description", "duration", "time_step", "start_time", "site", "extends", "ranges", "task")
 WORLD_PARTS = (
     "area", "ground", "wind", "turbulence", "gust", "sky", "plume", "terrain", "persons", "obstacles",
-    "buildings", "base_station", "interference", "collision_distance",
+    "buildings", "base_station", "interference", "collision_distance", "radio",
 )  # fmt: skip
 FLEET_PARTS = (
     "vehicle",
@@ -36,6 +36,7 @@ FLEET_PARTS = (
     "placement",
     "ground",
     "radius",
+    "radio",
 )
 # What a fleet does at the ground has the name of the ground itself, and is told from it by its value.
 AT_THE_GROUND = ("stop", "parked")

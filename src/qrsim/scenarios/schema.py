@@ -25,6 +25,7 @@ from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.interference import MOST, InterferenceSlot
 from qrsim.scenarios.legs import Corner, GeodeticSpec, LegSpec, Position
 from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, BuildingsSpec, obstacle_slot
+from qrsim.scenarios.radio_schema import FleetRadioSpec, RadioModel
 from qrsim.scenarios.sky_of_receivers import with_sky
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
@@ -233,6 +234,7 @@ class WorldSpec(Strict):
     interference: list[InterferenceSlot] = Field(
         [], description="jammers, spoofers, outages and storms that receivers of type gnss feel", max_length=MOST
     )
+    radio: RadioModel | None = Field(None, description="messages between vehicles; default: nobody has a radio")
     collision_distance: Finite = Field(
         2.0, description="vehicles closer than this [m] collide; half of it counts against obstacles", ge=0
     )
@@ -310,6 +312,9 @@ class FleetSpec(Strict):
         "stop",
         description="what touching the ground does to vehicles without a contact of their own: it ends the flight, or "
         "they stand there until their thrust exceeds their weight",
+    )
+    radio: FleetRadioSpec | None = Field(
+        None, description="what its radios have of their own, or none, which is silent and deaf; default: world.radio"
     )
     vehicles: list[VehicleSpec] = Field(description="vehicles", min_length=1)
 

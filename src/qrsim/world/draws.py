@@ -7,6 +7,7 @@ from jax import Array
 
 from qrsim.core.noise import Draw, Key, Noise, Stream, StreamKeys, draw_together
 from qrsim.models.atmosphere.contracts import Turbulence
+from qrsim.models.radio.contracts import STREAMS
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.world.episode import (
@@ -33,6 +34,7 @@ def keys_of(world: World, key: Key) -> WorldKeys:
         tuple(stream_keys(fleet, key, "/start") for fleet in world.fleets),
         key.streams(episode_streams(world)) if episode_streams(world) else None,
         key.streams([PLUME]) if world.contents.plume.changes else None,
+        None if world.radio is None else key.streams(STREAMS),
     )
 
 

@@ -13,6 +13,7 @@ from jax import Array
 from qrsim.core.noise import Draw, Stream
 from qrsim.core.tree import Record, concatenated, replace
 from qrsim.errors import RunError
+from qrsim.models.radio.contracts import FIELD_STREAM
 from qrsim.models.scene.contents import ContentsState, Surroundings, over_ground
 from qrsim.models.scene.contracts import GroundCover, People, Plume
 from qrsim.models.scene.uniform import uniform
@@ -45,6 +46,7 @@ def episode_streams(world: World) -> list[str]:
     )
     names = [f"{name}/start" for name, part in parts if part.random]
     names += [FIELD] if world.turbulence.field_ids else []
+    names += [] if world.radio is None else [FIELD_STREAM]
     names += [f"{PLACEMENT}/{fleet.name}" for fleet in world.fleets if fleet.placement.random]
     return names + [f"{RANGE}/{item.name}" for item in world.ranges]
 
@@ -54,6 +56,7 @@ def episode_draws(world: World, keys: WorldKeys, like: Array) -> dict[str, Draw]
     sizes = {f"{PLACEMENT}/{fleet.name}": fleet.size for fleet in world.fleets}
     sizes |= {
         FIELD: world.turbulence.field_ids,
+        FIELD_STREAM: 1 if world.radio is None else world.radio.field_ids,
         f"{PLUME}/start": world.contents.plume.ids,
         f"{PERSONS}/start": world.contents.persons.most,
     }

@@ -18,6 +18,7 @@ from qrsim.models.atmosphere.contracts import Gust, Turbulence, Wind
 from qrsim.models.gnss.contracts import Sky
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.skyline import Skyline
+from qrsim.models.radio.contracts import Outbox, Radio
 from qrsim.models.scene.area import StateLimits, Violation
 from qrsim.models.scene.contents import Contents, ContentsState
 from qrsim.models.scene.contracts import Area, Ground, Placement
@@ -31,7 +32,8 @@ from qrsim.models.vehicles.contracts import Battery, Vehicle, VehicleState
 from qrsim.models.vehicles.faults import RotorFault
 
 S = TypeVar("S")
-# What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, Some of these, or nothing.
+# What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, Some of these, or nothing;
+# or Saying with one of these.
 Action = object
 # Names of noise streams are FLEET/USER; a fleet has no slash in its name, so this is no fleet's.
 SKY = "/sky"
@@ -51,6 +53,14 @@ class Some:
         doc="for each kind of command or set-point: which vehicles (n,) bool it is for, none of them in two kinds, and "
         "what is asked of them (n,), with anything in the rows of the others"
     )
+
+
+@record
+class Saying:
+    """What is asked of the vehicles (n,) of a fleet, and what they have to say over the radio."""
+
+    action: object = quantity(doc="a command, a set-point, Some of these, or None")
+    outbox: Outbox = quantity(doc="what they have to say")
 
 
 @record
@@ -150,6 +160,7 @@ class World:
     ranges: tuple[Range, ...] = quantity(default=(), doc="numbers that every episode draws anew")
     ground: Ground = quantity(default=FlatGround(), doc="what vehicles stand on")
     skyline: Skyline | None = quantity(default=None, doc="what obstacles do to signals of satellites; None: nothing")
+    radio: Radio | None = quantity(default=None, doc="messages between vehicles; None: nobody has a radio")
 
     @property
     def radii(self) -> Array | None:
@@ -260,6 +271,7 @@ class State:
     drawn: tuple[Array, ...] = quantity(default=(), doc="what this episode has drawn for each range of the world")
     placed: tuple[Array, ...] = quantity(default=(), doc="bool, of each fleet placed at random: a place was found")
     field: object = quantity(default=None, doc="what the gusts of the episode share; None where they share nothing")
+    radio: Any = quantity(default=None, doc="messages on their way and in inboxes; None without a radio")
 
 
 def position_of(fleet: FleetState) -> Vec3:
@@ -278,6 +290,7 @@ class WorldKeys:
     fleets_start: tuple[StreamKeys, ...] = quantity(doc="of each fleet's first values")
     episode: StreamKeys | None = quantity(default=None, doc="of what is drawn once an episode; None if nothing is")
     plume: StreamKeys | None = quantity(default=None, doc="of a plume that changes; None without one")
+    radio: StreamKeys | None = quantity(default=None, doc="of the radio; None without one")
 
 
 def period_ticks(period: float, time_step: float) -> int:

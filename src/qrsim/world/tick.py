@@ -37,6 +37,7 @@ from qrsim.world.episode import (
     step_contents,
     surroundings,
 )
+from qrsim.world.radio import exchange, parted, start_radio
 from qrsim.world.sensing import faulted, inputs_of, scene_of, sense, starting_fitted, with_traffic
 from qrsim.world.standing import ground_checks, over_the_floor, settled, started
 from qrsim.world.state import (
@@ -78,7 +79,10 @@ def reset(world: World, key: Key | WorldKeys) -> State:
         for fleet, vehicle, first in zip(world.fleets, vehicles, keys.fleets_start, strict=True)
     )
     found = tuple(found for _, found in placed if found is not None)
-    return State(sky, fleets, keys.sky, keys.fleets, contents, keys.plume, drawn, found, field)
+    return State(
+        sky, fleets, keys.sky, keys.fleets, contents, keys.plume, drawn, found, field,
+        start_radio(world, draws, keys, fleets),
+    )  # fmt: skip
 
 
 def step(
@@ -95,7 +99,8 @@ def step(
         world, state: of one world; vmap over worlds from outside.
         tick: () int32, the tick the step starts from; unbatched under vmap, so slow sensors are really skipped.
         actions: for each fleet a Command (flown as it is, clipped to its range), a set-point (handed to the
-            controller, which must take its kind) or None (the fleet's guidance hands out the set-point).
+            controller, which must take its kind) or None (the fleet's guidance hands out the set-point); ``Saying`` has
+            one of these and what the vehicles have to say.
         estimates: for each fleet what its controller is fed with; None: what ``controller.feed`` says.
         before: () int32 ticks that the world had flown before ``tick`` began to count, a multiple of every period;
             it may differ from world to world of a batch, where ``tick`` may not. None: none.
@@ -104,6 +109,8 @@ def step(
     due = after = tick + 1
     if before is not None:
         tick, after = tick + before, after + before
+    actions, said = parted(actions)
+    state = replace(state, radio=exchange(world, state, said, tick, due - 1))
     sky = _step_sky(world, state, due, after)
     noise = [draw_fleet(world, fleet, keys, after) for fleet, keys in zip(world.fleets, state.fleet_keys, strict=True)]
     flown = tuple(

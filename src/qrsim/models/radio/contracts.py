@@ -1,26 +1,69 @@
-"""Protocol of the radio between vehicles, as worlds use it; no radio is built in."""
+"""What goes between the radio and the rest of a world: messages, who has heard them, and the radio's contract."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from jax import Array
 
-from qrsim.core.noise import Draw
+from qrsim.core.noise import StreamKeys
 from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import Vec3
+
+# Names of the radio's noise streams; a fleet has no slash in its name, so these are no fleet's.
+STREAMS = ("/radio.packet", "/radio.jitter", "/radio.backoff")
+FIELD_STREAM = "/radio.field"
 
 
 @record
 class Inbox:
     """Received messages of each vehicle (n,): the newest of each of at most K senders, D numbers each."""
 
-    payload: Array = quantity(doc="(n, K, D) numbers")
-    sender: Array = quantity(doc="(n, K) int32 number of the sender in the world; -1: no message")
-    age: Array = quantity(unit="s", doc="(n, K) time since it was sent")
-    rssi: Array = quantity(unit="dBm", doc="(n, K) strength at which it was received")
-    mask: Array = quantity(doc="(n, K) bool: there is a message")
+    payload: Any = quantity(doc="(n, K, D) numbers; 0 where there is no message")
+    sender: Any = quantity(doc="(n, K) int32 number of the sender in the world; -1: no message")
+    age: Any = quantity(unit="s", doc="(n, K) time since it was handed to the sender's radio; NaN: no message")
+    rssi: Any = quantity(unit="dBm", doc="(n, K) strength at which it was received; NaN: no message")
+    mask: Any = quantity(doc="(n, K) bool: there is a message")
+
+
+@record
+class Outbox:
+    """What vehicles (n,) have to say."""
+
+    payload: Array = quantity(doc="(D, n) numbers")
+    send: Array = quantity(doc="(n,) bool: it is said now")
+    to: Array = quantity(doc="(n,) int32 number in the world of who alone hears it; -1: all")
+
+
+@record
+class Surfaces:
+    """Where the ends of links are, and what stands between them."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="true position of each vehicle (n,)")
+    works: Array = quantity(doc="(n,) bool: has a radio that is on, and flies")
+    obstacles: Any = quantity(default=None, doc="of the world; None: nothing is in the way")
+
+
+class Exchange(NamedTuple):
+    """One call of the radio.
+
+    Attributes:
+        said: what users have to say; None: nothing.
+        beacons: what those say who have nothing to say.
+        ids: (n,) uint32 what the draws of each vehicle belong to.
+        tick: () int32 now.
+        due: () int32 the same, not batched.
+        time_step: [s].
+    """
+
+    said: Outbox | None
+    beacons: Outbox | None
+    surfaces: Surfaces
+    ids: Any
+    tick: Array
+    due: Array
+    time_step: float
 
 
 @runtime_checkable
@@ -29,31 +72,27 @@ class Radio(Protocol):
 
     Attributes:
         size: numbers of a message (D).
-        inbox: messages kept for each vehicle (K).
-        reads: what ``exchange`` is handed by name beside its other arguments: "obstacles".
+        beacon: whether those who have nothing to say send their own estimates.
+        own: what fleets have of their own, with ``works`` (n,); None: nothing.
     """
 
     size: int
-    inbox: int
-    reads: ClassVar[tuple[str, ...]] = ()
+    beacon: bool
+    own: Any
+
+    @property
+    @abstractmethod
+    def field_ids(self) -> int:
+        """Number of what is drawn once an episode."""
 
     @abstractmethod
-    def init(self, draw: Draw, position_ned: Vec3) -> Any:
-        """Return the state at the start for vehicles at positions (n,) [m], without received messages."""
+    def init(self, draw: Any, keys: StreamKeys, like: Array) -> Any:
+        """Return the state at the start of an episode, for vehicles (n,) as ``like``, without any message."""
 
     @abstractmethod
-    def exchange(
-        self, state: Any, draw: Draw, position_ned: Vec3, outbox: Array, send: Array, to: Array, tick: Array,
-        *args: Any, **reads: Any,
-    ) -> tuple[Any, Inbox]:  # fmt: skip
-        """Advance one tick.
+    def exchange(self, state: Any, now: Exchange) -> Any:
+        """Take what is said at a tick, and send what is due; heard at the next tick at the earliest."""
 
-        Args:
-            state: of the tick before.
-            draw: randomness of the tick.
-            position_ned: (n,) [m].
-            outbox: (n, D) what each vehicle has to say.
-            send: (n,) bool, whether it says so now.
-            to: (n,) int32 receiver, which alone hears it; -1: all.
-            tick: () int32. What is sent at a tick is heard at the next one at the earliest.
-        """
+    @abstractmethod
+    def received(self, state: Any, tick: Array, time_step: float) -> Inbox:
+        """Return what each vehicle has heard by a tick."""

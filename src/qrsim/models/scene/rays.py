@@ -5,10 +5,11 @@ All shapes of rays are allowed; every obstacle is looked at for every ray, exact
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import Ground
@@ -29,18 +30,8 @@ def ray_distance(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Arr
         origin_ned: where they begin (...) [m].
         direction: of any length (...).
     """
-    shape = jnp.broadcast_shapes(origin_ned.x.shape, direction.x.shape)
-    distance = jnp.full(shape, jnp.inf, direction.x.dtype)
-    origin, ray = (end.map(lambda axis: jnp.broadcast_to(axis, shape)[None]) for end in (origin_ned, direction))
-    for solids, meets in (
-        (obstacles.boxes, _in_boxes),
-        (obstacles.cylinders, _in_cylinders),
-        (None if obstacles.prisms is None else obstacles.prisms.pieces, _in_pieces),
-    ):
-        if solids is None or not solids.z_min.shape[0]:
-            continue
-        column = (-1,) + (1,) * len(shape)
-        low, high = meets(_each(solids, column), origin, ray)
+    distance = jnp.full(_shape(origin_ned, direction), jnp.inf, direction.x.dtype)
+    for low, high, _ in _met(obstacles, origin_ned, direction):
         met = (low <= high) & (high >= 0.0)
         distance = jnp.minimum(distance, jnp.min(jnp.where(met, jnp.maximum(low, 0.0), jnp.inf), axis=0))
     return distance
@@ -66,9 +57,51 @@ def any_of(obstacles: Obstacles) -> bool:
     return any(kind is not None and kind.z_min.shape[0] > 0 for kind in kinds)
 
 
+def _shape(origin_ned: Vec3, direction: Vec3) -> tuple[int, ...]:
+    return jnp.broadcast_shapes(origin_ned.x.shape, direction.x.shape)
+
+
+def _met(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Iterator[tuple[Array, Array, Array | None]]:
+    """Yield of each kind from when to when rays (...) are in its solids (T, ...), and whose pieces (T,) they are."""
+    shape = _shape(origin_ned, direction)
+    origin, ray = (end.map(lambda axis: jnp.broadcast_to(axis, shape)[None]) for end in (origin_ned, direction))
+    pieces = None if obstacles.prisms is None else obstacles.prisms.pieces
+    for solids, meets, owner in (
+        (obstacles.boxes, _in_boxes, None),
+        (obstacles.cylinders, _in_cylinders, None),
+        (pieces, _in_pieces, None if pieces is None else pieces.number),
+    ):
+        if solids is None or not solids.z_min.shape[0]:
+            continue
+        column = (-1,) + (1,) * len(shape)
+        yield *meets(_each(solids, column), origin, ray), owner
+
+
 def line_of_sight(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
     """Return whether nothing (...) stands between places (...) [m]; inside an obstacle nothing is seen."""
     return ray_distance(obstacles, from_ned, to_ned - from_ned) > 1.0
+
+
+def walls_between(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
+    """Return how many obstacles (...) stand between places (...) [m], a building counted once."""
+    direction = to_ned - from_ned
+    count = jnp.zeros(_shape(from_ned, direction), jnp.int32)
+    for low, high, owner in _met(obstacles, from_ned, direction):
+        met = (low <= high) & (high >= 0.0) & (low <= 1.0)
+        if owner is not None and met.shape[0] > 1:
+            met = met & ~_met_before(met, jnp.asarray(owner))
+        count = count + jnp.sum(met.astype(jnp.int32), axis=0)
+    return count
+
+
+def _met_before(met: Array, owner: Array) -> Array:
+    """Return for pieces (T, ...) whether one before it of the same prism (T,) is met; its pieces lie together."""
+    place = jnp.arange(owner.shape[0], dtype=jnp.int32)
+    begins = jnp.concatenate([jnp.ones(1, bool), owner[1:] != owner[:-1]])
+    first = lax.cummax(jnp.where(begins, place, 0))
+    before = jnp.cumsum(met.astype(jnp.int32), axis=0) - met.astype(jnp.int32)
+    row = jnp.broadcast_to(jnp.reshape(first, (-1,) + (1,) * (met.ndim - 1)), met.shape)
+    return before > jnp.take_along_axis(before, row, axis=0, mode="promise_in_bounds")
 
 
 def _each(solids: Any, column: tuple[int, ...]) -> Any:

@@ -1,0 +1,90 @@
+"""The channel that all radios of a world share, and what fleets have of their own (docs/radio.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.noise import LARGEST_NORMAL
+from qrsim.core.tree import derived, parameter, quantity, record, setting
+from qrsim.models.radio.parameters import Delay, InboxSize, Mac, Packet, PathLoss, PresetName
+from qrsim.models.radio.propagation import lora_air_time
+
+# Of the logarithm of the jitter.
+JITTER_SIGMA = 0.5
+
+
+@record
+class FleetRadios:
+    """What the radios of fleets have of their own, each (n,); NaN: that of the network."""
+
+    power_dbm: Array = quantity(unit="dBm", doc="transmitted")
+    gain_db: Array = quantity(unit="dB", doc="of the antenna")
+    noise_figure_db: Array = quantity(unit="dB", doc="of the receiver")
+    works: Array = quantity(doc="bool: there is a radio")
+
+    def power(self, usual: Array) -> Array:
+        """Return what each sends [dBm]."""
+        return _own(self.power_dbm, usual)
+
+    def gain(self, usual: Array) -> Array:
+        """Return the gain of each antenna [dB]."""
+        return _own(self.gain_db, usual)
+
+    def noise(self, usual: Array) -> Array:
+        """Return the noise figure of each receiver [dB]."""
+        return _own(self.noise_figure_db, usual)
+
+
+def _own(own: Array, usual: Array) -> Array:
+    return jnp.where(jnp.isnan(own), usual, own)
+
+
+@record
+class Channel:
+    """One channel for all vehicles of a world."""
+
+    preset: PresetName = setting(default="sik_915", doc="what says all that is not given")
+    frequency_mhz: Array = parameter(default=915.0, unit="MHz", doc="of the carrier", above=0.0)
+    power_dbm: Array = parameter(default=20.0, unit="dBm", doc="transmitted")
+    gain_db: Array = parameter(default=0.0, unit="dB", doc="of each antenna")
+    bandwidth_khz: float = setting(default=250.0, unit="kHz", doc="of the receiver's filter", above=0.0)
+    rate_kbps: float = setting(default=64.0, unit="kbit/s", doc="on the air", above=0.0)
+    noise_figure_db: Array = parameter(default=6.0, unit="dB", doc="of the receiver", minimum=0.0)
+    size: int = setting(default=6, doc="numbers of a message (D)", minimum=1, maximum=256)
+    beacon: bool = setting(
+        default=True, doc="who has nothing to say sends its own estimate of position and velocity in every period"
+    )
+    path_loss: PathLoss = quantity(default=PathLoss(), doc="what a signal loses on its way")
+    packet: Packet = quantity(default=Packet(), doc="a packet, and when it is lost")
+    mac: Mac = quantity(default=Mac(), doc="who may send when")
+    delay: Delay = quantity(default=Delay(), doc="what is added to the time on the air")
+    inbox: InboxSize = quantity(default=InboxSize(), doc="what a vehicle keeps of what it has heard")
+    own: Any = derived(default=None, doc="what fleets have of their own, a FleetRadios; None: nothing")
+
+    @property
+    def field_ids(self) -> int:
+        """Number of waves of the shadowing."""
+        return self.path_loss.waves
+
+    @property
+    def air_time(self) -> float:
+        """Time of a packet on the air [s]."""
+        if self.packet.spreading_factor:
+            return lora_air_time(self.packet.bytes, self.packet.spreading_factor, 1000.0 * self.bandwidth_khz)
+        return self.packet.preamble + 8.0 * self.packet.bytes / (1000.0 * self.rate_kbps)
+
+    @property
+    def latest(self) -> float:
+        """Longest time [s] from the beginning of a period until a packet of it is known."""
+        begin = {"ideal": 0.0, "tdma": self.mac.period * (1.0 - 1.0 / self.mac.slots)}
+        first = begin.get(self.mac.type, self.mac.period) + self.air_time
+        return first + self.delay.fixed + self.delay.jitter * math.exp(JITTER_SIGMA * LARGEST_NORMAL)
+
+    @property
+    def periods_on_the_way(self) -> int:
+        """Number of periods (F) whose packets may still be on their way."""
+        return max(1, math.ceil(self.latest / self.mac.period - 1e-9))

@@ -1,0 +1,257 @@
+"""The radio of a world: who hears whom, and when (docs/radio.md)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from qrsim.core.fastmath import exp
+from qrsim.core.neighbours import Neighbours, neighbours
+from qrsim.core.noise import Draw, Stream, StreamKeys
+from qrsim.core.tree import quantity, record, replace
+from qrsim.models.radio.access import starts
+from qrsim.models.radio.channel import JITTER_SIGMA, Channel
+from qrsim.models.radio.contracts import STREAMS, Exchange, Inbox, Outbox, Radio
+from qrsim.models.radio.links import Links, Outcome, outcomes, powers
+from qrsim.models.radio.propagation import SPEED_OF_LIGHT, ShadowField, noise_floor
+from qrsim.models.radio.tables import NOBODY, Heard, newest, taken
+from qrsim.models.scene.uniform import uniform
+
+PACKET, JITTER, BACKOFF = range(len(STREAMS))
+# A packet that is late by less than this part of a tick is not late.
+_ROUNDING = 1e-3
+
+
+@record
+class Waiting:
+    """Messages of each vehicle (n,) that wait for the radio, the oldest first (q)."""
+
+    payload: Array = quantity(doc="(q, D, n) numbers")
+    to: Array = quantity(doc="(q, n) int32 who alone hears it; -1: all")
+    since: Array = quantity(doc="(q, n) int32 tick at which it was handed over; -1: none")
+
+
+@record
+class Counts:
+    """Packets since the start, of each vehicle (n,) int32."""
+
+    sent: Array = quantity(doc="that it has sent")
+    heard: Array = quantity(doc="that it has heard")
+    lost_range: Array = quantity(doc="that it has missed because they were too weak: more than 90 % of such are lost")
+    lost_noise: Array = quantity(doc="that it has missed by chance")
+    lost_collision: Array = quantity(doc="that it has missed because others sent too, or itself")
+    lost_queue: Array = quantity(doc="messages of it that were lost in its own queue")
+    deferred: Array = quantity(doc="periods in which csma found no free time for it")
+    overfull: Array = quantity(doc="exchanges in which more were around it than there was room for in the search")
+
+
+@record
+class NetworkState:
+    """Everything of the radio that changes."""
+
+    keys: StreamKeys = quantity(doc="keys of its randomness, constant during an episode")
+    field: ShadowField = quantity(doc="shadowing of the episode")
+    waiting: Waiting = quantity(doc="messages that wait")
+    coming: Heard = quantity(doc="(F K, ...) packets of the last F periods, heard and perhaps on their way")
+    table: Heard = quantity(doc="(K, ...) newest message of each sender")
+    counts: Counts = quantity(doc="packets since the start")
+    links: Links = quantity(doc="links of the last period")
+
+
+@record
+class Network(Channel, Radio):
+    """Datagrams between vehicles, over one channel for all."""
+
+    def init(self, draw: Draw, keys: StreamKeys, like: Array) -> NetworkState:
+        """Return the state at the start; ``draw`` has an id for each wave of the shadowing."""
+        queue, shape = self.mac.queue, like.shape
+        rows, size = self.inbox.size, self.size
+        none = jnp.full((queue, *shape), NOBODY, jnp.int32)
+        zero = jnp.zeros(shape, jnp.int32)
+        return NetworkState(
+            keys=keys,
+            field=ShadowField.drawn(draw),
+            waiting=Waiting(jnp.zeros((queue, size, *shape), like.dtype), none, none),
+            coming=Heard.nothing(rows * self.periods_on_the_way, size, like),
+            table=Heard.nothing(rows, size, like),
+            counts=Counts(*(zero,) * 8),
+            links=Links.nothing(self.inbox.candidates, like),
+        )
+
+    def exchange(self, state: NetworkState, now: Exchange) -> NetworkState:
+        """Take what is said at a tick, and send what is due, once a period."""
+        if now.said is not None:
+            state = self._queued(state, now.said, now)
+        ticks = max(1, round(self.mac.period / now.time_step))
+        return lax.cond(now.due % ticks == 0, lambda: self._sent(state, now, ticks), lambda: state)
+
+    def received(self, state: NetworkState, tick: Any, time_step: float) -> Inbox:
+        """Return what each vehicle has heard by a tick."""
+        heard = self._table(state, tick, time_step)
+        library: Any = np if isinstance(heard.sender, np.ndarray) else jnp
+        mask = heard.sender != NOBODY
+        age = (tick - heard.sent).astype(heard.rssi.dtype) * time_step
+        return Inbox(
+            payload=library.transpose(heard.payload, (2, 0, 1)),
+            sender=heard.sender.T,
+            age=library.where(mask, age, library.nan).astype(heard.rssi.dtype).T,
+            rssi=library.where(mask, heard.rssi, library.nan).astype(heard.rssi.dtype).T,
+            mask=mask.T,
+        )
+
+    def _table(self, state: NetworkState, tick: Any, time_step: float) -> Heard:
+        """Return the newest known message of each sender, the newest first, without those that are forgotten."""
+        both = state.coming.joined(state.table)
+        fresh = (tick - both.sent) <= round(self.inbox.forget / time_step)
+        return newest(both, both.known(tick) & fresh, self.inbox.size)
+
+    def _queued(self, state: NetworkState, said: Outbox, now: Exchange) -> NetworkState:
+        """Put what is said behind what waits; where there is no room, the oldest is lost."""
+        waiting, queue = state.waiting, self.mac.queue
+        here = said.send & now.surfaces.works
+        length = jnp.sum((waiting.since != NOBODY).astype(jnp.int32), axis=0)
+        full = here & (length == queue)
+        row = jnp.arange(queue, dtype=jnp.int32)[:, None]
+        place = jnp.where(here, jnp.minimum(length, queue - 1), -1)[None]
+
+        def put(rows: Array, new: Array) -> Array:
+            shifted = _shifted(rows, full)
+            at = place if rows.ndim == 2 else place[:, None]
+            number = row if rows.ndim == 2 else row[:, None]
+            return jnp.where(number == at, jnp.broadcast_to(new[None], rows.shape), shifted)
+
+        tick = jnp.broadcast_to(jnp.asarray(now.tick, jnp.int32), here.shape)
+        waiting = Waiting(put(waiting.payload, said.payload), put(waiting.to, said.to), put(waiting.since, tick))
+        counts = replace(state.counts, lost_queue=state.counts.lost_queue + full.astype(jnp.int32))
+        return replace(state, waiting=waiting, counts=counts)
+
+    def _sent(self, state: NetworkState, now: Exchange, ticks: int) -> NetworkState:
+        """Send the oldest message of each vehicle, or its beacon, and put what is heard on its way."""
+        surfaces, limits = now.surfaces, self.inbox
+        frame = jnp.asarray(now.tick, jnp.int32) // ticks
+        x, y, z = (
+            jnp.where(surfaces.works, axis, jnp.nan)
+            for axis in (surfaces.position_ned.x, surfaces.position_ned.y, surfaces.position_ned.z)
+        )
+        near = neighbours(x, y, z, limits.reach, limits.candidates)
+        payload, to, since, queued, wants = self._first(state, now)
+        wants = wants & surfaces.works
+        power = powers(self, state.field, near, surfaces)
+        draw = Draw(self._stream(state.keys, BACKOFF, now.ids, 0), frame.astype(jnp.uint32), payload[0, :1])
+        begin, sends = starts(self.mac, self.air_time, draw, wants, self._audible(near, power))
+        links = outcomes(self, near, power, begin, sends, to, self._chance(state.keys, near, now.ids, frame))
+        heard = self._arriving(state, near, links, (payload, since, begin), now, frame)
+        rows = limits.size
+        old = replace(state, table=self._table(state, now.tick, now.time_step))
+        coming = heard.joined(_first_rows(state.coming, state.coming.sender.shape[0] - rows))
+        waiting = _without_first(state.waiting, queued & sends)
+        return replace(
+            old, waiting=waiting, coming=coming, links=links,
+            counts=_counted(state.counts, links, near, sends, wants),
+        )  # fmt: skip
+
+    def _first(self, state: NetworkState, now: Exchange) -> tuple[Array, Array, Array, Array, Array]:
+        """Return payload (D, n), receiver and tick of each vehicle's next message, if it has waited, and if it is."""
+        waiting = state.waiting
+        queued = waiting.since[0] != NOBODY
+        payload, to, since = waiting.payload[0], waiting.to[0], waiting.since[0]
+        if now.beacons is None:
+            return payload, to, since, queued, queued
+        payload = jnp.where(queued[None], payload, now.beacons.payload)
+        to = jnp.where(queued, to, now.beacons.to)
+        since = jnp.where(queued, since, jnp.asarray(now.tick, jnp.int32))
+        return payload, to, since, queued, queued | now.beacons.send
+
+    def _audible(self, near: Neighbours, power: Array) -> tuple[Array, Array]:
+        """Return whom each vehicle hears well enough to wait for: those above its noise."""
+        figure = self.noise_figure_db if self.own is None else self.own.noise(self.noise_figure_db)[None]
+        floor = noise_floor(1000.0 * self.bandwidth_khz, figure)
+        return jnp.maximum(near.index, 0), (near.index >= 0) & (power > floor)
+
+    @staticmethod
+    def _stream(keys: StreamKeys, which: int, ids: Any, frame: Any) -> Stream:
+        low = keys.low[which] + jnp.asarray(frame).astype(jnp.uint32)
+        return Stream(keys.high[which], low, jnp.asarray(ids, jnp.uint32))
+
+    def _pair(self, keys: StreamKeys, which: int, near: Neighbours, ids: Any, frame: Array) -> tuple[Stream, Array]:
+        """Return the stream of ordered pairs (K, n) in a period, and the ids of their senders, which are its ticks."""
+        ids = jnp.asarray(ids, jnp.uint32)
+        sender = ids.at[jnp.maximum(near.index, 0)].get(mode="promise_in_bounds")
+        receiver = jnp.broadcast_to(ids[None], sender.shape)
+        return self._stream(keys, which, receiver, frame), sender
+
+    def _chance(self, keys: StreamKeys, near: Neighbours, ids: Any, frame: Array) -> Array:
+        stream, sender = self._pair(keys, PACKET, near, ids, frame)
+        return uniform(Draw(stream, sender, near.squared[0, :1]), 0)
+
+    def _arriving(
+        self, state: NetworkState, near: Neighbours, links: Links, packets: tuple[Array, Array, Array], now: Exchange,
+        frame: Array,
+    ) -> Heard:  # fmt: skip
+        """Return the nearest heard packets with the ticks at which they arrive."""
+        payload, since, begin = packets
+        heard = links.outcome == Outcome.HEARD
+        place = jnp.cumsum(heard.astype(jnp.int32), axis=0)
+        row = jnp.arange(heard.shape[0], dtype=jnp.int32)
+        wanted = jnp.arange(1, self.inbox.size + 1, dtype=jnp.int32)
+        first = heard[None] & (place[None] == wanted[:, None, None])
+        chosen = jnp.min(jnp.where(first, row[None, :, None], jnp.int32(heard.shape[0])), axis=1)
+        there = jnp.maximum(near.index, 0)
+        late = self._late(state.keys, near, begin.at[there].get(mode="promise_in_bounds"), now, frame)
+        arrives = jnp.asarray(now.tick, jnp.int32) + jnp.maximum(
+            jnp.ceil(late / now.time_step - _ROUNDING).astype(jnp.int32), 1
+        )
+        sent = since.at[there].get(mode="promise_in_bounds")
+        # Payloads are looked up for those only that are heard.
+        nothing = jnp.zeros((heard.shape[0], 0, heard.shape[1]), payload.dtype)
+        found = taken(Heard(nothing, links.sender, sent, arrives, links.rssi), chosen)
+        speaker = jnp.maximum(found.sender, 0)
+        words = jnp.stack([row.at[speaker].get(mode="promise_in_bounds") for row in payload], axis=1)
+        return replace(found, payload=jnp.where((found.sender != NOBODY)[:, None], words, 0.0))
+
+    def _late(self, keys: StreamKeys, near: Neighbours, begin: Array, now: Exchange, frame: Array) -> Array:
+        """Return how long (K, n) after the beginning of a period packets are known [s]."""
+        stream, sender = self._pair(keys, JITTER, near, now.ids, frame)
+        (normal,) = stream.normals(sender, 1, near.squared.dtype)
+        distance = jnp.sqrt(jnp.where(near.index >= 0, near.squared, 0.0))
+        jitter = self.delay.jitter * exp(JITTER_SIGMA * normal)
+        return begin + self.air_time + distance * (1.0 / SPEED_OF_LIGHT) + self.delay.fixed + jitter
+
+
+def _shifted(rows: Array, where: Array) -> Array:
+    """Return rows without the first one, and the last one twice, for the vehicles that are named."""
+    moved = jnp.concatenate([rows[1:], rows[-1:]])
+    return jnp.where(where[(None,) * (rows.ndim - 1)], moved, rows)
+
+
+def _without_first(waiting: Waiting, gone: Array) -> Waiting:
+    """Return what waits without the first of the vehicles that are named."""
+    since = jnp.concatenate([waiting.since[1:], jnp.full_like(waiting.since[:1], NOBODY)])
+    return Waiting(
+        _shifted(waiting.payload, gone), _shifted(waiting.to, gone), jnp.where(gone[None], since, waiting.since)
+    )
+
+
+def _first_rows(heard: Heard, rows: int) -> Heard:
+    return Heard(heard.payload[:rows], heard.sender[:rows], heard.sent[:rows], heard.arrives[:rows], heard.rssi[:rows])
+
+
+def _counted(counts: Counts, links: Links, near: Neighbours, sends: Array, wants: Array) -> Counts:
+    """Add what has become of a period's packets."""
+
+    def of(outcome: int) -> Array:
+        return jnp.sum((links.outcome == outcome).astype(jnp.int32), axis=0)
+
+    return replace(
+        counts,
+        sent=counts.sent + sends.astype(jnp.int32),
+        heard=counts.heard + of(Outcome.HEARD),
+        lost_range=counts.lost_range + of(Outcome.WEAK),
+        lost_noise=counts.lost_noise + of(Outcome.NOISE),
+        lost_collision=counts.lost_collision + of(Outcome.COLLISION),
+        deferred=counts.deferred + (wants & ~sends).astype(jnp.int32),
+        overfull=counts.overfull + near.overfull.astype(jnp.int32),
+    )

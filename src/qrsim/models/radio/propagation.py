@@ -1,0 +1,136 @@
+"""From a link's length to the chance that a packet is lost on it (docs/radio.md).
+
+All shapes of links are allowed. Written without what one of the two compilers does not take, and with the elementary
+functions that both compute in vectors.
+"""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.fastmath import exp, log, sincos_turns
+from qrsim.core.noise import Draw
+from qrsim.core.tree import quantity, record
+from qrsim.core.vectors import Vec3
+from qrsim.models.scene.uniform import uniform
+
+SPEED_OF_LIGHT = 299_792_458.0
+# Thermal noise at 290 K [dBm/Hz].
+THERMAL = -174.0
+_DB = 10.0 / math.log(10.0)
+
+
+def db(ratio: Array) -> Array:
+    """Return a positive ratio in decibels."""
+    return _DB * log(ratio)
+
+
+def ratio(decibels: Array) -> Array:
+    """Return the ratio of decibels."""
+    return exp(decibels * (1.0 / _DB))
+
+
+def path_loss(squared: Array, frequency_hz: Array, exponent: Array) -> Array:
+    """Return the loss [dB] of links by the log-distance law, free space in the first metre.
+
+    Args:
+        squared: lengths squared [m^2].
+        frequency_hz: of the carrier.
+        exponent: 2 is free space.
+    """
+    first = 2.0 * db(jnp.asarray(4.0 * math.pi / SPEED_OF_LIGHT * frequency_hz))
+    # Half of it, because the length is squared.
+    return first + 0.5 * exponent * db(jnp.maximum(squared, 1.0))
+
+
+def noise_floor(bandwidth_hz: float, noise_figure_db: Array) -> Array:
+    """Return the noise [dBm] of a receiver."""
+    return THERMAL + db(jnp.asarray(bandwidth_hz)) + noise_figure_db
+
+
+@record
+class ShadowField:
+    """Waves whose sum over both ends of a link is its shadowing: a function of the two places, without a memory."""
+
+    here: Vec3 = quantity(doc="(M,) wave numbers of one end, in turns per correlation distance")
+    there: Vec3 = quantity(doc="(M,) wave numbers of the other end")
+    phase: Array = quantity(doc="(M,) phases, in turns")
+
+    @staticmethod
+    def drawn(draw: Draw) -> ShadowField:
+        """Draw the M waves of an episode, one for each id.
+
+        Wave numbers are normals over one common normal (Cauchy in six dimensions), so that the correlation of two links
+        whose ends are d apart is exp(-d/correlation distance): Gudmundson, "Correlation model for shadow fading in
+        mobile radio systems", Electronics Letters 27, 1991.
+        """
+        *waves, common = draw.normals(7)
+        scale = (0.5 / math.pi) / jnp.maximum(jnp.abs(common), 1e-3)
+        turns = [wave * scale for wave in waves]
+        return ShadowField(Vec3(*turns[:3]), Vec3(*turns[3:]), uniform(draw, 16))
+
+    def between(self, one: Vec3, other: Vec3, correlation_distance: Array) -> Array:
+        """Return the shadowing (...) of links between places, with unit variance; the same from either end."""
+        inverse = 1.0 / correlation_distance
+        shape = (-1,) + (1,) * other.x.ndim
+        here, there = (end.map(lambda wave: jnp.reshape(wave * inverse, shape)) for end in (self.here, self.there))
+        phase = jnp.reshape(self.phase, shape)
+        first, second = (end.map(lambda axis: axis[None]) for end in (one, other))
+        waves = [sincos_turns((here.dot(a) + phase) + there.dot(b))[1] for a, b in ((first, second), (second, first))]
+        return jnp.sum(waves[0] + waves[1], axis=0) * (1.0 / math.sqrt(self.phase.shape[0]))
+
+
+def complementary_error(x: Array) -> Array:
+    """Return erfc(x) for x >= 0, relative error below 1.2e-7.
+
+    Chebyshev fit of W. H. Press et al., "Numerical Recipes", 2nd edition, section 6.2.
+    """
+    t = 1.0 / (1.0 + 0.5 * x)
+    power = jnp.full_like(t, 0.17087277)
+    for factor in (
+        -0.82215223, 1.48851587, -1.13520398, 0.27886807, -0.18628806, 0.09678418, 0.37409196, 1.00002368, -1.26551223,
+    ):  # fmt: skip
+        power = power * t + factor
+    return t * exp(power - x * x)
+
+
+def fsk_bit_error(per_bit: Array) -> Array:
+    """Return the bit error rate of binary FSK, detected without phase, by its energy over the noise's."""
+    return 0.5 * exp(-0.5 * per_bit)
+
+
+def bpsk_bit_error(per_bit: Array) -> Array:
+    """Return the bit error rate of BPSK, detected with phase."""
+    return 0.5 * complementary_error(jnp.sqrt(jnp.maximum(per_bit, 0.0)))
+
+
+def packet_error(bit_error: Array, bits: float) -> Array:
+    """Return the chance that one of so many bits is wrong."""
+    # What is left of one minus a small number is rounded; its logarithm is not.
+    small = -bit_error * (1.0 + bit_error * (0.5 + bit_error * (1.0 / 3.0)))
+    kept = jnp.where(bit_error < 0.01, small, log(1.0 - bit_error))
+    return 1.0 - exp(bits * kept)
+
+
+def threshold_error(snr_db: Array, snr50_db: Array, width_db: Array) -> Array:
+    """Return the chance of loss by a threshold: one half at ``snr50_db``, steeper the smaller ``width_db``."""
+    return 1.0 / (1.0 + exp((snr_db - snr50_db) / width_db))
+
+
+def lora_air_time(
+    size: int, spreading_factor: int, bandwidth_hz: float, coding_rate: int = 1, preamble: int = 8,
+    implicit_header: bool = False,
+) -> float:  # fmt: skip
+    """Return the time [s] that a LoRa packet of so many bytes is on the air.
+
+    Semtech, "LoRa modem designer's guide", AN1200.13, section 4: with a check sum, with the low data rate optimisation
+    where a symbol lasts longer than 16 ms.
+    """
+    symbol = 2.0**spreading_factor / bandwidth_hz
+    slow = 1 if symbol > 0.016 else 0
+    bits = 8 * size - 4 * spreading_factor + 28 + 16 - (20 if implicit_header else 0)
+    blocks = max(math.ceil(bits / (4 * (spreading_factor - 2 * slow))), 0)
+    return (preamble + 4.25 + 8 + blocks * (coding_rate + 4)) * symbol

@@ -1,0 +1,98 @@
+"""What vehicles have heard: packets of the last periods on their way, and tables of who was heard last.
+
+Arrays have vehicles along the last axis. Works on arrays of JAX and on NumPy's.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from qrsim.core.tree import quantity, record
+
+# No message.
+NOBODY = -1
+
+
+@record
+class Heard:
+    """Messages of E senders at each of n vehicles."""
+
+    payload: Any = quantity(doc="(E, D, n) numbers")
+    sender: Any = quantity(doc="(E, n) int32; -1: no message")
+    sent: Any = quantity(doc="(E, n) int32 tick at which the message was handed to the sender's radio")
+    arrives: Any = quantity(doc="(E, n) int32 tick from which it is known")
+    rssi: Any = quantity(unit="dBm", doc="(E, n)")
+
+    @staticmethod
+    def nothing(rows: int, size: int, like: Array) -> Heard:
+        """Return E rows without messages of D numbers, for vehicles (n,)."""
+        none = jnp.full((rows, *like.shape), NOBODY, jnp.int32)
+        zero = jnp.zeros((rows, *like.shape), like.dtype)
+        return Heard(jnp.zeros((rows, size, *like.shape), like.dtype), none, none, none, zero)
+
+    def known(self, tick: Any) -> Any:
+        """Return which messages (E, n) have arrived by a tick."""
+        return (self.sender != NOBODY) & (self.arrives <= tick)
+
+    def joined(self, other: Heard) -> Heard:
+        """Return the messages of both, these first."""
+        library = _library(self.sender)
+        return jax.tree.map(lambda a, b: library.concatenate([a, b], axis=0), self, other)
+
+
+def newest(heard: Heard, counts: Any, size: int) -> Heard:
+    """Return the first message of each sender, of at most ``size`` senders, without gaps.
+
+    Args:
+        heard: in order, the newest first.
+        counts: (E, n) which of them are looked at.
+        size: rows of the result.
+    """
+    library = _library(heard.sender)
+    rows = heard.sender.shape[0]
+    number = library.arange(rows, dtype=library.int32)
+    same = (heard.sender[:, None] == heard.sender[None, :]) & counts[:, None]
+    earlier = (number[:, None] < number[None, :])[:, :, None]
+    keep = counts & ~library.any(same & earlier, axis=0)
+    place = library.cumsum(keep.astype(library.int32), axis=0)
+    wanted = library.arange(1, size + 1, dtype=library.int32)
+    chosen = library.min(
+        library.where(keep[None] & (place[None] == wanted[:, None, None]), number[None, :, None], library.int32(rows)),
+        axis=1,
+    )
+    return taken(heard, chosen)
+
+
+def taken(heard: Heard, chosen: Any) -> Heard:
+    """Return chosen rows (K, n) of messages; the number of rows stands for none."""
+    library = _library(heard.sender)
+    rows = heard.sender.shape[0]
+    there = chosen < rows
+    row = library.minimum(chosen, rows - 1)
+
+    vehicle = library.arange(row.shape[1], dtype=library.int32)
+
+    def of(leaf: Any, nothing: Any) -> Any:
+        # Single elements, which both compilers take.
+        place: tuple[Any, ...]
+        if leaf.ndim == 3:
+            number = library.arange(leaf.shape[1], dtype=library.int32)[None, :, None]
+            place, has = (row[:, None], number, vehicle[None, None]), there[:, None]
+        else:
+            place, has = (row, vehicle[None]), there
+        found = leaf[place] if library is np else leaf.at[place].get(mode="promise_in_bounds")
+        return library.where(has, found, library.asarray(nothing, leaf.dtype))
+
+    return Heard(
+        of(heard.payload, 0), of(heard.sender, NOBODY), of(heard.sent, NOBODY), of(heard.arrives, NOBODY),
+        of(heard.rssi, 0),
+    )  # fmt: skip
+
+
+def _library(values: Any) -> Any:
+    return np if isinstance(values, np.ndarray) else jnp

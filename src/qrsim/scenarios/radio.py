@@ -1,0 +1,79 @@
+"""The radio of a scenario: its checks, and what is built of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from qrsim.core.tree import replace
+from qrsim.models.radio.channel import FleetRadios
+from qrsim.models.radio.network import Network
+from qrsim.scenarios.schema import ScenarioSpec
+from qrsim.scenarios.timing import is_multiple
+
+# Bytes of a number of a message.
+_NUMBER = 4
+# Of a name that readings have for something else.
+_INBOX = "inbox"
+_MOST_PERIODS = 16
+
+
+def with_fleets(network: Network | None, scenario: ScenarioSpec) -> Network | None:
+    """Return the radio of a world with what its fleets have of their own, None without one."""
+    own = [fleet.radio for fleet in scenario.fleets.values()]
+    if network is None or all(spec is None for spec in own):
+        return network
+    sizes = [len(fleet.vehicles) for fleet in scenario.fleets.values()]
+
+    def each(name: str) -> Any:
+        values = [np.nan if spec is None or getattr(spec, name) is None else getattr(spec, name) for spec in own]
+        return np.repeat(np.array(values, np.float64), sizes)
+
+    works: Any = np.repeat([spec is None or spec.works for spec in own], sizes)
+    return replace(network, own=FleetRadios(each("power_dbm"), each("gain_db"), each("noise_figure_db"), works))
+
+
+def radio_problems(network: Network | None, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield what is wrong with the radio of a world, None without one, and of its fleets."""
+    if network is None:
+        for name, fleet in scenario.fleets.items():
+            if fleet.radio is not None:
+                yield f"fleets.{name}.radio: there is no world.radio, which it would be a part of"
+        return
+    for name, fleet in scenario.fleets.items():
+        if _INBOX in fleet.sensors:
+            yield f"fleets.{name}.sensors.inbox: with a radio, reading.inbox is what it has heard; call it otherwise"
+    size, length = network.size, network.packet.bytes
+    if _NUMBER * size > length:
+        yield (
+            f"world.radio.size: {size} numbers are {_NUMBER * size} bytes, more than a packet of {length} bytes; "
+            f"allowed: up to {length // _NUMBER} numbers, or world.radio.packet.bytes of at least {_NUMBER * size}"
+        )
+    yield from _times(network, scenario.time_step)
+
+
+def _times(network: Network, dt: float) -> Iterator[str]:
+    """Yield what does not fit into a period, or into a slot."""
+    mac, air = network.mac, network.air_time
+    path = "world.radio.mac"
+    if not is_multiple(mac.period, dt):
+        yield f"{path}.period: {mac.period:g} s is not a multiple of the time step {dt:g} s"
+        return
+    slot = mac.period / mac.slots if mac.type == "tdma" else mac.period
+    if air > slot:
+        most = math.floor(mac.period / air)
+        least = math.ceil(air * (mac.slots if mac.type == "tdma" else 1) / dt - 1e-9) * dt
+        what = f"a slot of {path} is {slot:.4g} s" if mac.type == "tdma" else f"{path}.period is {slot:.4g} s"
+        slots = f"up to {most} slots, or " if mac.type == "tdma" and most else ""
+        yield (
+            f"{what}, but a packet of {network.packet.bytes} bytes is {air:.4g} s on the air; allowed: {slots}a period "
+            f"of at least {least:.4g} s"
+        )
+    elif network.periods_on_the_way > _MOST_PERIODS:
+        yield (
+            f"world.radio.delay: a packet may be on its way for {network.latest:.3g} s, {network.periods_on_the_way} "
+            f"periods; allowed: up to {_MOST_PERIODS} periods of {mac.period:g} s"
+        )

@@ -1,0 +1,105 @@
+"""The radio of a world in a tick: who says what, and who sends and hears it."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from qrsim.core.noise import Draw
+from qrsim.core.tree import concatenated
+from qrsim.core.vectors import Vec3
+from qrsim.models.radio.contracts import FIELD_STREAM, Exchange, Inbox, Outbox, Surfaces
+from qrsim.models.scene.rays import any_of
+from qrsim.world.sensing import estimate_of
+from qrsim.world.state import Action, Fleet, FleetState, Saying, State, World, WorldKeys
+
+
+def parted(actions: tuple[Action, ...]) -> tuple[tuple[Action, ...], tuple[Outbox | None, ...]]:
+    """Return what is asked of each fleet, and what its vehicles have to say."""
+    plain = tuple(action.action if isinstance(action, Saying) else action for action in actions)
+    return plain, tuple(action.outbox if isinstance(action, Saying) else None for action in actions)
+
+
+def start_radio(world: World, draws: dict[str, Draw], keys: WorldKeys, fleets: tuple[FleetState, ...]) -> Any:
+    """Return the state of the radio at the start of an episode, None without one."""
+    if world.radio is None:
+        return None
+    assert keys.radio is not None
+    like = jnp.concatenate([fleet.vehicle.position_ned.x for fleet in fleets])
+    return world.radio.init(draws[FIELD_STREAM], keys.radio, like)
+
+
+def exchange(world: World, state: State, said: tuple[Outbox | None, ...], tick: Array, due: Array) -> Any:
+    """Return the state of the radio after what is said at a tick.
+
+    Args:
+        world, state: at the start of the tick.
+        said: by the vehicles of each fleet; None: nothing, so that they send beacons, if any.
+        tick: () int32 now.
+        due: () int32 the same, not batched.
+    """
+    radio = world.radio
+    if radio is None:
+        return None
+    position: Vec3 = concatenated(
+        [
+            fleet.vehicle.pose(now.vehicle).position_ned.map(lambda axis: axis.astype(now.specific_force.x.dtype))  # noqa: B023
+            for fleet, now in zip(world.fleets, state.fleets, strict=True)
+        ]
+    )
+    works = jnp.concatenate([now.violation.code == 0 for now in state.fleets])
+    if radio.own is not None:
+        works = works & radio.own.works
+    obstacles = world.obstacles
+    surfaces = Surfaces(position, works, obstacles if any_of(obstacles) else None)
+    spoken = None if all(part is None for part in said) else _together(world, said, position.x)
+    beacons = _beacons(world, state, said) if radio.beacon else None
+    ids = np.concatenate([vehicle_ids(fleet) for fleet in world.fleets])
+    return radio.exchange(state.radio, Exchange(spoken, beacons, surfaces, ids, tick, due, world.time_step))
+
+
+def heard(world: World, state: State, tick: Any) -> Inbox:
+    """Return what all vehicles (n,) of a world have heard by a tick."""
+    assert world.radio is not None
+    return world.radio.received(state.radio, tick, world.time_step)
+
+
+def vehicle_ids(fleet: Fleet) -> Any:
+    """Return what draws of each vehicle (n,) belong to: its fleet's name and its number in it, uint32."""
+    first = int.from_bytes(hashlib.sha256(fleet.name.encode()).digest()[:4], "little")
+    return ((first + np.arange(fleet.size, dtype=np.uint64)) & 0xFFFFFFFF).astype(np.uint32)
+
+
+def _together(world: World, said: tuple[Outbox | None, ...], like: Array) -> Outbox:
+    """Return what all vehicles have to say, those of silent fleets nothing."""
+    assert world.radio is not None
+    parts = []
+    for fleet, part in zip(world.fleets, said, strict=True):
+        nothing = Outbox(
+            jnp.zeros((world.radio.size, fleet.size), like.dtype), jnp.zeros(fleet.size, bool),
+            jnp.full(fleet.size, -1, jnp.int32),
+        )  # fmt: skip
+        parts.append(part or nothing)
+    return Outbox(
+        jnp.concatenate([part.payload for part in parts], axis=1),
+        jnp.concatenate([part.send for part in parts]),
+        jnp.concatenate([part.to for part in parts]),
+    )
+
+
+def _beacons(world: World, state: State, said: tuple[Outbox | None, ...]) -> Outbox:
+    """Return each vehicle's estimate of its own position and velocity, for all; nothing of fleets that speak."""
+    assert world.radio is not None
+    size, parts, sends = world.radio.size, [], []
+    for fleet, now, part in zip(world.fleets, state.fleets, said, strict=True):
+        estimate = estimate_of(fleet, now)
+        numbers = [getattr(of, axis) for of in (estimate.position_ned, estimate.velocity_ned) for axis in "xyz"]
+        zero = jnp.zeros_like(numbers[0])
+        parts.append(jnp.stack([*numbers[:size], *[zero] * (size - len(numbers))]))
+        sends.append(jnp.full(fleet.size, part is None))
+    send = jnp.concatenate(sends)
+    return Outbox(jnp.concatenate(parts, axis=1), send, jnp.full(send.shape, -1, jnp.int32))
