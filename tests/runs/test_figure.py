@@ -387,3 +387,45 @@ def test_drawing_needs_no_display_and_no_pyplot():
     program = "import sys, qrsim.runs.figure; print('matplotlib.pyplot' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"
+
+
+JAMMING = """world:
+  area: {type: box, x_min: -40, x_max: 60, y_min: -40, y_max: 60, z_min: -50, z_max: 0}
+  interference:
+    - {kind: jammer, position_ned: [10, 20, -2], power_w: 1.0e-4, band: wide, start: 0.2, end: 0.8}
+    - {kind: disc, position_ned: [-20, 5, 0], radius: 30, start: 0.0, end: null}
+    - {kind: spoofer, position_ned: [0, 0, 0], radius: null, start: 0.4, end: null, vehicles: null}
+    - {kind: outage, systems: R, satellites: null, start: 0.6, end: null}
+"""
+
+
+def test_what_interferes_is_drawn_where_and_said_when(tmp_path):
+    """From 45 dB-Hz, 10 mW end tracking within 715 m (docs/gnss.md), 0.1 mW within a tenth of that."""
+    figure = drawn(tmp_path, scenario_yaml=JAMMING)
+    plan = figure.axes[PLAN]
+    signs = {line.get_label(): line.get_xydata()[0].tolist() for line in plan.lines if line.get_marker() in "DXP"}
+    jammer = next(label for label in signs if label.startswith("jammer 100 uW, 0.2 to 0.8 s: lost within 7"))
+    assert signs[jammer] == [20.0, 10.0]
+    assert signs["no satellites: lost within 30 m"] == [5.0, -20.0]
+    # A spoofer that is heard everywhere has no place.
+    assert len(signs) == 2
+    circles = {circle.get_center(): circle.get_radius() for circle in plan.get_children() if isinstance(circle, Circle)}
+    assert circles[5.0, -20.0] == 30.0
+    assert circles[20.0, 10.0] == pytest.approx(71.5, rel=0.02)
+    assert len(circles) == 2
+    spans = list(figure.axes[EAST].patches)
+    assert [round(patch.get_x(), 3) for patch in spans] == [0.2, 0.0, 0.4, 0.6]
+    assert spans[0].get_width() == pytest.approx(0.6)
+    assert texts(figure, NORTH) >= {"jammer 100 uW", "no satellites", "spoofer", "outage of R"}
+
+
+def test_no_line_is_drawn_between_fixes_before_and_after_a_loss(tmp_path):
+    def lose(values: dict[str, Any]) -> None:
+        for axis in "xyz":
+            values["measurements"][f"gnss.position_ned.{axis}"][20:40] = np.nan
+
+    figure = drawn(tmp_path, change=lose)
+    for line in lines(figure, NORTH)[1:]:
+        east = np.asarray(line.get_ydata())[np.asarray(line.get_xdata()) == 20 * STEP]
+        assert np.isnan(east).all()
+        assert len(east)

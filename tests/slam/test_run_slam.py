@@ -86,6 +86,37 @@ def test_a_late_fix_belongs_to_the_state_at_which_it_was_made(tmp_path: Path) ->
     assert np.abs(flight.fix_error).max() < 1e-3
 
 
+def test_where_a_receiver_goes_on_without_satellites_there_is_no_fix(tmp_path: Path) -> None:
+    """No satellite sends from 2 to 4 s; the receiver goes on for a second, which the log has as positions."""
+    content = {
+        "name": "outage", "extends": "range_only_slam", "duration": 8.0,
+        "world": {"sky": {"orbits": {"type": "nominal_constellations"}, "errors": {"type": "error_budget"}},
+                  "interference": [{"kind": "outage", "systems": "GERC", "start": 2.0, "end": 4.0}]},
+        "fleets": {"pelicans": {"sensors": {"gnss": {"type": "gnss", "preset": "f9p_single"}}}},
+    }  # fmt: skip
+    fly(load_scenario(content), tmp_path / "outage", seed=1, precision="float32")
+    flight = qrsim.slam.from_run(tmp_path / "outage", states="poses", graph="paper", iterations=1).flight
+    without = flight.time[~np.isfinite(flight.fixes[:, 0])]
+    fixed = flight.time[np.isfinite(flight.fixes[:, 0])]
+    # Satellites that are back are used a second later.
+    assert not np.any((fixed > 2.0) & (fixed < 4.9))
+    assert np.sum(fixed <= 2.0) == 10 + 1 * bool(np.any(np.isclose(fixed, 2.0)))
+    assert fixed.max() > 7.0
+    assert len(without)
+
+
+def test_coloured_flights_with_a_receiver_of_another_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--gnss", "m8n", "--graph", "paper", "--seeds", "2", "--duration", "20", "--states", "poses", "--json"]
+    assert cli.main(["slam", *words]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["gnss"] == "m8n"
+    # CEP of a kind of receiver is about 1.7 m, so that each axis has 1.4 m; white fixes are as large, and fall.
+    assert 0.3 < found["fixes"]["coloured"]["rms_m"] < 4.0
+    assert found["fixes"]["white"]["rms_m"] == pytest.approx(found["fixes"]["coloured"]["rms_m"], rel=0.2)
+    assert found["fixes"]["white"]["allan"]["slope"] < -0.3
+    assert found["fixes"]["coloured"]["allan"]["slope"] > 0.3
+
+
 def test_a_run_without_commands(run: Path, tmp_path: Path) -> None:
     without = tmp_path / "without"
     shutil.copytree(run, without)
@@ -143,6 +174,7 @@ def test_the_command_solves_a_run(run: Path, tmp_path: Path, capsys: pytest.Capt
         (["--run", "nowhere", "--sweep"], "--sweep: not with --run"),
         (["--run", "nowhere", "--seeds", "3"], "--seeds: not with --run, whose flight is what it is"),
         (["--run", "nowhere", "--noise", "white"], "--noise: not with --run"),
+        (["--run", "nowhere", "--gnss", "m8n"], "--gnss: not with --run"),
         (["--run", "nowhere", "--duration", "3"], "--duration: not with --run"),
         (["--duration", "20.01"], "duration: 20.01 s is not a multiple of the simulator's step, 0.02 s"),
         (["--noise", "white", "--sweep"], "leave out --noise white"),

@@ -8,12 +8,14 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from evidence import _receivers as receivers
 from scipy import stats
 
 from qrsim.core.noise import Draw, Key
 from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.presets import PRESETS
 from qrsim.slam import study as studies
-from qrsim.slam.example import CorrelatedGnss, base_world, world_of
+from qrsim.slam.example import MEMORY, CorrelatedGnss, base_world, world_of
 
 
 def errors_of(time_constant: float, count: int = 4000) -> Any:
@@ -55,6 +57,27 @@ def test_a_seed_has_its_own_waypoints_over_the_field() -> None:
     assert np.array_equal(one.route.position_ned.x, again.route.position_ned.x)
     assert not np.array_equal(one.route.position_ned.x, other.route.position_ned.x)
     assert float(one.start.position_ned.x[0]) == float(one.route.position_ned.x[0, 0])
+
+
+def test_the_example_flies_receivers_of_type_gnss() -> None:
+    """Under the sky that they are made for, without delay; a base station where one is needed, and phase fixed."""
+    world = base_world(gnss="f9p_rtk")
+    receiver: Any = world.fleets[0].sensors[world.fleets[0].sensor_names.index("gnss")]
+    assert (receiver.preset, receiver.delay, receiver.first_fix) == ("f9p_rtk", 0, "fixed")
+    sky: Any = world.sky
+    assert (len(sky.ids), sky.base is not None) == (96, True)
+    assert base_world(gnss="m8n").sky.base is None
+    assert set(MEMORY) == set(PRESETS)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("preset", ["m8n", "f9p_single", "f9p_sbas"])
+def test_how_long_errors_of_receivers_last(preset: str) -> None:
+    """The correlation over ten minutes is that of the remedy's process, within a tenth, in 100 worlds."""
+    flown = receivers.fly(receivers.receiver(preset), 1200.0, 100, seed=5)
+    error, lag = np.asarray(flown.error)[:, :, 0, :2], 3000
+    found = float(np.mean(error[lag:] * error[:-lag]) / np.mean(np.square(error)))
+    assert found == pytest.approx(math.exp(-600.0 / MEMORY[preset]), abs=0.12)
 
 
 def test_paired_counts_differences_of_pairs() -> None:

@@ -44,6 +44,8 @@ class SlamCommand:
     """Unknown at each time: all 13 states of the model, or position and heading only, which is much faster."""
     noise: Literal["white", "coloured", "both"] = "both"
     """GNSS errors to fly with."""
+    gnss: Literal["m8n", "f9p_single", "f9p_sbas", "f9p_rtk", "gps_2011"] | None = None
+    """Receiver whose errors the coloured ones are (docs/gnss.md), in place of the published one."""
     seeds: int = 5
     """How many flights with each."""
     first_seed: int = 0
@@ -90,7 +92,7 @@ class SlamCommand:
         if self.vehicle is not None and self.run_folder is None:
             raise UsageError("--vehicle: only with --run")
         if self.run_folder is not None:
-            for name in ("noise", "seeds", "first_seed", "duration", "sweep"):
+            for name in ("noise", "gnss", "seeds", "first_seed", "duration", "sweep"):
                 if getattr(self, name) != getattr(SlamCommand, name):
                     raise UsageError(f"--{name.replace('_', '-')}: not with --run, whose flight is what it is")
         if self.out is not None and self.out.is_dir() and any(self.out.iterdir()):
@@ -120,7 +122,9 @@ class SlamCommand:
             print(f"\nfigure and numbers: {self.out}")
 
     def _study(self) -> None:
+        from qrsim.slam import example
         from qrsim.slam import study as studies
+        from qrsim.slam.estimate import BIAS_TIME_CONSTANT
 
         noises = studies.NOISES if self.noise == "both" else (self.noise,)
         seeds = range(self.first_seed, self.first_seed + self.seeds)
@@ -129,11 +133,13 @@ class SlamCommand:
         self._make_out()
         solves = len(seeds) * (len(noises) + (self.sweep and 1 + len(studies.TIME_CONSTANTS)))
         with _progress(solves) as progress:
-            flights = studies.fly(seeds, noises, self.duration)
-            found = studies.study(self.graph, seeds, flights, states=self.states, progress=progress)
-            swept = studies.sweep(seeds, flights, states=self.states, progress=progress) if self.sweep else None
-        result = studies.numbers(found)
-        result = {"graph": self.graph, "first_seed": self.first_seed, "duration_s": self.duration, **result}
+            flights = studies.fly(seeds, noises, self.duration, gnss=self.gnss)
+            how: dict[str, Any] = {"states": self.states, "progress": progress}
+            memory = BIAS_TIME_CONSTANT if self.gnss is None else example.MEMORY[self.gnss]
+            found = studies.study(self.graph, seeds, flights, bias_time_constant=memory, **how)
+            swept = studies.sweep(seeds, flights, gnss=self.gnss, **how) if self.sweep else None
+        flown = {"first_seed": self.first_seed, "duration_s": self.duration, "gnss": self.gnss}
+        result = {"graph": self.graph, **flown, **studies.numbers(found)}
         if swept is not None:
             result["sweep"] = swept.numbers()
         if self.out is not None:

@@ -30,6 +30,8 @@ from qrsim.runs.reader import Run
 from qrsim.runs.summary import STREAMS, common_rows, gnss_error, gnss_sensor, stops_of, vectors, waypoints_of
 from qrsim.runs.surroundings import Surroundings, surroundings_of
 
+# Of what interferes with receivers, so many are named.
+MOST_SAID = 6
 # More vehicles than these have no line of their own anywhere.
 MOST_LINES = 60
 # What is drawn of very many vehicles: what is, and what was wanted.
@@ -207,6 +209,8 @@ def _gnss(panels: Any, data: _Data) -> None:
         panels[1].text(0.5, 0.5, "no GNSS receiver", transform=panels[1].transAxes, ha="center", fontsize=12)
     for axes, (axis, sign, name) in zip(panels, ERRORS, strict=True):
         axes.axhline(0.0, color="gray", lw=0.8)
+        for item in data.around.interference:
+            axes.axvspan(item.start, min(item.end, data.span[1]), color="0.5", alpha=0.12, lw=0, zorder=0)
         if data.reported is not None:
             _lines(axes, data, data.gnss_time, sign * data.gnss_error[..., axis])
         axes.set_ylabel(f"{name} [m]")
@@ -214,6 +218,11 @@ def _gnss(panels: Any, data: _Data) -> None:
         axes.grid(alpha=0.3)
     many = "" if data.few else "; median, quartiles and range"
     panels[0].set_title(f"GNSS error: reported minus true{many}")
+    for row, item in enumerate(data.around.interference[:MOST_SAID]):
+        # Each on a line of its own, where it begins.
+        place = (max(item.start, data.span[0]), 1.0)
+        panels[0].annotate(item.text, place, (2, -2 - 9 * row), xycoords=panels[0].get_xaxis_transform(),
+                           textcoords="offset points", fontsize=7, va="top", color="0.25")  # fmt: skip
     panels[-1].set_xlabel("time [s]")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +14,7 @@ from matplotlib.path import Path
 from matplotlib.transforms import ScaledTranslation
 
 from qrsim.runs.colours import FOUND, MISSING, PLUME, share
+from qrsim.runs.interferers import Interferer
 from qrsim.runs.picture import MOST_NAMED, MOST_TICKS, Floats, path_rows
 from qrsim.runs.surroundings import Surroundings
 
@@ -22,6 +24,13 @@ MOST_POINTS, MOST_OF_ONE = 200_000, 4_000
 # Where the flight is a smaller part of its area, it is drawn in full and the area beside it.
 SMALLEST_PART = 0.5
 PLUMES = "PuRd"
+# Of what interferes with receivers: colour, lines of its circles, signs.
+INTERFERER = "0.2"
+CIRCLES = {"jammer": "--", "disc": "-", "spoofer": ":"}
+SIGNS: dict[str, dict[str, Any]] = {
+    kind: {"marker": marker, "ms": 8, "c": INTERFERER, "mec": "white", "mew": 0.8}
+    for kind, marker in {"jammer": "D", "disc": "X", "spoofer": "P"}.items()
+}
 
 
 @dataclass(frozen=True)
@@ -68,7 +77,8 @@ def draw_plan(axes: Any, paths: Paths, around: Surroundings) -> None:
         low, high = (over([edge, corner], axis=0) for over, edge, corner in (
             (np.min, low, around.outline.min(axis=0)), (np.max, high, around.outline.max(axis=0))))  # fmt: skip
         low, high = low - 0.03 * (high - low), high + 0.03 * (high - low)
-    _surroundings(axes, around)
+    low, high = _with_interferers(around, low, high)
+    _surroundings(axes, around, "upper right" if whole or not len(around.outline) else "lower right")
     most = min(MOST_OF_ONE, max(40, MOST_POINTS // len(paths.names)))
     if paths.many:
         _swarm(axes, paths, most)
@@ -110,8 +120,8 @@ def _is_whole(around: Surroundings, low: Floats, high: Floats) -> bool:
     return bool(around.drawn or part >= SMALLEST_PART)
 
 
-def _surroundings(axes: Any, around: Surroundings) -> None:
-    """Draw area, obstacles, plume, persons and places."""
+def _surroundings(axes: Any, around: Surroundings, corner: str) -> None:
+    """Draw area, obstacles, plume, persons and places, with a legend of these in a corner."""
     if around.plume is not None and around.plume.values.max() > 0:
         # Over three decades: a plume falls off like a power of the distance.
         values = np.log10(np.maximum(around.plume.values / around.plume.values.max(), 1e-30))
@@ -123,6 +133,11 @@ def _surroundings(axes: Any, around: Surroundings) -> None:
     # As artists, not as patches: what is cut off, such as a large area, does not make the limits.
     if len(around.outline):
         axes.add_artist(Polygon(around.outline[:, ::-1], fill=False, ec="black", lw=1.3, label="area"))
+    for item in around.interference:
+        if item.place_ned is not None and math.isfinite(item.radius):
+            circle = Circle((item.place_ned[1], item.place_ned[0]), item.radius, ec=INTERFERER, fill=False, lw=1.0,
+                            ls=CIRCLES[item.kind], zorder=2)  # fmt: skip
+            axes.add_artist(circle)
     marks = _marks(around)
     for label, points, look in marks:
         axes.plot(points[:, 1], points[:, 0], ls="none", zorder=4, label=label, **look)
@@ -131,7 +146,7 @@ def _surroundings(axes: Any, around: Surroundings) -> None:
                   transform=axes.transAxes, ha="right", fontsize=8)  # fmt: skip
     if marks:
         handles = [line for line in axes.lines if line.get_label() in {label for label, _, _ in marks}]
-        axes.legend(handles=handles, loc="upper right", fontsize=8, framealpha=0.85)
+        axes.legend(handles=handles, loc=corner, fontsize=8, framealpha=0.85)
 
 
 def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
@@ -145,7 +160,25 @@ def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
         ("person not found", around.persons[~found], {**pin, "mfc": share(MISSING), "mec": "k", "mew": 1.5}),
         ("person found", around.persons[found], {**pin, "c": share(FOUND)}),
     ]  # fmt: skip
+    every += [(_said(item), item.place_ned[None], SIGNS[item.kind]) for item in around.interference
+              if item.place_ned is not None]  # fmt: skip
     return [item for item in every if len(item[1])]
+
+
+def _said(item: Interferer) -> str:
+    """Return the row of the legend of what interferes at a place."""
+    if not math.isfinite(item.radius):
+        return item.label
+    return f"{item.label}: {'heard' if item.kind == 'spoofer' else 'lost'} within {item.radius:.3g} m"
+
+
+def _with_interferers(around: Surroundings, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Return limits (2,) that hold what interferes too, if it is not farther away than they are wide."""
+    wide = float(np.max(high - low))
+    places = [item.place_ned[:2] for item in around.interference if item.place_ned is not None]
+    near = [place for place in places if np.all(place > low - wide) and np.all(place < high + wide)]
+    corners = np.array([low, high, *(place - 0.05 * wide for place in near), *(place + 0.05 * wide for place in near)])
+    return corners.min(axis=0), corners.max(axis=0)
 
 
 def _footprint(obstacle: Any) -> Any:

@@ -118,7 +118,7 @@ def gnss_sensor(run: Run) -> str | None:
 def gnss_error(run: Run) -> tuple[Floats, Floats]:
     """Return (times (E,), errors (E, n, 3) [m] in NED) at the epochs E at which any receiver reported a new fix.
 
-    Epochs at which the truth was not logged are left out.
+    Those at which the last one loses it are there too, as NaN. Epochs at which the truth was not logged are left out.
     """
     sensor = gnss_sensor(run)
     if sensor is None:
@@ -126,7 +126,9 @@ def gnss_error(run: Run) -> tuple[Floats, Floats]:
     reported = vectors(run["measurements"], f"{sensor}.position_ned")
     fresh = np.ones(len(reported), bool)
     changed = (reported[1:] != reported[:-1]) & np.isfinite(reported[1:])
-    fresh[1:] = changed.any(axis=(1, 2))
+    # Where all have lost it there is no error, and no line between the fixes before and after.
+    known: Floats = np.asarray(np.isfinite(reported).any(axis=(1, 2)))
+    fresh[1:] = changed.any(axis=(1, 2)) | (known[:-1] & ~known[1:])
     true_rows, rows = common_rows(run, "truth", "measurements")
     true_rows, rows = true_rows[fresh[rows]], rows[fresh[rows]]
     truth = vectors(run["truth"], "position_ned", true_rows)

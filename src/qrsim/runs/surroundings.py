@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qrsim.errors import QrsimError
+from qrsim.runs.interferers import Interferer, of_scenario
 from qrsim.runs.layout import EVENTS, PERSON_FOUND
 from qrsim.runs.reader import Run
 
@@ -41,6 +42,7 @@ class Surroundings:
         outline: (V, 2) corners of the area, north and east [m]; none where it is unknown.
         down: top and bottom of the area [m], down; NaN where it is unknown.
         obstacles: as in the scenario.
+        interference: with receivers, in the order of the scenario.
         persons: (P, 2) north and east [m].
         found: (P,) time at which each was found [s], infinite where it was not.
         sources: (S, 3) of the plume [m], NED.
@@ -53,6 +55,7 @@ class Surroundings:
     outline: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     down: tuple[float, float] = (np.nan, np.nan)
     obstacles: tuple[Mapping[str, Any], ...] = ()
+    interference: tuple[Interferer, ...] = ()
     persons: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     found: Floats = field(default_factory=lambda: np.zeros(0))
     sources: Floats = field(default_factory=lambda: np.zeros((0, 3)))
@@ -81,6 +84,7 @@ def surroundings_of(run: Run) -> Surroundings:
     try:
         outline, down = _area(world.get("area"))
         known: dict[str, Any] = {"outline": outline, "down": down, "obstacles": tuple(world.get("obstacles") or ())}
+        known["interference"] = of_scenario(world.get("interference"))
     except (KeyError, TypeError, ValueError):  # of another version of qrsim
         known = {}
     known["task"] = "" if kind == "none" else kind

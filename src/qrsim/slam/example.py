@@ -22,6 +22,7 @@ from qrsim.errors import RunError
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.scenarios.sky_of_receivers import ERRORS, ORBITS
 from qrsim.simulation.rollout import rollout
 from qrsim.slam import ranging
 from qrsim.slam.flight import SIZE, Believed, Flight, Floats, make_flight, ticks_between
@@ -34,6 +35,8 @@ ROUTE = 60
 # A time constant so short that nothing is left of an error after one period of the receiver.
 WHITE = 1e-3
 CENTRE = np.zeros(2)
+# Of receivers of type gnss, by preset: the time in which the correlation of their errors falls to 1/e [s].
+MEMORY = {"m8n": 5000.0, "f9p_single": 4000.0, "f9p_sbas": 700.0, "f9p_rtk": 30.0, "gps_2011": 5000.0}
 
 
 @record
@@ -93,10 +96,29 @@ def _record(state: State) -> dict[str, Array]:
     return {name: jnp.concatenate(parts) for name, parts in rows.items()}
 
 
-def base_world(precision: str = "float32", **overrides: Any) -> World:
-    """Return the world of the example; overrides assign scenario values, with double underscores for dots."""
+def base_world(precision: str = "float32", gnss: str | None = None, **overrides: Any) -> World:
+    """Return the world of the example.
+
+    Args:
+        precision: float32 or float64.
+        gnss: preset of a receiver of type gnss to fly with, under the sky that it is made for; None: the published one.
+        overrides: assign scenario values, with double underscores for dots.
+    """
     assignments = [f"{name.replace('__', '.')}={value}" for name, value in overrides.items()]
-    return load_scenario(SCENARIO, assignments).world(precision)
+    return load_scenario(SCENARIO if gnss is None else _with_receiver(gnss), assignments).world(precision)
+
+
+def _with_receiver(preset: str) -> dict[str, Any]:
+    """Return the scenario of the example with a receiver of type gnss; a base station is there for those that need it.
+
+    Nothing of it is late, as in the example, and carrier phase is fixed.
+    """
+    sensor = {"type": "gnss", "preset": preset, "delay": 0, "first_fix": "fixed"}
+    return {
+        "name": SCENARIO, "extends": SCENARIO,
+        "world": {"sky": {"orbits": ORBITS, "errors": ERRORS}, "base_station": {"position_ned": [0.0, 0.0, -2.0]}},
+        "fleets": {"pelicans": {"sensors": {"gnss": sensor}}},
+    }  # fmt: skip
 
 
 def world_of(base: World, seed: int) -> World:

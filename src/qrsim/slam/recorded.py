@@ -8,6 +8,8 @@ import numpy as np
 
 from qrsim.core.tree import replace
 from qrsim.errors import RunError, UsageError, did_you_mean, warn_user
+from qrsim.models.gnss.receivers import FEWEST_SATELLITES
+from qrsim.models.gnss.sensor import Gnss
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS
 from qrsim.runs import Run
 from qrsim.runs.reader import Stream
@@ -55,7 +57,12 @@ def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_no
         model = replace(model, process_noise=np.float64(process_noise))
     model = type(model)(**{name: _of(value, number) for name, value in vars(model).items()})
     wind = _wind(run, index, count)
-    fixes = _fixes(fleet, gnss, believed.position_ned, run.info.time_step, ticks)
+    places = believed.position_ned
+    if isinstance(fleet.sensors[fleet.sensor_names.index(gnss)], Gnss):
+        # A receiver of type gnss goes on for a while without satellites: where it then says to be is no fix.
+        enough = _columns(run, "measurements", (f"{gnss}.satellites",), index, count) >= FEWEST_SATELLITES
+        places = np.where(enough, places, np.nan)
+    fixes = _fixes(fleet, gnss, places, run.info.time_step, ticks)
     name = f"{run.folder}, {run.vehicles[index]}"
     return make_flight(name, run.info.time_step, ticks, model, truth[:count], believed, commands[:count], wind, fixes)
 

@@ -144,9 +144,11 @@ def check_size(
 
 def fly(
     seeds: Sequence[int], noises: Sequence[str] = NOISES, duration: float = example.DURATION,
-    state_period: float = example.STATE_PERIOD,
+    state_period: float = example.STATE_PERIOD, gnss: str | None = None,
 ) -> dict[str, list[Flight]]:  # fmt: skip
     """Fly all seeds with each noise; white noise takes its size from the coloured flights.
+
+    Coloured flights are those of the published receiver, or of one of type gnss with the preset ``gnss``.
 
     Raises:
         UsageError: an unknown noise.
@@ -154,10 +156,13 @@ def fly(
     for noise in noises:
         if noise not in NOISES:
             raise UsageError(f"noise: '{noise}' is not known{did_you_mean(noise, NOISES)}")
-    coloured = example.coloured_flights(seeds, duration, state_period)
+    base = example.base_world(gnss=gnss)
+    coloured = example.coloured_flights(seeds, duration, state_period, base)
     every = {"coloured": coloured}
     if "white" in noises:
-        every["white"] = example.correlated_flights(seeds, coloured, duration=duration, state_period=state_period)
+        every["white"] = example.correlated_flights(
+            seeds, coloured, duration=duration, state_period=state_period, base=base
+        )
     return {noise: every[noise] for noise in noises}
 
 
@@ -383,15 +388,16 @@ def sweep(
     time_constants: Sequence[float] = TIME_CONSTANTS,
     states: str = "full",
     progress: Callable[[], None] = lambda: None,
+    gnss: str | None = None,
 ) -> Sweep:
     """Fly and solve with errors of each correlation time, all as large as in the coloured flight of the seed."""
-    coloured = flights["coloured"]
+    coloured, base = flights["coloured"], example.base_world(gnss=gnss)
     duration = coloured[0].time[-1]
     period = coloured[0].ticks * coloured[0].time_step
     plain, bias = [], []
     for tau in (example.WHITE, *time_constants):
         kind = "white" if tau == example.WHITE else "correlated"
-        flown = example.correlated_flights(seeds, coloured, tau, round(float(duration), 9), period)
+        flown = example.correlated_flights(seeds, coloured, tau, round(float(duration), 9), period, base)
         found = study("gnss", seeds, {kind: flown}, states=states, bias_time_constant=tau, progress=progress)
         plain.append(found.trajectory_errors(kind, "plain"))
         remedied = (kind, "bias") in found.arms

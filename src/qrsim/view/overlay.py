@@ -14,6 +14,7 @@ import numpy as np
 
 from qrsim.runs import colours
 from qrsim.view.air import AIR, GUST, REACHES, WHOLE
+from qrsim.view.interference import INTERFERENCE
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
 from qrsim.view.script import run_script
 
@@ -41,6 +42,7 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
         ("arrow", [colours.GUST], f"gust in a plane, {REACHES[GUST]:g} m/s a step"),
         ("scale", list(colours.WIND), f"or all of the wind, {REACHES[WHOLE]:g} m/s a step"),
     ],
+    INTERFERENCE: [("plate", [colours.GREY], "reach of a jammer, disc or spoofer, while it acts")],
     "area": [("thin", [colours.GREY], "flight area")],
     "persons": [("pin", [colours.MISSING], "person not found"), ("pin", [colours.FOUND], "person found")],
     "plume": [("body", [colours.PLUME], "plume")],

@@ -15,6 +15,7 @@ from qrsim.view.cameras import Cameras, camera_layers
 from qrsim.view.contents import contents_layers
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.ground import Area, Ground, Obstacles
+from qrsim.view.interference import interference_layers
 from qrsim.view.layers import Ghosts, Gusts, Layer, Names, Poles, Stage, Vehicles, Wind
 from qrsim.view.overlay import SOUTH, Overlay
 from qrsim.view.paths import EstimatedPaths, Paths
@@ -68,6 +69,7 @@ class Scene:
         if world is not None:
             solid = [Area(self.stage, world), Obstacles(self.stage, world), *contents_layers(self.stage, world)]
             solid += [*camera_layers(self.stage, world), *air_layers(self.stage, world)]
+            solid += interference_layers(self.stage, world)
         ground = Ground(self.stage, world)
         layers: list[Layer] = [ground, *solid, self.vehicles, *moving]
         self.layers = {layer.title: layer for layer in layers}

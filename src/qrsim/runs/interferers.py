@@ -1,0 +1,107 @@
+"""Jammers, spoofers and discs of a world as pictures show them, and what else keeps satellites from receivers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from qrsim.models.gnss.geometry import LOST
+from qrsim.models.gnss.interference import strength
+from qrsim.runs.colours import Floats
+
+# What has no end ends here or later [s], and what is heard everywhere is heard within this or more [m].
+_FOREVER, _EVERYWHERE = 1e8, 1e8
+# Gain of an antenna that looks up, towards a jammer below it.
+_FROM_BELOW = 10.0**-0.5
+
+
+class Interferer(NamedTuple):
+    """What interferes with receivers.
+
+    Attributes:
+        kind: as in a scenario: jammer, disc, spoofer, outage or iono_storm.
+        place_ned: (3,) [m]; None where it has no place.
+        radius: within which satellites are lost or a spoofer is heard [m]: of a jammer, by a receiver above it that had
+            45 dB-Hz, with nothing between; infinite: everywhere.
+        start, end: when it acts [s]; infinite: to the end of the run.
+        text: what it is, in few words.
+    """
+
+    kind: str
+    place_ned: Floats | None
+    radius: float
+    start: float
+    end: float
+    text: str
+
+    @property
+    def when(self) -> str:
+        """When it acts, in words; "" where it always does."""
+        if math.isfinite(self.end):
+            return f"{self.start:g} to {self.end:g} s"
+        return f"from {self.start:g} s" if self.start > 0.0 else ""
+
+    @property
+    def label(self) -> str:
+        """What it is, and when."""
+        return f"{self.text}, {self.when}" if self.when else self.text
+
+    def acts(self, time: float) -> bool:
+        """Return whether it acts at a time [s]."""
+        return self.start - 1e-6 <= time < self.end - 1e-6
+
+
+def of_scenario(entries: Any) -> tuple[Interferer, ...]:
+    """Return what ``world.interference`` of a recorded scenario lists."""
+    return tuple(_interferer(str(entry["kind"]), entry) for entry in entries or ())
+
+
+def of_world(world: Any) -> tuple[Interferer, ...]:
+    """Return what interferes in a World; what has no place comes last."""
+    present = getattr(world.sky, "interference", None)
+    if present is None:
+        return ()
+    parts = {
+        "jammer": present.jammers, "disc": present.discs, "spoofer": present.spoofers, "outage": present.outages,
+        "iono_storm": present.storms,
+    }  # fmt: skip
+    return tuple(_interferer(kind, vars(item)) for kind, items in parts.items() for item in items)
+
+
+def _interferer(kind: str, values: Mapping[str, Any]) -> Interferer:
+    def number(name: str, instead: float) -> float:
+        value = values.get(name)
+        return instead if value is None or abs(float(value)) >= _EVERYWHERE else float(value)
+
+    place = np.asarray(values["position_ned"], np.float64) if "position_ned" in values else None
+    end = number("end", math.inf)
+    radius, text = math.inf, kind.replace("_", " ")
+    if kind == "jammer":
+        power = number("power_w", 0.0)
+        radius, text = lost_within(power, str(values.get("band", "wide"))), f"jammer {_watts(power)}"
+    elif kind in ("disc", "spoofer"):
+        radius = number("radius", math.inf)
+        # The place of a spoofer is the middle of where it is heard.
+        place = place if math.isfinite(radius) else None
+        text = {"disc": "no satellites", "spoofer": "spoofer"}[kind]
+    elif kind == "outage":
+        which = values.get("systems") or ", ".join(_names(values.get("satellites")))
+        text = f"outage of {which}" if which else "outage"
+    return Interferer(kind, place, radius, number("start", 0.0), end if end < _FOREVER else math.inf, text)
+
+
+def _names(satellites: Any) -> list[str]:
+    """Return names of satellites, none where they are known by their numbers only."""
+    return [name for name in satellites if isinstance(name, str)] if isinstance(satellites, list | tuple) else []
+
+
+def lost_within(power_w: float, band: str) -> float:
+    """Return within what distance [m] of a jammer a receiver above it loses satellites that it had with 45 dB-Hz."""
+    return math.sqrt(float(strength(power_w, band)) * _FROM_BELOW / (LOST - 1.0))
+
+
+def _watts(power: float) -> str:
+    return f"{power:g} W" if power >= 1.0 else f"{1e3 * power:g} mW" if power >= 1e-3 else f"{1e6 * power:g} uW"
