@@ -26,6 +26,9 @@ BESIDE: dict[str, dict[str, Any]] = {
     "rangefinder": {"type": "rangefinder"},
     "scan": {"type": "scan"},
     "scan of 360 rays": {"type": "scan", "preset": "rplidar_a1"},
+    "magnetometer": {"type": "magnetometer"},
+    "pressure altimeter": {"type": "pressure_altimeter"},
+    "airspeed": {"type": "airspeed"},
 }
 KINDS |= {f"+ {name}": {**PAIR, "beside": sensor} for name, sensor in BESIDE.items()}
 PLACES = ((512, 8), (1, 1000))

@@ -162,6 +162,8 @@ EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     # The fleet of the scenario that names them.
     **{("TASKS", name): {"fleet": "a"} for name in ("keep_spot", "reach_waypoint", "keep_velocity", "search")},
     ("TASKS", "plume_mapping"): {"fleet": "a"},
+    # The vehicles of ``inputs`` are slower than a pitot tube tells by default.
+    ("SENSORS", "airspeed"): {"speed_min": 0.0},
     ("TASKS", "pursuit"): {"fleet": "a", "prey": "a"},
     ("OBSTACLES", "prism"): {"corners_ned": [[-6.0, -9.0], [-2.0, 8.0], [7.0, 3.0]], "z_min": -12.0},
     ("OBSTACLES", "cylinder"): {"x": 5.0, "y": -7.0, "radius": 2.0, "z_min": -9.0},

@@ -48,6 +48,8 @@ SLOW = [
     ("FILTERS", "ekf"),
     ("TURBULENCES", "dryden_field"),
     ("SENSORS", "gnss"),
+    ("SENSORS", "magnetometer"),
+    ("SENSORS", "pressure_altimeter"),
     ("SENSORS", "rangefinder"),
     ("SENSORS", "ideal_rangefinder"),
     ("SENSORS", "scan"),
@@ -370,6 +372,7 @@ def test_every_sensor_has_an_ideal_form_that_says_the_truth() -> None:
                 "concentration": later["surroundings"].concentration(later["position_ned"]),
                 "taken_at_ned": later["position_ned"],
                 "taken_attitude": later["attitude"],
+                "true_airspeed": later["velocity_body"].x - rotation(later["attitude"]).forward.dot(later["wind_ned"]),
                 "field_body": rotation(later["attitude"]).to_body(USUAL_FIELD),
                 "status": np.zeros(VEHICLES, np.float32),
             }
@@ -378,6 +381,6 @@ def test_every_sensor_has_an_ideal_form_that_says_the_truth() -> None:
             assert named or name in BY_HAND, name
             for field in named:
                 # Some take arithmetic, which this program and that of the sensor may round otherwise.
-                computed_too = field in ("concentration", "field_body")
+                computed_too = field in ("concentration", "field_body", "true_airspeed")
                 assert_close(getattr(reading, field), truth[field], 1e-6 if computed_too else 0.0)
     assert kinds[True] == kinds[False]

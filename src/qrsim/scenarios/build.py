@@ -26,12 +26,12 @@ from qrsim.scenarios.faults import faults, rotor_faults, vehicle_names
 from qrsim.scenarios.fittings import fitted
 from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
-from qrsim.scenarios.magnetism import in_earth_field
 from qrsim.scenarios.missions import MISSION, mission
 from qrsim.scenarios.radio import with_fleets
 from qrsim.scenarios.ranges import ranges_of
 from qrsim.scenarios.satellites import for_receivers, needs_slots, of_vehicles, slotted_sky, warn_of_systems
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.sites import at_site
 from qrsim.scenarios.skylines import skyline
 from qrsim.scenarios.spacing import columns
 from qrsim.world.state import Fleet, Start, World
@@ -173,7 +173,7 @@ def ground_if_any(scenario: ScenarioSpec) -> Any:
 def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Fleet:
     vehicle = component(spec.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
     built = [component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()]
-    built = [in_earth_field(of_vehicles(sensor, name, spec, scenario), scenario) for sensor in built]
+    built = [at_site(of_vehicles(sensor, name, spec, scenario), scenario, vehicle) for sensor in built]
     sensors, fittings = fitted(spec, built)
     return Fleet(
         vehicle=vehicle,

@@ -45,6 +45,7 @@ from qrsim.models.scene.placement import GivenPlaces, RingPlaces, UniformPlaces
 from qrsim.models.scene.plume import DispersionPlume, GaussianPlume, NoPlume, PuffPlume
 from qrsim.models.scene.prisms import PrismObstacle
 from qrsim.models.scene.terrain import ClearGround, PatchyGround
+from qrsim.models.sensors.airspeed import Airspeed, IdealAirspeed
 from qrsim.models.sensors.attitude import AttitudeEstimator, IdealAttitude
 from qrsim.models.sensors.barometer import Barometer, IdealBarometer
 from qrsim.models.sensors.camera import Camera, IdealCamera
@@ -52,6 +53,7 @@ from qrsim.models.sensors.concentration import ConcentrationSensor, IdealConcent
 from qrsim.models.sensors.imu import IdealImu, Imu
 from qrsim.models.sensors.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
 from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer
+from qrsim.models.sensors.pressure import IdealPressureAltimeter, PressureAltimeter
 from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
 from qrsim.models.sensors.scan import IdealScan, Scan
 from qrsim.models.vehicles.battery import GivenVoltage, LithiumPolymer
@@ -154,6 +156,10 @@ SENSORS: Catalogue = {
     "ideal_accelerometer": IdealAccelerometer,
     "imu": Imu,
     "ideal_imu": IdealImu,
+    "pressure_altimeter": PressureAltimeter,
+    "ideal_pressure_altimeter": IdealPressureAltimeter,
+    "airspeed": Airspeed,
+    "ideal_airspeed": IdealAirspeed,
     "magnetometer": Magnetometer,
     "ideal_magnetometer": IdealMagnetometer,
     "rangefinder": Rangefinder,

@@ -24,7 +24,6 @@ from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.fittings import fitting_problems
 from qrsim.scenarios.ground import below_ground, has_floor, standing_problems
 from qrsim.scenarios.hand_list import hand_lists
-from qrsim.scenarios.magnetism import magnetism_problems
 from qrsim.scenarios.missions import mission_problems
 from qrsim.scenarios.multirotor_checks import multirotor_problems
 from qrsim.scenarios.radio import radio_problems
@@ -32,6 +31,7 @@ from qrsim.scenarios.ranges import range_problems
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.satellites import for_receivers, satellite_problems
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.sites import site_problems
 from qrsim.scenarios.skylines import skyline_problems
 from qrsim.scenarios.spacing import clearance_of, close_starts, inside_obstacles, obstacle_problems
 from qrsim.scenarios.task import task_problems
@@ -45,7 +45,7 @@ NEEDED = {"position_ned": "gnss_receiver", "height": "barometer", "attitude": "a
 
 PROVIDED = {
     "position_ned": {"gnss_receiver", "gnss", "ideal_gnss"},
-    "height": {"barometer", "ideal_barometer"},
+    "height": {"barometer", "ideal_barometer", "pressure_altimeter", "ideal_pressure_altimeter"},
     "attitude": {"attitude_estimator", "ideal_attitude"},
     "specific_force": {"accelerometer", "ideal_accelerometer", "imu", "ideal_imu"},
     "rates_body": {"gyroscope", "ideal_gyroscope", "imu", "ideal_imu"},
@@ -60,7 +60,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
     return [
         *timing_problems(scenario),
         *fitting_problems(scenario),
-        *magnetism_problems(scenario),
+        *site_problems(scenario),
         *_inheritance_problems(scenario),
         *_wind_problems(scenario),
         *air_problems(scenario),

@@ -12,8 +12,8 @@ from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.multirotor.derived import derived
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.build import component
-from qrsim.scenarios.magnetism import TYPES as MAGNETOMETERS
 from qrsim.scenarios.scenario import Scenario
+from qrsim.scenarios.sites import MAGNETOMETERS
 from qrsim.scenarios.wind_limits import limits_of
 
 

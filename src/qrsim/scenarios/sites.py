@@ -1,4 +1,4 @@
-"""What the magnetometers of a scenario are in: Earth's field of its site and date, and its steel obstacles."""
+"""What sensors of a scenario are in: Earth's field of its site and date, its steel obstacles, the air of its height."""
 
 from __future__ import annotations
 
@@ -9,20 +9,24 @@ import numpy as np
 
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3
+from qrsim.models.atmosphere.standard import pressure, temperature
+from qrsim.models.sensors.airspeed import Airspeed, IdealAirspeed
 from qrsim.models.sensors.earth_field import covers, earth_field_ned, years
 from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer, Steel
+from qrsim.models.sensors.pressure import IdealPressureAltimeter, PressureAltimeter
 from qrsim.models.site import Site
+from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.scenarios.schema import ScenarioSpec
 from qrsim.scenarios.spacing import columns
 
-TYPES = ("magnetometer", "ideal_magnetometer")
+MAGNETOMETERS = ("magnetometer", "ideal_magnetometer")
 
 
-def magnetism_problems(scenario: ScenarioSpec) -> Iterator[str]:
+def site_problems(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield a start for which there is no model of Earth's field, where a magnetometer needs one."""
     for name, fleet in scenario.fleets.items():
         for sensor_name, sensor in fleet.sensors.items():
-            if sensor.type in TYPES and not covers(scenario.start_time):
+            if sensor.type in MAGNETOMETERS and not covers(scenario.start_time):
                 yield (
                     f"start_time: {scenario.start_time:%Y-%m-%d} is outside the World Magnetic Model, which "
                     f"fleets.{name}.sensors.{sensor_name} needs; allowed: {years()}"
@@ -30,14 +34,21 @@ def magnetism_problems(scenario: ScenarioSpec) -> Iterator[str]:
                 return
 
 
-def in_earth_field(sensor: Any, scenario: ScenarioSpec) -> Any:
-    """Return a sensor with the field at the scenario's site, if it is a magnetometer."""
-    if not isinstance(sensor, Magnetometer | IdealMagnetometer):
-        return sensor
-    place = scenario.site
-    site = Site.from_degrees(place.latitude_deg, place.longitude_deg, place.height)
-    field = earth_field_ned(site, scenario.start_time)
-    return replace(sensor, earth_field_ned=Vec3(*field), steel=_steel(scenario))
+def at_site(sensor: Any, scenario: ScenarioSpec, vehicle: Vehicle) -> Any:
+    """Return a sensor of a vehicle that knows what the scenario's site has, where it asks for any of that."""
+    if isinstance(sensor, Magnetometer | IdealMagnetometer):
+        place = scenario.site
+        site = Site.from_degrees(place.latitude_deg, place.longitude_deg, place.height)
+        field = earth_field_ned(site, scenario.start_time)
+        return replace(sensor, earth_field_ned=Vec3(*field), steel=_steel(scenario))
+    if isinstance(sensor, PressureAltimeter | IdealPressureAltimeter | Airspeed | IdealAirspeed):
+        height = scenario.site.height
+        sensor = replace(sensor, site_temperature=temperature(height), site_pressure=pressure(height))
+    if isinstance(sensor, PressureAltimeter):
+        outline = vehicle.outline()
+        if outline is not None and outline.rotor_radius > 0.0:
+            sensor = replace(sensor, vehicle_rotor=2.0 * outline.rotor_radius)
+    return sensor
 
 
 def _steel(scenario: ScenarioSpec) -> Steel | None:

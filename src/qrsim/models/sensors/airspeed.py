@@ -1,0 +1,156 @@
+"""The sensor ``airspeed``: a pitot tube along the body's forward axis (S28, S29)."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.noise import Noise
+from qrsim.core.tree import derived, parameter, quantity, record, setting
+from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.models.atmosphere.standard import DENSITY, PRESSURE, TEMPERATURE, air_above
+from qrsim.models.sensors.air_presets import AIRSPEEDS, default_airspeed
+from qrsim.models.sensors.contracts import Explained, Sensor
+
+
+def _number(name: str, unit: str, doc: str) -> Any:
+    return parameter(default=default_airspeed(name), unit=unit, doc=doc, minimum=0.0)
+
+
+@record
+class AirspeedReading(Explained):
+    """What a pitot tube says of the air."""
+
+    differential_pressure: Array = quantity(unit="Pa", doc="measured: that in the tube over the static pressure")
+    indicated_airspeed: Array = quantity(
+        unit="m/s", doc="speed at which air as at sea level would have it, without its sign; NaN below speed_min"
+    )
+    true_airspeed: Array = quantity(unit="m/s", doc="the same of air as the standard has it there")
+
+    def reason(self, vehicle: int) -> str:
+        """Return why a vehicle has no airspeed."""
+        return "slower than a pitot tube can tell"
+
+
+@record
+class AirspeedState:
+    """Errors of n sensors."""
+
+    offset: Array = quantity(unit="Pa", doc="what zeroing has left")
+    scale: Array = quantity(unit="1", doc="error of the scale")
+
+
+@record
+class Airspeed(Sensor):
+    """Dynamic pressure of the air from ahead, and the speeds that follow from it.
+
+    Parameters that are not given are those of the preset. A root has no sign, so the speeds have none, and below
+    ``speed_min``, where noise and offset are as large as what is measured, there are none.
+    """
+
+    preset: Literal["ms4525do", "sdp33"] = setting(
+        default="sdp33", doc="which chip the parameters that are not given are of"
+    )
+    noise_std: Array = _number("noise_std", "Pa", "white noise of each reading")
+    offset_std: Array = _number("offset_std", "Pa", "std of the offset per episode")
+    scale: Array = _number("scale", "1", "std of the scale error per episode, tube and hoses included")
+    reverse: Array = parameter(
+        default=0.3, unit="1", doc="suction by air from behind, over the pressure by the same air from ahead",
+        minimum=0.0, maximum=1.0,
+    )  # fmt: skip
+    speed_min: Array = parameter(
+        default=5.0, unit="m/s", doc="indicated airspeed below which none is said; 0: always one", minimum=0.0
+    )
+    range: float = setting(default=default_airspeed("range"), unit="Pa", doc="largest pressure; 0: any", minimum=0.0)
+    resolution: float = setting(
+        default=default_airspeed("resolution"), unit="Pa", doc="step of the pressure; 0: none", minimum=0.0
+    )
+    period: float = setting(
+        default=0.1, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
+    site_temperature: Array = derived(default=TEMPERATURE, doc="of the standard atmosphere at the site [K]")
+    site_pressure: Array = derived(default=PRESSURE, doc="of the standard atmosphere at the site [Pa]")
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "velocity_body", "wind_ned")
+    normals: ClassVar[int] = 1
+    first_normals: ClassVar[int] = 3
+    presets: ClassVar[dict[str, dict[str, Any]]] = AIRSPEEDS
+
+    def init(
+        self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
+    ) -> tuple[AirspeedState, AirspeedReading]:
+        """Return the errors of sensors that have just been zeroed, and a first reading."""
+        white, offset, scale = draw.normals(3)
+        state = AirspeedState(self.offset_std * offset, self.scale * scale)
+        return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
+
+    def restart(
+        self, state: AirspeedState, draw: Noise, since: Array, position_ned: Vec3, attitude: Euler,
+        velocity_body: Vec3, wind_ned: Vec3,
+    ) -> tuple[AirspeedState, AirspeedReading]:  # fmt: skip
+        """Return a reading of the same sensors on vehicles placed anew."""
+        white, _, _ = draw.normals(3)
+        return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
+
+    def step(
+        self, state: AirspeedState, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
+        wind_ned: Vec3,
+    ) -> tuple[AirspeedState, AirspeedReading]:  # fmt: skip
+        """Return a reading."""
+        (white,) = draw.normals(1)
+        return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
+
+    def _measured(
+        self, state: AirspeedState, white: Array, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
+        wind_ned: Vec3,
+    ) -> AirspeedReading:  # fmt: skip
+        speed = _ahead(attitude, velocity_body, wind_ned)
+        density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
+        true = 0.5 * density * (speed * speed) * jnp.where(speed > 0.0, 1.0, -jnp.asarray(self.reverse))
+        found = true + true * state.scale + state.offset + self.noise_std * white
+        found = jnp.clip(found, -self.range, self.range) if self.range > 0.0 else found
+        if self.resolution > 0.0:
+            found = jnp.round(found * (1.0 / self.resolution)) * self.resolution
+        indicated = _root(jnp.abs(found) * (2.0 / DENSITY))
+        told, true_speed = indicated >= self.speed_min, indicated * _root(DENSITY / density)
+        return AirspeedReading(found, jnp.where(told, indicated, jnp.nan), jnp.where(told, true_speed, jnp.nan))
+
+
+@record
+class IdealAirspeed(Sensor):
+    """The truth at the same period: the speed of the air from ahead, with its sign, however small."""
+
+    period: float = setting(
+        default=0.1, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
+    site_temperature: Array = derived(default=TEMPERATURE, doc="of the standard atmosphere at the site [K]")
+    site_pressure: Array = derived(default=PRESSURE, doc="of the standard atmosphere at the site [Pa]")
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "velocity_body", "wind_ned")
+    normals: ClassVar[int] = 0
+
+    def init(
+        self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
+    ) -> tuple[None, AirspeedReading]:
+        """Return the true airspeed and its pressure."""
+        speed = _ahead(attitude, velocity_body, wind_ned)
+        density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
+        pressure = 0.5 * density * (speed * jnp.abs(speed))
+        return None, AirspeedReading(pressure, speed * _root(density / DENSITY), speed)
+
+    def step(
+        self, state: None, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
+    ) -> tuple[None, AirspeedReading]:
+        """Return the true airspeed and its pressure."""
+        return self.init(draw, position_ned, attitude, velocity_body, wind_ned)
+
+
+def _ahead(attitude: Euler, velocity_body: Vec3, wind_ned: Vec3) -> Array:
+    """Return the speed (n,) [m/s] of the air from ahead."""
+    return velocity_body.x - rotation(attitude).forward.dot(wind_ned)
+
+
+def _root(square: Array) -> Array:
+    # The root of zero has no slope.
+    zero = square <= 0.0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))

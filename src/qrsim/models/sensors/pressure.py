@@ -1,0 +1,201 @@
+"""The sensor ``pressure_altimeter``: a barometer that feels weather, wind and rotors (S26, S27).
+
+``barometer`` is the published one, a height with a drift. This one has a pressure, from which its height follows by the
+standard atmosphere: what acts on the pressure acts on the height.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.noise import Noise, ou_step
+from qrsim.core.tree import derived, parameter, quantity, record, setting
+from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.models.atmosphere.standard import GAS, GRAVITY, PRESSURE, TEMPERATURE, air_above
+from qrsim.models.scene.contracts import Ground
+from qrsim.models.sensors.air_presets import ALTIMETERS, default_altimeter
+from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.vehicles.contracts import Load
+
+
+def _port(side: str) -> Any:
+    return parameter(
+        default=-0.1, unit="1", doc=f"pressure at the port over the dynamic pressure, for air that comes {side}"
+    )
+
+
+@record
+class PressureReading:
+    """Static pressure, and the height that it stands for in the standard atmosphere."""
+
+    height: Array = quantity(unit="m", doc="pressure altitude above that of the site's origin, positive up")
+    height_rate: Array = quantity(unit="m/s", doc="its rate of change, low-passed, positive up")
+    pressure: Array = quantity(unit="Pa", doc="measured static pressure")
+    temperature: Array = quantity(unit="K", doc="temperature of the air")
+
+
+@record
+class PressureState:
+    """State of n altimeters."""
+
+    drift: Array = quantity(unit="m", doc="slow error by the weather")
+    offset: Array = quantity(unit="Pa", doc="error of the chip")
+    height: Array = quantity(unit="m", doc="previous reading")
+    rate: Array = quantity(unit="m/s", doc="low-passed rate")
+
+
+@record
+class PressureAltimeter(Sensor):
+    """Static pressure by the standard atmosphere, with errors of chip, weather, wind and rotors.
+
+    Parameters that are not given are those of the preset. The chip's offset is in the pressure, and in the height only
+    where this is not set to that of the site at the start, as autopilots do (``zeroed``).
+    """
+
+    preset: Literal["ms5611", "bmp280", "bmp390"] = setting(
+        default="ms5611", doc="which chip the parameters that are not given are of"
+    )
+    noise_std: Array = parameter(
+        default=default_altimeter("noise_std"), unit="Pa", doc="white noise of each reading", minimum=0.0
+    )
+    offset_std: Array = parameter(
+        default=default_altimeter("offset_std"), unit="Pa", doc="std of the offset per episode", minimum=0.0
+    )
+    drift_std: Array = parameter(default=0.26, unit="m", doc="stationary std of the weather's drift", minimum=0.0)
+    drift_time_constant: Array = parameter(default=300.0, unit="s", doc="time constant of the drift", above=0.0)
+    warmer: Array = parameter(
+        default=0.0, unit="K", doc="temperature of the day over that of the standard atmosphere", minimum=-60.0,
+        maximum=60.0,
+    )  # fmt: skip
+    port_forward: Array = _port("from ahead")
+    port_backward: Array = _port("from behind")
+    port_right: Array = _port("from the right")
+    port_left: Array = _port("from the left")
+    port_vertical: Array = parameter(
+        default=0.0, unit="1", doc="the same for air that comes from below, or with the other sign from above"
+    )
+    rotor_wash: Array = parameter(
+        default=-6.0, unit="Pa", doc="pressure by the rotors' flow in hover; it is proportional to the thrust"
+    )
+    ground_effect: Array = parameter(
+        default=12.0, unit="Pa", doc="pressure under the rotors in hover on the ground, gone a rotor diameter above"
+    )
+    rotor_diameter: Array = parameter(
+        default=0.0, unit="m", doc="of one rotor; 0: that of the vehicle's, 0.25 m where it says none", minimum=0.0
+    )
+    rate_time_constant: Array = parameter(
+        default=0.5, unit="s", doc="time constant of the low-pass of the height rate", minimum=0.0
+    )
+    zeroed: bool = setting(default=True, doc="whether the height has been set to that of the site before the flight")
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
+    site_temperature: Array = derived(default=TEMPERATURE, doc="of the standard atmosphere at the site [K]")
+    site_pressure: Array = derived(default=PRESSURE, doc="of the standard atmosphere at the site [Pa]")
+    vehicle_rotor: Array = derived(default=0.25, doc="diameter of one of the vehicle's rotors [m]")
+    reads: ClassVar[tuple[str, ...]] = (
+        "position_ned", "velocity_ned", "attitude", "velocity_body", "wind_ned", "load", "ground",
+    )  # fmt: skip
+    normals: ClassVar[int] = 2
+    first_normals: ClassVar[int] = 3
+    presets: ClassVar[dict[str, dict[str, Any]]] = ALTIMETERS
+
+    def init(
+        self, draw: Noise, position_ned: Vec3, velocity_ned: Vec3, attitude: Euler, velocity_body: Vec3,
+        wind_ned: Vec3, load: Load, ground: Ground,
+    ) -> tuple[PressureState, PressureReading]:  # fmt: skip
+        """Return a stationary first drift, the chip's offset, and a reading whose rate is the true one."""
+        white, drift, offset = draw.normals(3)
+        drift, offset = self.drift_std * drift, self.offset_std * offset
+        felt = self._felt(position_ned, attitude, velocity_body, wind_ned, load, ground) + self.noise_std * white
+        height, pressure, warmth = self._measured(-position_ned.z, felt, drift, offset)
+        rate = -velocity_ned.z
+        return PressureState(drift, offset, height, rate), PressureReading(height, rate, pressure, warmth)
+
+    def restart(
+        self, state: PressureState, draw: Noise, since: Array, position_ned: Vec3, velocity_ned: Vec3,
+        attitude: Euler, velocity_body: Vec3, wind_ned: Vec3, load: Load, ground: Ground,
+    ) -> tuple[PressureState, PressureReading]:  # fmt: skip
+        """Return state and reading of the same altimeters, in the same weather, on vehicles placed anew."""
+        white, _, _ = draw.normals(3)
+        felt = self._felt(position_ned, attitude, velocity_body, wind_ned, load, ground) + self.noise_std * white
+        height, pressure, warmth = self._measured(-position_ned.z, felt, state.drift, state.offset)
+        rate = -velocity_ned.z
+        # The height that it would have read then, because the next rate is that of a whole period.
+        then = PressureState(state.drift, state.offset, height + velocity_ned.z * since, rate)
+        return then, PressureReading(height, rate, pressure, warmth)
+
+    def step(
+        self, state: PressureState, draw: Noise, position_ned: Vec3, velocity_ned: Vec3, attitude: Euler,
+        velocity_body: Vec3, wind_ned: Vec3, load: Load, ground: Ground,
+    ) -> tuple[PressureState, PressureReading]:  # fmt: skip
+        """Advance one period."""
+        white, normal = draw.normals(2)
+        drift = ou_step(state.drift, normal, self.period, self.drift_std, self.drift_time_constant)
+        felt = self._felt(position_ned, attitude, velocity_body, wind_ned, load, ground) + self.noise_std * white
+        height, pressure, warmth = self._measured(-position_ned.z, felt, drift, state.offset)
+        share = self.period / (self.period + jnp.asarray(self.rate_time_constant))
+        rate = state.rate + share * ((height - state.height) * (1.0 / self.period) - state.rate)
+        return PressureState(drift, state.offset, height, rate), PressureReading(height, rate, pressure, warmth)
+
+    def _felt(
+        self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3, load: Load, ground: Ground
+    ) -> Array:
+        """Return the pressure (n,) [Pa] that flow around the vehicle adds to that of the air."""
+        flow = velocity_body - rotation(attitude).to_body(wind_ned)
+        x, y, z = flow.axes
+        density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
+        along = jnp.where(x > 0.0, self.port_forward, self.port_backward) * (x * x)
+        across = jnp.where(y > 0.0, self.port_right, self.port_left) * (y * y)
+        ports = along + across + self.port_vertical * (z * jnp.abs(z))
+        diameter = jnp.asarray(self.rotor_diameter)
+        diameter = jnp.where(diameter > 0.0, diameter, self.vehicle_rotor)
+        above = ground.down(position_ned) - position_ned.z
+        near = jnp.clip(1.0 - above / diameter, 0.0, 1.0)
+        thrust = load.per_weight(position_ned.x)
+        return 0.5 * density * ports + (self.rotor_wash + self.ground_effect * (near * near)) * thrust
+
+    def _measured(self, above: Array, felt: Array, drift: Array, offset: Array) -> tuple[Array, Array, Array]:
+        """Return height [m], pressure [Pa] and temperature [K] (n,) at a height above the site (n,) [m]."""
+        warmth = jnp.asarray(self.site_temperature)
+        # On a warmer day the air is thinner: a metre is less pressure.
+        stands = above * (warmth / (warmth + self.warmer)) + drift
+        air = air_above(stands, self.site_temperature, self.site_pressure)
+        metres = air.temperature / air.pressure * (GAS / GRAVITY)
+        height = stands - metres * (felt if self.zeroed else felt + offset)
+        pressure = air_above(height, self.site_temperature, self.site_pressure).pressure
+        true = air_above(above, self.site_temperature, self.site_pressure).temperature
+        return height, pressure + offset if self.zeroed else pressure, true + self.warmer
+
+
+@record
+class IdealPressureAltimeter(Sensor):
+    """The truth at the same period, in the standard atmosphere."""
+
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
+    site_temperature: Array = derived(default=TEMPERATURE, doc="of the standard atmosphere at the site [K]")
+    site_pressure: Array = derived(default=PRESSURE, doc="of the standard atmosphere at the site [Pa]")
+    reads: ClassVar[tuple[str, ...]] = (
+        "position_ned", "velocity_ned", "attitude", "velocity_body", "wind_ned", "load",
+    )  # fmt: skip
+    normals: ClassVar[int] = 0
+
+    def init(
+        self, draw: Noise, position_ned: Vec3, velocity_ned: Vec3, attitude: Euler, velocity_body: Vec3,
+        wind_ned: Vec3, load: Load,
+    ) -> tuple[None, PressureReading]:  # fmt: skip
+        """Return the true height and its rate, and the air there."""
+        air = air_above(-position_ned.z, self.site_temperature, self.site_pressure)
+        return None, PressureReading(-position_ned.z, -velocity_ned.z, air.pressure, air.temperature)
+
+    def step(
+        self, state: None, draw: Noise, position_ned: Vec3, velocity_ned: Vec3, attitude: Euler, velocity_body: Vec3,
+        wind_ned: Vec3, load: Load,
+    ) -> tuple[None, PressureReading]:  # fmt: skip
+        """Return the true height and its rate, and the air there."""
+        return self.init(draw, position_ned, velocity_ned, attitude, velocity_body, wind_ned, load)
