@@ -62,14 +62,16 @@ def expected_variance(sensor: Magnetometer, lengths: npt.NDArray[np.int64]) -> F
     """Return the Allan variance over windows of so many readings (K,), exactly: N^2/t, and that of the sampled drift.
 
     With the correlation a of neighbouring readings, the variance of the mean of n of them less the covariance of two
-    neighbouring means: (n + 2 a (n (1 - a) - (1 - a^n))/(1 - a)^2 - a ((1 - a^n)/(1 - a))^2)/n^2.
+    neighbouring means: (n + 2 a (n (1 - a) - (1 - a^n))/(1 - a)^2 - a ((1 - a^n)/(1 - a))^2)/n^2. A reading's step is a
+    white error of step^2/12 where the noise is larger.
     """
     noise, drift, time = (float(getattr(sensor, name)) for name in ("noise", "drift_std", "drift_time_constant"))
     n = lengths.astype(np.float64)
     a, rest = math.exp(-sensor.period / time), -math.expm1(-sensor.period / time)
     gone = -np.expm1(-n * sensor.period / time)
     drifting = (n + 2.0 * a * (n * rest - gone) / rest**2 - a * (gone / rest) ** 2) / n**2
-    return noise**2 / (n * sensor.period) + drift**2 * drifting
+    step = sensor.resolution / max(1.0, sensor.sample_rate * sensor.period)
+    return (noise**2 / sensor.period + step**2 / 12.0) / n + drift**2 * drifting
 
 
 def compared(sensor: Magnetometer, count: int, chips: int, confidence: float, seed: int = SEED) -> dict[str, Any]:
@@ -91,7 +93,7 @@ def compared(sensor: Magnetometer, count: int, chips: int, confidence: float, se
     low, high = (stats.chi2.ppf(0.5 * (1.0 + side * confidence), freedom) / freedom for side in (-1, 1))
     ratio = variance / expected
     short = windows <= 10.0 * windows[0]
-    # What is left where the drift is taken away, over N^2/t.
+    # What is left where drift and steps are taken away, over N^2/t.
     drifting = expected - float(sensor.noise) ** 2 / windows
     noise = math.sqrt(float(np.mean(((variance - drifting) * windows)[short])))
     return {
@@ -105,7 +107,8 @@ def compared(sensor: Magnetometer, count: int, chips: int, confidence: float, se
 def at_rest(name: str, hours: float, chips: int) -> dict[str, Any]:
     """Return how chips of a preset at rest compare with the theory."""
     sensor = cast(Magnetometer(**{**PRESETS[name], "preset": name}), np.float32)  # type: ignore[arg-type]
-    return compared(sensor, round(3600.0 * hours / sensor.period), chips, CONFIDENCE)
+    seed = SEED + list(PRESETS).index(name)
+    return compared(sensor, round(3600.0 * hours / sensor.period), chips, CONFIDENCE, seed)
 
 
 def heading(name: str, flights: int, seconds: float) -> dict[str, float]:
