@@ -70,6 +70,7 @@ OTHERS = {
     "gnss_jamming.png": "make evidence gnss",
     "imu_allan.png": "make evidence imu",
     "magnetometer_allan.png": "make evidence magnetometer",
+    "pressure_altimeter.png": "make evidence air_data",
     "turbulence.png": "make evidence turbulence",
     "turbulence_field.png": "make evidence field",
     "turbulence_line.png": "make evidence field",

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import air_data as study
 from scipy.spatial.transform import Rotation
 
 from qrsim import Simulation, make_scenario
@@ -14,6 +15,7 @@ from qrsim.core.noise import Drawn
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import ScenarioError
+from qrsim.links.reference.readout import Readout
 from qrsim.models.atmosphere import standard
 from qrsim.models.scene.ground import FlatGround
 from qrsim.models.sensors.air_presets import AIRSPEEDS, ALTIMETERS
@@ -283,6 +285,19 @@ class TestInAWorld:
             make_scenario([[0.0, 0.0, -10.0]], sensors={"tested": given}, controller=TRUTH)
 
     @pytest.mark.long
+    def test_the_study(self) -> None:
+        """0.1 m of noise; half a metre by rotors in hover, more by those that lean against the wind; a drift."""
+        found = study.run(full=False)
+        height = found["height"]
+        assert height["noise"]["std"] == pytest.approx(0.1, rel=0.15)
+        assert 0.02 < height["weather"]["std"] < 0.8
+        assert height["rotors"]["mean"] == pytest.approx(0.8, abs=0.2)
+        assert 0.1 < height["wind"]["mean"] < 1.0
+        for row in found["airspeed"].values():
+            assert row["said"] > 0.5
+            assert 0.0 < row["rms"] < 1.5
+
+    @pytest.mark.long
     def test_a_patrol_flies_on_it_and_both_compilers_alike(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Fed with measurements, whose height is now that of the altimeter; with a fault, delay and mounting."""
         import warnings
@@ -298,7 +313,7 @@ class TestInAWorld:
             monkeypatch.setenv("QRSIM_COMPILER", compiler)
             world = make_scenario([[0.0, 0.0, -20.0]], sensors=sensors, faults=faults, controller={
                 "type": "waypoint", "feed": "measurements"}, wind={
-                "type": "log_shear", "speed_20ft": 6.0, "wind_from_deg": 90.0}).world()  # fmt: skip
+                "type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 90.0}).world()  # fmt: skip
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 simulation = Simulation(world, seed=3)
@@ -307,6 +322,9 @@ class TestInAWorld:
             assert simulation.compiled_by[0] == compiler
             assert simulation.valid.all()
             assert abs(simulation.truth.position_ned[0, 2] + 20.0) < 4.0
+            # What clients of the reference protocol are sent as barometric height and its rate.
+            sent = Readout(simulation).message().eX[0].value
+            assert [sent[16], sent[19]] == pytest.approx([reading.baro.height[0], reading.baro.height_rate[0]])
             assert reading.pitot.reasons == ["slower than a pitot tube can tell"]
             flown.append((reading.baro.height, reading.baro.pressure, reading.pitot.differential_pressure))
             assert abs(reading.pitot.differential_pressure[0] - 100.0) < 20.0

@@ -18,6 +18,7 @@ from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.imu import ImuReading
 from qrsim.models.sensors.inertial import AccelerometerReading, GyroscopeReading
+from qrsim.models.sensors.pressure import PressureReading
 from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.world.state import FleetState, World
 
@@ -281,6 +282,6 @@ def _measured_places(fleet: FleetState) -> dict[int, Any]:
         elif isinstance(reading, ImuReading):
             rates, force = reading.rates_body, reading.specific_force
             found |= {9: rates.x, 10: rates.y, 11: rates.z, 13: force.x, 14: force.y, 15: force.z}
-        elif isinstance(reading, BarometerReading):
+        elif isinstance(reading, BarometerReading | PressureReading):
             found |= {16: reading.height, 19: reading.height_rate}
     return found
