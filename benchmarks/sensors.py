@@ -25,6 +25,7 @@ KINDS: dict[str, dict[str, dict[str, Any]]] = {
 BESIDE: dict[str, dict[str, Any]] = {
     "rangefinder": {"type": "rangefinder"},
     "scan": {"type": "scan"},
+    "ranging to the fleet": {"type": "ranging"},
     "scan of 360 rays": {"type": "scan", "preset": "rplidar_a1"},
     "magnetometer": {"type": "magnetometer"},
     "pressure altimeter": {"type": "pressure_altimeter"},

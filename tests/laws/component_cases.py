@@ -51,6 +51,7 @@ from qrsim.models.scene.traffic import Traffic
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.inertial import AccelerometerReading, GyroscopeReading
+from qrsim.models.sensors.ranging import IdealRanging, Ranging
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.contracts import Load
 from qrsim.models.vehicles.multirotor import Multirotor
@@ -246,6 +247,9 @@ def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> 
     component = GROUPS[group][name](**of_numbers, **settings)
     if group == "CONTROLLERS":
         component = component.fitted(Quadrotor())
+    if isinstance(component, Ranging | IdealRanging):
+        beacons = Vec3(*(np.array(axis) for axis in ([5.0, -8.0], [5.0, 0.0], [-3.0, -6.0])))  # type: ignore[arg-type]
+        component = replace(component, beacon_ned=beacons)
     if group == "ORBITS":
         return jax.tree.map(jnp.asarray, component.at(Site(), gps_seconds_from_utc(START), dtype))
     if group == "GROUNDS":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import re
 from functools import cache, partial
@@ -27,7 +28,7 @@ from component_cases import (
     stream_keys,
 )
 
-from qrsim.core.tree import walk
+from qrsim.core.tree import field_info, replace, walk
 from qrsim.core.vectors import rotation
 from qrsim.errors import ScenarioError
 from qrsim.models.gnss.receivers import GnssReading
@@ -54,6 +55,8 @@ SLOW = [
     ("SENSORS", "ideal_rangefinder"),
     ("SENSORS", "scan"),
     ("SENSORS", "ideal_scan"),
+    ("SENSORS", "ranging"),
+    ("SENSORS", "ideal_ranging"),
     ("SKY_ERRORS", "error_budget"),
 ]
 # Compiled for minutes in each of its forms, whose flights tests/models/vehicles/multirotor looks at.
@@ -77,8 +80,9 @@ def option_cases() -> list[Any]:
 ROUNDED = {("TURBULENCES", "dryden_field"): 5e-6, ("SENSORS", "scan"): 1e-5, ("SENSORS", "ideal_scan"): 1e-5}
 # Fields of readings that are NaN where a sensor sees nothing.
 UNSEEN = dict.fromkeys(("rangefinder", "ideal_rangefinder", "scan", "ideal_scan"), ("range",))
+UNSEEN |= {"ranging": ("beacon_range", "vehicle_range")}
 # Sensors whose truth is rays and pairs, which their own tests compute by hand.
-BY_HAND = ("ideal_scan",)
+BY_HAND = ("ideal_scan", "ideal_ranging")
 every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases())
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 
@@ -198,16 +202,21 @@ def test_numbers_may_differ_from_vehicle_to_vehicle(group: str, name: str) -> No
     """With a list in place of each number, every vehicle is as in a fleet where all have its numbers."""
     component, given, keys = example(group, name), inputs(0), stream_keys(0)
     factors = np.linspace(0.8, 1.0, VEHICLES).astype(np.float32)
-    lists = jax.tree.map(lambda leaf: leaf * factors, component)
+    # What a world derives, as the places of beacons, is no number of a vehicle.
+    kept = {field.name: getattr(component, field.name) for field in dataclasses.fields(component)
+            if field_info(field).derived}  # fmt: skip
+    numbers = replace(component, **dict.fromkeys(kept))
+    lists = replace(jax.tree.map(lambda leaf: leaf * factors, numbers), **kept)
     run = compiled(partial(evaluate, group))
     together = leaves(run(lists, given, keys)["results"])
     for i, factor in enumerate(factors):
-        alone = run(jax.tree.map(lambda leaf, f=factor: leaf * f, component), given, keys)["results"]
+        own = replace(jax.tree.map(lambda leaf, f=factor: leaf * f, numbers), **kept)
+        alone = run(own, given, keys)["results"]
         for (path, got), (_, want) in zip(together, leaves(alone), strict=True):
             if any(part in path for part in SHARED):
                 continue
             assert got.shape == want.shape, path
-            scale = np.max(np.abs(want), initial=0.0)
+            scale = np.max(np.abs(want[np.isfinite(want)]), initial=0.0)
             np.testing.assert_allclose(got[..., i], want[..., i], rtol=0.0, atol=1e-6 * scale, err_msg=path)
 
 
@@ -272,7 +281,8 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
         sensors["rates"] = {"type": "ideal_gyroscope"}
     if group == "BATTERIES" and part["type"] == "lithium_cells":
         fleet["vehicle"] = {"type": "multirotor"}
-    world: dict[str, Any] = {"wind": wind, "obstacles": [None], "sky": {}}
+    beacons = [{"name": "mast", "position_ned": [5.0, 5.0, -3.0]}]
+    world: dict[str, Any] = {"wind": wind, "obstacles": [None], "sky": {}, "beacons": beacons}
     if group == "TASKS":
         fleet["controller"] = {"type": "offboard"}
         sensors |= {"camera": {"type": "camera"}, "concentration": {"type": "concentration"}}

@@ -22,6 +22,7 @@ from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.prisms import prisms_of
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.beacons import with_beacons
 from qrsim.scenarios.faults import faults, rotor_faults, vehicle_names
 from qrsim.scenarios.fittings import fitted
 from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
@@ -174,6 +175,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> F
     vehicle = component(spec.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
     built = [component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()]
     built = [at_site(of_vehicles(sensor, name, spec, scenario), scenario, vehicle) for sensor in built]
+    built = [with_beacons(sensor, scenario) for sensor in built]
     sensors, fittings = fitted(spec, built)
     return Fleet(
         vehicle=vehicle,

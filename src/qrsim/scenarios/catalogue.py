@@ -55,6 +55,7 @@ from qrsim.models.sensors.inertial import Accelerometer, Gyroscope, IdealAcceler
 from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer
 from qrsim.models.sensors.pressure import IdealPressureAltimeter, PressureAltimeter
 from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
+from qrsim.models.sensors.ranging import IdealRanging, Ranging
 from qrsim.models.sensors.scan import IdealScan, Scan
 from qrsim.models.vehicles.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
@@ -166,6 +167,8 @@ SENSORS: Catalogue = {
     "ideal_rangefinder": IdealRangefinder,
     "scan": Scan,
     "ideal_scan": IdealScan,
+    "ranging": Ranging,
+    "ideal_ranging": IdealRanging,
     "concentration": ConcentrationSensor,
     "ideal_concentration": IdealConcentration,
     "camera": Camera,

@@ -15,6 +15,7 @@ from qrsim.models.site import gps_seconds_from_utc, utc_from_gps_seconds
 from qrsim.models.vehicles.carried_point import CarriedPoint
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.air import air_problems
+from qrsim.scenarios.beacons import beacon_problems
 from qrsim.scenarios.build import component, ground_if_any, ground_of, inherited, network_of, wind_of
 from qrsim.scenarios.buildings import prism_problems
 from qrsim.scenarios.checks import area_problems, outside
@@ -61,6 +62,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
         *timing_problems(scenario),
         *fitting_problems(scenario),
         *site_problems(scenario),
+        *beacon_problems(scenario),
         *_inheritance_problems(scenario),
         *_wind_problems(scenario),
         *air_problems(scenario),

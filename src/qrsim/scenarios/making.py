@@ -22,7 +22,7 @@ from qrsim.world.state import World
 SCENARIO_PARTS = ("name", "description", "duration", "time_step", "start_time", "site", "extends", "ranges", "task")
 WORLD_PARTS = (
     "area", "ground", "wind", "turbulence", "gust", "sky", "plume", "terrain", "persons", "obstacles",
-    "buildings", "base_station", "interference", "collision_distance", "radio",
+    "buildings", "base_station", "interference", "beacons", "collision_distance", "radio",
 )  # fmt: skip
 FLEET_PARTS = (
     "vehicle",
@@ -74,11 +74,12 @@ def make_scenario(
         fleets: several fleets by name, each a dict with ``vehicles`` and any of the parts of a fleet.
         parts: what a scenario has in YAML, by its name there: of the scenario (name, duration, time_step, start_time,
             site, extends, ranges, task), of its world (area, ground, wind, turbulence, gust, sky, plume, terrain,
-            persons, obstacles, buildings, base_station, interference, collision_distance), and with ``vehicles`` of
-            the fleet (vehicle, controller, guidance, limits, sensors, battery, faults, placement, and ground, which is
-            the world's unless it is "stop" or "parked"). A component is the name of its type, a dict as in YAML, or an
-            object such as ``LogShear(...)``. Sensors are "ideal" (the default) or "noisy" ones of every kind, or given
-            by name. With ``extends``, ``fleets`` says what is different in them, and may be left out.
+            persons, obstacles, buildings, base_station, interference, beacons, collision_distance), and with
+            ``vehicles`` of the fleet (vehicle, controller, guidance, limits, sensors, battery, faults, placement, and
+            ground, which is the world's unless it is "stop" or "parked"). A component is the name of its type, a dict
+            as in YAML, or an object such as ``LogShear(...)``. Sensors are "ideal" (the default) or "noisy" ones of
+            every kind, or given by name. With ``extends``, ``fleets`` says what is different in them, and may be left
+            out.
 
     Raises:
         UsageError: an unknown part, or an object that is no component of its kind.

@@ -20,6 +20,7 @@ from qrsim.models.gnss.base_station import BaseStation
 from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.beacons import MOST_BEACONS, BeaconSpec
 from qrsim.scenarios.component_schema import Finite, Strict, choice_of, component_model, slot_of
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.interference import MOST, InterferenceSlot
@@ -235,6 +236,9 @@ class WorldSpec(Strict):
         [], description="jammers, spoofers, outages and storms that receivers of type gnss feel", max_length=MOST
     )
     radio: RadioModel | None = Field(None, description="messages between vehicles; default: nobody has a radio")
+    beacons: list[BeaconSpec] = Field(
+        [], description="radios at known places, for sensors of type ranging", max_length=MOST_BEACONS
+    )
     collision_distance: Finite = Field(
         2.0, description="vehicles closer than this [m] collide; half of it counts against obstacles", ge=0
     )

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from qrsim.errors import UsageError
+from qrsim.models.sensors.ranging import noisy_ranges
 from qrsim.slam.flight import Floats
 
 # The example of Symington et al., "Simulating Quadrotor UAVs in Outdoor Scenarios", IROS 2014.
@@ -76,7 +77,7 @@ def measure_ranges(
     if not (distance <= limit).any():
         raise UsageError(f"no landmark comes within {limit:g} m of the flight; the nearest {distance.min():.1f} m")
     noise = std * generator(seed, NOISE).standard_normal(distance.shape)
-    ranges = np.where(distance <= limit, distance + noise, np.nan)
+    ranges = noisy_ranges(distance, noise, distance <= limit)
     return Ranging(ranges, np.isfinite(ranges).astype(np.float64), std, guess_ned, landmarks_ned)
 
 

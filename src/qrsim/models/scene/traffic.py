@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 from jax import Array
 
 from qrsim.core.tree import quantity, record, replace, setting
@@ -24,6 +25,11 @@ class Traffic:
     def count(self) -> int:
         """Vehicles of the world (N)."""
         return sum(self.sizes)
+
+    def part(self, first: int, count: int) -> Traffic:
+        """Return only the vehicles of these numbers, of which the first is number 0 then."""
+        chosen = jax.tree.map(lambda leaf: leaf[first : first + count], self)
+        return replace(chosen, fleets=("",), sizes=(count,), first=0)
 
     def seen_by(self, fleet: str) -> Traffic:
         """Return it for the sensors of a fleet."""
