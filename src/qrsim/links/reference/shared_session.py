@@ -9,6 +9,7 @@ from qrsim.links.contracts import Pace, Silence
 from qrsim.links.pacing import Metronome, Pacer
 from qrsim.links.reference.sensed import Sensed
 from qrsim.links.reference.session import PIECE_TICKS, Session, SessionOptions
+from qrsim.links.shared.failsafe import believed_of
 from qrsim.links.shared.plant import Plant
 from qrsim.links.shared.recorded import STREAM, order_columns, order_values
 from qrsim.runs import Column
@@ -49,12 +50,13 @@ class SharedSession(Session):
         self.warm()
 
     def warm(self) -> None:
-        """Compile the kind of step that is flown, and the setting back."""
+        """Compile the kind of step that is flown, and what a failsafe needs."""
         actions = self.plant.latches.actions()
         if self.ticks_are_kept:
             self.simulation.record(1, actions, PIECE_TICKS)
         else:
             self.simulation.advance(actions)
+        believed_of(self.simulation)
         self.simulation.reset()
 
     def begin(self) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.links.contracts import ON_SILENCE, Order, Silence
 from qrsim.links.shared.claims import Claims
-from qrsim.links.shared.failsafe import failsafe
+from qrsim.links.shared.failsafe import believed_of, failsafe
 from qrsim.links.shared.latches import Latches
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Some
@@ -99,6 +99,8 @@ class Plant:
                 now.silence = before[name].silence
         self._home = self.simulation.truth.position_ned.copy()
         self.now = self.simulation.tick
+        # Of all vehicles at a tick, where somebody has to know it.
+        self._believed: Array | None = None
         self._remember()
 
     # ---- what controllers ask ----
@@ -160,7 +162,7 @@ class Plant:
 
     def begin(self) -> dict[str, Some]:
         """Latch what has arrived, let failsafes take over, and return what the next ticks fly by."""
-        self.now = self.simulation.tick
+        self.now, self._believed = self.simulation.tick, None
         for name, now in self.controlled.items():
             if now.waiting is not None:
                 self._obey(name, now, now.waiting)
@@ -203,7 +205,9 @@ class Plant:
             self._note("controller_silent", name, f"{since}; it flies on {_ON[now.flies]}")
             return
         row = self.latches.row(name)
-        order = failsafe(now.silence.does, self.simulation, row, self._home[row], self.latches.kinds(name))
+        if self._believed is None:
+            self._believed = believed_of(self.simulation)
+        order = failsafe(now.silence.does, name, self._believed[row], self._home[row], self.latches.kinds(name))
         if order is None:
             self.latches.clear(name)
             now.flies = "guidance"
