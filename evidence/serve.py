@@ -35,6 +35,7 @@ def valid() -> list[bytes]:
     """Return a request of each kind."""
     place = pb.Arrayd(value=[6.0, -8.0, -9.0, 0.0])
     step = Step(dt=0.02, type=Step.WP, cmd=[place])
+    order = pb.Order(vehicle="pelicans_0", type=Step.WP, cmd=place)
     messages = [
         Message(type=Message.INIT, init=pb.Init(task=TASK)),
         Message(type=Message.STEP, step=step),
@@ -47,6 +48,12 @@ def valid() -> list[bytes]:
         Message(type=Message.WATCH, watch=pb.Watch(stop=True)),
         Message(type=Message.PACE, pace=pb.Pace()),
         Message(type=Message.PLAY, play=pb.Play(task=PLAYED)),
+        Message(type=Message.DESCRIBE, describe=pb.Describe()),
+        Message(type=Message.CLAIM, claim=pb.Claim(vehicle=["pelicans_0"], on_silence="hold", hold=1.0)),
+        Message(type=Message.COMMAND, command=pb.Command(order=[order], computed_from=1)),
+        Message(type=Message.SUBSCRIBE, subscribe=pb.Subscribe(rate=10.0)),
+        Message(type=Message.GET_STATUS, get_status=pb.GetStatus()),
+        Message(type=Message.RELEASE, release=pb.Release()),
         Message(type=Message.ACT, act=pb.Act(action=[pb.Arrayd(value=[0.0, 0.0, 0.2, 0.0, 1.0])])),
     ]
     return [message.SerializeToString() for message in messages]

@@ -34,6 +34,7 @@ NUMBERS = {
     },
     "gnss": {"vehicles", "ns", "compile_seconds"},
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
+    "pace": {"controllers", "ticks", "latency_median_ms", "latency_p99_ms"},
     "peers": {"vehicles", "processes"},
     "policies": {"worlds", "vehicles", "per_wall_second", "microseconds_a_call"},
     "sensors": {"worlds", "vehicles", "ns", "over_pair", "compile_seconds"},
@@ -117,6 +118,13 @@ def test_serve():
     twice = found["STEP of one tick, written twice without TCP_NODELAY"]
     assert twice["of_one_write"] > 0
     assert twice["target"] > 0
+
+
+@pytest.mark.long
+def test_pace():
+    [row] = rows("pace")
+    assert (row["controllers"], row["overruns_target"], row["latency_target"]) == (2, 1.0, 25.0)
+    assert row["latency_median_ms"] <= row["latency_p99_ms"]
 
 
 def test_latency():

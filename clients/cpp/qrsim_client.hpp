@@ -21,6 +21,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <deque>
 #include <map>
 #include <memory>
 #include <optional>
@@ -88,6 +89,34 @@ struct SessionOptions {
 // vehicle -> sensor -> field -> numbers. A field of a sensor without a reading is NaN.
 using Readings = std::map<std::string, std::map<std::string, std::map<std::string, std::vector<double>>>>;
 
+// What a vehicle is to do until its next order, in a world that several clients share. kind is WP (x, y, z, yaw), VEL_YAW
+// (velocity north, east, down, yaw), VEL_HEIGHT (velocity north, east, z, yaw), ATT_HEIGHT (roll, pitch, z, yaw), ATT
+// (roll, pitch, yaw, throttle), PATH (position, velocity, acceleration, yaw) or CTRL (the vehicle's own command).
+struct Order {
+  std::string vehicle;
+  pb::Step::Type kind;
+  std::vector<double> numbers;
+};
+
+// What one vehicle senses: sensor -> field -> numbers, when each reading was true [s], and whether it has arrived at
+// this tick.
+struct SensedVehicle {
+  bool valid = false;
+  std::string reason;  // why it is invalid
+  std::map<std::string, std::map<std::string, std::vector<double>>> sensors;
+  std::map<std::string, double> times;
+  std::map<std::string, bool> fresh;
+  std::optional<std::array<double, 13>> state;  // true, where it was asked for
+};
+
+struct Sensed {
+  std::uint64_t tick = 0;
+  double time = 0.0;         // of the tick [s]
+  double sent = 0.0;         // monotonic clock of the server [s]
+  std::uint64_t missed = 0;  // readings that this client was too slow for
+  std::map<std::string, SensedVehicle> vehicles;
+};
+
 class Client {
  public:
   // Connects. timeout_s is how long to wait for a reply [s]; the first step of each kind may have to be compiled.
@@ -126,6 +155,7 @@ class Client {
       socket_ = std::exchange(other.socket_, -1);
       time_step_ = other.time_step_;
       size_ = other.size_;
+      pushed_ = std::move(other.pushed_);
     }
     return *this;
   }
@@ -173,6 +203,9 @@ class Client {
 
   // Flies at velocities NED [m/s], heading north, for a simulated time dt [s].
   State step_velocity(double dt, const Rows& velocities) { return step(dt, pb::Step::VEL, velocities); }
+
+  // Flies set-points of a kind (see Order) for a simulated time dt [s].
+  State step_setpoint(double dt, pb::Step::Type kind, const Rows& setpoints) { return step(dt, kind, setpoints); }
 
   // Ends the session and the connection.
   void disconnect() { leave(false); }
@@ -237,10 +270,89 @@ class Client {
   }
   State next_state() { return state_of(expected(receive(), pb::Message::STATE).state()); }
 
-  // Sends any request and returns its reply, for what has no call here (GET_EVENTS, PACE, PLAY, ACT).
+  // Asks what the world is made of: area, obstacles, wind, fleets with their sensors and the orders that they take.
+  pb::World describe() {
+    pb::Message request;
+    request.set_type(pb::Message::DESCRIBE);
+    request.mutable_describe();
+    return ask(request, pb::Message::WORLD).world();
+  }
+
+  // ---- a world that several clients share (qrsim serve SCENARIO --pace free or barrier) ----
+
+  // Claims the exclusive command of vehicles, all of them or none; by default all that are free. on_silence is what they
+  // do without this client ("hold", "return", "stop"), hold after how many seconds without an order (0: never).
+  pb::Claimed claim(const std::vector<std::string>& vehicles = {}, std::optional<std::string> on_silence = std::nullopt,
+                    std::optional<double> hold = std::nullopt) {
+    pb::Message request;
+    request.set_type(pb::Message::CLAIM);
+    auto* content = request.mutable_claim();
+    for (const auto& name : vehicles) content->add_vehicle(name);
+    if (on_silence) content->set_on_silence(*on_silence);
+    if (hold) content->set_hold(*hold);
+    return ask(request, pb::Message::CLAIMED).claimed();
+  }
+
+  // Gives vehicles, by default all, back to the guidance of their scenario.
+  void release(const std::vector<std::string>& vehicles = {}) {
+    pb::Message request;
+    request.set_type(pb::Message::RELEASE);
+    auto* content = request.mutable_release();
+    for (const auto& name : vehicles) content->add_vehicle(name);
+    ask(request, pb::Message::ACK);
+  }
+
+  // Gives orders, and returns the tick from which they are flown (pace free).
+  std::uint64_t command(const std::vector<Order>& orders, std::optional<std::uint64_t> computed_from = std::nullopt) {
+    return ask(command_of(orders, computed_from), pb::Message::COMMANDED).commanded().tick();
+  }
+
+  // Gives orders, waits until all who fly here are so many ticks on, and returns what one's vehicles sense there (pace
+  // barrier). Vehicles without an order fly on by their last one.
+  Sensed advance(const std::vector<Order>& orders, std::uint64_t ticks = 1, bool truth = false) {
+    pb::Message request = command_of(orders, std::nullopt);
+    request.mutable_command()->set_ticks(ticks);
+    request.mutable_command()->set_truth(truth);
+    return sensed_of(ask(request, pb::Message::READINGS).readings());
+  }
+
+  // Has what vehicles sense pushed, at a rate per simulated second, by default at each tick; no vehicles: those that one
+  // has claimed. next_sensed returns it in its order, and waits for it.
+  void subscribe(const std::vector<std::string>& vehicles = {}, std::optional<double> rate = std::nullopt,
+                 bool truth = false) {
+    pb::Message request;
+    request.set_type(pb::Message::SUBSCRIBE);
+    auto* content = request.mutable_subscribe();
+    for (const auto& name : vehicles) content->add_vehicle(name);
+    if (rate) content->set_rate(*rate);
+    content->set_truth(truth);
+    ask(request, pb::Message::ACK);
+  }
+  Sensed next_sensed() {
+    if (pushed_.empty()) return sensed_of(expected(receive(), pb::Message::SENSED).sensed());
+    const Sensed found = sensed_of(pushed_.front());
+    pushed_.pop_front();
+    return found;
+  }
+
+  // Asks who flies what, how old the orders are, and how the pace is kept.
+  pb::Status status() {
+    pb::Message request;
+    request.set_type(pb::Message::GET_STATUS);
+    request.mutable_get_status();
+    return ask(request, pb::Message::STATUS).status();
+  }
+
+  // Sends any request and returns its reply, for what has no call here (GET_EVENTS, PACE, PLAY, ACT). What is pushed
+  // meanwhile waits for next_sensed, the oldest going first where it is too much.
   pb::Message ask(const pb::Message& request, pb::Message::Type type) {
     send(request);
-    return expected(receive(), type);
+    pb::Message reply = receive();
+    for (; reply.type() == pb::Message::SENSED; reply = receive()) {
+      if (pushed_.size() == kMostPushed) pushed_.pop_front();
+      pushed_.push_back(reply.sensed());
+    }
+    return expected(std::move(reply), type);
   }
 
   // Closes the connection; the server ends the session.
@@ -251,6 +363,42 @@ class Client {
 
  private:
   static constexpr std::uint32_t kLargestReply = 1u << 26;
+  static constexpr std::size_t kMostPushed = 1000;
+
+  static pb::Message command_of(const std::vector<Order>& orders, std::optional<std::uint64_t> computed_from) {
+    pb::Message request;
+    request.set_type(pb::Message::COMMAND);
+    auto* content = request.mutable_command();
+    for (const auto& order : orders) {
+      auto* added = content->add_order();
+      added->set_vehicle(order.vehicle);
+      added->set_type(order.kind);
+      fill(added->mutable_cmd(), order.numbers);
+    }
+    if (computed_from) content->set_computed_from(*computed_from);
+    return request;
+  }
+
+  Sensed sensed_of(const pb::Readings& found) {
+    Sensed sensed;
+    sensed.tick = found.tick();
+    sensed.time = found.t();
+    sensed.sent = found.sent();
+    sensed.missed = found.missed();
+    for (const auto& vehicle : found.vehicle()) {
+      SensedVehicle& seen = sensed.vehicles[vehicle.name()];
+      seen.valid = vehicle.valid();
+      seen.reason = vehicle.reason();
+      if (vehicle.has_x()) seen.state = numbers<13>(vehicle.x());
+      for (const auto& sensor : vehicle.sensor()) {
+        seen.times[sensor.name()] = sensor.time();
+        seen.fresh[sensor.name()] = sensor.fresh();
+        for (const auto& field : sensor.field())
+          seen.sensors[sensor.name()][field.name()].assign(field.value().begin(), field.value().end());
+      }
+    }
+    return sensed;
+  }
 
   void set_timeout(double seconds) {
     timeval limit{};
@@ -382,6 +530,7 @@ class Client {
   int socket_ = -1;
   double time_step_ = 0.0;
   int size_ = 0;
+  std::deque<pb::Readings> pushed_;
 };
 
 }  // namespace qrsim

@@ -62,6 +62,8 @@ int main(int, char** words) try {
   std::printf("watched %.17g\n", watcher.next_state().time);
   const qrsim::State stopped = client.step_velocity(8.0, {{0.0, 0.0, -3.0}});
   std::printf("reason %s, measured is NaN: %d\n", stopped.reasons.at(0).c_str(), std::isnan(stopped.measured[0][0]));
+  std::printf("world %s %s\n", client.describe().area().type().c_str(), client.describe().fleet(0).vehicle(0).c_str());
+  thrown<qrsim::Refused>("owned", [&] { client.claim({"pelicans_0"}); });
   client.disconnect();
   thrown<qrsim::ConnectionFailed>("closed", [&] { client.reset(); });
   thrown<qrsim::Refused>("no task", [&] { qrsim::Client("127.0.0.1", port).init("TaskKeepSpott"); });

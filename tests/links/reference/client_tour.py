@@ -31,6 +31,8 @@ def tour(port: int) -> dict[str, object]:
             "invalid": lambda: client.step_velocity(8.0, [[0.0, 0.0, -3.0]]),
             "refused": lambda: client.step_waypoint(0.03, HOLD),
             "usage": lambda: client.set_state("here"),
+            "claim": lambda: client.claim("pelicans_0"),
+            "order": lambda: client.command({"pelicans_0": ("waypont", HOLD[0])}),
         }.items():
             try:
                 call()
@@ -41,6 +43,8 @@ def tour(port: int) -> dict[str, object]:
         hello = client.hello()
         session = client.open("free_flight", seed=5, events=True)
         found["open"] = [session.scenario, session.seed, list(session.vehicles), "reasons" in hello["capabilities"]]
+        world = client.describe()
+        found["describe"] = [world["area"]["type"], sorted(world["fleets"]["pelicans"]["sensors"])[0]]
         found["restart"] = [client.restart().seed, client.restart(9).seed]
         readings = client.readings()["pelicans_0"]
         found["readings"] = [sorted(readings), np.shape(readings["attitude"]["quaternion"]), readings["gnss"]["reason"]]

@@ -58,6 +58,9 @@ def toured(python: str, served: Running, **variables: str) -> dict[str, Any]:
     assert found["refused"][0] == "Refused"
     assert "dt: 0.03 s is not a positive multiple of the time step, 0.02 s" in found["refused"][1]
     assert found["usage"][0] == "UsageError"
+    assert (found["claim"][0], found["order"][0]) == ("Refused", "UsageError")
+    assert found["claim"][1].endswith("(--pace barrier or free)")
+    assert found["describe"] == ["box", "accelerometer"]
     assert found["open"] == ["free_flight", 5, ["pelicans_0"], True]
     assert found["restart"] == [6, 9]
     assert found["readings"] == [["accelerometer", "attitude", "barometer", "gnss", "gyroscope"], [4], ""]

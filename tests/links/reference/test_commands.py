@@ -7,9 +7,13 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from wires import step
+from wires import TASK, Running, step
 
-from qrsim.links.reference.commands import WIDTHS, Commands
+import qrsim
+from qrsim.control import SETPOINTS
+from qrsim.core.tree import walk
+from qrsim.links.reference.client import Client, Refused
+from qrsim.links.reference.commands import MORE_KINDS, WIDTHS, Commands
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 
@@ -38,7 +42,7 @@ def numbers(command: Any) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("size", [1, 2, 40])
-@pytest.mark.parametrize("kind", [Step.WP, Step.CTRL, Step.VEL])
+@pytest.mark.parametrize("kind", [Step.WP, Step.CTRL, Step.VEL, *MORE_KINDS])
 def test_a_known_step_has_the_numbers_of_a_parsed_one(kind, size):
     made, parsed = commands(size), commands(size)
     learn(made, request(kind, size))
@@ -87,3 +91,49 @@ def test_a_step_that_is_written_in_another_way_is_always_parsed():
         for _ in range(3):
             learn(made, payload)
         assert made.known(payload) is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "numbers_of", "fields"),
+    [
+        (Step.VEL_YAW, "velocity", 4, ["velocity_ned.x", "velocity_ned.y", "velocity_ned.z", "yaw"]),
+        (Step.VEL_HEIGHT, "velocity_height", 4, ["velocity_north", "velocity_east", "z", "yaw"]),
+        (Step.ATT_HEIGHT, "attitude_height", 4, ["roll", "pitch", "z", "yaw"]),
+        (Step.ATT, "attitude", 4, ["roll", "pitch", "yaw", "throttle"]),
+        (
+            Step.PATH, "path", 10,
+            ["position_ned.x", "position_ned.y", "position_ned.z", "velocity_ned.x", "velocity_ned.y", "velocity_ned.z",
+             "acceleration_ned.x", "acceleration_ned.y", "acceleration_ned.z", "yaw"],
+        ),
+    ],
+)  # fmt: skip
+def test_each_number_of_a_setpoint_is_where_its_name_says(kind, name, numbers_of, fields):
+    rows = [[0.5 + i for i in range(numbers_of)], [-0.5 - i for i in range(numbers_of)]]
+    found = commands(2).of(Message.FromString(step(kind, *rows).SerializeToString()).step)
+    assert type(found) is SETPOINTS[name]
+    said = {path: leaf.tolist() for path, leaf, _ in walk(found)}
+    assert said == {field: [0.5 + i, -0.5 - i] for i, field in enumerate(fields)}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("kind", "row", "setpoint"),
+    [
+        ("velocity", [0.5, -0.5, 0.1, 0.3], qrsim.VelocitySetpoint.of([[0.5, -0.5, 0.1]], 0.3)),
+        ("velocity_height", [0.5, -0.5, -9.5, 0.3], qrsim.VelocityHeightSetpoint.of([[0.5, -0.5]], -9.5, 0.3)),
+        ("attitude_height", [0.02, -0.01, -9.5, 0.3], qrsim.AttitudeHeightSetpoint.of([0.02], -0.01, -9.5, 0.3)),
+        ("attitude", [0.02, -0.01, 0.3, 0.6], qrsim.AttitudeSetpoint.of([0.02], -0.01, 0.3, 0.6)),
+    ],
+)
+def test_a_served_setpoint_is_that_of_the_simulation(kind, row, setpoint, serving: Running):
+    with Client(port=serving.port) as client:
+        session = client.open(TASK, seed=4)
+        state = client.step_setpoint(0.4, kind, [row])
+        with pytest.raises(Refused, match="a PathSetpoint is not for OffboardController"):
+            client.step_setpoint(0.02, "path", [[0.0] * 10])
+        with pytest.raises(Refused, match="3 numbers; expected 4"):
+            client.step_setpoint(0.02, kind, [row[:3]])
+    here = qrsim.load(TASK, seed=session.seed)
+    here.reset()
+    here.step(setpoint, ticks=20)
+    assert state.state[0].tolist() == here.truth.state[0].tolist()

@@ -13,6 +13,10 @@ import pytest
 from wires import TASK, Running, running
 
 import qrsim
+from qrsim.links.reference.client import Client
+from qrsim.links.reference.tasks import Tasks
+from qrsim.simulation.simulation import Simulation
+from small_worlds import pair
 
 ROOT = Path(__file__).resolve().parents[3]
 HEADER = ROOT / "clients" / "cpp"
@@ -112,7 +116,9 @@ def test_the_header_has_every_call(build, served):
     expected += ["readings 5 4", f"watched {0.02:.17g}"]
     said = done.stdout.splitlines()
     assert said[: len(expected)] == expected
-    reason, closed, no_task, nobody, quit_ = said[len(expected) :]
+    reason, world, owned, closed, no_task, nobody, quit_ = said[len(expected) :]
+    assert world == "world box pelicans_0"
+    assert owned.startswith(f"owned: {where}: CLAIM: this server's worlds are flown by one client each")
     assert reason.startswith("reason out_of_area: position_ned.z = ")
     assert reason.endswith("measured is NaN: 1")
     assert closed == f"closed: {where}: this client is closed"
@@ -121,6 +127,31 @@ def test_the_header_has_every_call(build, served):
     assert quit_ == "quit ''"
     served.thread.join(30.0)
     assert not served.thread.is_alive()
+
+
+def test_a_client_in_cpp_shares_a_world(build):
+    """At a barrier, with a client in Python that has the other vehicle."""
+    program = build("sharing_tour", (Path(__file__).parent / "sharing_tour.cpp").read_text("utf-8"))
+    with running(Tasks(pair()), pace="barrier", seed=SEED) as found, Client(port=found.port) as other:
+        other.claim("vehicles_1")
+        words = [program, str(found.port), "vehicles_0"]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "claimed vehicles_0 of pair, barrier\n"
+            for _ in range(4):
+                other.advance({"vehicles_1": ("velocity", [0.0, 1.0, 0.0, 0.0])}, ticks=10)
+            said, complaints = process.communicate(timeout=60.0)
+    assert (complaints, process.returncode) == ("", 0)
+    here = Simulation(pair().world(), seed=SEED)
+    here.reset()
+    here.step({"vehicles_0": qrsim.VelocityHeightSetpoint.of(np.array([[1.0, 0.5]]), -11.0, 0.2),
+               "vehicles_1": qrsim.VelocitySetpoint.of([[0.0, 1.0, 0.0]])}, ticks=40)  # fmt: skip
+    numbers = " ".join(f"{value:.17g}" for value in np.asarray(here.truth.state[0], np.float64))
+    gnss = here.reading.gnss
+    fresh, taken = int(gnss.fresh[0]), f"{gnss.time_of_reading[0]:.17g}"
+    assert said.splitlines() == [
+        f"tick 40 {numbers}", f"gnss {fresh} {taken} {gnss.position_ned[0, 0]:.17g}", "pushed 40", "flies command 0",
+    ]  # fmt: skip
 
 
 def tour_line(what: str, simulation: qrsim.Simulation) -> str:

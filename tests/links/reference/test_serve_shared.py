@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +22,7 @@ from qrsim.links.reference.client import Client, Refused
 from qrsim.links.reference.kinds import TYPES
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.sharing import Subscription
 from qrsim.links.reference.tasks import Tasks
 from qrsim.links.shared.replay import replay
 from qrsim.runs import RunInfo, RunWriter, open_run
@@ -241,6 +243,71 @@ def test_a_run_without_orders_is_not_replayed(tmp_path):
     RunWriter.create(tmp_path / "run", info=info, scenario_yaml=pair().to_yaml(), columns={}).close()
     with pytest.raises(UsageError, match="it has no orders"):
         replay(open_run(tmp_path / "run"), tmp_path / "again")
+
+
+class Reader:
+    """A client as a world sees it, whose system holds so many bytes back."""
+
+    def __init__(self, number: int, backlog: int):
+        self.number, self.backlog = number, backlog
+        self.frames: list[bytes] = []
+
+    def send_frame(self, content: bytes) -> None:
+        self.frames.append(content)
+
+
+def test_a_stalled_reader_misses_readings_and_the_others_get_all(free):
+    """What is sent to each at a tick: nothing to who has more than 64 KiB waiting, whatever it has subscribed to."""
+    server, _ = free
+    sharing = server.server.sharing
+    assert sharing is not None
+    quick, stalled = Reader(900, 1 << 16), Reader(901, (1 << 16) + 1)
+    done = threading.Event()
+
+    def look() -> None:
+        for reader in (quick, stalled):
+            sharing.subscribe(reader, Subscription((0, 1), 1, truth=False))
+        sharing._publish()
+        stalled.backlog = 0
+        for wanted in sharing._subscriptions.values():
+            wanted.last = -1000000
+        sharing._publish()
+        for reader in (quick, stalled):
+            sharing.subscribe(reader, None)
+        done.set()
+
+    server.loop.call_soon_threadsafe(look)
+    assert done.wait(10.0)
+    missed = [Message.FromString(frame[5:]).sensed.missed for frame in quick.frames]
+    assert missed == [0, 0]
+    assert [Message.FromString(frame[5:]).sensed.missed for frame in stalled.frames] == [1]
+
+
+@pytest.mark.long
+def test_a_client_that_never_reads_costs_the_others_nothing(free):
+    _, connect = free
+    with Wire(free[0].port) as wire:
+        wire.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        assert not wire.ask(
+            Message(type=Message.SUBSCRIBE, subscribe=pb.Subscribe(vehicle=[A, B], truth=True))
+        ).ack.error
+        one = connect()
+        one.restart(3)
+        one.claim(A)
+        one.pace(200.0)
+        one.subscribe()
+        deadline = time.monotonic() + 60.0
+        missed = 0
+        while not missed and time.monotonic() < deadline:
+            seen = one.sensed(10.0)
+            one.command({A: ("velocity", [0.0, 0.0, 0.0, 0.0])}, computed_from=seen.tick)
+            missed = max(each.missed for each in free[0].server.sharing._subscriptions.values())
+        assert missed > 0
+        # The world and the other client go on.
+        before = one.sensed(10.0).tick
+        assert one.sensed(10.0).tick > before
+        one.pace(1.0)
+        one.close()
 
 
 # ---- what is wrong ----
