@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import random
 import socket
 import threading
 import time
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import serve
 from wires import Running, Wire, running, step
 
 import qrsim
@@ -21,6 +23,7 @@ from qrsim.links.reference.claiming import KINDS
 from qrsim.links.reference.client import Client, Refused
 from qrsim.links.reference.kinds import TYPES
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
+from qrsim.links.reference.protocol.framing import frame
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 from qrsim.links.reference.sharing import Subscription
 from qrsim.links.reference.tasks import Tasks
@@ -382,6 +385,28 @@ def test_what_is_wrong_at_the_barrier_alone(barrier):
 def test_other_servers_say_that_their_worlds_have_owners(kind, wire):
     message = Message(type=Message.Type.Value(kind))
     assert wire.refused(message).startswith(f"{kind}: this server's worlds are flown by one client each")
+
+
+def test_malformed_requests_get_one_reply_each_and_disturb_nobody(free):
+    """500 requests with bits flipped, bytes put in or cut off, on connections of 20; what was unexpected fails here."""
+    _, connect = free
+    # As long as the name of a vehicle here, so that orders for it are among them.
+    requests = [content.replace(b"pelicans_0", b"vehicles_0") for content in serve.valid()]
+    chance = random.Random(20261122)
+    other = connect()
+    other.claim(B)
+    for _ in range(25):
+        with Wire(free[0].port) as wire:
+            for _ in range(20):
+                payload = serve.mutated(chance, requests)
+                wire.socket.sendall(frame(payload))
+                reply = wire.receive()
+                while reply.type == Message.SENSED:
+                    reply = wire.receive()
+                if serve.kind(payload) in (Message.INIT, Message.DISCONNECT) and reply.type == Message.ACK:
+                    break
+        assert other.command({B: ("waypoint", goal(1, 0))}) > 0
+    other.disconnect()
 
 
 # ---- what is there ----
