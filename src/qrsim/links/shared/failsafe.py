@@ -42,10 +42,10 @@ def believed_of(simulation: Simulation) -> Array:
     for fleet, state in zip(simulation.world.fleets, simulation.state.fleets, strict=True):
         with simulation.precision_context():
             now = estimate_of(fleet, state)
-        rows = None
+        rows: Array = np.full((fleet.size, 4), np.nan)
         for at in (now, state.estimate, fleet.vehicle.pose(state.vehicle)):
             parts = (at.position_ned.x, at.position_ned.y, at.position_ned.z, at.attitude.yaw)
             numbers = np.stack([np.asarray(part, np.float64) for part in parts], axis=1)
-            rows = numbers if rows is None else np.where(np.isfinite(rows), rows, numbers)
+            rows = np.where(np.isfinite(rows), rows, numbers)
         found.append(rows)
     return np.nan_to_num(np.concatenate(found))
