@@ -93,6 +93,7 @@ class Emitter(Loops):
         # Numbers of which an element of the axis has one stay in registers for the parts that follow.
         row: dict[int, str] = {}
         self.open_scope(step.domain)
+        self.far = vectors
         with self.loop(step.domain[0], self.lanes if vectors else 1) as counter:
             for part in step.parts:
                 last = len(part.domain) - 1
@@ -105,6 +106,7 @@ class Emitter(Loops):
                             for n, (node, pointer) in accumulators.items()}  # fmt: skip
                 if last == 0:
                     row |= scope.values
+        self.far = False
 
     def _loops(
         self, step: Step, kept: Sequence[int], scope: Scope, together: int, stored: set[int]

@@ -77,14 +77,13 @@ class Loops(Writer):
 
     def move_all(self, moves: list[tuple[Access, Shape, Place]], keep: str | None = None) -> None:
         """Write copies that all read before any of them writes; ``keep`` as of ``copy``."""
+        # What lies there already is not moved.
+        moves = [move for move in moves if not self._lies_there(*move)]
         targets = {(to.pointer, to.offset) for _, _, to in moves}
         # What another move of this set writes to is copied first, so that the order of the moves does not matter.
         later: list[tuple[Access, Shape, Place]] = []
         for access, shape, to in moves:
             source = None if self._in_register(access.node) else self.place(access.node)
-            # It lies there already.
-            if source is not None and source == to and access.identical(shape):
-                continue
             if source is not None and (source.pointer, source.offset) in targets:
                 place = self.spare(access.node, shape)
                 self.copy(access, shape, place)
@@ -93,6 +92,9 @@ class Loops(Writer):
                 later.append((access, shape, to))
         for access, shape, to in later:
             self.copy(access, shape, to, keep)
+
+    def _lies_there(self, access: Access, shape: Shape, to: Place) -> bool:
+        return not self._in_register(access.node) and self.place(access.node) == to and access.identical(shape)
 
     def _in_register(self, node: Node) -> bool:
         return node.number in self.scalars or (node.op == "constant" and node.shape == ())

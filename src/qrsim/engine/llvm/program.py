@@ -13,7 +13,8 @@ from jax.extend.core import ClosedJaxpr
 from qrsim.engine.layout import SPARE, Buffers, Packer, aligned, struct
 from qrsim.engine.llvm.compiler import Loaded, machine_code, machine_triple
 from qrsim.engine.llvm.emit import Emitter
-from qrsim.engine.llvm.graph import Access, Graph, Node, Shape, View, squeezed
+from qrsim.engine.llvm.graph import Graph, Node, Shape, View, squeezed
+from qrsim.engine.llvm.in_state import InState
 from qrsim.engine.llvm.refusal import UnsupportedError, refusing
 from qrsim.engine.llvm.schedule import ALONE, NESTED, Arena, Scheduler, all_nodes, in_place, materialised, readers
 from qrsim.engine.llvm.simplify import live_nodes
@@ -188,7 +189,8 @@ class _Writer:
         for node in all_nodes(self.prologue):
             if node.number in self.stored and node.number not in self.in_place:
                 self.places[node.number] = self._take(node)
-        self._place_in_state()
+        in_state = InState(self.body, self.stored, self.short, self.places, self.side_by_side)
+        self.moves = in_state.place(self.leaves[-1], self.results)
         last = {number: reads[-1][0] for number, reads in readers(self.body).items()}
         for access in self.results:
             last[access.node.number] = len(self.body)
@@ -214,38 +216,6 @@ class _Writer:
                     self.places[carry.number] = self.places[output.number]
         for number, output in self.in_place.items():
             self.places[number] = self.places[output.number]
-
-    def _place_in_state(self) -> None:
-        """Let what becomes the next state be computed where the state lies, if nobody needs the old one any more."""
-        read = readers(self.body)
-        for access in self.results:
-            read[access.node.number].append((len(self.body), None, access))
-        made = {node.number: i for i, step in enumerate(self.body) for node in step.nodes}
-        self.moves: list[tuple[Access, Shape, Place]] = []
-        for leaf, access in zip(self.leaves[-1], self.results, strict=True):
-            node, place = access.node, self.places[leaf.number]
-            step = made.get(node.number)
-            fits = (
-                step is not None
-                and node.number in self.stored
-                and node.number not in self.places
-                and node.op not in ("reduce", *ALONE)
-                and access.identical(leaf.shape)
-                and all(self._before(reading, step, node) for reading in read[leaf.number])
-            )
-            if fits:
-                self.places[node.number] = place
-            elif not (node is leaf and access.identical(leaf.shape)):
-                self.moves.append((access, leaf.shape, place))
-
-    def _before(self, reading: tuple[int, Any, Access], step: int, writer: Node) -> bool:
-        at, reader, access = reading
-        if at != step:
-            return at < step
-        if self.body[step].kind != "cond":
-            return reader is not None and self.body[step].reads_before(reader, access, writer)
-        # A branching that each world takes for itself writes its results before it has read everything.
-        return not self.side_by_side or self.body[step].nodes[0].args[0].node.uniform
 
     def _bytes(self, shape: Shape, node: Node) -> int:
         lanes = self.lanes if self.side_by_side and not node.uniform else 1

@@ -18,6 +18,8 @@ ALONE = ("concatenate", "nearest", "scatter", "running")
 NESTED = ("cond", "while")
 # What no loop computes.
 NO_LOOP = (*OUTSIDE, "output", *ALONE, *NESTED)
+# Who reads a node: step, reading node or None, and how.
+Reading = tuple[int, Any, Access]
 
 
 @dataclass(eq=False)
@@ -335,9 +337,9 @@ class Arena:
         self.free = merged
 
 
-def readers(steps: list[Step]) -> dict[int, list[tuple[int, Any, Access]]]:
-    """Return for each node number who reads it: (step, reading node or None, access)."""
-    found: dict[int, list[tuple[int, Any, Access]]] = defaultdict(list)
+def readers(steps: list[Step]) -> dict[int, list[Reading]]:
+    """Return for each node number who reads it."""
+    found: dict[int, list[Reading]] = defaultdict(list)
     for i, step in enumerate(steps):
         for reader, access in inner_accesses(step):
             found[access.node.number].append((i, reader, access))

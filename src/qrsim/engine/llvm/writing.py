@@ -71,6 +71,8 @@ class Writer:
         self.block = "entry"
         self.scalars: dict[int, tuple[str, int]] = {}
         self.scope = Scope((), [], None, {}, {})
+        # Whether loads in turn are so far from each other that the processor does not foresee them.
+        self.far = False
         self._constant_places: dict[int, Place] = {}
 
     # Text
@@ -225,8 +227,18 @@ class Writer:
             return self.load(node.dtype, self.address(place, index), lanes), lanes
         # Elements side by side are one load.
         if len(across) == 1 and place.strides[across[0]] == stored_bytes(node.dtype):
-            return self.load(node.dtype, self.address(place, index), self.lanes), self.lanes
+            address = self.address(place, index)
+            if self.far and len(node.shape) > 1 and not place.short:
+                self._fetch(address, 2 * self.lanes * stored_bytes(node.dtype) - 1)
+            return self.load(node.dtype, address, self.lanes), self.lanes
         return self._gathered(node, place, index, across), self.lanes
+
+    def _fetch(self, address: str, distance: int) -> None:
+        """Let the processor bring what lies a distance [B] after an address, while it works on what lies there."""
+        self.declarations.add("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
+        ahead = self.emit(f"getelementptr i8, ptr {address}, i64 {distance}")
+        # To be read, and kept close; data, not code.
+        self.do(f"call void @llvm.prefetch.p0(ptr {ahead}, i32 0, i32 3, i32 1)")
 
     def _pick(self, node: Node, lanes: int) -> str:
         """Return elements of an array that lie where the program computes."""

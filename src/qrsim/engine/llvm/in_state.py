@@ -1,0 +1,142 @@
+"""Which arrays are computed where the state lies, so that nothing need be copied there, or there and back.
+
+A leaf of the state may be overwritten as soon as nobody reads what it was. What a branching hands out of it unchanged,
+as the reading of a slow sensor between two of its times, stays where it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from qrsim.engine.llvm.graph import Access, Node, Shape
+from qrsim.engine.llvm.schedule import ALONE, Reading, Step, readers
+from qrsim.engine.llvm.writing import Place
+
+Move = tuple[Access, Shape, Place]
+
+
+class InState:
+    """Places nodes in the state.
+
+    Args:
+        body: the steps of a tick.
+        stored: numbers of the nodes that need memory.
+        short: numbers of those of which one element is in memory.
+        places: of what has one; nodes that are placed are added.
+        side_by_side: worlds lie side by side.
+    """
+
+    def __init__(
+        self, body: list[Step], stored: set[int], short: set[int], places: dict[int, Place], side_by_side: bool
+    ):
+        self.body, self.stored, self.short = body, stored, short
+        self.places, self.side_by_side = places, side_by_side
+        self.read = readers(body)
+        self.made = {node.number: i for i, step in enumerate(body) for node in step.nodes}
+        # What lies where a leaf does, at one time or another: the leaf itself, and what takes its place.
+        self.lying: dict[Place, list[Node]] = {}
+
+    def place(self, leaves: Sequence[Node], results: Sequence[Access]) -> list[Move]:
+        """Place what can be, and return which results are still to be moved to their leaves, at the end of a tick."""
+        for access in results:
+            self.read[access.node.number].append((len(self.body), None, access))
+        self.lying = {self.places[leaf.number]: [leaf] for leaf in leaves}
+        moves: list[Move] = []
+        for leaf, access in zip(leaves, results, strict=True):
+            node, place = access.node, self.places[leaf.number]
+            if self._free(node) and access.identical(leaf.shape) and self._over(leaf, node):
+                self._put(node, place)
+            elif not (node is leaf and access.identical(leaf.shape)):
+                moves.append((access, leaf.shape, place))
+        own = {leaf.number: leaf for leaf in leaves}
+        for i, step in enumerate(self.body):
+            if step.kind == "cond" and self._agreed(step):
+                for output, results_of in _outputs(step):
+                    self._hold(i, output, [own[a.node.number] for a in results_of
+                                           if a.node.number in own and a.identical(output.shape)])  # fmt: skip
+        for step in self.body:
+            if step.kind == "cond" and self._agreed(step):
+                self._within(step)
+        return moves
+
+    def _put(self, node: Node, place: Place) -> None:
+        self.places[node.number] = place
+        self.lying[place].append(node)
+
+    def _free(self, node: Node) -> bool:
+        """Return whether a node is computed in the body, and could lie anywhere."""
+        return node.number in self.made and self._movable(node)
+
+    def _movable(self, node: Node) -> bool:
+        stored = node.number in self.stored and node.number not in self.short
+        return stored and node.number not in self.places and node.op not in ("reduce", *ALONE)
+
+    def _agreed(self, step: Step) -> bool:
+        """Return whether all worlds take the same branch."""
+        # A branching that each world takes for itself writes its results before it has read everything.
+        return not self.side_by_side or step.nodes[0].args[0].node.uniform
+
+    def _fits(self, node: Node, place: Place) -> bool:
+        return place.own == (self.side_by_side and not node.uniform)
+
+    def _over(self, old: Node, writer: Node) -> bool:
+        """Return whether nobody reads a node any more when another one, of the body too, is written."""
+        step = self.made[writer.number]
+        return all(self._before(self.body, reading, step, writer) for reading in self.read[old.number])
+
+    def _before(self, steps: list[Step], reading: Reading, step: int, writer: Node) -> bool:
+        at, reader, access = reading
+        if at != step:
+            return at < step
+        if steps[step].kind != "cond":
+            return reader is not None and steps[step].reads_before(reader, access, writer)
+        return self._agreed(steps[step])
+
+    def _hold(self, at: int, output: Node, leaves: list[Node]) -> None:
+        """Let a result of a branching at a step lie where a leaf does that a branch hands out as it is."""
+        for leaf in leaves:
+            place = self.places[leaf.number]
+            if not self._free(output) or not self._fits(output, place):
+                return
+            # What takes the leaf's place later must find nobody who still reads the result.
+            later = [node for node in self.lying[place] if node is not leaf]
+            if all(reading[0] <= at for reading in self.read[leaf.number]) and all(
+                self.made[node.number] > at and self._over(output, node) for node in later
+            ):
+                self._put(output, place)
+
+    def _within(self, step: Step) -> None:
+        """Let branches compute in the state what they hand out into it."""
+        for number, steps in enumerate(step.branches):
+            read, results = readers(steps), step.nodes[0].regions[number].results
+            made = {node.number: i for i, inner in enumerate(steps) for node in inner.nodes}
+            for output, _ in _outputs(step):
+                access = results[output.attributes[0]]
+                read[access.node.number].append((len(steps), None, access))
+            for output, handed in _outputs(step):
+                access, place = handed[number], self.places.get(output.number)
+                node = access.node
+                if place not in self.lying or node.number not in made or not self._movable(node):
+                    continue
+                assert place is not None
+                if not self._fits(node, place) or not access.identical(output.shape):
+                    continue
+                at = made[node.number]
+                # What lies there at other times is read before this node is written.
+                if all(
+                    self._before(steps, reading, at, node)
+                    for other in self.lying[place]
+                    for reading in read.get(other.number, ())
+                ):
+                    self._put(node, place)
+            for inner in steps:
+                if inner.kind == "cond" and self._agreed(inner):
+                    self._within(inner)
+
+
+def _outputs(step: Step) -> Iterator[tuple[Node, list[Access]]]:
+    """List the wanted results of a branching, each with what its branches hand out."""
+    regions = step.nodes[0].regions
+    for node in step.nodes:
+        if node.op == "output":
+            yield node, [region.results[node.attributes[0]] for region in regions]
