@@ -133,6 +133,22 @@ class TestGrid:
         # Between the eyes of the table it is interpolated.
         np.testing.assert_allclose(seen[[0, 2], 1], 0.0, atol=0.01)
 
+    def test_who_sees_whom_over_ridges(self, tmp_path: Path):
+        """A narrow ridge 60 m high, 310 m to the north of a grid of 10 m; what is asked is 2 km and more away."""
+        north, east = 10.0 * np.arange(-40, 41), 10.0 * np.arange(-40, 41)
+        height = np.where(north[:, None] == 310.0, 60.0, 0.0) + 0.0 * east[None, :]
+        np.savez(tmp_path / "ridge.npz", north=north, east=east, height=height)
+        ground = ElevationFile(str(tmp_path / "ridge.npz")).at(SITE, (-390.0, 390.0, -390.0, 390.0))
+        eyes = at([0.0] * 5, [0.0, 0.0, 0.0, 50.0, 0.0], [-2.0, -55.0, -73.0, -2.0, 0.0]).map(jnp.float32)
+        far = Vec3(*map(jnp.float32, (2000.0, 10.0, -2.0)))
+        # The line from an eye at height h is at 2 + 0.845 (h - 2) m over the ridge: 47 m from 55, 62 m from 73.
+        np.testing.assert_array_equal(ground.line_of_sight(eyes, far), [False, False, True, False, False])
+        beside = Vec3(*map(jnp.float32, (-2000.0, 10.0, -2.0)))
+        np.testing.assert_array_equal(ground.line_of_sight(eyes, beside), [True] * 5)
+        # A place in the ground is seen by nobody.
+        within = Vec3(*map(jnp.float32, (2000.0, 10.0, 30.0)))
+        assert not np.asarray(ground.line_of_sight(eyes, within)).any()
+
     @pytest.mark.long
     def test_hides_satellites_and_moves_the_wind(self, tmp_path: Path):
         north = 50.0 * np.arange(-20, 21)

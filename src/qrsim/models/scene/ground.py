@@ -22,8 +22,11 @@ MOST_POINTS = 4_000_000
 # The table of the horizon: heights of the eye and bearings, and how far it looks [m], in steps of a part of the way.
 EYES, BEARINGS = 8, 180
 FARTHEST, STEP = 50_000.0, 0.005
-# Parts of a way between two points, at whose ends the ground is asked whether it is in between.
-_LOOKS = 32
+# Parts of a way between two points, at whose ends the ground is asked whether it is in between: of the whole way, and
+# at least and at most of that over the grid, which it meets cell by cell as long as there are no more.
+_LOOKS, _FEWEST_LOOKS, _MOST_LOOKS = 32, 16, 512
+# Who stands on the ground is not hidden by a rounding error [m].
+_SLACK = 0.1
 
 
 @record
@@ -79,10 +82,25 @@ class GridGround(Ground):
 
     def line_of_sight(self, position_ned: Vec3, point_ned: Vec3) -> Array:
         """Return whether a point () [m] is seen from positions (n,) [m], by the ground at places in between."""
-        part = jnp.arange(1, _LOOKS, dtype=position_ned.x.dtype)[:, None] * (1.0 / _LOOKS)
-        pairs = zip(vars(position_ned).values(), vars(point_ned).values(), strict=True)
-        north, east, down = (a[None, :] + (b - a)[None, :] * part for a, b in pairs)
-        return jnp.all(down <= self.down(Vec3(north, east, down)), axis=0)
+        shape, dtype = self.grid.shape, position_ned.x.dtype
+        ways = [b - a for a, b in zip(position_ned.axes, point_ned.axes, strict=True)]
+        # Which part of the way is over the grid; of ridges there is nothing to be missed beyond.
+        enters, leaves = jnp.zeros_like(position_ned.x), jnp.ones_like(position_ned.x)
+        for axis, (begin, way) in enumerate(zip(position_ned.axes[:2], ways[:2], strict=True)):
+            ends = [self.corner[axis], self.corner[axis] + self.spacing[axis] * (shape[axis] - 1)]
+            along = jnp.abs(way) > 1e-6
+            first, last = ((end - begin) / jnp.where(along, way, 1.0) for end in ends)
+            enters = jnp.maximum(enters, jnp.where(along, jnp.minimum(first, last), 0.0))
+            leaves = jnp.minimum(leaves, jnp.where(along, jnp.maximum(first, last), 1.0))
+        count = min(max(sum(shape), _FEWEST_LOOKS), _MOST_LOOKS)
+        over = (jnp.arange(count, dtype=dtype)[:, None] + 0.5) * (1.0 / count)
+        whole = jnp.arange(1, _LOOKS, dtype=dtype)[:, None] * (1.0 / _LOOKS)
+        seen = jnp.ones(position_ned.x.shape, bool)
+        for part in (whole + 0.0 * enters[None, :], enters[None, :] + (leaves - enters)[None, :] * over):
+            inside = jnp.clip(part, 0.0, 1.0)
+            places = Vec3(*(a[None, :] + way[None, :] * inside for a, way in zip(position_ned.axes, ways, strict=True)))
+            seen = seen & jnp.all(places.z - _SLACK <= self.down(places), axis=0)
+        return seen
 
     def normal(self, position_ned: Vec3) -> Vec3:
         """Return the unit normal, upwards, of the bilinear patch below positions of any shape."""
