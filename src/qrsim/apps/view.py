@@ -114,6 +114,7 @@ class View:
         from qrsim.view.scene import Scene
         from qrsim.view.server import start_server
         from qrsim.view.shots import HEIGHT, WIDTH, Camera, parsed_layers, parsed_size
+        from qrsim.view.sky import told
 
         size = (WIDTH, HEIGHT) if self.size is None else parsed_size(self.size)
         camera = None if self.camera is None else Camera.parsed(self.camera, recording.cast.names)
@@ -129,6 +130,9 @@ class View:
             scene.draw(frame, everything=True)
             if camera is not None:
                 camera.aim(scene, recording.world)
+                if camera.vehicle is not None:
+                    number = recording.cast.names.index(camera.vehicle)
+                    scene.overlay.sky(told(camera.vehicle, recording.sky(number, time)), None)
             picture = photograph(server, f"{recording.heading}, {frame.time:.2f} s", size)
         finally:
             server.stop()

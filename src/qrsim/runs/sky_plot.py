@@ -15,6 +15,8 @@ from qrsim.runs.reader import Run
 
 SKY = "sky"
 COLOURS = {"G": "tab:blue", "E": "tab:orange", "R": "tab:red", "C": "tab:green"}
+# How satellites are drawn that are hidden, and lost to jammers, by their state.
+LOST = {3.0: ("_", "0.45", "hidden"), 4.0: ("x", "0.1", "lost to jammers")}
 # C/N0 [dB-Hz] of the thinnest and of the thickest line.
 _WEAK, _STRONG = 25.0, 50.0
 _FIELDS = ("satellite", "satellite_state", "cn0", "azimuth", "elevation")
@@ -53,6 +55,12 @@ def draw_sky(run: Run, vehicles: Sequence[str] = (), start: float | None = None,
     for system in sorted(systems):
         axes.plot([], [], color=COLOURS.get(system, "black"), label=system)
     axes.plot([], [], ".", color="0.75", label="not tracked")
+    states = seen["satellite_state"][chosen]
+    if (states == 2.0).any():
+        axes.plot([], [], "o", color="0.3", mfc="white", ms=4, label="by a reflection alone")
+    for value, (marker, shade, words) in LOST.items():
+        if (states == value).any():
+            axes.plot([], [], marker, color=shade, ms=4, label=words)
     axes.legend(loc="lower left", bbox_to_anchor=(-0.08, -0.08), fontsize=8)
     shown = f"{time[chosen][0]:g} to {time[chosen][-1]:g} s; the thicker, the stronger"
     figure.suptitle(f"{title_of(run, [name], 0, float(time[-1]))}\n{shown}")
@@ -81,10 +89,16 @@ def _draw(axes: Any, name: str, seen: dict[str, Floats], where: Any) -> str:
     """Draw one satellite, and return the letter of its system."""
     system = name[0]
     turn, low = seen["azimuth"][where], 90.0 - np.degrees(seen["elevation"][where])
-    tracked = seen["satellite_state"][where] > 0.0
+    state = seen["satellite_state"][where]
+    tracked = (state == 1.0) | (state == 2.0)
     colour = COLOURS.get(system, "black")
     size = 2.0 + 28.0 * np.clip((seen["cn0"][where] - _WEAK) / (_STRONG - _WEAK), 0.0, 1.0) ** 2
-    axes.scatter(turn[~tracked], low[~tracked], s=4.0, color="0.75", lw=0)
+    axes.scatter(turn[state == 0.0], low[state == 0.0], s=4.0, color="0.75", lw=0)
+    for value, (marker, shade, _) in LOST.items():
+        if (lost := state == value).any():
+            axes.scatter(turn[lost], low[lost], s=9.0, marker=marker, color=shade, lw=0.8)
     axes.scatter(turn[tracked], low[tracked], s=size[tracked], color=colour, lw=0)
+    if (reflected := state == 2.0).any():
+        axes.scatter(turn[reflected], low[reflected], s=4.0, color="white", lw=0)
     axes.annotate(name, (turn[-1], low[-1]), fontsize=7, xytext=(4, 4), textcoords="offset points")
     return system

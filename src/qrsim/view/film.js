@@ -198,7 +198,7 @@
   const visible = (layer, on) => send([{type: "SetSceneNodeVisibilityMessage", name: layer.path, visible: on, owner: ""}]);
 
   // ---- plots of the chosen vehicle ----
-  let readings = null;
+  let readings = null, sky = null;
   const reading = [0, 1].map((number) => {
     const wanted = about.quantities.findIndex((name) => name.endsWith(["position_ned.x", "height"][number]));
     return wanted < 0 ? Math.min(number, about.quantities.length - 1) : wanted;
@@ -207,6 +207,7 @@
   const choose = async (vehicle) => {
     state.chosen = vehicle;
     readings = vehicle < 0 ? null : await unpacked("readings-" + vehicle);
+    sky = vehicle < 0 || !about.sky.times.length ? null : await unpacked("sky-" + vehicle);
     plots.style.display = readings ? "" : "none";
     mark();
     draw();
@@ -220,7 +221,21 @@
     make("div", plots, "measured in the colour of the vehicle, grey: true; the last minute", "color:#666;font-size:11px");
     plots.style.display = "none";
   }
+  // The sky over it (sky.js), where its receiver says anything of its satellites.
+  let shownSky = "";
+  const drawSky = () => {
+    const times = about.sky.times, row = sky ? lastUpTo(times, state.time) : -1, key = state.chosen + " " + row;
+    if (key === shownSky) return;
+    shownSky = key;
+    const satellites = [];
+    for (let at = row; sky && at < sky.satellite.length; at += times.length) {
+      if (sky.satellite[at] < 0 || sky.elevation[at] < 0) continue;
+      satellites.push([about.sky.names[sky.satellite[at]], sky.azimuth[at], sky.elevation[at], sky.cn0[at], sky.satellite_state[at]]);
+    }
+    window.qrsim?.sky(satellites.length ? {vehicle: about.vehicles[state.chosen], satellites} : null);
+  };
   const draw = () => {
+    drawSky();
     if (!readings) return;
     const count = readings.measured.length / about.quantities.length;
     canvases.forEach((canvas, number) => {

@@ -14,9 +14,10 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from qrsim.errors import RunError, UsageError
+from qrsim.models.gnss.constellations import satellite_name
 from qrsim.runs.export.output import replacing
 from qrsim.runs.layout import EVENTS
-from qrsim.view.readings import Readings, times_of_readings
+from qrsim.view.readings import Readings, Skies, times_of_readings
 from qrsim.view.recording import Recording
 from qrsim.view.replay import remember_paths
 from qrsim.view.scene import Scene
@@ -132,7 +133,8 @@ def write_film(
         _write_element(file, "nodes", tape.nodes())
         for number, text in enumerate(_readings(recording)):
             _write_element(file, f"readings-{number}", text)
-        _write_element(file, "about", json.dumps(found.about()).replace("<", "\\u003c"))
+        about = json.dumps({**found.about(), "sky": _write_skies(file, recording)})
+        _write_element(file, "about", about.replace("<", "\\u003c"))
         file.write(_script(recording).encode("utf-8"))
         file.write(page[end:].encode("utf-8"))
     finally:
@@ -153,6 +155,18 @@ def _readings(recording: Recording) -> Iterator[str]:
     for measured, true in Readings(recording.run, recording.end).of_vehicles():
         packing = Packing()
         yield packing.text({"measured": packing.array(measured), "true": packing.array(true)})
+
+
+def _write_skies(file: BinaryIO, recording: Recording) -> dict[str, Any]:
+    """Write what receivers said of their satellites, and return when, and the names of all satellites by number."""
+    skies = Skies(recording.run, recording.end)
+    numbers: set[int] = set()
+    for number, said in enumerate(skies.of_vehicles()):
+        numbers |= {int(which) for which in np.unique(said["satellite"]) if which >= 0}
+        packing = Packing()
+        _write_element(file, f"sky-{number}", packing.text({name: packing.array(of) for name, of in said.items()}))
+    names = {number: satellite_name(number) for number in sorted(numbers)}
+    return {"names": names, "times": [round(time, 6) for time in skies.time.tolist()]}
 
 
 def _script(recording: Recording) -> str:

@@ -16,11 +16,12 @@ from qrsim.core.tree import walk
 from qrsim.simulation.simulation import History, Simulation
 from qrsim.view.clock import FRAME_S, SPEEDS, Clock
 from qrsim.view.frame import Frame, cast_of, frame_of
-from qrsim.view.page import WIND, Page
+from qrsim.view.page import PLOT_FRAMES, WIND, Page
 from qrsim.view.recording import Recording
 from qrsim.view.replay import Replay
 from qrsim.view.script import run_script
 from qrsim.view.server import LOOPBACK, address, start_server
+from qrsim.view.sky import Satellite, of_satellites, sky_of_state
 from qrsim.view.steering import Wind, change_wind, wind_of
 from qrsim.view.truth import true_values
 from qrsim.world.state import State, World
@@ -74,6 +75,7 @@ class LiveView:
         self._wished: Wind | None = None
         # Of each vehicle that a browser has chosen.
         self._values: dict[int, deque[tuple[float, dict[str, float], dict[str, float]]]] = {}
+        self._skies: dict[int, list[Satellite]] = {}
         self._waiting: Any = None
         self._ended = threading.Event()
 
@@ -103,11 +105,11 @@ class LiveView:
         world = simulation.world
         page = Page(self._server, cast_of(world, simulation.truth.position_ned), world, heading, self.clock)
         page.dropped = lambda: self._overtaken
-        page.plotted = self._plotted
+        page.plotted, page.sky = self._plotted, lambda vehicle: self._skies.get(vehicle, [])
         page.add_plots(list(_measured(simulation.state, world, 0)))
         self._add_wind(page, world)
         self._page, self._world, self._step_s = page, world, world.time_step
-        self._values = {}
+        self._values, self._skies = {}, {}
         self._thread = threading.Thread(target=self._draw_all, name="view", daemon=True)
         self._closed = False
         self.offer(simulation.history)
@@ -241,6 +243,8 @@ class LiveView:
                 own.popleft()
             own.append((frame.time, _measured(state, self._world, vehicle), _true(state, self._world, vehicle)))
         self._values = values
+        if chosen and self._page is not None and self._page.drawn % PLOT_FRAMES == 0:
+            self._skies = {vehicle: sky_of_state(state, *_place(self._world, vehicle)) for vehicle in chosen}
 
     def _plotted(self, vehicle: int, quantity: str) -> tuple[Floats, Floats, Floats]:
         rows = [row for row in list(self._values.get(vehicle, ())) if quantity in row[1]]
@@ -288,6 +292,7 @@ def _measured(state: State, world: World, vehicle: int) -> dict[str, float]:
         quantity: float(np.asarray(leaf)[i])
         for name, reading in zip(names, readings, strict=True)
         for quantity, leaf, _ in walk(reading, f"{name}.")
+        if not of_satellites(quantity)
     }
 
 

@@ -357,6 +357,7 @@
     choose: (vehicle) => { state.chosen = vehicle; seen = ""; },
     follow: (vehicle) => { wish = vehicle; },
     reasons: (found) => { reasons = found; seen = ""; },
+    sky: skyIn(root),
     // The box of all vehicles, what panels leave free, and how much of that it fills; pixels of the page.
     box: () => {
       const box = canvasBox(), room = free(box), Vector = m.camera.position.constructor, control = m.cameraControl;

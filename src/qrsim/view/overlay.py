@@ -99,7 +99,8 @@ class Overlay:
         self._send()
 
     def _send(self) -> None:
-        run_script(self._server, "overlay", f"const data = {json.dumps(self._data)};\n{_text('overlay.js')}")
+        scripts = "\n".join(map(_text, ("sky.js", "overlay.js")))
+        run_script(self._server, "overlay", f"const data = {json.dumps(self._data)};\n{scripts}")
 
     def hold(self) -> None:
         """Let pages begin where they are told to, in place of where all vehicles are seen."""
@@ -125,6 +126,10 @@ class Overlay:
     def follow(self, vehicle: int | None, browser: Any = None) -> None:
         """Follow a vehicle, or none, in one browser or in all."""
         self._tell("follow", vehicle, browser)
+
+    def sky(self, told: dict[str, Any] | None, browser: Any) -> None:
+        """Show what a vehicle's receiver says of its satellites in one browser, or nothing."""
+        self._tell("sky", told, browser)
 
     def _tell(self, what: str, content: Any, browser: Any) -> None:
         # Also where the overlay's own script comes later.

@@ -18,6 +18,7 @@ from qrsim.view.frame import Cast, Frame
 from qrsim.view.gate import NOTABLE_S
 from qrsim.view.scene import Scene
 from qrsim.view.server import Delivery
+from qrsim.view.sky import Satellite
 from qrsim.view.viewers import Choice, Plotted, Viewer
 from qrsim.world.state import World
 
@@ -46,6 +47,7 @@ class Page:
         drawn: number of frames.
         dropped: returns how many frames were not drawn, because newer ones were there already.
         note: what the panel says about the run as a whole, one line; "": nothing.
+        sky: returns the satellites of a vehicle as its receiver last said.
         plotted: returns for a vehicle and a measured quantity its (times, measured, true), each (K,).
     """
 
@@ -57,6 +59,7 @@ class Page:
         self.scene = Scene(server, cast, world, title)
         self.dropped: Callable[[], int] = lambda: 0
         self.plotted: Plotted | None = None
+        self.sky: Callable[[int], list[Satellite]] = lambda vehicle: []
         self.viewers: dict[int, Viewer] = {}
         self.drawn = 0
         self.note = ""
@@ -92,7 +95,7 @@ class Page:
                 return
             choice = self._choices.pop(client.client_id, self._choice)
             self.viewers[client.client_id] = Viewer(
-                client, self.scene, choice, self._quantities, self._plotted_now, self._chosen_now
+                client, self.scene, choice, self._quantities, self._plotted_now, self._chosen_now, self._sky_now
             )
         self._chosen_now()
 
@@ -105,6 +108,9 @@ class Page:
     def _plotted_now(self, vehicle: int, quantity: str) -> tuple[Floats, Floats, Floats]:
         nothing = (np.zeros(0),) * 3
         return nothing if self.plotted is None else self.plotted(vehicle, quantity)
+
+    def _sky_now(self, vehicle: int) -> list[Satellite]:
+        return self.sky(vehicle)
 
     def _chosen_now(self) -> None:
         self.scene.choose(*self.chosen)
@@ -252,6 +258,7 @@ class Page:
             here = self.server.get_clients()
             for viewer in [viewer for number, viewer in list(self.viewers.items()) if number in here]:
                 viewer.plot()
+                viewer.look_up()
         self.drawn += 1
         self._delivery.sent()
 

@@ -7,13 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.models.gnss.fixes import OF_SATELLITES
 from qrsim.runs import Run
 from qrsim.runs.layout import INDEX
+from qrsim.view.sky import columns_of, of_satellites
 from qrsim.view.truth import true_values
 
 Floats = np.ndarray[Any, Any]
 # Of all quantities of all vehicles together: at most so many values, and so many a second of each.
 MOST_VALUES, FASTEST_HZ = 8_000_000, 10.0
+# The same of satellites: of all vehicles together, and a second.
+MOST_OF_SKIES, SKY_HZ = 6_000_000, 1.0
 # How far ahead a log is read [s], because time goes on; streams of single vehicles that are kept: of as many browsers
 # as half of it with choices of their own.
 AHEAD_S, MOST_KEPT = 120.0, 8
@@ -39,6 +43,36 @@ class Readings:
             truth = {name: values[:, i] for name, values in self._truth.items()}
             measured = np.stack([values[:, i] for values in self._measured.values()])
             yield measured, np.stack([true_values(name, truth) for name in self.quantities])
+
+
+class Skies:
+    """What receivers said of their satellites, for pages without a server.
+
+    Attributes:
+        time: (K,) [s]; none where no receiver says anything of them.
+    """
+
+    def __init__(self, run: Run, end: float):
+        slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
+        self.time, self._names = np.zeros(0), slots
+        if not slots:
+            return
+        values = len(slots) * len(OF_SATELLITES) * len(run.vehicles)
+        self.time = np.linspace(0.0, end, max(2, min(MOST_OF_SKIES // values, int(end * SKY_HZ) + 1)))
+        columns = [name for slot in slots for name in slot.values()]
+        self._sampled = _sampled(run, "measurements", columns, self.time)
+
+    def of_vehicles(self) -> Iterator[dict[str, Floats]]:
+        """Yield what each vehicle's receiver said: arrays (slots, K) by field, angles in degrees, NaN as -1."""
+        count = next(iter(self._sampled.values())).shape[1] if len(self.time) else 0
+        for i in range(count):
+            found = {
+                field: np.stack([self._sampled[slot[field]][:, i] for slot in self._names]) for field in OF_SATELLITES
+            }
+            for field in ("azimuth", "elevation"):
+                found[field] = np.degrees(found[field])
+            # Whole numbers take little room.
+            yield {field: np.nan_to_num(np.round(values), nan=-1.0) for field, values in found.items()}
 
 
 class Excerpts:
@@ -76,7 +110,10 @@ class Excerpts:
 
 def quantities_of(run: Run) -> list[str]:
     """Return the names of the measured quantities of a run that can be plotted."""
-    return _numbers(run, "measurements") if "measurements" in run else []
+    if "measurements" not in run:
+        return []
+    # Of single satellites there is a picture of its own.
+    return [name for name in _numbers(run, "measurements") if not of_satellites(name)]
 
 
 def times_of_readings(run: Run, end: float) -> Floats:

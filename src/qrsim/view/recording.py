@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import QrsimError, RunError, warn_user
+from qrsim.models.gnss.fixes import OF_SATELLITES
 from qrsim.runs import Run
 from qrsim.runs.layout import EVENTS, Event
 from qrsim.runs.summary import NOT_A_STOP
@@ -15,6 +16,7 @@ from qrsim.view.frame import Cast, Frame, cast_of
 from qrsim.view.readings import Excerpts, quantities_of
 from qrsim.view.reasons import in_words
 from qrsim.view.rebuilt import rebuilt
+from qrsim.view.sky import Satellite, columns_of, satellites
 from qrsim.view.truth import ANGLES, AXES, true_values
 from qrsim.world.state import World
 
@@ -57,6 +59,7 @@ class Recording:
         self.world, self.cast = self._surroundings()
         self._rebuilt = rebuilt(run, self.world)
         self._excerpts = Excerpts(run)
+        self._slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
 
     @property
     def end(self) -> float:
@@ -139,6 +142,17 @@ class Recording:
         chosen = (times >= time - PLOT_S) & (times <= time + 1e-6)
         rows = np.maximum(0, np.searchsorted(true_times, times[chosen] + 1e-6, side="right") - 1)
         return times[chosen], measured[quantity][chosen], true_values(quantity, truth)[rows]
+
+    def sky(self, vehicle: int, time: float) -> list[Satellite]:
+        """Return the satellites of a vehicle as its receiver said at a time [s]; none where it said nothing of them."""
+        if not self._slots:
+            return []
+        times, measured = self._excerpts.of(vehicle, "measurements", time - PLOT_S, time)
+        row = int(np.searchsorted(times, time + 1e-6, side="right")) - 1
+        if row < 0:
+            return []
+        said = {name: np.array([measured[slot[name]][row] for slot in self._slots]) for name in OF_SATELLITES}
+        return satellites(said) if np.isfinite(said["elevation"]).all() else []
 
 
 def _first(run: Run, ending: str) -> str | None:

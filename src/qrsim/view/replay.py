@@ -45,6 +45,7 @@ class Replay:
         if recording.quantities:
             page.plotted = lambda vehicle, quantity: recording.plotted(vehicle, quantity, self.time)
             page.add_plots(recording.quantities)
+        page.sky = lambda vehicle: recording.sky(vehicle, self.time)
         self.seek(time)
 
     def _scrub(self, event: Any) -> None:

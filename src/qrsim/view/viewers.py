@@ -11,6 +11,7 @@ import numpy as np
 from viser import ClientHandle
 
 from qrsim.view.scene import Scene
+from qrsim.view.sky import Satellite, told
 
 Floats = np.ndarray[Any, Any]
 Plotted = Callable[[int, str], tuple[Floats, Floats, Floats]]
@@ -43,6 +44,7 @@ class Viewer:
         quantities: that can be plotted.
         plotted: returns for a vehicle and a quantity its (times, measured, true), each (K,); None: nothing is.
         chosen: called after the choice has changed.
+        sky: returns the satellites of a vehicle, none where nothing is known of them.
     """
 
     def __init__(
@@ -53,9 +55,12 @@ class Viewer:
         quantities: list[str],
         plotted: Plotted | None,
         chosen: Callable[[], None],
+        sky: Callable[[int], list[Satellite]] = lambda vehicle: [],
     ):
         self.choice = Choice(choice.vehicle, choice.follow)
         self._client, self._scene, self._plotted, self._changed = client, scene, plotted, chosen
+        self._sky = sky
+        self._told: dict[str, Any] | None = None
         gui, names = client.gui, scene.cast.names
         gui.reset()
         self.folder = gui.add_folder("Vehicle", order=ORDER)
@@ -123,6 +128,16 @@ class Viewer:
             choice.visible = plot.visible = vehicle is not None
             plot.series = self._series()
         self.plot()
+        self.look_up()
+
+    def look_up(self) -> None:
+        """Tell the browser of the sky over the chosen vehicle, if that is news."""
+        vehicle = self.choice.vehicle
+        found = [] if vehicle is None else self._sky(vehicle)
+        now = told(self._name, found)
+        if now != self._told:
+            self._told = now
+            self._scene.overlay.sky(now, self._client)
 
     def plot(self) -> None:
         """Draw the plots anew."""

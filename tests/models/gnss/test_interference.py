@@ -269,3 +269,41 @@ class TestFlown:
         assert counts[8] > 24.0
         assert 10.0 < counts[12] < 18.0
         assert counts[30] > 24.0
+
+
+@pytest.mark.long
+def test_states_of_satellites_are_what_is_counted() -> None:
+    """Beside a wall, with a jammer from 3 s and a spoofer from 8 s on; one vehicle stands behind the wall."""
+    wall = {"type": "box", "x_min": -40.0, "x_max": 40.0, "y_min": 5.0, "y_max": 8.0, "z_min": -40.0, "z_max": 0.0}
+    street = {**wall, "y_min": -18.0, "y_max": -15.0}
+    interference = [
+        {"kind": "jammer", "position_ned": [0.0, 300.0, -2.0], "power_w": 1.0, "start": 3.0, "end": 7.0},
+        {"kind": "spoofer", "start": 8.0, "rate_ned": [1.0, 0.0, 0.0]},
+    ]
+    sensor = {"type": "gnss", "per_satellite": True, "obstacle_period": 0.2, "delay": 0}
+    vehicles = [{"position_ned": [0.0, y, -3.0]} for y in (0.0, 60.0)]
+    simulation = qrsim.load({
+        "name": "x", "duration": 12.0, "world": {"obstacles": [wall, street], "interference": interference},
+        "fleets": {"a": {"sensors": {"gnss": sensor}, "controller": {"type": "cascade", "feed": "truth"},
+                         "vehicles": vehicles}},
+    }, seed=2)  # fmt: skip
+    simulation.reset()
+    totals = np.zeros(5)
+    for tick in range(1, 551):
+        reading = simulation.step().gnss
+        state, cn0 = np.asarray(reading.satellite_state), np.asarray(reading.cn0)
+        counted = [reading.satellites_blocked, reading.satellites_reflected, reading.satellites_jammed]
+        blocked, reflected, jammed = (np.sum(state == value, axis=1) for value in (3.0, 2.0, 4.0))
+        assert ((cn0 > 0.0) == np.isin(state, (1.0, 2.0))).all()
+        totals += [np.sum(state == value) for value in range(5)]
+        if tick < 140:
+            np.testing.assert_array_equal(reflected, counted[1])
+            np.testing.assert_array_equal(blocked, counted[0])
+        if tick == 200:
+            # What is jammed and hidden is hidden here, and counted as jammed.
+            assert (jammed <= counted[2]).all()
+            assert (jammed > 0).all()
+        if tick > 425:
+            strong = np.where(cn0 > 0.0, cn0, np.nan)
+            assert np.nanmax(strong) - np.nanmin(strong) < 1.0 + 1e-3
+    assert (totals > 0).all()

@@ -95,7 +95,7 @@ def _looked(
     extra = detour * jnp.sqrt(jnp.maximum(1.0 - up * up, 0.0))
     mirrored = there & (detour > 0.0)
     # Weaker by more or less for each reflection, as long as its slow multipath lasts.
-    weaker = _WEAKER - _SPREAD * slow
+    weaker = weaker_by(slow)
     heard = receiver.nlos == "track"
     alone = mirrored & hides & heard & (carrier_to_noise(receiver, up) - weaker > _WEAKEST)
     echo = _ENVELOPE * jnp.minimum(extra, _LONGEST) * sincos_turns((_TURNS / (2.0 * math.pi)) * slow)[1]
@@ -120,6 +120,11 @@ def _looked(
         mirrored=jnp.sum(alone.astype(count), axis=0),
     )
     return solution, Tracking(held, away, slots.knot, slots.part, solution)
+
+
+def weaker_by(slow: Array) -> Array:
+    """Return by how much reflections are weaker [dB], for slow multipath of unit variance."""
+    return _WEAKER - _SPREAD * slow
 
 
 def _tracked(receiver: Any, before: Any, same: Any, there: Array, blocked: Array, passed: Array) -> tuple[Array, Array]:

@@ -226,7 +226,7 @@ class Gnss(Sensor):
         place = _placed_at(position_ned, position_low_ned, shown)
         fresh = self._reading(now, quality, place, velocity, held, coasting, effect)
         if self.per_satellite:
-            fresh = with_satellites(self, fresh, now, slots, effect)
+            fresh = with_satellites(self, fresh, now, slots, effect, position_ned, ground, skyline, slow)
         history = (*state.history, fresh)
         state = GnssState(
             geometry=None if state.geometry is None else whole, age=age,
@@ -286,7 +286,7 @@ class Gnss(Sensor):
         without = GnssFix(none, none, *(nothing,) * 8)
         reading = self._reading(now, quality, place, velocity, without, nothing > 0.0, effect)
         if self.per_satellite:
-            reading = with_satellites(self, reading, now, slots, effect)
+            reading = with_satellites(self, reading, now, slots, effect, position_ned, ground, skyline, slow)
         enough = jnp.broadcast_to(now.enough, nothing.shape)
         error = error.map(lambda axis: jnp.where(enough, axis, 0.0))
         state = GnssState(
