@@ -13,7 +13,8 @@ from evidence.estimator import DT, Fix, Heading, Height, Inertial, errors, filte
 from scipy import stats
 
 from qrsim.control.covariance import corrected, forgotten, propagated
-from qrsim.control.ekf import SIZE, TURN, ErrorStateKalmanFilter, _of_angles, _transition
+from qrsim.control.ekf import ErrorStateKalmanFilter
+from qrsim.control.kalman_state import SIZE, TURN, of_angles, transition
 from qrsim.control.setpoints import Estimate
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import replace
@@ -44,7 +45,7 @@ def test_a_transition_is_that_of_matrices(covariance: np.ndarray):
     whole[3:6, 12:15] = whole[6:9, 9:12] = -0.02 * to_ned
     noise = np.arange(15.0) * 1e-3
     found = propagated(
-        jnp.asarray(covariance[:, :, None], jnp.float32), _transition(vec(1.0, -2.0, -9.0), turned, 0.02),
+        jnp.asarray(covariance[:, :, None], jnp.float32), transition(vec(1.0, -2.0, -9.0), turned, 0.02),
         [jnp.array([value]) for value in noise],
     )  # fmt: skip
     np.testing.assert_allclose(found[..., 0], whole @ covariance @ whole.T + np.diag(noise), rtol=2e-5, atol=2e-4)
@@ -81,7 +82,7 @@ def test_what_is_forgotten_is_independent(covariance: np.ndarray):
 def test_angles_turn_as_differences_say():
     """Roll, pitch and yaw of an attitude that is turned a little about each axis of NED."""
     angles = Euler(jnp.array([0.4]), jnp.array([-0.3]), jnp.array([2.0]))
-    rows = _of_angles(rotation(angles))
+    rows = of_angles(rotation(angles))
     small = 1e-3
     for axis in range(3):
         half = [0.5 * small if axis == k else 0.0 for k in range(3)]

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 from jax import Array
 
+from qrsim.control.consistency import Consistency, Truth
 from qrsim.control.setpoints import Estimate
 from qrsim.core.vectors import Vec3
 
@@ -99,8 +100,11 @@ class Estimator(Protocol):
 
     reads: ClassVar[tuple[str, ...]] = ()
 
-    def fitted(self, ages: Mapping[str, int]) -> Estimator:
-        """Return the estimator for a fleet's sensors, of how many ticks ago each reading is, by name."""
+    def fitted(self, ages: Mapping[str, int], earth_field_ned: Vec3 | None = None) -> Estimator:
+        """Return the estimator for a fleet's sensors, of how many ticks ago each reading is, by name.
+
+        ``earth_field_ned`` [uT] is the magnetic field of the site; None where no sensor knows it.
+        """
         return self
 
     @abstractmethod
@@ -126,6 +130,14 @@ class Estimator(Protocol):
 
     def std(self, state: Any) -> Estimate | None:
         """Return the standard deviations (n,) of its estimate, None if it states none."""
+        return None
+
+    def inner(self, state: Any) -> tuple[object, object] | None:
+        """Return what it estimates beside that, a record of (n,), and the std of it; None if there is no more."""
+        return None
+
+    def consistency(self, state: Any, truth: Truth) -> Consistency | None:
+        """Return how large its errors are beside what it states (n,), None if it states nothing."""
         return None
 
     def innovations(self, state: Any) -> object | None:

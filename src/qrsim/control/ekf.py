@@ -1,80 +1,48 @@
-"""An error-state extended Kalman filter on inertial, GNSS, height and heading readings (docs/estimators.md, F1 and F2).
+"""An error-state extended Kalman filter on inertial, GNSS, height, heading, magnetic and air speed readings.
 
-Errors of the attitude are small rotations in NED (Sola, "Quaternion kinematics for the error-state Kalman filter",
-2017, section 7); gates, late measurements and resets follow what autopilots do.
+Equations F1 to F5 of docs/estimators.md. Gates, late measurements and resets follow what autopilots do.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.control.consistency import Consistency, Truth, of_blocks, turned
 from qrsim.control.contracts import Estimator
-from qrsim.control.covariance import corrected, diagonal, expected, forgotten, propagated, variance_of
-from qrsim.control.reading_fields import field_of, known, source_of
+from qrsim.control.covariance import corrected, diagonal, expected, propagated, variance_of
+from qrsim.control.kalman_readings import Measured, airspeeds, compass, fields, headings, heights, places, velocities
+from qrsim.control.kalman_state import (
+    SPEED,
+    TURN,
+    Inner,
+    Innovations,
+    KalmanState,
+    Past,
+    injected,
+    inner_std,
+    lost,
+    of_angles,
+    small,
+    transition,
+)
+from qrsim.control.reading_fields import AIRSPEED, FIELD, field_of, known, source_of
 from qrsim.control.setpoints import Estimate
-from qrsim.core.fastmath import wrap_angle
+from qrsim.core.fastmath import arctan2
 from qrsim.core.pairs import added
 from qrsim.core.quaternions import Quaternion
-from qrsim.core.tree import derived, parameter, quantity, record, replace
-from qrsim.core.vectors import Euler, Rotation, Vec3
-
-# Errors by their numbers: position, velocity, attitude (NED), then biases (body axes).
-PLACE, SPEED, TURN, GYROSCOPE, ACCELEROMETER, SIZE = 0, 3, 6, 9, 12, 15
-
-
-@record
-class Innovations:
-    """What each kind of reading said beside what was expected, (n,), in units of the std expected of it."""
-
-    position_ned: Array = quantity(unit="1", doc="of the last fix: largest axis, over its std")
-    velocity_ned: Array = quantity(unit="1", doc="of the last velocity: largest axis, over its std")
-    height: Array = quantity(unit="1", doc="of the last height, over its std")
-    yaw: Array = quantity(unit="1", doc="of the last heading, over its std")
-
-
-@record
-class Past:
-    """Where the vehicles (n,) were, as far as is known now."""
-
-    position_ned: Vec3 = quantity(unit="m", doc="position")
-    position_low_ned: Vec3 = quantity(unit="m", doc="what single precision leaves out of it")
-    velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
-
-
-@record
-class KalmanState:
-    """Memory of the filter, (n,) but for the covariance."""
-
-    position_ned: Vec3 = quantity(unit="m", doc="estimated position")
-    position_low_ned: Vec3 = quantity(unit="m", doc="what single precision leaves out of it")
-    velocity_ned: Vec3 = quantity(unit="m/s", doc="estimated velocity over ground")
-    attitude: Quaternion = quantity(doc="estimated attitude")
-    gyroscope_bias: Vec3 = quantity(unit="rad/s", doc="estimated error of the body rates")
-    accelerometer_bias: Vec3 = quantity(unit="m/s^2", doc="estimated error of the specific force, body axes")
-    rates_body: Vec3 = quantity(unit="rad/s", doc="body rates as last measured")
-    force_ned: Vec3 = quantity(unit="m/s^2", doc="specific force of the last tick")
-    covariance: Array = quantity(doc="of position, velocity, rotation in NED and both biases, (15, 15, n)")
-    since_fix: Array = quantity(unit="s", doc="time since the last fix that was believed")
-    innovations: Innovations = quantity(doc="of the last readings")
-    past: tuple[Past, ...] = quantity(default=(), doc="the ticks that fixes are late by, oldest first")
-
-
-class _Measured(NamedTuple):
-    """A scalar measurement: what it was expected to be wrong by, and how it depends on the errors."""
-
-    innovation: Array
-    variance: Array
-    sensitivity: dict[int, Array]
+from qrsim.core.tree import derived, parameter, record, replace, setting
+from qrsim.core.vectors import Euler, Vec3
 
 
 @record
 class ErrorStateKalmanFilter(Estimator):
     """Position, velocity, attitude and the biases of gyroscope and accelerometer, with their covariance.
 
+    With a magnetometer the Earth's field and its bias are estimated too, with an airspeed sensor the horizontal wind.
     Readings that are too far from what is expected are not believed (gates); fixes that are not for ``reset_after``
     are, and the filter begins there again. Noise that is correlated in time, as that of GNSS is, is taken for white.
     """
@@ -105,15 +73,38 @@ class ErrorStateKalmanFilter(Estimator):
         default=7.0, unit="s", doc="time without a believed fix after which the next is", above=0.0
     )
     gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    magnetometer: Literal["field", "heading"] = setting(
+        default="field", doc="what a magnetic field is taken for: three axes, with states of their own, or a heading"
+    )
+    earth_field_std: Array = parameter(
+        default=0.5, unit="uT", doc="of the Earth's field at the start, per axis", minimum=0.0
+    )
+    field_bias_std: Array = parameter(default=2.0, unit="uT", doc="of its bias at the start, per axis", minimum=0.0)
+    field_std: Array = parameter(default=0.5, unit="uT", doc="of a magnetic field, per axis", above=0.0)
+    field_walk: Array = parameter(
+        default=0.005, unit="uT/sqrt(s)", doc="random walk of the Earth's field as flown through, and of the bias",
+        minimum=0.0,
+    )  # fmt: skip
+    airspeed_std: Array = parameter(default=1.0, unit="m/s", doc="of an airspeed", above=0.0)
+    airspeed_least: Array = parameter(default=5.0, unit="m/s", doc="airspeed below which none is believed", minimum=0.0)
+    wind_std: Array = parameter(default=6.0, unit="m/s", doc="of the wind at the start, per axis", minimum=0.0)
+    wind_walk: Array = parameter(default=0.5, unit="m/s/sqrt(s)", doc="random walk of the wind, gusts included",
+                                 minimum=0.0)  # fmt: skip
+    height_bias: bool = setting(
+        default=False, doc="whether the barometer's error is estimated, so that fixes hold the height for long"
+    )
+    height_bias_std: Array = parameter(default=0.5, unit="m", doc="of it at the start", minimum=0.0)
+    height_bias_walk: Array = parameter(default=0.02, unit="m/sqrt(s)", doc="its random walk", minimum=0.0)
+    earth_field_ned: Vec3 | None = derived(default=None, doc="the Earth's field at the site [uT]; None: not known")
     ages: tuple[tuple[str, int], ...] = derived(default=(), doc="sensors by name, and ticks their readings are late by",
                                                 static=True)  # fmt: skip
 
-    # A barometer is of use, and not needed.
-    reads: ClassVar[tuple[str, ...]] = ("gnss_receiver", "attitude_estimator", "accelerometer", "gyroscope")
+    # Barometer, heading, magnetometer and airspeed are of use, and not needed.
+    reads: ClassVar[tuple[str, ...]] = ("gnss_receiver", "accelerometer", "gyroscope")
 
-    def fitted(self, ages: Mapping[str, int]) -> ErrorStateKalmanFilter:
-        """Return the filter that knows how late the readings of each sensor are [ticks]."""
-        return replace(self, ages=tuple(sorted(ages.items())))
+    def fitted(self, ages: Mapping[str, int], earth_field_ned: Vec3 | None = None) -> ErrorStateKalmanFilter:
+        """Return the filter that knows how late the readings of each sensor are [ticks], and the Earth's field [uT]."""
+        return replace(self, ages=tuple(sorted(ages.items())), earth_field_ned=earth_field_ned)
 
     def _late(self, readings: Mapping[str, Any]) -> int:
         """Return how late a fix is [ticks]."""
@@ -125,29 +116,84 @@ class ErrorStateKalmanFilter(Estimator):
         height, attitude = field_of(readings, "height"), field_of(readings, "attitude")
         rates = field_of(readings, "rates_body")
         position = start.position_ned if fix is None else known(fix, start.position_ned)
-        if height is not None:
+        # With a bias the first height is that of the fix, so that the two are wrong independently.
+        by_height = height is not None and not self.height_bias
+        if height is not None and by_height:
             position = replace(position, z=known(-height, start.position_ned.z))
         speed = start.velocity_ned if velocity is None else known(velocity, start.velocity_ned)
         yaw = start.attitude.yaw if attitude is None else known(attitude.yaw, start.attitude.yaw)
         zero = jnp.zeros_like(position.x)
         none = Vec3(zero, zero, zero)
+        begun = Quaternion.of(replace(start.attitude, yaw=yaw))
+        inner = self._first_inner(readings, begun, none)
         covariance = diagonal(
             [
-                *self._variances(readings, "position_ned", zero, height is not None),
+                *self._variances(readings, "position_ned", zero, by_height),
                 *self._variances(readings, "velocity_ned", zero),
                 *(self._as(zero, self.tilt_std),) * 2,
                 self._as(zero, self.yaw_std),
-                *(self._as(zero, self.gyroscope_bias_std),) * 3,
-                *(self._as(zero, self.accelerometer_bias_std),) * 3,
+                *self._inner(inner, zero, self._first_stds),
             ]
         )
         state = KalmanState(
-            position, none, speed, Quaternion.of(replace(start.attitude, yaw=yaw)), none, none,
-            none if rates is None else known(rates, none), Vec3(zero, zero, zero - self.gravity),
-            covariance, zero, Innovations(zero, zero, zero, zero),
+            position, none, speed, begun, inner, none if rates is None else known(rates, none),
+            Vec3(zero, zero, zero - self.gravity), covariance, zero,
+            Innovations(
+                zero, zero, zero, zero, None if inner.earth_field_ned is None else zero,
+                None if inner.wind_north is None else zero,
+            ),
             (Past(position, none, speed),) * self._late(readings),
         )  # fmt: skip
         return state, _estimate(state)
+
+    def _first_inner(self, readings: Mapping[str, Any], turned: Quaternion, none: Vec3) -> Inner:
+        """Return what is estimated beside the motion at the start: its structure says what the filter has."""
+        field, zero = field_of(readings, FIELD), none.x
+        inner = Inner(none, none)
+        if field is not None and self.magnetometer == "field":
+            earth = self._earth_field(known(field, none), turned)
+            inner = replace(inner, earth_field_ned=earth, field_bias=none)
+        if field_of(readings, AIRSPEED) is not None:
+            inner = replace(inner, wind_north=zero, wind_east=zero)
+        if self.height_bias and field_of(readings, "height") is not None:
+            inner = replace(inner, height_bias=zero)
+        return inner
+
+    def _earth_field(self, field: Vec3, turned: Quaternion) -> Vec3:
+        """Return the Earth's field (n,) as it is given, else as it is read where nothing is wrong."""
+        if self.earth_field_ned is None:
+            return turned.rotation().to_ned(field)
+        return self.earth_field_ned.map(lambda axis: jnp.zeros_like(field.x) + axis)
+
+    @property
+    def _declination(self) -> Array:
+        """Where the Earth's field says north to be; north where nobody says what it is."""
+        if self.earth_field_ned is None:
+            return jnp.zeros_like(self.yaw_std)
+        return arctan2(self.earth_field_ned.y, self.earth_field_ned.x)
+
+    @property
+    def _first_stds(self) -> tuple[Array, ...]:
+        return (
+            self.gyroscope_bias_std, self.accelerometer_bias_std, self.earth_field_std, self.field_bias_std,
+            self.wind_std, self.height_bias_std,
+        )  # fmt: skip
+
+    @property
+    def _walks(self) -> tuple[Array, ...]:
+        return (
+            self.gyroscope_walk, self.accelerometer_walk, self.field_walk, self.field_walk, self.wind_walk,
+            self.height_bias_walk,
+        )  # fmt: skip
+
+    def _inner(self, inner: Inner, like: Array, stds: tuple[Array, ...]) -> list[Array]:
+        """Return the squares of stds for each error that the filter has beside those of the motion (n,)."""
+        parts = (
+            inner.gyroscope_bias, inner.accelerometer_bias, inner.earth_field_ned, inner.field_bias,
+            None if inner.wind_north is None else (0, 1), inner.height_bias,
+        )  # fmt: skip
+        counts = [0 if part is None else count for part, count in zip(parts, (3, 3, 3, 3, 2, 1), strict=True)]
+        return [self._as(like, std) for std, count in zip(stds, counts, strict=True) for _ in range(count)]
 
     def step(
         self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
@@ -161,9 +207,26 @@ class ErrorStateKalmanFilter(Estimator):
     def std(self, state: KalmanState) -> Estimate:
         """Return the standard deviations (n,) of its estimate."""
         own = [jnp.sqrt(state.covariance[i, i]) for i in range(TURN)]
-        rows = _of_angles(state.attitude.rotation())
+        rows = of_angles(state.rotation)
         angles = [jnp.sqrt(jnp.maximum(variance_of(state.covariance, row)[1], 0.0)) for row in rows]
         return Estimate(Vec3(*own[:SPEED]), Vec3(*own[SPEED:]), Euler(*angles))
+
+    def inner(self, state: KalmanState) -> tuple[Inner, Inner]:
+        """Return what it estimates beside the motion, and the std of it."""
+        return state.inner, inner_std(state)
+
+    def consistency(self, state: KalmanState, truth: Truth) -> Consistency:
+        """Return how large its errors are beside what it states (n,); of magnetic field and wind nothing is said."""
+        biases = (truth.gyroscope_bias, truth.accelerometer_bias)
+        known_biases = None not in biases
+        place = truth.position_ned - state.position_ned - state.position_low_ned
+        if truth.position_low_ned is not None:
+            place = place + truth.position_low_ned
+        parts = [place, truth.velocity_ned - state.velocity_ned, turned(truth.attitude, state.attitude)]
+        if known_biases:
+            own = (state.inner.gyroscope_bias, state.inner.accelerometer_bias)
+            parts += [bias - mean for bias, mean in zip(biases, own, strict=True) if bias is not None]
+        return of_blocks(state.covariance, [axis for part in parts for axis in part.axes], known_biases)
 
     def innovations(self, state: KalmanState) -> Innovations:
         """Return what the last readings said beside what was expected, in std."""
@@ -196,29 +259,29 @@ class ErrorStateKalmanFilter(Estimator):
         zero = jnp.zeros_like(state.since_fix)
         rates, force = field_of(readings, "rates_body"), field_of(readings, "specific_force")
         rates = state.rates_body if rates is None else known(rates, state.rates_body)
-        half = (0.5 * (rates + state.rates_body) - state.gyroscope_bias) * (0.5 * dt)
-        before = state.attitude.rotation()
-        attitude = (state.attitude * _small(half)).normalised()
+        half = (0.5 * (rates + state.rates_body) - state.inner.gyroscope_bias) * (0.5 * dt)
+        before = state.rotation
+        attitude = (state.attitude * small(half)).normalised()
         after = attitude.rotation()
         felt = Vec3(zero, zero, zero - self.gravity)
         if force is not None:
-            body = force - state.accelerometer_bias
+            body = force - state.inner.accelerometer_bias
             found = 0.5 * (before.to_ned(body) + after.to_ned(body))
             # Without a reading the velocity is held.
             seen = jnp.isfinite(found.x) & jnp.isfinite(found.y) & jnp.isfinite(found.z)
             felt = Vec3(*(jnp.where(seen, axis, still) for axis, still in zip(found.axes, felt.axes, strict=True)))
         change = replace(felt, z=felt.z + self.gravity) * dt
         position, low = added(state.position_ned, state.position_low_ned + (state.velocity_ned + 0.5 * change) * dt)
-        covariance = propagated(state.covariance, _transition(felt, after, dt), self._noise(zero, dt))
+        covariance = propagated(state.covariance, transition(felt, after, dt), self._noise(state.inner, zero, dt))
         return replace(
             state, position_ned=position, position_low_ned=low, velocity_ned=state.velocity_ned + change,
             attitude=attitude, rates_body=rates, force_ned=felt, since_fix=state.since_fix + dt, covariance=covariance,
         )  # fmt: skip
 
-    def _noise(self, like: Array, dt: float) -> list[Array]:
-        none = 0.0 * self.accelerometer_noise
-        stds = (none, self.accelerometer_noise, self.gyroscope_noise, self.gyroscope_walk, self.accelerometer_walk)
-        return [self._as(like, std) * dt for std in stds for _ in range(3)]
+    def _noise(self, inner: Inner, like: Array, dt: float) -> list[Array]:
+        stds = (0.0 * self.accelerometer_noise, self.accelerometer_noise, self.gyroscope_noise)
+        of_motion = [self._as(like, std) for std in stds for _ in range(3)]
+        return [variance * dt for variance in (*of_motion, *self._inner(inner, like, self._walks))]
 
     def _measured(
         self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
@@ -232,7 +295,7 @@ class ErrorStateKalmanFilter(Estimator):
             believed = new & (worst <= self.gate * self.gate)
             if what == "position_ned":
                 again = new & ~believed & (state.since_fix > self.reset_after)
-                covariance, believed = _lost(covariance, scalars, again), believed | again
+                covariance, believed = lost(covariance, [s.variance for s in scalars], again), believed | again
                 state = replace(state, since_fix=jnp.where(believed, 0.0, state.since_fix))
             for scalar in scalars:
                 covariance, errors = corrected(
@@ -240,9 +303,9 @@ class ErrorStateKalmanFilter(Estimator):
                 )
             shown = jnp.where(new, jnp.sqrt(worst), getattr(state.innovations, what))
             state = replace(state, innovations=replace(state.innovations, **{what: shown}))
-        return _injected(replace(state, covariance=covariance), errors, dt)
+        return injected(replace(state, covariance=covariance), errors, dt)
 
-    def _worst(self, covariance: Array, errors: Array, scalars: list[_Measured]) -> Array:
+    def _worst(self, covariance: Array, errors: Array, scalars: list[Measured]) -> Array:
         """Return the largest square of a kind's innovations (n,), each over its variance."""
         worst = jnp.zeros_like(scalars[0].innovation)
         for scalar in scalars:
@@ -253,138 +316,43 @@ class ErrorStateKalmanFilter(Estimator):
 
     def _groups(
         self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
-    ) -> Iterator[tuple[str, list[_Measured], Array]]:
+    ) -> Iterator[tuple[str, list[Measured], Array]]:
         """Yield what is measured: the kind, its scalars, and whether it is new (n,)."""
         one = jnp.ones_like(state.since_fix)
 
         def new(field: str) -> Array:
             return fresh[source_of(readings, field)] & (one > 0.0)
 
-        height, attitude = field_of(readings, "height"), field_of(readings, "attitude")
         yield from self._by_fix(state, readings, new, dt)
+        height, field, attitude = (field_of(readings, name) for name in ("height", FIELD, "attitude"))
         if height is not None:
-            miss = -height - state.position_ned.z - state.position_low_ned.z
-            yield "height", [_Measured(miss, self._as(one, self.height_std), {PLACE + 2: one})], new("height")
-        if attitude is not None:
-            miss = wrap_angle(attitude.yaw - state.attitude.euler().yaw)
-            turns = _of_angles(state.attitude.rotation())[2]
-            yield "yaw", [_Measured(miss, self._as(one, self.yaw_std), turns)], new("attitude")
+            yield "height", heights(state, height, self._as(one, self.height_std)), new("height")
+        if field is not None and state.places.field is not None:
+            yield "field", fields(state, field, self._as(one, self.field_std)), new(FIELD)
+        elif field is not None:
+            yield "yaw", compass(state, field, self._declination, self._as(one, self.yaw_std)), new(FIELD)
+        elif attitude is not None:
+            yield "yaw", headings(state, attitude, self._as(one, self.yaw_std)), new("attitude")
+        airspeed = field_of(readings, AIRSPEED)
+        if airspeed is not None:
+            fast = new(AIRSPEED) & (airspeed >= self.airspeed_least)
+            yield "airspeed", airspeeds(state, airspeed, self._as(one, self.airspeed_std)), fast
 
     def _by_fix(
         self, state: KalmanState, readings: Mapping[str, Any], new: Callable[[str], Array], dt: float
-    ) -> Iterator[tuple[str, list[_Measured], Array]]:
+    ) -> Iterator[tuple[str, list[Measured], Array]]:
         """Yield what a fix measures: place and velocity of as many ticks ago as it is late (F2)."""
         one = jnp.ones_like(state.since_fix)
         late = dt * len(state.past)
-        then = state.past[0] if state.past else Past(state.position_ned, state.position_low_ned, state.velocity_ned)
         fix, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         if fix is not None:
+            # A barometer without a bias has the height alone.
+            axes = "xy" if field_of(readings, "height") is not None and not self.height_bias else "xyz"
             variances = self._variances(readings, "position_ned", one)
-            scalars = []
-            for i, axis in enumerate("xyz" if field_of(readings, "height") is None else "xy"):
-                miss = getattr(fix, axis) - getattr(then.position_ned, axis) - getattr(then.position_low_ned, axis)
-                # An error of the velocity now was there then, too.
-                back = {SPEED + i: -late * one} if state.past else {}
-                scalars.append(_Measured(miss, variances[i], {PLACE + i: one, **back}))
-            yield "position_ned", scalars, new("position_ned")
+            yield "position_ned", places(state, fix, variances, axes, late), new("position_ned")
         if velocity is not None:
             variances = self._variances(readings, "velocity_ned", one)
-            turns = _swung(state.force_ned)
-            body = zip(*(axis.axes for axis in _body_axes(state.attitude.rotation())), strict=True)
-            scalars = []
-            for i, (axis, cosines) in enumerate(zip("xyz", body, strict=True)):
-                back = {TURN + k: -late * factor for k, factor in turns[i].items()} if state.past else {}
-                back |= {ACCELEROMETER + k: late * factor for k, factor in enumerate(cosines)} if state.past else {}
-                miss = getattr(velocity, axis) - getattr(then.velocity_ned, axis)
-                scalars.append(_Measured(miss, variances[i], {SPEED + i: one, **back}))
-            yield "velocity_ned", scalars, new("velocity_ned")
-
-
-def _lost(covariance: Array, scalars: list[_Measured], where: Array) -> Array:
-    """Return a covariance that knows nothing of place and speed, where a fix is to be believed whatever it says."""
-    wide = {PLACE + axis: 1e4 * scalar.variance for axis, scalar in enumerate(scalars)}
-    wide |= {SPEED + axis: jnp.full_like(scalar.variance, 100.0) for axis, scalar in enumerate(scalars)}
-    return forgotten(covariance, wide, where)
-
-
-def _small(half: Vec3) -> Quaternion:
-    """Return the rotation by twice a small vector (n,) [rad], to its third order."""
-    square = half.dot(half)
-    scale = 1.0 - square / 6.0
-    return Quaternion(1.0 - 0.5 * square, half.x * scale, half.y * scale, half.z * scale)
-
-
-def _transition(felt: Vec3, turned: Rotation, dt: float) -> Callable[[Array], Array]:
-    """Return what a tick makes of the errors: F X for X (15, k, n) (F1)."""
-    none = jnp.zeros_like(felt.x)
-    swung = jnp.stack([jnp.stack([dt * row.get(k, none) for k in range(3)]) for row in _swung(felt)])
-    rows = zip(*(axis.axes for axis in _body_axes(turned)), strict=True)
-    biased = jnp.stack([jnp.stack([-dt * cosine for cosine in row]) for row in rows])
-
-    def moved(x: Array) -> Array:
-        place, speed, turn, gyroscope, accelerometer = (x[first : first + 3] for first in range(0, SIZE, 3))
-        return jnp.concatenate(
-            [
-                place + dt * speed,
-                speed + _times(swung, turn) + _times(biased, accelerometer),
-                turn + _times(biased, gyroscope),
-                gyroscope,
-                accelerometer,
-            ]
-        )
-
-    return moved
-
-
-def _swung(force: Vec3) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
-    """Return how each axis of a specific force changes with a small rotation: it turns with the attitude."""
-    x, y, z = force.axes
-    return {1: z, 2: -y}, {0: -z, 2: x}, {0: y, 1: -x}
-
-
-def _body_axes(turned: Rotation) -> tuple[Vec3, Vec3, Vec3]:
-    return turned.forward, turned.right, turned.down
-
-
-def _times(matrix: Array, x: Array) -> Array:
-    """Return the product (3, k, n) of matrices (3, 3, n) and (3, k, n)."""
-    first, second, third = (matrix[:, k, None] * x[None, k] for k in range(3))
-    return first + second + third
-
-
-def _of_angles(turned: Rotation) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
-    """Return how roll, pitch and yaw change with small rotations in NED; at a pitch of 90 degrees bounded."""
-    ahead = turned.forward
-    square = jnp.maximum(ahead.x * ahead.x + ahead.y * ahead.y, 1e-4)
-    level = jnp.sqrt(square)
-    cosine, sine = ahead.x / level, ahead.y / level
-    return (
-        {TURN: cosine / level, TURN + 1: sine / level},
-        {TURN: -sine, TURN + 1: cosine},
-        {TURN: -ahead.z * ahead.x / square, TURN + 1: -ahead.z * ahead.y / square, TURN + 2: jnp.ones_like(square)},
-    )
-
-
-def _injected(state: KalmanState, errors: Array, dt: float) -> KalmanState:
-    """Return the state with the mean errors (15, n) taken from it."""
-    place, speed, turn, gyroscope, accelerometer = (
-        Vec3(errors[first], errors[first + 1], errors[first + 2]) for first in range(0, SIZE, 3)
-    )
-    position, low = added(state.position_ned, state.position_low_ned + place)
-    past = []
-    for age, then in zip(range(len(state.past), 0, -1), state.past, strict=True):
-        moved = place - speed * (age * dt)
-        past.append(Past(then.position_ned, then.position_low_ned + moved, then.velocity_ned + speed))
-    return replace(
-        state,
-        past=tuple(past),
-        position_ned=position,
-        position_low_ned=low,
-        velocity_ned=state.velocity_ned + speed,
-        attitude=(_small(0.5 * turn) * state.attitude).normalised(),
-        gyroscope_bias=state.gyroscope_bias + gyroscope,
-        accelerometer_bias=state.accelerometer_bias + accelerometer,
-    )
+            yield "velocity_ned", velocities(state, velocity, variances, late), new("velocity_ned")
 
 
 def _estimate(state: KalmanState) -> Estimate:

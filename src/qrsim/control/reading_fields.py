@@ -9,6 +9,9 @@ import jax.numpy as jnp
 
 from qrsim.core.tree import map_tree
 
+# Fields of a magnetometer, body axes [uT], and of an airspeed sensor, along the body's x axis [m/s].
+FIELD, AIRSPEED = "field_body", "airspeed"
+
 
 def source_of(readings: Mapping[str, Any], field: str) -> str:
     """Return the first sensor, by its name in the fleet, whose reading has a field; "" if none has."""

@@ -15,6 +15,7 @@ from qrsim.control import OffboardSetpoint, PathSetpoint, WaypointSetpoint
 from qrsim.core.pairs import joined, two_sum
 from qrsim.core.tree import concatenated, quantity, record, replace, select
 from qrsim.core.vectors import Vec3
+from qrsim.interface.consistency import Looks
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.vehicles.battery import Charge
 from qrsim.models.vehicles.commands import fields_of
@@ -24,6 +25,8 @@ T = TypeVar("T")
 Floats = np.ndarray[Any, Any]
 # Beyond this number of vehicles the smallest distance between two is not looked for.
 MOST_FOR_SEPARATION = 64
+# Of what estimators state: metrics "anees" of all errors, "anees_position" of a block.
+CONSISTENCY = ("every", "position", "velocity", "attitude", "bias")
 
 
 @record
@@ -74,6 +77,7 @@ class Flight:
         default=None, unit="m", doc="what single precision leaves out of position_ned"
     )
     distance_low: Array | None = quantity(default=None, unit="m", doc="what single precision leaves out of distance")
+    looks: Looks | None = quantity(default=None, doc="at what estimators state; None where none states anything")
 
 
 class FlightMetrics:
@@ -97,6 +101,7 @@ class FlightMetrics:
             wind=none, closeness=none, outwards=none,
             charge=jnp.full_like(like, jnp.nan), clipped=count, stopped=jnp.full(like.shape, -1, jnp.int32),
             position_low_ned=_low(state), distance_low=None if _low(state) is None else zero,
+            looks=Looks.none(world, state),
         )  # fmt: skip
         return self.update(nothing, world, state, jnp.int32(0))
 
@@ -134,15 +139,20 @@ class FlightMetrics:
             # As seen from the first of them, so that what is near is not rounded to what is far from the origin.
             closeness = -_nearest(_minus(position, low, position.map(lambda axis: axis[:1])))
             flight = replace(flight, closeness=flight.closeness.update(closeness, tick, position, flying))
+        if flight.looks is not None:
+            flight = replace(flight, looks=flight.looks.update(world, state, tick, flying))
         return _look_at_fixes(flight, state, tick, position, low, flying)
 
     def finish(self, flight: Flight, world: World, state: State) -> dict[str, Floats]:
         """Compute the metrics by name, each (W, n), from the memory of W worlds (host arrays)."""
         dt = world.time_step
 
-        def root_mean(total: npt.ArrayLike, count: npt.ArrayLike) -> Floats:
+        def mean(total: npt.ArrayLike, count: npt.ArrayLike) -> Floats:
             sums, counts = np.asarray(total), np.asarray(count)
-            return np.sqrt(np.where(counts > 0, sums / np.maximum(counts, 1), np.nan))
+            return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+
+        def root_mean(total: npt.ArrayLike, count: npt.ArrayLike) -> Floats:
+            return np.sqrt(mean(total, count))
 
         def when(tick: Array) -> Floats:
             return np.where(tick >= 0, tick * dt, np.nan)
@@ -168,6 +178,10 @@ class FlightMetrics:
                 found[f"{name}_{unit}"] = -extreme.value if name in smallest else extreme.value
             found[f"{name}_at_s"] = when(extreme.tick)
             found[f"{name}_position_ned"] = np.stack(jax.tree.leaves(extreme.position_ned), axis=-1)
+        looks, nothing = flight.looks, np.full(np.shape(flight.charge), np.nan)
+        for what in CONSISTENCY:
+            name = "anees" if what == "every" else f"anees_{what}"
+            found[name] = nothing if looks is None else mean(getattr(looks.total, what), looks.count)
         position = joined(flight.position_ned, flight.position_low_ned)
         found["position_ned"] = np.stack(jax.tree.leaves(position), axis=-1)
         return {name: np.asarray(values) for name, values in found.items()}

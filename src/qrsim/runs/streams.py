@@ -44,6 +44,9 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
         if state.belief.std is not None:
             roots["commands"] += [(f"estimate_std.{part}.", getattr(state.belief.std, part)) for part in parts]
         estimator = fleet.own_estimator
+        inner = None if estimator is None else estimator.inner(state.belief.memory)
+        if inner is not None:
+            roots["commands"] += [("estimate.", inner[0]), ("estimate_std.", inner[1])]
         innovations = None if estimator is None else estimator.innovations(state.belief.memory)
         if innovations is not None:
             roots["commands"].append(("innovation.", innovations))

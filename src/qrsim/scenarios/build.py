@@ -208,7 +208,8 @@ def _estimator(spec: FleetSpec, scenario: ScenarioSpec, sensors: Sequence[Any], 
         late = sensor.delay if fitting is None or not fitting.is_late else fitting.delay
         if late:
             ages[name] = round(late * sensor.period / scenario.time_step)
-    return component(spec.estimator, known.FILTERS, scenario).fitted(ages)
+    fields = [found for sensor in sensors if (found := getattr(sensor, "earth_field_ned", None)) is not None]
+    return component(spec.estimator, known.FILTERS, scenario).fitted(ages, fields[0] if fields else None)
 
 
 def _start(spec: FleetSpec) -> Start:

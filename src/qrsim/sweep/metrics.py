@@ -87,6 +87,12 @@ METRICS: dict[str, Metric] = {
                                    limits=(-np.inf, np.inf)),
     "charge_min": Metric("1", "lowest charge of a battery", _over(np.nanmin, "charge_min"), low_is_bad=True,
                          limits=(0.0, 1.0)),
+    "anees": Metric("1", "squared errors of the estimate over those it states, per error (1 is right); mean over time "
+                    "and vehicles", _over(np.nanmean, "anees")),
+    **{
+        f"anees_{what}": Metric("1", f"the same, of the {what}", _over(np.nanmean, f"anees_{what}"))
+        for what in ("position", "velocity", "attitude", "bias")
+    },
     "flown_s": Metric("s", "time until the first vehicle stopped, or the end", _over(np.nanmin, "flown_s"),
                       low_is_bad=True),
     "stopped": Metric("1", "vehicles that stopped, for whatever reason", _stopped()),

@@ -29,6 +29,7 @@ class Check:
 
     For the day before a field day: the fraction of runs in which any vehicle leaves the area, collides, runs out of
     battery, breaks a state limit or loses GNSS, with the exact 95 % interval; and the narrowest margins over all runs.
+    Where vehicles fly on an estimator that states how far off it is, also whether it errs by that much.
     'qrsim run SCENARIO --seed S' flies one of the runs again, to look at it.
 
     Exit code 0: nothing went wrong in any run; 1: something did.
@@ -138,9 +139,10 @@ class Check:
     def _report(
         self, scenario: Scenario, flown: Rollout, found: list[Outcome], wall_s: float, picture: Path | None
     ) -> None:
+        from qrsim.apps.check.consistency import consistency, print_consistency
         from qrsim.apps.check.outcomes import margins
 
-        narrow = margins(flown)
+        narrow, consistent = margins(flown), consistency(flown)
         simulated = float(scenario.duration * self.seeds)
         if self.json:
             import json
@@ -154,6 +156,7 @@ class Check:
                 "wall_s": round(wall_s, 3),
                 "outcomes": [outcome.to_json() for outcome in found],
                 "margins": {name: {**asdict(moment), "unit": unit} for name, (moment, unit) in narrow.items()},
+                "consistency": [row.to_json() for row in consistent],
                 "picture": str(picture) if picture else None,
             }
             print(json.dumps(result, indent=2))
@@ -163,6 +166,7 @@ class Check:
         print("\nnarrowest margins over all runs")
         for name, (moment, unit) in narrow.items():
             print(f"  {name:<32} {moment.value:8.2f} {unit:<4} {_where(moment)}")
+        print_consistency(consistent)
         print(
             f"\n{simulated:g} s flown in {wall_s:.1f} s, compiling included ({simulated / wall_s:.0f} times real time)"
         )

@@ -85,6 +85,10 @@ class Sensor(Protocol):
         """Return state and reading of vehicles that were put elsewhere ``since`` () [s] after a reading."""
         return self.init(draw, *args, **reads)
 
+    def biases(self, state: Any) -> dict[str, Any]:
+        """Return the true slow error (n,) of each vector of its reading, by name, of those that are known."""
+        return {}
+
     def placed(self, chosen: Array, fresh: Any, before: Any) -> Any:
         """Return the state in which chosen vehicles (n,) have been put elsewhere; ``fresh``: as if all had been."""
         return select(chosen, fresh, before)

@@ -148,6 +148,10 @@ class Imu(Sensor):
         ]
         return Vec3(*found[:3]), Vec3(*found[3:])
 
+    def biases(self, state: ImuState) -> dict[str, Any]:
+        """Return the true bias of each vector of a reading."""
+        return dict(zip(("rates_body", "specific_force"), self.bias(state), strict=True))
+
     def init(self, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load) -> tuple[ImuState, ImuReading]:
         """Return the state of chips that have just been turned on, and a first reading."""
         normals = draw.normals(self.first_normals)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from jax import Array
 
@@ -42,6 +42,10 @@ class Gyroscope(Sensor):
     reads: ClassVar[tuple[str, ...]] = ("rates_body",)
     normals: ClassVar[int] = 3
 
+    def biases(self, state: None) -> dict[str, Any]:
+        """Return none: its errors are white."""
+        return {"rates_body": 0.0}
+
     def init(self, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
         """Return the first reading."""
         return None, GyroscopeReading(_with_white(rates_body, self.white_std, draw))
@@ -80,6 +84,10 @@ class Accelerometer(Sensor):
     )
     reads: ClassVar[tuple[str, ...]] = ("specific_force",)
     normals: ClassVar[int] = 3
+
+    def biases(self, state: None) -> dict[str, Any]:
+        """Return none: its errors are white."""
+        return {"specific_force": 0.0}
 
     def init(self, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
         """Return the first reading."""

@@ -1,0 +1,86 @@
+"""Whether the fleets' estimators err by as much as they state, over many runs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from qrsim.apps.check.outcomes import CONFIDENCE
+from qrsim.simulation.rollout import Rollout
+
+# What is told, by the metric that it is.
+ROWS = {
+    "all errors": "anees",
+    "position": "anees_position",
+    "velocity": "anees_velocity",
+    "attitude": "anees_attitude",
+    "bias": "anees_bias",
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """Squared errors of an estimate over those that are stated, per error; 1 if the estimator is right.
+
+    Errors of a flight last long, and vehicles of a run see the same satellites: so a run counts once, with its mean.
+
+    Attributes:
+        name: which errors.
+        mean: over all runs.
+        low, high: interval of the mean at CONFIDENCE (Student's t over the runs); NaN of a single run.
+        runs: how many there are.
+    """
+
+    name: str
+    mean: float
+    low: float
+    high: float
+    runs: int
+
+    @property
+    def verdict(self) -> str:
+        """What that says of the estimator."""
+        if self.low > 1.0:
+            return "errs by more than it states"
+        if self.high < 1.0:
+            return "errs by less than it states"
+        return "as it states" if self.low <= 1.0 <= self.high else ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields by name, what is not known as None."""
+        return {name: None if value != value else value for name, value in asdict(self).items()}
+
+
+def consistency(flown: Rollout) -> list[Row]:
+    """Return a row for each block of errors of which something is stated, [] where no estimator states anything."""
+    found = []
+    for name, metric in ROWS.items():
+        values = np.asarray(flown[metric], np.float64)
+        known = np.isfinite(values)
+        flights = known.sum(axis=1)
+        runs = (np.where(known, values, 0.0).sum(axis=1) / np.maximum(flights, 1))[flights > 0]
+        if len(runs):
+            found.append(_row(name, runs))
+    return found
+
+
+def _row(name: str, runs: np.ndarray[Any, Any]) -> Row:
+    from scipy import stats
+
+    mean, count = float(runs.mean()), len(runs)
+    if count < 2:
+        return Row(name, mean, float("nan"), float("nan"), count)
+    half = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, count - 1) * runs.std(ddof=1) / np.sqrt(count))
+    return Row(name, mean, mean - half, mean + half, count)
+
+
+def print_consistency(rows: list[Row]) -> None:
+    """Print a table, nothing without rows."""
+    if not rows:
+        return
+    print("\nsquared errors of the estimate over those that it states (ANEES; 1 if it is right)")
+    for row in rows:
+        interval = "" if row.low != row.low else f"95 % interval {row.low:.2f} to {row.high:.2f}, {row.verdict}"
+        print(f"  {row.name:<32} {row.mean:8.2f}      {interval}".rstrip())

@@ -1,0 +1,245 @@
+"""What the error-state Kalman filter remembers, and what small errors do to it (docs/estimators.md, F1).
+
+Errors of the attitude are small rotations in NED (Sola, "Quaternion kinematics for the error-state Kalman filter",
+2017, section 7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control.covariance import forgotten
+from qrsim.core.pairs import added
+from qrsim.core.quaternions import Quaternion
+from qrsim.core.tree import quantity, record, replace
+from qrsim.core.vectors import Rotation, Vec3
+
+# Errors by their numbers: position, velocity, attitude (NED), then biases (body axes); others follow (Places).
+PLACE, SPEED, TURN, GYROSCOPE, ACCELEROMETER, SIZE = 0, 3, 6, 9, 12, 15
+
+
+@record
+class Innovations:
+    """What each kind of reading said beside what was expected, (n,), in units of the std expected of it."""
+
+    position_ned: Array = quantity(unit="1", doc="of the last fix: largest axis, over its std")
+    velocity_ned: Array = quantity(unit="1", doc="of the last velocity: largest axis, over its std")
+    height: Array = quantity(unit="1", doc="of the last height, over its std")
+    yaw: Array = quantity(unit="1", doc="of the last heading, over its std")
+    field: Array | None = quantity(
+        default=None, unit="1", doc="of the last magnetic field: largest axis, over its std; None without its states"
+    )
+    airspeed: Array | None = quantity(
+        default=None, unit="1", doc="of the last airspeed, over its std; None without its states"
+    )
+
+
+@record
+class Past:
+    """Where the vehicles (n,) were, as far as is known now."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="position")
+    position_low_ned: Vec3 = quantity(unit="m", doc="what single precision leaves out of it")
+    velocity_ned: Vec3 = quantity(unit="m/s", doc="velocity over ground")
+
+
+@record
+class Inner:
+    """What the filter estimates beside position, velocity and attitude, (n,), or the std of each."""
+
+    gyroscope_bias: Vec3 = quantity(unit="rad/s", doc="error of the body rates")
+    accelerometer_bias: Vec3 = quantity(unit="m/s^2", doc="error of the specific force, body axes")
+    earth_field_ned: Vec3 | None = quantity(default=None, unit="uT", doc="magnetic field of the Earth")
+    field_bias: Vec3 | None = quantity(default=None, unit="uT", doc="error of the magnetic field, body axes")
+    wind_north: Array | None = quantity(default=None, unit="m/s", doc="wind towards north")
+    wind_east: Array | None = quantity(default=None, unit="m/s", doc="wind towards east")
+    height_bias: Array | None = quantity(default=None, unit="m", doc="error of the barometer's height, positive up")
+
+
+@record
+class KalmanState:
+    """Memory of the filter, (n,) but for the covariance."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="estimated position")
+    position_low_ned: Vec3 = quantity(unit="m", doc="what single precision leaves out of it")
+    velocity_ned: Vec3 = quantity(unit="m/s", doc="estimated velocity over ground")
+    attitude: Quaternion = quantity(doc="estimated attitude")
+    inner: Inner = quantity(doc="all else that is estimated")
+    rates_body: Vec3 = quantity(unit="rad/s", doc="body rates as last measured")
+    force_ned: Vec3 = quantity(unit="m/s^2", doc="specific force of the last tick")
+    covariance: Array = quantity(
+        doc="of position, velocity, rotation in NED, both biases, then field and its bias, wind, bias of the height; "
+        "(m, m, n), 15 to 24"
+    )
+    since_fix: Array = quantity(unit="s", doc="time since the last fix that was believed")
+    innovations: Innovations = quantity(doc="of the last readings")
+    past: tuple[Past, ...] = quantity(default=(), doc="the ticks that fixes are late by, oldest first")
+
+    @property
+    def places(self) -> Places:
+        """Where the errors stand."""
+        return Places.of(self.inner)
+
+    @property
+    def rotation(self) -> Rotation:
+        """The body axes in NED."""
+        return self.attitude.rotation()
+
+
+class Places(NamedTuple):
+    """Numbers of the errors that only some filters have, None where it has them not, and how many there are."""
+
+    field: int | None
+    field_bias: int | None
+    wind: int | None
+    height: int | None
+    size: int
+
+    @staticmethod
+    def of(inner: Inner) -> Places:
+        """Return where the errors of what is estimated stand."""
+        parts = (inner.earth_field_ned, inner.field_bias, inner.wind_north, inner.height_bias)
+        size: int = SIZE
+        found: list[int | None] = []
+        for part, count in zip(parts, (3, 3, 2, 1), strict=True):
+            found.append(None if part is None else size)
+            size += 0 if part is None else count
+        field, field_bias, wind, height = found
+        return Places(field, field_bias, wind, height, size)
+
+
+def transition(felt: Vec3, turned: Rotation, dt: float) -> Callable[[Array], Array]:
+    """Return what a tick makes of the errors: F X for X (m, k, n) (F1); those after the biases stay what they are."""
+    none = jnp.zeros_like(felt.x)
+    swing = jnp.stack([jnp.stack([dt * row.get(k, none) for k in range(3)]) for row in swung(felt)])
+    rows = zip(*(axis.axes for axis in body_axes(turned)), strict=True)
+    biased = jnp.stack([jnp.stack([-dt * cosine for cosine in row]) for row in rows])
+
+    def moved(x: Array) -> Array:
+        place, speed, turn, gyroscope, accelerometer = (x[first : first + 3] for first in range(0, SIZE, 3))
+        parts = [
+            place + dt * speed,
+            speed + _times(swing, turn) + _times(biased, accelerometer),
+            turn + _times(biased, gyroscope),
+            gyroscope,
+            accelerometer,
+        ]
+        return jnp.concatenate([*parts, x[SIZE:]] if len(x) > SIZE else parts)
+
+    return moved
+
+
+def swung(force: Vec3) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
+    """Return how each axis of a specific force changes with a small rotation: it turns with the attitude."""
+    x, y, z = force.axes
+    return {1: z, 2: -y}, {0: -z, 2: x}, {0: y, 1: -x}
+
+
+def body_axes(turned: Rotation) -> tuple[Vec3, Vec3, Vec3]:
+    """Return the three body axes in NED."""
+    return turned.forward, turned.right, turned.down
+
+
+def of_angles(turned: Rotation) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
+    """Return how roll, pitch and yaw change with small rotations in NED; at a pitch of 90 degrees bounded."""
+    ahead = turned.forward
+    square = jnp.maximum(ahead.x * ahead.x + ahead.y * ahead.y, 1e-4)
+    level = jnp.sqrt(square)
+    cosine, sine = ahead.x / level, ahead.y / level
+    return (
+        {TURN: cosine / level, TURN + 1: sine / level},
+        {TURN: -sine, TURN + 1: cosine},
+        {TURN: -ahead.z * ahead.x / square, TURN + 1: -ahead.z * ahead.y / square, TURN + 2: jnp.ones_like(square)},
+    )
+
+
+def small(half: Vec3) -> Quaternion:
+    """Return the rotation by twice a small vector (n,) [rad], to its third order."""
+    square = half.dot(half)
+    scale = 1.0 - square / 6.0
+    return Quaternion(1.0 - 0.5 * square, half.x * scale, half.y * scale, half.z * scale)
+
+
+def lost(covariance: Array, variances: Sequence[Array], where: Array) -> Array:
+    """Return a covariance that knows nothing of place and speed, where a fix is to be believed whatever it says."""
+    wide: Mapping[int, Array] = {
+        **{PLACE + axis: 1e4 * variance for axis, variance in enumerate(variances)},
+        **{SPEED + axis: jnp.full_like(variance, 100.0) for axis, variance in enumerate(variances)},
+    }
+    return forgotten(covariance, wide, where)
+
+
+def injected(state: KalmanState, errors: Array, dt: float) -> KalmanState:
+    """Return the state with the mean errors (m, n) taken from it."""
+    place, speed, turn = (_three(errors, first) for first in (PLACE, SPEED, TURN))
+    position, low = added(state.position_ned, state.position_low_ned + place)
+    past = []
+    for age, then in zip(range(len(state.past), 0, -1), state.past, strict=True):
+        moved = place - speed * (age * dt)
+        past.append(Past(then.position_ned, then.position_low_ned + moved, then.velocity_ned + speed))
+    return replace(
+        state,
+        past=tuple(past),
+        position_ned=position,
+        position_low_ned=low,
+        velocity_ned=state.velocity_ned + speed,
+        attitude=(small(0.5 * turn) * state.attitude).normalised(),
+        inner=_inner(state.inner, errors),
+    )
+
+
+def _inner(inner: Inner, errors: Array) -> Inner:
+    places = Places.of(inner)
+    inner = replace(
+        inner,
+        gyroscope_bias=inner.gyroscope_bias + _three(errors, GYROSCOPE),
+        accelerometer_bias=inner.accelerometer_bias + _three(errors, ACCELEROMETER),
+    )
+    if places.field is not None and places.field_bias is not None:
+        assert inner.earth_field_ned is not None
+        assert inner.field_bias is not None
+        inner = replace(
+            inner, earth_field_ned=inner.earth_field_ned + _three(errors, places.field),
+            field_bias=inner.field_bias + _three(errors, places.field_bias),
+        )  # fmt: skip
+    if places.wind is not None:
+        assert inner.wind_north is not None
+        assert inner.wind_east is not None
+        inner = replace(
+            inner,
+            wind_north=inner.wind_north + errors[places.wind],
+            wind_east=inner.wind_east + errors[places.wind + 1],
+        )
+    if places.height is not None:
+        assert inner.height_bias is not None
+        inner = replace(inner, height_bias=inner.height_bias + errors[places.height])
+    return inner
+
+
+def inner_std(state: KalmanState) -> Inner:
+    """Return the std of each part of ``inner``; the covariance may be (T, m, m, n) of many ticks."""
+    places = state.places
+    own = [jnp.sqrt(state.covariance[..., i, i, :]) for i in range(places.size)]
+
+    def three(first: int | None) -> Vec3 | None:
+        return None if first is None else Vec3(*own[first : first + 3])
+
+    return Inner(
+        Vec3(*own[GYROSCOPE:ACCELEROMETER]), Vec3(*own[ACCELEROMETER:SIZE]), three(places.field),
+        three(places.field_bias), None if places.wind is None else own[places.wind],
+        None if places.wind is None else own[places.wind + 1], None if places.height is None else own[places.height],
+    )  # fmt: skip
+
+
+def _three(errors: Array, first: int) -> Vec3:
+    return Vec3(errors[first], errors[first + 1], errors[first + 2])
+
+
+def _times(matrix: Array, x: Array) -> Array:
+    """Return the product (3, k, n) of matrices (3, 3, n) and (3, k, n)."""
+    first, second, third = (matrix[:, k, None] * x[None, k] for k in range(3))
+    return first + second + third

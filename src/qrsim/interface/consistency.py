@@ -1,0 +1,81 @@
+"""How large the errors of the fleets' estimators are beside what they state, in flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from qrsim.control.consistency import Consistency, Truth
+from qrsim.core.tree import concatenated, quantity, record
+from qrsim.core.vectors import Vec3, rotation
+from qrsim.world.state import Fleet, FleetState, State, World
+
+# Time between two looks [s]: errors of a filter last longer, and looking costs as much as a tick of it.
+EVERY_S = 1.0
+
+
+@record
+class Looks:
+    """What was seen so far of n vehicles, each (n,)."""
+
+    total: Consistency = quantity(unit="1", doc="sums")
+    count: Array = quantity(doc="int32 looks")
+
+    @staticmethod
+    def none(world: World, state: State) -> Looks | None:
+        """Return the start; None where no estimator states how far off it is."""
+        if all(fleet.belief is None or fleet.belief.std is None for fleet in state.fleets):
+            return None
+        code = jnp.concatenate([fleet.violation.code for fleet in state.fleets])
+        zero = jnp.zeros(code.shape, state.fleets[0].vehicle.position_ned.x.dtype)
+        return Looks(Consistency(zero, zero, zero, zero, zero), jnp.zeros(code.shape, jnp.int32))
+
+    def update(self, world: World, state: State, tick: Array, flying: Array) -> Looks:
+        """Look again at some ticks, at vehicles (n,) that fly; where nothing is stated, sums become NaN."""
+
+        def look() -> Looks:
+            parts = [_seen(fleet, part) for fleet, part in zip(world.fleets, state.fleets, strict=True)]
+            now: Consistency = concatenated(parts)
+            sums = {
+                name: total + jnp.where(flying, getattr(now, name), 0.0) for name, total in vars(self.total).items()
+            }
+            return Looks(Consistency(**sums), self.count + flying.astype(jnp.int32))
+
+        ticks = max(1, round(EVERY_S / world.time_step))
+        return lax.cond((tick > 0) & (tick % ticks == 0), look, lambda: self)
+
+
+def truth_of(fleet: Fleet, state: FleetState) -> Truth:
+    """Return what is true of a fleet's vehicles (n,), or (T, n) in a history."""
+    pose = fleet.vehicle.pose(state.vehicle)
+    found = dict(_biases(fleet, state))
+    velocity = rotation(pose.attitude).to_ned(pose.velocity_body)
+    return Truth(
+        pose.position_ned, velocity, pose.attitude, state.position_low_ned, found.get("rates_body"),
+        found.get("specific_force"),
+    )  # fmt: skip
+
+
+def _biases(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Vec3]]:
+    """Yield the fields of readings whose slow errors are known, and the errors: of the sensor that estimators read."""
+    seen: set[str] = set()
+    zero = jnp.zeros_like(state.vehicle.position_ned.x)
+    for sensor, memory, reading in zip(fleet.sensors, state.sensors, state.readings, strict=True):
+        known: dict[str, Any] = sensor.biases(memory)
+        for name in reading.__dataclass_fields__:
+            if name in known and name not in seen:
+                bias = known[name]
+                yield name, bias if isinstance(bias, Vec3) else Vec3(*(zero + bias for _ in range(3)))
+            seen.add(name)
+
+
+def _seen(fleet: Fleet, state: FleetState) -> Consistency:
+    """Return how large the errors are beside what is stated (n,), NaN where nothing is."""
+    found, estimator = None, fleet.own_estimator
+    if state.belief is not None and estimator is not None:
+        found = estimator.consistency(state.belief.memory, truth_of(fleet, state))
+    nothing = jnp.full_like(state.vehicle.position_ned.x, jnp.nan)
+    return Consistency(*(nothing,) * 5) if found is None else found
