@@ -70,7 +70,9 @@ def test_what_is_logged_is_of_the_same_tick_as_the_truth(flown: Path):
 
 def test_its_errors_are_drawn(flown: Path, capsys):
     figure = draw_estimate(open_run(flown), ["pelicans_1"])
-    assert len(figure.axes) == 9
+    # Position, velocity, attitude, and two biases.
+    assert [axes.get_visible() for axes in figure.axes] == [True] * 15
+    assert "biases and fields as estimated" in figure.get_suptitle()
     assert "3 std as stated" in figure.get_suptitle()
     assert main(["plot", str(flown), "--panel", "estimate", "--panel", "truth.position_ned.z"]) == 2
     assert "a figure of its own" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Errors of an estimator's estimate over time, within three of the standard deviations that it states."""
+"""Errors of an estimate over time within three of the standard deviations stated, and what else is estimated."""
 
 from __future__ import annotations
 
@@ -32,13 +32,21 @@ ROWS = {
     "velocity_ned": (("x", "y", "z"), ("north", "east", "down"), "m/s"),
     "attitude": (("roll", "pitch", "yaw"), ("roll", "pitch", "yaw"), "rad"),
 }
+# What only some estimators have: wind beside the truth, biases as they are, as the log does not know the true ones.
+WIND = (("wind_north", "wind_east"), ("north", "east"), "m/s")
+BIASES = {
+    "gyroscope_bias": (("x", "y", "z"), ("x", "y", "z"), "rad/s"),
+    "accelerometer_bias": (("x", "y", "z"), ("x", "y", "z"), "m/s²"),
+    "earth_field_ned": (("x", "y", "z"), ("north", "east", "down"), "µT"),
+    "field_bias": (("x", "y", "z"), ("x", "y", "z"), "µT"),
+}
 WIDE = 3.0
 
 
 def draw_estimate(
     run: Run, vehicles: Sequence[str] = (), start: float | None = None, end: float | None = None
 ) -> Figure:
-    """Draw what an estimate errs by, estimate minus truth, and 3 std to both sides where it states them.
+    """Draw what an estimate errs by, estimate minus truth, and 3 std to both sides where it states them; then biases.
 
     Args:
         run: the run.
@@ -59,21 +67,31 @@ def draw_estimate(
     data = read_data(run, used, vehicles, start, end)
     series = {item.name: found for item, found in data.series.items()}
     time = series["truth.position_ned.x"][0]
-    errors, stds = _errors({name: values for name, (_, values) in series.items()})
-    figure = new_figure(13, 8.5)
-    every = figure.subplots(3, 3, sharex=True)
-    for row, (what, (axes, titles, unit)) in zip(every, ROWS.items(), strict=True):
-        for panel, axis, title in zip(row, axes, titles, strict=True):
-            _draw(panel, time, errors[f"{what}.{axis}"], stds.get(f"{what}.{axis}"))
-            panel.set_title(f"{what.removesuffix('_ned')}, {title} [{unit}]", loc="left", fontsize=10)
+    values = {name: array for name, (_, array) in series.items()}
+    errors, stds = _errors(values)
+    rows = _rows(errors, values)
+    figure = new_figure(13, 2.5 * len(rows) + 1.0)
+    every = figure.subplots(len(rows), 3, sharex=True)
+    for row, (what, (axes, titles, unit)) in zip(every, rows.items(), strict=True):
+        for panel in row[len(axes) :]:
+            panel.set_visible(False)
+        for panel, axis, title in zip(row, axes, titles, strict=False):
+            name = axis if what == "wind" else f"{what}.{axis}"
+            if what in BIASES:
+                _draw_value(panel, time, values[f"commands.estimate.{name}"], values[f"commands.estimate_std.{name}"])
+            else:
+                _draw(panel, time, errors[name], stds.get(name))
+            text = what.removesuffix("_ned").replace("_", " ")
+            panel.set_title(f"{text}, {title} [{unit}]", loc="left", fontsize=10)
     for panel in every[-1]:
         panel.set_xlabel("time [s]")
         time_limits(panel, *data.span)
     names = data.names
+    beside = "" if len(rows) == len(ROWS) else "; biases and fields as estimated"
     stated = "; shaded: 3 std as stated" if stds else ""
     many = "" if len(names) <= MOST_NAMED else "; median, quartiles, range"
     title = title_of(run, names, len(data.stops), data.last, "")
-    figure.suptitle(f"{title}: estimate minus truth{stated}{many}{binned_text(time)}")
+    figure.suptitle(f"{title}: estimate minus truth{beside}{stated}{many}{binned_text(time)}")
     if 1 < len(names) <= MOST_NAMED:
         name_vehicles(figure, [Line2D([], [], color=c) for c in colours_of(len(names))], names)
     return figure
@@ -83,7 +101,18 @@ def _names() -> list[str]:
     parts = [f"{what}.{axis}" for what, (axes, _, _) in ROWS.items() for axis in axes]
     truth = [f"truth.{what}.{axis}" for what in ("position_ned", "velocity_body") for axis in "xyz"]
     truth += [f"truth.attitude.{axis}" for axis in ("roll", "pitch", "yaw")]
+    truth += [f"wind.{kind}.{axis}" for kind in ("mean_ned", "gust_ned") for axis in "xy"]
+    parts += [f"{what}.{axis}" for what, (axes, _, _) in BIASES.items() for axis in axes]
+    parts += list(WIND[0])
     return truth + [f"commands.{kind}.{part}" for kind in ("estimate", "estimate_std") for part in parts]
+
+
+def _rows(errors: dict[str, Floats], values: dict[str, Floats]) -> dict[str, Any]:
+    """Return the rows of the figure that there is something for."""
+    rows: dict[str, Any] = dict(ROWS)
+    if WIND[0][0] in errors:
+        rows["wind"] = WIND
+    return rows | {what: row for what, row in BIASES.items() if f"commands.estimate.{what}.x" in values}
 
 
 def _errors(values: dict[str, Floats]) -> tuple[dict[str, Floats], dict[str, Floats]]:
@@ -98,6 +127,11 @@ def _errors(values: dict[str, Floats]) -> tuple[dict[str, Floats], dict[str, Flo
             errors[name] = (error + np.pi) % (2.0 * np.pi) - np.pi if what == "attitude" else error
             if f"commands.estimate_std.{name}" in values:
                 stds[name] = values[f"commands.estimate_std.{name}"]
+    for name, axis in zip(WIND[0], "xy", strict=True):
+        if f"commands.estimate.{name}" in values:
+            true = values[f"wind.mean_ned.{axis}"] + values[f"wind.gust_ned.{axis}"]
+            errors[name] = values[f"commands.estimate.{name}"] - true
+            stds[name] = values[f"commands.estimate_std.{name}"]
     return errors, stds
 
 
@@ -111,6 +145,19 @@ def _velocity_ned(truth: dict[str, Floats]) -> tuple[Floats, Floats, Floats]:
         cp * sy * u + (sr * sp * sy + cr * cy) * v + (cr * sp * sy - sr * cy) * w,
         -sp * u + sr * cp * v + cr * cp * w,
     )
+
+
+def _draw_value(axes: Any, time: Floats, values: Floats, stds: Floats) -> None:
+    """Draw what is estimated, and the band in which the truth is said to be."""
+    count = values.shape[1]
+    if count > MOST_NAMED:
+        spread(axes, time, values, colours_of(1)[0])
+    else:
+        for i, colour in enumerate(colours_of(count)):
+            trace(axes, time, values[:, i], color=colour, lw=1.0)
+            low, high = values[:, i] - WIDE * stds[:, i], values[:, i] + WIDE * stds[:, i]
+            axes.fill_between(time, low, high, color=colour, alpha=0.1, lw=0)
+    axes.grid(alpha=0.3)
 
 
 def _draw(axes: Any, time: Floats, errors: Floats, stds: Floats | None) -> None:
