@@ -96,9 +96,11 @@ class Estimator(Protocol):
 
     Attributes:
         reads: kinds of sensors that it needs, by their names in the catalogue.
+        instead: of a kind that it needs, the kind that serves as well.
     """
 
     reads: ClassVar[tuple[str, ...]] = ()
+    instead: ClassVar[Mapping[str, str]] = {}
 
     def fitted(self, ages: Mapping[str, int], earth_field_ned: Vec3 | None = None) -> Estimator:
         """Return the estimator for a fleet's sensors, of how many ticks ago each reading is, by name.

@@ -1,18 +1,24 @@
-"""A complementary filter: the accelerometer predicts, GNSS and barometer correct (docs/control.md, C16 and C17)."""
+"""A complementary filter: the accelerometer predicts, GNSS and barometer correct (docs/control.md, C16 and C17).
+
+Where nobody reports an attitude it finds that too (mahony.py).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control.contracts import Estimator
-from qrsim.control.reading_fields import field_of, known, source_of
+from qrsim.control.mahony import Turning
+from qrsim.control.reading_fields import FIELD, field_of, known, source_of
 from qrsim.control.setpoints import Estimate
+from qrsim.core.fastmath import arctan2
 from qrsim.core.pairs import added
-from qrsim.core.tree import parameter, quantity, record, replace
+from qrsim.core.quaternions import Quaternion
+from qrsim.core.tree import derived, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 
 
@@ -27,6 +33,7 @@ class FilterState:
     attitude: Euler = quantity(unit="rad", doc="last attitude that was measured")
     since_fix: Array = quantity(unit="s", doc="time since the last reading that corrected the place")
     since_height: Array = quantity(unit="s", doc="time since the last reading that corrected the height")
+    turning: Turning | None = quantity(default=None, doc="of its own attitude; None where a sensor has it")
 
 
 @record
@@ -35,7 +42,8 @@ class ComplementaryFilter(Estimator):
 
     Each reading corrects when it is new, by its gain times the time since the one before it, so that gains do not
     depend on periods. A reading that is missing corrects nothing; without a specific force the velocity is held.
-    Nothing is known of a delay.
+    Nothing is known of a delay. Without a sensor that reports the attitude it is found from gyroscope and
+    accelerometer, and the heading from a magnetometer or, of vehicles that fly nose first, from the course.
     """
 
     position_gain: Array = parameter(default=0.5, unit="1/s", doc="horizontal place per its error", minimum=0.0)
@@ -54,7 +62,27 @@ class ComplementaryFilter(Estimator):
         default=1.0, unit="s", doc="time that a reading corrects at most for, after others were missing", above=0.0
     )
 
+    tilt_gain: Array = parameter(
+        default=0.3, unit="1/s", doc="own attitude per error of the direction of the specific force", minimum=0.0
+    )
+    heading_gain: Array = parameter(default=0.3, unit="1/s", doc="own heading per its error", minimum=0.0)
+    gyroscope_bias_gain: Array = parameter(
+        default=0.02, unit="1/s^2", doc="bias of the rates per error of the own attitude", minimum=0.0
+    )
+    heading: Literal["magnetometer", "course"] = setting(
+        default="magnetometer", doc="what the own heading follows: a magnetometer, where one is carried, or the course"
+    )
+    course_least: Array = parameter(
+        default=3.0, unit="m/s", doc="speed over ground below which a course says nothing", minimum=0.0
+    )
+    earth_field_ned: Vec3 | None = derived(default=None, doc="the Earth's field at the site [uT]; None: not known")
+
     reads: ClassVar[tuple[str, ...]] = ("gnss_receiver", "barometer", "attitude_estimator", "accelerometer")
+    instead: ClassVar[Mapping[str, str]] = {"attitude_estimator": "gyroscope"}
+
+    def fitted(self, ages: Mapping[str, int], earth_field_ned: Vec3 | None = None) -> ComplementaryFilter:
+        """Return the filter that knows where a compass points [uT]."""
+        return replace(self, earth_field_ned=earth_field_ned)
 
     def init(self, readings: Mapping[str, Any], start: Estimate) -> tuple[FilterState, Estimate]:
         """Return state and estimate (n,) at the first readings; what they do not say is that of the start."""
@@ -66,9 +94,12 @@ class ComplementaryFilter(Estimator):
         velocity = replace(velocity, z=velocity.z if rate is None else -rate)
         zero = jnp.zeros_like(start.position_ned.x)
         none = Vec3(zero, zero, zero)
+        velocity = known(velocity, start.velocity_ned)
+        own = attitude is None and field_of(readings, "rates_body") is not None
         state = FilterState(
-            known(position, start.position_ned), none, known(velocity, start.velocity_ned), none,
+            known(position, start.position_ned), none, velocity, none,
             start.attitude if attitude is None else known(attitude, start.attitude), zero, zero,
+            Turning.start(Quaternion.of(start.attitude), velocity) if own else None,
         )  # fmt: skip
         return state, _estimate(state)
 
@@ -79,10 +110,46 @@ class ComplementaryFilter(Estimator):
         attitude = field_of(readings, "attitude")
         if attitude is not None:
             state = replace(state, attitude=known(attitude, state.attitude))
+        elif state.turning is not None:
+            turning = self._turned(state.turning, readings, fresh, dt)
+            state = replace(state, turning=turning, attitude=turning.attitude.euler())
         state = self._predicted(state, field_of(readings, "specific_force"), dt)
         state = self._by_fix(state, readings, fresh)
         state = self._by_height(state, readings, fresh)
         return state, _estimate(state)
+
+    def _turned(self, turning: Turning, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float) -> Turning:
+        """Return the own attitude a tick later (docs/estimators.md, F6)."""
+        turning = turning.waited(dt)
+        velocity, force = field_of(readings, "velocity_ned"), field_of(readings, "specific_force")
+        rates = known(field_of(readings, "rates_body"), turning.rates_body)
+        if velocity is not None:
+            turning = turning.with_velocity(velocity, fresh[source_of(readings, "velocity_ned")])
+        zero = jnp.zeros_like(turning.since_fix)
+        tilt = Vec3(zero, zero, zero) if force is None else turning.tilt_error(force, self.gravity)
+        error, new = self._heading_error(turning, readings, fresh)
+        new = new & jnp.isfinite(error)
+        span = jnp.where(new, jnp.minimum(turning.since_heading, self.longest), 0.0)
+        heading = jnp.where(new, error, 0.0) * span
+        turning = replace(turning, since_heading=jnp.where(new, 0.0, turning.since_heading))
+        correction = replace(tilt * (self.tilt_gain * dt), z=self.heading_gain * heading)
+        learned = replace(tilt * dt, z=heading) * (-self.gyroscope_bias_gain)
+        return turning.turned(rates, correction, learned, dt)
+
+    def _heading_error(
+        self, turning: Turning, readings: Mapping[str, Any], fresh: Mapping[str, Array]
+    ) -> tuple[Array, Array]:
+        """Return by how much the own heading is wrong (n,) [rad], and whether that is new (n,)."""
+        nothing = jnp.full_like(turning.since_fix, jnp.nan)
+        field, velocity = field_of(readings, FIELD), field_of(readings, "velocity_ned")
+        if self.heading == "course" and velocity is not None:
+            new = fresh[source_of(readings, "velocity_ned")]
+            return turning.course_error(velocity, self.course_least), new & (nothing != 0.0)
+        if self.heading == "course" or field is None:
+            return nothing, jnp.isfinite(nothing)
+        earth = self.earth_field_ned
+        declination = 0.0 * self.gravity if earth is None else arctan2(earth.y, earth.x)
+        return turning.compass_error(field, declination), fresh[source_of(readings, FIELD)] & (nothing != 0.0)
 
     def _predicted(self, state: FilterState, force: Vec3 | None, dt: float) -> FilterState:
         """Return the state a tick later, by the mean specific force (n,) of that tick (C16)."""

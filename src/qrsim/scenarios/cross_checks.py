@@ -262,6 +262,11 @@ def _estimated(estimator: str) -> dict[str, str]:
     return {quantity: sensor for sensor in kind.reads for quantity, types in PROVIDED.items() if sensor in types}
 
 
+def _quantity(sensor: str) -> str:
+    """Return what a kind of sensor measures."""
+    return next(quantity for quantity, types in PROVIDED.items() if sensor in types)
+
+
 def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
     kind: Any = known.CONTROLLERS[fleet.controller.type]
     # A controller that cannot be told has it as an attribute of its class (control/contracts.py).
@@ -276,15 +281,20 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
     elif feed == "filter":
         needed = _estimated("complementary")
     types = {sensor.type for sensor in fleet.sensors.values()}
+    kind = known.FILTERS["complementary" if fleet.estimator is None else fleet.estimator.type]
+    instead: dict[str, str] = {} if needed is NEEDED else {_quantity(a): b for a, b in kind.instead.items()}
     own = [reading_fields(kind) for kind in types if is_outside("sensor", kind)]
     given = {name.partition(".")[0] for names in own for name in names}
     if not all(own):
         return  # what a sensor from outside reports is seen when it is traced
     for quantity, suggestion in needed.items():
-        if not types & PROVIDED[quantity] and quantity not in given:
+        other_kind = instead.get(quantity)
+        serves = [quantity] if other_kind is None else [quantity, _quantity(other_kind)]
+        if not any(types & PROVIDED[one] or one in given for one in serves):
+            also = "" if other_kind is None else f" or {other_kind}"
             yield (
                 f"fleets.{name}.sensors: the {what}, but no sensor gives {quantity}; "
-                f"add one of type {suggestion}, or {other}"
+                f"add one of type {suggestion}{also}, or {other}"
             )
 
 
