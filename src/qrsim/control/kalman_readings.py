@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control.kalman_state import ACCELEROMETER, PLACE, SPEED, TURN, KalmanState, Past, body_axes, of_angles, swung
-from qrsim.core.fastmath import arctan2, wrap_angle
+from qrsim.core.fastmath import arctan2, sincos, wrap_angle
 from qrsim.core.vectors import Euler, Vec3
 
 
@@ -87,12 +87,12 @@ def fields(state: KalmanState, measured: Vec3, variance: Array) -> list[Measured
 def compass(state: KalmanState, measured: Vec3, declination: Array, variance: Array) -> list[Measured]:
     """Return what the level part of a magnetic field in body axes (n,) [uT] says of the yaw (F4)."""
     x, y, z = state.rotation.to_ned(measured).axes
-    square = jnp.maximum(x * x + y * y, 1e-6)
     miss = wrap_angle(declination - arctan2(y, x))
-    # Of a wrong tilt the vertical part of the field makes a wrong heading.
-    return [
-        Measured(miss, variance, {TURN: -x * z / square, TURN + 1: -y * z / square, TURN + 2: jnp.ones_like(square)})
-    ]
+    # Of a wrong tilt the vertical part of the field makes a wrong heading: by the direction that is known, because that
+    # of the reading has the noise of ``miss``, from which the filter would learn a tilt that it does not measure.
+    slope = z / jnp.sqrt(jnp.maximum(x * x + y * y, 1e-6))
+    east, north = sincos(declination)
+    return [Measured(miss, variance, {TURN: -north * slope, TURN + 1: -east * slope, TURN + 2: jnp.ones_like(slope)})]
 
 
 def airspeeds(state: KalmanState, airspeed: Array, variance: Array) -> list[Measured]:
