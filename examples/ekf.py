@@ -74,8 +74,7 @@ class Filter:
             self.v + x[:, 3:6],
             Rotation.from_rotvec(x[:, 6:9]).as_matrix() @ self.R,
         )
-        ages = DT * np.arange(LATE, 0, -1)
-        self.past = [(p + x[:, :3] - t * x[:, 3:6], v + x[:, 3:6]) for t, (p, v) in zip(ages, self.past, strict=True)]
+        self.past = [(p + x[:, :3] - (LATE - i) * DT * x[:, 3:6], v + x[:, 3:6]) for i, (p, v) in enumerate(self.past)]
         self.biases = self.biases + x[:, 9:].reshape(-1, 2, 3).swapaxes(0, 1)
 
 
@@ -98,8 +97,7 @@ def compared(seeds, seconds):
     given = dict(zip(("place", "speed", "rates", "force", "field"), vectors, strict=False), height=height)
     true, own = (Rotation.from_euler("ZYX", a.reshape(-1, 3)).as_matrix().reshape(*a.shape, 3) for a in angles)
     place, speed = vectors[5], np.einsum("skij,skj->ski", true, vectors[6])
-    north, east, _ = scenario.earth_field_ned
-    mine = Filter(place[:, 0].astype(float), true[:, 0], np.arctan2(east, north))
+    mine = Filter(place[:, 0].astype(float), true[:, 0], np.arctan2(*scenario.earth_field_ned[1::-1]))
     found = {"your own": [], "built-in": []}
     for k in range(1, place.shape[1]):
         mine.step({name: np.asarray(array[:, k], float) for name, array in given.items()})
