@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import qrsim
 from qrsim.cli import main
+from qrsim.core.fastmath import wrap_angle
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.runs import open_run
 from qrsim.runs.estimate_figure import draw_estimate
@@ -103,3 +106,59 @@ def test_the_default_patrol_is_flown_on_it_in_wind():
     found = qrsim.rollout(scenario, seeds=range(5))
     assert np.asarray(found.metrics["flown_s"]) == pytest.approx(120.0)
     assert np.asarray(found.metrics["distance_m"]).min() > 300.0
+
+
+def _yaws(sensors: str, seeds: int) -> np.ndarray:
+    """Errors of the yaw and the std stated of it (seeds, T, 2) at every second of a hover of 120 s in 6 m/s."""
+    overrides = [
+        "fleets.pelicans.vehicles=[{position_ned: [0, 0, -20]}]",
+        f"fleets.pelicans.sensors={{gnss: {{type: gnss_receiver}}, barometer: {{type: barometer}}, {sensors}}}",
+        "fleets.pelicans.estimator={type: ekf, accelerometer_bias_std: 0.2}",
+        "world.wind.speed_20ft=6",
+        "duration=120",
+    ]
+
+    def look(state: Any) -> Any:
+        fleet = state.fleets[0]
+        error = fleet.belief.estimate.attitude.yaw - fleet.vehicle.attitude.yaw
+        return jnp.stack([wrap_angle(error), fleet.belief.std.attitude.yaw])[:, 0]
+
+    scenario = qrsim.load_scenario("outdoor_patrol", overrides, quiet=True)
+    found = qrsim.rollout(scenario, seeds=range(seeds), record=look)
+    assert np.asarray(found.metrics["flown_s"]) == pytest.approx(120.0)
+    return np.asarray(found.recorded)
+
+
+@pytest.mark.long
+def test_a_magnetometer_holds_the_yaw_of_a_hover():
+    """Within 3 std, which fall below 0.05 rad, those of the start; without one they rise above it, and it drifts."""
+    held = _yaws("imu: {type: imu}, compass: {type: magnetometer}", 4)
+    assert (np.abs(held[..., 0]) < 3.0 * held[..., 1]).all()
+    assert (held[:, 30:, 1] < 0.035).all()
+    lost = _yaws("imu: {type: imu}", 4)
+    assert (lost[:, 30:, 1] > 0.08).all()
+    assert (np.abs(lost[..., 0]) < 3.0 * lost[..., 1]).all(), "it says that it is lost"
+    assert np.abs(lost[:, 30:, 0]).max() > 2.0 * np.abs(held[:, 30:, 0]).max()
+
+
+@pytest.mark.long
+def test_the_default_patrol_is_flown_on_a_magnetometer_in_wind():
+    """8 m/s at 20 ft, three seeds of 120 s, on an inertial chip and a magnetometer and no reported attitude."""
+    sensors = "gnss: {type: gnss_receiver}, barometer: {type: barometer}, imu: {type: imu}, m: {type: magnetometer}"
+    overrides = [EKF, f"fleets.pelicans.sensors={{{sensors}}}", "world.wind.speed_20ft=8", "duration=120"]
+    found = qrsim.rollout(qrsim.load_scenario("outdoor_patrol", overrides, quiet=True), seeds=range(3))
+    assert np.asarray(found.metrics["flown_s"]) == pytest.approx(120.0)
+    assert np.asarray(found.metrics["distance_m"]).min() > 300.0
+
+
+@pytest.mark.long
+def test_what_is_stated_is_compared_with_the_truth():
+    """ANEES of flights: far above 1 on GNSS errors that are not white; NaN where nothing is stated."""
+    found = qrsim.rollout(
+        qrsim.load_scenario("outdoor_patrol", [EKF, "duration=20"], quiet=True), seeds=range(4)
+    ).metrics
+    assert found["anees_position"].mean() > 5.0
+    assert found["anees"].mean() > 3.0
+    assert np.isfinite(found["anees_bias"]).all()
+    bare = qrsim.rollout(qrsim.load_scenario("outdoor_patrol", ["duration=2"], quiet=True), seeds=range(2)).metrics
+    assert np.isnan(bare["anees"]).all()

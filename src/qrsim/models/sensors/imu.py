@@ -29,6 +29,8 @@ TIMES = (5.0, 50.0, 500.0)
 SHARE = math.sqrt(math.log(10.0) / math.pi)
 # The slow errors of one of the six axes move on at each reading, by six periods, because they hardly change in one.
 AXES = 6
+# Specific force of a level vehicle at rest along its z axis [m/s^2].
+AT_REST = -9.81
 _SLOW = len(TIMES) + 1
 # Normals of a start: turn-on bias, E of both, G, bias instability, the phase of vibration.
 _MATRIX = 9
@@ -149,8 +151,12 @@ class Imu(Sensor):
         return Vec3(*found[:3]), Vec3(*found[3:])
 
     def biases(self, state: ImuState) -> dict[str, Any]:
-        """Return the true bias of each vector of a reading."""
-        return dict(zip(("rates_body", "specific_force"), self.bias(state), strict=True))
+        """Return what the reading of a level vehicle at rest is wrong by: bias, and what 1 g does by E and G."""
+        gyroscope, accelerometer = self.bias(state)
+        return {
+            "rates_body": gyroscope + Vec3(*(row.z * AT_REST for row in state.g_sensitivity)),
+            "specific_force": accelerometer + Vec3(*(row.z * AT_REST for row in state.accelerometer_error)),
+        }
 
     def init(self, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load) -> tuple[ImuState, ImuReading]:
         """Return the state of chips that have just been turned on, and a first reading."""
