@@ -26,6 +26,7 @@ BESIDE: dict[str, dict[str, Any]] = {
     "rangefinder": {"type": "rangefinder"},
     "scan": {"type": "scan"},
     "ranging to the fleet": {"type": "ranging"},
+    "optical_flow": {"type": "optical_flow"},
     "scan of 360 rays": {"type": "scan", "preset": "rplidar_a1"},
     "magnetometer": {"type": "magnetometer"},
     "pressure altimeter": {"type": "pressure_altimeter"},

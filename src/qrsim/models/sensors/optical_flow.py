@@ -1,0 +1,182 @@
+"""The sensor ``optical_flow``: a camera downwards that tells how the ground moves (docs/models/perception.md).
+
+Signs are those of MAVLink's OPTICAL_FLOW_RAD: a right-handed turn about an axis is positive flow about it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.noise import Noise
+from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.models.scene.contracts import Ground
+from qrsim.models.scene.obstacles import Obstacles
+from qrsim.models.scene.rays import first_hit
+from qrsim.models.sensors.contracts import Explained, Sensor
+
+MEASURED, TOO_NEAR, NOTHING, TOO_DARK, TOO_FAST = 0.0, 1.0, 2.0, 3.0, 4.0
+WHY = {
+    TOO_NEAR: "too near to what it looks at",
+    NOTHING: "nothing to be seen within its reach",
+    TOO_DARK: "the picture is too poor",
+    TOO_FAST: "the picture moves too fast",
+}
+# How far [m] an ideal one sees.
+FARTHEST = 1000.0
+PRESETS: dict[str, dict[str, Any]] = {
+    "pmw3901": {"range_min": 0.08, "flow_max": 7.4, "illuminance_half": 60.0},
+    "paa3905": {"range_min": 0.08, "flow_max": 7.2, "illuminance_half": 5.0},
+}
+
+
+def _number(name: str, unit: str, doc: str, **bounds: float) -> Any:
+    return parameter(default=PRESETS["pmw3901"][name], unit=unit, doc=doc, **bounds)  # type: ignore[arg-type]
+
+
+@record
+class OpticalFlowReading(Explained):
+    """Angles since the last reading."""
+
+    flow_x: Array = quantity(unit="rad", doc="flow about the sensor's x axis, NaN where status is not 0")
+    flow_y: Array = quantity(unit="rad", doc="flow about the sensor's y axis, NaN where status is not 0")
+    delta_angle: Vec3 = quantity(unit="rad", doc="rotation about the sensor's axes, by its own gyroscope")
+    quality: Array = quantity(unit="1", doc="of the picture, 0 to 1")
+    status: Array = quantity(
+        unit="1", doc="0: measured, 1: too near, 2: nothing within reach, 3: too dark, 4: too fast"
+    )
+
+    def reason(self, vehicle: int) -> str:
+        """Return why a vehicle has no flow."""
+        return WHY.get(float(self.status[vehicle]), "not available")
+
+
+@record
+class OpticalFlowState:
+    """What was true at the last reading."""
+
+    flow: tuple[Array, Array] = quantity(unit="rad/s", doc="rate of the flow about x and y, NaN where nothing was seen")
+    rates: Vec3 = quantity(unit="rad/s", doc="rates of the sensor")
+
+
+@record
+class OpticalFlow(Sensor):
+    """Flow and rotation since the last reading, between which both change linearly; quality by distance and light."""
+
+    preset: Literal["pmw3901", "paa3905"] = setting(
+        default="pmw3901", doc="which one the parameters that are not given are of"
+    )
+    noise_rate: Array = parameter(
+        default=0.05, unit="rad/s", doc="white noise of the mean flow of a reading, over its quality", minimum=0.0
+    )
+    gyroscope_noise: Array = parameter(
+        default=0.003, unit="rad/s", doc="white noise of the mean rotation of a reading", minimum=0.0
+    )
+    range_min: Array = _number("range_min", "m", "below which the picture is not sharp", minimum=0.0)
+    range_max: Array = parameter(default=50.0, unit="m", doc="beyond which it sees nothing", above=0.0)
+    range_half: Array = parameter(default=15.0, unit="m", doc="at which the quality is half", above=0.0)
+    flow_max: Array = _number("flow_max", "rad/s", "fastest flow", above=0.0)
+    illuminance: Array = parameter(default=10_000.0, unit="lux", doc="of the ground; 10 000 under clouds", minimum=0.0)
+    illuminance_half: Array = _number("illuminance_half", "lux", "at which the quality is half", above=0.0)
+    quality_min: Array = parameter(default=0.1, unit="1", doc="below which there is no flow", minimum=0.0, maximum=1.0)
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
+    reads: ClassVar[tuple[str, ...]] = (
+        "position_ned", "attitude", "velocity_body", "rates_body", "obstacles", "ground",
+    )  # fmt: skip
+    normals: ClassVar[int] = 5
+    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+
+    def init(
+        self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3,
+        obstacles: Obstacles, ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        """Return the first reading, as if the motion of now had lasted a period."""
+        distance = distance_along_z(obstacles, ground, position_ned, attitude, self.range_max)
+        state = OpticalFlowState(flow_rates(distance, velocity_body, rates_body), rates_body)
+        return self.step(state, draw, position_ned, attitude, velocity_body, rates_body, obstacles, ground)
+
+    def step(
+        self, state: OpticalFlowState, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
+        rates_body: Vec3, obstacles: Obstacles, ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        """Return what has moved since the last reading."""
+        normals = draw.normals(5)
+        distance = distance_along_z(obstacles, ground, position_ned, attitude, self.range_max)
+        seen = jnp.isfinite(distance)
+        away = jnp.where(seen, distance, 0.0)
+        part = away / self.range_half
+        light = self.illuminance / (self.illuminance + self.illuminance_half)
+        quality = jnp.where(seen, light / (1.0 + part * part), 0.0)
+        now = flow_rates(distance, velocity_body, rates_body)
+        mean = [0.5 * (a + b) for a, b in zip(state.flow, now, strict=True)]
+        whole = jnp.isfinite(mean[0]) & seen
+        mean = [jnp.where(whole, rate, 0.0) for rate in mean]
+        fast = mean[0] * mean[0] + mean[1] * mean[1] > jnp.square(self.flow_max)
+        status = jnp.where(fast, TOO_FAST, MEASURED)
+        status = jnp.where(quality < self.quality_min, TOO_DARK, status)
+        status = jnp.where(away < self.range_min, TOO_NEAR, status)
+        status = jnp.where(whole, status, NOTHING).astype(distance.dtype)
+        spread = self.noise_rate / jnp.where(quality > 0.0, quality, 1.0)
+        flow = [
+            jnp.where(status > 0.0, jnp.nan, (rate + spread * noise) * self.period)
+            for rate, noise in zip(mean, normals[:2], strict=True)
+        ]
+        turned = (state.rates + rates_body) * 0.5 + Vec3(*normals[2:]) * self.gyroscope_noise
+        reading = OpticalFlowReading(*flow, turned * self.period, quality, status)
+        return OpticalFlowState(now, rates_body), reading
+
+
+@record
+class IdealOpticalFlow(Sensor):
+    """The true flow and rotation since the last reading, of what is within a kilometre."""
+
+    period: float = setting(
+        default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
+    )
+    reads: ClassVar[tuple[str, ...]] = (
+        "position_ned", "attitude", "velocity_body", "rates_body", "obstacles", "ground",
+    )  # fmt: skip
+    normals: ClassVar[int] = 0
+
+    def init(
+        self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3,
+        obstacles: Obstacles, ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        """Return the first reading, as if the motion of now had lasted a period."""
+        reach = jnp.full_like(position_ned.x, FARTHEST)
+        distance = distance_along_z(obstacles, ground, position_ned, attitude, reach)
+        state = OpticalFlowState(flow_rates(distance, velocity_body, rates_body), rates_body)
+        return self.step(state, draw, position_ned, attitude, velocity_body, rates_body, obstacles, ground)
+
+    def step(
+        self, state: OpticalFlowState, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
+        rates_body: Vec3, obstacles: Obstacles, ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:  # fmt: skip
+        """Return what has moved since the last reading."""
+        reach = jnp.full_like(position_ned.x, FARTHEST)
+        distance = distance_along_z(obstacles, ground, position_ned, attitude, reach)
+        now = flow_rates(distance, velocity_body, rates_body)
+        flow = [(a + b) * (0.5 * self.period) for a, b in zip(state.flow, now, strict=True)]
+        seen = jnp.isfinite(flow[0])
+        status = jnp.where(seen, MEASURED, NOTHING).astype(distance.dtype)
+        turned = (state.rates + rates_body) * (0.5 * self.period)
+        quality = seen.astype(distance.dtype)
+        return OpticalFlowState(now, rates_body), OpticalFlowReading(*flow, turned, quality, status)
+
+
+def distance_along_z(obstacles: Obstacles, ground: Ground, position_ned: Vec3, attitude: Euler, reach: Array) -> Array:
+    """Return the distance (n,) [m] of what is seen along the sensor's z axis, infinite beyond its reach."""
+    return first_hit(obstacles, ground, position_ned, rotation(attitude).down, reach)
+
+
+def flow_rates(distance: Array, velocity_body: Vec3, rates_body: Vec3) -> tuple[Array, Array]:
+    """Return the rates (n,) [rad/s] of the flow about x and y in the middle of the picture, NaN without a distance."""
+    seen = jnp.isfinite(distance) & (distance > 0.0)
+    inverse = 1.0 / jnp.where(seen, distance, 1.0)
+    about_x, about_y = rates_body.x - velocity_body.y * inverse, rates_body.y + velocity_body.x * inverse
+    return jnp.where(seen, about_x, jnp.nan), jnp.where(seen, about_y, jnp.nan)
