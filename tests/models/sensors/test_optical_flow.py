@@ -34,7 +34,7 @@ def seen(
 
 @pytest.mark.parametrize("sensor", [OpticalFlow(**QUIET, range_half=1e4), IdealOpticalFlow()])  # type: ignore[arg-type]
 def test_signs_and_angles(sensor: Any) -> None:
-    """Over a period of 0.02 s: forward is positive flow about y, to the right negative about x; turns are their angle."""
+    """Over a period of 0.02 s: forward is positive about y, to the right negative about x; turns are their angle."""
     assert seen(sensor, (3.0, 0.0, 0.0))["flow"] == pytest.approx((0.0, 0.006), abs=1e-7)
     assert seen(sensor, (0.0, 3.0, 0.0))["flow"] == pytest.approx((-0.006, 0.0), abs=1e-7)
     found = seen(sensor, rates=(0.5, -0.2, 0.9))

@@ -127,7 +127,7 @@ class OpticalFlow(Sensor):
             for rate, noise in zip(mean, normals[:2], strict=True)
         ]
         turned = (state.rates + rates_body) * 0.5 + Vec3(*normals[2:]) * self.gyroscope_noise
-        reading = OpticalFlowReading(*flow, turned * self.period, quality, status)
+        reading = OpticalFlowReading(flow[0], flow[1], turned * self.period, quality, status)
         return OpticalFlowState(now, rates_body), reading
 
 
@@ -166,7 +166,7 @@ class IdealOpticalFlow(Sensor):
         status = jnp.where(seen, MEASURED, NOTHING).astype(distance.dtype)
         turned = (state.rates + rates_body) * (0.5 * self.period)
         quality = seen.astype(distance.dtype)
-        return OpticalFlowState(now, rates_body), OpticalFlowReading(*flow, turned, quality, status)
+        return OpticalFlowState(now, rates_body), OpticalFlowReading(flow[0], flow[1], turned, quality, status)
 
 
 def distance_along_z(obstacles: Obstacles, ground: Ground, position_ned: Vec3, attitude: Euler, reach: Array) -> Array:
