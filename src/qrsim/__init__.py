@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from qrsim.core.tree import parameter, quantity, record, setting
     from qrsim.core.vectors import Euler, Vec3
     from qrsim.engine.settings import configure
+    from qrsim.interface.messages import Say
     from qrsim.models.sensors.earth_field import compass_heading
     from qrsim.models.vehicles.quadrotor import Command
     from qrsim.runs import Run, open_run
@@ -76,6 +77,7 @@ _LAZY = {
     "record": "qrsim.core.tree",
     "register": "qrsim.scenarios.registry",
     "rollout": "qrsim.scenarios.flying",
+    "Say": "qrsim.interface.messages",
     "setting": "qrsim.core.tree",
     "show": "qrsim.view.notebook",
 }
@@ -93,6 +95,7 @@ __all__ = [
     "PathSetpoint",
     "Rollout",
     "Run",
+    "Say",
     "Scenario",
     "Simulation",
     "State",

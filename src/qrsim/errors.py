@@ -50,6 +50,10 @@ class RunError(QrsimError):
     """A valid run could not be carried out (disk full, folder not writable, data missing)."""
 
 
+class RadioWarning(UserWarning):
+    """Vehicles may have missed others that are near."""
+
+
 class CompilerWarning(UserWarning):
     """qrsim's own compiler refused a program, so XLA computes it: same results, more slowly."""
 

@@ -23,8 +23,9 @@ from qrsim.control import (
 )
 from qrsim.core.tree import map_tree, walk
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.interface.messages import Say, outboxes
 from qrsim.models.vehicles.commands import fields_of, limits_of
-from qrsim.world.state import Action, Fleet, Some, World
+from qrsim.world.state import Action, Fleet, Saying, Some, World
 
 T = TypeVar("T")
 FloatArray = np.ndarray[Any, Any]
@@ -55,6 +56,7 @@ class ActionChecker:
 
     def __init__(self, world: World, dtype: np.dtype[Any], values: Literal["checked", "finite", "traced"] = "checked"):
         self.fleets, self.dtype, self.values = world.fleets, dtype, values
+        self._world = world
         self.traced = values == "traced"
         accepted = {kind for fleet in world.fleets for kind in fleet.vehicle.actions}
         self._kinds = {kind: CommandKind(kind, self.dtype) for kind in accepted}
@@ -73,6 +75,12 @@ class ActionChecker:
         """
         if command is None:
             return (None,) * len(self.fleets)
+        if isinstance(command, Say):
+            said = outboxes(
+                command, self._world, [fleet.vehicle_names for fleet in self.fleets], self.dtype, self.traced
+            )
+            asked = self.actions(command.command, flying)
+            return tuple(Saying(action, outbox) for action, outbox in zip(asked, said, strict=True))
         if isinstance(command, Mapping):
             return self._by_name(command, flying)
         whole = self._checked(command, self.names, self.fleets, flying)
@@ -121,8 +129,16 @@ class ActionChecker:
                     f"command: '{fleet.vehicle_names[row]}' is of fleet '{fleet.name}', which is given a command too; "
                     "give one of both"
                 )
-            actions.append(self._checked(command, list(fleet.vehicle_names), (fleet,), own_flying))
+            actions.append(self._of_fleet(command, fleet, own_flying))
         return tuple(actions)
+
+    def _of_fleet(self, command: object, fleet: Fleet, flying: Flying | None) -> Action:
+        """Return what is asked of a fleet, with what its vehicles have to say."""
+        if not isinstance(command, Say):
+            return self._checked(command, list(fleet.vehicle_names), (fleet,), flying)
+        (said,) = outboxes(command, self._world, [fleet.vehicle_names], self.dtype, self.traced)
+        asked = None if command.command is None else self._of_fleet(command.command, fleet, flying)
+        return Saying(asked, said)
 
     def _of_vehicles(self, fleet: Fleet, rows: Mapping[int, object], flying: Flying | None) -> Action:
         """Return what is asked of a fleet by commands of some of its vehicles, by their rows; those of None are left to
@@ -146,7 +162,7 @@ class ActionChecker:
         """Return a command of one vehicle as that of a fleet of one."""
         if type(command) in _NAME_OF or dataclasses.is_dataclass(command):
             return jax.tree.map(lambda leaf: leaf[None] if np.shape(leaf) == () else leaf, _arrays(command))
-        if isinstance(command, str | bytes | Mapping):
+        if isinstance(command, str | bytes | Mapping | Say):
             raise UsageError(f"command: expected one of a vehicle of fleet '{fleet.name}', found {command!r}")
         try:
             flat = np.ndim(cast(npt.ArrayLike, command)) == 1

@@ -16,6 +16,7 @@ from qrsim.core.pairs import joined, two_sum
 from qrsim.core.tree import concatenated, quantity, record, replace, select
 from qrsim.core.vectors import Vec3
 from qrsim.interface.consistency import Looks
+from qrsim.interface.messages import warn_of_overfull
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.vehicles.battery import Charge
 from qrsim.models.vehicles.commands import fields_of
@@ -184,6 +185,9 @@ class FlightMetrics:
             found[name] = nothing if looks is None else mean(getattr(looks.total, what), looks.count)
         position = joined(flight.position_ned, flight.position_low_ned)
         found["position_ned"] = np.stack(jax.tree.leaves(position), axis=-1)
+        if world.radio is not None:
+            warn_of_overfull(world, state)
+            found |= {f"radio_{name}": count for name, count in world.radio.counted(state.radio).items()}
         return {name: np.asarray(values) for name, values in found.items()}
 
 

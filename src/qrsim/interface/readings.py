@@ -11,12 +11,14 @@ import jax
 import numpy as np
 from jax import Array
 
-from qrsim.core.tree import Record
+from qrsim.core.tree import Record, map_tree
 from qrsim.engine.layout import LazyTree
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.arrays import Floats, as_array, library_of, quaternion_of
+from qrsim.interface.messages import user_key, user_normals
 from qrsim.models.gnss.fixes import OF_SATELLITES, GnssFix
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading, SkyState
+from qrsim.models.radio.contracts import Inbox
 from qrsim.models.scene.area import reason_text
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.camera import CameraReading, Picture
@@ -24,6 +26,7 @@ from qrsim.models.sensors.contracts import Explained, Sensor
 from qrsim.models.sensors.fitting import Transit
 from qrsim.models.site import Site
 from qrsim.world.episode import picture
+from qrsim.world.radio import heard
 from qrsim.world.state import Fleet, FleetState, State, World
 
 
@@ -289,6 +292,42 @@ class Reading:
             for i, fleet in enumerate(self._world.fleets)
             if fleet.name in self.fleets
         }  # fmt: skip
+
+    @property
+    def inbox(self) -> Inbox:
+        """What each vehicle (n,) has heard over the radio, the newest message of each of K senders; see docs/radio.md.
+
+        Raises:
+            UsageError: the scenario has no radio.
+        """
+        if self._world.radio is None:
+            raise UsageError("inbox: the scenario has no world.radio")
+        tick = np.int32(self._tick) if isinstance(self._tick, int) else self._tick
+        everybody = heard(self._world, self._state, tick)
+        return map_tree(lambda leaf: leaf[self._all_rows()], everybody)
+
+    @property
+    def key(self) -> Floats:
+        """(2,) uint32: a key for random numbers of your own, another one at every tick and in every world.
+
+        ``jax.random`` and ``numpy.random.default_rng`` take it; ``normals`` is for programs of qrsim's own compiler.
+        """
+        return cast(Floats, user_key(self._state, self._tick))
+
+    def normals(self, count: int) -> Floats:
+        """Return ``count`` standard normals for each vehicle, (n, count), others at every tick and in every world."""
+        drawn = user_normals(self._world, self._state, self._tick, count)
+        return cast(Floats, drawn[self._all_rows()])
+
+    def _all_rows(self) -> slice:
+        """Return which of all vehicles it is about."""
+        begin = 0
+        for fleet in self._world.fleets:
+            if fleet.name in self.fleets and self._only is not None:
+                rows = range(begin, begin + fleet.size)[self._rows(fleet)]
+                return slice(rows.start, rows.stop)
+            begin += fleet.size
+        return slice(0, begin)
 
     def _rows(self, fleet: Fleet) -> slice:
         """Return which vehicles of a fleet it is about."""

@@ -13,12 +13,15 @@ from qrsim.models.scene.area import REASONS, reason_text
 from qrsim.runs import Column
 from qrsim.runs.layout import PERSON_FOUND
 from qrsim.runs.mission_events import Found, MissionWatch
+from qrsim.runs.radio_columns import radio_columns
 from qrsim.simulation.simulation import History, Simulation
 from qrsim.world.standing import on_ground
 from qrsim.world.state import Fleet, FleetState, World, position_of
 
 Values = dict[str, np.ndarray[Any, Any]]
 STREAMS = ("truth", "measurements", "commands", "wind")
+# Where that of the radio is.
+OF_RADIO = "measurements"
 
 
 def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, str, str]]:
@@ -114,6 +117,8 @@ def columns(world: World, history: History) -> dict[str, list[Column]]:
         for fleet, state in zip(world.fleets, history.state.fleets, strict=True):
             for name, leaf, unit, doc in _tree(stream, fleet, state):
                 found[stream].setdefault(name, Column(name, unit, doc, leaf.dtype.name))
+    for name, leaf, unit, doc in radio_columns(world, history):
+        found[OF_RADIO].setdefault(name, Column(name, unit, doc, leaf.dtype.name))
     return {stream: list(by_name.values()) for stream, by_name in found.items()}
 
 
@@ -127,6 +132,8 @@ def values(world: World, history: History, wanted: dict[str, list[Column]]) -> d
             shape = (len(history.ticks), fleet.size)
             parts.append({c.name: own[c.name] if c.name in own else _absent(shape, c) for c in wanted[stream]})
         result[stream] = {c.name: np.concatenate([part[c.name] for part in parts], axis=1) for c in wanted[stream]}
+    for name, leaf, _, _ in radio_columns(world, history):
+        result[OF_RADIO][name] = leaf
     return result
 
 

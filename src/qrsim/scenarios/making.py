@@ -38,6 +38,8 @@ FLEET_PARTS = (
     "radius",
     "radio",
 )
+# With the vehicles of a single fleet these are the world's.
+OF_THE_WORLD = ("ground", "radio")
 # What a fleet does at the ground has the name of the ground itself, and is told from it by its value.
 AT_THE_GROUND = ("stop", "parked")
 SENSORS = {
@@ -74,12 +76,12 @@ def make_scenario(
         fleets: several fleets by name, each a dict with ``vehicles`` and any of the parts of a fleet.
         parts: what a scenario has in YAML, by its name there: of the scenario (name, duration, time_step, start_time,
             site, extends, ranges, task), of its world (area, ground, wind, turbulence, gust, sky, plume, terrain,
-            persons, obstacles, buildings, base_station, interference, beacons, collision_distance), and with
-            ``vehicles`` of the fleet (vehicle, controller, guidance, limits, sensors, battery, faults, placement, and
-            ground, which is the world's unless it is "stop" or "parked"). A component is the name of its type, a dict
-            as in YAML, or an object such as ``LogShear(...)``. Sensors are "ideal" (the default) or "noisy" ones of
-            every kind, or given by name. With ``extends``, ``fleets`` says what is different in them, and may be left
-            out.
+            persons, obstacles, buildings, base_station, interference, beacons, collision_distance, radio), and
+            with ``vehicles`` of the fleet (vehicle, controller, guidance, limits, sensors, battery, faults, placement,
+            and ground, which is the world's unless it is "stop" or "parked"). A component is the name of its type, a
+            dict as in YAML, or an object such as ``LogShear(...)``. Sensors are "ideal" (the default) or "noisy" ones
+            of every kind, or given by name. With ``extends``, ``fleets`` says what is different in them, and may be
+            left out.
 
     Raises:
         UsageError: an unknown part, or an object that is no component of its kind.
@@ -92,9 +94,9 @@ def make_scenario(
         raise UsageError("make_scenario: give either vehicles or fleets")
     known = (*SCENARIO_PARTS, *WORLD_PARTS, *(FLEET_PARTS if vehicles is not None else ()))
     if vehicles is not None and isinstance(parts.get("ground"), str) and parts["ground"] in AT_THE_GROUND:
-        fleet_parts = {name: parts.pop(name) for name in FLEET_PARTS if name in parts}
+        fleet_parts = {name: parts.pop(name) for name in FLEET_PARTS if name in parts and name != "radio"}
     else:
-        fleet_parts = {name: parts[name] for name in FLEET_PARTS if name in parts and name != "ground"}
+        fleet_parts = {name: parts[name] for name in FLEET_PARTS if name in parts and name not in OF_THE_WORLD}
     for name in parts:
         if name in FLEET_PARTS and name not in known:
             raise UsageError(f"make_scenario: {name} is a part of a fleet; give it in fleets")
@@ -171,6 +173,8 @@ def _part(value: Any, name: str, kind: str = "") -> Any:
     """Return a component as YAML has it; those inside the sky may be named by their types too."""
     if name == "sky" and isinstance(value, Mapping):
         return {key: entry if key == "period" else _part(entry, f"sky.{key}") for key, entry in value.items()}
+    if name == "radio" and isinstance(value, str):
+        return value
     kinds = {f"sky.{part}": other for other, part in SKY_KINDS.items()}
     return {"type": value} if isinstance(value, str) else _plain(value, name, kind or kinds.get(name, name))
 

@@ -20,6 +20,7 @@ from qrsim.interface.policies import UserFunction
 from qrsim.interface.readings import Reading
 from qrsim.models.site import Site
 from qrsim.world import tick as ticks_of
+from qrsim.world.radio import parted
 from qrsim.world.state import State, World, WorldKeys
 
 Array = np.ndarray[Any, Any]
@@ -202,7 +203,7 @@ def tick_of_world(
 def _finite(world: World, actions: tuple[Any, ...]) -> Any:
     """Return whether all that is asked of each vehicle (n,) is finite."""
     parts = []
-    for fleet, action in zip(world.fleets, actions, strict=True):
+    for fleet, action in zip(world.fleets, parted(actions)[0], strict=True):
         leaves = jax.tree.leaves(action)
         fine = jnp.ones(fleet.size, bool)
         for leaf in leaves:

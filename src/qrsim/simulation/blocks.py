@@ -157,17 +157,17 @@ class LockStep:
 
         def heard(carry: Carry) -> Any:
             state = carry.state
-            return state.sky, [
+            return (state.sky, state.sky_keys, state.radio), [
                 (fleet.readings, fleet.violation, fleet.passed_on, fleet.fitted) for fleet in state.fleets
             ]
 
         found = []
         host = jax.tree.map(np.asarray, flight.get(heard))
         for world in range(len(self.rows)):
-            sky, own = jax.tree.map(lambda leaf, world=world: leaf[world], host)
+            (sky, sky_keys, radio), own = jax.tree.map(lambda leaf, world=world: leaf[world], host)
             names = ("readings", "violation", "passed_on", "fitted")
             fleets = [SimpleNamespace(**dict(zip(names, fleet, strict=True))) for fleet in own]
-            state: Any = SimpleNamespace(sky=sky, fleets=fleets)
+            state: Any = SimpleNamespace(sky=sky, fleets=fleets, sky_keys=sky_keys, radio=radio)
             flying = np.concatenate([fleet.violation.code for fleet in fleets]) == 0
             found.append((Reading(self.engine.example, state, tick, self.engine.setup.site), flying))
         return found

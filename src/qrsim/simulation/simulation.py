@@ -12,10 +12,12 @@ import numpy as np
 
 from qrsim.control import Estimate, WaypointSetpoint
 from qrsim.core.noise import Key
+from qrsim.core.tree import replace
 from qrsim.engine.layout import Buffers, LazyTree, Packer
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
+from qrsim.interface.messages import Message, Say, messages, outboxes, receiver_number
 from qrsim.interface.readings import Reading
 from qrsim.interface.truth import Truth
 from qrsim.models.scene.area import reason_text
@@ -235,6 +237,44 @@ class Simulation(Alone):
             self.tick += count
             self._host = None
         return History(numbers, self.world.time_step, layout.unpack(rows))
+
+    @alone
+    def send(self, vehicle: str | int, payload: Any, to: str | int | None = None) -> None:
+        """Hand a message to the radio of a vehicle, which sends it as soon as its turn comes (docs/radio.md).
+
+        Args:
+            vehicle: name or number of the sender.
+            payload: at most as many numbers as ``world.radio.size`` says.
+            to: name or number of who alone is to hear it; None: all.
+
+        Raises:
+            UsageError: no radio, nobody of that name, or a payload that is too long or no numbers.
+        """
+        layout, before = self._running()
+        if self.world.radio is None:
+            raise UsageError("send: the scenario has no world.radio")
+        sender, receiver = self._vehicle_number("send", vehicle), receiver_number(to, self.vehicle_names, "send: to")
+        (outbox,) = outboxes(Say([payload], to=receiver), self.world, [[""]], self.dtype, False)
+        state = layout.unpack(tuple(np.array(part) for part in before))  # type: ignore[arg-type]
+        radio = self.world.radio.handed(state.radio, sender, outbox.payload[:, 0], receiver, self.tick)
+        with self.precision_context():
+            self._state, self._host = self._ticks.adopt(layout.pack(replace(state, radio=radio))), None
+
+    def inbox(self, vehicle: str | int) -> list[Message]:
+        """Return what a vehicle has heard over the radio, the newest message of each sender.
+
+        Raises:
+            UsageError: no radio, or nobody of that name.
+        """
+        if self.world.radio is None:
+            raise UsageError("inbox: the scenario has no world.radio")
+        return messages(self.world, self.state, self.tick, self._vehicle_number("inbox", vehicle))
+
+    def _vehicle_number(self, what: str, vehicle: str | int) -> int:
+        number = receiver_number(vehicle, self.vehicle_names, f"{what}: vehicle")
+        if number < 0:
+            raise UsageError(f"{what}: vehicle: name one, or give its number")
+        return number
 
     @alone
     def set_state(self, state: Any) -> Reading:

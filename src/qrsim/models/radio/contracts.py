@@ -96,3 +96,19 @@ class Radio(Protocol):
     @abstractmethod
     def received(self, state: Any, tick: Array, time_step: float) -> Inbox:
         """Return what each vehicle has heard by a tick."""
+
+    @abstractmethod
+    def heard(self, state: Any, tick: Any, time_step: float) -> Any:
+        """Return the same as a table of messages, with the ticks at which each was sent and known."""
+
+    @abstractmethod
+    def counted(self, state: Any) -> dict[str, Any]:
+        """Return what has become of packets since the start, by name, (n,) each; columns of metrics and logs."""
+
+    @abstractmethod
+    def links(self, state: Any) -> Any:
+        """Return the links of the last period."""
+
+    @abstractmethod
+    def handed(self, state: Any, vehicle: int, payload: Any, to: int, tick: int) -> Any:
+        """Return a state, of arrays on the host, with a message of a vehicle behind those that wait."""

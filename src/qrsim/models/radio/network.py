@@ -90,7 +90,7 @@ class Network(Channel, Radio):
 
     def received(self, state: NetworkState, tick: Any, time_step: float) -> Inbox:
         """Return what each vehicle has heard by a tick."""
-        heard = self._table(state, tick, time_step)
+        heard = self.heard(state, tick, time_step)
         library: Any = np if isinstance(heard.sender, np.ndarray) else jnp
         mask = heard.sender != NOBODY
         age = (tick - heard.sent).astype(heard.rssi.dtype) * time_step
@@ -102,11 +102,35 @@ class Network(Channel, Radio):
             mask=mask.T,
         )
 
-    def _table(self, state: NetworkState, tick: Any, time_step: float) -> Heard:
+    def heard(self, state: NetworkState, tick: Any, time_step: float) -> Heard:
         """Return the newest known message of each sender, the newest first, without those that are forgotten."""
         both = state.coming.joined(state.table)
         fresh = (tick - both.sent) <= round(self.inbox.forget / time_step)
         return newest(both, both.known(tick) & fresh, self.inbox.size)
+
+    def counted(self, state: NetworkState) -> dict[str, Any]:
+        """Return what has become of packets since the start, by name, (n,) each."""
+        return dict(vars(state.counts))
+
+    def links(self, state: NetworkState) -> Links:
+        """Return the links of the last period."""
+        return state.links
+
+    def handed(self, state: NetworkState, vehicle: int, payload: Any, to: int, tick: int) -> NetworkState:
+        """Return a state, of arrays on the host, with a message of a vehicle behind those that wait."""
+        words, receivers, since = (
+            np.array(part) for part in (state.waiting.payload, state.waiting.to, state.waiting.since)
+        )
+        lost = np.array(state.counts.lost_queue)
+        length = int((since[:, vehicle] != NOBODY).sum())
+        if length == self.mac.queue:
+            lost[vehicle] += 1
+            length -= 1
+            words[:-1, :, vehicle], receivers[:-1, vehicle] = words[1:, :, vehicle], receivers[1:, vehicle]
+            since[:-1, vehicle] = since[1:, vehicle]
+        words[length, :, vehicle], receivers[length, vehicle], since[length, vehicle] = payload, to, tick
+        waiting: Any = Waiting(words, receivers, since)  # type: ignore[arg-type]
+        return replace(state, waiting=waiting, counts=replace(state.counts, lost_queue=lost))
 
     def _queued(self, state: NetworkState, said: Outbox, now: Exchange) -> NetworkState:
         """Put what is said behind what waits; where there is no room, the oldest is lost."""
@@ -145,7 +169,7 @@ class Network(Channel, Radio):
         links = outcomes(self, near, power, begin, sends, to, self._chance(state.keys, near, now.ids, frame))
         heard = self._arriving(state, near, links, (payload, since, begin), now, frame)
         rows = limits.size
-        old = replace(state, table=self._table(state, now.tick, now.time_step))
+        old = replace(state, table=self.heard(state, now.tick, now.time_step))
         coming = heard.joined(_first_rows(state.coming, state.coming.sender.shape[0] - rows))
         waiting = _without_first(state.waiting, queued & sends)
         return replace(
