@@ -12,9 +12,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import Noise, ou_step
-from qrsim.core.tree import derived, parameter, quantity, record, setting
+from qrsim.core.tree import derived, parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
-from qrsim.models.atmosphere.standard import GAS, GRAVITY, PRESSURE, TEMPERATURE, air_above
+from qrsim.models.atmosphere.standard import GAS, GRAVITY, LAPSE, PRESSURE, TEMPERATURE, air_above
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.sensors.air_presets import ALTIMETERS, default_altimeter
 from qrsim.models.sensors.contracts import Sensor
@@ -109,11 +109,11 @@ class PressureAltimeter(Sensor):
     ) -> tuple[PressureState, PressureReading]:  # fmt: skip
         """Return a stationary first drift, the chip's offset, and a reading whose rate is the true one."""
         white, drift, offset = draw.normals(3)
-        drift, offset = self.drift_std * drift, self.offset_std * offset
-        felt = self._felt(position_ned, attitude, velocity_body, wind_ned, load, ground) + self.noise_std * white
-        height, pressure, warmth = self._measured(-position_ned.z, felt, drift, offset)
+        state = PressureState(self.drift_std * drift, self.offset_std * offset, drift, drift)
+        flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
+        height, pressure, warmth = self._measured(state, white, *flow)
         rate = -velocity_ned.z
-        return PressureState(drift, offset, height, rate), PressureReading(height, rate, pressure, warmth)
+        return replace(state, height=height, rate=rate), PressureReading(height, rate, pressure, warmth)
 
     def restart(
         self, state: PressureState, draw: Noise, since: Array, position_ned: Vec3, velocity_ned: Vec3,
@@ -121,11 +121,11 @@ class PressureAltimeter(Sensor):
     ) -> tuple[PressureState, PressureReading]:  # fmt: skip
         """Return state and reading of the same altimeters, in the same weather, on vehicles placed anew."""
         white, _, _ = draw.normals(3)
-        felt = self._felt(position_ned, attitude, velocity_body, wind_ned, load, ground) + self.noise_std * white
-        height, pressure, warmth = self._measured(-position_ned.z, felt, state.drift, state.offset)
+        flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
+        height, pressure, warmth = self._measured(state, white, *flow)
         rate = -velocity_ned.z
         # The height that it would have read then, because the next rate is that of a whole period.
-        then = PressureState(state.drift, state.offset, height + velocity_ned.z * since, rate)
+        then = replace(state, height=height + velocity_ned.z * since, rate=rate)
         return then, PressureReading(height, rate, pressure, warmth)
 
     def step(
@@ -135,40 +135,42 @@ class PressureAltimeter(Sensor):
         """Advance one period."""
         white, normal = draw.normals(2)
         drift = ou_step(state.drift, normal, self.period, self.drift_std, self.drift_time_constant)
-        felt = self._felt(position_ned, attitude, velocity_body, wind_ned, load, ground) + self.noise_std * white
-        height, pressure, warmth = self._measured(-position_ned.z, felt, drift, state.offset)
+        flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
+        height, pressure, warmth = self._measured(replace(state, drift=drift), white, *flow)
         share = self.period / (self.period + jnp.asarray(self.rate_time_constant))
         rate = state.rate + share * ((height - state.height) * (1.0 / self.period) - state.rate)
         return PressureState(drift, state.offset, height, rate), PressureReading(height, rate, pressure, warmth)
 
-    def _felt(
-        self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3, load: Load, ground: Ground
-    ) -> Array:
-        """Return the pressure (n,) [Pa] that flow around the vehicle adds to that of the air."""
+    def _measured(
+        self, state: PressureState, white: Array, position_ned: Vec3, attitude: Euler, velocity_body: Vec3,
+        wind_ned: Vec3, load: Load, ground: Ground,
+    ) -> tuple[Array, Array, Array]:  # fmt: skip
+        """Return height [m], pressure [Pa] and temperature of the air [K] (n,)."""
+        base, above = jnp.asarray(self.site_temperature), -position_ned.z
+        # On a warmer day the air is thinner: a metre is less pressure.
+        stands = above * (base / (base + self.warmer)) + state.drift
+        air = air_above(stands, base, self.site_pressure)
         flow = velocity_body - rotation(attitude).to_body(wind_ned)
+        felt = 0.5 * air.density * self._ports(flow) + self.noise_std * white
+        felt = felt + self._by_rotors(ground.down(position_ned) + above) * load.per_weight(above)
+        height = stands - air.temperature / air.pressure * (GAS / GRAVITY) * (
+            felt if self.zeroed else felt + state.offset
+        )
+        return height, air.pressure + felt + state.offset, base - LAPSE * above + self.warmer
+
+    def _ports(self, flow: Vec3) -> Array:
+        """Return the pressure (n,) at the static port over half the air's density, by the flow (n,) [m/s]."""
         x, y, z = flow.axes
-        density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
         along = jnp.where(x > 0.0, self.port_forward, self.port_backward) * (x * x)
         across = jnp.where(y > 0.0, self.port_right, self.port_left) * (y * y)
-        ports = along + across + self.port_vertical * (z * jnp.abs(z))
+        return along + across + self.port_vertical * (z * jnp.abs(z))
+
+    def _by_rotors(self, clearance: Array) -> Array:
+        """Return the pressure (n,) [Pa] by rotors in hover, so far above the ground (n,) [m]."""
         diameter = jnp.asarray(self.rotor_diameter)
         diameter = jnp.where(diameter > 0.0, diameter, self.vehicle_rotor)
-        above = ground.down(position_ned) - position_ned.z
-        near = jnp.clip(1.0 - above / diameter, 0.0, 1.0)
-        thrust = load.per_weight(position_ned.x)
-        return 0.5 * density * ports + (self.rotor_wash + self.ground_effect * (near * near)) * thrust
-
-    def _measured(self, above: Array, felt: Array, drift: Array, offset: Array) -> tuple[Array, Array, Array]:
-        """Return height [m], pressure [Pa] and temperature [K] (n,) at a height above the site (n,) [m]."""
-        warmth = jnp.asarray(self.site_temperature)
-        # On a warmer day the air is thinner: a metre is less pressure.
-        stands = above * (warmth / (warmth + self.warmer)) + drift
-        air = air_above(stands, self.site_temperature, self.site_pressure)
-        metres = air.temperature / air.pressure * (GAS / GRAVITY)
-        height = stands - metres * (felt if self.zeroed else felt + offset)
-        pressure = air_above(height, self.site_temperature, self.site_pressure).pressure
-        true = air_above(above, self.site_temperature, self.site_pressure).temperature
-        return height, pressure + offset if self.zeroed else pressure, true + self.warmer
+        near = jnp.clip(1.0 - clearance / diameter, 0.0, 1.0)
+        return self.rotor_wash + self.ground_effect * (near * near)
 
 
 @record
