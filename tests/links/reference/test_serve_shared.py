@@ -25,6 +25,8 @@ from qrsim.links.reference.kinds import TYPES
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import frame
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
+from qrsim.links.reference.roles import Options
+from qrsim.links.reference.shared_session import SharedSession
 from qrsim.links.reference.sharing import Subscription
 from qrsim.links.reference.tasks import Tasks
 from qrsim.links.shared.replay import replay
@@ -203,6 +205,7 @@ def test_a_free_world_begins_with_the_first_claim_and_does_not_wait(free):
     assert silent.silent_since == pytest.approx(0.02 * status.arrival_tick)
     assert silent.age >= 0.5
     assert any("it holds its place" in line for line in server.lines)
+    assert [event["kind"] for event in one.events() if event["vehicle"] == A] == ["controller_silent"]
     with pytest.raises(Refused, match=r"RESTART: client \d+ flies 'vehicles_0' in this world"):
         other.restart()
     one.disconnect()
@@ -431,6 +434,26 @@ def test_the_world_is_described(barrier):
 
 def test_the_client_has_every_kind_of_order():
     assert KINDS == TYPES
+
+
+def test_nobody_gets_in_before_there_is_a_world(monkeypatch):
+    begin, refused = SharedSession.begin, []
+
+    def late(session: SharedSession) -> None:
+        for host_port in sockets:
+            with pytest.raises(ConnectionRefusedError):
+                socket.create_connection(host_port, 5.0)
+            refused.append(host_port)
+        begin(session)
+
+    with socket.create_server(("127.0.0.1", 0)) as free_one:
+        sockets = [free_one.getsockname()[:2]]
+    monkeypatch.setattr(SharedSession, "begin", late)
+    # As the port that the helper asks for.
+    monkeypatch.setattr("wires.Options", lambda port, **others: Options(port=sockets[0][1], **others))
+    with sharing(pace="barrier") as (_, connect):
+        assert refused == sockets
+        assert connect().claim(A).vehicles == (A,)
 
 
 def test_silence_of_the_operator_is_that_of_claims():

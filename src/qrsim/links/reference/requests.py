@@ -18,6 +18,7 @@ from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.roles import Client
 from qrsim.links.reference.sensors import sensor_readings
 from qrsim.links.reference.session import Session, SessionOptions
+from qrsim.links.reference.shared_session import SharedSession
 from qrsim.links.reference.tasks import offboard, uploaded
 
 CAPABILITIES = (
@@ -268,8 +269,13 @@ async def watch(connection: Client, message: Message) -> bool:
 
 async def get_events(connection: Client, message: Message) -> bool:
     """Send the events since the last request."""
-    async with _still(connection):
-        found = connection.required_session().events()
+    session = connection.required_session()
+    if isinstance(session, SharedSession):
+        async with _still(connection):
+            session.hand_over()
+        found = await connection.server.run(session, session.events)
+    else:
+        found = session.events()
     connection.send(Message(type=Message.EVENTS, events=found))
     return True
 

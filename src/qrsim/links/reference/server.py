@@ -100,7 +100,7 @@ class Server:
         loop = asyncio.get_running_loop()
         try:
             listening = await loop.create_server(
-                lambda: Connection(self), self.options.host, self.options.port, backlog=BACKLOG
+                lambda: Connection(self), self.options.host, self.options.port, backlog=BACKLOG, start_serving=False
             )
         except OSError as error:
             raise RunError(self._why_not(error)) from None
@@ -112,7 +112,9 @@ class Server:
                     loop.add_signal_handler(number, self.stop)
         if self.options.idle_timeout:
             threading.Thread(target=self._watch_idle, args=(loop,), name="idle", daemon=True).start()
+        # Nobody gets in before there is a world to share.
         begun = await self._share() if self.options.pace != "owner" else ""
+        await listening.start_serving()
         ready(*listening.sockets[0].getsockname()[:2])
         if begun:
             self.say(begun)

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from qrsim.engine.layout import Packer
+from qrsim.errors import warn_user
 from qrsim.links.contracts import Pace, Silence
 from qrsim.links.pacing import Metronome, Pacer
+from qrsim.links.reference.protocol.qrsim_pb2 import Events
 from qrsim.links.reference.sensed import Sensed
 from qrsim.links.reference.session import PIECE_TICKS, Session, SessionOptions
 from qrsim.links.shared.failsafe import believed_of
@@ -14,9 +21,16 @@ from qrsim.links.shared.plant import Plant
 from qrsim.links.shared.recorded import STREAM, order_columns, order_values
 from qrsim.runs import Column
 from qrsim.runs.streams import Values
+from qrsim.simulation.simulation import History
 
 if TYPE_CHECKING:
     from qrsim.view.live import LiveView
+
+Array = np.ndarray[Any, Any]
+# What a tick was flown by (shared/plant.py).
+Flown = dict[str, Array]
+# So many ticks are kept at a time, which costs little more than to keep one.
+KEPT_TICKS = 25
 
 
 class SharedSession(Session):
@@ -43,6 +57,10 @@ class SharedSession(Session):
     ):
         super().__init__(number, options, view)
         self.pace, self._silence, self._say = pace, silence, say
+        # A tick must not wait for a disk: what is kept of it is written by another thread, many ticks at a time.
+        self._keeping = ThreadPoolExecutor(1, thread_name_prefix=f"keep-{number}")
+        self._ticks: list[tuple[int, list[Array], Flown]] = []
+        self._flown: list[Flown] = []
 
     def prepare(self) -> None:
         """Make the plant, and compile the one kind of step that there is."""
@@ -79,6 +97,8 @@ class SharedSession(Session):
 
     def _start_episode(self) -> None:
         self.plant.restart()
+        self._drain()
+        self._flown = [self.plant.flown]
         super()._start_episode()
         self.sensed = Sensed(self.simulation, self.states)
 
@@ -92,10 +112,72 @@ class SharedSession(Session):
 
     # ---- what is kept ----
 
+    def _advance(self, command: Any, ticks: int) -> None:
+        if not self.ticks_are_kept:
+            self.simulation.advance(command, ticks)
+        elif ticks > 1:
+            self.hand_over()
+            for done in range(0, ticks, PIECE_TICKS):
+                history = self.simulation.record(min(PIECE_TICKS, ticks - done), command, PIECE_TICKS)
+                self._keeping.submit(self._keep_history, history, [self.plant.flown] * len(history.ticks))
+        else:
+            self.simulation.advance(command)
+            _, state = self.simulation.packed
+            self._ticks.append((self.simulation.tick, [np.array(part) for part in state], self.plant.flown))
+            if len(self._ticks) >= KEPT_TICKS:
+                self.hand_over()
+
+    def hand_over(self) -> None:
+        """Have the ticks that were flown kept."""
+        if self._ticks:
+            layout, _ = self.simulation.packed
+            self._keeping.submit(self._keep_ticks, layout, self._ticks)
+            self._ticks = []
+
+    def _drain(self) -> None:
+        """Wait until all is kept."""
+        self.hand_over()
+        self._keeping.submit(int).result()
+
+    def _keep_ticks(self, layout: Packer, ticks: list[tuple[int, list[Array], Flown]]) -> None:
+        numbers, states, flown = zip(*ticks, strict=True)
+        floats, integers = (np.stack(parts) for parts in zip(*states, strict=True))
+        history = History(np.array(numbers), self.time_step, layout.unpack((floats, integers)))
+        self._keep_history(history, list(flown))
+
+    def _keep_history(self, history: History, flown: list[Flown]) -> None:
+        self._flown = flown
+        try:
+            self._keep(history)
+        except Exception as error:
+            # Who hands over does not wait for the result.
+            warn_user(f"session {self.number}: {type(error).__name__} while ticks were kept: {error}")
+
+    def keep_events(self, found: list[dict[str, Any]]) -> None:
+        """Keep events, in the thread that keeps everything."""
+        if threading.current_thread().name.startswith("keep-"):
+            super().keep_events(found)
+        elif found:
+            self._keeping.submit(super().keep_events, found)
+
+    def events(self) -> Events:
+        """Return the events since the last call, of ticks that were handed over."""
+        return self._keeping.submit(super().events).result()
+
     def more_columns(self) -> dict[str, list[Column]]:
         """Return the columns of the orders."""
         return {STREAM: order_columns(self.plant)}
 
     def more_values(self, ticks: int) -> dict[str, Values]:
         """Return the orders that the last ticks were flown by."""
-        return {STREAM: order_values(self.plant, ticks)}
+        return {STREAM: order_values(self.plant, self._flown)}
+
+    def close_recording(self) -> None:
+        """End the recording of the present episode."""
+        self._drain()
+        super().close_recording()
+
+    def end(self) -> None:
+        """End the recording; call nothing after it."""
+        super().end()
+        self._keeping.shutdown(wait=False)

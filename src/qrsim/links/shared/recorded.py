@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,11 +30,9 @@ def order_columns(plant: Plant) -> list[Column]:
     ]
 
 
-def order_values(plant: Plant, ticks: int) -> dict[str, Array]:
-    """Return the values (ticks, n) of the stream for the ticks since the last ``begin`` of the plant."""
-    found = dict(plant.flown)
+def order_values(plant: Plant, flown: Sequence[dict[str, Array]]) -> dict[str, Array]:
+    """Return the values (T, n) of the stream for T ticks, of what each was flown by."""
+    found = {name: np.stack([tick[name] for tick in flown]) for name in flown[0]}
     numbers = found.pop("numbers")
-    found |= {f"number_{i}": column for i, column in enumerate(numbers.T)}
-    types = {column.name: column.dtype for column in order_columns(plant)}
-    shape = (ticks, len(numbers))
-    return {name: np.broadcast_to(found[name].astype(dtype), shape) for name, dtype in types.items()}
+    found |= {f"number_{i}": numbers[..., i] for i in range(numbers.shape[-1])}
+    return {column.name: found[column.name].astype(column.dtype) for column in order_columns(plant)}
