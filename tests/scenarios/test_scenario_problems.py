@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import copy
+import json
 import math
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -470,3 +473,22 @@ def test_no_bad_input_gets_through(path: str, value: Any, start: str) -> None:
 
 def test_the_smallest_time_step_that_is_said_to_be_allowed_is_allowed() -> None:
     load_scenario(changed(("time_step", 1e-4)))
+
+
+def test_an_extra_that_is_missing_is_told_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not of each of the buildings."""
+    square = {"type": "Polygon", "coordinates": [[[9, 9], [9, 20], [20, 20], [9, 9]]]}
+    building = {"type": "Feature", "properties": {"height": 9}, "geometry": square}
+    (tmp_path / "block.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [building] * 3}))
+    monkeypatch.setitem(sys.modules, "shapely", None)
+    content = {
+        "name": "x", "world": {"buildings": {"file": str(tmp_path / "block.geojson"), "frame": "local"}},
+        "fleets": {"a": {"controller": {"type": "waypoint", "feed": "truth"},
+                         "vehicles": [{"position_ned": [0.0, 0.0, -3.0]}]}},
+    }  # fmt: skip
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(content)
+    (problem,) = caught.value.problems
+    assert (
+        "world.buildings.file: a file of buildings needs shapely: python -m pip install 'qrsim[buildings]'" in problem
+    )

@@ -81,6 +81,8 @@ def read_buildings(file: str, frame: str, site: Site) -> BuildingsFile:
             f"{file}: has {points} corners; allowed: at most {MOST_POINTS} in all; cut it to the area, or simplify the "
             "outlines (ogr2ogr -simplify)"
         )
+    # Once, and not of each feature, where it is not installed.
+    load("buildings", "a file of buildings", "shapely")
     found, problems = BuildingsFile(), []
     for name, properties, geometry in features:
         polygons = _polygons(geometry)
@@ -211,7 +213,7 @@ def _check(placed: list[Ring], written: Any) -> None:
     """Refuse an outline that crosses itself, and holes that are not in it."""
     if len(placed) - 1 > MOST_HOLES:
         raise UsageError(f"it has {len(placed) - 1} holes; allowed: at most {MOST_HOLES}")
-    shapely = load("buildings", "world.buildings.file", "shapely")
+    shapely = load("buildings", "a file of buildings", "shapely")
     polygon = shapely.Polygon(placed[0], placed[1:])
     if polygon.is_valid:
         return
