@@ -18,6 +18,7 @@ from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.models.sensors.earth_field import declination, earth_field_ned, inclination
+from qrsim.models.sensors.fitting import Fitting, mounted
 from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer, Steel
 from qrsim.models.sensors.magnetometer_presets import PRESETS
 from qrsim.models.site import Site
@@ -207,6 +208,15 @@ class TestErrors:
         _, reading = sensor.restart(state, zeros, np.zeros(1), vector(5.0, 0.0, 0.0), level, load)  # type: ignore[arg-type]
         np.testing.assert_allclose(np.asarray(reading.field_body.stack())[0] - FIELD, 2.0, atol=1e-5)
 
+    def test_a_turned_chip_has_axes_of_its_own(self) -> None:
+        body, turn = (0.3, -0.2, 1.0), (0.1, -0.4, 2.0)
+        scene = {"attitude": euler(*body), "position_ned": vector(0.0, 0.0, 0.0), "rates_body": vector(0.0, 0.0, 0.0)}
+        fitting = Fitting(attitude=Euler(*turn))  # type: ignore[arg-type]
+        found = mounted(fitting, scene, ("position_ned", "attitude"), None, 0.02)
+        expected = Rotation.from_euler("ZYX", body[::-1]) * Rotation.from_euler("ZYX", turn[::-1])
+        reading = measured(chip(), attitude=found["attitude"])
+        np.testing.assert_allclose(reading, expected.inv().apply(FIELD), atol=5e-5)
+
 
 class TestSteel:
     def test_a_sphere_is_a_dipole(self) -> None:
@@ -281,6 +291,7 @@ def test_presets_are_those_of_the_data_sheets(name: str) -> None:
 
 
 class TestAllan:
+    @pytest.mark.long
     def test_readings_at_rest_have_it(self) -> None:
         """Sixteen chips for an hour; 99.9 % over all windows: N^2/t, and the closed form of the drift."""
         sensor = cast(Magnetometer(noise=0.05, drift_std=0.3, drift_time_constant=60.0, period=0.2), np.float32)  # type: ignore[arg-type]
