@@ -26,7 +26,7 @@ from qrsim.models.vehicles.contracts import Charged, VehicleState
 from qrsim.models.vehicles.faults import failed_rotors
 from qrsim.models.vehicles.moving import move
 from qrsim.world.air import around_of, gust_at, gust_rates_at, wakes_at
-from qrsim.world.asking import by_kind, what_is_asked
+from qrsim.world.commanding import by_kind, command_fleet
 from qrsim.world.draws import draw_fleet, draw_sky, keys_of
 from qrsim.world.episode import (
     draw_field,
@@ -166,11 +166,11 @@ def _fly(
     gust_rates = gust_rates_at(world, whole.field, turbulence, *at)
     air = mean_wind + gust
 
-    asked = what_is_asked(world, whole, fleet, state, action, believed)
+    flown = command_fleet(world, whole, fleet, state, action, believed)
     load = model.load(state.vehicle)
     voltage = fleet.battery.voltage(state.battery, load)
     commands = [
-        (which, *model.clip(model.powered(wanted, voltage), voltage is not None)) for which, wanted in asked.commands
+        (which, *model.clip(model.powered(wanted, voltage), voltage is not None)) for which, wanted in flown.commands
     ]
     battery = fleet.battery.step(state.battery, load, dt)
     drawn = model.draw_noise(noise[PROCESS], dt)
@@ -194,7 +194,7 @@ def _fly(
         state, vehicle=vehicle, position_low_ned=low, specific_force=force, parked=parked,
         turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
         gust_rates_ned=gust_rates,
-        estimate=asked.estimate, guidance=asked.guidance, setpoint=asked.setpoint, controller=asked.controller,
+        estimate=flown.estimate, guidance=flown.guidance, setpoint=flown.setpoint, controller=flown.controller,
         command=command, command_clipped=clipped, battery=battery,
     )  # fmt: skip
 

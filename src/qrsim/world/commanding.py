@@ -1,4 +1,4 @@
-"""What is asked of the vehicles of a fleet in a tick: by a user, or by its own guidance and controller."""
+"""Commands of the vehicles of a fleet in a tick: a user's, or those of its own guidance and controller."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from qrsim.world.state import Action, Fleet, FleetState, Some, State, World
 Commands = list[tuple[Any, Any]]
 
 
-class Asked(NamedTuple):
+class Commanded(NamedTuple):
     """What guidance and controller of a fleet (n,) have come to, and what its vehicles are commanded."""
 
     guidance: Any
@@ -28,46 +28,45 @@ class Asked(NamedTuple):
     commands: Commands
 
 
-def what_is_asked(
+def command_fleet(
     world: World, whole: State, fleet: Fleet, state: FleetState, action: Action, believed: Estimate | None
-) -> Asked:
-    """Return what is asked of a fleet at the start of a tick; see ``step`` of world/tick.py for the arguments."""
+) -> Commanded:
+    """Command a fleet at the start of a tick; see ``step`` of world/tick.py for the arguments."""
     if isinstance(action, Some):
-        return _of_some(world, whole, fleet, state, action, believed)
+        return _command_some(world, whole, fleet, state, action, believed)
     if isinstance(action, fleet.vehicle.actions):
-        return Asked(state.guidance, state.setpoint, state.controller, state.estimate, [(None, action)])
+        return Commanded(state.guidance, state.setpoint, state.controller, state.estimate, [(None, action)])
     guidance = state.guidance
     fed = estimate_of(fleet, state) if believed is None else believed
     standing = on_ground(fleet, state)
     alone = replace(fed, position_low_ned=None)
     estimate = map_tree(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, state.estimate)
-    asked: Any = action
-    if asked is None:
+    setpoint: Any = action
+    if setpoint is None:
         others = _others(world, whole, fleet) | seen_ground(fleet, standing)
         motion: dict[str, Any] = {}
         if fleet.guidance.sees_motion:
             motion = {"velocity_ned": estimate.velocity_ned, "dt": world.time_step}
-        guidance, asked = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others, **motion)
+        guidance, setpoint = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others, **motion)
     known = replace(estimate, position_low_ned=fed.position_low_ned)
     controller = state.controller
     if standing is not None:
         # What it cannot move would fill its integrals, so it starts anew until it flies.
         controller = select(standing, fleet.controller.init(known), controller)
-    controller, wanted = fleet.controller.step(controller, known, asked, world.time_step)
-    return Asked(guidance, fleet.controller.shown(asked), controller, estimate, [(None, wanted)])
+    controller, wanted = fleet.controller.step(controller, known, setpoint, world.time_step)
+    return Commanded(guidance, fleet.controller.shown(setpoint), controller, estimate, [(None, wanted)])
 
 
-def _of_some(
+def _command_some(
     world: World, whole: State, fleet: Fleet, state: FleetState, some: Some, believed: Estimate | None
-) -> Asked:
-    """Return what is asked of a fleet of which others command some vehicles."""
-    asked = what_is_asked(world, whole, fleet, state, None, believed)
-    kept, commands = asked[:-1], asked.commands
+) -> Commanded:
+    """Command a fleet of which a user commands some vehicles."""
+    *kept, commands = command_fleet(world, whole, fleet, state, None, believed)
     for which, action in some.parts:
-        theirs = what_is_asked(world, whole, fleet, state, action, believed)
-        kept = select(which, theirs[:-1], kept)
+        theirs = command_fleet(world, whole, fleet, state, action, believed)
+        kept = select(which, list(theirs[:-1]), kept)
         commands = _joined(commands, which, theirs.commands[0][1])
-    return Asked(*kept, commands)
+    return Commanded(*kept, commands)
 
 
 def _joined(commands: Commands, which: Any, command: object) -> Commands:
