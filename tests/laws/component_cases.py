@@ -32,6 +32,7 @@ from qrsim.control import (
     WaypointSetpoint,
 )
 from qrsim.control.paths import Leg, Limits, mission_of, plan
+from qrsim.control.teams import mates_of
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import FieldInfo, cast, field_info, replace
 from qrsim.core.vectors import Euler, Vec3
@@ -155,6 +156,7 @@ FILES = {
 }
 # What a scenario must give where neither a default nor bounds say what is sensible.
 EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
+    ("GUIDANCE", "coverage"): {"north_min": -40.0, "north_max": 40.0, "east_min": -40.0, "east_max": 40.0},
     ("OBSTACLES", "box"): {"x_min": -3.0, "x_max": 4.0, "y_min": -5.0, "y_max": 6.0, "z_min": -12.0},
     # Half way up, 1.25 s after its start.
     ("GUSTS", "discrete"): {"start_time": 16.0, "length": 12.5, "speed": 5.0, "along": 4.0, "across": 2.0, "down": 1.0},
@@ -596,7 +598,11 @@ def _guidance(guidance: Any, given: Any, draws: Draws) -> Any:
     place, velocity = given["scene"]["position_ned"], given["scene"]["velocity_ned"]
     if isinstance(guidance, MissionGuidance):
         return _mission(guidance, place, velocity)
-    state, setpoint = guidance.step(guidance.init(route), route, place)
+    seen = {}
+    if guidance.sees_mates:
+        mates = mates_of(place, velocity, guidance.reach, min(guidance.mates, VEHICLES - 1))
+        seen = {"velocity_ned": velocity, "dt": DT, "mates": mates}
+    state, setpoint = guidance.step(guidance.init(route), route, place, **seen)
     return {"state": state, "setpoint": setpoint, "zero": jnp.zeros_like(given["thrust"])}
 
 

@@ -28,6 +28,7 @@ OF_A_WORLD = {
     "SKY_ERRORS": "errors",
 }
 OF_A_FLEET = {"VEHICLES": "vehicle", "BATTERIES": "battery", "CONTROLLERS": "controller"}
+TEAMS = [name for name, kind in GROUPS["GUIDANCE"].items() if kind.sees_mates]
 BESIDE = {"waypoint": "ekf", "velocity": "complementary"}
 WORLDS = range(max(len(GROUPS[group]) for group in OF_A_WORLD))
 # The sky steps every 10 ticks, so both parts have one of its steps.
@@ -91,6 +92,11 @@ def content(number: int) -> dict[str, Any]:
             sensors = {name: {"type": name} for name in own} | sensors
         fleets[f"fleet_{i}"] = {**fleet, "sensors": sensors, "faults": faults}
         sensors, faults = {}, []
+    for i, name in enumerate(TEAMS[number :: len(WORLDS)]):
+        guidance = {"type": name, **parameters_needed("GUIDANCE", name)}
+        places = [{"position_ned": [0.0, 6.0 * i + 3.0 * j - 20.0, -20.0]} for j in range(2)]
+        controller = {"type": "velocity_height", "feed": "truth"}
+        fleets[name] = {"controller": controller, "guidance": guidance, "vehicles": places}
     return {"name": f"world_{number}", "duration": 30.0, "start_time": START, "world": world, "fleets": fleets}
 
 

@@ -70,12 +70,15 @@ class Guidance(Protocol):
             are; NaN where one does not fly any more, and left out where there is no other fleet.
         sees_ground: whether ``step`` is handed ``on_ground`` (n,) bool, who stands on the ground now.
         sees_motion: whether ``step`` is handed ``velocity_ned`` (n,) [m/s], as estimated, and ``dt`` [s].
+        sees_mates: whether ``step`` is handed ``mates``, what each vehicle knows of the others of its fleet
+            (``teams/mates.py``); the component then has ``reach`` [m] and ``mates``, how far and how many it looks at.
     """
 
     gives: ClassVar[type[Any]]
     sees_others: ClassVar[bool] = False
     sees_ground: ClassVar[bool] = False
     sees_motion: ClassVar[bool] = False
+    sees_mates: ClassVar[bool] = False
 
     @abstractmethod
     def init(self, route: Any) -> Any:

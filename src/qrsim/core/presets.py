@@ -10,13 +10,19 @@ from typing import Any
 from qrsim.errors import UsageError, did_you_mean
 
 
+def presets_of(cls: type) -> Mapping[str, Mapping[str, Any]] | None:
+    """Return the presets of a class of components, None of one without."""
+    found: Mapping[str, Mapping[str, Any]] | None = getattr(cls, "presets", None)
+    return found
+
+
 def with_presets(cls: Any) -> Any:
     """Return a dataclass whose constructor takes what it is not given from the preset, if the class has any.
 
     Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them. The
     schema of a scenario does the same (``scenarios/component_schema.py``).
     """
-    presets: Mapping[str, Mapping[str, Any]] | None = getattr(cls, "presets", None)
+    presets = presets_of(cls)
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}
     if not presets or "preset" not in fields:
         return cls

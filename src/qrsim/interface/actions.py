@@ -337,7 +337,7 @@ def _rows(own: slice, leaf: Array) -> Array:
 
 def _arrays(record: Any) -> Any:
     """Return a record with arrays in place of numbers."""
-    return jax.tree.map(lambda leaf: leaf if hasattr(leaf, "shape") else np.asarray(leaf), record)
+    return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, int | float) else leaf, record)
 
 
 def _part(flying: Flying, own: slice) -> FloatArray:

@@ -22,6 +22,13 @@ from qrsim.control import (
     VelocityHeightGuidance,
     WaypointController,
 )
+from qrsim.control.teams import (
+    AvoidanceGuidance,
+    CoverageGuidance,
+    FlockingGuidance,
+    FormationGuidance,
+    VicsekGuidance,
+)
 from qrsim.models.atmosphere.dryden import Dryden
 from qrsim.models.atmosphere.field import DrydenField
 from qrsim.models.atmosphere.gust import DiscreteGust, NoGust
@@ -142,6 +149,11 @@ GUIDANCE: Catalogue = {
     "attitude": AttitudeGuidance,
     "flee": FleeGuidance,
     "mission": MissionGuidance,
+    "flocking": FlockingGuidance,
+    "vicsek": VicsekGuidance,
+    "formation": FormationGuidance,
+    "coverage": CoverageGuidance,
+    "orca": AvoidanceGuidance,
     "none": NoGuidance,
 }
 SENSORS: Catalogue = {

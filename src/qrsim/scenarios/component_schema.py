@@ -17,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from qrsim.core.presets import presets_of
 from qrsim.core.tree import FieldInfo, field_info
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
@@ -144,7 +145,7 @@ def component_model(
         if arrays is None or field.default is not dataclasses.MISSING:
             fields[field.name] = _field(field.name, hints[field.name], field, each)
     fields |= {key: field for key, field in (more or {}).items() if key not in fields}
-    presets: Mapping[str, Mapping[str, Any]] | None = getattr(component, "presets", None)
+    presets = presets_of(component)
     if presets:
         base = _preset_base(base, presets)
     doc = (component.__doc__ or "").split("\n\n")[0].strip()

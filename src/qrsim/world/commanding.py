@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from qrsim.control import Estimate
+from qrsim.control.teams import Mates, mates_of
 from qrsim.core.tree import concatenated, map_tree, replace, select
 from qrsim.world.sensing import estimate_of
 from qrsim.world.standing import on_ground, seen_ground
@@ -47,6 +48,8 @@ def command_fleet(
         motion: dict[str, Any] = {}
         if fleet.guidance.sees_motion:
             motion = {"velocity_ned": estimate.velocity_ned, "dt": world.time_step}
+        if fleet.guidance.sees_mates:
+            motion |= {"mates": _mates(fleet, state, estimate)}
         guidance, setpoint = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others, **motion)
     known = replace(estimate, position_low_ned=fed.position_low_ned)
     controller = state.controller
@@ -66,7 +69,8 @@ def _command_some(
         theirs = command_fleet(world, whole, fleet, state, action, believed)
         kept = select(which, list(theirs[:-1]), kept)
         commands = _joined(commands, which, theirs.commands[0][1])
-    return Commanded(*kept, commands)
+    guidance, setpoint, controller, estimate = kept
+    return Commanded(guidance, setpoint, controller, estimate, commands)
 
 
 def _joined(commands: Commands, which: Any, command: object) -> Commands:
@@ -90,6 +94,14 @@ def by_kind(commands: Sequence[tuple[Any, ...]], function: Callable[..., Any]) -
     for which, *given in commands[1:]:
         found = select(which, function(*given), found)
     return found
+
+
+def _mates(fleet: Fleet, state: FleetState, estimate: Estimate) -> Mates:
+    """Return what the vehicles of a fleet (n,) know of each other; of who has stopped nobody knows anything."""
+    guidance: Any = fleet.guidance
+    flies = state.violation.code == 0
+    position = estimate.position_ned.map(lambda axis: jnp.where(flies, axis, jnp.nan))
+    return mates_of(position, estimate.velocity_ned, guidance.reach, max(1, min(guidance.mates, fleet.size - 1)))
 
 
 def _others(world: World, whole: State, fleet: Fleet) -> dict[str, Any]:

@@ -1,0 +1,22 @@
+"""Guidance of teams: what each vehicle does by what it knows of those near it (docs/teams.md).
+
+``mates`` says what a vehicle knows of the others; each behaviour is one file with its literature.
+"""
+
+from qrsim.control.teams.avoidance import AvoidanceGuidance
+from qrsim.control.teams.coverage import CoverageGuidance
+from qrsim.control.teams.flocking import FlockingGuidance
+from qrsim.control.teams.formation import FormationGuidance
+from qrsim.control.teams.mates import Mates, TeamGuidance, mates_of
+from qrsim.control.teams.vicsek import VicsekGuidance
+
+__all__ = [
+    "AvoidanceGuidance",
+    "CoverageGuidance",
+    "FlockingGuidance",
+    "FormationGuidance",
+    "Mates",
+    "TeamGuidance",
+    "VicsekGuidance",
+    "mates_of",
+]

@@ -1,0 +1,56 @@
+"""Flocking by three rules: keep apart, fly as the others do, stay together (Reynolds 1987)."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control.guidance import Route
+from qrsim.control.teams.mates import Mates, TeamGuidance, length_of, limited, towards
+from qrsim.core.tree import parameter, record, setting
+from qrsim.core.vectors import Vec3
+
+
+@record
+class FlockingGuidance(TeamGuidance):
+    """Flies as a flock at the height of the first waypoint, and to it, where ``migration`` is above zero.
+
+    C. W. Reynolds, Flocks, herds and schools: a distributed behavioral model, SIGGRAPH 1987. The rules give velocities:
+    away from who is nearer than ``separation``, the mean velocity of all that are known, and to their middle.
+    """
+
+    speed: Array = parameter(default=4.0, unit="m/s", doc="largest speed", above=0.0, maximum=20.0)
+    separation: Array = parameter(default=8.0, unit="m", doc="distance below which two part", above=0.0, maximum=1e3)
+    separation_gain: Array = parameter(default=1.0, unit="1/s", doc="parting for each metre too near", minimum=0.0)
+    alignment: Array = parameter(
+        default=0.9, unit="1", doc="part of the others' mean velocity that is taken", minimum=0.0, maximum=1.0
+    )
+    cohesion_gain: Array = parameter(default=0.05, unit="1/s", doc="way to the others' middle", minimum=0.0)
+    migration: Array = parameter(default=0.0, unit="m/s", doc="towards the first waypoint", minimum=0.0, maximum=20.0)
+    reach: Array = parameter(default=100.0, unit="m", doc="how far it looks", above=0.0, maximum=1e5)
+    mates: int = setting(default=7, unit="1", doc="how many of the nearest it looks at", minimum=1, maximum=64)
+
+    def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
+        """Return the velocity [m/s] north and east (n,) that is wanted."""
+        away = position_ned.map(lambda axis: axis[None]) - mates.position_ned
+        distance = length_of(away.x, away.y)
+        separation = self.separation[None]
+        near = mates.known & (distance < separation) & (distance > 0.0)
+        push = jnp.where(near, (separation - distance) / jnp.where(near, distance, 1.0), 0.0)
+        count = jnp.sum(mates.known, axis=0).astype(position_ned.x.dtype)
+        share = jnp.where(count > 0.0, 1.0 / jnp.maximum(count, 1.0), 0.0)
+
+        def mean(values: Array) -> Array:
+            return share * jnp.sum(jnp.where(mates.known, values, 0.0), axis=0)
+
+        goal_north, goal_east = towards(
+            route.position_ned.map(lambda axis: axis[0]), position_ned, self.migration, self.cohesion_gain + 0.2
+        )
+
+        def wanted(goal: Array, apart: Array, other: Array) -> Array:
+            parting = self.separation_gain * jnp.sum(push * apart, axis=0)
+            return goal + parting + self.alignment * mean(other) - self.cohesion_gain * mean(apart)
+
+        north = wanted(goal_north, away.x, mates.velocity_ned.x)
+        east = wanted(goal_east, away.y, mates.velocity_ned.y)
+        return limited(north, east, self.speed)

@@ -1,0 +1,127 @@
+"""What each vehicle of a fleet knows of the others of its fleet, and what guidances that use it share."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Protocol, runtime_checkable
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control.contracts import Guidance
+from qrsim.control.guidance import Route, RouteState
+from qrsim.control.setpoints import VelocityHeightSetpoint
+from qrsim.core.neighbours import neighbours
+from qrsim.core.tree import map_tree, quantity, record
+from qrsim.core.vectors import Vec3
+
+
+@record
+class Mates:
+    """Up to K others of the fleet of each of n vehicles, nearest first; rows of nobody are zero and not known."""
+
+    number: Array = quantity(doc="(K, n) int32 which vehicle of the fleet; -1: nobody")
+    position_ned: Vec3 = quantity(unit="m", doc="(K, n) where it said it was")
+    velocity_ned: Vec3 = quantity(unit="m/s", doc="(K, n) how fast it said it was")
+    age: Array = quantity(unit="s", doc="(K, n) since it said so")
+
+    @property
+    def known(self) -> Array:
+        """Whether there is somebody, (K, n) bool."""
+        return self.number >= 0
+
+    def now(self) -> Mates:
+        """Return them where they are by now if they went on as they said."""
+        return Mates(self.number, self.position_ned + self.velocity_ned * self.age, self.velocity_ned, 0.0 * self.age)
+
+
+def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -> Mates:
+    """Return what vehicles (n,) know of each other that all hear each other at once.
+
+    Args:
+        position_ned, velocity_ned: what each believes of itself (n,) [m], [m/s]; NaN for who does not fly.
+        reach: () or (n,) [m] how far they hear.
+        count: K, how many of the nearest.
+    """
+    near = neighbours(*position_ned.axes, jnp.max(reach), count)
+    nobody = (near.index < 0) | (near.squared > jnp.broadcast_to(reach * reach, position_ned.x.shape)[None])
+    row = jnp.maximum(near.index, 0)
+
+    def theirs(axis: Array) -> Array:
+        return jnp.where(nobody, 0.0, axis.at[row].get(mode="promise_in_bounds"))
+
+    return Mates(
+        jnp.where(nobody, -1, near.index),
+        position_ned.map(theirs),
+        velocity_ned.map(theirs),
+        jnp.zeros_like(near.squared),
+    )
+
+
+@runtime_checkable
+class TeamGuidance(Guidance, Protocol):
+    """A guidance that asks for horizontal velocities by what is known of the others of the fleet.
+
+    A component has ``reach`` and ``mates``, how far and how many of the nearest it looks at, and ``velocity``.
+    """
+
+    reach: Array
+    mates: int
+    gives: ClassVar[type] = VelocityHeightSetpoint
+    sees_mates: ClassVar[bool] = True
+    sees_motion: ClassVar[bool] = True
+
+    def init(self, route: Route) -> RouteState:
+        """Return the start of each route, where it stays."""
+        return RouteState.start(route)
+
+    def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
+        """Return the set-point (n,) before anybody is known: stay at the height of the first waypoint."""
+        zero = jnp.zeros_like(route.yaw[0])
+        return VelocityHeightSetpoint(zero, zero, route.position_ned.z[0], route.yaw[0])
+
+    def step(
+        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None,
+        velocity_ned: Vec3 | None = None, dt: float = 0.0, mates: Mates | None = None,
+    ) -> tuple[RouteState, VelocityHeightSetpoint]:  # fmt: skip
+        """Return the state and the set-point.
+
+        Args:
+            state, route, position_ned, others_ned, velocity_ned, dt: as of every guidance.
+            mates: what each vehicle knows of the others; None: nothing.
+        """
+        still = self.setpoint(state, route)
+        if mates is None or velocity_ned is None:
+            return state, still
+        # A number may be one for all, or one for each.
+        each = map_tree(lambda leaf: jnp.broadcast_to(leaf, position_ned.x.shape), self)
+        north, east = each.velocity(route, position_ned, velocity_ned, mates.now())
+        return state, VelocityHeightSetpoint(north, east, still.z, still.yaw)
+
+    def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
+        """Return the velocity [m/s] north and east (n,) that is wanted."""
+        ...
+
+
+def last_waypoint(route: Route) -> Vec3:
+    """Return the last waypoint (n,) [m] of each vehicle."""
+    rows = jnp.arange(route.yaw.shape[0], dtype=jnp.int32)[:, None]
+    last = rows == (route.count - 1)[None, :]
+    return route.position_ned.map(lambda axis: jnp.sum(jnp.where(last, axis, 0.0), axis=0))
+
+
+def length_of(north: Array, east: Array) -> Array:
+    """Return the lengths of horizontal vectors; with a slope of zero, and not none, where they vanish."""
+    squared = north * north + east * east
+    return jnp.where(squared > 0.0, jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0)
+
+
+def limited(north: Array, east: Array, speed: Array) -> tuple[Array, Array]:
+    """Return a velocity (n,) that is no faster than a speed [m/s]."""
+    length = length_of(north, east)
+    scale = jnp.where(length > speed, speed / jnp.where(length > speed, length, 1.0), 1.0)
+    return north * scale, east * scale
+
+
+def towards(goal: Vec3, position_ned: Vec3, speed: Array, gain: Array | float) -> tuple[Array, Array]:
+    """Return the velocity (n,) to goals (n,) [m]: ``gain`` [1/s] times the way, no faster than a speed [m/s]."""
+    return limited(gain * (goal.x - position_ned.x), gain * (goal.y - position_ned.y), speed)

@@ -1,0 +1,48 @@
+"""Self-driven particles: one speed, and the mean heading of all around (Vicsek et al. 1995)."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control.guidance import Route
+from qrsim.control.teams.mates import Mates, TeamGuidance, length_of
+from qrsim.core.tree import parameter, record, setting
+from qrsim.core.vectors import Vec3
+
+
+def mean_heading(velocity_ned: Vec3, mates: Mates) -> Array:
+    """Return the heading [rad] (n,) of the sum of the directions of each vehicle and of those it knows.
+
+    T. Vicsek et al., Novel type of phase transition in a system of self-driven particles, PRL 75 (1995), eq. 2, without
+    its noise.
+    """
+
+    def directions(north: Array, east: Array) -> tuple[Array, Array]:
+        speed = length_of(north, east)
+        scale = jnp.where(speed > 0.0, 1.0 / jnp.where(speed > 0.0, speed, 1.0), 0.0)
+        return north * scale, east * scale
+
+    own = directions(velocity_ned.x, velocity_ned.y)
+    theirs = directions(mates.velocity_ned.x, mates.velocity_ned.y)
+    north, east = (
+        mine + jnp.sum(jnp.where(mates.known, other, 0.0), axis=0) for mine, other in zip(own, theirs, strict=True)
+    )
+    return jnp.arctan2(east, north)
+
+
+@record
+class VicsekGuidance(TeamGuidance):
+    """Flies at one speed in the mean direction of all within reach, at the height of the first waypoint.
+
+    The noise of the model is that of wind, receivers and links; it draws none of its own.
+    """
+
+    speed: Array = parameter(default=3.0, unit="m/s", doc="speed", above=0.0, maximum=20.0)
+    reach: Array = parameter(default=50.0, unit="m", doc="how far it looks", above=0.0, maximum=1e5)
+    mates: int = setting(default=12, unit="1", doc="how many of the nearest it looks at", minimum=1, maximum=64)
+
+    def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
+        """Return the velocity [m/s] north and east (n,) that is wanted."""
+        heading = mean_heading(velocity_ned, mates)
+        return self.speed * jnp.cos(heading), self.speed * jnp.sin(heading)
