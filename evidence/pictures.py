@@ -71,6 +71,7 @@ OTHERS = {
     "imu_allan.png": "make evidence imu",
     "magnetometer_allan.png": "make evidence magnetometer",
     "pressure_altimeter.png": "make evidence air_data",
+    "teams.png": "make evidence teams",
     "turbulence.png": "make evidence turbulence",
     "turbulence_field.png": "make evidence field",
     "turbulence_line.png": "make evidence field",
