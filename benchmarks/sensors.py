@@ -27,6 +27,7 @@ BESIDE: dict[str, dict[str, Any]] = {
     "scan": {"type": "scan"},
     "ranging to the fleet": {"type": "ranging"},
     "optical_flow": {"type": "optical_flow"},
+    "neighbours": {"type": "neighbours"},
     "scan of 360 rays": {"type": "scan", "preset": "rplidar_a1"},
     "magnetometer": {"type": "magnetometer"},
     "pressure altimeter": {"type": "pressure_altimeter"},

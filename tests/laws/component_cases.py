@@ -384,6 +384,8 @@ def surroundings(world: int, dtype: Any) -> Surroundings:
     contents = cast(Contents(plume=GaussianPlume()), dtype)
     state = ContentsState(plume=sources)
     others = np.random.default_rng([world, 2]).uniform(-20.0, 20.0, (6, 2))
+    # Above the ground, and on this side of the wall.
+    others[0], others[2] = -np.abs(others[0]), -5.0 - np.abs(others[2])
     traffic = Traffic(
         Vec3(*(others[i] for i in range(3))), Vec3(*(0.1 * others[3 + i] for i in range(3))), np.ones(2, bool),  # type: ignore[arg-type]
         np.ones(2), ("a", "b"), (1, 1),  # type: ignore[arg-type]

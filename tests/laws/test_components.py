@@ -59,6 +59,8 @@ SLOW = [
     ("SENSORS", "ideal_ranging"),
     ("SENSORS", "optical_flow"),
     ("SENSORS", "ideal_optical_flow"),
+    ("SENSORS", "neighbours"),
+    ("SENSORS", "ideal_neighbours"),
     ("SKY_ERRORS", "error_budget"),
 ]
 # Compiled for minutes in each of its forms, whose flights tests/models/vehicles/multirotor looks at.
@@ -84,8 +86,9 @@ ROUNDED = {("TURBULENCES", "dryden_field"): 5e-6, ("SENSORS", "scan"): 1e-5, ("S
 UNSEEN = dict.fromkeys(("rangefinder", "ideal_rangefinder", "scan", "ideal_scan"), ("range",))
 UNSEEN |= {"ranging": ("beacon_range", "vehicle_range")}
 UNSEEN |= dict.fromkeys(("optical_flow", "ideal_optical_flow"), ("flow_x", "flow_y", "flow"))
+UNSEEN |= dict.fromkeys(("neighbours", "ideal_neighbours"), ("position", "distance", "vehicle"))
 # Sensors whose truth is rays and pairs, which their own tests compute by hand.
-BY_HAND = ("ideal_scan", "ideal_ranging")
+BY_HAND = ("ideal_scan", "ideal_ranging", "ideal_neighbours")
 every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases())
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 

@@ -33,8 +33,11 @@ def library_of(*values: object) -> Library:
 
 
 def as_array(value: object) -> Floats:
-    """Convert a Vec3 or Euler to (n, 3) and a tuple of K to (n, K), leave others; also under tracing."""
+    """Convert a Vec3 or Euler to (n, 3), a tuple of K to (n, K) or (n, K, 3), leave others; also under tracing."""
     if isinstance(value, tuple):
+        if isinstance(value[0], Vec3):
+            rows = [as_array(part) for part in value]
+            return library_of(*rows).stack(rows, axis=1)
         return library_of(*value).stack(value, axis=-1)
     if isinstance(value, Vec3 | Euler):
         axes: list[Array] = jax.tree.leaves(value)

@@ -60,6 +60,7 @@ from qrsim.models.sensors.concentration import ConcentrationSensor, IdealConcent
 from qrsim.models.sensors.imu import IdealImu, Imu
 from qrsim.models.sensors.inertial import Accelerometer, Gyroscope, IdealAccelerometer, IdealGyroscope
 from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer
+from qrsim.models.sensors.neighbours import IdealNeighbours, NeighbourSensor
 from qrsim.models.sensors.optical_flow import IdealOpticalFlow, OpticalFlow
 from qrsim.models.sensors.pressure import IdealPressureAltimeter, PressureAltimeter
 from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
@@ -184,6 +185,8 @@ SENSORS: Catalogue = {
     "ideal_ranging": IdealRanging,
     "optical_flow": OpticalFlow,
     "ideal_optical_flow": IdealOpticalFlow,
+    "neighbours": NeighbourSensor,
+    "ideal_neighbours": IdealNeighbours,
     "concentration": ConcentrationSensor,
     "ideal_concentration": IdealConcentration,
     "camera": Camera,

@@ -89,6 +89,9 @@ def reading_fields(sensor_type: str) -> list[str]:
     for name, hint in typing.get_type_hints(reading).items():
         if name in optional:
             continue
+        if typing.get_origin(hint) is tuple:
+            # A fault is one of all its parts.
+            hint = typing.get_args(hint)[0]
         if hint in (Vec3, Euler):
             found += [f"{name}.{field.name}" for field in dataclasses.fields(hint)]
         else:

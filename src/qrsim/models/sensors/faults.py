@@ -52,7 +52,11 @@ class Fault:
 
 
 def _add(item: Any, path: list[str], amount: Array) -> Any:
-    """Return a record with an amount added to one of its leaves."""
+    """Return a record with an amount added to one of its leaves, or to those of each part of a tuple."""
+    if isinstance(item, tuple):
+        return tuple(_add(part, path, amount) for part in item)
+    if item is None:
+        return None
     if not path:
         return item + amount
     return replace(item, **{path[0]: _add(getattr(item, path[0]), path[1:], amount)})
