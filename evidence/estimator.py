@@ -71,7 +71,7 @@ class Magnetic:
 class Pitot:
     """Reading of an airspeed sensor."""
 
-    airspeed: Any
+    true_airspeed: Any
 
 
 @record

@@ -32,6 +32,7 @@ NUMBERS = {
         "first_step_seconds",
         "steps",
     },
+    "estimators": {"worlds", "vehicles", "ns", "throughput", "compile_seconds"},
     "gnss": {"vehicles", "ns", "compile_seconds"},
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
     "pace": {"controllers", "ticks", "latency_median_ms", "latency_p99_ms"},
@@ -109,6 +110,14 @@ def test_sensors():
     assert (pair["sensors"], imu["sensors"]) == ("gyroscope, accelerometer", "imu")
     assert pair["over_pair"] == 1.0
     assert imu["over_pair"] > 0.0
+
+
+@pytest.mark.long
+def test_estimators():
+    bare, *others = rows("estimators")
+    assert bare["throughput"] == 1.0
+    assert [row["estimator"] for row in others] == ["complementary", "ekf, 15 errors"]
+    assert all(row["throughput"] > 0.0 for row in others)
 
 
 def test_serve():

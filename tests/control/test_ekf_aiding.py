@@ -40,7 +40,7 @@ def readings(**change: Any) -> dict[str, Any]:
         "imu": reading(rates_body=vec(0.0, 0.0, 0.0), specific_force=vec(0.0, 0.0, -9.81)),
         "barometer": reading(height=20.0 * ONE),
         "magnetometer": reading(field_body=vec(10.0, -5.0, 45.0)),
-        "pitot": reading(airspeed=7.0 * ONE),
+        "pitot": reading(true_airspeed=7.0 * ONE),
     }
     return {name: sensor for name, sensor in {**given, **change}.items() if sensor is not None}
 
@@ -136,7 +136,7 @@ def test_a_slow_airspeed_is_not_believed():
     """Below 5 m/s a pitot tube says nothing."""
     kalman = ErrorStateKalmanFilter()
     for airspeed, believed in ((4.9, False), (5.1, True)):
-        given = readings(magnetometer=None, pitot=reading(airspeed=airspeed * ONE))
+        given = readings(magnetometer=None, pitot=reading(true_airspeed=airspeed * ONE))
         groups = kalman._groups(kalman.init(given, START)[0], given, dict.fromkeys(given, jnp.array(True)), 0.02)
         found = {what: bool(new[0]) for what, _, new in groups}
         assert found == {"position_ned": True, "velocity_ned": True, "height": True, "airspeed": believed}

@@ -94,8 +94,8 @@ def test_it_finds_tilt_heading_and_bias():
         assert abs(float(getattr(angles, name)[-1, 0])) < 2e-3, name
     found = [float(axis[0]) for axis in state.turning.gyroscope_bias.axes]
     assert found == pytest.approx([0.01, -0.01, 0.01], abs=5e-4)
-    # The slower pole has 1/e left after 10 s.
-    assert 0.02 < abs(float(angles.roll[500, 0])) < 0.1
+    # From 0.1 rad, turned by -0.3 * 0.1 + 0.01 rad/s, only the faster pole is moved: e^-2 is left after 10 s.
+    assert float(angles.roll[499, 0]) == pytest.approx(0.1 * math.exp(-2.0), abs=1e-3)
 
 
 def test_an_attitude_or_a_gyroscope():
@@ -111,7 +111,7 @@ def test_an_attitude_or_a_gyroscope():
 
 @pytest.mark.long
 def test_the_default_patrol_is_flown_on_it():
-    """60 s on an inertial chip, without a reported attitude: roll and pitch stay within 0.1 rad of the truth."""
+    """60 s on an inertial chip, without a reported attitude: 0.5 deg/s of turn-on bias are 0.03 rad until learned."""
     scenario = qrsim.load_scenario("outdoor_patrol", [SENSORS, MAHONY, "duration=60"], quiet=True)
 
     def tilt(state: Any) -> Any:
@@ -121,4 +121,4 @@ def test_the_default_patrol_is_flown_on_it():
 
     found = qrsim.rollout(scenario, seeds=range(3), record=tilt)
     assert np.asarray(found.metrics["flown_s"]) == pytest.approx(60.0)
-    assert np.sqrt(np.mean(np.square(found.recorded))) < 0.05
+    assert np.sqrt(np.mean(np.square(found.recorded))) < 0.08

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from qrsim.core.tree import map_tree
 
 # Fields of a magnetometer, body axes [uT], and of an airspeed sensor, along the body's x axis [m/s].
-FIELD, AIRSPEED = "field_body", "airspeed"
+FIELD, AIRSPEED = "field_body", "true_airspeed"
 
 
 def source_of(readings: Mapping[str, Any], field: str) -> str:
