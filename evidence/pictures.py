@@ -50,6 +50,9 @@ SHOTS = {
     "search_and_rescue": Shot(
         "search_and_rescue/2D --policy baseline --seed 1 --duration 61", "--camera helicopters_1"
     ),
+    "street_canyon": Shot(
+        "street_canyon --set fleets.couriers.sensors.gnss.per_satellite=true --duration 22", "--camera courier"
+    ),
     "swarm": Shot(f"{SWARM} --seed 1 --duration 30"),
 }
 # The figure of a run, which the README shows.
