@@ -1,0 +1,24 @@
+"""The small form of the study of the radio (``make evidence radio``)."""
+
+from __future__ import annotations
+
+import pytest
+from evidence import radio as study
+
+
+def test_closed_forms_by_hand() -> None:
+    """Where half of the packets of wifi are lost, and where a tenth of those of LoRa are, by a pocket calculator."""
+    where = study.distances("wifi_2g4")
+    # 20 dBm - 40.18 dB - 22 lg d - (-93.99 dBm) = 10.89 dB.
+    assert where[3] == pytest.approx(10.0 ** ((20.0 - 40.18 + 93.99 - 10.89) / 22.0), rel=2e-3)
+    assert study.distances("lora_sf7")[1] == pytest.approx(10.0 ** ((14.0 - 31.22 + 117.03 + 7.5) / 22.0), rel=5e-3)
+
+
+@pytest.mark.long
+def test_packets_arrive_as_the_closed_forms_say() -> None:
+    found = study.run(full=False)
+    assert found["all_inside"]
+    for values in found["presets"].values():
+        assert values["largest_difference"] < 0.04
+    for values in found["aloha"].values():
+        assert values["arrives"] == pytest.approx(values["law"], rel=0.05)
