@@ -1,6 +1,6 @@
 """What an exchange of the radio costs, and its part of a flight at 5 Hz: 100, 1 000 and 10 000 vehicles in one world.
 
-Vehicles are spread with one in each square of 100 m by 100 m and look 300 m far, as ``world.radio`` does without a word.
+Vehicles are spread with one in each square of 100 m by 100 m and look 300 m far, as ``world.radio`` does by default.
 Columns: ms of CPU of an exchange, which is what 50 ticks with a radio of five exchanges take more than without one; the
 same over the number of vehicles; time of a flight with the radio over that without.
 """

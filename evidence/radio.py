@@ -46,12 +46,16 @@ IMAGE = Path(__file__).resolve().parent.parent / "docs" / "images" / "radio_deli
 Values = np.ndarray[Any, Any]
 
 
+def received(preset: str, distance: Any) -> Any:
+    """Return the power [dBm] received at distances [m] without shadowing."""
+    first = 20.0 * math.log10(4.0 * math.pi * DATA[preset][0] / 299_792_458.0)
+    return DATA[preset][1] - first - 10.0 * EXPONENT * np.log10(np.maximum(distance, 1.0))
+
+
 def closed_form(preset: str, distance: Values) -> Values:
     """Return the chance that a packet is lost at distances [m] without shadowing."""
-    frequency, power, bandwidth, rate, figure, length, law, half = DATA[preset]
-    first = 20.0 * math.log10(4.0 * math.pi * frequency / 299_792_458.0)
-    noise = -174.0 + 10.0 * math.log10(bandwidth) + figure
-    snr = power - first - 10.0 * EXPONENT * np.log10(np.maximum(distance, 1.0)) - noise
+    _, _, bandwidth, rate, figure, length, law, half = DATA[preset]
+    snr = received(preset, distance) + 174.0 - 10.0 * math.log10(bandwidth) - figure
     if law == "threshold":
         return 1.0 / (1.0 + np.exp((snr - half) / WIDTH))
     bit = 0.5 * np.exp(-0.5 * 10.0 ** (snr / 10.0) * bandwidth / rate)
@@ -106,13 +110,18 @@ def delivery(preset: str, packets: int) -> dict[str, Any]:
     each = 1.0 - (1.0 - CONFIDENCE) / len(where)
     low, high = stats.binom.interval(each, packets, law)
     return {
-        "distance": where.tolist(),
-        "loss": lost.tolist(),
-        "law": law.tolist(),
+        "distance": _by_level(where),
+        "loss": _by_level(lost),
+        "law": _by_level(law),
         "inside": bool(np.all((lost * packets >= low) & (lost * packets <= high))),
-        "range_10": float(where[1]),
+        "dbm_10": received(preset, float(where[1])),
         "largest_difference": float(np.max(np.abs(lost - law))),
     }
+
+
+def _by_level(values: Values) -> dict[str, float]:
+    """Return numbers by the chances of loss that they belong to, in percent."""
+    return {f"{100.0 * level:.0f}": float(value) for level, value in zip(LEVELS, values, strict=True)}
 
 
 def aloha(load: float, periods: int) -> dict[str, float]:
@@ -141,9 +150,10 @@ def draw(found: dict[str, Any]) -> None:
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.subplots()
     for preset, values in found.items():
-        where = np.geomspace(0.3 * values["distance"][0], 2.0 * values["distance"][-1], 300)
+        far = np.array(list(values["distance"].values()))
+        where = np.geomspace(0.3 * far[0], 2.0 * far[-1], 300)
         (line,) = axes.plot(where, 1.0 - closed_form(preset, where), label=preset)
-        axes.plot(values["distance"], 1.0 - np.array(values["loss"]), "o", color=line.get_color(), markersize=4)
+        axes.plot(far, 1.0 - np.array(list(values["loss"].values())), "o", color=line.get_color(), markersize=4)
     axes.set(xscale="log", xlabel="distance [m]", ylabel="part of packets that arrives", ylim=(-0.02, 1.02))
     axes.legend(frameon=False, fontsize="small")
     axes.grid(alpha=0.3)
@@ -163,5 +173,5 @@ def run(full: bool) -> dict[str, Any]:
         "packets": packets,
         "presets": found,
         "all_inside": all(values["inside"] for values in found.values()),
-        "aloha": {f"{load:g}": aloha(load, periods) for load in loads},
+        "aloha": {f"{100.0 * load:.0f}": aloha(load, periods) for load in loads},
     }

@@ -38,6 +38,7 @@ NUMBERS = {
     "pace": {"controllers", "ticks", "latency_median_ms", "latency_p99_ms"},
     "peers": {"vehicles", "processes"},
     "policies": {"worlds", "vehicles", "per_wall_second", "microseconds_a_call"},
+    "radio": {"vehicles", "tick_ms", "ratio", "heard"},
     "sensors": {"worlds", "vehicles", "ns", "over_pair", "compile_seconds"},
     "serve": {"count", "median_us", "p95_us", "per_second"},
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},
@@ -102,6 +103,15 @@ def test_turbulence():
     assert found["dryden"]["tick_over_dryden"] == 1.0
     # Three arrays of 32 words, a matrix, a sign and a dilation; filters share nothing.
     assert [row["field_bytes"] for row in found.values()] == [0, 0, 3 * 32 * 4 + 9 * 4 + 2 * 4]
+
+
+@pytest.mark.long
+def test_radio():
+    (row,) = rows("radio")
+    assert row["vehicles"] == 100
+    assert row["compiler"] == "llvm"
+    # About 26 of the others are within 300 m, at most 24 of them are looked at, and nothing is lost so near.
+    assert 15.0 < row["heard"] < 24.0
 
 
 @pytest.mark.long
