@@ -12,11 +12,11 @@ import tyro
 
 @dataclass(frozen=True)
 class Replay:
-    """Fly a recorded world of several controllers again, without them, and say whether it is the same to the bit.
+    """Fly a recorded world of several controllers again, without them, and compare.
 
-    Takes a run of 'qrsim serve SCENARIO --pace free --record DIR' (or --pace barrier), whose stream 'orders' says which
-    order each vehicle flew by in each tick. Exit code: 0 where everything is the same, 1 where something differs (or
-    cannot be read), 2 for wrong usage.
+    Says whether all of it is the same to the bit. Takes a run of 'qrsim serve SCENARIO --pace free --record DIR' (or
+    --pace barrier), whose stream 'orders' says which order each vehicle flew by in each tick. Exit code: 0 where
+    everything is the same, 1 where something differs (or cannot be read), 2 for wrong usage.
 
     Example:
       qrsim replay runs/served/SESSION/episode-0001

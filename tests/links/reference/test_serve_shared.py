@@ -17,6 +17,7 @@ from evidence import serve
 from wires import Running, Wire, running, step
 
 import qrsim
+from qrsim.cli import main
 from qrsim.errors import UsageError
 from qrsim.links.contracts import Silence
 from qrsim.links.reference.claiming import KINDS
@@ -212,9 +213,14 @@ def test_a_free_world_begins_with_the_first_claim_and_does_not_wait(free):
     assert other.status().vehicles[A].flies == "guidance"
     # Nobody else flies here now.
     assert other.restart(9).seed == 9
+    other.pace(3.0)
+    assert other.status().pacing["factor"] == 3.0
+    with pytest.raises(Refused, match="real-time factor 0: a world that runs by itself needs one above 0"):
+        other.pace(0.0)
+    other.pace(1.0)
 
 
-def test_a_free_run_is_flown_again_to_the_bit(tmp_path):
+def test_a_free_run_is_flown_again_to_the_bit(tmp_path, capsys):
     with sharing(pace="free", realtime=20.0, record=tmp_path) as (_, connect):
         one, other = connect(), connect()
         one.claim(A)
@@ -235,11 +241,19 @@ def test_a_free_run_is_flown_again_to_the_bit(tmp_path):
     assert set(kinds[:, 0]) >= {0, 1, 3}, "guidance, velocity_height, and at last the waypoint at which it holds"
     assert flies[-1].tolist() == [2, 2]
     assert {event.kind for event in recorded.events} >= {"controller_silent"}
-    again = open_run(replay(recorded, tmp_path / "again"))
+    assert main(["replay", str(folder), "--out", str(tmp_path / "again")]) == 0
+    ticks = recorded.info.ticks
+    assert f"{ticks} ticks of 2 vehicles: the same to the bit" in capsys.readouterr().out
+    again = open_run(tmp_path / "again")
     streams = ["truth", "measurements", "commands", "wind", "orders"]
     found = compare_runs(recorded, again, 0.0, streams)
     assert found.bit_identical
-    assert recorded.info.ticks == again.info.ticks > 20
+    assert again.info.ticks == ticks > 20
+    # Another seed is another flight.
+    file = recorded.folder / "run.json"
+    file.write_text(file.read_text("utf-8").replace(f'"seed": {SEED}', '"seed": 6'), "utf-8")
+    assert main(["replay", str(folder)]) == 1
+    assert "truth" in capsys.readouterr().out
     with pytest.raises(UsageError, match="exists already"):
         replay(recorded, tmp_path / "again")
 

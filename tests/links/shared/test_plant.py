@@ -81,7 +81,8 @@ def test_who_dies_changes_no_bit_of_the_others():
 @pytest.mark.parametrize(("factor", "ticks"), [(1.0, 25), (0.1, 25), (4.0, 100)])
 def test_silence_is_noticed_after_half_a_second(factor, ticks):
     """Of simulated time, and where that runs faster than the wall clock of the latter: 0.5 s are 25 ticks of 0.02 s."""
-    flight = Flight(factor=factor)
+    flight = Flight()
+    flight.plant.keep_pace(factor)
     flight.plant.claim(1, [A])
     # The last order arrives at tick 9, and is flown from tick 10 on.
     flight.fly(11, THERE).fly(ticks - 2)

@@ -203,8 +203,8 @@ async def restart(connection: Client, message: Message) -> bool:
     session, seed = connection.required_session(), _seed(message.restart)
     async with _still(connection, "RESTART"):
         await connection.server.run(session, lambda: session.restart(seed))
-    _say_episode(connection, session)
-    _send_session(connection, session)
+        _say_episode(connection, session)
+        _send_session(connection, session)
     return True
 
 

@@ -89,6 +89,7 @@ class SharedSession(Session):
             self.pacer = Metronome(factor, self.time, self.time_step)
         else:
             self.pacer = Pacer(factor, self.time)
+        self.plant.keep_pace(factor)
 
     def restart(self, seed: int | None = None) -> None:
         """Start the next episode; all fly by their guidance, and claims stay."""

@@ -106,7 +106,7 @@ class Sharing:
         self._waiting.pop(client.number, None)
         found = self.session.plant.lose(client.number)
         if found:
-            self._server.say(f"client {client.number} has gone; {_list(found)}: on without it")
+            self._server.say(f"client {client.number} has gone from {_list(found)}")
         self._consider()
 
     def check_alone(self, client: Client, what: str) -> None:

@@ -83,11 +83,15 @@ class Plant:
         note: Callable[[str, str, str], None] = lambda kind, vehicle, text: None,
     ):
         self.simulation, self._default, self._note = simulation, silence or Silence(), note
-        self._stretch = max(1.0, factor)
+        self.keep_pace(factor)
         self.latches = Latches(simulation.world.fleets, simulation.dtype)
         names = self.latches.names
         self.claims = Claims(names, [name for name in names if not self.latches.kinds(name)])
         self.restart()
+
+    def keep_pace(self, factor: float) -> None:
+        """Take simulated seconds per second of the wall clock, by which silence is measured; 0: unknown."""
+        self._stretch = max(1.0, factor)
 
     def restart(self) -> None:
         """Begin with an episode of the simulation: all fly by their guidance, and claims stay."""
