@@ -72,6 +72,7 @@ OTHERS = {
     "gnss_fixes.png": "make evidence gnss",
     "gnss_jamming.png": "make evidence gnss",
     "imu_allan.png": "make evidence imu",
+    "scan.png": "make evidence perception",
     "magnetometer_allan.png": "make evidence magnetometer",
     "pressure_altimeter.png": "make evidence air_data",
     "teams.png": "make evidence teams",

@@ -35,6 +35,7 @@ NUMBERS = {
     "estimators": {"worlds", "vehicles", "ns", "throughput", "compile_seconds"},
     "gnss": {"vehicles", "ns", "compile_seconds"},
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
+    "looking": {"median_us", "step_us", "over_first"},
     "pace": {"controllers", "ticks", "latency_median_ms", "latency_p99_ms"},
     "peers": {"vehicles", "processes"},
     "policies": {"worlds", "vehicles", "per_wall_second", "microseconds_a_call"},
@@ -144,6 +145,13 @@ def test_pace():
     [row] = rows("pace")
     assert (row["controllers"], row["overruns_target"], row["latency_target"]) == (2, 1.0, 25.0)
     assert row["latency_median_ms"] <= row["latency_p99_ms"]
+
+
+@pytest.mark.long
+def test_looking():
+    few, many = rows("looking")
+    assert (few["sensors"], many["sensors"]) == ("3", "12")
+    assert few["over_first"] == 1.0
 
 
 def test_latency():
