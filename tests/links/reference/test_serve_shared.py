@@ -22,6 +22,7 @@ from qrsim.errors import UsageError
 from qrsim.links.contracts import Silence
 from qrsim.links.reference.claiming import KINDS
 from qrsim.links.reference.client import Client, Refused
+from qrsim.links.reference.describing import description
 from qrsim.links.reference.kinds import TYPES
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import frame
@@ -34,7 +35,7 @@ from qrsim.links.shared.replay import replay
 from qrsim.runs import RunInfo, RunWriter, open_run
 from qrsim.runs.compare import compare_runs
 from qrsim.simulation.simulation import Simulation
-from small_worlds import pair
+from small_worlds import bare_pair, pair
 
 A, B = "vehicles_0", "vehicles_1"
 SEED = 5
@@ -444,6 +445,26 @@ def test_the_world_is_described(barrier):
     assert throttle == {"name": "throttle", "unit": "1", "low": 0.0, "high": 1.0}
     assert "velocity_height" in fleet["commands"]
     one.close()
+
+
+@pytest.mark.long
+def test_buildings_and_other_obstacles_are_described():
+    corners, courtyard = [[20, 20], [30, 20], [30, 35], [20, 35]], [[24, 22], [26, 22], [26, 24]]
+    solids = [
+        {"type": "prism", "corners_ned": corners, "holes_ned": [courtyard], "z_min": -12.0},
+        {"type": "cylinder", "x": -30, "y": 1, "radius": 2.0, "z_min": -15},
+    ]  # fmt: skip
+    scenario = bare_pair(obstacles=solids, wind={"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 90.0})
+    simulation = Simulation(scenario.world())
+    simulation.reset()
+    found = description(scenario, simulation)
+    building, mast = ({each.name: list(each.value) for each in solid.quantity} for solid in found.obstacle)
+    assert [solid.type for solid in found.obstacle] == ["prism", "cylinder"]
+    assert building["corners_ned"] == [20.0, 20.0, 30.0, 20.0, 30.0, 35.0, 20.0, 35.0]
+    assert building["holes_ned.0"] == [24.0, 22.0, 26.0, 22.0, 26.0, 24.0]
+    assert (building["z_min"], mast["radius"]) == ([-12.0], [2.0])
+    assert found.wind.type == "log_shear"
+    assert {each.name: each.unit for each in found.wind.quantity}["speed_20ft"] == "m/s"
 
 
 def test_the_client_has_every_kind_of_order():

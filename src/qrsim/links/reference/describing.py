@@ -101,15 +101,24 @@ def _units(kind: Any) -> dict[str, str]:
 
 
 def _values(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    """Yield (dotted name, text or numbers) of what is in a part of a scenario; lists of lists are flat."""
+    """Yield (dotted name, text or numbers) of what is in a part of a scenario; a list of points is flat, and several
+    such lists, as the courtyards of a building, are numbered.
+    """
     for key, value in content.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
             yield from _values(value, f"{name}.")
         elif isinstance(value, str):
             yield name, value
+        elif _is_several(value):
+            yield from ((f"{name}.{i}", np.asarray(part, np.float64).ravel().tolist()) for i, part in enumerate(value))
         elif value is not None:
             try:
                 yield name, np.asarray(value, np.float64).ravel().tolist()
             except (TypeError, ValueError):
                 yield name, str(value)
+
+
+def _is_several(value: Any) -> bool:
+    """Return whether a value is a list of lists of points."""
+    return bool(isinstance(value, list) and value and isinstance(value[0], list) and isinstance(value[0][0], list))
