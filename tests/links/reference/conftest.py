@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 
 import pytest
+from shared_worlds import Clients, sharing
 from wires import Running, Wire, running
 
 
@@ -27,3 +28,15 @@ def connect(serving: Running) -> Iterator[Callable[[], Wire]]:
 def wire(connect: Callable[[], Wire]) -> Wire:
     """A connection to the shared server."""
     return connect()
+
+
+@pytest.fixture(scope="module")
+def barrier() -> Iterator[tuple[Running, Clients]]:
+    with sharing(pace="barrier") as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def free() -> Iterator[tuple[Running, Clients]]:
+    with sharing(pace="free", realtime=1.0) as found:
+        yield found
