@@ -157,3 +157,30 @@ def test_a_crowd_without_room_is_counted_and_said():
     with pytest.warns(RadioWarning, match=r"world.radio: \d+ times a vehicle had more others around it"):
         found = qrsim.rollout(crowd)
     assert (found.metrics["radio_overfull"] > 0).any()
+
+
+@pytest.mark.long
+def test_double_precision_hears_the_same():
+    """With a radio that listens first, which has running sums, choices and counts."""
+    radio = {**RADIO, "beacon": True, "mac": {"type": "csma"}}
+    heard = []
+    for precision in ("float32", "float64"):
+        flown = qrsim.Simulation(scenario(radio).world(precision), seed=4)
+        flown.reset()
+        flown.advance(ticks=31)
+        heard.append(flown.reading.inbox)
+        assert flown.reading.inbox.rssi.dtype == precision
+    np.testing.assert_array_equal(heard[0].sender, heard[1].sender)
+    np.testing.assert_allclose(heard[0].rssi, heard[1].rssi, atol=0.01)
+    np.testing.assert_allclose(heard[0].age, heard[1].age, atol=1e-6)
+
+
+def test_a_task_whose_step_is_no_whole_number_of_periods_counts_for_itself():
+    """Steps of a second and periods of 0.2 s are in step; with periods of 0.6 s no two worlds need be due together."""
+    from qrsim.tasks.play import Play
+
+    for period, expected in ((0.2, True), (0.6, False)):
+        made = qrsim.load_scenario(
+            {"name": "x", "extends": "cats_and_mouse/1C", "world": {"radio": {"mac": {"period": period}}}}
+        )
+        assert Play(made.task("float32"), made.world(), 3).in_step is expected

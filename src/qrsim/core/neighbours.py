@@ -104,7 +104,7 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
     inside = known & (rank >= 0)
     members = jnp.zeros(columns, jnp.int32).at[jnp.where(inside, column, columns)].add(1, mode="drop")
     # From 0 on: where the points of each column begin.
-    begin = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(members)])
+    begin = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(members, dtype=jnp.int32)])
     place = begin.at[jnp.minimum(column, columns - 1)].get(mode="promise_in_bounds") + rank
     order = jnp.zeros(n, jnp.int32).at[jnp.where(inside, place, n)].set(jnp.arange(n, dtype=jnp.int32), mode="drop")
     parts, overfull = [], known & (rank < 0)

@@ -86,6 +86,7 @@ class Play:
         contents = self.world.contents
         periods = [self.world.sky.period, contents.plume.period, contents.persons.period]
         periods += [sensor.period for fleet in self.world.fleets for sensor in fleet.sensors]
+        periods += [] if self.world.radio is None else [self.world.radio.period]
         return all(self.ticks % period_ticks(period, self.world.time_step) == 0 for period in periods)
 
     def keys(self, key: Key) -> EpisodeKeys:

@@ -82,6 +82,11 @@ class Radio(Protocol):
 
     @property
     @abstractmethod
+    def period(self) -> float:
+        """Time [s] from one exchange to the next, a multiple of the time step."""
+
+    @property
+    @abstractmethod
     def field_ids(self) -> int:
         """Number of what is drawn once an episode."""
 

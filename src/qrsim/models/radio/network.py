@@ -65,6 +65,11 @@ class NetworkState:
 class Network(Channel, Radio):
     """Datagrams between vehicles, over one channel for all."""
 
+    @property
+    def period(self) -> float:
+        """Time [s] from one exchange to the next."""
+        return self.mac.period
+
     def init(self, draw: Draw, keys: StreamKeys, like: Array) -> NetworkState:
         """Return the state at the start; ``draw`` has an id for each wave of the shadowing."""
         queue, shape = self.mac.queue, like.shape
@@ -136,7 +141,7 @@ class Network(Channel, Radio):
         """Put what is said behind what waits; where there is no room, the oldest is lost."""
         waiting, queue = state.waiting, self.mac.queue
         here = said.send & now.surfaces.works
-        length = jnp.sum((waiting.since != NOBODY).astype(jnp.int32), axis=0)
+        length = jnp.sum((waiting.since != NOBODY).astype(jnp.int32), axis=0, dtype=jnp.int32)
         full = here & (length == queue)
         row = jnp.arange(queue, dtype=jnp.int32)[:, None]
         place = jnp.where(here, jnp.minimum(length, queue - 1), -1)[None]
@@ -218,7 +223,7 @@ class Network(Channel, Radio):
         """Return the nearest heard packets with the ticks at which they arrive."""
         payload, since, begin = packets
         heard = links.outcome == Outcome.HEARD
-        place = jnp.cumsum(heard.astype(jnp.int32), axis=0)
+        place = jnp.cumsum(heard.astype(jnp.int32), axis=0, dtype=jnp.int32)
         row = jnp.arange(heard.shape[0], dtype=jnp.int32)
         wanted = jnp.arange(1, self.inbox.size + 1, dtype=jnp.int32)
         first = heard[None] & (place[None] == wanted[:, None, None])
@@ -267,7 +272,7 @@ def _counted(counts: Counts, links: Links, near: Neighbours, sends: Array, wants
     """Add what has become of a period's packets."""
 
     def of(outcome: int) -> Array:
-        return jnp.sum((links.outcome == outcome).astype(jnp.int32), axis=0)
+        return jnp.sum((links.outcome == outcome).astype(jnp.int32), axis=0, dtype=jnp.int32)
 
     return replace(
         counts,

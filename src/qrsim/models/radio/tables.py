@@ -59,7 +59,7 @@ def newest(heard: Heard, counts: Any, size: int) -> Heard:
     same = (heard.sender[:, None] == heard.sender[None, :]) & counts[:, None]
     earlier = (number[:, None] < number[None, :])[:, :, None]
     keep = counts & ~library.any(same & earlier, axis=0)
-    place = library.cumsum(keep.astype(library.int32), axis=0)
+    place = library.cumsum(keep.astype(library.int32), axis=0, dtype=library.int32)
     wanted = library.arange(1, size + 1, dtype=library.int32)
     chosen = library.min(
         library.where(keep[None] & (place[None] == wanted[:, None, None]), number[None, :, None], library.int32(rows)),

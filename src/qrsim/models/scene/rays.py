@@ -90,7 +90,7 @@ def walls_between(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
         met = (low <= high) & (high >= 0.0) & (low <= 1.0)
         if owner is not None and met.shape[0] > 1:
             met = met & ~_met_before(met, jnp.asarray(owner))
-        count = count + jnp.sum(met.astype(jnp.int32), axis=0)
+        count = count + jnp.sum(met.astype(jnp.int32), axis=0, dtype=jnp.int32)
     return count
 
 
@@ -99,7 +99,7 @@ def _met_before(met: Array, owner: Array) -> Array:
     place = jnp.arange(owner.shape[0], dtype=jnp.int32)
     begins = jnp.concatenate([jnp.ones(1, bool), owner[1:] != owner[:-1]])
     first = lax.cummax(jnp.where(begins, place, 0))
-    before = jnp.cumsum(met.astype(jnp.int32), axis=0) - met.astype(jnp.int32)
+    before = jnp.cumsum(met.astype(jnp.int32), axis=0, dtype=jnp.int32) - met.astype(jnp.int32)
     row = jnp.broadcast_to(jnp.reshape(first, (-1,) + (1,) * (met.ndim - 1)), met.shape)
     return before > jnp.take_along_axis(before, row, axis=0, mode="promise_in_bounds")
 
