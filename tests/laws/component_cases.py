@@ -165,6 +165,8 @@ EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     # The fleet of the scenario that names them.
     **{("TASKS", name): {"fleet": "a"} for name in ("keep_spot", "reach_waypoint", "keep_velocity", "search")},
     ("TASKS", "plume_mapping"): {"fleet": "a"},
+    # By default those that the receivers of a scenario use.
+    ("ORBITS", "sp3"): {"systems": "G"},
     # The vehicles of ``inputs`` are slower than a pitot tube tells by default.
     ("SENSORS", "airspeed"): {"speed_min": 0.0},
     ("TASKS", "pursuit"): {"fleet": "a", "prey": "a"},
