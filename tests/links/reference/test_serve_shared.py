@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import threading
 import time
@@ -14,7 +15,7 @@ from wires import Wire
 
 import qrsim
 from qrsim.cli import main
-from qrsim.errors import UsageError
+from qrsim.errors import RunError, UsageError
 from qrsim.links.contracts import Silence
 from qrsim.links.reference.claiming import KINDS
 from qrsim.links.reference.client import Refused
@@ -23,8 +24,10 @@ from qrsim.links.reference.kinds import TYPES
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.roles import Options
+from qrsim.links.reference.server import Server
 from qrsim.links.reference.shared_session import SharedSession
 from qrsim.links.reference.sharing import Subscription
+from qrsim.links.reference.tasks import Tasks
 from qrsim.links.shared.replay import replay
 from qrsim.runs import RunInfo, RunWriter, open_run
 from qrsim.runs.compare import compare_runs
@@ -334,6 +337,24 @@ def test_nobody_gets_in_before_there_is_a_world(monkeypatch):
     with sharing(pace="barrier") as (_, connect):
         assert refused == sockets
         assert connect().claim(A).vehicles == (A,)
+
+
+def test_a_port_that_is_taken_while_the_world_is_made_is_named(monkeypatch):
+    """Bound to it are both, and who listens first has it."""
+    begin = SharedSession.begin
+    with socket.create_server(("127.0.0.1", 0)) as found:
+        port = found.getsockname()[1]
+    taken: list[socket.socket] = []
+
+    def meanwhile(session: SharedSession) -> None:
+        taken.append(socket.create_server(("127.0.0.1", port)))
+        begin(session)
+
+    monkeypatch.setattr(SharedSession, "begin", meanwhile)
+    server = Server(Options(port=port, pace="barrier"), Tasks(pair()))
+    with pytest.raises(RunError, match=f"127.0.0.1:{port}: the port is in use"):
+        asyncio.run(server.serve())
+    taken[0].close()
 
 
 def test_silence_of_the_operator_is_that_of_claims():

@@ -114,7 +114,11 @@ class Server:
             threading.Thread(target=self._watch_idle, args=(loop,), name="idle", daemon=True).start()
         # Nobody gets in before there is a world to share.
         begun = await self._share() if self.options.pace != "owner" else ""
-        await listening.start_serving()
+        try:
+            await listening.start_serving()
+        except OSError as error:
+            # Another server can have begun to listen there meanwhile.
+            raise RunError(self._why_not(error)) from None
         ready(*listening.sockets[0].getsockname()[:2])
         if begun:
             self.say(begun)
