@@ -13,11 +13,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import exp, log
-from qrsim.core.tree import quantity, record
+from qrsim.core.tree import quantity, record, select
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.sight import LETTERS
 from qrsim.models.gnss.slots import NOBODY, Slots
-from qrsim.models.gnss.solving import Solution, Symmetric, factor, robust, solve, sums
+from qrsim.models.gnss.solving import Gains, Solution, Symmetric, factor, robust, solve, sums
 
 # Speed of light over the rate of the C/A code [m]: a chip.
 CHIP_M = 293.05
@@ -55,13 +55,27 @@ class Differential:
 
 
 @record
+class Own:
+    """What receivers among obstacles make of errors of ranges, each by itself."""
+
+    gains: Gains = quantity(doc="their solutions")
+    clear: Array = quantity(doc="(n,) bool: it is that of the open sky")
+    directions: Any = quantity(default=None, unit="1", doc="Vec3 (K, 1) to the satellites; None while remembered")
+    half: Any = quantity(default=None, unit="m", doc="(K, 1) std of each half of multipath; None while remembered")
+
+    def of(self, shared: Vec3, ranges: Array) -> Vec3:
+        """Return the error (n,) for errors of ranges (K, n), which is ``shared`` (n,) under the open sky."""
+        return select(self.clear, shared, self.gains.of(self.directions, ranges))
+
+
+@record
 class Geometry:
     """A solution of receivers, and what it makes of errors."""
 
     knot: Array = quantity(doc="() int32 number of the knot since which it holds")
-    age: Array = quantity(unit="s", doc="(K, m) time for which a satellite has been seen, 0 where it is not")
+    age: Any = quantity(unit="s", doc="(K, m) time for which a satellite has been seen, 0 where it is not")
     rows: Any = quantity(unit="1", doc="(K, m) from errors of ranges to that of the solution, or None")
-    multipath: Vec3 = quantity(unit="m", doc="(K, m) the same from each half of multipath, of unit variance")
+    multipath: Any = quantity(unit="m", doc="Vec3 (K, m) the same from each half of multipath, of unit variance")
     before: Vec3 = quantity(unit="m", doc="(m,) error by common errors of the code, at the last knot")
     after: Vec3 = quantity(unit="m", doc="(m,) at the next")
     carried: Vec3 = quantity(unit="m", doc="(m,) change by those of the carrier in between")
@@ -81,10 +95,17 @@ class Geometry:
     reflected: Any = quantity(default=None, unit="m", doc="(m,) error by reflections; None without obstacles")
     blocked: Any = quantity(default=None, unit="1", doc="(m,) satellites that obstacles hide")
     mirrored: Any = quantity(default=None, unit="1", doc="(m,) satellites of which a reflection alone is tracked")
+    own: Any = quantity(default=None, doc="Own, among obstacles: rows and multipath are those of the open sky")
 
     def of(self, ranges: Array) -> Vec3:
         """Return the error (n,) of the solution for errors of ranges (K, 1) or (K, n) [m]."""
-        return Vec3(*(jnp.sum(row * ranges, axis=0) for row in (self.rows.x, self.rows.y, self.rows.z)))
+        shared: Vec3 = self.rows.map(lambda row: jnp.sum(row * ranges, axis=0))
+        return shared if self.own is None else self.own.of(shared, ranges)
+
+    def of_multipath(self, both: Array) -> Vec3:
+        """Return the error (n,) of the solution for the sum of both halves of multipath (K, n), of unit variance."""
+        shared: Vec3 = self.multipath.map(lambda row: jnp.sum(row * both, axis=0))
+        return shared if self.own is None else self.own.of(shared, self.own.half * both)
 
     def common(self, part: Array) -> Vec3:
         """Return the error (m,) by common errors a part of the way from the last knot to the next."""
@@ -121,6 +142,12 @@ def thermal_variance(receiver: Any) -> Array:
     """Return the variance [m^2] of thermal noise of a range at 45 dB-Hz (Kaplan and Hegarty, delay-lock loop)."""
     at_45 = CHIP_M**2 * 0.5 * 10.0 ** (-0.1 * _CN0_STRONG)
     return at_45 * jnp.asarray(receiver.code_bandwidth) * receiver.correlator_spacing
+
+
+def multipath_std(receiver: Any, slots: Slots) -> Array:
+    """Return the standard deviation (K, 1) or (K, n) [m] of the multipath of ranges."""
+    low = exp(slots.sight.elevation[:, None] * (-1.0 / math.radians(_MULTIPATH_DEG)))
+    return across(receiver.multipath) * (_MULTIPATH_ALL + _MULTIPATH_LOW * low)
 
 
 def carrier_to_noise(receiver: Any, up: Array) -> Array:
@@ -204,8 +231,7 @@ def geometry_of(
     sight, scales, which = slots.sight, slots.scales, column(receiver)
     up = -sight.line_of_sight.z[:, None]
     weaker = weakness(receiver, slots, jam, 0.0 if view is None else view.loss)
-    low = exp(sight.elevation[:, None] * (-1.0 / math.radians(_MULTIPATH_DEG)))
-    multipath = across(receiver.multipath) * (_MULTIPATH_ALL + _MULTIPATH_LOW * low)
+    multipath = multipath_std(receiver, slots)
     thermal = across(thermal_variance(receiver)) * weaker
     delay = 0.5 * scales.vertical[which] * sight.ionosphere
     zenith = scales.troposphere * sight.troposphere
@@ -237,12 +263,14 @@ def geometry_of(
     found = solution.of([*(entry[:, None] for entry in columns), *apart])
     horizontal, vertical, speed = _accuracies(receiver, slots, solution, rows, multipath, weaker, found[5:])
     half = math.sqrt(0.5) * multipath
+    # Among obstacles there is less to remember; hidden.py says for whom the open sky's solution holds.
+    own = None if view is None else Own(Gains(solution.weight, solution.mean, solution.inverse), solution.enough)
     # Carrier phase is not fixed with reflections, which are all that is weaker for obstacles.
     direct = used if view is None else used & ~(view.loss > 0.0)
     return Geometry(
-        knot=slots.knot, age=age,
-        rows=rows if slots.rough or slots.own is not None else None,
-        multipath=rows.map(lambda row: row * half),
+        knot=slots.knot, age=age if view is None else None,
+        rows=rows if view is None and (slots.rough or slots.own is not None) else None,
+        multipath=None if view is not None else rows.map(lambda row: row * half), own=own,
         before=found[0], after=found[1], carried=found[2], slope_north=found[3], slope_east=found[4],
         systems=tuple(found[5:]), noise=factor(rows, weaker),
         horizontal=horizontal, vertical=vertical, speed=speed, hdop=solution.hdop, vdop=solution.vdop,

@@ -16,7 +16,16 @@ from jax import Array, lax
 from qrsim.core.fastmath import sincos_turns
 from qrsim.core.tree import quantity, record, replace, select
 from qrsim.core.vectors import Vec3
-from qrsim.models.gnss.geometry import CHIP_M, Geometry, View, across, carrier_to_noise, geometry_of
+from qrsim.models.gnss.geometry import (
+    AWAY,
+    CHIP_M,
+    Geometry,
+    View,
+    across,
+    carrier_to_noise,
+    geometry_of,
+    multipath_std,
+)
 from qrsim.models.gnss.interference import Effect
 from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.gnss.slots import Slots
@@ -36,11 +45,22 @@ _LONG = 1e6
 class Tracking:
     """What n receivers remember of the signals in each slot, and of when they last looked at them."""
 
-    held: Array = quantity(unit="s", doc="(K, n) time that counts for the weight since it came back; long: never away")
-    away: Array = quantity(unit="s", doc="(K, n) time for which it has been blocked; 0: it is not")
+    since: Array = quantity(
+        unit="s", doc="(K, n) time that counts for the weight since it came back, long: never away; below AWAY: blocked"
+    )
     knot: Array = quantity(doc="() int32 number of the knot at which they looked, or after which")
     part: Array = quantity(unit="1", doc="() how far it was to the next")
-    solution: Geometry = quantity(doc="solutions since then")
+    solution: Geometry = quantity(doc="solutions since then, but for what is the open sky's")
+
+    @property
+    def held(self) -> Array:
+        """Time [s] (K, n) that counts for the weight, 0 of what is blocked."""
+        return jnp.where(self.since < AWAY, 0.0, self.since)
+
+    @property
+    def away(self) -> Array:
+        """Time [s] (K, n) for which a signal has been blocked, 0 if it is not."""
+        return jnp.where(self.since < AWAY, AWAY - self.since, 0.0)
 
     def placed(self, chosen: Array, fresh: Tracking) -> Tracking:
         """Return it with that of chosen receivers (n,) made anew; what all of them share stays."""
@@ -71,23 +91,36 @@ def solved(
     """
     if before is None:
         start = jnp.zeros_like(slots.part)
-        return _looked(receiver, skyline, slots, whole, None, same, position_ned, fast, slow, start, effect)
+        looked = _looked(receiver, skyline, slots, whole, None, same, position_ned, fast, slow, start, effect)
+        return _as_seen(receiver, slots, whole, looked), looked
     passed = (slots.knot - before.knot).astype(slots.part.dtype) * slots.knot_s
     passed = passed + (slots.part - before.part) * slots.knot_s
     # A knot may have other satellites in the slots.
     due = (slots.knot != before.knot) | (passed > receiver.obstacle_period - 0.5 * receiver.period)
 
-    def fresh() -> tuple[Geometry, Tracking]:
+    def fresh() -> Tracking:
         return _looked(receiver, skyline, slots, whole, before, same, position_ned, fast, slow, passed, effect)
 
     # What interferes does so at every fix.
-    return lax.cond(due, fresh, lambda: (before.solution, before)) if effect is None else fresh()
+    tracking = lax.cond(due, fresh, lambda: before) if effect is None else fresh()
+    return _as_seen(receiver, slots, whole, tracking), tracking
+
+
+def _as_seen(receiver: Any, slots: Slots, whole: Geometry, tracking: Tracking) -> Geometry:
+    """Return the solutions that are remembered with all that need not be, and those of the open sky for the others."""
+    own = replace(
+        tracking.solution.own,
+        directions=slots.sight.line_of_sight.map(lambda axis: axis[:, None]),
+        half=math.sqrt(0.5) * multipath_std(receiver, slots),
+    )
+    age = jnp.where(tracking.since < AWAY, 0.0, jnp.minimum(whole.age, tracking.since))
+    return replace(tracking.solution, age=age, rows=whole.rows, multipath=whole.multipath, own=own)
 
 
 def _looked(
     receiver: Any, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None, same: Any,
     position_ned: Vec3, fast: Array, slow: Array, passed: Array, effect: Effect | None,
-) -> tuple[Geometry, Tracking]:  # fmt: skip
+) -> Tracking:  # fmt: skip
     """Return solutions that are new, ``passed`` () [s] after the last ones."""
     hides, detour = skyline.look(position_ned, slots.sight)
     there = jnp.broadcast_to(whole.age > 0.0, hides.shape)
@@ -113,13 +146,17 @@ def _looked(
     settled = held >= jnp.minimum(whole.age, across(receiver.acquisition) + across(receiver.entry))
     clear = jnp.all(~there | (settled & ~hides & ~mirrored), axis=0)
     count = up.dtype
+    alike = replace(whole, age=None, rows=None, multipath=None)
     solution = replace(
-        _either(clear, whole, replace(now, reflected=None)),
+        _either(clear, alike, replace(now, reflected=None, own=None)),
+        own=replace(now.own, clear=clear),
         reflected=now.reflected,
         blocked=jnp.sum((there & hides & ~alone).astype(count), axis=0),
         mirrored=jnp.sum(alone.astype(count), axis=0),
     )
-    return solution, Tracking(held, away, slots.knot, slots.part, solution)
+    # Precise to a millisecond for as long as it counts.
+    since = jnp.where(away > 0.0, AWAY - jnp.minimum(away, -AWAY), held)
+    return Tracking(since, slots.knot, slots.part, solution)
 
 
 def weaker_by(slow: Array) -> Array:

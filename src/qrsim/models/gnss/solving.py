@@ -32,6 +32,8 @@ def sums(columns: Sequence[Array]) -> list[Array]:
 class Solution:
     """A weighted least-squares solution of position and clock, as it acts on errors; m is 1 or n."""
 
+    weight: Array = quantity(unit="1/m^2", doc="(K, m) of the ranges")
+    mean: Vec3 = quantity(unit="1", doc="(m,) weighted mean of the directions")
     gain: Vec3 = quantity(unit="1", doc="(K, m) weighted directions about their mean")
     inverse: Symmetric = quantity(unit="m^2", doc="(m,) xx, xy, xz, yy, yz, zz of the inverse normal matrix")
     count: Array = quantity(unit="1", doc="(m,) satellites used")
@@ -49,6 +51,22 @@ class Solution:
         """Return the matrix (K, m) for each axis that takes errors of ranges to the solution."""
         xx, xy, xz, yy, yz, zz = (entry[None, :] for entry in self.inverse)
         return _times((xx, xy, xz, yy, yz, zz), self.gain.x, self.gain.y, self.gain.z)
+
+
+@record
+class Gains:
+    """A solution of receivers (n,) as little as will do to apply it: a number of each slot, where rows have three."""
+
+    weight: Array = quantity(unit="1/m^2", doc="(K, n) of the ranges")
+    mean: Vec3 = quantity(unit="1", doc="(n,) weighted mean of the directions")
+    inverse: Symmetric = quantity(unit="m^2", doc="(n,) of the normal matrix")
+
+    def of(self, line_of_sight: Vec3, errors: Array) -> Vec3:
+        """Return the error (n,) of the solution for errors of ranges (K, 1) or (K, n), in directions (K, 1)."""
+        weighted = self.weight * errors
+        total, *along = sums([weighted, *(weighted * axis for axis in line_of_sight.axes)])
+        about = (part - mean * total for part, mean in zip(along, self.mean.axes, strict=True))
+        return _times(self.inverse, *about)
 
 
 def _times(inverse: Symmetric, x: Array, y: Array, z: Array) -> Vec3:
@@ -71,7 +89,8 @@ def solve(line_of_sight: Vec3, weight: Array, used: Array) -> Solution:
     enough = count >= FEWEST_SATELLITES
     whole, number = jnp.where(enough, total, 1.0), jnp.maximum(count, 1.0)
     # Directions about their mean: what the clock takes up, and what single precision would lose.
-    ux, uy, uz = (u - (first / whole)[None, :] for u, first in zip(axes, firsts[:3], strict=True))
+    mean = Vec3(*(first / whole for first in firsts[:3]))
+    ux, uy, uz = (u - middle[None, :] for u, middle in zip(axes, mean.axes, strict=True))
     px, py, pz = (u - (first / number)[None, :] for u, first in zip(axes, firsts[3:], strict=True))
     gain = Vec3(weight * ux, weight * uy, weight * uz)
     pairs = [gain.x * ux, gain.x * uy, gain.x * uz, gain.y * uy, gain.y * uz, gain.z * uz]
@@ -80,7 +99,7 @@ def solve(line_of_sight: Vec3, weight: Array, used: Array) -> Solution:
     inverse, regular = _inverted(normal[:6], enough)
     (xx, _, _, yy, _, zz), _ = _inverted(normal[6:], enough)
     hdop, vdop = jnp.sqrt(jnp.maximum(xx + yy, 0.0)), jnp.sqrt(jnp.maximum(zz, 0.0))
-    return Solution(gain, inverse, count, enough & regular, hdop, vdop)
+    return Solution(weight, mean, gain, inverse, count, enough & regular, hdop, vdop)
 
 
 def robust(solution: Solution, line_of_sight: Vec3, weight: Array, used: Array, errors: Array, std: Array) -> Solution:
@@ -93,18 +112,31 @@ def robust(solution: Solution, line_of_sight: Vec3, weight: Array, used: Array, 
         errors: of the ranges (K, m) [m].
         std: that they are taken to have (K, m) [m].
     """
-    axes = (line_of_sight.x, line_of_sight.y, line_of_sight.z)
-    own = weight
-    for _ in range(2):
-        (moved,) = solution.of([errors])
-        left = errors + sum(u * d[None, :] for u, d in zip(axes, (moved.x, moved.y, moved.z), strict=True))
-        total, mean = sums([own, own * left])
-        left = left - (mean / jnp.where(total > 0.0, total, 1.0))[None, :]
-        size = jnp.abs(left) / std
-        factor = jnp.where(size < FITS, 1.0, jnp.where(size < FITS_NOT, FITS / jnp.maximum(size, FITS), LEFT))
-        own = weight * factor
-        solution = solve(line_of_sight, own, used)
-    return solution
+    # About the mean of the first solution, from which the others' do not differ much.
+    axes = [u - mean[None, :] for u, mean in zip(line_of_sight.axes, solution.mean.axes, strict=True)]
+    (moved,) = solution.of([errors])
+    total, along = sums([weight, weight * errors])
+    shift = along / jnp.where(total > 0.0, total, 1.0)
+    own = _reweighted(weight, errors, axes, moved, shift, std)
+    # What is left after the second solution follows from its sums, without another look at the ranges.
+    parts = [own * u for u in axes]
+    pairs = [parts[i] * axes[j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))]
+    total, along, *found = sums([own, own * errors, *parts, *(part * errors for part in parts), *pairs])
+    whole = jnp.where(total > 0.0, total, 1.0)
+    x, y, z = (first / whole for first in found[:3])
+    sides = (part - first * along / whole for part, first in zip(found[3:6], found[:3], strict=True))
+    lost = (x * found[0], x * found[1], x * found[2], y * found[1], y * found[2], z * found[2])
+    inverse, _ = _inverted([pair - part for pair, part in zip(found[6:], lost, strict=True)], solution.enough)
+    moved = _times(inverse, *sides)
+    shift = along / whole + x * moved.x + y * moved.y + z * moved.z
+    return solve(line_of_sight, _reweighted(weight, errors, axes, moved, shift, std), used)
+
+
+def _reweighted(weight: Array, errors: Array, axes: Sequence[Array], moved: Vec3, shift: Array, std: Array) -> Array:
+    """Return weights (K, m) by what a solution that is ``moved``, its clock by ``shift`` [m], leaves of errors."""
+    left = errors + sum(u * d[None, :] for u, d in zip(axes, moved.axes, strict=True)) - shift[None, :]
+    size = jnp.abs(left) / std
+    return weight * jnp.where(size < FITS, 1.0, jnp.where(size < FITS_NOT, FITS / jnp.maximum(size, FITS), LEFT))
 
 
 def _inverted(entries: Sequence[Array], enough: Array) -> tuple[Symmetric, Array]:

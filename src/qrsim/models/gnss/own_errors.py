@@ -1,0 +1,75 @@
+"""Errors of a solution by what receivers of type ``gnss`` share, and by what each has for itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.fastmath import exp
+from qrsim.core.noise import Draw
+from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.apart import Apart, apart_at, apart_init, apart_step
+from qrsim.models.gnss.fixes import GnssState
+from qrsim.models.gnss.geometry import Geometry, across, column, left_signal, times
+from qrsim.models.gnss.receivers import SkyState
+from qrsim.models.gnss.slots import Slots
+
+# Pairs of numbers: of multipath they are those of the satellites' numbers from here on.
+MULTIPATH_PAIRS = 1 << 24
+
+
+def first_common(receiver: Any, now: Geometry, draw: Draw, sky: SkyState) -> tuple[Vec3, Any, Apart | None]:
+    """Return the solution's error by common errors at a start, and what is to be remembered."""
+    slots: Slots = sky.slots
+    if slots.own is not None:
+        apart = apart_init(slots.own, draw, slots)
+        code, ranges = apart_at(slots.own, apart, slots, column(receiver))
+        return now.of(code), ranges, apart
+    if slots.rough:
+        ranges = left_signal(receiver) * sky.range_error[jnp.maximum(slots.places, 0)]
+        return now.of(ranges[:, None]), ranges, None
+    return now.common(slots.part), None, None
+
+
+def common_errors(
+    receiver: Any, now: Geometry, state: GnssState, draw: Draw, sky: SkyState, same: Array
+) -> tuple[Vec3, Vec3, Any, Apart | None]:
+    """Return the solution's error by common errors, its change by the carrier's, and what is to be remembered."""
+    slots: Slots = sky.slots
+    if state.apart is None and not slots.rough:
+        return now.common(slots.part), now.carried * (receiver.period / slots.knot_s), None, None
+    if state.apart is None:
+        code = carrier = left_signal(receiver) * sky.range_error[jnp.maximum(slots.places, 0)]
+        change = jnp.where(same, carrier - state.ranges, 0.0)[:, None]
+        return now.of(code[:, None]), now.of(change), carrier, None
+    apart = apart_step(slots.own, state.apart, draw, slots, same, receiver.period)
+    code, carrier = apart_at(slots.own, apart, slots, column(receiver))
+    return now.of(code), now.of(jnp.where(same[:, None], carrier - state.ranges, 0.0)), carrier, apart
+
+
+def own_error(now: Geometry, bias: tuple[Array, ...], position_ned: Vec3, fast: Array, slow: Array) -> Vec3:
+    """Return the solution's error (n,) by multipath, by offsets of systems, and by where a receiver is."""
+    error = now.of_multipath(fast + slow)
+    for part, value in zip(now.systems, bias, strict=True):
+        error = error + part * value
+    if now.reflected is not None:
+        error = error + now.reflected
+    return error + now.slope_north * position_ned.x + now.slope_east * position_ned.y
+
+
+def step_multipath(
+    receiver: Any, state: GnssState, draw: Draw, slots: Slots, same: Array, velocity_ned: Vec3
+) -> tuple[Array, Array]:
+    """Advance both halves of the multipath (K, n) by a period; that of a satellite in a new slot begins anew."""
+    # Not normal, which would take half of a fix's time: the sums over time and satellites are.
+    drawn = draw.uniform_pairs(slots.ids + jnp.uint32(MULTIPATH_PAIRS))
+    way = velocity_ned.norm() * (receiver.period / receiver.multipath_length)
+    found = []
+    for before, number, time in zip((state.fast, state.slow), drawn, times(receiver), strict=True):
+        decay = exp(-(receiver.period / jnp.asarray(time) + way))
+        # Of the decay as it was rounded, so that the variance stays what it is.
+        spread = jnp.sqrt((1.0 - decay) * (1.0 + decay))
+        found.append(jnp.where(same[:, None], across(decay) * before + across(spread) * number, number))
+    return found[0], found[1]

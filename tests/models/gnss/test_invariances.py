@@ -1,0 +1,118 @@
+"""What must change no fix, among buildings, near jammers and with a base station: laws of the sensor gnss."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import qrsim
+from qrsim.core.noise import Draw, Stream
+from qrsim.core.vectors import Vec3
+from qrsim.scenarios.scenario import load_scenario
+
+PLACES = ((0.0, 0.0, -3.0), (30.0, 0.0, -12.0), (60.0, 1.0, -30.0))
+STREET = [
+    {"type": "box", "x_min": -100, "x_max": 100, "y_min": 8, "y_max": 24, "z_min": -25},
+    {"type": "prism", "corners_ned": [[-100, -24], [100, -24], [100, -8], [-100, -8]], "z_min": -25},
+]
+JAMMER = {"kind": "jammer", "position_ned": [700.0, 0.0, -2.0], "power_w": 0.0005, "start": 2.0, "end": 8.0}
+FAR_AWAY = {"type": "box", "x_min": 900, "x_max": 910, "y_min": 900, "y_max": 910, "z_min": -6}
+TICKS = 300
+
+
+def scenario(count: int = 3, **world: Any) -> dict[str, Any]:
+    """Return rovers with a base station in a street, some of them jammed for a while."""
+    area = {"type": "box", "x_min": -150, "x_max": 150, "y_min": -150, "y_max": 150, "z_min": -120}
+    fleet = {
+        "sensors": {"gnss": {"type": "gnss", "preset": "f9p_rtk", "first_fix": "fixed", "per_satellite": True}},
+        "controller": {"type": "cascade", "feed": "truth"},
+        "vehicles": [{"position_ned": list(place)} for place in PLACES[:count]],
+    }
+    base: dict[str, Any] = {"area": area, "obstacles": STREET, "base_station": {"position_ned": [-90, -90, -30]}}
+    base["interference"] = [JAMMER]
+    return {"name": "x", "duration": 60.0, "world": {**base, **world}, "fleets": {"rovers": fleet}}
+
+
+def flown(content: dict[str, Any], **how: Any) -> Any:
+    """Return the last reading after some seconds."""
+    simulation = qrsim.load(content, seed=4, **how)
+    simulation.reset()
+    simulation.step(ticks=TICKS)
+    return simulation.reading.gnss, simulation
+
+
+@pytest.fixture(scope="module")
+def plain() -> Any:
+    return flown(scenario())
+
+
+@pytest.mark.long
+class TestFlown:
+    def test_it_is_a_hard_case(self, plain: Any):
+        gnss, simulation = plain
+        assert gnss.satellites_blocked[0] + gnss.satellites_reflected[0] > 8.0
+        assert ((gnss.jamming > 0.3) & (gnss.jamming < 1.0)).all()
+        assert gnss.fix_type[2] > 4.0
+        state = np.asarray(gnss.satellite_state)
+        np.testing.assert_array_equal((state == 2.0).sum(axis=1), gnss.satellites_reflected)
+        np.testing.assert_array_equal((state == 3.0).sum(axis=1), gnss.satellites_blocked)
+        assert (state[2] != 2.0).all()
+        assert np.isfinite(simulation.truth.position_ned).all()
+
+    def test_another_vehicle_changes_nothing(self, plain: Any):
+        gnss, _ = flown(scenario(2))
+        np.testing.assert_array_equal(gnss.position_ned, plain[0].position_ned[:2])
+        np.testing.assert_array_equal(gnss.satellite_state, plain[0].satellite_state[:2])
+
+    def test_a_building_out_of_sight_changes_nothing(self, plain: Any):
+        gnss, _ = flown(scenario(obstacles=[*STREET, FAR_AWAY]))
+        np.testing.assert_array_equal(gnss.position_ned, plain[0].position_ned)
+
+    def test_what_is_over_or_without_power_changes_nothing(self, plain: Any):
+        quiet = {**JAMMER, "power_w": 0.0, "start": 0.0}
+        late = {**JAMMER, "start": 30.0, "end": 40.0}
+        gnss, _ = flown(scenario(interference=[JAMMER, quiet, late]))
+        np.testing.assert_array_equal(gnss.position_ned, plain[0].position_ned)
+
+    def test_it_resumes_to_the_bit_from_any_tick(self, plain: Any):
+        gnss, simulation = plain
+        simulation.reset()
+        for ticks in (7, 96, 44):
+            simulation.step(ticks=ticks)
+            simulation.load(simulation.save())
+        simulation.step(ticks=TICKS - 147)
+        np.testing.assert_array_equal(simulation.reading.gnss.position_ned, gnss.position_ned)
+        np.testing.assert_array_equal(simulation.reading.gnss.fix_type, gnss.fix_type)
+
+    def test_single_precision_is_good_to_millimetres_above_the_roofs(self, plain: Any):
+        gnss, _ = flown(scenario(), precision="float64")
+        assert np.abs(gnss.position_ned[2] - plain[0].position_ned[2]).max() < 2e-3
+
+
+@pytest.mark.long
+def test_the_order_of_receivers_and_how_they_are_compiled_change_nothing() -> None:
+    """Receivers of the same numbers at the same places, in another order; and one operation at a time."""
+    world = load_scenario(scenario()).world()
+    simulation = qrsim.load(scenario(), seed=4)
+    simulation.reset()
+    sensor, sky = world.fleets[0].sensors[0], jax.tree.map(jnp.asarray, simulation.state.sky)
+
+    def readings(order: list[int], steps: int) -> Any:
+        place = Vec3(*jnp.asarray([PLACES[i] for i in order], jnp.float32).T)
+        still, stream = place * 0.0, Stream(jnp.uint32(3), jnp.uint32(5), jnp.asarray(order, jnp.uint32))
+        state, reading = None, None
+        for tick in range(0, 10 * (steps + 1), 10):
+            draw = Draw(stream, jnp.uint32(tick), place.x[0])
+            given = (draw, place, still, sky, None, None, world.skyline)
+            state, reading = sensor.init(*given) if state is None else sensor.step(state, *given)
+        return reading
+
+    first, other = (jax.jit(lambda order=order: readings(order, 3))() for order in ([0, 1, 2], [2, 0, 1]))
+    for name in ("x", "y", "z"):
+        said = np.asarray(getattr(first.position_ned, name))
+        np.testing.assert_array_equal(said[[2, 0, 1]], getattr(other.position_ned, name))
+        np.testing.assert_allclose(said, getattr(readings([0, 1, 2], 3).position_ned, name), atol=1e-3)
