@@ -1,13 +1,19 @@
 """What GNSS receivers cost: today's GPS, four constellations under an open sky, and the same in a town.
 
 1000 vehicles fly along streets between 200 buildings, 5 to 60 m high, at 50 Hz with fixes at 5 Hz. Each row is a world
-of its own in one process. What a receiver costs is the difference from the same world with ``ideal_gnss``. Rows "open"
-have no buildings, "town" has them; what they cost beside receivers is in the ns of ``ideal_gnss``. Columns: ns of CPU
-of a vehicle-step, what of it is the receiver, and that over today's GPS; time to make the table, and its size.
+of its own in one process; measurements go round all rows, and the median counts. What a receiver costs is the
+difference from the same world with ``ideal_gnss``. Rows "open" have no buildings, "town" has them; "open, 40 slots" has
+room for more satellites than are in view there. "patrol" is the scenario patrol_published with its five vehicles, as it
+is and with the sensor gnss in place of its own, in one world and in 512. Today's GPS is ``gnss_receiver`` with
+velocities from Doppler; in the patrol it is the scenario's own. Columns: ns of CPU of a vehicle-step; what of it is
+the receiver, and that over today's GPS under the open sky; the whole step over that of the same world with today's GPS;
+time to make the table, and its size.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import statistics
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -20,7 +26,12 @@ SENSORS: dict[str, dict[str, Any]] = {
     "gnss_receiver": {"type": "gnss_receiver", "velocity": "doppler"},
     "gnss": {"type": "gnss", "preset": "f9p_single"},
 }
-ROWS = (("open", "ideal_gnss"), ("open", "gnss_receiver"), ("open", "gnss"), ("town", "ideal_gnss"), ("town", "gnss"))
+ROWS = (
+    ("open", "ideal_gnss"), ("open", "gnss_receiver"), ("open", "gnss"), ("open, 40 slots", "gnss"),
+    ("town", "ideal_gnss"), ("town", "gnss_receiver"), ("town", "gnss"),
+)  # fmt: skip
+PATROLS = (("patrol", 1), ("patrol, 512 worlds", 512))
+SLOTS = 40
 VEHICLES, BUILDINGS = 1000, 200
 STREETS, HEIGHTS, SPACING, LEG = 12, (4.0, 8.0, 13.0, 18.0, 25.0, 35.0, 50.0), 46.0, 40.0
 HEADINGS = {
@@ -30,10 +41,9 @@ HEADINGS = {
     "ns": "tick [ns]",
     "own_ns": "receiver [ns]",
     "over_gps": "over GPS",
+    "step_over_gps": "step over GPS's",
     "table_seconds": "table [s]",
     "table_mb": "table [MB]",
-    "compile_seconds": "compile [s]",
-    "flying": "flying",
 }
 
 
@@ -74,28 +84,105 @@ def world(count: int, sky: str, sensor: str, buildings: int) -> Any:
     return load_scenario(content, quiet=True).world()
 
 
-def measured(count: int, buildings: int, seconds: float, repeats: int) -> list[dict[str, Any]]:
-    """Return the rows, the medians of measurements."""
-    rows: list[dict[str, Any]] = []
-    for sky, sensor in ROWS:
+def patrol(sensor: str) -> Any:
+    """Return the world of patrol_published, with another receiver if that is not its own."""
+    import qrsim
+
+    content = qrsim.load_scenario("patrol_published").spec.model_dump(mode="json")
+    if sensor == "gnss":
+        content["fleets"]["pelicans"]["sensors"]["gnss"], content["world"]["sky"] = SENSORS["gnss"], {}
+    return qrsim.load_scenario(content, quiet=True).world()
+
+
+class Flying:
+    """Worlds that are flown in turn with others.
+
+    Args:
+        world: of each.
+        worlds, count: how many, and vehicles in each.
+        seconds: wall time that one measurement should take.
+    """
+
+    def __init__(self, world: Any, worlds: int, count: int, seconds: float):
+        import numpy as np
+
+        from qrsim.core.noise import Key
+        from qrsim.simulation.many_worlds import Flight
+        from qrsim.simulation.rollout import setup_of
+        from qrsim.world.draws import keys_of
+
         begun = time.perf_counter()
-        of = world(count, sky, sensor, buildings)
-        built = time.perf_counter() - begun
-        with throughput.no_collisions(off=True):
-            found = throughput._measured(of, 1, count, sensor, seconds, repeats)
-        table = of.skyline
-        rows.append({
-            "sky": sky, "sensor": sensor, "vehicles": count, "ns": 1e9 / found["per_cpu_second"],
-            "table_seconds": built if table is not None else None,
-            "table_mb": table.words.nbytes / 2**20 if table is not None else None,
-            "compile_seconds": found["compile_seconds"], "flying": found["flying"],
-        })  # fmt: skip
-    ideal = {row["sky"]: row["ns"] for row in rows if row["sensor"] == "ideal_gnss"}
+        setup, fixed, own = setup_of([world], metrics=throughput.Nothing())
+        keys = keys_of(world, Key.roots(np.zeros(worlds, np.int64), np.arange(worlds)))
+        self.flight, self.vehicles = Flight(setup, fixed, own, keys, worlds * count, 1), worlds * count
+        self.tick, self.found = 0, []
+        self.fly(1)
+        self.compile_seconds = round(time.perf_counter() - begun, 2)
+        once = time.perf_counter()
+        self.fly(10)
+        self.ticks = max(10, round(10 * seconds / (time.perf_counter() - once)) // 10 * 10)
+
+    def fly(self, ticks: int) -> float:
+        """Advance, and return the CPU time [s] that it took."""
+        import numpy as np
+
+        begun = time.process_time()
+        self.flight.advance(self.tick, ticks, ((), ()))
+        np.asarray(self.flight.get(lambda carry: carry.wrong_tick))
+        self.tick += ticks
+        return time.process_time() - begun
+
+    def measure(self) -> None:
+        """Take another measurement."""
+        self.found.append(1e9 * self.fly(self.ticks) / (self.vehicles * self.ticks))
+
+    def row(self, sky: str, sensor: str) -> dict[str, Any]:
+        """Return the row of the table."""
+        import numpy as np
+
+        flying = int((np.concatenate(self.flight.get(throughput._codes), axis=-1) == 0).sum())
+        return {
+            "sky": sky, "sensor": sensor, "vehicles": self.vehicles, "ns": statistics.median(self.found),
+            "compile_seconds": self.compile_seconds, "flying": flying,
+            **dict.fromkeys(("own_ns", "over_gps", "table_seconds", "table_mb")),
+        }  # fmt: skip
+
+
+def measured(count: int, buildings: int, most: int, seconds: float, repeats: int) -> list[dict[str, Any]]:
+    """Return the rows.
+
+    Args:
+        count: vehicles in one world.
+        buildings: of the town.
+        most: worlds of the patrol.
+        seconds, repeats: of each measurement, and how many of them.
+    """
+    flights, tables = {}, {}
+    with throughput.no_collisions(off=True):
+        for sky, sensor in ROWS:
+            begun = time.perf_counter()
+            of = world(count, sky.split(",")[0], sensor, buildings)
+            if sky.endswith("slots"):
+                of = dataclasses.replace(of, sky=dataclasses.replace(of.sky, slots=SLOTS))
+            if of.skyline is not None:
+                size = of.skyline.words.nbytes / 2**20
+                tables[sky, sensor] = {"table_seconds": time.perf_counter() - begun, "table_mb": size}
+            flights[sky, sensor] = Flying(of, 1, count, seconds)
+    for name, worlds in PATROLS:
+        for sensor in ("gnss_receiver", "gnss"):
+            flights[name, sensor] = Flying(patrol(sensor), min(worlds, most), 5, seconds)
+    for _ in range(repeats):
+        for flight in flights.values():
+            flight.measure()
+    rows = [flight.row(*named) | tables.get(named, {}) for named, flight in flights.items()]
+    ns = {(row["sky"], row["sensor"]): row["ns"] for row in rows}
+    gps = ns["open", "gnss_receiver"] - ns["open", "ideal_gnss"]
     for row in rows:
-        row["own_ns"] = row["ns"] - ideal[row["sky"]]
-    gps = next(row["own_ns"] for row in rows if row["sensor"] == "gnss_receiver")
-    for row in rows:
-        row["over_gps"] = row["own_ns"] / gps if gps > 0.0 else None
+        place = row["sky"].split(",")[0] if row["sky"].startswith("open") else row["sky"]
+        if (place, "ideal_gnss") in ns:
+            row["own_ns"] = row["ns"] - ns[place, "ideal_gnss"]
+            row["over_gps"] = row["own_ns"] / gps if gps > 0.0 else None
+        row["step_over_gps"] = row["ns"] / ns[place, "gnss_receiver"]
     return rows
 
 
@@ -104,8 +191,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = _common.options(__doc__.splitlines()[0], arguments)
     _common.without_cache()
     on = _common.machine()
-    rows = measured(4, 20, 0.01, 1) if chosen.quick else measured(VEHICLES, BUILDINGS, 0.5, 5)
-    title = "GNSS receivers: single precision; table: with the rest of loading; compile: to the end of the first tick"
+    rows = measured(4, 20, 2, 0.01, 1) if chosen.quick else measured(VEHICLES, BUILDINGS, 512, 0.2, 15)
+    title = "GNSS receivers: single precision; table: with the rest of loading"
     _common.publish("gnss", title, on, rows, HEADINGS, chosen.json)
 
 
