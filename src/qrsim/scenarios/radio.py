@@ -11,11 +11,13 @@ import numpy as np
 from qrsim.core.tree import replace
 from qrsim.models.radio.channel import FleetRadios
 from qrsim.models.radio.network import Network
-from qrsim.scenarios.schema import ScenarioSpec
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.timing import is_multiple
 
 # Bytes of a number of a message.
 _NUMBER = 4
+# Numbers of a place and a velocity.
+_BEACON = 6
 # Of a name that readings have for something else.
 _INBOX = "inbox"
 _MOST_PERIODS = 16
@@ -38,6 +40,9 @@ def with_fleets(network: Network | None, scenario: ScenarioSpec) -> Network | No
 
 def radio_problems(network: Network | None, scenario: ScenarioSpec) -> Iterator[str]:
     """Yield what is wrong with the radio of a world, None without one, and of its fleets."""
+    for name, fleet in scenario.fleets.items():
+        if fleet.guidance.model_dump().get("knows") == "heard":
+            yield from _unheard(f"fleets.{name}", fleet, network)
     if network is None:
         for name, fleet in scenario.fleets.items():
             if fleet.radio is not None:
@@ -53,6 +58,20 @@ def radio_problems(network: Network | None, scenario: ScenarioSpec) -> Iterator[
             f"allowed: up to {length // _NUMBER} numbers, or world.radio.packet.bytes of at least {_NUMBER * size}"
         )
     yield from _times(network, scenario.time_step)
+
+
+def _unheard(path: str, fleet: FleetSpec, network: Network | None) -> Iterator[str]:
+    """Yield why a guidance that knows of whom its radio has heard would never hear of anybody."""
+    guidance = f"{path}.guidance.knows: 'heard' is by radio"
+    if network is None:
+        yield f"{guidance}, and there is no world.radio; give one, or knows: all"
+    elif fleet.radio is not None and not fleet.radio.works:
+        yield f"{guidance}, and {path}.radio is none"
+    elif not network.beacon or network.size < _BEACON:
+        yield (
+            f"{guidance}, which needs beacons of position and velocity; give world.radio beacon: true and a size of at "
+            f"least {_BEACON}"
+        )
 
 
 def _times(network: Network, dt: float) -> Iterator[str]:

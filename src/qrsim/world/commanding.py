@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from qrsim.control import Estimate
-from qrsim.control.teams import Mates, mates_of
+from qrsim.control.teams import Mates, mates_heard, mates_of
 from qrsim.core.tree import concatenated, map_tree, replace, select
 from qrsim.world.sensing import estimate_of
 from qrsim.world.standing import on_ground, seen_ground
@@ -30,11 +31,11 @@ class Commanded(NamedTuple):
 
 
 def command_fleet(
-    world: World, whole: State, fleet: Fleet, state: FleetState, action: Action, believed: Estimate | None
+    world: World, whole: State, fleet: Fleet, state: FleetState, tick: Array, action: Action, believed: Estimate | None
 ) -> Commanded:
     """Command a fleet at the start of a tick; see ``step`` of world/tick.py for the arguments."""
     if isinstance(action, Some):
-        return _command_some(world, whole, fleet, state, action, believed)
+        return _command_some(world, whole, fleet, state, tick, action, believed)
     if isinstance(action, fleet.vehicle.actions):
         return Commanded(state.guidance, state.setpoint, state.controller, state.estimate, [(None, action)])
     guidance = state.guidance
@@ -49,7 +50,7 @@ def command_fleet(
         if fleet.guidance.sees_motion:
             motion = {"velocity_ned": estimate.velocity_ned, "dt": world.time_step}
         if fleet.guidance.sees_mates:
-            motion |= {"mates": _mates(fleet, state, estimate)}
+            motion |= {"mates": _mates(world, whole, fleet, state, estimate, tick)}
         guidance, setpoint = fleet.guidance.step(guidance, fleet.route, estimate.position_ned, **others, **motion)
     known = replace(estimate, position_low_ned=fed.position_low_ned)
     controller = state.controller
@@ -61,12 +62,12 @@ def command_fleet(
 
 
 def _command_some(
-    world: World, whole: State, fleet: Fleet, state: FleetState, some: Some, believed: Estimate | None
+    world: World, whole: State, fleet: Fleet, state: FleetState, tick: Array, some: Some, believed: Estimate | None
 ) -> Commanded:
     """Command a fleet of which a user commands some vehicles."""
-    *kept, commands = command_fleet(world, whole, fleet, state, None, believed)
+    *kept, commands = command_fleet(world, whole, fleet, state, tick, None, believed)
     for which, action in some.parts:
-        theirs = command_fleet(world, whole, fleet, state, action, believed)
+        theirs = command_fleet(world, whole, fleet, state, tick, action, believed)
         kept = select(which, list(theirs[:-1]), kept)
         commands = _joined(commands, which, theirs.commands[0][1])
     guidance, setpoint, controller, estimate = kept
@@ -96,9 +97,21 @@ def by_kind(commands: Sequence[tuple[Any, ...]], function: Callable[..., Any]) -
     return found
 
 
-def _mates(fleet: Fleet, state: FleetState, estimate: Estimate) -> Mates:
-    """Return what the vehicles of a fleet (n,) know of each other; of who has stopped nobody knows anything."""
+def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate: Estimate, tick: Array) -> Mates:
+    """Return what the vehicles of a fleet (n,) know of each other; of who has stopped nobody knows anything new."""
     guidance: Any = fleet.guidance
+    if guidance.knows == "heard":
+        assert world.radio is not None
+        names = [other.name for other in world.fleets]
+        first = sum(other.size for other in world.fleets[: names.index(fleet.name)])
+        own = slice(first, first + fleet.size)
+        heard = world.radio.heard(whole.radio, tick, world.time_step)
+        number = heard.sender[:, own] - own.start
+        ours = (heard.sender[:, own] >= own.start) & (number < fleet.size)
+        age = (tick - heard.sent[:, own]).astype(estimate.position_ned.x.dtype) * world.time_step
+        return mates_heard(
+            jnp.where(ours, number, -1), heard.payload[:, :, own], age, estimate.position_ned, guidance.reach
+        )
     flies = state.violation.code == 0
     position = estimate.position_ned.map(lambda axis: jnp.where(flies, axis, jnp.nan))
     return mates_of(position, estimate.velocity_ned, guidance.reach, max(1, min(guidance.mates, fleet.size - 1)))

@@ -166,7 +166,7 @@ def _fly(
     gust_rates = gust_rates_at(world, whole.field, turbulence, *at)
     air = mean_wind + gust
 
-    flown = command_fleet(world, whole, fleet, state, action, believed)
+    flown = command_fleet(world, whole, fleet, state, tick, action, believed)
     load = model.load(state.vehicle)
     voltage = fleet.battery.voltage(state.battery, load)
     commands = [

@@ -284,3 +284,40 @@ def test_what_is_wrong_is_said() -> None:
     assert "does not fit the controller 'waypoint'" in problem("orca", "waypoint")
     assert "allowed: 1 to 64" in problem({"type": "flocking", "mates": 0})
     assert set(BY_NAME) == {name for name, cls in GUIDANCE.items() if getattr(cls, "sees_mates", False)}
+
+
+HEARD = {"type": "formation", "knows": "heard", "leader": False}
+RADIO = {"preset": "sphere", "inbox": {"reach": 50.0}}
+
+
+def heard_world(of_world: Any, **fleet: Any) -> Any:
+    given = {} if of_world is None else {"radio": of_world}
+    return qrsim.make_world(fleets={"team": {**TEAM, "guidance": HEARD, **fleet}}, **given)
+
+
+def test_by_radio_it_knows_those_whom_it_has_heard() -> None:
+    """Two of three are heard late by one another and close up; the third is beyond the reach of the radio and stays."""
+    places = [[0.0, 0.0, -20.0], [0.0, 30.0, -20.0], [0.0, 200.0, -20.0]]
+    fleet = {
+        "vehicles": [
+            {"position_ned": place, "waypoints_ned": [[0.0, 12.0 * i, -20.0]]} for i, place in enumerate(places)
+        ]
+    }
+    sim = qrsim.Simulation(heard_world(RADIO, **fleet))
+    sim.reset()
+    sim.step(ticks=750)
+    flown = sim.truth.position_ned[:, 1]
+    assert flown[1] - flown[0] == pytest.approx(12.0, abs=1.0)
+    assert flown[2] == pytest.approx(200.0, abs=0.5)
+
+
+def test_what_a_radio_lacks_for_it_is_said() -> None:
+    def problem(of_world: Any, **fleet: Any) -> str:
+        with pytest.raises(ScenarioError) as caught:
+            heard_world(of_world, **fleet)
+        return str(caught.value)
+
+    assert "there is no world.radio; give one, or knows: all" in problem(None)
+    assert "fleets.team.radio is none" in problem(RADIO, radio="none")
+    assert "beacon: true and a size of at least 6" in problem({**RADIO, "beacon": False})
+    assert "a size of at least 6" in problem({**RADIO, "size": 4})

@@ -7,7 +7,7 @@ from qrsim.control.teams.avoidance import AvoidanceGuidance
 from qrsim.control.teams.coverage import CoverageGuidance
 from qrsim.control.teams.flocking import FlockingGuidance
 from qrsim.control.teams.formation import FormationGuidance
-from qrsim.control.teams.mates import Mates, TeamGuidance, mates_of
+from qrsim.control.teams.mates import Mates, TeamGuidance, mates_heard, mates_of
 from qrsim.control.teams.vicsek import VicsekGuidance
 
 __all__ = [
@@ -18,5 +18,6 @@ __all__ = [
     "Mates",
     "TeamGuidance",
     "VicsekGuidance",
+    "mates_heard",
     "mates_of",
 ]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from qrsim.control.guidance import Route
-from qrsim.control.teams.mates import Mates, TeamGuidance, last_waypoint, length_of, towards
+from qrsim.control.teams.mates import KNOWS, Mates, TeamGuidance, last_waypoint, length_of, towards
 from qrsim.core.tree import parameter, record, setting
 from qrsim.core.vectors import Vec3
 
@@ -193,6 +194,7 @@ class AvoidanceGuidance(TeamGuidance):
     gain: Array = parameter(default=0.5, unit="1/s", doc="velocity for each metre to the waypoint", above=0.0)
     reach: Array = parameter(default=60.0, unit="m", doc="how far it looks", above=0.0, maximum=1e5)
     mates: int = setting(default=6, unit="1", doc="how many of the nearest it looks at", minimum=1, maximum=16)
+    knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
         """Return the velocity [m/s] north and east (n,) that is wanted."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control.guidance import Route
-from qrsim.control.teams.mates import Mates, TeamGuidance, towards
+from qrsim.control.teams.mates import KNOWS, Mates, TeamGuidance, towards
 from qrsim.core.tree import parameter, record, setting
 from qrsim.core.vectors import Vec3
 
@@ -29,6 +31,7 @@ class CoverageGuidance(TeamGuidance):
     cells: int = setting(default=24, unit="1", doc="points along each side", minimum=4, maximum=128)
     reach: Array = parameter(default=1000.0, unit="m", doc="how far it looks", above=0.0, maximum=1e5)
     mates: int = setting(default=8, unit="1", doc="how many of the nearest it looks at", minimum=1, maximum=64)
+    knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def centroid(self, position_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
         """Return the centroids [m] north and east (n,) of the vehicles' parts; of who has none, where it is."""

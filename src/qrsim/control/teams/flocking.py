@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control.guidance import Route
-from qrsim.control.teams.mates import Mates, TeamGuidance, length_of, limited, towards
+from qrsim.control.teams.mates import KNOWS, Mates, TeamGuidance, length_of, limited, towards
 from qrsim.core.tree import parameter, record, setting
 from qrsim.core.vectors import Vec3
 
@@ -29,6 +31,7 @@ class FlockingGuidance(TeamGuidance):
     migration: Array = parameter(default=0.0, unit="m/s", doc="towards the first waypoint", minimum=0.0, maximum=20.0)
     reach: Array = parameter(default=100.0, unit="m", doc="how far it looks", above=0.0, maximum=1e5)
     mates: int = setting(default=7, unit="1", doc="how many of the nearest it looks at", minimum=1, maximum=64)
+    knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
         """Return the velocity [m/s] north and east (n,) that is wanted."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jax import Array
@@ -13,6 +13,8 @@ from qrsim.control.setpoints import VelocityHeightSetpoint
 from qrsim.core.neighbours import neighbours
 from qrsim.core.tree import map_tree, quantity, record
 from qrsim.core.vectors import Vec3
+
+KNOWS = "whom it knows of: all, at once; heard: whose beacons its radio has received"
 
 
 @record
@@ -57,15 +59,38 @@ def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -
     )
 
 
+def mates_heard(number: Array, payload: Any, age: Array, position_ned: Vec3, reach: Array) -> Mates:
+    """Return what vehicles (n,) know of those of their fleet whose beacons they have received.
+
+    Args:
+        number: (K, n) int32 of the sender in the fleet; below zero: no message, or of another fleet.
+        payload: (K, D, n) position NED [m] and velocity NED [m/s], and more.
+        age: (K, n) of the messages [s].
+        position_ned: what each believes of itself (n,) [m].
+        reach: () or (n,) [m] from where on nobody counts.
+    """
+    place, fast = (Vec3(*(payload[:, first + axis] for axis in range(3))) for first in (0, 3))
+    away = place - position_ned.map(lambda axis: axis[None])
+    near = away.dot(away) <= jnp.broadcast_to(reach * reach, position_ned.x.shape)[None]
+    known = (number >= 0) & near
+
+    def theirs(axis: Array) -> Array:
+        return jnp.where(known, axis, 0.0)
+
+    return Mates(jnp.where(known, number, -1), place.map(theirs), fast.map(theirs), theirs(age))
+
+
 @runtime_checkable
 class TeamGuidance(Guidance, Protocol):
     """A guidance that asks for horizontal velocities by what is known of the others of the fleet.
 
-    A component has ``reach`` and ``mates``, how far and how many of the nearest it looks at, and ``velocity``.
+    A component has ``reach`` and ``mates``, how far and how many of the nearest it looks at, ``knows``, and
+    ``velocity``. With ``knows`` "heard" it looks at all whom its radio has heard.
     """
 
     reach: Array
     mates: int
+    knows: Literal["all", "heard"]
     gives: ClassVar[type] = VelocityHeightSetpoint
     sees_mates: ClassVar[bool] = True
     sees_motion: ClassVar[bool] = True
