@@ -131,6 +131,7 @@ class TestErrors:
         assert math.isnan(float(found.vehicle[1][0]))
 
 
+@pytest.mark.long
 def test_who_has_stopped_is_nobody() -> None:
     scene = pairs(2)
     gone = replace(scene["traffic"], flies=jnp.array([True, True, False, True]))
