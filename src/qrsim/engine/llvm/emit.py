@@ -93,7 +93,8 @@ class Emitter(Loops):
         # Numbers of which an element of the axis has one stay in registers for the parts that follow.
         row: dict[int, str] = {}
         self.open_scope(step.domain)
-        self.far = vectors
+        # A few vectors in a row are close to each other.
+        self.far = vectors and step.domain[0] > 4 * self.lanes
         with self.loop(step.domain[0], self.lanes if vectors else 1) as counter:
             for part in step.parts:
                 last = len(part.domain) - 1
