@@ -10,6 +10,7 @@ import numpy as np
 
 from qrsim.models.gnss.geometry import LOST
 from qrsim.models.gnss.interference import strength
+from qrsim.models.gnss.slots import SlottedSky
 from qrsim.runs.colours import Floats
 
 # What has no end ends here or later [s], and what is heard everywhere is heard within this or more [m].
@@ -61,7 +62,7 @@ def of_scenario(entries: Any) -> tuple[Interferer, ...]:
 
 def of_world(world: Any) -> tuple[Interferer, ...]:
     """Return what interferes in a World; what has no place comes last."""
-    present = getattr(world.sky, "interference", None)
+    present = world.sky.interference if isinstance(world.sky, SlottedSky) else None
     if present is None:
         return ()
     parts = {

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.models.gnss.constellations import satellite_name
-from qrsim.models.gnss.fixes import OF_SATELLITES
+from qrsim.models.gnss.fixes import OF_SATELLITES, GnssFix
 from qrsim.world.state import State
 
 Floats = np.ndarray[Any, Any]
@@ -48,7 +48,7 @@ def told(vehicle: str, found: list[Satellite]) -> dict[str, Any] | None:
 def sky_of_state(state: State, fleet: int, vehicle: int) -> list[Satellite]:
     """Return the satellites of a vehicle, by its number in a fleet; none where no receiver says anything of them."""
     for reading in state.fleets[fleet].readings:
-        if getattr(reading, "cn0", None) is not None:
+        if isinstance(reading, GnssFix) and reading.cn0 is not None:
             said = {
                 name: np.array([np.asarray(leaf)[vehicle] for leaf in getattr(reading, name)]) for name in OF_SATELLITES
             }
