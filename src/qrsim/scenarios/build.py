@@ -20,6 +20,7 @@ from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.contents import Contents
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.prisms import prisms_of
+from qrsim.models.sensors.magnetometer import IdealMagnetometer, Magnetometer
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import with_beacons
@@ -208,7 +209,7 @@ def _estimator(spec: FleetSpec, scenario: ScenarioSpec, sensors: Sequence[Any], 
         late = sensor.delay if fitting is None or not fitting.is_late else fitting.delay
         if late:
             ages[name] = round(late * sensor.period / scenario.time_step)
-    fields = [found for sensor in sensors if (found := getattr(sensor, "earth_field_ned", None)) is not None]
+    fields = [sensor.earth_field_ned for sensor in sensors if isinstance(sensor, Magnetometer | IdealMagnetometer)]
     return component(spec.estimator, known.FILTERS, scenario).fitted(ages, fields[0] if fields else None)
 
 

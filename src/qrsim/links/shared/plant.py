@@ -87,6 +87,7 @@ class Plant:
         self.latches = Latches(simulation.world.fleets, simulation.dtype)
         names = self.latches.names
         self.claims = Claims(names, [name for name in names if not self.latches.kinds(name)])
+        self.controlled: dict[str, Controlled] = {}
         self.restart()
 
     def keep_pace(self, factor: float) -> None:
@@ -95,7 +96,7 @@ class Plant:
 
     def restart(self) -> None:
         """Begin with an episode of the simulation: all fly by their guidance, and claims stay."""
-        before: dict[str, Controlled] = getattr(self, "controlled", {})
+        before = self.controlled
         self.controlled = {name: Controlled() for name in self.latches.names}
         for name, now in self.controlled.items():
             self.latches.clear(name)
