@@ -5,11 +5,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 
 from qrsim.core.noise import Stream, threefry2x32
@@ -35,10 +36,10 @@ class Say:
         to: who alone is to hear it: number of a vehicle in the world or its name, one for all or n of them; -1: all.
     """
 
-    payload: Any
-    command: Any = None
-    send: Any = True
-    to: Any = ALL
+    payload: object
+    command: object = None
+    send: object = True
+    to: object = ALL
 
 
 @dataclass(frozen=True)
@@ -57,10 +58,34 @@ class Message:
     sent: float
     received: float
     rssi: float
-    payload: np.ndarray[Any, Any]
+    payload: npt.NDArray[np.floating]
 
 
-def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: Any, traced: bool) -> list[Outbox]:
+class Library(Protocol):
+    """What is used of NumPy, or in a program that is being compiled of JAX, whose arrays it is typed by."""
+
+    def asarray(self, values: object, dtype: object = None, /) -> Array:
+        """Return an array of values."""
+
+    def broadcast_to(self, array: Array, shape: tuple[int, ...], /) -> Array:
+        """Repeat an array to a shape."""
+
+    def concatenate(self, arrays: Sequence[Array], /) -> Array:
+        """Join arrays along their first axis."""
+
+    def reshape(self, array: Array, shape: tuple[int, ...], /) -> Array:
+        """Return the same numbers in another shape."""
+
+    def zeros(self, shape: tuple[int, ...], dtype: object, /) -> Array:
+        """Return zeros."""
+
+
+def library_for(traced: bool) -> Library:
+    """Return the library of arrays: JAX's while a program is being compiled, else NumPy."""
+    return cast(Library, jnp if traced else np)
+
+
+def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: object, traced: bool) -> list[Outbox]:
     """Return what vehicles have to say, checked, for each fleet or other group of which names are given.
 
     Raises:
@@ -69,8 +94,8 @@ def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: Any,
     radio = world.radio
     if radio is None:
         raise UsageError("say: the scenario has no world.radio")
-    library: Any = jnp if traced else np
-    n = sum(map(len, names))
+    library = library_for(traced)
+    n = sum(len(group) for group in names)
     try:
         payload = library.asarray(say.payload, dtype)
         send = library.broadcast_to(library.asarray(say.send, bool), (n,))
@@ -87,36 +112,41 @@ def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: Any,
             " how many"
         )
     rows = library.concatenate([payload.T, library.zeros((radio.size - payload.shape[1], n), dtype)])
-    to = _receivers(say.to, n, world, library)
+    to = _receivers(say.to, n, world, library, traced)
     found, first = [], 0
     for group in names:
-        own = slice(first, first + len(group))
-        first += len(group)
-        found.append(Outbox(*(_owned(part, library) for part in (rows[:, own], send[own], to[own]))))
+        last = first + len(group)
+        found.append(
+            Outbox(
+                _owned(rows[:, first:last], traced), _owned(send[first:last], traced), _owned(to[first:last], traced)
+            )
+        )
+        first = last
     return found
 
 
-def _owned(part: Any, library: Any) -> Any:
-    return np.ascontiguousarray(part) if library is np else part
+def _owned(part: Array, traced: bool) -> Array:
+    return part if traced else cast(Array, np.ascontiguousarray(part))
 
 
-def _receivers(to: Any, n: int, world: World, library: Any) -> Any:
+def _receivers(to: object, n: int, world: World, library: Library, traced: bool) -> Array:
     """Return the number of the receiver (n,) of each vehicle's message, -1 for all."""
     names = [name for fleet in world.fleets for name in fleet.vehicle_names]
-    if isinstance(to, str) or (isinstance(to, Sequence) and any(isinstance(one, str) for one in to)):
-        each = [to] * n if isinstance(to, str) else list(to)
-        to = [receiver_number(one, names) for one in each]
+    if isinstance(to, str):
+        to = [receiver_number(to, names)] * n
+    elif isinstance(to, list | tuple) and any(isinstance(one, str) for one in to):
+        to = [receiver_number(one, names) for one in to]
     try:
         numbers = library.broadcast_to(library.asarray(to, np.int32), (n,))
     except (TypeError, ValueError, OverflowError):
         raise UsageError(f"say: to: expected numbers or names of vehicles, one or {n} of them, found {to!r}") from None
-    if library is np and ((numbers < ALL) | (numbers >= len(names))).any():
-        wrong = int(numbers[(numbers < ALL) | (numbers >= len(names))][0])
+    beyond = [] if traced else [number for number in numbers.tolist() if not ALL <= number < len(names)]
+    for wrong in beyond:
         raise UsageError(f"say: to: {wrong} is nobody; allowed: 0 to {len(names) - 1}, or -1 for all")
     return numbers
 
 
-def receiver_number(name: Any, names: Sequence[str], what: str = "say: to") -> int:
+def receiver_number(name: object, names: Sequence[str], what: str = "say: to") -> int:
     """Return the number of a vehicle in the world by its name or number; -1 for None, which is all.
 
     Raises:
@@ -141,16 +171,17 @@ def messages(world: World, state: State, tick: int, vehicle: int) -> list[Messag
     assert world.radio is not None
     names = [name for fleet in world.fleets for name in fleet.vehicle_names]
     dt = world.time_step
-    heard = world.radio.heard(state.radio, np.int32(tick), dt)
+    heard = world.radio.heard(state.radio, cast(Array, np.int32(tick)), dt)
+    senders, sent, arrives, rssi = (
+        cast(list[float], column[:, vehicle].tolist())
+        for column in (heard.sender, heard.sent, heard.arrives, heard.rssi)
+    )
+    payloads = np.array(heard.payload[:, :, vehicle], np.float64)
     return [
-        Message(
-            names[int(heard.sender[row, vehicle])], float(heard.sent[row, vehicle] * dt),
-            float(heard.arrives[row, vehicle] * dt), float(heard.rssi[row, vehicle]),
-            np.array(heard.payload[row, :, vehicle]),
-        )
-        for row in range(heard.sender.shape[0])
-        if heard.sender[row, vehicle] != NOBODY
-    ]  # fmt: skip
+        Message(names[int(sender)], sent[row] * dt, arrives[row] * dt, rssi[row], payloads[row])
+        for row, sender in enumerate(senders)
+        if sender != NOBODY
+    ]
 
 
 def warn_of_overfull(world: World, state: State) -> None:
@@ -161,7 +192,7 @@ def warn_of_overfull(world: World, state: State) -> None:
         state: at the end, on the host; of many worlds, leaves (W, ...).
     """
     assert world.radio is not None
-    looks = int(np.sum(world.radio.counted(state.radio)["overfull"]))
+    looks = int(world.radio.counted(state.radio)["overfull"].sum())
     if looks:
         warnings.warn(
             f"world.radio: {looks} times a vehicle had more others around it than were looked at, so that it may have"
@@ -171,26 +202,27 @@ def warn_of_overfull(world: World, state: State) -> None:
         )
 
 
-def user_key(state: State, tick: Any) -> Any:
+def user_key(state: State, tick: object) -> Array:
     """Return a key (2,) uint32 for users' own random numbers: another one in every world and at every tick."""
     keys = state.sky_keys
     traced = isinstance(tick, Array) or isinstance(keys.high, jax.core.Tracer)
-    library: Any = jnp if traced else np
+    library = library_for(traced)
     # Arrays of one, whose sums wrap around without a warning.
-    high, low = (library.reshape(library.asarray(word), (-1,))[:1] for word in (keys.high, keys.low))
-    counter = (
-        library.full(1, _USER[0], library.uint32),
-        library.reshape(library.asarray(tick).astype(library.uint32), (1,)) ^ library.uint32(_USER[1]),
+    high, low = (
+        library.reshape(library.asarray(keys.high), (-1,))[:1],
+        library.reshape(library.asarray(keys.low), (-1,))[:1],
     )
-    words = threefry2x32((high, low), counter, 20)
-    return library.concatenate([library.asarray(word) for word in words])
+    now = library.reshape(library.asarray(tick).astype(np.uint32), (1,))
+    counter = (library.asarray([_USER[0]], np.uint32), now ^ np.uint32(_USER[1]))
+    first, second = threefry2x32((high, low), counter, 20)
+    return library.concatenate([library.asarray(first), library.asarray(second)])
 
 
-def user_normals(world: World, state: State, tick: Any, count: int) -> Any:
+def user_normals(world: World, state: State, tick: object, count: int) -> Array:
     """Return standard normals (n, count) for all vehicles: of each vehicle its own, whatever others there are."""
     key = user_key(state, tick)
-    ids = jnp.asarray(np.concatenate([vehicle_ids(fleet) for fleet in world.fleets]))
+    ids = jnp.concatenate([jnp.asarray(vehicle_ids(fleet)) for fleet in world.fleets])
     dtype = jnp.asarray(world.fleets[0].start.position_ned.x).dtype
     stream = Stream(jnp.asarray(key[0]), jnp.asarray(key[1]), ids)
     drawn = jnp.stack(stream.normals(jnp.uint32(0), count, dtype), axis=-1)
-    return np.asarray(drawn) if isinstance(key, np.ndarray) else drawn
+    return drawn if isinstance(key, Array) else cast(Array, np.asarray(drawn))

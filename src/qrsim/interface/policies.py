@@ -24,13 +24,16 @@ import inspect
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Protocol, cast
+from functools import partial
+from typing import Any, Protocol, TypeVar, cast
 
 import jax
 
 from qrsim.core.sameness import Itself, sameness
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
 from qrsim.files.code import load_object
+
+T = TypeVar("T")
 
 
 class WithMemory(Protocol):
@@ -43,6 +46,17 @@ class WithMemory(Protocol):
     def step(self, reading: Any, memory: Any) -> object:
         """Return the result and the new memory, which is checked when it is called."""
         ...
+
+
+class Whole(Protocol):
+    """Readings that can be told apart by fleets and vehicles."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the fleets and vehicles."""
+
+    def of(self, name: str) -> Whole:
+        """Return the readings of one of them."""
 
 
 class Compiled(Protocol):
@@ -165,18 +179,19 @@ def _of_teams(what: str, given: Mapping[Any, object]) -> UserFunction:
     if not own:
         raise UsageError(f"{what}: the dict names no policy for any fleet or vehicle")
 
-    def init(reading: Any) -> object:
+    def init(reading: Whole) -> object:
         for name in own:
             if name not in reading.names:
                 raise UsageError(f"no fleet and no vehicle is called '{name}'{did_you_mean(name, reading.names)}")
-        return {name: _blamed(name, member.init, reading.of(name)) for name, member in own.items()}
+        return {name: _blamed(name, partial(member.init, reading.of(name))) for name, member in own.items()}
 
-    def step(reading: Any, memory: Any) -> tuple[object, object]:
+    def step(reading: Whole, memory: Mapping[str, object]) -> tuple[object, object]:
         asked: dict[str, object] = {}
-        after = {}
+        after: dict[str, object] = {}
         for name, member in own.items():
-            theirs, after[name] = _blamed(name, member, reading.of(name), memory[name])
-            _take(asked, name, theirs, reading.of(name).names)
+            part = reading.of(name)
+            theirs, after[name] = _blamed(name, partial(member, part, memory[name]))
+            _take(asked, name, theirs, part.names)
         return asked, after
 
     title = ", ".join(f"{name}: {member.name}" for name, member in own.items())
@@ -185,10 +200,10 @@ def _of_teams(what: str, given: Mapping[Any, object]) -> UserFunction:
     return UserFunction(what, f"{{{title}}}", identity, compiled, init, step, dict(given))
 
 
-def _blamed(team: str, function: Callable[..., Any], *given: object) -> Any:
+def _blamed(team: str, call: Callable[[], T]) -> T:
     """Call one of several policies; its errors say whose they are."""
     try:
-        return function(*given)
+        return call()
     except UsageError as error:
         raise UsageError(f"of '{team}': {error}") from None
 

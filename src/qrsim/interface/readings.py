@@ -302,7 +302,7 @@ class Reading:
         """
         if self._world.radio is None:
             raise UsageError("inbox: the scenario has no world.radio")
-        tick = np.int32(self._tick) if isinstance(self._tick, int) else self._tick
+        tick = cast(Array, np.int32(self._tick) if isinstance(self._tick, int) else self._tick)
         everybody = heard(self._world, self._state, tick)
         return map_tree(lambda leaf: leaf[self._all_rows()], everybody)
 

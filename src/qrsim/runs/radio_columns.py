@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def radio_columns(world: World, history: History) -> list[tuple[str, Any, str, s
         (f"radio.{name}", np.asarray(leaf), "1", "packets since the start")
         for name, leaf in world.radio.counted(history.state.radio).items()
     ]
-    links: Links = world.radio.links(history.state.radio)
+    links = cast(Links, world.radio.links(history.state.radio))
     for number in range(min(LOGGED_LINKS, links.sender.shape[1])):
         items += [
             (f"radio.{name}.{number}", np.asarray(getattr(links, name))[:, number], unit, doc)

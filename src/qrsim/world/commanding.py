@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control import Estimate
-from qrsim.control.teams import Mates, mates_heard, mates_of
+from qrsim.control.teams import Mates, TeamGuidance, mates_heard, mates_of
 from qrsim.core.tree import concatenated, map_tree, replace, select
 from qrsim.world.sensing import estimate_of
 from qrsim.world.standing import on_ground, seen_ground
 from qrsim.world.state import Action, Fleet, FleetState, Some, State, World
 
+T = TypeVar("T")
 # Commands (n,) of one kind each, and which vehicles (n,) fly them; the first is for all others, and has None.
-Commands = list[tuple[Any, Any]]
+Commands = list[tuple[Array | None, object]]
 
 
 class Commanded(NamedTuple):
     """What guidance and controller of a fleet (n,) have come to, and what its vehicles are commanded."""
 
-    guidance: Any
-    setpoint: Any
-    controller: Any
+    guidance: object
+    setpoint: object
+    controller: object
     estimate: Estimate
     commands: Commands
 
@@ -65,16 +66,18 @@ def _command_some(
     world: World, whole: State, fleet: Fleet, state: FleetState, tick: Array, some: Some, believed: Estimate | None
 ) -> Commanded:
     """Command a fleet of which a user commands some vehicles."""
-    *kept, commands = command_fleet(world, whole, fleet, state, tick, None, believed)
+    found = command_fleet(world, whole, fleet, state, tick, None, believed)
     for which, action in some.parts:
         theirs = command_fleet(world, whole, fleet, state, tick, action, believed)
-        kept = select(which, list(theirs[:-1]), kept)
-        commands = _joined(commands, which, theirs.commands[0][1])
-    guidance, setpoint, controller, estimate = kept
-    return Commanded(guidance, setpoint, controller, estimate, commands)
+        found = Commanded(
+            select(which, theirs.guidance, found.guidance), select(which, theirs.setpoint, found.setpoint),
+            select(which, theirs.controller, found.controller), select(which, theirs.estimate, found.estimate),
+            _joined(found.commands, which, theirs.commands[0][1]),
+        )  # fmt: skip
+    return found
 
 
-def _joined(commands: Commands, which: Any, command: object) -> Commands:
+def _joined(commands: Commands, which: Array, command: object) -> Commands:
     """Add a command for some vehicles (n,) bool; those of one kind become one."""
     for number, (theirs, other) in enumerate(commands):
         if _alike(command, other):
@@ -84,34 +87,33 @@ def _joined(commands: Commands, which: Any, command: object) -> Commands:
 
 
 def _alike(one: object, other: object) -> bool:
-    structures: list[Any] = [jax.tree.structure(command) for command in (one, other)]
     # To JAX, records that differ in nothing but their type are alike.
-    return type(one) is type(other) and structures[0] == structures[1]
+    return type(one) is type(other) and str(jax.tree.structure(one)) == str(jax.tree.structure(other))
 
 
-def by_kind(commands: Sequence[tuple[Any, ...]], function: Callable[..., Any]) -> Any:
+def by_kind(commands: Sequence[tuple[Array | None, object, Array]], function: Callable[[object, Array], T]) -> T:
     """Return what a function makes of each vehicle; commands have which (n,) bool it is, and the arguments."""
-    found = function(*commands[0][1:])
-    for which, *given in commands[1:]:
-        found = select(which, function(*given), found)
+    found: T | None = None
+    for which, command, clipped in commands:
+        made = function(command, clipped)
+        found = made if found is None or which is None else select(which, made, found)
+    assert found is not None
     return found
 
 
 def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate: Estimate, tick: Array) -> Mates:
     """Return what the vehicles of a fleet (n,) know of each other; of who has stopped nobody knows anything new."""
-    guidance: Any = fleet.guidance
+    guidance = cast(TeamGuidance, fleet.guidance)
     if guidance.knows == "heard":
         assert world.radio is not None
         names = [other.name for other in world.fleets]
         first = sum(other.size for other in world.fleets[: names.index(fleet.name)])
-        own = slice(first, first + fleet.size)
+        last = first + fleet.size
         heard = world.radio.heard(whole.radio, tick, world.time_step)
-        number = heard.sender[:, own] - own.start
-        ours = (heard.sender[:, own] >= own.start) & (number < fleet.size)
-        age = (tick - heard.sent[:, own]).astype(estimate.position_ned.x.dtype) * world.time_step
-        return mates_heard(
-            jnp.where(ours, number, -1), heard.payload[:, :, own], age, estimate.position_ned, guidance.reach
-        )
+        sender = heard.sender[:, first:last]
+        number = jnp.where((sender >= first) & (sender < last), sender - first, -1)
+        age = (tick - heard.sent[:, first:last]).astype(estimate.position_ned.x.dtype) * world.time_step
+        return mates_heard(number, heard.payload[:, :, first:last], age, estimate.position_ned, guidance.reach)
     flies = state.violation.code == 0
     position = estimate.position_ned.map(lambda axis: jnp.where(flies, axis, jnp.nan))
     return mates_of(position, estimate.velocity_ned, guidance.reach, max(1, min(guidance.mates, fleet.size - 1)))

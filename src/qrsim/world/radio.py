@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 
 from qrsim.core.noise import Draw
@@ -24,7 +24,7 @@ def parted(actions: tuple[Action, ...]) -> tuple[tuple[Action, ...], tuple[Outbo
     return plain, tuple(action.outbox if isinstance(action, Saying) else None for action in actions)
 
 
-def start_radio(world: World, draws: dict[str, Draw], keys: WorldKeys, fleets: tuple[FleetState, ...]) -> Any:
+def start_radio(world: World, draws: dict[str, Draw], keys: WorldKeys, fleets: tuple[FleetState, ...]) -> object:
     """Return the state of the radio at the start of an episode, None without one."""
     if world.radio is None:
         return None
@@ -33,7 +33,7 @@ def start_radio(world: World, draws: dict[str, Draw], keys: WorldKeys, fleets: t
     return world.radio.init(draws[FIELD_STREAM], keys.radio, like)
 
 
-def exchange(world: World, state: State, said: tuple[Outbox | None, ...], tick: Array, due: Array) -> Any:
+def exchange(world: World, state: State, said: tuple[Outbox | None, ...], tick: Array, due: Array) -> object:
     """Return the state of the radio after what is said at a tick.
 
     Args:
@@ -62,13 +62,13 @@ def exchange(world: World, state: State, said: tuple[Outbox | None, ...], tick: 
     return radio.exchange(state.radio, Exchange(spoken, beacons, surfaces, ids, tick, due, world.time_step))
 
 
-def heard(world: World, state: State, tick: Any) -> Inbox:
+def heard(world: World, state: State, tick: Array) -> Inbox:
     """Return what all vehicles (n,) of a world have heard by a tick."""
     assert world.radio is not None
     return world.radio.received(state.radio, tick, world.time_step)
 
 
-def vehicle_ids(fleet: Fleet) -> Any:
+def vehicle_ids(fleet: Fleet) -> npt.NDArray[np.uint32]:
     """Return what draws of each vehicle (n,) belong to: its fleet's name and its number in it, uint32."""
     first = int.from_bytes(hashlib.sha256(fleet.name.encode()).digest()[:4], "little")
     return ((first + np.arange(fleet.size, dtype=np.uint64)) & 0xFFFFFFFF).astype(np.uint32)
@@ -97,7 +97,7 @@ def _beacons(world: World, state: State, said: tuple[Outbox | None, ...]) -> Out
     size, parts, sends = world.radio.size, [], []
     for fleet, now, part in zip(world.fleets, state.fleets, said, strict=True):
         estimate = estimate_of(fleet, now)
-        numbers = [getattr(of, axis) for of in (estimate.position_ned, estimate.velocity_ned) for axis in "xyz"]
+        numbers = [*estimate.position_ned.axes, *estimate.velocity_ned.axes]
         zero = jnp.zeros_like(numbers[0])
         parts.append(jnp.stack([*numbers[:size], *[zero] * (size - len(numbers))]))
         sends.append(jnp.full(fleet.size, part is None))

@@ -271,7 +271,7 @@ class State:
     drawn: tuple[Array, ...] = quantity(default=(), doc="what this episode has drawn for each range of the world")
     placed: tuple[Array, ...] = quantity(default=(), doc="bool, of each fleet placed at random: a place was found")
     field: object = quantity(default=None, doc="what the gusts of the episode share; None where they share nothing")
-    radio: Any = quantity(default=None, doc="messages on their way and in inboxes; None without a radio")
+    radio: object = quantity(default=None, doc="messages on their way and in inboxes; None without a radio")
 
 
 def position_of(fleet: FleetState) -> Vec3:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
+import numpy.typing as npt
 from jax import Array
 
 from qrsim.core.noise import StreamKeys
 from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import Vec3
+from qrsim.models.radio.tables import Heard
 
 # Names of the radio's noise streams; a fleet has no slash in its name, so these are no fleet's.
 STREAMS = ("/radio.packet", "/radio.jitter", "/radio.backoff")
@@ -20,11 +23,11 @@ FIELD_STREAM = "/radio.field"
 class Inbox:
     """Received messages of each vehicle (n,): the newest of each of at most K senders, D numbers each."""
 
-    payload: Any = quantity(doc="(n, K, D) numbers; 0 where there is no message")
-    sender: Any = quantity(doc="(n, K) int32 number of the sender in the world; -1: no message")
-    age: Any = quantity(unit="s", doc="(n, K) time since it was handed to the sender's radio; NaN: no message")
-    rssi: Any = quantity(unit="dBm", doc="(n, K) strength at which it was received; NaN: no message")
-    mask: Any = quantity(doc="(n, K) bool: there is a message")
+    payload: Array = quantity(doc="(n, K, D) numbers; 0 where there is no message")
+    sender: Array = quantity(doc="(n, K) int32 number of the sender in the world; -1: no message")
+    age: Array = quantity(unit="s", doc="(n, K) time since it was handed to the sender's radio; NaN: no message")
+    rssi: Array = quantity(unit="dBm", doc="(n, K) strength at which it was received; NaN: no message")
+    mask: Array = quantity(doc="(n, K) bool: there is a message")
 
 
 @record
@@ -60,7 +63,7 @@ class Exchange(NamedTuple):
     said: Outbox | None
     beacons: Outbox | None
     surfaces: Surfaces
-    ids: Any
+    ids: npt.NDArray[np.uint32]
     tick: Array
     due: Array
     time_step: float
@@ -91,11 +94,11 @@ class Radio(Protocol):
         """Number of what is drawn once an episode."""
 
     @abstractmethod
-    def init(self, draw: Any, keys: StreamKeys, like: Array) -> Any:
+    def init(self, draw: Any, keys: StreamKeys, like: Array) -> object:
         """Return the state at the start of an episode, for vehicles (n,) as ``like``, without any message."""
 
     @abstractmethod
-    def exchange(self, state: Any, now: Exchange) -> Any:
+    def exchange(self, state: Any, now: Exchange) -> object:
         """Take what is said at a tick, and send what is due; heard at the next tick at the earliest."""
 
     @abstractmethod
@@ -103,15 +106,15 @@ class Radio(Protocol):
         """Return what each vehicle has heard by a tick."""
 
     @abstractmethod
-    def heard(self, state: Any, tick: Any, time_step: float) -> Any:
+    def heard(self, state: Any, tick: Array, time_step: float) -> Heard:
         """Return the same as a table of messages, with the ticks at which each was sent and known."""
 
     @abstractmethod
-    def counted(self, state: Any) -> dict[str, Any]:
+    def counted(self, state: Any) -> dict[str, Array]:
         """Return what has become of packets since the start, by name, (n,) each; columns of metrics and logs."""
 
     @abstractmethod
-    def links(self, state: Any) -> Any:
+    def links(self, state: Any) -> object:
         """Return the links of the last period."""
 
     @abstractmethod

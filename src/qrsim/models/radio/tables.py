@@ -22,11 +22,11 @@ NOBODY = -1
 class Heard:
     """Messages of E senders at each of n vehicles."""
 
-    payload: Any = quantity(doc="(E, D, n) numbers")
-    sender: Any = quantity(doc="(E, n) int32; -1: no message")
-    sent: Any = quantity(doc="(E, n) int32 tick at which the message was handed to the sender's radio")
-    arrives: Any = quantity(doc="(E, n) int32 tick from which it is known")
-    rssi: Any = quantity(unit="dBm", doc="(E, n)")
+    payload: Array = quantity(doc="(E, D, n) numbers")
+    sender: Array = quantity(doc="(E, n) int32; -1: no message")
+    sent: Array = quantity(doc="(E, n) int32 tick at which the message was handed to the sender's radio")
+    arrives: Array = quantity(doc="(E, n) int32 tick from which it is known")
+    rssi: Array = quantity(unit="dBm", doc="(E, n)")
 
     @staticmethod
     def nothing(rows: int, size: int, like: Array) -> Heard:
@@ -35,7 +35,7 @@ class Heard:
         zero = jnp.zeros((rows, *like.shape), like.dtype)
         return Heard(jnp.zeros((rows, size, *like.shape), like.dtype), none, none, none, zero)
 
-    def known(self, tick: Any) -> Any:
+    def known(self, tick: Array) -> Array:
         """Return which messages (E, n) have arrived by a tick."""
         return (self.sender != NOBODY) & (self.arrives <= tick)
 
