@@ -138,7 +138,7 @@ def test_a_slow_airspeed_is_not_believed():
     for airspeed, believed in ((4.9, False), (5.1, True)):
         given = readings(magnetometer=None, pitot=reading(true_airspeed=airspeed * ONE))
         groups = kalman._groups(kalman.init(given, START)[0], given, dict.fromkeys(given, jnp.array(True)), 0.02)
-        found = {what: bool(new[0]) for what, _, new in groups}
+        found = {what: bool(new[0]) for what, _, new, _ in groups}
         assert found == {"position_ned": True, "velocity_ned": True, "height": True, "airspeed": believed}
 
 

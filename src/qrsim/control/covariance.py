@@ -22,17 +22,21 @@ def diagonal(variances: Sequence[Array]) -> Array:
 
 
 def propagated(covariance: Array, transition: Callable[[Array], Array], noise: Sequence[Array]) -> Array:
-    """Return F P F' + Q.
+    """Return F P F' + Q, where the first k errors move and all others stay what they are.
 
     Args:
         covariance: P, (m, m, n).
-        transition: returns F X for X (m, m, n).
+        transition: returns the first k rows of F X for X (m, l, n).
         noise: the diagonal of Q, m times (n,).
     """
-    # Of what rounding makes of P the part that is not symmetric would grow: measurements do not see it.
-    even = 0.5 * (covariance + jnp.swapaxes(covariance, 0, 1))
-    # F P is not symmetric, but F (F P)' is.
-    return transition(jnp.swapaxes(transition(even), 0, 1)) + diagonal(noise)
+    above = transition(covariance)
+    moving = above.shape[0]
+    corner = transition(jnp.swapaxes(above, 0, 1))
+    # What rounding leaves of a part that is not symmetric would grow: measurements do not see it.
+    corner = 0.5 * (corner + jnp.swapaxes(corner, 0, 1))
+    beside = above[:, moving:]
+    below = jnp.concatenate([jnp.swapaxes(beside, 0, 1), covariance[moving:, moving:]], axis=1)
+    return jnp.concatenate([jnp.concatenate([corner, beside], axis=1), below]) + diagonal(noise)
 
 
 def variance_of(covariance: Array, sensitivity: Sparse) -> tuple[Array, Array]:

@@ -6,10 +6,11 @@ Equations F1 to F5 of docs/estimators.md. Gates, late measurements and resets fo
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from qrsim.control.consistency import Consistency, Truth, of_blocks, turned
 from qrsim.control.contracts import Estimator
@@ -36,6 +37,9 @@ from qrsim.core.pairs import added
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import derived, parameter, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3
+
+# Covariance, mean errors, time since a fix that was believed, and innovations.
+Corrected = tuple[Array, Array, Array, Innovations]
 
 
 @record
@@ -287,23 +291,32 @@ class ErrorStateKalmanFilter(Estimator):
         self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
     ) -> KalmanState:
         """Return the state corrected by what is new (F2)."""
-        covariance, errors = state.covariance, jnp.zeros_like(state.covariance[0])
-        for what, scalars, new in self._groups(state, readings, fresh, dt):
-            for scalar in scalars:
-                new = new & jnp.isfinite(scalar.innovation)
-            worst = self._worst(covariance, errors, scalars)
-            believed = new & (worst <= self.gate * self.gate)
-            if what == "position_ned":
-                again = new & ~believed & (state.since_fix > self.reset_after)
-                covariance, believed = lost(covariance, [s.variance for s in scalars], again), believed | again
-                state = replace(state, since_fix=jnp.where(believed, 0.0, state.since_fix))
-            for scalar in scalars:
-                covariance, errors = corrected(
-                    covariance, errors, scalar.sensitivity, scalar.innovation, scalar.variance, believed
-                )
-            shown = jnp.where(new, jnp.sqrt(worst), getattr(state.innovations, what))
-            state = replace(state, innovations=replace(state.innovations, **{what: shown}))
-        return injected(replace(state, covariance=covariance), errors, dt)
+        begun = (state.covariance, jnp.zeros_like(state.covariance[0]), state.since_fix, state.innovations)
+        carry: Corrected = begun
+        for what, scalars, new, due in self._groups(state, readings, fresh, dt):
+            believe = partial(self._believed, what, scalars, new)
+            # Between two readings of a sensor nothing is computed; who hears at times of their own are all looked at.
+            carry = lax.cond(due, believe, _unchanged, carry) if due.ndim == 0 else believe(carry)
+        covariance, errors, since_fix, innovations = carry
+        return injected(replace(state, covariance=covariance, since_fix=since_fix, innovations=innovations), errors, dt)
+
+    def _believed(self, what: str, scalars: list[Measured], new: Array, carry: Corrected) -> Corrected:
+        """Return covariance, errors, time since a fix, and innovations, after the scalars of one kind of reading."""
+        covariance, errors, since_fix, innovations = carry
+        for scalar in scalars:
+            new = new & jnp.isfinite(scalar.innovation)
+        worst = self._worst(covariance, errors, scalars)
+        believed = new & (worst <= self.gate * self.gate)
+        if what == "position_ned":
+            again = new & ~believed & (since_fix > self.reset_after)
+            covariance, believed = lost(covariance, [s.variance for s in scalars], again), believed | again
+            since_fix = jnp.where(believed, 0.0, since_fix)
+        for scalar in scalars:
+            covariance, errors = corrected(
+                covariance, errors, scalar.sensitivity, scalar.innovation, scalar.variance, believed
+            )
+        shown = jnp.where(new, jnp.sqrt(worst), getattr(innovations, what))
+        return covariance, errors, since_fix, replace(innovations, **{what: shown})
 
     def _worst(self, covariance: Array, errors: Array, scalars: list[Measured]) -> Array:
         """Return the largest square of a kind's innovations (n,), each over its variance."""
@@ -316,31 +329,33 @@ class ErrorStateKalmanFilter(Estimator):
 
     def _groups(
         self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
-    ) -> Iterator[tuple[str, list[Measured], Array]]:
-        """Yield what is measured: the kind, its scalars, and whether it is new (n,)."""
+    ) -> Iterator[tuple[str, list[Measured], Array, Array]]:
+        """Yield what is measured: the kind, its scalars, whether it is new (n,), and whether at all, () or (n,)."""
         one = jnp.ones_like(state.since_fix)
 
-        def new(field: str) -> Array:
-            return fresh[source_of(readings, field)] & (one > 0.0)
+        def new(field: str) -> tuple[Array, Array]:
+            due = fresh[source_of(readings, field)]
+            return due & (one > 0.0), due
 
         yield from self._by_fix(state, readings, new, dt)
         height, field, attitude = (field_of(readings, name) for name in ("height", FIELD, "attitude"))
         if height is not None:
-            yield "height", heights(state, height, self._as(one, self.height_std)), new("height")
+            yield "height", heights(state, height, self._as(one, self.height_std)), *new("height")
         if field is not None and state.places.field is not None:
-            yield "field", fields(state, field, self._as(one, self.field_std)), new(FIELD)
+            yield "field", fields(state, field, self._as(one, self.field_std)), *new(FIELD)
         elif field is not None:
-            yield "yaw", compass(state, field, self._declination, self._as(one, self.yaw_std)), new(FIELD)
+            yield "yaw", compass(state, field, self._declination, self._as(one, self.yaw_std)), *new(FIELD)
         elif attitude is not None:
-            yield "yaw", headings(state, attitude, self._as(one, self.yaw_std)), new("attitude")
+            yield "yaw", headings(state, attitude, self._as(one, self.yaw_std)), *new("attitude")
         airspeed = field_of(readings, AIRSPEED)
         if airspeed is not None:
-            fast = new(AIRSPEED) & (airspeed >= self.airspeed_least)
-            yield "airspeed", airspeeds(state, airspeed, self._as(one, self.airspeed_std)), fast
+            heard, due = new(AIRSPEED)
+            fast = heard & (airspeed >= self.airspeed_least)
+            yield "airspeed", airspeeds(state, airspeed, self._as(one, self.airspeed_std)), fast, due
 
     def _by_fix(
-        self, state: KalmanState, readings: Mapping[str, Any], new: Callable[[str], Array], dt: float
-    ) -> Iterator[tuple[str, list[Measured], Array]]:
+        self, state: KalmanState, readings: Mapping[str, Any], new: Callable[[str], tuple[Array, Array]], dt: float
+    ) -> Iterator[tuple[str, list[Measured], Array, Array]]:
         """Yield what a fix measures: place and velocity of as many ticks ago as it is late (F2)."""
         one = jnp.ones_like(state.since_fix)
         late = dt * len(state.past)
@@ -349,10 +364,14 @@ class ErrorStateKalmanFilter(Estimator):
             # A barometer without a bias has the height alone.
             axes = "xy" if field_of(readings, "height") is not None and not self.height_bias else "xyz"
             variances = self._variances(readings, "position_ned", one)
-            yield "position_ned", places(state, fix, variances, axes, late), new("position_ned")
+            yield "position_ned", places(state, fix, variances, axes, late), *new("position_ned")
         if velocity is not None:
             variances = self._variances(readings, "velocity_ned", one)
-            yield "velocity_ned", velocities(state, velocity, variances, late), new("velocity_ned")
+            yield "velocity_ned", velocities(state, velocity, variances, late), *new("velocity_ned")
+
+
+def _unchanged(carry: Corrected) -> Corrected:
+    return carry
 
 
 def _estimate(state: KalmanState) -> Estimate:

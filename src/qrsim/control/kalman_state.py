@@ -113,7 +113,7 @@ class Places(NamedTuple):
 
 
 def transition(felt: Vec3, turned: Rotation, dt: float) -> Callable[[Array], Array]:
-    """Return what a tick makes of the errors: F X for X (m, k, n) (F1); those after the biases stay what they are."""
+    """Return what a tick makes of the errors of the motion: nine rows of F X for X (m, k, n) (F1); others stay."""
     none = jnp.zeros_like(felt.x)
     swing = jnp.stack([jnp.stack([dt * row.get(k, none) for k in range(3)]) for row in swung(felt)])
     rows = zip(*(axis.axes for axis in body_axes(turned)), strict=True)
@@ -121,14 +121,13 @@ def transition(felt: Vec3, turned: Rotation, dt: float) -> Callable[[Array], Arr
 
     def moved(x: Array) -> Array:
         place, speed, turn, gyroscope, accelerometer = (x[first : first + 3] for first in range(0, SIZE, 3))
-        parts = [
-            place + dt * speed,
-            speed + _times(swing, turn) + _times(biased, accelerometer),
-            turn + _times(biased, gyroscope),
-            gyroscope,
-            accelerometer,
-        ]
-        return jnp.concatenate([*parts, x[SIZE:]] if len(x) > SIZE else parts)
+        return jnp.concatenate(
+            [
+                place + dt * speed,
+                speed + _times(swing, turn) + _times(biased, accelerometer),
+                turn + _times(biased, gyroscope),
+            ]
+        )
 
     return moved
 
