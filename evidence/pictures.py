@@ -75,6 +75,7 @@ OTHERS = {
     "scan.png": "make evidence perception",
     "magnetometer_allan.png": "make evidence magnetometer",
     "pressure_altimeter.png": "make evidence air_data",
+    "radio_delivery.png": "make evidence radio",
     "teams.png": "make evidence teams",
     "turbulence.png": "make evidence turbulence",
     "turbulence_field.png": "make evidence field",

@@ -161,7 +161,7 @@ class TestFailures:
         [
             (["--policy", "hover"], ["policy hover: expected module:function or file.py:function"]),
             (["--policy", "FILE:leen"], ["has no 'leen'; did you mean 'lean'"]),
-            (["--policy", "FILE:Gains"], ["expected a function of a reading"]),
+            (["--policy", "FILE:Gains"], ["Gains: objects of this class cannot be called; give it __call__"]),
             (["--estimator", "not_a_module_at_all:f"], ["no module is called 'not_a_module_at_all'"]),
             (["--policy", "FILE:lean", "--policy-ticks", "0"], ["policy_ticks: 0 is not a positive whole number"]),
             (["--policy-ticks", "4"], ["--policy-ticks 4: there is no --policy"]),

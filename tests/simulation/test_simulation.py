@@ -317,7 +317,8 @@ def test_each_fleet_can_be_asked_for_something_else(flying: Simulation) -> None:
 
 
 def test_an_unknown_fleet_and_a_set_point_of_another_kind_are_refused(shared: Simulation) -> None:
-    assert said(shared.step, {"alpa": None}) == "command: no fleet is called 'alpa'; did you mean 'alpha'?"
+    nobody = "command: no fleet and no vehicle is called 'alpa'; did you mean 'alpha'?"
+    assert said(shared.step, {"alpa": None}) == nobody
     setpoint = VelocitySetpoint.of(np.zeros((5, 3)))
     assert said(shared.step, setpoint) == (
         "command: a VelocitySetpoint is not for WaypointController, which takes WaypointSetpoint; "

@@ -147,7 +147,11 @@ def _nearest(slots: int, reach: Array, position_ned: Vec3, traffic: Traffic) -> 
     place = traffic.position_ned.map(lambda axis: jnp.where(traffic.flies, axis, jnp.nan))
     found = neighbours(*place.axes, reach, slots, ROOM).index
     own = jnp.arange(position_ned.x.shape[0], dtype=jnp.int32) + traffic.first
-    mine = found[:, jnp.minimum(own, traffic.count - 1)] if traffic.count != own.shape[0] else found
+    mine = found
+    if traffic.count != own.shape[0]:
+        # Row by row: the compiler of our own takes numbers of single elements alone.
+        row = jnp.minimum(own, traffic.count - 1)
+        mine = jnp.stack([found[k].at[row].get(mode="promise_in_bounds") for k in range(slots)])
     return jnp.maximum(mine, 0), mine >= 0
 
 
