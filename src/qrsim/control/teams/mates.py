@@ -49,7 +49,7 @@ def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -
     row = jnp.maximum(near.index, 0)
 
     def theirs(axis: Array) -> Array:
-        return jnp.where(nobody, 0.0, axis.at[row].get(mode="promise_in_bounds"))
+        return jnp.where(nobody, 0.0, jnp.asarray(axis).at[row].get(mode="promise_in_bounds"))
 
     return Mates(
         jnp.where(nobody, -1, near.index),
