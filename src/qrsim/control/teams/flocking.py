@@ -37,7 +37,7 @@ class FlockingGuidance(TeamGuidance):
         """Return the velocity [m/s] north and east (n,) that is wanted."""
         away = position_ned.map(lambda axis: axis[None]) - mates.position_ned
         distance = length_of(away.x, away.y)
-        separation = self.separation[None]
+        separation = jnp.broadcast_to(self.separation, position_ned.x.shape)[None]
         near = mates.known & (distance < separation) & (distance > 0.0)
         push = jnp.where(near, (separation - distance) / jnp.where(near, distance, 1.0), 0.0)
         count = jnp.sum(mates.known, axis=0).astype(position_ned.x.dtype)
