@@ -129,17 +129,15 @@ def test_policies_of_both_kinds_hear_the_same():
 
 
 @pytest.mark.long
-def test_both_compilers_count_the_same_packets():
+def test_both_compilers_count_the_same_packets(monkeypatch):
     counts = []
     for compiler in ("llvm", "xla"):
-        qrsim.configure(compiler=compiler)
-        try:
-            flown = qrsim.Simulation(scenario({**RADIO, "beacon": True}).world(), seed=4)
-            flown.reset()
-            flown.advance(ticks=101)
-            counts.append(vars(flown.state.radio.counts))
-        finally:
-            qrsim.configure(compiler="llvm")
+        monkeypatch.setenv("QRSIM_COMPILER", compiler)
+        flown = qrsim.Simulation(scenario({**RADIO, "beacon": True}).world(), seed=4)
+        flown.reset()
+        flown.advance(ticks=101)
+        assert flown.compiled_by[0] == compiler
+        counts.append(vars(flown.state.radio.counts))
     assert {name: value.tolist() for name, value in counts[0].items()} == {
         name: value.tolist() for name, value in counts[1].items()
     }
