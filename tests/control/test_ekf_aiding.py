@@ -193,7 +193,7 @@ def test_headings_of_others_give_way_to_a_magnetometer():
     for name, given in (("yaw", readings(magnetometer=None, compass=tilted)), ("field", readings(compass=tilted))):
         kalman = with_all()
         state = kalman.init(given, START)[0]
-        kinds = [what for what, _, _ in kalman._groups(state, given, dict.fromkeys(given, jnp.array(True)), 0.02)]
+        kinds = [what for what, _, _, _ in kalman._groups(state, given, dict.fromkeys(given, jnp.array(True)), 0.02)]
         assert kinds == ["position_ned", "velocity_ned", "height", name, "airspeed"]
 
 
