@@ -12,7 +12,9 @@ import pytest
 import qrsim
 from qrsim.errors import UsageError
 from qrsim.models.vehicles.multirotor.commands import AttitudeCommand, MotorCommand
+from qrsim.simulation.block_parts import _finite
 from qrsim.simulation.simulation import Simulation
+from qrsim.world.state import Some
 
 PLACES = [[0.0, 10.0 * i, -20.0] for i in range(3)]
 WIND = {"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 270}
@@ -91,6 +93,15 @@ def test_a_policy_may_command_some(world: Any) -> None:
     moved = np.abs(plain["position_ned"] - guided["position_ned"]).max(axis=(0, 2))
     assert moved[1] > 0.05
     np.testing.assert_allclose(moved[[0, 2]], 0.0, atol=1e-5)
+
+
+def test_what_stands_in_the_rows_of_others_is_nobodys_fault(world: Any) -> None:
+    """Of three, the first is asked for NaN and the others for nothing: it alone is wrong."""
+    asked = AttitudeCommand(*np.array([[np.nan, np.nan, np.nan]] * 4, np.float32))
+    some = Some(((np.array([True, False, False]), asked),))
+    np.testing.assert_array_equal(_finite(world, (some,)), [False, True, True])
+    np.testing.assert_array_equal(_finite(world, (asked,)), [False] * 3)
+    np.testing.assert_array_equal(_finite(world, (None,)), [True] * 3)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from qrsim.interface.readings import Reading
 from qrsim.models.site import Site
 from qrsim.world import tick as ticks_of
 from qrsim.world.radio import parted
-from qrsim.world.state import State, World, WorldKeys
+from qrsim.world.state import Some, State, World, WorldKeys
 
 Array = np.ndarray[Any, Any]
 # What JAX raises where a program that is being compiled would have to know a number.
@@ -202,11 +202,12 @@ def tick_of_world(
 
 def _finite(world: World, actions: tuple[Any, ...]) -> Any:
     """Return whether all that is asked of each vehicle (n,) is finite."""
-    parts = []
+    found = []
     for fleet, action in zip(world.fleets, parted(actions)[0], strict=True):
-        leaves = jax.tree.leaves(action)
         fine = jnp.ones(fleet.size, bool)
-        for leaf in leaves:
-            fine = fine & jnp.isfinite(leaf)
-        parts.append(fine)
-    return jnp.concatenate(parts)
+        # In the rows of who is not commanded is anything.
+        for which, asked in action.parts if isinstance(action, Some) else [(True, action)]:
+            for leaf in jax.tree.leaves(asked):
+                fine = fine & (jnp.isfinite(leaf) | jnp.logical_not(which))
+        found.append(fine)
+    return jnp.concatenate(found)
