@@ -79,6 +79,11 @@ class Vec3:
         return Vec3(array[..., 0], array[..., 1], array[..., 2])
 
 
+def root(squared: Array) -> Array:
+    """Return the square root; 0, with a slope of 0 and not none, where its argument is not above 0."""
+    return jnp.where(squared > 0.0, jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0)
+
+
 @record
 class Euler:
     """Right-handed ZYX Euler angles that take the navigation frame to the body frame."""

@@ -18,6 +18,7 @@ from qrsim.control.teams import (
     FormationGuidance,
     Mates,
     VicsekGuidance,
+    mates_heard,
     mates_of,
 )
 from qrsim.control.teams.avoidance import HalfPlanes, half_planes, nearest_velocity
@@ -83,6 +84,14 @@ class TestMates:
             jnp.zeros((1, 1), jnp.int32), Vec3(10 * one, 0 * one, 0 * one), Vec3(2 * one, one, 0 * one), 3 * one
         )
         assert (float(mates.now().position_ned.x[0, 0]), float(mates.now().position_ned.y[0, 0])) == (16.0, 3.0)
+
+    def test_a_beacon_without_a_place_or_a_velocity_tells_of_nobody(self) -> None:
+        payload = np.tile(np.array([5.0, 0.0, -20.0, 1.0, 0.0, 0.0], np.float32)[None, :, None], (3, 1, 1))
+        payload[1, 0], payload[2, 4] = np.nan, np.nan
+        numbers, age = jnp.arange(3, dtype=jnp.int32)[:, None], jnp.full((3, 1), 0.5, jnp.float32)
+        mates = mates_heard(numbers, jnp.asarray(payload), age, flat([[0.0, 0.0]]), jnp.float32(50.0))
+        np.testing.assert_array_equal(mates.number[:, 0], [0, -1, -1])
+        np.testing.assert_array_equal(mates.now().position_ned.x[:, 0], [5.5, 0.0, 0.0])
 
     def test_who_has_stopped_is_nobodys_mate(self) -> None:
         mates = heard([[0, 0], [np.nan, 0], [20, 0]], np.zeros((3, 2)))

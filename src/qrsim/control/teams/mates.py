@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from qrsim.control.guidance import Route, RouteState
 from qrsim.control.setpoints import VelocityHeightSetpoint
 from qrsim.core.neighbours import neighbours
 from qrsim.core.tree import map_tree, quantity, record
-from qrsim.core.vectors import Vec3
+from qrsim.core.vectors import Vec3, root
 
 KNOWS = "whom it knows of: all, at once; heard: whose beacons its radio has received"
 
@@ -72,7 +73,8 @@ def mates_heard(number: Array, payload: Any, age: Array, position_ned: Vec3, rea
     place, fast = (Vec3(*(payload[:, first + axis] for axis in range(3))) for first in (0, 3))
     away = place - position_ned.map(lambda axis: axis[None])
     near = away.dot(away) <= jnp.broadcast_to(reach * reach, position_ned.x.shape)[None]
-    known = (number >= 0) & near
+    # Who has no fix says so with NaN.
+    known = (number >= 0) & near & jnp.isfinite(fast.dot(fast))
 
     def theirs(axis: Array) -> Array:
         return jnp.where(known, axis, 0.0)
@@ -122,9 +124,9 @@ class TeamGuidance(Guidance, Protocol):
         north, east = each.velocity(route, position_ned, velocity_ned, mates.now())
         return state, VelocityHeightSetpoint(north, east, still.z, still.yaw)
 
+    @abstractmethod
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
         """Return the velocity [m/s] north and east (n,) that is wanted."""
-        ...
 
 
 def last_waypoint(route: Route) -> Vec3:
@@ -136,8 +138,7 @@ def last_waypoint(route: Route) -> Vec3:
 
 def length_of(north: Array, east: Array) -> Array:
     """Return the lengths of horizontal vectors; with a slope of zero, and not none, where they vanish."""
-    squared = north * north + east * east
-    return jnp.where(squared > 0.0, jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0)
+    return root(north * north + east * east)
 
 
 def limited(north: Array, east: Array, speed: Array) -> tuple[Array, Array]:
