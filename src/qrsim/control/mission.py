@@ -12,7 +12,7 @@ from qrsim.control.setpoints import PathSetpoint
 from qrsim.core.fastmath import sincos, wrap_angle
 from qrsim.core.pairs import two_sum
 from qrsim.core.tree import map_tree, parameter, quantity, record, replace, setting
-from qrsim.core.vectors import Vec3
+from qrsim.core.vectors import Vec3, root
 
 T = TypeVar("T")
 # A landing vehicle so far above the point that is due [m], and not faster than this [m/s], is held by the ground.
@@ -219,9 +219,7 @@ class MissionGuidance(Guidance):
             dt: step [s].
         """
         standing, low = where
-        squared = before.dot(before)
-        # A root has no slope at zero.
-        length = jnp.where(squared > 0.0, jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0)
+        length = root(before.dot(before))
         left = jnp.maximum(length - self.join_speed * dt, 0.0) / jnp.maximum(length, 1e-6)
         left = jnp.where(leg.rises, 1.0, left)
         beside = position_ned - planned.position_ned

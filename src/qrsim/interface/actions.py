@@ -61,6 +61,10 @@ class ActionChecker:
         accepted = {kind for fleet in world.fleets for kind in fleet.vehicle.actions}
         self._kinds = {kind: CommandKind(kind, self.dtype) for kind in accepted}
         self.names = [name for fleet in world.fleets for name in fleet.vehicle_names]
+        # Fleet, and number in it, of each vehicle.
+        self._places: dict[object, tuple[str, int]] = {
+            name: (fleet.name, row) for fleet in world.fleets for row, name in enumerate(fleet.vehicle_names)
+        }
 
     def actions(self, command: object, flying: Flying | None = None) -> tuple[Action, ...]:
         """Check a command and split it by fleet; see ``Simulation.step`` for its forms.
@@ -105,29 +109,27 @@ class ActionChecker:
 
     def _by_name(self, commands: Mapping[object, object], flying: Flying | None) -> tuple[Action, ...]:
         """Return what is asked of each fleet by commands of fleets and of vehicles."""
-        fleets = [fleet.name for fleet in self.fleets]
-        for name in commands:
-            if name not in fleets and name not in self.names:
-                hint = did_you_mean(str(name), [*fleets, *self.names])
+        rows: dict[str, dict[int, object]] = {fleet.name: {} for fleet in self.fleets}
+        for name, command in commands.items():
+            if name in rows:
+                continue
+            if name not in self._places:
+                hint = did_you_mean(str(name), [*rows, *self.names])
                 raise UsageError(f"command: no fleet and no vehicle is called '{name}'{hint}")
+            fleet_name, row = self._places[name]
+            rows[fleet_name][row] = command
         actions, first = [], 0
         for fleet in self.fleets:
-            own = slice(first, first + fleet.size)
+            own_flying = None if flying is None else partial(_part, flying, slice(first, first + fleet.size))
             first += fleet.size
-            own_flying = None if flying is None else partial(_part, flying, own)
-            rows = {
-                row: commands[name]
-                for row, name in enumerate(fleet.vehicle_names)
-                if name in commands and name not in fleets
-            }
-            command = commands.get(fleet.name)
+            command, of_vehicles = commands.get(fleet.name), rows[fleet.name]
             if command is None:
-                actions.append(self._of_vehicles(fleet, rows, own_flying))
+                actions.append(self._of_vehicles(fleet, of_vehicles, own_flying))
                 continue
-            for row in rows:
+            if of_vehicles:
                 raise UsageError(
-                    f"command: '{fleet.vehicle_names[row]}' is of fleet '{fleet.name}', which is given a command too; "
-                    "give one of both"
+                    f"command: '{fleet.vehicle_names[min(of_vehicles)]}' is of fleet '{fleet.name}', which is given a "
+                    "command too; give one of both"
                 )
             actions.append(self._of_fleet(command, fleet, own_flying))
         return tuple(actions)

@@ -48,14 +48,14 @@ class WithMemory(Protocol):
         ...
 
 
-class Whole(Protocol):
+class _Readings(Protocol):
     """Readings that can be told apart by fleets and vehicles."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the fleets and vehicles."""
 
-    def of(self, name: str) -> Whole:
+    def of(self, name: str) -> _Readings:
         """Return the readings of one of them."""
 
 
@@ -179,13 +179,13 @@ def _of_teams(what: str, given: Mapping[Any, object]) -> UserFunction:
     if not own:
         raise UsageError(f"{what}: the dict names no policy for any fleet or vehicle")
 
-    def init(reading: Whole) -> object:
+    def init(reading: _Readings) -> object:
         for name in own:
             if name not in reading.names:
                 raise UsageError(f"no fleet and no vehicle is called '{name}'{did_you_mean(name, reading.names)}")
         return {name: _blamed(name, partial(member.init, reading.of(name))) for name, member in own.items()}
 
-    def step(reading: Whole, memory: Mapping[str, object]) -> tuple[object, object]:
+    def step(reading: _Readings, memory: Mapping[str, object]) -> tuple[object, object]:
         asked: dict[str, object] = {}
         after: dict[str, object] = {}
         for name, member in own.items():

@@ -15,6 +15,7 @@ from qrsim.scenarios.reading import checked_overrides
 from qrsim.scenarios.registry import made
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.simulation import rollout as rollouts
+from qrsim.simulation.arguments import check_counts, check_precision
 from qrsim.simulation.rollout import Rollout
 from qrsim.world.state import State, World
 
@@ -76,18 +77,13 @@ def rollout(
             or estimator of the wrong kind, shape or value (vehicle, world and tick are named).
         ScenarioError: faults in a scenario, all of them listed.
     """
-    from qrsim.simulation.arguments import check_precision
-
     check_precision(precision)
     # A generator would be at its end after the first of several scenarios.
     overrides = checked_overrides(overrides)
     several = list(world) if isinstance(world, list | tuple) else [world]
     scenarios = [_scenario(source, overrides) for source in several]
     first = next((scenario for scenario in scenarios if scenario is not None), None)
-    if ticks is None:
-        if first is None:
-            raise UsageError("ticks: how many is not said, and a World has no duration as a scenario has")
-        ticks = first.ticks
+    ticks = _ticks(ticks, first)
     built: Any = [
         source if scenario is None else scenario.world(precision)
         for source, scenario in zip(several, scenarios, strict=True)
@@ -159,7 +155,6 @@ def play(
         UsageError: no such scenario, fleet or vehicle, wrong numbers, or a policy of the wrong kind, shape or value.
         RunError: a policy failed.
     """
-    from qrsim.simulation.arguments import check_precision
     from qrsim.simulation.pilot import Pilot
     from qrsim.simulation.simulation import Simulation
 
@@ -167,13 +162,8 @@ def play(
         raise UsageError(f"policies: expected a dict with one for each team, found {policies!r}")
     check_precision(precision)
     scenario = _scenario(world, checked_overrides(overrides))
-    if ticks is None:
-        if scenario is None:
-            raise UsageError("ticks: how many is not said, and a World has no duration as a scenario has")
-        ticks = scenario.ticks
-    for what, value in {"ticks": ticks, "record_every": record_every}.items():
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise UsageError(f"{what}: {value!r} is not a positive whole number")
+    ticks = _ticks(ticks, scenario)
+    check_counts(ticks=ticks, record_every=record_every)
     built: Any = world if scenario is None else scenario.world(precision)
     named: dict[str, Any] = {} if scenario is None else {"name": scenario.name, "site": scenario.site}
     simulation = Simulation(built, seed=seed, **named)
@@ -188,6 +178,15 @@ def play(
         rows.append((simulation.tick, truth.position_ned, truth.velocity_ned))
     counted, positions, velocities = (np.stack(column) for column in zip(*rows, strict=True))
     return Flight(simulation, counted, counted * built.time_step, positions, velocities)
+
+
+def _ticks(ticks: int | None, scenario: Scenario | None) -> int:
+    """Return how many ticks are flown: those that are given, else those of the scenario's duration."""
+    if ticks is not None:
+        return ticks
+    if scenario is None:
+        raise UsageError("ticks: how many is not said, and a World has no duration as a scenario has")
+    return scenario.ticks
 
 
 def _scenario(source: Any, overrides: Iterable[str]) -> Scenario | None:

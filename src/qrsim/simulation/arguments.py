@@ -16,6 +16,13 @@ def checked_number(number: Any) -> int:
     return int(number)
 
 
+def check_counts(**counts: Any) -> None:
+    """Check numbers, by their names, that count something; raises UsageError."""
+    for name, value in counts.items():
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+            raise UsageError(f"{name}: {value!r} is not a positive whole number")
+
+
 def check_precision(precision: str) -> str:
     """Check a precision and return it.
 

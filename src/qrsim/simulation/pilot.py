@@ -7,10 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
 from qrsim.interface.policies import UserFunction, user_function
 from qrsim.interface.readings import Reading
+from qrsim.simulation.arguments import check_counts
 from qrsim.simulation.block_parts import call_compiled
 from qrsim.simulation.simulation import History, Simulation
 
@@ -29,8 +29,7 @@ class Pilot:
     """
 
     def __init__(self, simulation: Simulation, policy: Any = None, estimator: Any = None, policy_ticks: int = 1):
-        if isinstance(policy_ticks, bool) or not isinstance(policy_ticks, int) or policy_ticks < 1:
-            raise UsageError(f"policy_ticks: {policy_ticks!r} is not a positive whole number")
+        check_counts(policy_ticks=policy_ticks)
         self.simulation = simulation
         self.policy = user_function("policy", policy)
         self.estimator = user_function("estimator", estimator)

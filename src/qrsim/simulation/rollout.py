@@ -22,6 +22,7 @@ from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.interface.policies import user_function
 from qrsim.models.scene.area import reason_text
 from qrsim.models.site import Site
+from qrsim.simulation.arguments import check_counts
 from qrsim.simulation.block_parts import Setup
 from qrsim.simulation.blocks import Engine, Schedule
 from qrsim.world.state import State, World
@@ -103,7 +104,9 @@ def rollout(
     """
     use_compilation_cache()
     several = [world] if isinstance(world, World) else list(world)
-    _check_counts(ticks=ticks, worlds=worlds, policy_ticks=policy_ticks, record_every=record_every)
+    check_counts(ticks=ticks, worlds=worlds, policy_ticks=policy_ticks, record_every=record_every)
+    if ticks > LARGEST_TICK:
+        raise UsageError(f"ticks: {ticks} would pass the last tick, {LARGEST_TICK}")
     if sink is not None and record is None:
         raise UsageError("sink: there is nothing to hand to it without record")
     which = _which(several, isinstance(world, World), worlds, seed, seeds)
@@ -136,14 +139,6 @@ def setup_of(
         policy_ticks, site or Site(), structure, repr(structure), which_varied, device_mesh(), tuple(kinds(structure)),
     )  # fmt: skip
     return setup, fixed, varied
-
-
-def _check_counts(**counts: Any) -> None:
-    for name, value in counts.items():
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-            raise UsageError(f"{name}: {value!r} is not a positive whole number")
-    if counts["ticks"] > LARGEST_TICK:
-        raise UsageError(f"ticks: {counts['ticks']} would pass the last tick, {LARGEST_TICK}")
 
 
 def _which(

@@ -12,6 +12,7 @@ from jax import Array
 from qrsim.control import Estimate
 from qrsim.control.teams import Mates, TeamGuidance, mates_heard, mates_of
 from qrsim.core.tree import concatenated, map_tree, replace, select
+from qrsim.core.vectors import Vec3
 from qrsim.world.sensing import estimate_of
 from qrsim.world.standing import on_ground, seen_ground
 from qrsim.world.state import Action, Fleet, FleetState, Some, State, World
@@ -114,9 +115,14 @@ def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate
         number = jnp.where((sender >= first) & (sender < last), sender - first, -1)
         age = (tick - heard.sent[:, first:last]).astype(estimate.position_ned.x.dtype) * world.time_step
         return mates_heard(number, heard.payload[:, :, first:last], age, estimate.position_ned, guidance.reach)
-    flies = state.violation.code == 0
-    position = estimate.position_ned.map(lambda axis: jnp.where(flies, axis, jnp.nan))
+    position = _flying(estimate.position_ned, state)
     return mates_of(position, estimate.velocity_ned, guidance.reach, max(1, min(guidance.mates, fleet.size - 1)))
+
+
+def _flying(position_ned: Vec3, state: FleetState) -> Vec3:
+    """Return positions (n,), NaN of who has stopped."""
+    flies = state.violation.code == 0
+    return position_ned.map(lambda axis: jnp.where(flies, axis, jnp.nan))
 
 
 def _others(world: World, whole: State, fleet: Fleet) -> dict[str, Any]:
@@ -126,9 +132,7 @@ def _others(world: World, whole: State, fleet: Fleet) -> dict[str, Any]:
     positions = []
     for other, state in zip(world.fleets, whole.fleets, strict=True):
         if other.name != fleet.name:
-            flies = state.violation.code == 0
-            position = estimate_of(other, state).position_ned
-            positions.append(position.map(lambda axis: jnp.where(flies, axis, jnp.nan)))  # noqa: B023
+            positions.append(_flying(estimate_of(other, state).position_ned, state))
     if not positions:
         return {}
     return {"others_ned": concatenated(positions)}

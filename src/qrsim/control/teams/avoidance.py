@@ -16,6 +16,8 @@ from qrsim.core.vectors import Vec3
 
 # Directions of the velocities that are tried where no velocity keeps all half-planes.
 _TRIED = 16
+# Time [s] within which who are too near to each other are to part.
+_PARTING_S = 1.0
 # A velocity on the edge of a half-plane is in it, by this much [m/s].
 _EDGE = 1e-4
 # Edges that meet at a smaller angle [rad] have no crossing worth trying.
@@ -204,5 +206,5 @@ class AvoidanceGuidance(TeamGuidance):
         turn = jnp.where(jnp.any(mates.known, axis=0), self.keep_right_rad, 0.0)
         cosine, sine = jnp.cos(turn), jnp.sin(turn)
         north, east = cosine * north - sine * east, sine * north + cosine * east
-        planes = half_planes(position_ned, velocity_ned, mates, self.radius, self.horizon, 1.0)
+        planes = half_planes(position_ned, velocity_ned, mates, self.radius, self.horizon, _PARTING_S)
         return nearest_velocity(planes, north, east, self.speed)

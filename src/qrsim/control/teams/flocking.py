@@ -12,6 +12,9 @@ from qrsim.control.teams.mates import KNOWS, Mates, TeamGuidance, length_of, lim
 from qrsim.core.tree import parameter, record, setting
 from qrsim.core.vectors import Vec3
 
+# Velocity for each metre to the waypoint [1/s], up to ``migration``.
+_MIGRATION_GAIN = 0.25
+
 
 @record
 class FlockingGuidance(TeamGuidance):
@@ -47,7 +50,7 @@ class FlockingGuidance(TeamGuidance):
             return share * jnp.sum(jnp.where(mates.known, values, 0.0), axis=0)
 
         goal_north, goal_east = towards(
-            route.position_ned.map(lambda axis: axis[0]), position_ned, self.migration, self.cohesion_gain + 0.2
+            route.position_ned.map(lambda axis: axis[0]), position_ned, self.migration, _MIGRATION_GAIN
         )
 
         def wanted(goal: Array, apart: Array, other: Array) -> Array:

@@ -12,6 +12,9 @@ from qrsim.control.teams.mates import KNOWS, Mates, TeamGuidance, last_waypoint,
 from qrsim.core.tree import parameter, record, setting
 from qrsim.core.vectors import Vec3
 
+# Velocity of the leader for each metre to its waypoint [1/s], up to ``leader_speed``.
+_LEADER_GAIN = 0.5
+
 
 def disagreement(place_ned: Vec3, position_ned: Vec3, mates: Mates, weight: Array) -> tuple[Array, Array]:
     """Return the weighted sums [m] north and east (n,) of what lacks to the wanted offsets to all that are known.
@@ -73,5 +76,5 @@ class FormationGuidance(TeamGuidance):
         if not self.leader:
             return north, east
         first = jnp.arange(north.shape[0], dtype=jnp.int32) == 0
-        lead_north, lead_east = towards(last_waypoint(route), position_ned, self.leader_speed, 0.5)
+        lead_north, lead_east = towards(last_waypoint(route), position_ned, self.leader_speed, _LEADER_GAIN)
         return jnp.where(first, lead_north, north), jnp.where(first, lead_east, east)

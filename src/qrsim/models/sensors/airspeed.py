@@ -9,7 +9,7 @@ from jax import Array
 
 from qrsim.core.noise import Noise
 from qrsim.core.tree import derived, parameter, quantity, record, setting
-from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.core.vectors import Euler, Vec3, root, rotation
 from qrsim.models.atmosphere.standard import DENSITY, PRESSURE, TEMPERATURE, air_above
 from qrsim.models.sensors.air_presets import AIRSPEEDS, default_airspeed
 from qrsim.models.sensors.contracts import Explained, Sensor
@@ -112,8 +112,8 @@ class Airspeed(Sensor):
         found = jnp.clip(found, -self.range, self.range) if self.range > 0.0 else found
         if self.resolution > 0.0:
             found = jnp.round(found * (1.0 / self.resolution)) * self.resolution
-        indicated = _root(jnp.abs(found) * (2.0 / DENSITY))
-        told, true_speed = indicated >= self.speed_min, indicated * _root(DENSITY / density)
+        indicated = root(jnp.abs(found) * (2.0 / DENSITY))
+        told, true_speed = indicated >= self.speed_min, indicated * root(DENSITY / density)
         return AirspeedReading(found, jnp.where(told, indicated, jnp.nan), jnp.where(told, true_speed, jnp.nan))
 
 
@@ -136,7 +136,7 @@ class IdealAirspeed(Sensor):
         speed = _ahead(attitude, velocity_body, wind_ned)
         density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
         pressure = 0.5 * density * (speed * jnp.abs(speed))
-        return None, AirspeedReading(pressure, speed * _root(density / DENSITY), speed)
+        return None, AirspeedReading(pressure, speed * root(density / DENSITY), speed)
 
     def step(
         self, state: None, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
@@ -148,9 +148,3 @@ class IdealAirspeed(Sensor):
 def _ahead(attitude: Euler, velocity_body: Vec3, wind_ned: Vec3) -> Array:
     """Return the speed (n,) [m/s] of the air from ahead."""
     return velocity_body.x - rotation(attitude).forward.dot(wind_ned)
-
-
-def _root(square: Array) -> Array:
-    # The root of zero has no slope.
-    zero = square <= 0.0
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))

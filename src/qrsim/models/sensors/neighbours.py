@@ -12,7 +12,7 @@ from qrsim.core.fastmath import sincos
 from qrsim.core.neighbours import neighbours
 from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, setting
-from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
+from qrsim.core.vectors import Euler, Rotation, Vec3, root, rotation
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.obstacles import Obstacles
@@ -130,7 +130,7 @@ class IdealNeighbours(Sensor):
         reach = jnp.asarray(self.range_max)
         who, there = _nearest(self.slots, jnp.max(reach), position_ned, traffic)
         apart = _apart(who, rotation(attitude), position_ned, traffic)
-        distance = _length(apart)
+        distance = root(apart.dot(apart))
         inside = there & (distance <= along_rows(reach))
         return None, _in_order(self.slots, inside, apart, distance, who.astype(distance.dtype), None, None)
 
@@ -167,19 +167,13 @@ def _apart(who: Array, direction: Rotation, position_ned: Vec3, traffic: Traffic
     )
 
 
-def _length(vector: Vec3) -> Array:
-    square = vector.dot(vector)
-    # The root of zero has no slope.
-    return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
-
-
 def _seen(
     field_of_view_rad: float, reach: Array, who: Array, there: Array, direction: Rotation, position_ned: Vec3,
     obstacles: Obstacles, ground: Ground, traffic: Traffic,
 ) -> tuple[Array, Vec3, Array]:  # fmt: skip
     """Return which of others (K, n) are in view, the unit vectors to them in the sensor's axes, and distances [m]."""
     apart = _apart(who, direction, position_ned, traffic)
-    distance = _length(apart)
+    distance = root(apart.dot(apart))
     unit = apart * (1.0 / jnp.where(distance > 0.0, distance, 1.0))
     inside = there & (distance <= reach) & (unit.x >= math.cos(0.5 * field_of_view_rad) - 1e-6)
     if any_of(obstacles) or not isinstance(ground, FlatGround):
@@ -198,9 +192,9 @@ def _turned(unit: Vec3, first: Array, second: Array) -> Vec3:
     zero = jnp.zeros_like(unit.x)
     other = Vec3(jnp.where(ahead, 1.0, zero), jnp.where(ahead, zero, 1.0), zero)
     a = unit.cross(other)
-    a = a * (1.0 / _length(a))
+    a = a * (1.0 / root(a.dot(a)))
     moved = unit + a * first + unit.cross(a) * second
-    return moved * (1.0 / _length(moved))
+    return moved * (1.0 / root(moved.dot(moved)))
 
 
 def _anywhere(chances: Array, field_of_view_rad: float, reach: Array) -> Vec3:
@@ -218,7 +212,7 @@ def _in_order(
     """Return others (K, n), and one who is not there, by the distance that was measured."""
     away = jnp.where(inside, distance, jnp.inf)
     if alarm is not None and false is not None:
-        away = jnp.concatenate([away, jnp.where(alarm, _length(false), jnp.inf)[None, :]])
+        away = jnp.concatenate([away, jnp.where(alarm, root(false.dot(false)), jnp.inf)[None, :]])
         place = Vec3(*(jnp.concatenate([a, b[None, :]]) for a, b in zip(place.axes, false.axes, strict=True)))
         number = jnp.concatenate([number, jnp.full_like(number[:1], UNKNOWN)])
     row = jnp.arange(away.shape[0], dtype=jnp.int32)[:, None]

@@ -12,7 +12,7 @@ from jax import Array
 from qrsim.core.fastmath import exp
 from qrsim.core.noise import Draw, ou_step
 from qrsim.core.tree import derived, parameter, quantity, record, setting
-from qrsim.core.vectors import Vec3
+from qrsim.core.vectors import Vec3, root
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.obstacles import Obstacles
@@ -247,8 +247,7 @@ def _partners(sensor: Any, position_ned: Vec3, traffic: Traffic | None) -> Partn
     itself = row == beacons + own[None, :]
     apart = Vec3(*(there[:, None] - here[None, :] for there, here in zip(place.axes, position_ned.axes, strict=True)))
     square = jnp.where(itself, 0.0, apart.dot(apart))
-    # The root of zero has no slope.
-    distance = jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
+    distance = root(square)
     return Partners(place, distance, jnp.concatenate(flies)[:, None] & ~itself, itself, own, beacons)
 
 
