@@ -13,7 +13,7 @@ import qrsim
 from qrsim.control import SETPOINTS
 from qrsim.core.tree import walk
 from qrsim.links.reference.client import Client, Refused
-from qrsim.links.reference.commands import MORE_KINDS, WIDTHS, Commands
+from qrsim.links.reference.commands import WIDTHS, Commands
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 
@@ -42,7 +42,7 @@ def numbers(command: Any) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("size", [1, 2, 40])
-@pytest.mark.parametrize("kind", [Step.WP, Step.CTRL, Step.VEL, *MORE_KINDS])
+@pytest.mark.parametrize("kind", Step.Type.values())
 def test_a_known_step_has_the_numbers_of_a_parsed_one(kind, size):
     made, parsed = commands(size), commands(size)
     learn(made, request(kind, size))

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from qrsim.control import VelocitySetpoint, WaypointSetpoint
-from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.links.reference.kinds import KINDS, WIDTHS
 from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Message, Step
-from qrsim.links.shared.kinds import record_of
+from qrsim.links.shared.kinds import CONTROL, FIELDS, record_of
 from qrsim.models.vehicles.commands import fields_of, limits_of
 from qrsim.models.vehicles.quadrotor import Command
 from qrsim.world.state import Fleet
@@ -21,8 +20,6 @@ from qrsim.world.state import Fleet
 Array = np.ndarray[Any, Any]
 # Tags and lengths of a vector and of the Arrayd in it.
 HEAD_SIZE = 4
-# Offboard set-points beyond those of the reference.
-MORE_KINDS = (Step.VEL_YAW, Step.VEL_HEIGHT, Step.ATT_HEIGHT, Step.ATT, Step.PATH)
 
 
 def rows_of(given: Sequence[Arrayd], widths: Sequence[int], what: str, names: Sequence[str]) -> list[list[float]]:
@@ -79,17 +76,7 @@ class Commands:
 
     def __init__(self, names: Sequence[str], dtype: np.dtype[Any]):
         self._names = names
-        still: Any = np.zeros(len(names), dtype)
-        waypoint, velocity = (np.zeros((WIDTHS[kind], len(names)), dtype) for kind in (Step.WP, Step.VEL))
-        control = np.zeros((len(names), WIDTHS[Step.CTRL]), dtype)
-        self._made: dict[int, tuple[Array, Any]] = {
-            Step.WP: (waypoint.T, WaypointSetpoint(Vec3(*waypoint[:3]), waypoint[3])),
-            Step.VEL: (velocity.T, VelocitySetpoint(Vec3(*velocity), still)),
-            Step.CTRL: (control, control),
-        }
-        for kind in MORE_KINDS:
-            columns = np.zeros((WIDTHS[kind], len(names)), dtype)
-            self._made[kind] = (columns.T, record_of(KINDS[kind], columns, Command))
+        self._made = {kind: _made(kind, len(names), dtype) for kind in KINDS}
         # By length, of which there is one at a time.
         self._known: dict[int, _Known] = {}
         self._last: bytes = b""
@@ -108,7 +95,7 @@ class Commands:
         return command
 
     def samples(self, start_ned: Array) -> list[Any]:
-        """Return a command of each kind, for vehicles at positions (n, 3) [m]."""
+        """Return a command of each kind of the reference, for vehicles at positions (n, 3) [m]."""
         hover = np.tile([0.0, 0.0, 0.5, 0.0, 12.0], (len(start_ned), 1))
         return [WaypointSetpoint.of(start_ned), VelocitySetpoint.of(np.zeros_like(start_ned)), hover]
 
@@ -180,7 +167,7 @@ class MixedCommands(Commands):
         return found
 
     def samples(self, start_ned: Array) -> list[Any]:
-        """Return commands of each kind, for vehicles at positions (n, 3) [m]."""
+        """Return commands of each kind of the reference, for vehicles at positions (n, 3) [m]."""
         found: list[dict[str, Any]] = [{}, {}, {}]
         first = 0
         for fleet in self._fleets:
@@ -205,10 +192,20 @@ def commands_of(fleets: Sequence[Fleet], dtype: np.dtype[Any]) -> Commands:
     return MixedCommands(fleets, dtype)
 
 
+def _made(kind: int, size: int, dtype: np.dtype[Any]) -> tuple[Array, Any]:
+    """Return an array (n, width) for the vectors of a STEP, and the command of a fleet that has its numbers."""
+    if KINDS[kind] == CONTROL:
+        control = np.zeros((size, WIDTHS[kind]), dtype)
+        return control, control
+    # VEL has one number less than a velocity, whose heading is 0 then.
+    columns = np.zeros((len(FIELDS[KINDS[kind]]), size), dtype)
+    return columns[: WIDTHS[kind]].T, record_of(KINDS[kind], columns, Command)
+
+
 def _command(kind: int, rows: Array) -> Any:
     """Return the command of a fleet from the vectors (n, width) of a STEP."""
-    if kind in MORE_KINDS:
-        return record_of(KINDS[kind], rows.T, Command)
-    if kind == Step.WP:
-        return WaypointSetpoint.of(rows[:, :3], rows[:, 3])
-    return VelocitySetpoint.of(rows) if kind == Step.VEL else rows
+    if KINDS[kind] == CONTROL:
+        return rows
+    numbers, command = _made(kind, len(rows), rows.dtype)
+    numbers[...] = rows
+    return command
