@@ -70,15 +70,22 @@ class Pacer:
         self._last = simulated
         if not self.factor:
             return 0.0
-        now = self._clock()
-        delay = now - (self._anchor[1] + (simulated - self._anchor[0]) / self.factor)
-        if delay <= 0.0:
-            return -delay
+        until = self.until_s(simulated)
+        self._note_delay(simulated, -until, 0.0)
+        return max(0.0, until)
+
+    def until_s(self, simulated: float) -> float:
+        """Return how long it is [s] until the state of a simulated time [s] is due; negative where it is late."""
+        return self._anchor[1] + (simulated - self._anchor[0]) / self.factor - self._clock()
+
+    def _note_delay(self, simulated: float, delay: float, allowed: float) -> None:
+        """Count an overrun where the state of a simulated time [s] has a delay [s] beyond what is allowed."""
+        if delay <= allowed:
+            return
         self.overruns += 1
         self.worst_delay = max(self.worst_delay, delay)
         if delay > LONGEST_DELAY_S:
-            self._anchor = (simulated, now)
-        return 0.0
+            self._anchor = (simulated, self._clock())
 
     def restarted(self) -> None:
         """Restart the simulated time at 0."""
@@ -118,18 +125,8 @@ class Metronome(Pacer):
         super().__init__(factor, simulated, clock)
         self._period = time_step / factor
 
-    def until_s(self, simulated: float) -> float:
-        """Return how long it is [s] until the state of a simulated time [s] is due; negative where it is late."""
-        return self._anchor[1] + (simulated - self._anchor[0]) / self.factor - self._clock()
-
     def ended(self, simulated: float) -> None:
         """Count a tick whose state, of a simulated time [s], is out now."""
         self.steps += 1
         self._last = simulated
-        late = -self.until_s(simulated)
-        if late <= self._period:
-            return
-        self.overruns += 1
-        self.worst_delay = max(self.worst_delay, late)
-        if late > LONGEST_DELAY_S:
-            self._anchor = (simulated, self._clock())
+        self._note_delay(simulated, -self.until_s(simulated), self._period)
