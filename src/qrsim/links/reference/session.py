@@ -270,7 +270,7 @@ class Session:
         """Return the columns of streams that a recording has beside those of every run."""
         return {}
 
-    def more_values(self, ticks: int) -> dict[str, Values]:
+    def more_values(self) -> dict[str, Values]:
         """Return their values (T, n) for the last ticks that were flown."""
         return {}
 
@@ -280,7 +280,7 @@ class Session:
         if self._writer is None:
             self.keep_events(found)
             return
-        arrays = values(self.simulation.world, history, self._columns) | self.more_values(len(history.ticks))
+        arrays = values(self.simulation.world, history, self._columns) | self.more_values()
         try:
             with self._writer.together():
                 for stream, found_in_it in arrays.items():

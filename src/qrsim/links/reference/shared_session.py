@@ -169,7 +169,7 @@ class SharedSession(Session):
         """Return the columns of the orders."""
         return {STREAM: order_columns(self.plant)}
 
-    def more_values(self, ticks: int) -> dict[str, Values]:
+    def more_values(self) -> dict[str, Values]:
         """Return the orders that the last ticks were flown by."""
         return {STREAM: order_values(self.plant, self._flown)}
 

@@ -227,7 +227,6 @@ class Sharing:
         """Let the world run by itself from the first claim on."""
         await self._claimed.wait()
         session = self.session
-        session.start_clock()
         try:
             async with self.lock:
                 actions = session.plant.begin()

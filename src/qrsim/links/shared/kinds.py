@@ -38,7 +38,6 @@ FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
 _DOWN = {"velocity_height": 2, "attitude_height": 2}
 # By number in a recording: 0 is the guidance of the scenario.
 NAMES = (*FIELDS, CONTROL)
-MOST_NUMBERS = 16
 
 
 @dataclass(frozen=True)
