@@ -117,6 +117,19 @@ def test_in_silence_it_holds_returns_stops_or_flies_on():
     assert place["stop", 0.1][2] > 5.0
 
 
+def test_who_claims_its_own_vehicle_again_says_anew_what_it_does_in_silence():
+    plant = Flight(silence=Silence("return", 2.0)).plant
+    assert plant.claim(1, [A, B], Silence("hold", 0.3)) == (A, B)
+    assert plant.claim(1, [A], Silence("stop", 0.1)) == ()
+    assert (plant.controlled[A].silence, plant.controlled[B].silence) == (Silence("stop", 0.1), Silence("hold", 0.3))
+    # Nothing said is nothing changed; another one's claim has the default.
+    plant.claim(1, [A])
+    assert plant.controlled[A].silence == Silence("stop", 0.1)
+    plant.release(1, [B])
+    plant.claim(2, [B])
+    assert plant.controlled[B].silence == Silence("return", 2.0)
+
+
 def test_a_silent_vehicle_flies_on_its_last_order_and_the_log_says_since_when():
     flight = Flight(silence=Silence("hold", 0.0))
     flight.plant.claim(1, [A])

@@ -115,7 +115,7 @@ def parsed_step(connection: Client, message: Message, payload: bytes) -> tuple[A
         UsageError: the request is wrong, or there is nothing to advance.
     """
     if connection.server.sharing is not None:
-        raise UsageError("STEP: this server's world is shared by its clients; CLAIM vehicles of it, and send COMMANDs")
+        raise shared.has_no_owner(connection.server, "STEP")
     session, request = connection.required_session(), message.step
     if not message.HasField("step"):
         raise UsageError("STEP: the message has no 'step'")

@@ -22,6 +22,7 @@ from qrsim.links.reference.requests import HANDLERS, NEEDED, OWNED, SHARED
 from qrsim.links.reference.roles import Options
 from qrsim.links.reference.seeds import Seeds
 from qrsim.links.reference.session import Session, SessionOptions
+from qrsim.links.reference.shared_requests import has_no_owner
 from qrsim.links.reference.shared_session import SharedSession
 from qrsim.links.reference.sharing import Sharing
 from qrsim.links.reference.tasks import Tasks
@@ -140,15 +141,20 @@ class Server:
         session = SharedSession(
             self._opened, session_options, options.view, pace=options.pace, silence=options.silence, say=self.say
         )
+        begun = await self._begin(session)
+        self.sharing = Sharing(self, session, options.barrier_timeout)
+        return f"{begun}, pace {session.pace}"
+
+    async def _begin(self, session: Session | EpisodeSession) -> str:
+        """Begin a session in its thread; return a line about it."""
         try:
             await asyncio.get_running_loop().run_in_executor(session.thread, session.begin)
         except BaseException:
             session.end()
             raise
         self.sessions[session.number] = session
-        self.sharing = Sharing(self, session, options.barrier_timeout)
         count = f"{session.size} vehicle{'s' if session.size != 1 else ''}"
-        return f"session {session.number} begins: {scenario.name}, {count}, seed {session.seed}, pace {session.pace}"
+        return f"session {session.number} begins: {session.scenario.name}, {count}, seed {session.seed}"
 
     def _why_not(self, error: OSError) -> str:
         where = f"{self.options.host}:{self.options.port}"
@@ -176,8 +182,7 @@ class Server:
         session = sharing.session
         async with sharing.lock:
             sharing.end()
-        await self.run(session, session.end)
-        self.say(f"session {session.number} ended: {session.summary()}")
+        await self._end_session(session)
 
     def admit(self, connection: Connection) -> str | None:
         """Register a new connection; return the reason for refusing it, or None."""
@@ -223,10 +228,7 @@ class Server:
                     "(--pace barrier or free)"
                 )
         elif message.type in OWNED:
-            raise UsageError(
-                f"{name}: this server's world is shared by its clients (--pace {self.options.pace}); CLAIM vehicles of "
-                "it, and send COMMANDs"
-            )
+            raise has_no_owner(self, name)
         return await handler(connection, message)
 
     async def open(self, connection: Connection, make: Callable[[int], S]) -> S:
@@ -256,16 +258,11 @@ class Server:
         self._opening += 1
         session = make(self._opened)
         try:
-            await asyncio.get_running_loop().run_in_executor(session.thread, session.begin)
-        except BaseException:
-            session.end()
-            raise
+            line = await self._begin(session)
         finally:
             self._opening -= 1
         connection.session, connection.lost = session, ""
-        self.sessions[session.number] = session
-        count = f"{session.size} vehicle{'s' if session.size != 1 else ''}"
-        self.say(f"session {session.number} begins: {session.scenario.name}, {count}, seed {session.seed}")
+        self.say(line)
         return session
 
     def _watch_idle(self, loop: asyncio.AbstractEventLoop) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 from qrsim.errors import UsageError
@@ -10,7 +11,7 @@ from qrsim.links.contracts import Order
 from qrsim.links.reference.kinds import order_of
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
-from qrsim.links.reference.roles import Client
+from qrsim.links.reference.roles import Client, Host
 from qrsim.links.reference.sharing import Sharing, Subscription
 from qrsim.links.shared.plant import checked_silence
 
@@ -23,6 +24,14 @@ def _sharing(client: Client) -> Sharing:
     return found
 
 
+def has_no_owner(server: Host, name: str) -> UsageError:
+    """Return why a request that only an owner of a world can make is refused."""
+    return UsageError(
+        f"{name}: this server's world is shared by its clients (--pace {server.options.pace}); CLAIM vehicles of it, "
+        "and send COMMANDs"
+    )
+
+
 def _texts(names: Sequence[object]) -> list[str]:
     """Return names; raises UsageError for what is no text."""
     if not all(isinstance(name, str) for name in names):
@@ -33,10 +42,11 @@ def _texts(names: Sequence[object]) -> list[str]:
 async def claim(client: Client, message: Message) -> bool:
     """Claim vehicles."""
     sharing, request = _sharing(client), message.claim
-    session, silence = sharing.session, client.server.options.silence
+    session, default = sharing.session, client.server.options.silence
+    silence = None
     if request.HasField("on_silence") or request.HasField("hold"):
-        (does,) = _texts([request.on_silence if request.HasField("on_silence") else silence.does])
-        after = request.hold if request.HasField("hold") else silence.after
+        (does,) = _texts([request.on_silence if request.HasField("on_silence") else default.does])
+        after = request.hold if request.HasField("hold") else default.after
         silence = checked_silence(does, after, "CLAIM: on_silence")
     vehicles = sharing.claim(client, _texts(request.vehicle), silence)
     plant = session.plant
@@ -49,8 +59,8 @@ async def claim(client: Client, message: Message) -> bool:
         factor=session.pacer.factor,
         time_step=session.time_step,
         tick=plant.now,
-        on_silence=silence.does,
-        hold=silence.after,
+        on_silence=(silence or default).does,
+        hold=(silence or default).after,
     )
     client.send(Message(type=Message.CLAIMED, claimed=found))
     return True
@@ -92,10 +102,9 @@ async def command(client: Client, message: Message) -> bool:
 
 
 def _check_once(orders: Sequence[Order]) -> None:
-    names = [order.vehicle for order in orders]
-    for name in names:
-        if names.count(name) > 1:
-            raise UsageError(f"COMMAND: '{name}' is given {names.count(name)} orders; one is allowed")
+    for name, count in Counter(order.vehicle for order in orders).items():
+        if count > 1:
+            raise UsageError(f"COMMAND: '{name}' is given {count} orders; one is allowed")
 
 
 async def subscribe(client: Client, message: Message) -> bool:

@@ -111,13 +111,25 @@ class Plant:
     # ---- what controllers ask ----
 
     def claim(self, holder: int, names: Sequence[str] = (), silence: Silence | None = None) -> tuple[str, ...]:
-        """Claim vehicles for a controller, by default all that are free, and return them; raises UsageError."""
+        """Claim vehicles for a controller, by default all that are free, and return those that are new.
+
+        Args:
+            holder: number of the controller.
+            names: of vehicles; those that it has already stay its own.
+            silence: of all of them; None: the default for those that are new.
+
+        Raises:
+            UsageError: see ``Claims.take``.
+        """
         found = self.claims.take(holder, names)
         for name in found:
             now = self.controlled[name]
-            now.silence, now.lost = silence or self._default, False
+            now.silence, now.lost = self._default, False
             now.heard, now.silent_since, now.misses = self.now, None, 0
             now.source_tick = now.arrival_tick = None
+        if silence is not None:
+            for name in (*found, *names):
+                self.controlled[name].silence = silence
         return found
 
     def release(self, holder: int, names: Sequence[str] = ()) -> tuple[str, ...]:
