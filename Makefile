@@ -8,6 +8,9 @@ STAMP := .venv/.installed
 TOOLS := .venv/.tools
 CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard examples/*.py)
 
+# Without bytecode, every process of the tests and each of its children would compile all sources.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: install tools run test test-long lint bench evidence pictures proto clean help
 

@@ -131,7 +131,7 @@ def fields(world: Any, state: Any) -> dict[str, Any]:
     named |= {"pitch_wanted": fleet.command.pitch, "roll_wanted": fleet.command.roll}
     named |= {"turn_wanted": fleet.command.yaw_rate}
     for names, group in values.items():
-        named |= dict(zip(names.split(), vars(group).values(), strict=True))
+        named |= dict(zip(names.split(), (part for part in vars(group).values() if part is not None), strict=True))
     for k in range(4):
         ways = (route.position_ned.x[k], route.position_ned.y[k], route.position_ned.z[k], route.yaw[k])
         named |= {f"w{4 * k + j}": way for j, way in enumerate(ways)}

@@ -46,7 +46,7 @@ FLOATS = (np.nan, np.inf, -np.inf, 3e38, -3e38, 1e-45, 1e9, -1.0, 0.0)
 INTEGERS = (-1, -(2**31), 2**31 - 1, 2, 7, 99, 2**16, 255)
 
 
-def saved_state(scenario: str = "outdoor_patrol", ticks: int = 60) -> bytes:
+def saved_state(scenario: str = "patrol_plain", ticks: int = 60) -> bytes:
     """Return a state to be changed."""
     simulation = simulation_of(scenario)
     simulation.reset()
@@ -169,7 +169,7 @@ def _of_number(content: Content, random: Any) -> bytes:
 
 
 def _of_text(content: Content, random: Any) -> bytes:
-    values = ("", "hover", "x" * 5000, "\n\x00", 5, b"outdoor_patrol", ["a", "b"], "\U0010ffff")
+    values = ("", "hover", "x" * 5000, "\n\x00", 5, b"patrol_plain", ["a", "b"], "\U0010ffff")
     return _packed(content | {_choice(random, ("name", "world")): _choice(random, values)})
 
 

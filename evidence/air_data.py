@@ -47,7 +47,7 @@ def flown(flights: int, seconds: float) -> dict[str, Floats]:
         f"fleets.pelicans.sensors.{name}={{{', '.join(f'{key}: {value}' for key, value in each.items())}}}"
         for name, each in sensors().items()
     ]
-    simulation = qrsim.Simulation(qrsim.load_scenario("outdoor_patrol", WIND + changes).world())
+    simulation = qrsim.Simulation(qrsim.load_scenario("patrol_plain", WIND + changes).world())
     ticks = round(PERIOD_S / simulation.world.time_step)
     seen: dict[str, list[list[Any]]] = {}
     for flight in range(flights):

@@ -17,6 +17,7 @@ import numpy as np
 from scipy import stats
 from scipy.spatial.transform import Rotation as Turn
 
+from qrsim.control.covariance import matrix
 from qrsim.control.ekf import ErrorStateKalmanFilter
 from qrsim.control.kalman_state import SIZE, KalmanState
 from qrsim.control.setpoints import Estimate
@@ -267,7 +268,7 @@ def errors(states: KalmanState, truth: Flown, biases: dict[str, Floats], k: int)
             biases["earth_field"][k] - of(inner.earth_field_ned), biases["field"][k] - of(inner.field_bias),
             biases["wind"][k] - wind, biases["height"][k] - array(inner.height_bias)[:, None],
         ]  # fmt: skip
-    whole = np.moveaxis(np.asarray(states.covariance[k - 1], float), -1, 0)
+    whole = np.moveaxis(np.asarray(matrix(states.covariance)[k - 1], float), -1, 0)
     return np.concatenate(parts, axis=1), whole
 
 

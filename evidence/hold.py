@@ -135,7 +135,7 @@ def in_wind(speed: float, names: Sequence[str], worlds: int, left_out: float, du
 def patrol(seeds: int, duration: float) -> dict[str, Any]:
     """Return how the default scenario goes in PATROL_WIND: waypoints reached and who stopped, over seeds from 0 on."""
     changes = [f"world.wind.speed_20ft={PATROL_WIND}", f"duration={duration}"]
-    world = qrsim.load_scenario("outdoor_patrol", changes).world()
+    world = qrsim.load_scenario("patrol_plain", changes).world()
     ticks = round(duration / world.time_step)
     flown = qrsim.rollout(
         world,

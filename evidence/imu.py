@@ -8,20 +8,18 @@ recorded rates in bands of 2.5 Hz, and of what ``vibration: measured`` adds in h
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import allantools
-import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, signal, stats
+from scipy import optimize, signal
 
-from qrsim.core.noise import Draw, Drawn, Key, Stream
+from evidence._at_rest import compared, readings_at_rest
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Vec3
-from qrsim.engine.settings import quick_jit
 from qrsim.files.recordings import data_file
 from qrsim.models.sensors.imu import Imu
 from qrsim.models.sensors.imu_presets import PRESETS
@@ -47,34 +45,15 @@ def preset(name: str, period: float) -> Imu:
     return cast(Imu(**{**PRESETS[name], "preset": name, "period": period, "vibration": "none"}), np.float32)
 
 
-def _readings_at_rest(sensor: Imu, begin: Stream, source: Stream, thrust: jax.Array, readings: int) -> Any:
-    zero = jnp.zeros(begin.ids.shape, jnp.float32)
-    like = jnp.zeros((), jnp.float32)
-    inputs = {
-        "rates_body": Vec3(zero, zero, zero), "specific_force": Vec3(zero, zero, zero - GRAVITY),
-        "load": Load(thrust, jnp.ones_like(thrust)),
-    }  # fmt: skip
-
-    def drawn(stream: Stream, now: jax.Array, count: int) -> Drawn:
-        return Drawn(tuple(Draw(stream, now, like).normal_rows(count)))
-
-    state, _ = sensor.init(drawn(begin, jnp.uint32(0), sensor.first_normals), **inputs)
-
-    def tick(state: Any, now: jax.Array) -> tuple[Any, Any]:
-        state, reading = sensor.step(state, drawn(source, now, sensor.normals), **inputs)
-        return state, (reading.rates_body.stack(), reading.specific_force.stack())
-
-    return jax.lax.scan(tick, state, jnp.arange(1, readings + 1, dtype=jnp.uint32))[1]
-
-
-_at_rest = quick_jit(_readings_at_rest, static_argnames=("readings",))
-
-
 def readings(sensor: Imu, count: int, chips: int, seed: int = SEED) -> dict[str, npt.NDArray[np.float32]]:
     """Return readings (count, chips, 3) of gyroscopes [rad/s] and accelerometers [m/s^2] at rest in hover."""
-    key, ids = Key.root(seed), jnp.arange(chips, dtype=jnp.uint32)
-    found = _at_rest(sensor, key.stream("imu/start", ids), key.stream("imu", ids), jnp.ones(()), count)
-    return dict(zip(KINDS, map(np.asarray, found), strict=True))
+    zero = jnp.zeros(chips, jnp.float32)
+    inputs = {
+        "rates_body": Vec3(zero, zero, zero), "specific_force": Vec3(zero, zero, zero - GRAVITY),
+        "load": Load(zero + 1.0, zero + 1.0),
+    }  # fmt: skip
+    found = readings_at_rest(sensor, "imu", inputs, ("rates_body", "specific_force"), count, seed)
+    return dict(zip(KINDS, found, strict=True))
 
 
 def expected_variance(sensor: Imu, kind: str, lengths: npt.NDArray[np.int64]) -> Floats:
@@ -125,33 +104,17 @@ def at_rest(name: str, hours: float, chips: int, period: float, seed: int = SEED
     sensor = preset(name, period)
     count = round(3600.0 * hours / period)
     taken = readings(sensor, count, chips, seed)
-    lengths = np.unique(np.round(np.geomspace(1, count // 6, 25)).astype(np.int64))
     found: dict[str, Any] = {}
     for kind in KINDS:
-        series = taken[kind].reshape(count, -1).T.astype(np.float64)
-        oracle = [
-            allantools.oadev(one - one.mean(), rate=1.0 / period, data_type="freq", taus=lengths * period)
-            for one in series
-        ]
-        windows = oracle[0][0]
-        lengths = np.round(windows / period).astype(np.int64)
-        variance = np.mean([deviation**2 for _, deviation, _, _ in oracle], axis=0)
-        expected = expected_variance(sensor, kind, lengths)
-        # Degrees of freedom no larger than those of windows that do not overlap.
-        freedom = len(series) * np.maximum(count / lengths - 1.0, 1.0)
-        low, high = (stats.chi2.ppf(0.5 * (1.0 + side * CONFIDENCE), freedom) / freedom for side in (-1, 1))
-        ratio = variance / expected
-        fit = fitted(windows, variance)
+        row = compared(taken[kind], period, 25, partial(expected_variance, sensor, kind), CONFIDENCE)
+        fit = fitted(row.windows, row.variance)
         true = {key: float(getattr(sensor, f"{kind}_{key}")) for key in fit}
         found[kind] = {
-            "windows_s": windows.tolist(), "deviation": np.sqrt(variance).tolist(),
-            "expected": np.sqrt(expected).tolist(),
-            "inside": float(np.mean((low <= ratio) & (ratio <= high))),
-            "worst_ratio": float(np.exp(np.max(np.abs(np.log(np.sqrt(ratio)))))),
-            "lowest_over_0_664_b": float(np.sqrt(variance.min()) / (0.6643 * true["bias_instability"])),
+            **row.row(),
+            "lowest_over_0_664_b": float(np.sqrt(row.variance.min()) / (0.6643 * true["bias_instability"])),
             "fitted_over_true": {key: fit[key] / true[key] for key in fit},
             "true": true,
-        }  # fmt: skip
+        }
     return found
 
 

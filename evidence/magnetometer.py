@@ -11,18 +11,15 @@ import math
 from pathlib import Path
 from typing import Any
 
-import allantools
-import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 import qrsim
-from qrsim.core.noise import Draw, Drawn, Key, Stream
+from evidence._at_rest import compared as against_theory
+from evidence._at_rest import readings_at_rest
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.engine.settings import quick_jit
 from qrsim.models.sensors.earth_field import declination
 from qrsim.models.sensors.magnetometer import Magnetometer
 from qrsim.models.sensors.magnetometer_presets import PRESETS
@@ -33,29 +30,6 @@ SEED = 20261122
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 CONFIDENCE = 0.9
 Floats = npt.NDArray[np.float64]
-
-
-def _readings_at_rest(sensor: Magnetometer, begin: Stream, source: Stream, readings: int) -> Any:
-    zero = jnp.zeros(begin.ids.shape, jnp.float32)
-    like = jnp.zeros((), jnp.float32)
-    inputs = {
-        "position_ned": Vec3(zero, zero, zero), "attitude": Euler(zero, zero, zero),
-        "load": Load(zero + 1.0, zero + 1.0),
-    }  # fmt: skip
-
-    def drawn(stream: Stream, now: jax.Array, count: int) -> Drawn:
-        return Drawn(tuple(Draw(stream, now, like).normal_rows(count)))
-
-    state, _ = sensor.init(drawn(begin, jnp.uint32(0), sensor.first_normals), **inputs)
-
-    def tick(state: Any, now: jax.Array) -> tuple[Any, Any]:
-        state, reading = sensor.step(state, drawn(source, now, sensor.normals), **inputs)
-        return state, reading.field_body.stack()
-
-    return jax.lax.scan(tick, state, jnp.arange(1, readings + 1, dtype=jnp.uint32))[1]
-
-
-_at_rest = quick_jit(_readings_at_rest, static_argnames=("readings",))
 
 
 def expected_variance(sensor: Magnetometer, lengths: npt.NDArray[np.int64]) -> Floats:
@@ -76,32 +50,18 @@ def expected_variance(sensor: Magnetometer, lengths: npt.NDArray[np.int64]) -> F
 
 def compared(sensor: Magnetometer, count: int, chips: int, confidence: float, seed: int = SEED) -> dict[str, Any]:
     """Return how readings of chips at rest compare with the theory."""
-    key, ids = Key.root(seed), jnp.arange(chips, dtype=jnp.uint32)
-    taken = np.asarray(_at_rest(sensor, key.stream("compass/start", ids), key.stream("compass", ids), count))
-    series = taken.reshape(count, -1).T.astype(np.float64)
-    lengths = np.unique(np.round(np.geomspace(1, count // 6, 12)).astype(np.int64))
-    oracle = [
-        allantools.oadev(one - one.mean(), rate=1.0 / sensor.period, data_type="freq", taus=lengths * sensor.period)
-        for one in series
-    ]
-    windows = oracle[0][0]
-    variance = np.mean([deviation**2 for _, deviation, _, _ in oracle], axis=0)
-    lengths = np.round(windows / sensor.period).astype(np.int64)
-    expected = expected_variance(sensor, lengths)
-    # Degrees of freedom no larger than those of windows that do not overlap.
-    freedom = len(series) * np.maximum(count / lengths - 1.0, 1.0)
-    low, high = (stats.chi2.ppf(0.5 * (1.0 + side * confidence), freedom) / freedom for side in (-1, 1))
-    ratio = variance / expected
-    short = windows <= 10.0 * windows[0]
-    # What is left where drift and steps are taken away, over N^2/t.
-    drifting = expected - float(sensor.noise) ** 2 / windows
-    noise = math.sqrt(float(np.mean(((variance - drifting) * windows)[short])))
-    return {
-        "windows_s": windows.tolist(), "deviation": np.sqrt(variance).tolist(), "expected": np.sqrt(expected).tolist(),
-        "inside": float(np.mean((low <= ratio) & (ratio <= high))),
-        "worst_ratio": float(np.exp(np.max(np.abs(np.log(np.sqrt(ratio)))))),
-        "fitted_over_true": {"noise": noise / float(sensor.noise)},
+    zero = jnp.zeros(chips, jnp.float32)
+    inputs = {
+        "position_ned": Vec3(zero, zero, zero), "attitude": Euler(zero, zero, zero),
+        "load": Load(zero + 1.0, zero + 1.0),
     }  # fmt: skip
+    (taken,) = readings_at_rest(sensor, "compass", inputs, ("field_body",), count, seed)
+    found = against_theory(taken, sensor.period, 12, lambda lengths: expected_variance(sensor, lengths), confidence)
+    short = found.windows <= 10.0 * found.windows[0]
+    # What is left where drift and steps are taken away, over N^2/t.
+    drifting = found.expected - float(sensor.noise) ** 2 / found.windows
+    noise = math.sqrt(float(np.mean(((found.variance - drifting) * found.windows)[short])))
+    return {**found.row(), "fitted_over_true": {"noise": noise / float(sensor.noise)}}
 
 
 def at_rest(name: str, hours: float, chips: int) -> dict[str, Any]:
@@ -113,7 +73,7 @@ def at_rest(name: str, hours: float, chips: int) -> dict[str, Any]:
 
 def heading(name: str, flights: int, seconds: float) -> dict[str, float]:
     """Return errors of headings by a preset on the default patrol, with the true tilt, over vehicles and flights."""
-    scenario = qrsim.load_scenario("outdoor_patrol", [
+    scenario = qrsim.load_scenario("patrol_plain", [
         f"fleets.pelicans.sensors.compass={{type: magnetometer, preset: {name}}}"])  # fmt: skip
     turn = declination(scenario.earth_field_ned)
     simulation = qrsim.Simulation(scenario.world())

@@ -53,6 +53,7 @@ SHOTS = {
     "street_canyon": Shot(
         "street_canyon --set fleets.couriers.sensors.gnss.per_satellite=true --duration 22", "--camera courier"
     ),
+    "mixed_team": Shot("mixed_team --seed 1 --duration 37"),
     "swarm": Shot(f"{SWARM} --seed 1 --duration 30"),
 }
 # The figure of a run, which the README shows.

@@ -1,4 +1,5 @@
-"""Packets that arrive over distance for each preset of the radio, and pure ALOHA, against their closed forms.
+"""Packets that arrive over distance for each preset of the radio, over built-up land, and of pure ALOHA, against their
+closed forms.
 
 Two vehicles at each distance, in a network of the preset without shadowing, exchange beacons; what the closed form says
 is computed here in double precision, from the data that docs/radio.md names. Bands are of 99 % (binomial), for all
@@ -37,6 +38,15 @@ DATA: dict[str, tuple[float, float, float, float, float, int, str, float]] = {
 EXPONENT, WIDTH = 2.2, 0.5
 # Chances of loss at whose distances packets are counted.
 LEVELS = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
+# Between a station on the ground and a vehicle so high above it [m], at so many distances [m]: a and b, and dB beside
+# free space (Al-Hourani and others, 2014).
+LAND: dict[str, tuple[float, float, float, float]] = {
+    "suburban": (4.88, 0.43, 0.1, 21.0),
+    "urban": (9.61, 0.16, 1.0, 20.0),
+    "dense_urban": (12.08, 0.11, 1.6, 23.0),
+    "high_rise": (27.23, 0.08, 2.3, 34.0),
+}
+ABOVE, OVER = 120.0, "wifi_2g4"
 LOADS = (0.05, 0.1, 0.2, 0.5, 1.0)
 SENDERS, PERIOD = 25, 0.2
 # Packets at each distance, periods of ALOHA at each load.
@@ -52,10 +62,24 @@ def received(preset: str, distance: Any) -> Any:
     return DATA[preset][1] - first - 10.0 * EXPONENT * np.log10(np.maximum(distance, 1.0))
 
 
+def received_over(land: str, level: Any) -> Any:
+    """Return the power [dBm] of preset OVER between the ground and a height of ABOVE, so far away on the ground [m]."""
+    frequency, power, *_ = DATA[OVER]
+    a, b, with_sight, without = LAND[land]
+    free = 20.0 * np.log10(4.0 * math.pi * np.hypot(level, ABOVE) * frequency / 299_792_458.0)
+    chance = 1.0 / (1.0 + a * np.exp(-b * (np.degrees(np.arctan2(ABOVE, level)) - a)))
+    return power - free - with_sight * chance - without * (1.0 - chance)
+
+
 def closed_form(preset: str, distance: Values) -> Values:
     """Return the chance that a packet is lost at distances [m] without shadowing."""
+    return lost_at(preset, received(preset, distance))
+
+
+def lost_at(preset: str, power: Values) -> Values:
+    """Return the chance that a packet is lost that is received at powers [dBm]."""
     _, _, bandwidth, rate, figure, length, law, half = DATA[preset]
-    snr = received(preset, distance) + 174.0 - 10.0 * math.log10(bandwidth) - figure
+    snr = power + 174.0 - 10.0 * math.log10(bandwidth) - figure
     if law == "threshold":
         return 1.0 / (1.0 + np.exp((snr - half) / WIDTH))
     bit = 0.5 * np.exp(-0.5 * 10.0 ** (snr / 10.0) * bandwidth / rate)
@@ -68,22 +92,23 @@ def distances(preset: str) -> Values:
     return np.interp(LEVELS, closed_form(preset, many), many)
 
 
-def network(preset: str, **parts: Any) -> Network:
+def network(preset: str, land: str = "none", **parts: Any) -> Network:
     """Return the network of a preset as a scenario has it, without shadowing, for two vehicles."""
-    radio = {"preset": preset, "path_loss": {"shadowing_db": 0.0, "waves": 1}}
+    radio = {"preset": preset, "path_loss": {"shadowing_db": 0.0, "waves": 1, "air_to_ground": land}}
     world = load_scenario({"name": "pair", "extends": "free_flight", "world": {"radio": radio}}, quiet=True).world()
     one = InboxSize(size=1, reach=np.float32(1e7), candidates=1)
     built: Any = world.radio
     return replace(built, inbox=cast(one, np.float32), **parts)
 
 
-def exchanged(radio: Network, north: Any, said: Outbox, periods: int) -> Any:
-    """Return the counts of a network after so many periods of vehicles (n,) along a line [m]."""
+def exchanged(radio: Network, north: Any, said: Outbox, periods: int, height: Any = None) -> Any:
+    """Return the counts of a network after so many periods of vehicles (n,) along a line [m], at heights [m]."""
     n = north.shape[0]
     key = Key.root(SEED)
     waves = Draw(key.stream("/radio.field", jnp.arange(1, dtype=jnp.uint32)), jnp.int32(0), jnp.float32(0.0))
     zero = jnp.zeros(n)
-    surfaces = Surfaces(Vec3(north, zero, zero), jnp.ones(n, bool))
+    down = zero if height is None else -height
+    surfaces = Surfaces(Vec3(north, zero, down), jnp.ones(n, bool), height=height)
     ticks = round(radio.mac.period / STEP)
     beacons = replace(said, to=jnp.full(n, -1, jnp.int32)) if radio.beacon else None
 
@@ -100,13 +125,25 @@ def exchanged(radio: Network, north: Any, said: Outbox, periods: int) -> Any:
 def delivery(preset: str, packets: int) -> dict[str, Any]:
     """Return the measured and the computed chance of loss at each distance, and how many are outside of the band."""
     where = distances(preset)
-    radio = network(preset)
+    found = counted(network(preset), where, packets, closed_form(preset, where))
+    return {**found, "dbm_10": received(preset, float(where[1]))}
+
+
+def over_land(land: str, packets: int) -> dict[str, Any]:
+    """Return the same of links between the ground and the air over built-up land, by the distance on the ground."""
+    many = np.geomspace(10.0, 1e6, 200_001)
+    where = np.interp(LEVELS, lost_at(OVER, received_over(land, many)), many)
+    return counted(network(OVER, land), where, packets, lost_at(OVER, received_over(land, where)), ABOVE)
+
+
+def counted(radio: Network, where: Values, packets: int, law: Values, above: float | None = None) -> dict[str, Any]:
+    """Return the measured and the computed chance of loss at distances [m] of two, the other one at a height [m]."""
     said = Outbox(jnp.zeros((radio.size, 2)), jnp.ones(2, bool), jnp.full(2, -1, jnp.int32))
-    counts = jax.jit(jax.vmap(lambda far: exchanged(radio, jnp.stack([0.0 * far, far]), said, packets // 2)))(
+    height = None if above is None else jnp.array([0.0, above], jnp.float32)
+    counts = jax.jit(jax.vmap(lambda far: exchanged(radio, jnp.stack([0.0 * far, far]), said, packets // 2, height)))(
         jnp.asarray(where, jnp.float32)
     )
     lost = 1.0 - np.asarray(counts.heard).sum(axis=1) / packets
-    law = closed_form(preset, where)
     each = 1.0 - (1.0 - CONFIDENCE) / len(where)
     low, high = stats.binom.interval(each, packets, law)
     return {
@@ -114,7 +151,6 @@ def delivery(preset: str, packets: int) -> dict[str, Any]:
         "loss": _by_level(lost),
         "law": _by_level(law),
         "outside": int(np.sum((lost * packets < low) | (lost * packets > high))),
-        "dbm_10": received(preset, float(where[1])),
         "largest_difference": float(np.max(np.abs(lost - law))),
     }
 
@@ -165,6 +201,7 @@ def run(full: bool) -> dict[str, Any]:
     packets, periods = FULL if full else SMALL
     presets = tuple(DATA) if full else ("sik_915", "wifi_2g4")
     found = {preset: delivery(preset, packets) for preset in presets}
+    lands = {land: over_land(land, packets) for land in (tuple(LAND) if full else ("urban",))}
     if full:
         draw(found)
     loads = LOADS if full else LOADS[3:4]
@@ -172,6 +209,7 @@ def run(full: bool) -> dict[str, Any]:
         "confidence": CONFIDENCE,
         "packets": packets,
         "presets": found,
-        "outside": sum(values["outside"] for values in found.values()),
+        "lands": lands,
+        "outside": sum(values["outside"] for values in (*found.values(), *lands.values())),
         "aloha": {f"{100.0 * load:.0f}": aloha(load, periods) for load in loads},
     }

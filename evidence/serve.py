@@ -55,6 +55,7 @@ def valid() -> list[bytes]:
         Message(type=Message.GET_STATUS, get_status=pb.GetStatus()),
         Message(type=Message.RELEASE, release=pb.Release()),
         Message(type=Message.ACT, act=pb.Act(action=[pb.Arrayd(value=[0.0, 0.0, 0.2, 0.0, 1.0])])),
+        Message(type=Message.SAY, say=pb.Say(words=[pb.Say.Words(vehicle="pelicans_0", value=[1.0], to="x")])),
     ]
     return [message.SerializeToString() for message in messages]
 

@@ -34,7 +34,7 @@ PART = [STUDY, "--seeds", "12", "--values", "8"]
 # A study small enough to be flown in a test.
 SMALL: dict[str, Any] = {
     "name": "small",
-    "scenario": "hover",
+    "scenario": "hover_ideal",
     "set": {
         "duration": 1.0,
         "world.wind": {"type": "log_shear", "speed_20ft": 1.0, "wind_from_deg": 90.0},

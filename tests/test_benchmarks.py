@@ -33,9 +33,11 @@ NUMBERS = {
         "steps",
     },
     "estimators": {"worlds", "vehicles", "ns", "throughput", "compile_seconds"},
+    "flight_stack": {"microseconds", "core_percent"},
     "gnss": {"vehicles", "ns", "compile_seconds"},
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
     "looking": {"median_us", "step_us", "over_first"},
+    "mavlink": {"vehicles", "ticks", "core", "frames_per_second"},
     "pace": {"controllers", "ticks", "latency_median_ms", "latency_p99_ms"},
     "peers": {"vehicles", "processes"},
     "policies": {"worlds", "vehicles", "per_wall_second", "microseconds_a_call"},
@@ -116,6 +118,14 @@ def test_radio():
 
 
 @pytest.mark.long
+def test_flight_stack():
+    results = rows("flight_stack")
+    assert len(results) == 6
+    # 50 vehicles at 50 Hz, of which each tick takes so many microseconds.
+    assert all(row["core_percent"] == pytest.approx(0.25 * row["microseconds"], abs=0.02) for row in results)
+
+
+@pytest.mark.long
 def test_sensors():
     pair, imu = rows("sensors")
     assert (pair["sensors"], imu["sensors"]) == ("gyroscope, accelerometer", "imu")
@@ -148,6 +158,14 @@ def test_pace():
 
 
 @pytest.mark.long
+def test_mavlink():
+    [row] = rows("mavlink")
+    assert (row["vehicles"], row["late_target"]) == (2, 1.0)
+    # 2 s at 50 Hz, and what comes before and after; about 300 frames a second from each vehicle.
+    assert row["ticks"] >= 50
+    assert row["frames_per_second"] > 60
+
+
 def test_looking():
     few, many = rows("looking")
     assert (few["sensors"], many["sensors"]) == ("3", "12")

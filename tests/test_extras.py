@@ -56,14 +56,14 @@ def test_every_extra_is_one_of_the_package():
 def test_flying_plotting_and_exporting_need_no_extra(tmp_path: Path):
     run, fetched = str(tmp_path / "run"), str(tmp_path / "fetched")
     commands = {
-        "run": ["run", "hover", "--duration", "1", "--out", run],
+        "run": ["run", "hover_ideal", "--duration", "1", "--out", run],
         "plot": ["plot", run],
         "csv": ["export", run, "--format", "csv", "--out", str(tmp_path / "csv")],
-        "check": ["check", "hover", "--seeds", "1", "--duration", "1"],
+        "check": ["check", "hover_ideal", "--seeds", "1", "--duration", "1"],
         "mcap": ["export", run, "--format", "mcap"],
-        "serve": ["serve", "hover"],
+        "serve": ["serve", "hover_ideal"],
         "view": ["view", run],
-        "run view": ["run", "hover", "--view", "--out", str(tmp_path / "seen")],
+        "run view": ["run", "hover_ideal", "--view", "--out", str(tmp_path / "seen")],
         "data": ["data", "fetch", "--folder", fetched],
         "sweep": ["sweep", "swarm_collisions", "--out", str(tmp_path / "study")],
     }

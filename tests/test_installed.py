@@ -116,7 +116,7 @@ def test_it_is_small(python: str, tmp_path: Path):
 @pytest.mark.parametrize(
     "words",
     [
-        ["run", "outdoor_patrol", "--duration", "2"],
+        ["run", "patrol_plain", "--duration", "2"],
         ["run", "plume_mapping/3A", "--duration", "2", "--policy", "baseline"],
         ["run", "search_and_rescue/2D", "--duration", "2", "--policy", "baseline"],
         ["slam", "--seeds", "1", "--duration", "10"],
@@ -129,17 +129,29 @@ def test_it_flies(python: str, tmp_path: Path, words: list[str]):
 
 
 def test_it_flies_by_xla(python: str, tmp_path: Path):
-    qrsim(python, tmp_path, "-m", "qrsim.cli", "run", "hover", "--duration", "1", "--out", "run", QRSIM_COMPILER="xla")
+    qrsim(
+        python,
+        tmp_path,
+        "-m",
+        "qrsim.cli",
+        "run",
+        "hover_ideal",
+        "--duration",
+        "1",
+        "--out",
+        "run",
+        QRSIM_COMPILER="xla",
+    )
     qrsim(python, tmp_path, "-c", ROLLOUT)
 
 
 def test_it_plots(python: str, tmp_path: Path):
-    qrsim(python, tmp_path, "-m", "qrsim.cli", "run", "hover", "--duration", "1", "--out", "run", "--no-figure")
+    qrsim(python, tmp_path, "-m", "qrsim.cli", "run", "hover_ideal", "--duration", "1", "--out", "run", "--no-figure")
     qrsim(python, tmp_path, "-m", "qrsim.cli", "plot", "run", "--out", "figure.png")
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_it_flies_and_plots_with_the_oldest_dependencies(oldest: str, tmp_path: Path):
     assert qrsim(oldest, tmp_path, "-c", "import jax; print(jax.__version__)").startswith("0.8.")
-    qrsim(oldest, tmp_path, "-m", "qrsim.cli", "run", "outdoor_patrol", "--duration", "1", "--out", "run")
+    qrsim(oldest, tmp_path, "-m", "qrsim.cli", "run", "patrol_plain", "--duration", "1", "--out", "run")
     assert (tmp_path / "run" / "figure.png").read_bytes().startswith(b"\x89PNG")

@@ -105,7 +105,9 @@ def test_studies_of_any_size(tmp_path: Path, change: str, words: str) -> None:
         load_study(str(path))
 
 
-@pytest.mark.parametrize("command", [["run", "hover", "--view"], ["serve", "hover", "--view", "--port", "0"]])
+@pytest.mark.parametrize(
+    "command", [["run", "hover_ideal", "--view"], ["serve", "hover_ideal", "--view", "--port", "0"]]
+)
 def test_a_page_without_viser(command: list[str], monkeypatch: Any, capsys: Any) -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == "viser" or name.startswith("qrsim.view")]:
         monkeypatch.delitem(sys.modules, name)
@@ -116,9 +118,9 @@ def test_a_page_without_viser(command: list[str], monkeypatch: Any, capsys: Any)
 
 def test_overrides_are_a_list() -> None:
     with pytest.raises(UsageError, match=r"overrides: expected a list such as \['path=value'\], found the text 'a=b'"):
-        qrsim.load("hover", overrides="a=b")
+        qrsim.load("hover_ideal", overrides="a=b")
     with pytest.raises(UsageError, match="expected texts such as 'path=value', found 1"):
-        qrsim.load("hover", overrides=[1])  # type: ignore[list-item]
+        qrsim.load("hover_ideal", overrides=[1])  # type: ignore[list-item]
 
 
 def deep(levels: int) -> dict[str, Any]:
@@ -149,7 +151,7 @@ def test_content_from_python_is_limited_too() -> None:
 )  # fmt: skip
 def test_overrides_that_are_refused(override: str) -> None:
     with pytest.raises(UsageError) as caught:
-        load_scenario("outdoor_patrol", [override])
+        load_scenario("patrol_plain", [override])
     assert len(str(caught.value)) < 6000
 
 
@@ -159,8 +161,8 @@ LONG = "x" * 5000
 @pytest.mark.parametrize(
     "command",
     [
-        ["plot", LONG], ["compare", LONG, LONG], ["run", "hover", "--out", LONG], ["sweep-report", LONG],
-        ["run", "hover", "--policy", f"{LONG}.py:f"], ["show", f"{LONG}.yaml"], ["sweep-report", "."],
+        ["plot", LONG], ["compare", LONG, LONG], ["run", "hover_ideal", "--out", LONG], ["sweep-report", LONG],
+        ["run", "hover_ideal", "--policy", f"{LONG}.py:f"], ["show", f"{LONG}.yaml"], ["sweep-report", "."],
     ],
 )  # fmt: skip
 def test_names_that_no_file_can_have(command: list[str], capsys: Any) -> None:
@@ -190,7 +192,7 @@ def paths_of(content: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [*([path] if path else []), *inner]
 
 
-@pytest.mark.parametrize("name", ["hover", "outdoor_patrol", "cats_and_mouse/1C", "search_and_rescue/2D"])
+@pytest.mark.parametrize("name", ["hover", "patrol_plain", "cats_and_mouse/1C", "search_and_rescue/2D"])
 @pytest.mark.parametrize("value", [[1], {"type": [1]}, None, "x", 10**30, math.nan, 1e-320], ids=repr)
 def test_any_value_at_any_place(name: str, value: Any) -> None:
     """What is not taken is refused in words, where a name of a type is expected too."""

@@ -98,6 +98,15 @@ struct Order {
   std::vector<double> numbers;
 };
 
+// A message that a vehicle has heard over the radio.
+struct Heard {
+  std::string sender;
+  double sent = 0.0;      // when it was handed to the sender's radio [s]
+  double received = 0.0;  // when it was known [s]
+  double rssi = 0.0;      // [dBm]
+  std::vector<double> payload;
+};
+
 // What one vehicle senses: sensor -> field -> numbers, when each reading was true [s], and whether it has arrived at
 // this tick.
 struct SensedVehicle {
@@ -107,6 +116,7 @@ struct SensedVehicle {
   std::map<std::string, double> times;
   std::map<std::string, bool> fresh;
   std::optional<std::array<double, 13>> state;  // true, where it was asked for
+  std::vector<Heard> heard;                     // over the radio, the newest message of each sender, the newest first
 };
 
 struct Sensed {
@@ -335,6 +345,32 @@ class Client {
     return found;
   }
 
+  // Hands messages to the radios of vehicles, all or none; to: who alone is to hear them. In a shared world of claimed
+  // vehicles only, and of several messages of one in a tick the last one counts.
+  void say(const std::map<std::string, std::vector<double>>& words, std::optional<std::string> to = std::nullopt) {
+    pb::Message request;
+    request.set_type(pb::Message::SAY);
+    auto* content = request.mutable_say();
+    for (const auto& [vehicle, numbers] : words) {
+      auto* added = content->add_words();
+      added->set_vehicle(vehicle);
+      for (const double number : numbers) added->add_value(number);
+      if (to) added->set_to(*to);
+    }
+    ask(request, pb::Message::ACK);
+  }
+
+  // What each vehicle has heard over the radio, the newest message of each sender, the newest first.
+  std::map<std::string, std::vector<Heard>> inbox() {
+    pb::Message request;
+    request.set_type(pb::Message::GET_READINGS);
+    request.mutable_get_readings();
+    std::map<std::string, std::vector<Heard>> found;
+    const pb::Message reply = ask(request, pb::Message::READINGS);
+    for (const auto& vehicle : reply.readings().vehicle()) found[vehicle.name()] = heard_of(vehicle);
+    return found;
+  }
+
   // Asks who flies what, how old the orders are, and how the pace is kept.
   pb::Status status() {
     pb::Message request;
@@ -379,6 +415,14 @@ class Client {
     return request;
   }
 
+  static std::vector<Heard> heard_of(const pb::Readings::Vehicle& vehicle) {
+    std::vector<Heard> found;
+    for (const auto& each : vehicle.heard())
+      found.push_back({each.sender(), each.sent(), each.received(), each.rssi(),
+                       {each.value().begin(), each.value().end()}});
+    return found;
+  }
+
   Sensed sensed_of(const pb::Readings& found) {
     Sensed sensed;
     sensed.tick = found.tick();
@@ -389,6 +433,7 @@ class Client {
       SensedVehicle& seen = sensed.vehicles[vehicle.name()];
       seen.valid = vehicle.valid();
       seen.reason = vehicle.reason();
+      seen.heard = heard_of(vehicle);
       if (vehicle.has_x()) seen.state = numbers<13>(vehicle.x());
       for (const auto& sensor : vehicle.sensor()) {
         seen.times[sensor.name()] = sensor.time();

@@ -17,14 +17,14 @@ IMPORTS = {
     """import numpy as np
 
 from qrsim.errors import UsageError
-from qrsim.links.reference.claiming import SharedCalls, kind_of
+from qrsim.links.reference.claiming import SharedCalls, kind_of, numbers_of
 from qrsim.links.reference.protocol import DecodeError
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 """: """import numpy as np
 from google.protobuf.message import DecodeError
 
 from qrsim_client import qrsim_pb2 as pb
-from qrsim_client.claiming import SharedCalls, kind_of
+from qrsim_client.claiming import SharedCalls, kind_of, numbers_of
 from qrsim_client.errors import UsageError
 """,
     "from qrsim.errors import": "from qrsim_client.errors import",

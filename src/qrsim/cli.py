@@ -31,6 +31,7 @@ from qrsim.apps.data import Fetch, Where
 from qrsim.apps.discover import Discover
 from qrsim.apps.export import Export
 from qrsim.apps.identify import Identify
+from qrsim.apps.mavlink import Mavlink
 from qrsim.apps.openloop.command import OpenLoop
 from qrsim.apps.plot import Plot
 from qrsim.apps.replay import Replay
@@ -116,6 +117,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "identify": Identify,
     "discover": Discover,
     "serve": Serve,
+    "mavlink": Mavlink,
     "replay": Replay,
     "slam": SlamCommand,
     "sweep": Sweep,

@@ -50,8 +50,12 @@ class RunError(QrsimError):
     """A valid run could not be carried out (disk full, folder not writable, data missing)."""
 
 
-class RadioWarning(UserWarning):
+class NeighbourWarning(UserWarning):
     """Vehicles may have missed others that are near."""
+
+
+class RadioWarning(NeighbourWarning):
+    """Vehicles may have missed others that are near over the radio."""
 
 
 class CompilerWarning(UserWarning):

@@ -33,7 +33,7 @@ def test_another_run_in_words(flown, windier, capsys):
     for row in (["seed", "3", "4"], ["scenario.world.wind.speed_20ft", "5.0", "7.0"], ["ticks", "500", "250"]):
         assert row in rows
     assert "truth: 51 common ticks, 450 only in A; 1 of 17 quantities equal" in printed
-    assert "wind: 251 common ticks, 250 only in A; 1 of 6 quantities equal" in printed
+    assert "wind: 251 common ticks, 250 only in A; 1 of 9 quantities equal" in printed
     [wind] = [row for row in rows if row[:1] == ["wind.mean_ned.x"]]
     assert wind[1:4] == ["m/s", "pelicans_0", "0"]
     assert len(wind) == 8
@@ -82,7 +82,7 @@ def test_a_damaged_part_is_left_out_with_a_warning(flown, tmp_path, capsys):
     assert cli.main(["compare", str(flown.folder), str(copy)]) == 1
     printed = capsys.readouterr()
     assert "left out: " in printed.err
-    assert "only in A; 6 of 6 quantities equal" in printed.out
+    assert "only in A; 9 of 9 quantities equal" in printed.out
     assert "The logs differ in what was recorded; all common values are equal." in printed.out
 
 

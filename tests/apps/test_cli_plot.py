@@ -126,7 +126,7 @@ def test_the_list_of_quantities(flown, capsys):
     assert cli.main(["plot", str(flown.folder), "--list", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
     assert {"quantity": "truth.position_ned.z", "unit": "m", "doc": "third axis: down"} in listed
-    assert len(listed) == len({item["quantity"] for item in listed}) == 69
+    assert len(listed) == len({item["quantity"] for item in listed}) == 121
 
 
 @pytest.mark.parametrize(

@@ -657,6 +657,7 @@ def test_ctrl_c_and_sigterm_keep_the_log_to_the_moment(stopped, name, code, mess
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")
+@pytest.mark.long
 def test_kill_leaves_a_readable_log(stopped):
     folder, process, (out, err), before = stopped["killed"]
     assert (process.returncode, out, err) == (-signal.SIGKILL, "", "")
@@ -670,6 +671,7 @@ def test_kill_leaves_a_readable_log(stopped):
 
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")
 @pytest.mark.parametrize("name", ["interrupted", "killed"])
+@pytest.mark.long
 def test_a_stopped_run_can_be_drawn(stopped, name, capsys):
     folder = stopped[name][0]
     assert cli.main(["plot", str(folder)]) == 0

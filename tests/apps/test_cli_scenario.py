@@ -28,9 +28,9 @@ def printed(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 def test_list_has_one_line_per_scenario(capsys):
     lines = printed(["list"], capsys).splitlines()
     assert [line.split()[0] for line in lines] == built_in_names()
-    [patrol] = [line for line in lines if line.startswith("outdoor_patrol ")]
+    [patrol] = [line for line in lines if line.startswith("patrol_plain ")]
     assert patrol.split()[1:5] == ["5", "vehicles", "120", "s"]
-    assert patrol.endswith(load_scenario("outdoor_patrol").spec.description)
+    assert patrol.endswith(load_scenario("patrol_plain").spec.description)
 
 
 def test_list_of_components(capsys):
@@ -152,6 +152,7 @@ def test_schema_covers_every_scenario(capsys):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs a pipe")
+@pytest.mark.long
 def test_a_reader_that_is_gone():
     """As ``qrsim show | head -1`` where head is quick: exit code 141 and not a word."""
     reader, pipe = os.pipe()

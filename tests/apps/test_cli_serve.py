@@ -10,7 +10,8 @@ import sys
 
 import pytest
 
-from qrsim.apps.serve import Serve, _Log, _prepare
+from qrsim.apps.serve import Serve, _prepare
+from qrsim.links.printing import Log
 from qrsim.links.reference.client import Client
 from qrsim.links.reference.server import Options
 from qrsim.links.reference.tasks import Tasks
@@ -92,7 +93,7 @@ def test_the_operators_scenario_in_real_time_until_the_process_is_told_to_end():
 def test_a_reader_of_the_log_that_stalls_holds_nobody_up():
     """More lines than a pipe holds, and nobody reads them."""
     read, write = os.pipe()
-    log = _Log(write)
+    log = Log(write)
     for _ in range(3000):
         log.say("x" * 100)
     os.close(read)

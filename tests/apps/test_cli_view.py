@@ -190,7 +190,7 @@ def test_a_run_prints_where_its_page_is(fly):
 @pytest.mark.long
 def test_a_browser_that_goes_away_ends_no_run(tmp_path: Path):
     """Closed without a word in mid-run; another one gets the page, and Ctrl-C ends the run as always."""
-    words = ["outdoor_patrol", "--duration", "900", "--view", "--view-port", "0", "--out", str(tmp_path / "run")]
+    words = ["patrol_plain", "--duration", "900", "--view", "--view-port", "0", "--out", str(tmp_path / "run")]
     command = [sys.executable, "-c", INTERRUPTIBLE, "run", *words]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1)
     assert running.stderr is not None
@@ -256,7 +256,7 @@ def test_a_run_that_is_being_written_is_said(copy: Path, tmp_path: Path, monkeyp
 @pytest.mark.long
 def test_a_run_is_exported_while_it_is_written(tmp_path: Path, capsys):
     """A flight in a process of its own; what is on the page ends at a flush."""
-    words = ["outdoor_patrol", "--duration", "900", "--realtime", "--no-figure", "--out", str(tmp_path / "run")]
+    words = ["patrol_plain", "--duration", "900", "--realtime", "--no-figure", "--out", str(tmp_path / "run")]
     running = subprocess.Popen([sys.executable, "-c", INTERRUPTIBLE, "run", *words], stderr=subprocess.DEVNULL)
     try:
         end = time.monotonic() + 90.0

@@ -295,7 +295,7 @@ def test_an_export_has_heading_layers_and_plots(page: Path, browser: Browser):
     assert "outdoor_patrol, seed 3, 5 vehicles" in text
     assert "5 of 5 vehicles fly" in text
     press_key(browser, "8")
-    browser.evaluate("{const box = document.getElementById('qrsim-vehicle'); box.value = 3; box.onchange()}")
+    browser.evaluate("{const box = document.getElementById('qrsim-vehicle'); box.value = 4; box.onchange()}")
     browser.evaluate("document.querySelector('#qrsim-panel details').open = true")
     # Curves of both kinds in the panel, which are drawn by hand.
     eventually(lambda: violet_and_grey(browser))
@@ -329,7 +329,7 @@ def test_a_notebook_shows_the_page_in_a_frame(flown: Flight, tmp_path: Path, bro
 
 def test_a_screenshot_shows_the_scene(flown: Flight, tmp_path: Path, capsys):
     path = tmp_path / "shot.png"
-    assert cli.main(["view", str(flown.folder), "--screenshot", str(path), "--at", "5"]) == 0
+    assert cli.main(["view", str(flown.folder), "--screenshot", str(path), "--at", "8"]) == 0
     assert capsys.readouterr().out == f"{path}\n"
     picture = pixels(path.read_bytes())
     assert picture.shape == (800, 1280, 3)

@@ -25,7 +25,7 @@ from qrsim.view.recording import Recording
     ("given", "meant"),
     [
         (["--view"], ["--view=now"]),
-        (["--view", "outdoor_patrol"], ["--view=now", "outdoor_patrol"]),
+        (["--view", "patrol_plain"], ["--view=now", "patrol_plain"]),
         (["a", "--view", "--json"], ["a", "--view=now", "--json"]),
         (["--view", "wait"], ["--view", "wait"]),
         # A wrong word is for the parser to refuse.
@@ -75,7 +75,7 @@ def test_a_live_page_becomes_a_replay_with_what_was_chosen(tmp_path: Path):
 @pytest.mark.long
 def test_a_run_waits_for_its_browser_and_stays_while_it_looks(tmp_path: Path):
     """Without a terminal: the flight begins with the first browser, the page ends with the last one."""
-    words = ["outdoor_patrol", "--duration", "1", "--no-figure", "--view", "wait", "--view-port", "0"]
+    words = ["patrol_plain", "--duration", "1", "--no-figure", "--view", "wait", "--view-port", "0"]
     command = [sys.executable, "-c", INTERRUPTIBLE, "run", *words, "--out", str(tmp_path / "run")]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1)
     assert running.stderr is not None

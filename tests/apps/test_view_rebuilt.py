@@ -108,5 +108,5 @@ def test_a_plume_goes_with_the_wind_that_was_asked_for(tmp_path: Path):
 
 
 def test_where_nothing_is_beside_the_vehicles_nothing_is_rebuilt(tmp_path: Path):
-    recording = recorded(load_scenario("outdoor_patrol", ["duration=0.1"]), tmp_path / "run")
+    recording = recorded(load_scenario("patrol_plain", ["duration=0.1"]), tmp_path / "run")
     assert recording.frame(0.0).beside is None

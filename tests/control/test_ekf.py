@@ -12,9 +12,9 @@ import pytest
 from evidence.estimator import DT, Fix, Heading, Height, Inertial, errors, filtered, flown
 from scipy import stats
 
-from qrsim.control.covariance import corrected, forgotten, propagated
+from qrsim.control.covariance import Covariance, corrected, forgotten, matrix, propagated, variances
 from qrsim.control.ekf import ErrorStateKalmanFilter
-from qrsim.control.kalman_state import SIZE, TURN, of_angles, transition
+from qrsim.control.kalman_state import SIZE, TURN, moves, of_angles
 from qrsim.control.setpoints import Estimate
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import replace
@@ -32,6 +32,20 @@ def covariance() -> np.ndarray:
     return half @ half.T + np.eye(SIZE)
 
 
+def in_blocks(matrix: np.ndarray, count: int = 1) -> Covariance:
+    """Return the covariance of so many vehicles that all have this matrix, in blocks of three errors."""
+    whole = np.repeat(np.float32(matrix)[:, :, None], count, axis=2)
+    starts = range(0, len(matrix), 3)
+    return tuple(jnp.stack([whole[a : a + 3, b : b + 3] for b in starts if b >= a]) for a in starts)
+
+
+def test_blocks_are_those_of_the_matrix(covariance: np.ndarray):
+    given = in_blocks(covariance, 2)
+    assert [row.shape for row in given] == [(5 - a, 3, 3, 2) for a in range(5)]
+    np.testing.assert_array_equal(matrix(given)[..., 1], np.float32(covariance))
+    np.testing.assert_array_equal([variance[1] for variance in variances(given)], np.float32(np.diag(covariance)))
+
+
 def test_a_transition_is_that_of_matrices(covariance: np.ndarray):
     """F by its blocks (Sola 2017, section 7: rotations in the fixed frame)."""
     turned = rotation(Euler(*(jnp.array([angle]) for angle in (0.3, -0.2, 1.1))))
@@ -45,10 +59,10 @@ def test_a_transition_is_that_of_matrices(covariance: np.ndarray):
     whole[3:6, 12:15] = whole[6:9, 9:12] = -0.02 * to_ned
     noise = np.arange(15.0) * 1e-3
     found = propagated(
-        jnp.asarray(covariance[:, :, None], jnp.float32), transition(vec(1.0, -2.0, -9.0), turned, 0.02),
-        [jnp.array([value]) for value in noise],
-    )  # fmt: skip
-    np.testing.assert_allclose(found[..., 0], whole @ covariance @ whole.T + np.diag(noise), rtol=2e-5, atol=2e-4)
+        in_blocks(covariance), moves(vec(1.0, -2.0, -9.0), turned, 0.02), [jnp.array([value]) for value in noise]
+    )
+    expected = whole @ covariance @ whole.T + np.diag(noise)
+    np.testing.assert_allclose(matrix(found)[..., 0], expected, rtol=2e-5, atol=2e-4)
 
 
 def test_a_measurement_is_that_of_matrices(covariance: np.ndarray):
@@ -57,26 +71,29 @@ def test_a_measurement_is_that_of_matrices(covariance: np.ndarray):
     row[[1, 4, 13]] = 1.0, -0.3, 0.5
     mean = np.linspace(-1.0, 1.0, SIZE)
     gain = covariance @ row / (row @ covariance @ row + 0.7)
-    given = jnp.asarray(np.repeat(covariance[:, :, None], 2, axis=2), jnp.float32)
-    after, moved = corrected(
-        given, jnp.asarray(np.repeat(mean[:, None], 2, axis=1), jnp.float32),
+    given = in_blocks(covariance, 2)
+    before = jnp.asarray(np.repeat(mean[:, None], 2, axis=1), jnp.float32)
+    after, by_blocks = corrected(
+        given, before.reshape(5, 3, 2),
         {k: jnp.full(2, row[k]) for k in (1, 4, 13)}, jnp.array([2.0, jnp.nan]), jnp.full(2, 0.7),
         jnp.array([True, False]),
     )  # fmt: skip
+    moved = np.reshape(by_blocks, (SIZE, 2))
     np.testing.assert_allclose(moved[:, 0], mean + gain * (2.0 - row @ mean), rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(after[..., 0], covariance - np.outer(gain, row @ covariance), rtol=1e-4, atol=1e-4)
+    expected = covariance - np.outer(gain, row @ covariance)
+    np.testing.assert_allclose(matrix(after)[..., 0], expected, rtol=1e-4, atol=1e-4)
     np.testing.assert_array_equal(moved[:, 1], jnp.asarray(mean, jnp.float32))
-    np.testing.assert_array_equal(after[..., 1], given[..., 1])
+    np.testing.assert_array_equal(matrix(after)[..., 1], matrix(given)[..., 1])
 
 
 def test_what_is_forgotten_is_independent(covariance: np.ndarray):
-    given = jnp.asarray(np.repeat(covariance[:, :, None], 2, axis=2), jnp.float32)
+    given = in_blocks(covariance, 2)
     found = forgotten(given, {0: jnp.full(2, 4.0), 3: jnp.full(2, 9.0)}, jnp.array([True, False]))
     expected = covariance.copy()
     expected[[0, 3], :] = expected[:, [0, 3]] = 0.0
     expected[0, 0], expected[3, 3] = 4.0, 9.0
-    np.testing.assert_allclose(found[..., 0], expected, rtol=1e-6)
-    np.testing.assert_array_equal(found[..., 1], given[..., 1])
+    np.testing.assert_allclose(matrix(found)[..., 0], expected, rtol=1e-6)
+    np.testing.assert_array_equal(matrix(found)[..., 1], matrix(given)[..., 1])
 
 
 def test_angles_turn_as_differences_say():
@@ -120,7 +137,7 @@ def test_rounding_leaves_a_covariance_one_for_minutes():
     truth = flown(10_000, 3, np.random.default_rng(5))
     states, _ = filtered(replace(ErrorStateKalmanFilter(), ages=(("gnss", 10),)), truth, 6, 10)
     for k in (5000, 10_000):
-        found = np.moveaxis(np.asarray(states.covariance[k - 1], np.float64), -1, 0)
+        found = np.moveaxis(np.asarray(matrix(states.covariance)[k - 1], np.float64), -1, 0)
         scale = np.sqrt(np.einsum("nii->ni", found))
         scaled = found / scale[:, :, None] / scale[:, None]
         np.testing.assert_allclose(scaled, np.swapaxes(scaled, 1, 2), atol=1e-4)
@@ -204,7 +221,7 @@ def test_accuracies_that_a_fix_states_count():
     """``horizontal_accuracy`` is of both axes together: of 2 m each has a variance of 2 m2."""
     kalman = ErrorStateKalmanFilter()
     plain = kalman.init(readings((0.0, 0.0, 0.0)), start())[0]
-    assert float(plain.covariance[0, 0, 0]) == pytest.approx(2.25)
+    assert float(variances(plain.covariance)[0][0]) == pytest.approx(2.25)
     fix = SimpleNamespace(
         position_ned=vec(0.0, 0.0, 0.0), velocity_ned=vec(0.0, 0.0, 0.0), horizontal_accuracy=jnp.array([2.0]),
         vertical_accuracy=jnp.array([3.0]), speed_accuracy=jnp.array([0.1]),
@@ -212,8 +229,8 @@ def test_accuracies_that_a_fix_states_count():
     fix.__dataclass_fields__ = dict(vars(fix))
     given = {**readings((0.0, 0.0, 0.0)), "gnss": fix}
     stated = kalman.init(given, start())[0]
-    assert float(stated.covariance[0, 0, 0]) == pytest.approx(2.0)
-    assert float(stated.covariance[3, 3, 0]) == pytest.approx(0.01)
-    assert float(stated.covariance[2, 2, 0]) == pytest.approx(0.09), "the barometer has the height"
+    assert float(variances(stated.covariance)[0][0]) == pytest.approx(2.0)
+    assert float(variances(stated.covariance)[3][0]) == pytest.approx(0.01)
+    assert float(variances(stated.covariance)[2][0]) == pytest.approx(0.09), "the barometer has the height"
     del given["barometer"]
-    assert float(kalman.init(given, start())[0].covariance[2, 2, 0]) == pytest.approx(9.0)
+    assert float(variances(kalman.init(given, start())[0].covariance)[2][0]) == pytest.approx(9.0)

@@ -13,6 +13,7 @@ from evidence.estimator import EARTH_FIELD, Magnetic, errors, filtered, flown, w
 from scipy import stats
 
 from qrsim.control.consistency import Truth, normalised
+from qrsim.control.covariance import matrix, variances
 from qrsim.control.ekf import ErrorStateKalmanFilter
 from qrsim.control.kalman_readings import airspeeds, compass, fields, heights
 from qrsim.control.kalman_state import Inner, KalmanState, injected, inner_std
@@ -112,7 +113,8 @@ def test_a_compass_depends_on_tilt_by_the_vertical_field(state: KalmanState):
 def test_what_is_estimated_goes_by_the_sensors(change: dict[str, Any], given: dict[str, Any], size: int):
     kalman = replace(ErrorStateKalmanFilter(), **change)
     found = kalman.init(given, START)[0]
-    assert found.covariance.shape == (size, size, 1)
+    # In blocks of three.
+    assert matrix(found.covariance).shape == (-(-size // 3) * 3,) * 2 + (1,)
     assert len(_leaves(inner_std(found))) == size - 9
 
 
@@ -126,10 +128,14 @@ def test_the_start_is_what_is_known_of_it():
     found = with_all().init(readings(), START)[0]
     assert float(found.attitude.euler().yaw[0]) == pytest.approx(2.0)
     assert [float(axis[0]) for axis in found.inner.earth_field_ned.axes] == pytest.approx(EARTH_FIELD)  # type: ignore[union-attr]
-    stds = [float(jnp.sqrt(found.covariance[k, k, 0])) for k in (8, 15, 18, 21, 23)]
+    stds = [float(jnp.sqrt(variances(found.covariance)[k][0])) for k in (8, 15, 18, 21, 23)]
     assert stds == pytest.approx([0.05, 0.5, 2.0, 6.0, 0.5])
+    own = inner_std(found)
+    stds = [own.gyroscope_bias.x, own.accelerometer_bias.z, own.earth_field_ned.y, own.field_bias.x]  # type: ignore[union-attr]
+    stds += [own.wind_north, own.wind_east, own.height_bias]
+    assert [float(std[0]) for std in stds] == pytest.approx([0.01, 0.1, 0.5, 2.0, 6.0, 6.0, 0.5])
     # With a bias the first height is that of the fix.
-    assert float(found.covariance[2, 2, 0]) == pytest.approx(2.5**2)
+    assert float(variances(found.covariance)[2][0]) == pytest.approx(2.5**2)
 
 
 def test_a_slow_airspeed_is_not_believed():

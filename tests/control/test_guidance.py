@@ -24,6 +24,7 @@ from qrsim.control import (
     VelocitySetpoint,
     WaypointSetpoint,
 )
+from qrsim.control.setpoints import TrackSetpoint
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
 from qrsim.scenarios import catalogue
@@ -100,8 +101,10 @@ class TestTogether:
     def test_every_controller_has_the_guidance_of_its_name(self):
         """What a scenario without guidance gets fits its controller."""
         for name, controller in catalogue.CONTROLLERS.items():
-            vehicle = "fixed_point" if name == "none" else "pelican"
-            fleet = make_scenario([[0, 0, -10]], vehicle=vehicle, controller=name).spec.fleets["vehicles"]
+            vehicle = {"none": "fixed_point", "fixed_wing": "fixed_wing", "rover": "rover"}.get(name, "pelican")
+            given = name if name == "none" else {"type": name, "feed": "truth"}
+            place = [[0, 0, 0 if name == "rover" else -30]]
+            fleet = make_scenario(place, vehicle=vehicle, controller=given).spec.fleets["vehicles"]
             expected = name if name in catalogue.GUIDANCE else "route"
             assert fleet.guidance.type == expected
             assert catalogue.GUIDANCE[expected].gives in controller.setpoints  # type: ignore[attr-defined]
@@ -115,6 +118,7 @@ class TestTogether:
             AttitudeHeightSetpoint.of(np.ones(2), 0.2, -10.0, 0.5),
             AttitudeSetpoint.of(np.ones(2), 0.2, 0.5, 0.7),
             PathSetpoint.of(np.ones((2, 3)), np.ones((2, 3)), np.ones((2, 3)), 0.5),
+            TrackSetpoint.line(np.ones((2, 3)), np.ones((2, 3))),
         ]
         given = [
             {"position_ned.x", "position_ned.y", "position_ned.z"},
@@ -125,7 +129,8 @@ class TestTogether:
             {f"{name}_ned.{axis}" for name in ("position", "velocity") for axis in "xyz"},
         ]
         assert [type(kind) for kind in kinds] == list(SETPOINTS.values())
-        for kind, names in zip(kinds, given, strict=True):
+        # Lines and circles are no set-points of quadrotors.
+        for kind, names in zip(kinds[:-1], given, strict=True):
             shown = OffboardSetpoint.of(cast(kind, F32))
             leaves, _ = jax.tree_util.tree_flatten_with_path(shown)
             finite = {jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves if np.all(np.isfinite(leaf))}

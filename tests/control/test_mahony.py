@@ -105,14 +105,14 @@ def test_an_attitude_or_a_gyroscope():
     with pytest.raises(
         ScenarioError, match="no sensor gives attitude; add one of type attitude_estimator or gyroscope"
     ):
-        qrsim.load_scenario("outdoor_patrol", [bare, MAHONY])
-    assert qrsim.load_scenario("outdoor_patrol", [SENSORS, MAHONY]).world().fleets[0].own_estimator is not None
+        qrsim.load_scenario("patrol_plain", [bare, MAHONY])
+    assert qrsim.load_scenario("patrol_plain", [SENSORS, MAHONY]).world().fleets[0].own_estimator is not None
 
 
 @pytest.mark.long
 def test_the_default_patrol_is_flown_on_it():
     """60 s on an inertial chip, without a reported attitude: 0.5 deg/s of turn-on bias are 0.03 rad until learned."""
-    scenario = qrsim.load_scenario("outdoor_patrol", [SENSORS, MAHONY, "duration=60"], quiet=True)
+    scenario = qrsim.load_scenario("patrol_plain", [SENSORS, MAHONY, "duration=60"], quiet=True)
 
     def tilt(state: Any) -> Any:
         fleet = state.fleets[0]

@@ -166,10 +166,10 @@ def test_the_command_finds_laws_that_scenarios_fly(
     printed = capsys.readouterr().out
     assert "d(rate)/dt of yaw [rad/s^2] =" in printed
     assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
-    fleet = next(iter(load_scenario("hover").spec.fleets))
+    fleet = next(iter(load_scenario("hover_ideal").spec.fleets))
     # Whether so rough a law answers to its command is another matter, and the cascade asks for that.
     words_of = [f"fleets.{fleet}.vehicle={{file: {out}}}", f"fleets.{fleet}.controller.type=waypoint"]
-    vehicle = load_scenario("hover", words_of).world().fleets[0].vehicle
+    vehicle = load_scenario("hover_ideal", words_of).world().fleets[0].vehicle
     assert vehicle.tilt_law
     first = out.read_text()
     assert cli.main([*words, "--overwrite"]) == 0

@@ -152,6 +152,7 @@ class TestKept:
         assert cache.kept(("a",), lambda: binary(b"one")).code == b"one"
         assert cache.kept(("a",), lambda: binary(b"two")).code == b"two"
 
+    @pytest.mark.long
     def test_processes_at_the_same_time(self, place: Path) -> None:
         program = (
             "import sys; from pathlib import Path; from qrsim.engine import cache\n"
@@ -309,7 +310,7 @@ def test_a_simulation_of_a_damaged_cache_flies(place: Path) -> None:
 
     def flown() -> bytes:
         forget()
-        simulation = qrsim.load("hover", seed=2)
+        simulation = qrsim.load("hover_ideal", seed=2)
         simulation.reset()
         simulation.step(ticks=5)
         return simulation.save()

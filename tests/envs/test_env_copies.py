@@ -82,6 +82,7 @@ def test_computed_by_xla_in_double_precision(monkeypatch: pytest.MonkeyPatch) ->
     assert found.unwrapped.batch.seen.dtype == "float64"
 
 
+@pytest.mark.long
 def test_in_another_process() -> None:
     env = single()
     env.reset(seed=4)

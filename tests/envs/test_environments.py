@@ -152,8 +152,8 @@ def test_a_task_of_several_vehicles_is_none_of_gymnasium() -> None:
         UsageError, match="3 vehicles are commanded, cat_0, cat_1, cat_2; it is an environment of Petting"
     ):
         SingleTask("cats_and_mouse/1A")
-    with pytest.raises(UsageError, match="hover: it has no task"):
-        SingleTask("hover")
+    with pytest.raises(UsageError, match="hover_ideal: it has no task"):
+        SingleTask("hover_ideal")
 
 
 def test_every_cat_needs_an_action() -> None:

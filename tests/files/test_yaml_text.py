@@ -116,12 +116,12 @@ def test_what_an_alias_stands_for_is_a_copy() -> None:
 
 
 def test_a_bearing_with_a_leading_zero_is_decimal() -> None:
-    wind = load_scenario("outdoor_patrol", ["world.wind.wind_from_deg=045"]).spec.world.wind
+    wind = load_scenario("patrol_plain", ["world.wind.wind_from_deg=045"]).spec.world.wind
     assert wind.wind_from_rad == pytest.approx(math.pi / 4)
     with pytest.raises(ScenarioError, match="'1:30' is not a number"):
-        load_scenario("outdoor_patrol", ["world.wind.wind_from_deg=1:30"])
+        load_scenario("patrol_plain", ["world.wind.wind_from_deg=1:30"])
 
 
 def test_words_for_true_and_false_get_a_hint() -> None:
     with pytest.raises(ScenarioError, match=r"'yes' is neither true nor false .*; did you mean true"):
-        load_scenario("outdoor_patrol", ["fleets.pelicans.guidance.repeat=yes"])
+        load_scenario("patrol_plain", ["fleets.pelicans.guidance.repeat=yes"])

@@ -90,8 +90,8 @@ def test_the_command_writes_a_vehicle_that_scenarios_fly(
         assert (folder / name).read_bytes().startswith(b"\x89PNG")
         assert name in report
     assert "| kpq1 |" in report
-    fleet = next(iter(load_scenario("hover").spec.fleets))
-    scenario = load_scenario("hover", [f"fleets.{fleet}.vehicle={{file: {out}}}"])
+    fleet = next(iter(load_scenario("hover_ideal").spec.fleets))
+    scenario = load_scenario("hover_ideal", [f"fleets.{fleet}.vehicle={{file: {out}}}"])
     vehicle = scenario.world().fleets[0].vehicle
     assert float(vehicle.kq1) == pytest.approx(TRUTH["kq1"], rel=0.02)
     assert "file:" not in scenario.to_yaml()
@@ -153,9 +153,9 @@ def test_a_thrust_that_cannot_be_used_leaves_the_rotation(log: FlightLog) -> Non
 def test_a_wrong_vehicle_file(content: str, part: str, tmp_path: Path) -> None:
     path = tmp_path / "v.yaml"
     path.write_text(content)
-    fleet = next(iter(load_scenario("hover").spec.fleets))
+    fleet = next(iter(load_scenario("hover_ideal").spec.fleets))
     with pytest.raises(UsageError) as error:
-        load_scenario("hover", [f"fleets.{fleet}.vehicle={{file: {path}}}"])
+        load_scenario("hover_ideal", [f"fleets.{fleet}.vehicle={{file: {path}}}"])
     assert part in str(error.value)
 
 

@@ -13,7 +13,7 @@ from tests.small_worlds import bare_pair, noisy_pair
 
 import qrsim
 from qrsim.core.vectors import Vec3
-from qrsim.interface.metrics import MOST_FOR_SEPARATION, Extreme, _nearest
+from qrsim.interface.metrics import MOST_FOR_SEPARATION, Extreme, _distance_from_circle, _nearest
 from qrsim.runs import open_run
 from qrsim.runs.summary import summarise, tracking_error
 from qrsim.scenarios.scenario import Scenario
@@ -187,7 +187,9 @@ class TestAgainstTheSummaryOfARun:
 class TestWithoutFixes:
     def test_receivers_that_see_nothing(self):
         """With a mask at 89 deg; only a number, so that no other program is needed."""
-        sensors = qrsim.make_scenario([[0, 0, -10]], sensors="noisy").spec.fleets["vehicles"].sensors
+        named = {"gnss": "gnss_receiver", "barometer": "barometer", "attitude": "attitude_estimator"}
+        spec = qrsim.make_scenario([[0, 0, -10]], sensors=named, controller="waypoint").spec
+        sensors = spec.fleets["vehicles"].sensors
         content = {name: sensors[name].model_dump() for name in ("gnss", "barometer", "attitude")}
         content["gnss"]["elevation_mask_rad"] = np.radians(89.0)
         flown = fly(experiment(sensors=content))
@@ -229,3 +231,10 @@ class TestParts:
         alone = jnp.zeros(1, jnp.float32)
         assert float(_nearest(Vec3(alone, alone, alone))[0]) == np.inf
         assert MOST_FOR_SEPARATION >= 10
+
+
+def test_the_distance_from_a_circle_is_to_its_nearest_point() -> None:
+    """Of a level one of 180 m, clockwise or not: 3 m outside and 4 m below; 12 m inside, 5 m above; its centre."""
+    offset = Vec3(jnp.array([183.0, 0.0, 0.0]), jnp.array([0.0, -168.0, 0.0]), jnp.array([4.0, -5.0, 0.0]))
+    found = _distance_from_circle(offset, jnp.array([180.0, -180.0, 180.0]))
+    np.testing.assert_allclose(found, [5.0, 13.0, 180.0], rtol=1e-6)

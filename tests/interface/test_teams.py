@@ -13,9 +13,11 @@ import qrsim
 from qrsim.errors import UsageError
 from qrsim.interface.policies import load_function, sources_by_team, user_function
 
-FLEETS = {
-    "scouts": {"vehicles": [[0.0, 0.0, -20.0], [0.0, 20.0, -20.0]]},
-    "cats": {"vehicles": [[40.0, 0.0, -10.0]], "controller": {"type": "waypoint"}},
+# Flown on the truth, which is quick to compile.
+ON_TRUTH: dict[str, Any] = {"controller": {"type": "offboard", "feed": "truth"}, "sensors": {"gnss": "ideal_gnss"}}
+FLEETS: dict[str, Any] = {
+    "scouts": {"vehicles": [[0.0, 0.0, -20.0], [0.0, 20.0, -20.0]], **ON_TRUTH},
+    "cats": {"vehicles": [[40.0, 0.0, -10.0]], **ON_TRUTH},
 }
 
 

@@ -27,6 +27,7 @@ from qrsim.control import (
     NoSetpoint,
     PathSetpoint,
     Route,
+    TrackSetpoint,
     VelocityHeightSetpoint,
     VelocitySetpoint,
     WaypointSetpoint,
@@ -55,8 +56,10 @@ from qrsim.models.sensors.inertial import AccelerometerReading, GyroscopeReading
 from qrsim.models.sensors.ranging import IdealRanging, Ranging
 from qrsim.models.site import Site, gps_seconds_from_utc
 from qrsim.models.vehicles.contracts import Load
+from qrsim.models.vehicles.fixed_wing import FixedWing
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor
+from qrsim.models.vehicles.rover import Rover
 from qrsim.scenarios import catalogue
 from qrsim.world.air import turbulence_inputs
 from qrsim.world.sensing import scene_of
@@ -250,7 +253,7 @@ def example(group: str, name: str, dtype: Any = np.float32, **settings: Any) -> 
     of_numbers = {key: np.array(value) if isinstance(value, list) else value for key, value in given.items()}
     component = GROUPS[group][name](**of_numbers, **settings)
     if group == "CONTROLLERS":
-        component = component.fitted(Quadrotor())
+        component = component.fitted({"rover": Rover, "fixed_wing": FixedWing}.get(name, Quadrotor)())
     if isinstance(component, Ranging | IdealRanging):
         beacons = Vec3(*(np.array(axis) for axis in ([5.0, -8.0], [5.0, 0.0], [-3.0, -6.0])))  # type: ignore[arg-type]
         component = replace(component, beacon_ned=beacons)
@@ -545,6 +548,14 @@ def _setpoints(scene: Any, waypoint: Vec3) -> dict[type, Any]:
         AttitudeHeightSetpoint: AttitudeHeightSetpoint(attitude.roll, attitude.pitch, waypoint.z, attitude.yaw),
         AttitudeSetpoint: AttitudeSetpoint(attitude.roll, attitude.pitch, attitude.yaw, throttle),
         NoSetpoint: NoSetpoint(),
+        # A line, a circle and a stop.
+        TrackSetpoint: TrackSetpoint(
+            scene["position_ned"],
+            waypoint,
+            jnp.array([0.0, 80.0, 0.0], waypoint.z.dtype),
+            0.0 * waypoint.z + 3.0,
+            jnp.array([0.0, 0.0, 1.0], waypoint.z.dtype),
+        ),
         PathSetpoint: PathSetpoint(waypoint, velocity.map(lambda axis: 0.5 * axis), 0.1 * velocity, attitude.yaw),
     }
 

@@ -45,6 +45,11 @@ every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-
 
 SLOW = [
     ("VEHICLES", "multirotor"),
+    ("VEHICLES", "rover"),
+    ("VEHICLES", "differential_rover"),
+    ("CONTROLLERS", "rover"),
+    ("VEHICLES", "fixed_wing"),
+    ("CONTROLLERS", "fixed_wing"),
     ("CONTROLLERS", "cascade"),
     ("FILTERS", "ekf"),
     ("TURBULENCES", "dryden_field"),
@@ -63,19 +68,30 @@ SLOW = [
     ("SENSORS", "ideal_neighbours"),
     ("SKY_ERRORS", "error_budget"),
 ]
+# Those whose slopes take more than a second to compile.
+STEEP = [
+    ("SENSORS", "imu"),
+    ("TURBULENCES", "dryden"),
+    ("WINDS", "grid"),
+    ("PLUMES", "puffs"),
+    ("PLUMES", "dispersion"),
+    ("CONTROLLERS", "offboard"),
+    ("GUIDANCE", "mission"),
+    ("VEHICLES", "expression"),
+]
 # Compiled for minutes in each of its forms, whose flights tests/models/vehicles/multirotor looks at.
 ONE_FORM = [("VEHICLES", "multirotor")]
 # What receivers know of the sky alike, which is no vehicle's own.
 SHARED = (".geometry.", ".ids")
 
 
-def option_cases() -> list[Any]:
+def option_cases(slow: list[tuple[str, str]]) -> list[Any]:
     cases = []
     for group, name in COMPONENTS:
         for settings in options(group, name)[: 1 if (group, name) in ONE_FORM else None]:
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
             # Every component by its defaults is in the short tier, but for those whose slopes take long to compile.
-            marks = (pytest.mark.long,) if settings or (group, name) in SLOW else ()
+            marks = (pytest.mark.long,) if settings or (group, name) in slow else ()
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases
 
@@ -86,10 +102,11 @@ ROUNDED = {("TURBULENCES", "dryden_field"): 5e-6, ("SENSORS", "scan"): 1e-5, ("S
 UNSEEN = dict.fromkeys(("rangefinder", "ideal_rangefinder", "scan", "ideal_scan"), ("range",))
 UNSEEN |= {"ranging": ("beacon_range", "vehicle_range")}
 UNSEEN |= dict.fromkeys(("optical_flow", "ideal_optical_flow"), ("flow_x", "flow_y", "flow"))
-UNSEEN |= dict.fromkeys(("neighbours", "ideal_neighbours"), ("position", "distance", "vehicle"))
+UNSEEN |= dict.fromkeys(("neighbours", "ideal_neighbours"), ("position", "distance", "vehicle", "velocity"))
 # Sensors whose truth is rays and pairs, which their own tests compute by hand.
 BY_HAND = ("ideal_scan", "ideal_ranging", "ideal_neighbours")
-every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases())
+every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases(SLOW))
+every_slope = pytest.mark.parametrize(("group", "name", "settings"), option_cases([*SLOW, *STEEP]))
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 
 
@@ -189,7 +206,7 @@ def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str, settings: 
         np.testing.assert_array_equal(got, want, err_msg=path)
 
 
-@every_option
+@every_slope
 def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: dict[str, Any]) -> None:
     for path, leaf in leaves(computed(group, name, settings)[1]):
         if np.issubdtype(leaf.dtype, np.floating):
@@ -281,6 +298,12 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
         fleet["controller"] = mission if part["type"] == "mission" else {"type": "offboard"}
     if group in ("CONTROLLERS", "GUIDANCE") and part["type"] == "none":
         fleet |= {"vehicle": {"type": "fixed_point"}, "controller": {"type": "none"}}
+    if "rover" in part.get("type", ""):
+        fleet |= {"vehicle": {"type": "rover"}, "vehicles": [{"position_ned": [30.0, 30.0, 0.0]}]}
+        fleet["controller"] = {"type": "rover"}
+    if part.get("type") == "fixed_wing":
+        sensors["air"] = {"type": "ideal_airspeed"}
+        fleet |= {"vehicle": {"type": "fixed_wing"}, "controller": {"type": "fixed_wing"}}
     if group == "FILTERS":
         sensors["rates"] = {"type": "ideal_gyroscope"}
     if group == "BATTERIES" and part["type"] == "lithium_cells":

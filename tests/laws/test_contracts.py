@@ -142,7 +142,7 @@ def lowered(world: World) -> str:
 
 def test_a_tick_asks_a_vehicle_for_nothing_but_its_contract() -> None:
     """The program of a tick is the same for the identified quadrotor and for one that hides all but the contract."""
-    world = qrsim.load_scenario("outdoor_patrol").world()
+    world = qrsim.load_scenario("patrol_plain").world()
     hidden = replace(world, fleets=tuple(replace(f, vehicle=Wrapped(f.vehicle)) for f in world.fleets))
     assert lowered(hidden) == lowered(world)
 
@@ -165,7 +165,7 @@ class Lander(Wrapped):
 
 
 def test_a_vehicle_that_reads_is_handed_what_is_around_it() -> None:
-    world = qrsim.load_scenario("outdoor_patrol").world()
+    world = qrsim.load_scenario("patrol_plain").world()
     hidden = replace(world, fleets=tuple(replace(fleet, vehicle=Lander(fleet.vehicle)) for fleet in world.fleets))
     state = jax.eval_shape(ticks.reset, hidden, Key.root(jnp.array([1, 0], jnp.uint32)))
     # The lander fails in ``step`` and ``specific_force`` where it is handed nothing.
@@ -221,7 +221,7 @@ class Shared(Turbulence):
 
 
 def test_a_gust_may_need_place_time_and_what_an_episode_has_drawn() -> None:
-    world = replace(qrsim.load_scenario("hover").world(), turbulence=Shared())
+    world = replace(qrsim.load_scenario("hover_ideal").world(), turbulence=Shared())
     keys = ticks.keys_of(world, Key.root(jnp.array([1, 0], jnp.uint32)))
     field = draw_field(world, episode_draws(world, keys, jnp.zeros(())))
     assert field.shape == (2,)

@@ -27,6 +27,8 @@ OF_A_WORLD = {
     "ORBITS": "orbits",
     "SKY_ERRORS": "errors",
 }
+# What no thrust carries.
+WITHOUT_BATTERY = ("fixed_wing", "rover", "differential_rover")
 OF_A_FLEET = {"VEHICLES": "vehicle", "BATTERIES": "battery", "CONTROLLERS": "controller"}
 TEAMS = [name for name, kind in GROUPS["GUIDANCE"].items() if kind.sees_mates]
 BESIDE = {"waypoint": "ekf", "velocity": "complementary"}
@@ -72,11 +74,18 @@ def content(number: int) -> dict[str, Any]:
             fleet |= {"vehicle": {"type": "multirotor"}, "battery": {"type": "lithium_cells"}}
         elif fleet["battery"]["type"] == "lithium_cells":
             fleet["battery"] = {"type": "lithium_polymer"}
+        if fleet["vehicle"]["type"] in WITHOUT_BATTERY:
+            fleet["battery"] = {"type": "given"}
         if fleet["controller"]["type"] == "none":
             fleet["battery"] = {"type": "given"}
         else:
             fleet["controller"]["feed"] = "truth"
             fleet["vehicles"][0]["waypoints_ned"] = [[0.0, 0.0, -32.0]]
+            if fleet["vehicle"]["type"] == "fixed_wing":
+                # It flies on, towards north, through the narrow end of the areas.
+                fleet["vehicles"][0]["position_ned"] = [-35.0, -10.0, -30.0]
+            if fleet["vehicle"]["type"] in ("rover", "differential_rover"):
+                fleet["vehicles"] = [{"position_ned": [0.0, 5.0 * i - 30.0, 0.0], "waypoints_ned": [[9.0, 0.0, 0.0]]}]
             if issubclass(catalogue.VEHICLES[fleet["vehicle"]["type"]], Quadrotor):
                 fleet["ground"] = "parked"
         if fleet["controller"]["type"] == "cascade":
@@ -97,6 +106,10 @@ def content(number: int) -> dict[str, Any]:
         places = [{"position_ned": [0.0, 6.0 * i + 3.0 * j - 20.0, -20.0]} for j in range(2)]
         controller = {"type": "velocity_height", "feed": "truth"}
         fleets[name] = {"controller": controller, "guidance": guidance, "vehicles": places}
+    if number == 0:
+        # Both kinds of rovers are driven by one controller.
+        driven = {"controller": {"type": "rover", "feed": "truth"}, "vehicles": [{"position_ned": [9.0, 9.0, 0.0]}]}
+        fleets["driven"] = {**driven, "vehicle": {"type": "rover", **parameters_needed("VEHICLES", "rover")}}
     return {"name": f"world_{number}", "duration": 30.0, "start_time": START, "world": world, "fleets": fleets}
 
 

@@ -126,7 +126,7 @@ def test_the_normals_of_worlds_differ_and_are_the_same_bits_in_a_batch() -> None
     assert len(np.unique(everything)) == everything.size
 
 
-@pytest.mark.parametrize("change", FLIGHTS)
+@pytest.mark.parametrize("change", [FLIGHTS[0], *(pytest.param(each, marks=pytest.mark.long) for each in FLIGHTS[1:])])
 def test_no_noise_process_of_another_vehicle_changes(change: str) -> None:
     """Drifts and range errors, which have memory, in flight; and the gusts as they start."""
     for before, after in zip(flown(), flown(change), strict=True):
@@ -178,7 +178,7 @@ def test_many_ticks_in_one_call_are_single_steps() -> None:
 
 def gusty() -> Simulation:
     """Return one vehicle with process noise and sensors of two periods: enough to tell two programs apart."""
-    simulation = qrsim.load("hover", seed=SEED, overrides=["fleets.pelicans.vehicle.process_noise=0.5"])
+    simulation = qrsim.load("hover_ideal", seed=SEED, overrides=["fleets.pelicans.vehicle.process_noise=0.5"])
     simulation.reset()
     return simulation
 

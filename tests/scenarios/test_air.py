@@ -23,7 +23,7 @@ CALM = ("world.wind=calm", "world.turbulence=still")
 def warned(*overrides: str) -> list[str]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        load_scenario("outdoor_patrol", overrides)
+        load_scenario("patrol_plain", overrides)
     return [str(each.message) for each in caught]
 
 
@@ -48,7 +48,7 @@ def warned(*overrides: str) -> list[str]:
 )
 def test_faults_are_said_in_one_line(overrides: list[str], words: str) -> None:
     with pytest.raises(ScenarioError) as caught:
-        load_scenario("outdoor_patrol", overrides)
+        load_scenario("patrol_plain", overrides)
     assert len(caught.value.problems) == 1
     assert words in caught.value.problems[0]
 
@@ -70,7 +70,7 @@ def test_what_carries_gusts_is_the_mean_wind_at_20_m_or_what_the_field_says(tmp_
     """u20 ln(h/z0)/ln(20 ft/z0) with z0 = 0.15 ft; of a recorded wind the mean over time, 2 m/s for 1 s, then to 4."""
 
     def speed(*overrides: str) -> float:
-        return convection_speed(load_scenario("outdoor_patrol", ["world.wind.speed_20ft=5", *overrides]).spec)
+        return convection_speed(load_scenario("patrol_plain", ["world.wind.speed_20ft=5", *overrides]).spec)
 
     assert speed("world.turbulence=still") == pytest.approx(5.0 * 6.08095 / 4.89285, rel=1e-4)
     assert speed(f"{FIELD}, convection_height: 6.096}}") == pytest.approx(5.0, rel=1e-5)
@@ -78,7 +78,7 @@ def test_what_carries_gusts_is_the_mean_wind_at_20_m_or_what_the_field_says(tmp_
     file = tmp_path / "wind.csv"
     file.write_text("time,north,east,down\n0,2,0,0\n1,2,0,0\n2,4,0,1\n5,4,0,1\n")
     recorded = [f"world.wind={{type: series, file: {file}}}", "duration=4", "world.turbulence=still"]
-    content = load_scenario("outdoor_patrol", recorded)
+    content = load_scenario("patrol_plain", recorded)
     assert convection_speed(content.spec) == pytest.approx((2.0 + 3.0 + 12.0) / 5.0)
 
 
@@ -87,7 +87,7 @@ def test_a_world_hands_a_travelling_gust_the_velocity_that_carries_the_turbulenc
     gusts = []
     for more in ("", ", speed: 6.21412, wind_from_deg: 30"):
         wind = ["world.wind.speed_20ft=5", "world.wind.wind_from_deg=30", "world.turbulence=still"]
-        world = load_scenario("outdoor_patrol", [*wind, f"{GUST}, front: travelling{more}}}"]).world()
+        world = load_scenario("patrol_plain", [*wind, f"{GUST}, front: travelling{more}}}"]).world()
         place = world.fleets[0].start.position_ned
         gusts.append(gust_at(world, None, None, -place.z, place, (jnp.int32(6), jnp.float32(0.0))).stack())
     assert float(jnp.ptp(gusts[1])) > 0.5

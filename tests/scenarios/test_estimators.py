@@ -35,13 +35,13 @@ EKF = "fleets.pelicans.estimator=ekf"
 )  # fmt: skip
 def test_what_is_refused(overrides: list[str], words: str):
     with pytest.raises(ScenarioError) as caught:
-        qrsim.load_scenario("outdoor_patrol", overrides)
+        qrsim.load_scenario("patrol_plain", overrides)
     assert words in str(caught.value)
 
 
 def test_it_knows_how_late_fixes_are():
     """Those of the default scenario are one period of 0.2 s: ten ticks."""
-    estimator = qrsim.load_scenario("outdoor_patrol", [EKF], quiet=True).world().fleets[0].own_estimator
+    estimator = qrsim.load_scenario("patrol_plain", [EKF], quiet=True).world().fleets[0].own_estimator
     assert estimator is not None
     assert dict(estimator.ages)["gnss"] == 10
 
@@ -51,7 +51,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short flight of two on the filter, recorded."""
     folder = tmp_path_factory.mktemp("ekf") / "run"
     words = ["--set", EKF, "--duration", "12", "--seed", "4", "--no-figure", "--out", str(folder)]
-    assert main(["run", "outdoor_patrol", *words]) == 0
+    assert main(["run", "patrol_plain", *words]) == 0
     return folder
 
 
@@ -85,7 +85,7 @@ def test_its_errors_are_drawn(flown: Path, capsys):
 def test_a_controller_that_flies_on_the_truth_can_have_one_beside(tmp_path: Path):
     folder = tmp_path / "run"
     words = ["--set", EKF, "--set", "fleets.pelicans.controller.feed=truth", "--duration", "4", "--no-figure"]
-    assert main(["run", "outdoor_patrol", *words, "--out", str(folder)]) == 0
+    assert main(["run", "patrol_plain", *words, "--out", str(folder)]) == 0
     found = open_run(folder)["commands"].arrays(["estimate.position_ned.x"])["estimate.position_ned.x"]
     truth = open_run(folder)["truth"].arrays(["position_ned.x"])["position_ned.x"]
     assert 0.01 < np.abs(found - truth).max() < 8.0
@@ -102,7 +102,7 @@ def test_without_one_there_is_nothing_to_draw(tmp_path: Path):
 @pytest.mark.long
 def test_the_default_patrol_is_flown_on_it_in_wind():
     """8 m/s at 20 ft, five seeds of 120 s: nobody stops, and each flies 300 m at least."""
-    scenario = qrsim.load_scenario("outdoor_patrol", [EKF, "world.wind.speed_20ft=8", "duration=120"], quiet=True)
+    scenario = qrsim.load_scenario("patrol_plain", [EKF, "world.wind.speed_20ft=8", "duration=120"], quiet=True)
     found = qrsim.rollout(scenario, seeds=range(5))
     assert np.asarray(found.metrics["flown_s"]) == pytest.approx(120.0)
     assert np.asarray(found.metrics["distance_m"]).min() > 300.0
@@ -123,7 +123,7 @@ def _yaws(sensors: str, seeds: int) -> np.ndarray:
         error = fleet.belief.estimate.attitude.yaw - fleet.vehicle.attitude.yaw
         return jnp.stack([wrap_angle(error), fleet.belief.std.attitude.yaw])[:, 0]
 
-    scenario = qrsim.load_scenario("outdoor_patrol", overrides, quiet=True)
+    scenario = qrsim.load_scenario("patrol_plain", overrides, quiet=True)
     found = qrsim.rollout(scenario, seeds=range(seeds), record=look)
     assert np.asarray(found.metrics["flown_s"]) == pytest.approx(120.0)
     return np.asarray(found.recorded)
@@ -146,7 +146,7 @@ def test_the_default_patrol_is_flown_on_a_magnetometer_in_wind():
     """8 m/s at 20 ft, three seeds of 120 s, on an inertial chip and a magnetometer and no reported attitude."""
     sensors = "gnss: {type: gnss_receiver}, barometer: {type: barometer}, imu: {type: imu}, m: {type: magnetometer}"
     overrides = [EKF, f"fleets.pelicans.sensors={{{sensors}}}", "world.wind.speed_20ft=8", "duration=120"]
-    found = qrsim.rollout(qrsim.load_scenario("outdoor_patrol", overrides, quiet=True), seeds=range(3))
+    found = qrsim.rollout(qrsim.load_scenario("patrol_plain", overrides, quiet=True), seeds=range(3))
     assert np.asarray(found.metrics["flown_s"]) == pytest.approx(120.0)
     assert np.asarray(found.metrics["distance_m"]).min() > 300.0
 
@@ -154,11 +154,9 @@ def test_the_default_patrol_is_flown_on_a_magnetometer_in_wind():
 @pytest.mark.long
 def test_what_is_stated_is_compared_with_the_truth():
     """ANEES of flights: far above 1 on GNSS errors that are not white; NaN where nothing is stated."""
-    found = qrsim.rollout(
-        qrsim.load_scenario("outdoor_patrol", [EKF, "duration=20"], quiet=True), seeds=range(4)
-    ).metrics
+    found = qrsim.rollout(qrsim.load_scenario("patrol_plain", [EKF, "duration=20"], quiet=True), seeds=range(4)).metrics
     assert found["anees_position"].mean() > 5.0
     assert found["anees"].mean() > 3.0
     assert np.isfinite(found["anees_bias"]).all()
-    bare = qrsim.rollout(qrsim.load_scenario("outdoor_patrol", ["duration=2"], quiet=True), seeds=range(2)).metrics
+    bare = qrsim.rollout(qrsim.load_scenario("patrol_plain", ["duration=2"], quiet=True), seeds=range(2)).metrics
     assert np.isnan(bare["anees"]).all()

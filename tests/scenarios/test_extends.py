@@ -55,8 +55,8 @@ def test_the_name_is_the_childs_own(tmp_path: Path) -> None:
     assert child_of_base(tmp_path, "").name == "child"
     assert child_of_base(tmp_path, "name: mine\n").name == "mine"
     assert child_of_base(tmp_path, "").spec.description == ""
-    with pytest.raises(ScenarioError, match=r"scenario \(extends hover\): 1 problem\n  name: missing"):
-        load_scenario({"extends": "hover"})
+    with pytest.raises(ScenarioError, match=r"scenario \(extends hover_ideal\): 1 problem\n  name: missing"):
+        load_scenario({"extends": "hover_ideal"})
 
 
 def test_a_list_replaces_a_list(tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_the_scenario_that_is_saved_extends_nothing(tmp_path: Path) -> None:
 
 
 def test_a_built_in_scenario_can_be_extended_and_overridden(tmp_path: Path) -> None:
-    path = written(tmp_path, mine="extends: outdoor_patrol\nworld: {wind: {speed_20ft: 3.0}}\n")
+    path = written(tmp_path, mine="extends: patrol_plain\nworld: {wind: {speed_20ft: 3.0}}\n")
     spec = load_scenario(path, ["world.wind.speed_20ft=1"]).spec
     assert spec.world.wind.speed_20ft == 1.0
     assert len(spec.fleets["pelicans"].vehicles) == 5
@@ -165,7 +165,7 @@ def test_a_parent_that_is_not_there_is_named_with_the_nearest(extends: str, expe
 
 
 def test_odd_content_is_found_by_the_check() -> None:
-    odd: dict[Any, Any] = {"extends": "hover", "name": "x", 5: 3, "fleets": None, "world": []}
+    odd: dict[Any, Any] = {"extends": "hover_ideal", "name": "x", 5: 3, "fleets": None, "world": []}
     with pytest.raises(ScenarioError) as caught:
         load_scenario(odd)
     problems = sorted(problem.partition(":")[0] for problem in caught.value.problems)

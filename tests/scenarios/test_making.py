@@ -38,20 +38,26 @@ PATROL = {
 NARROW = {"type": "box", "x_min": -10, "x_max": 20, "y_min": -10, "y_max": 10, "z_min": -20, "z_max": 0}
 
 
+PLAIN = {
+    "gnss": "gnss_receiver", "barometer": "barometer", "attitude": "attitude_estimator", "gyroscope": "gyroscope",
+    "accelerometer": "accelerometer",
+}  # fmt: skip
+
+
 def gusts(bearing_rad: float) -> DrydenFirstOrder:
     return DrydenFirstOrder(speed_20ft=2.0, wind_from_rad=bearing_rad)  # type: ignore[arg-type]
 
 
 def keep_spot() -> Any:
     return make_scenario(
-        fleets={"pelicans": {"vehicles": [[0, 0, -10]], "sensors": "noisy", "controller": "waypoint"}},
+        fleets={"pelicans": {"vehicles": [[0, 0, -10]], "sensors": PLAIN, "controller": "waypoint"}},
         name="keep_spot", area=NARROW, turbulence=gusts(0.0), sky={"errors": {"type": "gauss_markov_2"}},
         task=KeepSpot(),
     )  # fmt: skip
 
 
 def keep_velocity() -> Any:
-    fleet = {"vehicles": np.array([[0, 0, -10]]), "sensors": "noisy", "controller": VelocityController()}
+    fleet = {"vehicles": np.array([[0, 0, -10]]), "sensors": PLAIN, "controller": VelocityController()}
     return make_scenario(
         fleets={"pelicans": fleet}, name="keep_velocity", area=NARROW, turbulence=gusts(np.pi / 4),
         wind=LogShear(speed_20ft=np.float32(2.5), wind_from_rad=np.pi / 4),
@@ -73,7 +79,7 @@ def free_flight() -> Any:
     return make_scenario(fleets={"pelicans": fleet}, name="free_flight", area=area)
 
 
-def outdoor_patrol() -> Any:
+def patrol_plain() -> Any:
     bounds = {"x_min": -200.0, "x_max": 200.0, "y_min": -200.0, "y_max": 200.0, "z_min": -100.0, "z_max": 0.0}
     fleet = {
         "vehicles": [{"position_ned": start, "waypoints_ned": route} for start, route in PATROL.items()],
@@ -81,10 +87,10 @@ def outdoor_patrol() -> Any:
         "controller": CascadeController(speed_limit=5.0, tilt_limit=0.67),  # type: ignore[arg-type]
         "limits": {"rate": 6.0},
         "guidance": {"type": "route", "acceptance_radius": 3.0},
-        "sensors": {**SENSORS["noisy"], "gnss": GnssReceiver(range_noise_std=0.02)},  # type: ignore[arg-type]
+        "sensors": {**PLAIN, "gnss": GnssReceiver(range_noise_std=0.02)},  # type: ignore[arg-type]
     }
     return make_scenario(
-        fleets={"pelicans": fleet}, name="outdoor_patrol", duration=120.0,
+        fleets={"pelicans": fleet}, name="patrol_plain", duration=120.0,
         start_time=datetime(2026, 6, 21, 10, tzinfo=UTC),
         site={"latitude_deg": 51.7119, "longitude_deg": -0.21052, "height": 0.0}, area={"type": "box", **bounds},
         wind=LogShear(speed_20ft=5.0, wind_from_rad=np.radians(225.0)), turbulence="dryden_first_order",
@@ -93,7 +99,7 @@ def outdoor_patrol() -> Any:
 
 
 class TestAsInYaml:
-    @pytest.mark.parametrize("make", [keep_spot, keep_velocity, goto_waypoint, free_flight, outdoor_patrol])
+    @pytest.mark.parametrize("make", [keep_spot, keep_velocity, goto_waypoint, free_flight, patrol_plain])
     def test_same_scenario_and_world(self, make: Any):
         """All but the description; its numbers are equal to the last bit, its structure is one."""
         mine, theirs = make(), load_scenario(make.__name__)
@@ -117,8 +123,8 @@ class TestAsInYaml:
 
     def test_it_can_be_saved_as_yaml_and_loaded(self, tmp_path):
         file = tmp_path / "mine.yaml"
-        file.write_text(outdoor_patrol().to_yaml())
-        assert load_scenario(file).spec == outdoor_patrol().spec
+        file.write_text(patrol_plain().to_yaml())
+        assert load_scenario(file).spec == patrol_plain().spec
 
 
 class TestParts:
@@ -133,9 +139,31 @@ class TestParts:
         }
         assert scenario.name == "experiment"
 
+    def test_what_goes_with_noisy_sensors(self):
+        """A filter, and gusts that neighbours share where the wind says how strong; what is given counts."""
+        wind = {"type": "log_shear", "speed_20ft": 5.0, "wind_from_deg": 90.0}
+
+        def parts(**given: Any) -> tuple[str | None, str]:
+            spec = make_scenario([[0, 0, -10]], sensors="noisy", **given).spec
+            estimator = spec.fleets["vehicles"].estimator
+            return None if estimator is None else estimator.type, spec.world.turbulence.type
+
+        assert parts() == ("ekf", "still")
+        assert parts(wind=wind) == ("ekf", "dryden_field")
+        assert parts(wind=wind, turbulence="dryden", estimator="complementary") == ("complementary", "dryden")
+        assert parts(estimator=None) == (None, "still")
+        # As hover has it: 20 mg, 0.2 m/s^2, is what the sheet of that chip allows an accelerometer to be off by.
+        mine = make_scenario([[0, 0, -10]], sensors="noisy").spec.fleets["vehicles"]
+        hover = load_scenario("hover").spec.fleets["pelicans"]
+        assert mine.estimator == hover.estimator
+        assert mine.sensors == hover.sensors
+        assert mine.estimator.accelerometer_bias_std == 0.25  # type: ignore[union-attr]
+        still = make_scenario([[0, 0, -10]], sensors="ideal", wind=wind).spec
+        assert (still.world.turbulence.type, still.fleets["vehicles"].estimator) == ("still", None)
+
     def test_sensors(self):
         noisy = make_scenario([[0, 0, -10]], sensors="noisy").spec.fleets["vehicles"].sensors
-        assert [sensor.type for sensor in noisy.values()] == [sensor["type"] for sensor in SENSORS["noisy"].values()]
+        assert [sensor.type for sensor in noisy.values()] == ["gnss", "imu", "magnetometer", "barometer"]
         named = make_scenario(
             [[0, 0, -10]], sensors={"height": "barometer"}, controller={"type": "waypoint", "feed": "truth"}
         )

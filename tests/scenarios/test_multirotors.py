@@ -102,6 +102,6 @@ def test_show_says_what_follows(tmp_path: Any, capsys: Any) -> None:
     assert {"thrust_to_weight", "spin_up_s", "roll_time_constant_s", "wind_held_m_s"} <= set(told)
     assert main(["show", str(path)]) == 0
     assert "#   hover_throttle: 0.5\n" in capsys.readouterr().out
-    assert main(["show", "hover", "--derived"]) == 0
+    assert main(["show", "hover_ideal", "--derived"]) == 0
     # 32.85 N over 1.68 kg at the published battery.
     assert "  thrust_to_weight: 1.993\n" in capsys.readouterr().out

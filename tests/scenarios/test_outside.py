@@ -69,7 +69,11 @@ def written(folder: Path, text: str = SENSOR, name: str = "gauge.py") -> Path:
 
 
 def with_gauge(named: str, **more: Any) -> dict[str, Any]:
-    return {"extends": "hover", "name": "mine", "fleets": {"pelicans": {"sensors": {"gauge": {"type": named, **more}}}}}
+    return {
+        "extends": "hover_ideal",
+        "name": "mine",
+        "fleets": {"pelicans": {"sensors": {"gauge": {"type": named, **more}}}},
+    }
 
 
 def complaint(source: Any, *overrides: str) -> str:
@@ -85,7 +89,7 @@ class TestByFile:
         """Wherever one stands, through extends, in both precisions, with the log's columns and the reading's name."""
         written(tmp_path)
         (tmp_path / "mine.yaml").write_text(
-            "extends: hover\nfleets: {pelicans: {sensors: {gauge: {type: './gauge.py:Gauge', gain: 2.0}}}}\n"
+            "extends: hover_ideal\nfleets: {pelicans: {sensors: {gauge: {type: './gauge.py:Gauge', gain: 2.0}}}}\n"
         )
         (tmp_path / "below").mkdir()
         (tmp_path / "below" / "child.yaml").write_text(
@@ -126,7 +130,7 @@ class TestByFile:
         written(tmp_path)
         monkeypatch.chdir(tmp_path)
         of_dict = load_scenario(with_gauge("./gauge.py:Gauge"))
-        of_override = load_scenario("hover", ["fleets.pelicans.sensors.gyroscope=gauge.py:Gauge"])
+        of_override = load_scenario("hover_ideal", ["fleets.pelicans.sensors.gyroscope=gauge.py:Gauge"])
         assert of_dict.spec.fleets["pelicans"].sensors["gauge"].type == f"{tmp_path}/gauge.py:Gauge"
         assert of_override.spec.fleets["pelicans"].sensors["gyroscope"].type == f"{tmp_path}/gauge.py:Gauge"
 
@@ -223,7 +227,7 @@ class TestPackages:
         offering(monkeypatch, gauges="sensor.gauge=gauges_in_a_package:Gauge")
         row = {"kind": "sensor", "name": "gauge", "class": "gauges_in_a_package:Gauge"}
         assert row | {"from": "package: gauges 1.2 (gauges_in_a_package:Gauge)"} in registry.components()
-        load_scenario("hover")
+        load_scenario("hover_ideal")
         assert "gauges_in_a_package" not in sys.modules
         load_scenario(with_gauge("gauge"))
         assert "gauges_in_a_package" in sys.modules
@@ -404,16 +408,16 @@ class Level:
 """,
         )
         fleets = {"pelicans": {"controller": {"type": f"{file}:Level"}}}
-        assert load_scenario({"extends": "hover", "name": "own", "fleets": fleets})
+        assert load_scenario({"extends": "hover_ideal", "name": "own", "fleets": fleets})
         bare = {"pelicans": {"controller": {"type": f"{file}:Level"}, "sensors": None}}
         with pytest.raises(ScenarioError, match="fed with measurements, but no sensor gives position"):
-            load_scenario({"extends": "hover", "name": "own", "fleets": bare})
+            load_scenario({"extends": "hover_ideal", "name": "own", "fleets": bare})
 
     def test_on_the_command_line(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         """Exit code 2 and no traceback, from every command that reads a scenario."""
         file = written(tmp_path, BAD["no step"][0])
         (tmp_path / "mine.yaml").write_text(
-            "extends: hover\nfleets: {pelicans: {sensors: {gauge: {type: './gauge.py:Gauge'}}}}\n"
+            "extends: hover_ideal\nfleets: {pelicans: {sensors: {gauge: {type: './gauge.py:Gauge'}}}}\n"
         )
         for words in (["run", "--out", str(tmp_path / "run")], ["check"], ["show"]):
             assert cli.main([words[0], str(tmp_path / "mine.yaml"), *words[1:]]) == 2
@@ -521,9 +525,9 @@ class TestEstimatorsAndMetrics:
         with pytest.raises(
             UsageError, match=r"class Half lacks the method step\(reading, memory\) that an estimator has"
         ):
-            qrsim.rollout("hover", ticks=20, estimator=f"{file}:Half")
+            qrsim.rollout("hover_ideal", ticks=20, estimator=f"{file}:Half")
         with pytest.raises(UsageError, match="expected module:function or file"):
-            qrsim.rollout("hover", ticks=20, metrics="speed")
+            qrsim.rollout("hover_ideal", ticks=20, metrics="speed")
 
     @pytest.mark.parametrize(
         ("update", "words"),
@@ -544,7 +548,7 @@ class TestEstimatorsAndMetrics:
         kind = type("Own", (), own)
         for metrics in (kind, kind()):
             with pytest.raises(UsageError, match=words):
-                qrsim.rollout("hover", ticks=2, metrics=metrics)
+                qrsim.rollout("hover_ideal", ticks=2, metrics=metrics)
 
 
 # Of every kind the class of a built-in component, under another name, in a file of a user.

@@ -249,7 +249,7 @@ BAD: dict[str, tuple[str, str, str]] = {
 
 def with_own(kind: str, named: str) -> dict[str, Any]:
     """A scenario with one component of its own of a kind."""
-    content: dict[str, Any] = {"extends": "hover", "name": "mine"}
+    content: dict[str, Any] = {"extends": "hover_ideal", "name": "mine"}
     if kind == "task":
         return {"extends": "keep_velocity", "name": "mine", "task": {"type": named}}
     if kind in ("wind", "turbulence", "area"):
@@ -280,7 +280,7 @@ def test_one_line_says_where_and_what(name: str, tmp_path: Path):
 def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """Exit code 2 and no traceback, where a class inherits its contract."""
     written(tmp_path, bare("Wind"), "own.py")
-    (tmp_path / "mine.yaml").write_text("extends: hover\nworld: {wind: {type: './own.py:Own'}}\n")
+    (tmp_path / "mine.yaml").write_text("extends: hover_ideal\nworld: {wind: {type: './own.py:Own'}}\n")
     assert cli.main(["check", str(tmp_path / "mine.yaml")]) == 2
     said = capsys.readouterr().err
     assert "Traceback" not in said

@@ -24,7 +24,7 @@ VEHICLE = "fleets.pelicans.vehicle"
 def warned(*overrides: str) -> list[str]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        load_scenario("outdoor_patrol", overrides)
+        load_scenario("patrol_plain", overrides)
     return [str(each.message) for each in caught]
 
 
@@ -73,7 +73,7 @@ def test_what_is_usual_gives_no_warning(overrides: list[str]) -> None:
 )  # fmt: skip
 def test_what_cannot_fly_is_told_with_its_numbers(override: str, words: str) -> None:
     found = warned(f"{VEHICLE}.{override}")
-    assert found[0].startswith("outdoor_patrol: fleets.pelicans.vehicle.")
+    assert found[0].startswith("patrol_plain: fleets.pelicans.vehicle.")
     assert words in found[0]
 
 
@@ -180,10 +180,10 @@ def test_a_pack_of_six_cells_gives_its_voltage() -> None:
 
 
 def test_the_command_line_says_each_once(capsys: Any) -> None:
-    assert main(["show", "outdoor_patrol", "--set", f"{VEHICLE}.mass=4"]) == 0
+    assert main(["show", "patrol_plain", "--set", f"{VEHICLE}.mass=4"]) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if "cannot stay in the air" in line]
     assert len(lines) == 1
-    assert lines[0].startswith("warning: outdoor_patrol: fleets.pelicans.vehicle.mass: 4 kg weigh 39.2 N")
+    assert lines[0].startswith("warning: patrol_plain: fleets.pelicans.vehicle.mass: 4 kg weigh 39.2 N")
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_its_wind_and_gusts_are_those_of_the_models(wind: dict[str, Any]) -> Non
     """It has them in NumPy, because a first use of JAX would take longer than to read the scenario."""
     turbulence = {"type": "dryden", **({} if "speed_20ft" in wind else {"speed_20ft": 4.0, "wind_from_deg": 30})}
     scenario = load_scenario(
-        {"name": "x", "extends": "hover", "world": {"wind": wind, "turbulence": turbulence}}, quiet=True
+        {"name": "x", "extends": "hover_ideal", "world": {"wind": wind, "turbulence": turbulence}}, quiet=True
     )
     world, heights = scenario.world("float64"), np.array([0.01, 3.0, 20.0, 120.0, 280.0])
     with jax.enable_x64(True):

@@ -96,8 +96,8 @@ def test_the_faults_of_a_file_are_headed_by_its_name(tmp_path: Path) -> None:
     [
         ("hovr", "did you mean 'hover'?"),
         ("outdoor-patrol", "did you mean 'outdoor_patrol'?"),
-        ("zzz", "known: hover, outdoor_patrol"),
-        ("", "known: hover, outdoor_patrol"),
+        ("zzz", "known: hover, patrol_plain"),
+        ("", "known: hover, patrol_plain"),
     ],
 )
 def test_an_unknown_name_is_an_error_with_the_nearest_one(name: str, hint: str) -> None:
@@ -135,12 +135,12 @@ def test_what_is_no_source_at_all_is_an_error(source: Any) -> None:
 
 
 def test_the_built_in_names_are_those_of_the_files() -> None:
-    assert {"hover", "outdoor_patrol"} <= set(built_in_names())
+    assert {"hover", "patrol_plain"} <= set(built_in_names())
     assert built_in_names() == sorted(built_in_names())
 
 
 def patrol(*overrides: str) -> Any:
-    return load_scenario("outdoor_patrol", overrides).spec
+    return load_scenario("patrol_plain", overrides).spec
 
 
 def test_an_override_sets_one_value() -> None:
@@ -215,7 +215,7 @@ def test_degrees_override_radians_and_the_other_way_round() -> None:
         ("=3", "expected path=value"),
         ("world..wind=calm", "expected path=value"),
         ("world.wind.speed_20ft.x=3", "world.wind.speed_20ft is the value 5.0, it has no parts"),
-        ("name.x=3", "name is the value 'outdoor_patrol', it has no parts"),
+        ("name.x=3", "name is the value 'patrol_plain', it has no parts"),
         (
             "fleets.pelicans.vehicles.9.name=x",
             "fleets.pelicans.vehicles.9: expected an index from 0 to 4, found '9'",

@@ -61,7 +61,7 @@ class TestErrors:
 class TestScenario:
     @copied
     def test_scenarios(self, copy_of: Any) -> None:
-        for name in ("outdoor_patrol", "cats_and_mouse/1C", "plume_mapping/3F", "search_and_rescue/2D"):
+        for name in ("patrol_plain", "cats_and_mouse/1C", "plume_mapping/3F", "search_and_rescue/2D"):
             scenario = load_scenario(name)
             found = copy_of(scenario)
             assert found == scenario
@@ -90,6 +90,7 @@ class TestSimulation:
         assert original.tick == ticks
         assert after == ten_more(original)
 
+    @pytest.mark.long
     def test_in_another_process(self) -> None:
         original = flown()
         with multiprocessing.get_context("spawn").Pool(1) as pool:
@@ -153,7 +154,7 @@ def test_run_error_in_a_pool_keeps_its_text() -> None:
 @pytest.mark.long
 def test_a_simulation_that_xla_flies(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("QRSIM_COMPILER", "xla")
-    original = simulate({**load_scenario("hover").spec.model_dump(), "name": "hover"}, seed=3)
+    original = simulate({**load_scenario("hover_ideal").spec.model_dump(), "name": "hover"}, seed=3)
     original.step(ticks=3)
     found = pickle.loads(pickle.dumps(original))
     assert ten_more(found) == ten_more(original)

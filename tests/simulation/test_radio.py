@@ -7,6 +7,7 @@ import pytest
 
 import qrsim
 from qrsim.errors import RadioWarning, ScenarioError, UsageError
+from qrsim.simulation.blocks import LateRadio
 
 RADIO = {"preset": "sik_915", "beacon": False, "inbox": {"size": 2, "candidates": 2}, "path_loss": {"waves": 2}}
 
@@ -103,6 +104,39 @@ def test_a_radio_that_cannot_be_is_refused_in_one_line(radio, line):
     with pytest.raises(ScenarioError, match=line) as caught:
         qrsim.load_scenario({"name": "x", "extends": "free_flight", "world": {"radio": radio}})
     assert len(str(caught.value).splitlines()) == 2
+
+
+def test_the_state_of_radios_is_fetched_once_a_tick_and_only_where_somebody_listens():
+    fetched = []
+
+    def fetch():
+        fetched.append(1)
+        return {"sender": np.array([[3, 4], [5, 6]])}
+
+    deaf, listening = LateRadio(fetch), LateRadio(fetch)
+    assert [listening.of(world)["sender"].tolist() for world in (1, 0, 1)] == [[5, 6], [3, 4], [5, 6]]
+    assert len(fetched) == 1
+    deaf.over = listening.over = True
+    assert listening.of(0)["sender"].tolist() == [3, 4]
+    with pytest.raises(UsageError, match=r"inbox: this reading is of an earlier tick.* keep what you need"):
+        deaf.of(0)
+    assert len(fetched) == 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("listens", [False, True])
+def test_lock_step_leaves_radios_alone_where_its_policy_does_not_listen(listens, monkeypatch):
+    """1 s of 0.02 s: asked 50 times, in two worlds."""
+    looked = []
+    whole = LateRadio.of
+    monkeypatch.setattr(LateRadio, "of", lambda self, world: looked.append(world) or whole(self, world))
+
+    def policy(reading):
+        looks = reading.inbox.mask.any() if listens else False
+        return qrsim.VelocitySetpoint.of(np.full((3, 3), 0.01 * looks), 0.0)
+
+    assert qrsim.rollout(scenario(controller="velocity"), policy, worlds=2).metrics["radio_sent"].sum() == 0
+    assert looked == ([0, 1] * 50 if listens else [])
 
 
 @pytest.mark.long

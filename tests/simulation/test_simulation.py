@@ -50,24 +50,31 @@ def said(call: Any, *arguments: Any, **options: Any) -> str:
 
 def test_a_simulation_is_loaded_by_name_by_path_or_from_a_dict(tmp_path: Path) -> None:
     path = tmp_path / "own.yaml"
-    path.write_text(load_scenario("hover").to_yaml())
-    content = load_scenario("hover").spec.model_dump(mode="json")
+    path.write_text(load_scenario("hover_ideal").to_yaml())
+    content = load_scenario("hover_ideal").spec.model_dump(mode="json")
     states = []
-    for source in ("hover", path, str(path), content):
+    for source in ("hover_ideal", path, str(path), content):
         simulation = qrsim.load(source, seed=2)
         simulation.reset()
-        assert (simulation.name, simulation.size, simulation.seed, simulation.precision) == ("hover", 1, 2, "float32")
+        assert (simulation.name, simulation.size, simulation.seed, simulation.precision) == (
+            "hover_ideal",
+            1,
+            2,
+            "float32",
+        )
         states.append(simulation.truth.state)
     for state in states[1:]:
         np.testing.assert_array_equal(state, states[0])
 
 
 def test_overrides_and_precision_are_part_of_loading() -> None:
-    simulation = qrsim.load("hover", overrides=["fleets.pelicans.vehicles.0.position_ned.2=-25", "time_step=0.01"])
+    simulation = qrsim.load(
+        "hover_ideal", overrides=["fleets.pelicans.vehicles.0.position_ned.2=-25", "time_step=0.01"]
+    )
     assert simulation.precision == "float32"
     assert simulation.world.time_step == 0.01
     assert simulation.world.fleets[0].start.position_ned.z.tolist() == [-25.0]
-    assert qrsim.load("hover", precision="float64").precision == "float64"
+    assert qrsim.load("hover_ideal", precision="float64").precision == "float64"
 
 
 def test_what_cannot_be_loaded_is_named() -> None:
@@ -75,9 +82,9 @@ def test_what_cannot_be_loaded_is_named() -> None:
     assert "nowhere.yaml: no such file" in said(qrsim.load, "nowhere.yaml")
     assert "expected a name" in said(qrsim.load, None)
     with pytest.raises(ScenarioError, match=r"world\.wnd: no such parameter of 'world'; did you mean 'wind'\?"):
-        qrsim.load("hover", overrides=["world.wnd=calm"])
+        qrsim.load("hover_ideal", overrides=["world.wnd=calm"])
     with pytest.raises(TypeError):
-        qrsim.load("hover", 3)  # type: ignore[misc]
+        qrsim.load("hover_ideal", 3)  # type: ignore[misc]
 
 
 @pytest.mark.parametrize(
@@ -94,7 +101,7 @@ def test_an_unknown_precision_is_named_with_the_nearest(precision: str, hint: st
 def test_a_seed_that_is_no_such_integer_is_refused(seed: Any) -> None:
     expected = f"seed: {seed!r} is not an integer from 0 to 2**63 - 1"
     assert said(qrsim.load, "hover", seed=seed) == expected
-    simulation = qrsim.load("hover", seed=7)
+    simulation = qrsim.load("hover_ideal", seed=7)
     if seed is not None:
         assert said(simulation.reset, seed=seed) == expected
     assert simulation.seed == 7
@@ -102,7 +109,7 @@ def test_a_seed_that_is_no_such_integer_is_refused(seed: Any) -> None:
 
 @pytest.mark.parametrize("seed", [0, 2**32 - 1, 2**32, 2**63 - 1, np.int64(5), np.uint8(5)])
 def test_every_integer_of_the_range_is_a_seed(seed: Any) -> None:
-    simulation = qrsim.load("hover", seed=seed)
+    simulation = qrsim.load("hover_ideal", seed=seed)
     simulation.reset()
     assert simulation.seed == int(seed)
 
@@ -122,7 +129,7 @@ def simulate_drift(seed: int) -> Any:
 
 
 def test_nothing_is_shown_before_the_first_reset() -> None:
-    simulation = qrsim.load("hover")
+    simulation = qrsim.load("hover_ideal")
     assert (simulation.tick, simulation.time, simulation.size) == (0, 0.0, 1)
     for attribute in ("reading", "truth", "valid", "reasons", "state", "history"):
         assert said(getattr, simulation, attribute) == "the simulation has not started: call reset() first"
@@ -168,7 +175,7 @@ def test_readings_are_found_by_fleet_sensor_and_field(shared: Simulation) -> Non
 
 
 def test_with_one_fleet_its_name_can_be_left_out() -> None:
-    simulation = qrsim.load("hover")
+    simulation = qrsim.load("hover_ideal")
     reading = simulation.reset()
     np.testing.assert_array_equal(reading.gnss.position_ned, reading["pelicans"].gnss.position_ned)
     with pytest.raises(AttributeError, match=r"no sensor is called 'gns'; did you mean 'gnss'\?"):
@@ -246,7 +253,7 @@ def test_a_command_can_be_a_list_an_integer_array_or_a_record(flying: Simulation
 
 
 def test_a_set_point_is_flown_to_by_the_controllers() -> None:
-    simulation = qrsim.load("hover")
+    simulation = qrsim.load("hover_ideal")
     simulation.reset()
     start = simulation.truth.position_ned
     target = start + np.array([[3.0, -2.0, -2.0]])
@@ -419,7 +426,7 @@ def test_a_command_record_of_unequal_columns_is_refused(shared: Simulation) -> N
 
 @pytest.mark.parametrize("yaw", [np.zeros(2, np.float32), np.full(1, math.nan, np.float32)], ids=["shape", "nan"])
 def test_a_set_point_made_by_hand_is_checked_too(yaw: Any) -> None:
-    simulation = qrsim.load("hover")
+    simulation = qrsim.load("hover_ideal")
     simulation.reset()
     setpoint = simulation.waypoint([0.0, 0.0, -10.0])
     assert "yaw" in said(simulation.step, WaypointSetpoint(setpoint.position_ned, yaw))

@@ -21,7 +21,7 @@ import qrsim
 from qrsim.errors import UsageError
 from qrsim.simulation.simulation import Simulation
 
-SCENARIO = "outdoor_patrol"
+SCENARIO = "patrol_plain"
 
 
 @pytest.fixture(scope="module")
@@ -69,8 +69,8 @@ def test_damaged(flown: tuple[bytes, bytes], change: object, message: str) -> No
 
 
 def test_of_another_scenario_or_with_other_parameters(flown: tuple[bytes, bytes]) -> None:
-    with pytest.raises(UsageError, match="of the scenario 'outdoor_patrol', this simulation is 'hover'"):
-        qrsim.load("hover").load(flown[0])
+    with pytest.raises(UsageError, match="of the scenario 'patrol_plain', this simulation is 'hover_ideal'"):
+        qrsim.load("hover_ideal").load(flown[0])
     with pytest.raises(UsageError, match="with other parameters"):
         qrsim.load(SCENARIO, overrides=["world.wind.speed_20ft=6"]).load(flown[0])
     with pytest.raises(UsageError, match="with other parameters"):
@@ -100,18 +100,18 @@ def test_of_another_version(flown: tuple[bytes, bytes]) -> None:
 
 def test_missing_file_and_save_before_the_start(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"nowhere\.npz: cannot be read"):
-        qrsim.load("hover").load("nowhere.npz")
+        qrsim.load("hover_ideal").load("nowhere.npz")
     with pytest.raises(UsageError, match=r"cannot be read: it is not a regular file"):
-        qrsim.load("hover").load("/dev/zero")
+        qrsim.load("hover_ideal").load("/dev/zero")
     with pytest.raises(UsageError, match=r"expected bytes or the path of a file, found int"):
-        qrsim.load("hover").load(7)  # type: ignore[arg-type]
+        qrsim.load("hover_ideal").load(7)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="call reset"):
-        qrsim.load("hover").save()
+        qrsim.load("hover_ideal").save()
     # Larger than any state, and not read: it takes no room on the disk.
     with (tmp_path / "large").open("wb") as file:
         file.truncate(2**33)
     with pytest.raises(UsageError, match=r"8589934592 bytes; a saved state has at most 268435456"):
-        qrsim.load("hover").load(tmp_path / "large")
+        qrsim.load("hover_ideal").load(tmp_path / "large")
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +150,7 @@ def test_floats_of_another_type(simulation: Simulation, flown: tuple[bytes, byte
         ({"number": 2**32}, "its number is 4294967296; expected a whole number from 0 to 4294967295"),
         ({"number": 1}, "its randomness is not that of its seed, 5"),
         ({"name": 3}, "its name is no text"),
-        ({"name": "hover"}, "of the scenario 'hover', this simulation is 'outdoor_patrol'"),
+        ({"name": "hover"}, "of the scenario 'hover', this simulation is 'patrol_plain'"),
         ({"name": [SCENARIO]}, "its name is no text"),
         ({"more": 1}, "another version of qrsim, or not by qrsim"),
         ({"floats": np.array([[1, "x"]], object)}, "no state that qrsim saved, or it is damaged"),

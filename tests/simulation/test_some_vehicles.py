@@ -25,7 +25,10 @@ EVERYBODY_AWAY = qrsim.WaypointSetpoint.of([[5.0, 0.0, -22.0]] * 3, 0.3)
 
 @pytest.fixture(scope="module")
 def world() -> Any:
-    return qrsim.make_world(vehicles=PLACES, wind=WIND, turbulence="dryden", sensors="noisy")
+    """Gusts and receivers of each, and nothing that takes long to compile."""
+    sensors = {"gnss": "gnss_receiver"}
+    flying: Any = {"type": "offboard", "feed": "truth"}
+    return qrsim.make_world(PLACES, wind=WIND, turbulence="dryden_first_order", sensors=sensors, controller=flying)
 
 
 def after(world: Any, command: Any, ticks: int = 60) -> Any:

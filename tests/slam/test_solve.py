@@ -89,6 +89,7 @@ def test_the_normal_equations_are_those_of_central_differences(small: tuple[grap
     assert np.max(np.abs(gradient - jacobian.T @ now) / (scale * np.linalg.norm(now))) < 1e-6
 
 
+@pytest.mark.long
 def test_a_step_is_that_of_the_full_matrix(small: tuple[graphs.Graph, Any, Any]) -> None:
     problem, x, landmarks = small
     with jax.enable_x64(True):

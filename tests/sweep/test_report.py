@@ -168,7 +168,7 @@ def test_the_command_writes_pictures_and_tables(tmp_path: Path, capsys: Any) -> 
     assert main(["sweep-report", str(store)]) == 0
     told = capsys.readouterr().out
     assert "small: 60 episodes at 12 points" in told
-    assert "to look at the first: qrsim run hover --seed" in told
+    assert "to look at the first: qrsim run hover_ideal --seed" in told
     folder = tmp_path / "store-report"
     assert {"response.png", "map.png", "scenario.yaml", "report.json"} <= {item.name for item in folder.iterdir()}
     assert main(["sweep-report", str(store), "--json", "--metric", "wind_max_m_s", "--out", str(tmp_path / "r")]) == 0
@@ -206,7 +206,7 @@ def test_an_empty_store_is_told(tmp_path: Path, capsys: Any) -> None:
 @pytest.mark.long
 def test_the_worst_of_several_numbers_of_vehicles_is_flown_from_a_scenario_of_its_own(tmp_path: Path) -> None:
     """Its vehicles would be too many words for a command."""
-    content = load_scenario("outdoor_patrol").spec.model_dump(mode="json")
+    content = load_scenario("patrol_plain").spec.model_dump(mode="json")
     counts = {"fleets.pelicans.vehicles.count": {"values": [1, 3], "name": "vehicles"}}
     plan = planned(tmp_path, scenario=content, vary=counts, seeds=1, metrics=["collided"])
     store = Store(tmp_path / "made.zarr", plan)

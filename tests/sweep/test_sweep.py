@@ -158,7 +158,7 @@ def test_a_batch_that_cannot_be_flown_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("named", [True, False])
 @pytest.mark.long
 def test_the_command_of_an_episode_flies_it_again(tmp_path: Path, named: bool, capsys: Any) -> None:
-    source = {"scenario": "hover"} if named else {"scenario": {"extends": "hover", "description": "own"}}
+    source = {"scenario": "hover"} if named else {"scenario": {"extends": "hover_ideal", "description": "own"}}
     results = Results(flown(tmp_path, first_seed=3, **source))
     (tmp_path / "report").mkdir()
     from qrsim.scenarios.reading import dump_yaml

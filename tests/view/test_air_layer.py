@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ def test_arrows_are_along_the_air_and_as_long_as_it_is_fast() -> None:
         scene.draw(still)
         assert not asked, "of a world that is not known nothing is drawn"
         beside: Any = type("Beside", (), {"world": world, "drawn": (), "field": None})()
-        scene.draw(Frame(*[*vars(still).values()][:-1], beside), everything=True)
+        scene.draw(replace(still, beside=beside), everything=True)
         assert int(asked[0][3]) == 25
         found = layer._handle
         # In steps of 6 m around (35, 10), the middle of the vehicles, at the height of most.

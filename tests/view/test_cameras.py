@@ -60,6 +60,7 @@ def test_windows_lie_where_the_camera_looks_and_say_what_the_classifier_says(sce
     assert (positions[:, 2] < -scene.stage.lift).all(), "above the plates of the ground's cover"
 
 
+@pytest.mark.long
 def test_a_vehicle_that_has_stopped_has_no_picture(scene: Scene, flown: Simulation):
     scene.draw(frame_of(flown.state, flown.time, flown.world))
     assert len(drawn(scene)[0])

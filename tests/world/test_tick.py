@@ -248,6 +248,7 @@ def test_the_order_of_the_vehicles_does_not_matter() -> None:
 def test_fleets_come_one_after_the_other() -> None:
     simulation = simulate(quiet())
     assert simulation.vehicle_names == ("alpha_0", "alpha_1", "alpha_2", "bravo_0", "bravo_1")
+    assert [simulation.world.rows_of(name) for name in ("alpha", "bravo")] == [slice(0, 3), slice(3, 5)]
     starts = [start for start, _, _ in (*ALPHA, *BRAVO)]
     np.testing.assert_array_equal(simulation.truth.position_ned, np.asarray(starts, np.float32))
     assert simulation.reading.fleets == ("alpha", "bravo")

@@ -1,5 +1,7 @@
 # Written by generate.py from src/qrsim/links/reference/claiming.py: change that.
-"""The calls of a client that shares a world with others; for Python 3.8 and later, as ``client``."""
+"""Calls of a client: those for a world that it shares with others, and the radio; for Python 3.8 and later, as
+``client``.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ import numpy as np
 from qrsim_client.errors import UsageError
 from qrsim_client import qrsim_pb2 as pb
 from qrsim_client.qrsim_pb2 import Message, Step
-from qrsim_client.replies import Claim, Sensed, SensedVehicle, Status, VehicleStatus
+from qrsim_client.replies import Claim, Heard, Sensed, SensedVehicle, Status, VehicleStatus, heard_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -122,6 +124,25 @@ class SharedCalls(ABC):
             self._pushed.clear()
         return sensed_of(found)
 
+    def say(self, words: Mapping[str, Any], *, to: str | None = None) -> None:
+        """Hand messages to the radios of vehicles, which send them as soon as their turns come; all or none.
+
+        In a shared world of claimed vehicles only, and of several messages of one in a tick the last one counts.
+
+        Args:
+            words: vehicle -> numbers, at most as many as a message has (``describe()["radio"]["size"]``).
+            to: name of the vehicle that alone is to hear them; default: all.
+        """
+        request = pb.Say(
+            words=[pb.Say.Words(vehicle=name, value=numbers_of(name, said), to=to) for name, said in words.items()]
+        )
+        self._ask(Message(type=Message.SAY, say=request), Message.ACK)
+
+    def inbox(self) -> dict[str, tuple[Heard, ...]]:
+        """Return vehicle -> what it has heard over the radio, the newest message of each sender, the newest first."""
+        found = self._ask(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()), Message.READINGS).readings
+        return {vehicle.name: heard_of(vehicle.heard) for vehicle in found.vehicle}
+
     def status(self) -> Status:
         """Return who flies what, how old the orders are, and how the pace is kept."""
         found = self._ask(Message(type=Message.GET_STATUS, get_status=pb.GetStatus()), Message.STATUS).status
@@ -139,6 +160,7 @@ class SharedCalls(ABC):
         """Return what the world is made of: area, obstacles, ground, wind, fleets with their sensors and commands."""
         found = self._ask(Message(type=Message.DESCRIBE, describe=pb.Describe()), Message.WORLD).world
         parts = {name: _part(getattr(found, name)) for name in ("area", "ground", "wind", "turbulence", "gust")}
+        parts.update({"radio": _part(found.radio)} if found.HasField("radio") else {})
         return {
             "scenario": found.scenario,
             "time_step": found.time_step,
@@ -184,11 +206,23 @@ def _vehicle(found: Any) -> SensedVehicle:
         for sensor in found.sensor
     }
     state = np.array(found.X.value) if found.HasField("X") else None
-    return SensedVehicle(found.valid, found.reason, sensors, state)
+    return SensedVehicle(found.valid, found.reason, sensors, state, heard_of(found.heard))
 
 
 def _given(found: Any, name: str) -> Any:
     return getattr(found, name) if found.HasField(name) else None
+
+
+def numbers_of(vehicle: str, said: Any) -> list[float]:
+    """Return what somebody says as numbers; raises UsageError for what is none."""
+    try:
+        values = np.asarray(said, np.float64)
+    except (TypeError, ValueError):
+        values = np.zeros((0, 0))
+    if values.ndim != 1:
+        raise UsageError(f"message of '{vehicle}': expected numbers, found {said!r:.100}")
+    found: list[float] = values.tolist()
+    return found
 
 
 def _orders(orders: Mapping[str, Any]) -> list[pb.Order]:

@@ -91,6 +91,7 @@ class Episode:
         period: simulated time of a step [s].
         steps: after which the episode is truncated.
         answer_shape: of what each agent hands in with its last action; () where nothing is handed in.
+        say_size: numbers of a message that an agent may say over the radio; 0: there is none.
         observation: what the agents see, (n, O), or by name, (n, ...).
         info: what is really the case, by name, (n, ...).
     """
@@ -106,6 +107,7 @@ class Episode:
     answer_shape: tuple[int, ...]
     observation: Array | dict[str, Array]
     info: dict[str, Array]
+    say_size: int = 0
 
 
 @dataclass(frozen=True)
@@ -159,6 +161,25 @@ class Claim:
 
 
 @dataclass(frozen=True)
+class Heard:
+    """A message that a vehicle has heard over the radio.
+
+    Attributes:
+        sender: name of the vehicle that sent it.
+        sent: when it was handed to the sender's radio [s].
+        received: when it was known [s].
+        rssi: strength at which it was received [dBm].
+        payload: (D,) numbers.
+    """
+
+    sender: str
+    sent: float
+    received: float
+    rssi: float
+    payload: Array
+
+
+@dataclass(frozen=True)
 class SensedVehicle:
     """What one vehicle senses.
 
@@ -168,12 +189,14 @@ class SensedVehicle:
         sensors: sensor -> field -> value, a number or an array; "time" is when the reading was true [s], "fresh"
             whether it has arrived at this tick, "reason" why one is missing.
         state: (13,) true state as in ``State``, None where it was not asked for.
+        heard: over the radio, the newest message of each sender, the newest first.
     """
 
     valid: bool
     reason: str
     sensors: dict[str, dict[str, Any]]
     state: Array | None
+    heard: tuple[Heard, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -242,6 +265,11 @@ def state_of(found: Any) -> State:
         np.array([row.value for row in found.eX]).reshape(len(found.eX), -1),
         tuple(found.reason),
     )
+
+
+def heard_of(found: Iterable[Any]) -> tuple[Heard, ...]:
+    """Return the messages that a vehicle has heard."""
+    return tuple(Heard(each.sender, each.sent, each.received, each.rssi, np.array(each.value)) for each in found)
 
 
 def arrays_of(found: Iterable[Any]) -> dict[str, Array]:

@@ -20,6 +20,8 @@ FIGURE, PANELS = "figure.png", "panels.png"
 SKY = "sky"
 # A panel that is no quantity: errors of the estimate within what its estimator says of them.
 ESTIMATE = "estimate"
+# Neither: who hears whom over the radio.
+RADIO = "radio"
 _Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the whole run)")]
 
 
@@ -34,6 +36,7 @@ class Plot:
       qrsim plot runs/first
       qrsim plot runs/first --list
       qrsim plot runs/first --panel sky --vehicle scout
+      qrsim plot runs/swarm --panel radio --from 10
       qrsim plot runs/first --panel truth.position_ned.z --panel wind.gust_ned --out first.pdf
       qrsim plot runs/first --panel "measurements.gnss.position_ned.x, truth.position_ned.x" --from 5 --to 15
     """
@@ -44,7 +47,8 @@ class Plot:
         default_factory=list
     )
     """Draw these quantities, of one unit, in a panel, vectors in one for each axis; given again, below. 'sky' is the
-    sky over a vehicle whose receiver has per_satellite: true; 'estimate' what the estimate errs by, with 3 std."""
+    sky over a vehicle whose receiver has per_satellite: true; 'estimate' what the estimate errs by, with 3 std; 'radio'
+    who hears whom over the radio, delivery and connectivity."""
     vehicle: Annotated[
         tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")
     ] = field(default_factory=list)
@@ -121,6 +125,13 @@ class Plot:
             if len(self.panel) > 1:
                 raise UsageError(f"--panel {ESTIMATE} is a figure of its own; leave out the other panels")
             save_picture(lambda: draw_estimate(recorded, self.vehicle, self.start, self.end), path)
+            return
+        if RADIO in self.panel:
+            from qrsim.runs.radio_figure import draw_radio
+
+            if len(self.panel) > 1:
+                raise UsageError(f"--panel {RADIO} is a figure of its own; leave out the other panels")
+            save_picture(lambda: draw_radio(recorded, self.vehicle, self.start, self.end), path)
             return
         from qrsim.runs.panels import draw_panels
 

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import math
-import os
-import queue
 import sys
-import threading
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,8 +18,6 @@ if TYPE_CHECKING:
     from qrsim.links.reference.roles import Options
     from qrsim.scenarios.scenario import Scenario
     from qrsim.view.live import LiveView
-
-MOST_LINES, STANDARD_OUTPUT = 1000, 1
 
 
 @dataclass(frozen=True)
@@ -104,6 +98,7 @@ class Serve:
         scenario = self._scenario()
         import asyncio
 
+        from qrsim.links.printing import Log
         from qrsim.links.reference.server import Server
         from qrsim.links.reference.tasks import Tasks
 
@@ -111,7 +106,7 @@ class Serve:
         if scenario is not None and options.pace == "owner":
             _prepare(tasks, options)
 
-        log = _Log()
+        log = Log()
 
         def ready(host: str, port: int) -> None:
             log.say(f"qrsim serves on {host}:{port}")
@@ -243,35 +238,3 @@ def _prepare(tasks: object, options: Options) -> None:
             f"simulator take {limit}, that is {largest_fleet(limit)} vehicles",
             file=sys.stderr,
         )
-
-
-class _Log:
-    """Prints lines from a thread of its own: whoever does not read them must not hold the server up, nor its end.
-
-    Args:
-        descriptor: of the open file to print to, by default standard output.
-    """
-
-    def __init__(self, descriptor: int = STANDARD_OUTPUT) -> None:
-        self._descriptor = descriptor
-        self._lines: queue.Queue[str | None] = queue.Queue(MOST_LINES)
-        self._thread = threading.Thread(target=self._print, daemon=True)
-        self._thread.start()
-
-    def say(self, line: str) -> None:
-        """Print a line soon; where a thousand wait already, it is left out."""
-        with suppress(queue.Full):
-            self._lines.put_nowait(line)
-
-    def close(self) -> None:
-        """Wait a moment for the lines to be read."""
-        with suppress(queue.Full):
-            self._lines.put(None, timeout=1.0)
-            self._thread.join(1.0)
-
-    def _print(self) -> None:
-        with suppress(OSError):  # nobody reads any more
-            while (line := self._lines.get()) is not None:
-                left = f"{line}\n".encode()
-                while left:
-                    left = left[os.write(self._descriptor, left) :]

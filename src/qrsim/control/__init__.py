@@ -15,6 +15,7 @@ from qrsim.control.controllers import (
 )
 from qrsim.control.ekf import ErrorStateKalmanFilter
 from qrsim.control.filter import ComplementaryFilter
+from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.flee import FleeGuidance
 from qrsim.control.guidance import (
     AttitudeGuidance,
@@ -28,6 +29,7 @@ from qrsim.control.guidance import (
 from qrsim.control.loops import ClimbLoop, HeightLoop, HeightState, VelocityLoop, VelocityState
 from qrsim.control.mission import Mission, MissionGuidance, MissionState
 from qrsim.control.nothing import NoController, NoGuidance, NoSetpoint
+from qrsim.control.rover import RoverController
 from qrsim.control.setpoints import (
     SETPOINTS,
     AttitudeHeightSetpoint,
@@ -36,10 +38,12 @@ from qrsim.control.setpoints import (
     OffboardSetpoint,
     PathSetpoint,
     Setpoint,
+    TrackSetpoint,
     VelocityHeightSetpoint,
     VelocitySetpoint,
     WaypointSetpoint,
 )
+from qrsim.control.tracks import FixedWingGuidance, RoverGuidance
 
 __all__ = [
     "SETPOINTS",
@@ -54,6 +58,8 @@ __all__ = [
     "ComplementaryFilter",
     "ErrorStateKalmanFilter",
     "Estimate",
+    "FixedWingController",
+    "FixedWingGuidance",
     "FleeGuidance",
     "HeightLoop",
     "HeightState",
@@ -69,7 +75,10 @@ __all__ = [
     "Route",
     "RouteFollower",
     "RouteState",
+    "RoverController",
+    "RoverGuidance",
     "Setpoint",
+    "TrackSetpoint",
     "VelocityController",
     "VelocityGuidance",
     "VelocityHeightController",

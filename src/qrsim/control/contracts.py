@@ -25,11 +25,13 @@ class Controller(Protocol):
         setpoints: kinds of set-points that it takes.
         gives: the command record that it returns, one of its vehicle's ``actions``; ``object``: what the vehicle's
             ``tilt_command`` returns.
+        reads_airspeed: whether its estimate has an airspeed.
         feed: what it is fed with, where nobody hands in an estimate: the sensors, the truth, or its own ``estimator``.
     """
 
     setpoints: ClassVar[tuple[type[Any], ...]]
     gives: ClassVar[type[Any]]
+    reads_airspeed: ClassVar[bool] = False
     feed: Literal["measurements", "truth", "filter"] = "measurements"
 
     def fitted(self, vehicle: Any) -> Controller:

@@ -1,58 +1,94 @@
-"""Covariances of many vehicles at once, (m, m, n): what an estimator of n vehicles does to them in every tick.
+"""Covariances of many vehicles at once: what an estimator of n vehicles does to them in every tick.
 
-Measurements are scalars and sparse, so that nothing has to be inverted; transitions are handed in as functions.
+Errors stand in blocks of three, such as the axes of a position, and what is kept is the block of each pair (a, b) of
+them with a <= b: half a matrix. Measurements are scalars and sparse, so that nothing has to be inverted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+# Errors in a block.
+BLOCK = 3
+Covariance: TypeAlias = tuple[Array, ...]
 # Factors (n,) of errors by their numbers.
 Sparse: TypeAlias = Mapping[int, Array]
+# The blocks of F - 1 that are not zero, by their rows and columns: (3, 3, n), or one factor for a multiple of 1.
+Moves: TypeAlias = Mapping[tuple[int, int], Array | float]
 
 
-def diagonal(variances: Sequence[Array]) -> Array:
-    """Return the covariance (m, m, n) of independent errors of given variances (n,)."""
-    return _eye(len(variances)) * jnp.stack(variances)[:, None]
+def variances(covariance: Covariance) -> list[Array]:
+    """Return the variance (..., n) of each of the m errors; in NumPy where the covariance is."""
+    return [row[..., 0, i, i, :] for row in covariance for i in range(BLOCK)]
 
 
-def propagated(covariance: Array, transition: Callable[[Array], Array], noise: Sequence[Array]) -> Array:
-    """Return F P F' + Q, where the first k errors move and all others stay what they are.
+def matrix(covariance: Covariance) -> Array:
+    """Return the covariance whole, (..., m, m, n)."""
+    every = range(len(covariance))
+    return jnp.concatenate(
+        [jnp.concatenate([_block(covariance, a, b) for b in every], axis=-2) for a in every], axis=-3
+    )
+
+
+def independent(variances: Sequence[Array]) -> Covariance:
+    """Return the covariance of independent errors with these variances (n,)."""
+    count = len(variances) // BLOCK
+    none = jnp.zeros((BLOCK, BLOCK, *variances[0].shape), variances[0].dtype)
+    own = [_diagonal([variances[i] for i in _of(a)]) for a in range(count)]
+    return tuple(jnp.stack([own[a]] + [none] * (count - a - 1)) for a in range(count))
+
+
+def propagated(covariance: Covariance, moves: Moves, noise: Sequence[Array]) -> Covariance:
+    """Return F P F' + Q of an F whose blocks on the diagonal are 1, and which has others only right of them.
 
     Args:
-        covariance: P, (m, m, n).
-        transition: returns the first k rows of F X for X (m, l, n).
-        noise: the diagonal of Q, m times (n,).
+        covariance: P.
+        moves: the blocks of F right of the diagonal, at (a, b) with a < b.
+        noise: the diagonal of Q, m times () or (n,).
     """
-    above = transition(covariance)
-    moving = above.shape[0]
-    corner = transition(jnp.swapaxes(above, 0, 1))
-    # What rounding leaves of a part that is not symmetric would grow: measurements do not see it.
-    corner = 0.5 * (corner + jnp.swapaxes(corner, 0, 1))
-    beside = above[:, moving:]
-    below = jnp.concatenate([jnp.swapaxes(beside, 0, 1), covariance[moving:, moving:]], axis=1)
-    return jnp.concatenate([jnp.concatenate([corner, beside], axis=1), below]) + diagonal(noise)
+    count = len(covariance)
+    into = {a: [b for row, b in moves if row == a] for a, _ in moves}
+    # F P, as far right as F' reads it.
+    half = {
+        (a, b): _sum([_block(covariance, a, b), *(_times(moves[a, k], _block(covariance, k, b)) for k in into[a])])
+        for a in into
+        for b in range(a, count)
+    }
+
+    def moved(a: int, b: int) -> Array:
+        right = [_transposed(_times(moves[b, k], _transposed(half[a, k]))) for k in into.get(b, ())]
+        whole = _sum([half[a, b], *right])
+        # What rounding leaves of a part that is not symmetric would grow: measurements do not see it.
+        return 0.5 * (whole + _transposed(whole)) if a == b else whole
+
+    def row(a: int) -> Array:
+        own = _diagonal([jnp.broadcast_to(noise[i], covariance[a].shape[3:]) for i in _of(a)])
+        if a not in into:
+            return _with_own(covariance[a], own)
+        return jnp.stack([moved(a, a) + own, *(moved(a, b) for b in range(a + 1, count))])
+
+    return tuple(row(a) for a in range(count))
 
 
-def variance_of(covariance: Array, sensitivity: Sparse) -> tuple[Array, Array]:
-    """Return P H' (m, n) and H P H' (n,) of a scalar measurement with the sensitivities H."""
-    crossed = _sum([factor[None] * covariance[k] for k, factor in sensitivity.items()])
-    return crossed, _sum([factor * crossed[k] for k, factor in sensitivity.items()])
+def variance_of(covariance: Covariance, sensitivity: Sparse) -> tuple[Array, Array]:
+    """Return P H' (B, 3, n) and H P H' (n,) of a scalar measurement with the sensitivities H."""
+    crossed = _sum([_columns(covariance, b, own) for b, own in _by_blocks(sensitivity)])
+    return crossed, expected(crossed, sensitivity)
 
 
 def corrected(
-    covariance: Array, errors: Array, sensitivity: Sparse, innovation: Array, variance: Array, used: Array
-) -> tuple[Array, Array]:
-    """Return covariance (m, m, n) and errors (m, n) after a scalar measurement (Kalman 1960).
+    covariance: Covariance, errors: Array, sensitivity: Sparse, innovation: Array, variance: Array, used: Array
+) -> tuple[Covariance, Array]:
+    """Return covariance and errors after a scalar measurement (Kalman 1960).
 
     Args:
         covariance: before.
-        errors: the mean of each error, by the measurements of this instant so far.
+        errors: the mean of each error, (B, 3, n), by the measurements of this instant so far.
         sensitivity: of the measurement to the errors.
         innovation: measurement minus its prediction, were all errors zero (n,).
         variance: of its noise (n,).
@@ -60,31 +96,83 @@ def corrected(
     """
     crossed, own = variance_of(covariance, sensitivity)
     left = jnp.where(used, innovation - expected(errors, sensitivity), 0.0)
-    gains = crossed * jnp.where(used, 1.0 / (own + variance), 0.0)[None]
-    return covariance - gains[:, None] * crossed[None], errors + gains * left[None]
+    # By the root, so that a block on the diagonal stays as symmetric as it is.
+    scale = jnp.where(used, 1.0 / jnp.sqrt(own + variance), 0.0)
+    scaled = crossed * scale[None, None]
+    after = [row - scaled[a][None, :, None] * scaled[a:, None] for a, row in enumerate(covariance)]
+    return tuple(after), errors + scaled * (left * scale)[None, None]
 
 
 def expected(errors: Array, sensitivity: Sparse) -> Array:
-    """Return what errors (m, n) make of a scalar measurement (n,)."""
-    return _sum([factor * errors[k] for k, factor in sensitivity.items()])
+    """Return what errors (B, 3, n) make of a scalar measurement (n,)."""
+    return _sum([factor * errors[k // BLOCK, k % BLOCK] for k, factor in sensitivity.items()])
 
 
-def forgotten(covariance: Array, variances: Mapping[int, Array], where: Array) -> Array:
+def forgotten(covariance: Covariance, variances: Sparse, where: Array) -> Covariance:
     """Return a covariance in which some errors are independent of all others, with new variances, where (n,) bool."""
-    size = len(covariance)
-    kept = np.array([float(i not in variances) for i in range(size)])
-    zero = jnp.zeros_like(covariance[0, 0])
-    mask = jnp.asarray(kept[:, None] * kept, covariance.dtype)[:, :, None]
-    fresh = mask * covariance + diagonal([variances.get(i, zero) for i in range(size)])
-    return jnp.where(where[None, None], fresh, covariance)
+    count = len(covariance)
+    zero = jnp.zeros(where.shape, covariance[0].dtype)
+
+    def fresh(a: int, row: Array) -> Array:
+        known = [
+            [[[i not in variances and j not in variances] for j in _of(b)] for i in _of(a)] for b in range(a, count)
+        ]
+        kept = jnp.asarray(known, row.dtype) * row
+        own = _diagonal([variances.get(i, zero) for i in _of(a)])
+        return jnp.where(where[None, None, None], _with_own(kept, own), row)
+
+    return tuple(fresh(a, row) for a, row in enumerate(covariance))
+
+
+def _of(block: int) -> range:
+    return range(BLOCK * block, BLOCK * (block + 1))
+
+
+def _block(covariance: Covariance, a: int, b: int) -> Array:
+    """Return the covariance (..., 3, 3, n) of the errors of block a with those of block b."""
+    block = covariance[min(a, b)][..., abs(b - a), :, :, :]
+    return block if a <= b else _transposed(block)
+
+
+def _columns(covariance: Covariance, b: int, factors: Sequence[tuple[int, Array]]) -> Array:
+    """Return the sum (B, 3, n) of columns of P, which are of errors of one block, times their factors."""
+    above = [_sum([factor[None] * covariance[a][b - a, :, i] for i, factor in factors]) for a in range(b)]
+    below = _sum([factor[None, None] * covariance[b][:, i] for i, factor in factors])
+    return jnp.concatenate([jnp.stack(above), below]) if above else below
+
+
+def _by_blocks(sensitivity: Sparse) -> Iterator[tuple[int, list[tuple[int, Array]]]]:
+    """Yield each block that a measurement depends on, with the errors in it and their factors."""
+    for block in dict.fromkeys(k // BLOCK for k in sensitivity):
+        yield block, [(k % BLOCK, factor) for k, factor in sensitivity.items() if k // BLOCK == block]
+
+
+def _diagonal(variances: Sequence[Array]) -> Array:
+    return jnp.asarray(_EYE) * jnp.stack(variances)[:, None]
+
+
+def _with_own(row: Array, own: Array) -> Array:
+    """Return a row of blocks with a variance added to the first one, which is that on the diagonal."""
+    return jnp.concatenate([row[:1] + own[None], row[1:]])
+
+
+def _times(move: Array | float, block: Array) -> Array:
+    """Return the product (3, 3, n) of a block of F with one of a covariance."""
+    if jnp.ndim(move) == 0:
+        return move * block
+    whole = jnp.asarray(move)
+    return _sum([whole[:, k, None] * block[None, k] for k in range(BLOCK)])
+
+
+def _transposed(block: Array) -> Array:
+    return jnp.swapaxes(block, -3, -2)
 
 
 def _sum(parts: Sequence[Array]) -> Array:
-    found = parts[0]
+    total = parts[0]
     for part in parts[1:]:
-        found = found + part
-    return found
+        total = total + part
+    return total
 
 
-def _eye(size: int) -> Array:
-    return jnp.asarray(np.eye(size)[:, :, None], jnp.float32)
+_EYE = np.eye(BLOCK, dtype=np.float32)[:, :, None]

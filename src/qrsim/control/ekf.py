@@ -14,7 +14,17 @@ from jax import Array, lax
 
 from qrsim.control.consistency import Consistency, Truth, of_blocks, turned
 from qrsim.control.contracts import Estimator
-from qrsim.control.covariance import corrected, diagonal, expected, propagated, variance_of
+from qrsim.control.covariance import (
+    BLOCK,
+    Covariance,
+    corrected,
+    expected,
+    independent,
+    matrix,
+    propagated,
+    variance_of,
+    variances,
+)
 from qrsim.control.kalman_readings import Measured, airspeeds, compass, fields, headings, heights, places, velocities
 from qrsim.control.kalman_state import (
     SPEED,
@@ -26,9 +36,9 @@ from qrsim.control.kalman_state import (
     injected,
     inner_std,
     lost,
+    moves,
     of_angles,
     small,
-    transition,
 )
 from qrsim.control.reading_fields import AIRSPEED, FIELD, field_of, known, source_of
 from qrsim.control.setpoints import Estimate
@@ -39,7 +49,7 @@ from qrsim.core.tree import derived, parameter, record, replace, setting
 from qrsim.core.vectors import Euler, Vec3
 
 # Covariance, mean errors, time since a fix that was believed, and innovations.
-Corrected = tuple[Array, Array, Array, Innovations]
+Corrected = tuple[Covariance, Array, Array, Innovations]
 
 
 @record
@@ -130,13 +140,13 @@ class ErrorStateKalmanFilter(Estimator):
         none = Vec3(zero, zero, zero)
         begun = Quaternion.of(replace(start.attitude, yaw=yaw))
         inner = self._first_inner(readings, begun, none)
-        covariance = diagonal(
+        tilt, yaw_variance = self._as(zero, self.tilt_std), self._as(zero, self.yaw_std)
+        covariance = independent(
             [
                 *self._variances(readings, "position_ned", zero, by_height),
                 *self._variances(readings, "velocity_ned", zero),
-                *(self._as(zero, self.tilt_std),) * 2,
-                self._as(zero, self.yaw_std),
-                *self._inner(inner, zero, self._first_stds),
+                *(tilt, tilt, yaw_variance),
+                *(self._as(zero, std) for std in self._inner(inner, self._first_stds)),
             ]
         )
         state = KalmanState(
@@ -190,14 +200,16 @@ class ErrorStateKalmanFilter(Estimator):
             self.height_bias_walk,
         )  # fmt: skip
 
-    def _inner(self, inner: Inner, like: Array, stds: tuple[Array, ...]) -> list[Array]:
-        """Return the squares of stds for each error that the filter has beside those of the motion (n,)."""
-        parts = (
-            inner.gyroscope_bias, inner.accelerometer_bias, inner.earth_field_ned, inner.field_bias,
-            None if inner.wind_north is None else (0, 1), inner.height_bias,
-        )  # fmt: skip
-        counts = [0 if part is None else count for part, count in zip(parts, (3, 3, 3, 3, 2, 1), strict=True)]
-        return [self._as(like, std) for std, count in zip(stds, counts, strict=True) for _ in range(count)]
+    def _inner(self, inner: Inner, stds: tuple[Array, ...]) -> list[Array]:
+        """Return the std of each error that the filter has beside those of the motion: whole blocks, 0 for none."""
+        *first, wind, height = stds
+        own = first[:2] if inner.earth_field_ned is None else first
+        found = [std for std in own for _ in range(3)]
+        if inner.wind_north is not None or inner.height_bias is not None:
+            known = (inner.wind_north, inner.wind_east, inner.height_bias)
+            last = zip(known, (wind, wind, height), strict=True)
+            found += [jnp.zeros_like(std) if part is None else std for part, std in last]
+        return found
 
     def step(
         self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
@@ -210,7 +222,7 @@ class ErrorStateKalmanFilter(Estimator):
 
     def std(self, state: KalmanState) -> Estimate:
         """Return the standard deviations (n,) of its estimate."""
-        own = [jnp.sqrt(state.covariance[i, i]) for i in range(TURN)]
+        own = [jnp.sqrt(variance) for variance in variances(state.covariance)[:TURN]]
         rows = of_angles(state.rotation)
         angles = [jnp.sqrt(jnp.maximum(variance_of(state.covariance, row)[1], 0.0)) for row in rows]
         return Estimate(Vec3(*own[:SPEED]), Vec3(*own[SPEED:]), Euler(*angles))
@@ -230,7 +242,7 @@ class ErrorStateKalmanFilter(Estimator):
         if known_biases:
             own = (state.inner.gyroscope_bias, state.inner.accelerometer_bias)
             parts += [bias - mean for bias, mean in zip(biases, own, strict=True) if bias is not None]
-        return of_blocks(state.covariance, [axis for part in parts for axis in part.axes], known_biases)
+        return of_blocks(matrix(state.covariance), [axis for part in parts for axis in part.axes], known_biases)
 
     def innovations(self, state: KalmanState) -> Innovations:
         """Return what the last readings said beside what was expected, in std."""
@@ -276,29 +288,31 @@ class ErrorStateKalmanFilter(Estimator):
             felt = Vec3(*(jnp.where(seen, axis, still) for axis, still in zip(found.axes, felt.axes, strict=True)))
         change = replace(felt, z=felt.z + self.gravity) * dt
         position, low = added(state.position_ned, state.position_low_ned + (state.velocity_ned + 0.5 * change) * dt)
-        covariance = propagated(state.covariance, transition(felt, after, dt), self._noise(state.inner, zero, dt))
+        covariance = propagated(state.covariance, moves(felt, after, dt), self._noise(state.inner, dt))
         return replace(
             state, position_ned=position, position_low_ned=low, velocity_ned=state.velocity_ned + change,
             attitude=attitude, rates_body=rates, force_ned=felt, since_fix=state.since_fix + dt, covariance=covariance,
         )  # fmt: skip
 
-    def _noise(self, inner: Inner, like: Array, dt: float) -> list[Array]:
-        stds = (0.0 * self.accelerometer_noise, self.accelerometer_noise, self.gyroscope_noise)
-        of_motion = [self._as(like, std) for std in stds for _ in range(3)]
-        return [variance * dt for variance in (*of_motion, *self._inner(inner, like, self._walks))]
+    def _noise(self, inner: Inner, dt: float) -> list[Array]:
+        """Return the variance that a tick adds to each error (F1)."""
+        of_motion = (0.0 * self.accelerometer_noise, self.accelerometer_noise, self.gyroscope_noise)
+        stds = [*(std for std in of_motion for _ in range(3)), *self._inner(inner, self._walks)]
+        return [std * std * dt for std in stds]
 
     def _measured(
         self, state: KalmanState, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
     ) -> KalmanState:
         """Return the state corrected by what is new (F2)."""
-        begun = (state.covariance, jnp.zeros_like(state.covariance[0]), state.since_fix, state.innovations)
-        carry: Corrected = begun
+        none = jnp.zeros((state.places.size // BLOCK, BLOCK, *state.since_fix.shape), state.since_fix.dtype)
+        carry: Corrected = (state.covariance, none, state.since_fix, state.innovations)
         for what, scalars, new, due in self._groups(state, readings, fresh, dt):
             believe = partial(self._believed, what, scalars, new)
             # Between two readings of a sensor nothing is computed; who hears at times of their own are all looked at.
             carry = lax.cond(due, believe, _unchanged, carry) if due.ndim == 0 else believe(carry)
         covariance, errors, since_fix, innovations = carry
-        return injected(replace(state, covariance=covariance, since_fix=since_fix, innovations=innovations), errors, dt)
+        state = replace(state, covariance=covariance, since_fix=since_fix, innovations=innovations)
+        return injected(state, errors.reshape(-1, *state.since_fix.shape), dt)
 
     def _believed(self, what: str, scalars: list[Measured], new: Array, carry: Corrected) -> Corrected:
         """Return covariance, errors, time since a fix, and innovations, after the scalars of one kind of reading."""
@@ -318,7 +332,7 @@ class ErrorStateKalmanFilter(Estimator):
         shown = jnp.where(new, jnp.sqrt(worst), getattr(innovations, what))
         return covariance, errors, since_fix, replace(innovations, **{what: shown})
 
-    def _worst(self, covariance: Array, errors: Array, scalars: list[Measured]) -> Array:
+    def _worst(self, covariance: Covariance, errors: Array, scalars: list[Measured]) -> Array:
         """Return the largest square of a kind's innovations (n,), each over its variance."""
         worst = jnp.zeros_like(scalars[0].innovation)
         for scalar in scalars:

@@ -34,6 +34,10 @@ class RouteState:
 
     index: Array = quantity(doc="int32")
     reached: Array = quantity(doc="int32 waypoints reached so far")
+    overfull: Array | None = quantity(
+        default=None,
+        doc="int32 looks for others in which some may have been missed for want of room; None: there always is room",
+    )
 
     @staticmethod
     def start(route: Route) -> RouteState:

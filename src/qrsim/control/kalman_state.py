@@ -6,13 +6,13 @@ Errors of the attitude are small rotations in NED (Sola, "Quaternion kinematics 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.control.covariance import forgotten
+from qrsim.control.covariance import Covariance, Moves, forgotten, variances
 from qrsim.core.pairs import added
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import quantity, record, replace
@@ -71,9 +71,9 @@ class KalmanState:
     inner: Inner = quantity(doc="all else that is estimated")
     rates_body: Vec3 = quantity(unit="rad/s", doc="body rates as last measured")
     force_ned: Vec3 = quantity(unit="m/s^2", doc="specific force of the last tick")
-    covariance: Array = quantity(
-        doc="of position, velocity, rotation in NED, both biases, then field and its bias, wind, bias of the height; "
-        "(m, m, n), 15 to 24"
+    covariance: Covariance = quantity(
+        doc="of position, velocity, rotation in NED, both biases, then field and its bias, wind and bias of the "
+        "height: blocks of three errors with three, see covariance.py, 15 to 24 errors"
     )
     since_fix: Array = quantity(unit="s", doc="time since the last fix that was believed")
     innovations: Innovations = quantity(doc="of the last readings")
@@ -102,34 +102,23 @@ class Places(NamedTuple):
     @staticmethod
     def of(inner: Inner) -> Places:
         """Return where the errors of what is estimated stand."""
-        parts = (inner.earth_field_ned, inner.field_bias, inner.wind_north, inner.height_bias)
-        size: int = SIZE
-        found: list[int | None] = []
-        for part, count in zip(parts, (3, 3, 2, 1), strict=True):
-            found.append(None if part is None else size)
-            size += 0 if part is None else count
-        field, field_bias, wind, height = found
-        return Places(field, field_bias, wind, height, size)
+        none = inner.earth_field_ned is None
+        last = SIZE if none else SIZE + 6
+        wind, height = inner.wind_north is not None, inner.height_bias is not None
+        return Places(
+            None if none else SIZE, None if none else SIZE + 3, last if wind else None, last + 2 if height else None,
+            last + 3 if wind or height else last,
+        )  # fmt: skip
 
 
-def transition(felt: Vec3, turned: Rotation, dt: float) -> Callable[[Array], Array]:
-    """Return what a tick makes of the errors of the motion: nine rows of F X for X (m, k, n) (F1); others stay."""
+def moves(felt: Vec3, turned: Rotation, dt: float) -> Moves:
+    """Return what a tick makes of the errors of the motion: the blocks of F beside 1 (F1)."""
     none = jnp.zeros_like(felt.x)
     swing = jnp.stack([jnp.stack([dt * row.get(k, none) for k in range(3)]) for row in swung(felt)])
     rows = zip(*(axis.axes for axis in body_axes(turned)), strict=True)
     biased = jnp.stack([jnp.stack([-dt * cosine for cosine in row]) for row in rows])
-
-    def moved(x: Array) -> Array:
-        place, speed, turn, gyroscope, accelerometer = (x[first : first + 3] for first in range(0, SIZE, 3))
-        return jnp.concatenate(
-            [
-                place + dt * speed,
-                speed + _times(swing, turn) + _times(biased, accelerometer),
-                turn + _times(biased, gyroscope),
-            ]
-        )
-
-    return moved
+    place, speed, turn, gyroscope, accelerometer = range(5)
+    return {(place, speed): dt, (speed, turn): swing, (speed, accelerometer): biased, (turn, gyroscope): biased}
 
 
 def swung(force: Vec3) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
@@ -163,7 +152,7 @@ def small(half: Vec3) -> Quaternion:
     return Quaternion(1.0 - 0.5 * square, half.x * scale, half.y * scale, half.z * scale)
 
 
-def lost(covariance: Array, variances: Sequence[Array], where: Array) -> Array:
+def lost(covariance: Covariance, variances: Sequence[Array], where: Array) -> Covariance:
     """Return a covariance that knows nothing of place and speed, where a fix is to be believed whatever it says."""
     wide: Mapping[int, Array] = {
         **{PLACE + axis: 1e4 * variance for axis, variance in enumerate(variances)},
@@ -220,9 +209,10 @@ def _inner(inner: Inner, errors: Array) -> Inner:
 
 
 def inner_std(state: KalmanState) -> Inner:
-    """Return the std of each part of ``inner``; the covariance may be (T, m, m, n) of many ticks."""
+    """Return the std of each part of ``inner``; the covariance may be that of many ticks."""
     places = state.places
-    own = [jnp.sqrt(state.covariance[..., i, i, :]) for i in range(places.size)]
+    # In NumPy where the state is: a log asks for each part of a flight.
+    own = [variance**0.5 for variance in variances(state.covariance)]
 
     def three(first: int | None) -> Vec3 | None:
         return None if first is None else Vec3(*own[first : first + 3])
@@ -236,9 +226,3 @@ def inner_std(state: KalmanState) -> Inner:
 
 def _three(errors: Array, first: int) -> Vec3:
     return Vec3(errors[first], errors[first + 1], errors[first + 2])
-
-
-def _times(matrix: Array, x: Array) -> Array:
-    """Return the product (3, k, n) of matrices (3, 3, n) and (3, k, n)."""
-    first, second, third = (matrix[:, k, None] * x[None, k] for k in range(3))
-    return first + second + third

@@ -50,6 +50,9 @@ class Estimate:
     position_low_ned: Vec3 | None = quantity(
         default=None, unit="m", doc="what single precision leaves out of the position; None where nobody knows"
     )
+    airspeed: Array | None = quantity(
+        default=None, unit="m/s", doc="speed through the air; None for a controller that does not look at it"
+    )
 
     def offset_from(self, place_ned: Vec3) -> Vec3:
         """Return the position minus a point (n,) [m], without rounding large positions first."""
@@ -103,6 +106,29 @@ class PathSetpoint:
             return wanted.map(lambda axis: like(position.x, axis))
 
         return PathSetpoint(position, each(velocity_ned), each(acceleration_ned), like(position.x, yaw_rad))
+
+
+@record
+class TrackSetpoint:
+    """A straight line to fly or drive along, or a circle to go round, (n,), for rovers and fixed wings."""
+
+    begin_ned: Vec3 = quantity(unit="m", doc="where the line begins; where it ends: straight there; not of a circle")
+    position_ned: Vec3 = quantity(unit="m", doc="where the line ends, or the centre of the circle; with the height")
+    radius: Array = quantity(unit="m", doc="of the circle, clockwise from above positive; 0: a line")
+    speed: Array = quantity(unit="m/s", doc="along it, of a fixed wing its airspeed; 0: that of the controller")
+    stops: Array = quantity(unit="1", doc="1: come to rest at the end of the line, who can; 0: go on")
+
+    @staticmethod
+    def line(begin_ned: Any, end_ned: Any, speed: Any = 0.0, stops: Any = 0.0) -> TrackSetpoint:
+        """Return lines between positions (n, 3) [m] at speeds (n,) or one [m/s]; NumPy or JAX."""
+        begin, end = axes(begin_ned), axes(end_ned)
+        return TrackSetpoint(begin, end, like(end.x, 0.0), like(end.x, speed), like(end.x, stops))
+
+    @staticmethod
+    def orbit(centre_ned: Any, radius: Any, speed: Any = 0.0) -> TrackSetpoint:
+        """Return circles about centres (n, 3) [m] with radii (n,) or one [m], clockwise positive; NumPy or JAX."""
+        centre = axes(centre_ned)
+        return TrackSetpoint(centre, centre, like(centre.x, radius), like(centre.x, speed), like(centre.x, 0.0))
 
 
 @record
@@ -211,4 +237,5 @@ SETPOINTS: dict[str, type] = {
     "attitude_height": AttitudeHeightSetpoint,
     "attitude": AttitudeSetpoint,
     "path": PathSetpoint,
+    "track": TrackSetpoint,
 }

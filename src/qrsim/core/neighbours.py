@@ -42,12 +42,21 @@ def neighbours(x: Array, y: Array, z: Array, reach: Array | float, count: int, r
             wanted, at least 32. Where there are no more points than in three such stretches, all pairs are looked at,
             and nothing is ever overfull.
     """
-    room = max(2 * count, 32) if room is None else room
+    room = _room(count) if room is None else room
     reach = jnp.asarray(reach, x.dtype)
-    if x.shape[0] - 1 <= 3 * room:
+    if always_room(x.shape[0], count, room):
         return _nearest_of(*_all_others(x, y, z), reach, count, jnp.zeros(x.shape, bool))
     candidates, overfull = _in_cells(x, y, z, reach, room)
     return _nearest_of(*_apart(x, y, z, candidates), reach, count, overfull)
+
+
+def always_room(points: int, count: int, room: int | None = None) -> bool:
+    """Return whether ``neighbours`` of so many points, with this ``count`` and ``room``, can never be overfull."""
+    return points - 1 <= 3 * (_room(count) if room is None else room)
+
+
+def _room(count: int) -> int:
+    return max(2 * count, 32)
 
 
 def by_all_pairs(x: Array, y: Array, z: Array, reach: Array | float, count: int) -> Neighbours:
@@ -102,9 +111,10 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
     column = jnp.where(known, cell[0] * side + cell[1], columns)
     rank = _ranks(column, columns)
     inside = known & (rank >= 0)
-    members = jnp.zeros(columns, jnp.int32).at[jnp.where(inside, column, columns)].add(1, mode="drop")
+    # With those that are out of sight.
+    members = jnp.zeros(columns, jnp.int32).at[jnp.where(known, column, columns)].add(1, mode="drop")
     # From 0 on: where the points of each column begin.
-    begin = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(members, dtype=jnp.int32)])
+    begin = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(jnp.minimum(members, _DEEPEST), dtype=jnp.int32)])
     place = begin.at[jnp.minimum(column, columns - 1)].get(mode="promise_in_bounds") + rank
     order = jnp.zeros(n, jnp.int32).at[jnp.where(inside, place, n)].set(jnp.arange(n, dtype=jnp.int32), mode="drop")
     parts, overfull = [], known & (rank < 0)
@@ -115,7 +125,9 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
             members.at[first_of_row + jnp.mod(cell[1] + beside, side)].get(mode="promise_in_bounds")
             for beside in (-1, 0, 1)
         ]
-        length = lengths[0] + lengths[1] + lengths[2]
+        shown = [jnp.minimum(part, _DEEPEST) for part in lengths]
+        length = shown[0] + shown[1] + shown[2]
+        out_of_sight = lengths[0] + lengths[1] + lengths[2] - length
         start = begin.at[first_of_row + jnp.mod(cell[1] - 1, side)].get(mode="promise_in_bounds")
         whole, end = (begin.at[first_of_row + k].get(mode="promise_in_bounds") for k in (0, side))
         # Around the end of the row, the stretch goes on at its beginning.
@@ -123,7 +135,7 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
         at = jnp.where(at >= end[None], at - (end - whole)[None], at)
         who = order.at[jnp.clip(at, 0, n - 1)].get(mode="promise_in_bounds")
         parts.append(jnp.where((slot < length[None]) & known[None], who, _NOBODY))
-        overfull = overfull | (known & (length > room))
+        overfull = overfull | (known & ((length > room) | (out_of_sight > 0)))
     return jnp.concatenate(parts), overfull
 
 

@@ -19,8 +19,9 @@ def presets_of(cls: type) -> Mapping[str, Mapping[str, Any]] | None:
 def with_presets(cls: Any) -> Any:
     """Return a dataclass whose constructor takes what it is not given from the preset, if the class has any.
 
-    Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them. The
-    schema of a scenario does the same (``scenarios/component_schema.py``).
+    Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them. A
+    preset says by a mapping what is different in a part that is a record itself; such a part, if given, counts as a
+    whole. The schema of a scenario does the same (``scenarios/component_schema.py``), and fills such parts too.
     """
     presets = presets_of(cls)
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}
@@ -29,15 +30,31 @@ def with_presets(cls: Any) -> Any:
     plain, usual = cls.__init__, fields["preset"].default
 
     @functools.wraps(plain)
-    def filled(self: Any, *args: Any, **given: Any) -> None:
+    def completed(self: Any, *args: Any, **given: Any) -> None:
         # All are given where JAX or dataclasses make one anew.
         if len(args) + len(given) < len(fields):
             named = {*list(fields)[: len(args)], *given}
             chosen = dict(zip(fields, args, strict=False)).get("preset", given.get("preset", usual))
             if not isinstance(chosen, str) or chosen not in presets:
                 raise UsageError(f"{cls.__name__}: no preset is called {chosen!r}{did_you_mean(str(chosen), presets)}")
-            given |= {name: value for name, value in presets[chosen].items() if name not in named}
+            given |= {
+                name: _made(value, fields[name].default) for name, value in presets[chosen].items() if name not in named
+            }
         plain(self, *args, **given)
 
-    cls.__init__ = filled
+    cls.__init__ = completed
     return cls
+
+
+def filled(usual: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is given by name, filled with what is usual; nested mappings too."""
+    both = {**usual, **given}
+    for name, part in usual.items():
+        if isinstance(part, Mapping) and isinstance(given.get(name), Mapping):
+            both[name] = filled(part, given[name])
+    return both
+
+
+def _made(value: Any, usual: Any) -> Any:
+    """Return a parameter as a preset says it; of a part with parameters of its own it says some, by their names."""
+    return dataclasses.replace(usual, **value) if isinstance(value, Mapping) else value

@@ -87,8 +87,13 @@ class Batch:
         for whole, part in ((self.seen, begun.seen), (self.truth, begun.truth)):
             jax.tree.map(lambda old, new: _set(old, rows, new), whole, part)
 
-    def step(self, action: Any, who: str = "action") -> tuple[FloatArray, FloatArray, FloatArray]:
+    def step(self, action: Any, words: Any = None, who: str = "action") -> tuple[FloatArray, FloatArray, FloatArray]:
         """Advance all episodes by actions (B, n, A), and return reward (B, n), terminated (B,) and truncated (B,).
+
+        Args:
+            action: of each agent.
+            words: (B, n, D) what they say over the radio, NaN for who says nothing; None: nobody does.
+            who: what messages call the actions.
 
         Raises:
             UsageError: nothing has started, or actions of another shape, not finite or outside [-1, 1].
@@ -96,6 +101,9 @@ class Batch:
         if not self.episodes.started:
             raise UsageError("the environment has not started: call reset() first")
         checked = self.checked(action, who)
+        if self.functional.play.message:
+            said = np.full((*checked.shape[:2], self.functional.play.message), np.nan) if words is None else words
+            checked = np.concatenate([checked, np.asarray(said, self.dtype)], axis=2)
         with self._precision():
             step, self.truth = self.episodes.step(checked)
         self.seen = step.observation

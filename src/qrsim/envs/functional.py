@@ -16,6 +16,8 @@ from qrsim.core.tree import cast
 from qrsim.errors import UsageError
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.tasks import Episode, Play, Step
+from qrsim.tasks.agents import Axis
+from qrsim.tasks.speaking import ACT, SAY
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,11 @@ class Functional:
         """Names of the agents."""
         return self.play.agents
 
+    @property
+    def observation_axes(self) -> tuple[Axis, ...] | dict[str, tuple[Axis, ...]]:
+        """Name, unit and range of each number of an observation; of a dict, of those that have names."""
+        return self.play.task.sees(self.play.world)
+
     def keys(self, seeds: Any, numbers: Any = 0) -> Any:
         """Return the keys of episodes, one for each seed (B,), made on the host.
 
@@ -79,8 +86,31 @@ class Functional:
         return self.play.reset(seed)
 
     def step(self, episode: Episode, action: Array) -> tuple[Episode, Step]:
-        """Advance an episode by the actions (n, A); results after its end have no meaning."""
-        return self.play.step(episode, action)
+        """Advance an episode by the actions of n agents; results after its end have no meaning.
+
+        Args:
+            episode: before.
+            action: (n, A); with a radio also a dict of ``act``, which is that, and ``say`` (n, D), a message of each.
+
+        Raises:
+            UsageError: other shapes, or something to say without a radio.
+        """
+        return self.play.step(episode, self._together(action))
+
+    def _together(self, action: Any) -> Array:
+        """Return actions (n, A), with what is said (n, A + D)."""
+        n, size = len(self.agents), self.play.message
+        said = None
+        if isinstance(action, dict):
+            wrong = [part for part in action if part not in (ACT, SAY)]
+            if wrong or ACT not in action:
+                raise UsageError(f"action: expected a dict of {ACT} and {SAY}, found {', '.join(map(str, action))}")
+            action, said = action[ACT], action.get(SAY)
+        for what, array, width in (("action", action, len(self.play.axes)), ("action: say", said, size)):
+            if array is not None and jnp.shape(array) != (n, width):
+                more = "; there is no world.radio" if what != "action" and not size else ""
+                raise UsageError(f"{what}: expected shape ({n}, {width}), found {jnp.shape(array)}{more}")
+        return action if said is None else jnp.concatenate([action, jnp.asarray(said, action.dtype)], axis=1)
 
     def score(self, episode: Episode, answer: Array) -> Array:
         """Score the agents' answers, (n, L) or (n, L, K), (n,); see the task.

@@ -13,7 +13,7 @@ from pettingzoo import ParallelEnv
 
 from qrsim.envs.batch import Batch
 from qrsim.envs.single import refuse_drawing, shaped, split_answer
-from qrsim.envs.spaces import action_space, observation_space
+from qrsim.envs.spaces import action_space, observation_space, split_say
 from qrsim.errors import UsageError, did_you_mean
 
 
@@ -25,6 +25,9 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
 
     Args:
         scenario, overrides, precision, render_mode: as of ``SingleTask``.
+
+    Attributes:
+        observation_axes: as of ``SingleTask``.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "name": "qrsim"}  # noqa: RUF012
@@ -43,11 +46,12 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         self.possible_agents = list(self.batch.functional.agents)
         self.agents: list[str] = []
         self.batch.reset(np.zeros(1, np.int64))
+        self.observation_axes = self.batch.functional.observation_axes
         self.action_spaces: dict[str, spaces.Space[Any]] = {
             agent: action_space(self.batch) for agent in self.possible_agents
         }
         self.observation_spaces: dict[str, spaces.Space[Any]] = {
-            agent: observation_space(self.batch.seen) for agent in self.possible_agents
+            agent: observation_space(self.batch.functional.play, self.batch.seen) for agent in self.possible_agents
         }
         self._seeded = False
 
@@ -91,10 +95,16 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         missing = [agent for agent in self.agents if agent not in actions]
         if missing:
             raise UsageError(f"actions: there is none for {', '.join(missing)}")
-        parts = [split_answer(self.batch, actions[agent], f"action of {agent}") for agent in self.agents]
-        named = zip(self.agents, parts, strict=True)
-        flown = np.stack([shaped(self.batch, flight, f"action of {agent}") for agent, (flight, _) in named])
-        rewards, terminated, truncated = self.batch.step(flown[None])
+        done, words = zip(
+            *(split_say(self.batch, actions[agent], f"action of {agent}") for agent in self.agents), strict=True
+        )
+        named = list(zip(self.agents, done, strict=True))
+        parts = [split_answer(self.batch, act, f"action of {agent}") for agent, act in named]
+        flown = [
+            shaped(self.batch, flight, f"action of {agent}")
+            for agent, (flight, _) in zip(self.agents, parts, strict=True)
+        ]
+        rewards, terminated, truncated = self.batch.step(np.stack(flown)[None], np.stack(words)[None])
         totals = rewards[0].astype(float)
         if parts[0][1] is not None and truncated[0]:
             totals += self.batch.score(0, np.stack([np.asarray(answer) for _, answer in parts]))

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from qrsim.envs.batch import Batch
-from qrsim.envs.spaces import SAMPLES, VELOCITY, action_space, observation_space
+from qrsim.envs.spaces import SAMPLES, VELOCITY, action_space, observation_space, split_say
 from qrsim.errors import UsageError
 
 
@@ -79,6 +79,9 @@ class SingleTask(gymnasium.Env[Any, Any]):
         overrides: assignments such as "world.wind.speed_20ft=7".
         precision: float32 or float64.
         render_mode: None; nothing is drawn.
+
+    Attributes:
+        observation_axes: name, unit and range of each number of an observation; of a dict, of those that have names.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
@@ -96,7 +99,8 @@ class SingleTask(gymnasium.Env[Any, Any]):
         only_one(self.batch)
         self.action_space = action_space(self.batch)
         self.batch.reset(np.zeros(1, np.int64))
-        self.observation_space = observation_space(self.batch.seen)
+        self.observation_axes = self.batch.functional.observation_axes
+        self.observation_space = observation_space(self.batch.functional.play, self.batch.seen)
         self._running = False
         self._seeded = False
 
@@ -119,8 +123,10 @@ class SingleTask(gymnasium.Env[Any, Any]):
         """
         if not self._running:
             raise UsageError("the episode has ended, or has not begun: call reset()")
+        action, words = split_say(self.batch, action, "action")
         flight, answer = split_answer(self.batch, action, "action")
-        reward, terminated, truncated = self.batch.step(shaped(self.batch, flight, "action")[None, None])
+        flown = shaped(self.batch, flight, "action")[None, None]
+        reward, terminated, truncated = self.batch.step(flown, words[None, None])
         total = float(reward[0, 0])
         if answer is not None and truncated[0]:
             total += float(self.batch.score(0, np.asarray(answer)[None])[0])

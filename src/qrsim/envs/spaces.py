@@ -1,4 +1,4 @@
-"""Gymnasium's spaces of actions and observations."""
+"""Gymnasium's spaces of actions and observations, and what is in an action."""
 
 from __future__ import annotations
 
@@ -8,24 +8,86 @@ import numpy as np
 from gymnasium import spaces
 
 from qrsim.envs.batch import Batch
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.tasks import Play
+from qrsim.tasks.speaking import ACT, AGE, HEARD, MASK, RSSI, SAY, SEE, SENDER
 
 SAMPLES, VELOCITY = "samples", "velocity"
 
 
 def action_space(batch: Batch) -> spaces.Space[Any]:
-    """Return the action space of one agent: numbers in [-1, 1], and the answer for tasks that have one."""
+    """Return the action space of one agent: numbers in [-1, 1], and the answer for tasks that have one.
+
+    With a radio that is the part ``act`` of a dict, which has a message ``say`` too.
+    """
     play = batch.functional.play
-    flight = spaces.Box(-1.0, 1.0, (len(play.axes),), batch.dtype.type)
-    if not play.task.hands_in:
-        return flight
-    shape = play.task.answer_shape(play.world)
-    return spaces.Dict({SAMPLES: spaces.Box(0.0, np.inf, shape, batch.dtype.type), VELOCITY: flight})
+    act: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (len(play.axes),), batch.dtype.type)
+    if play.task.hands_in:
+        shape = play.task.answer_shape(play.world)
+        act = spaces.Dict({SAMPLES: spaces.Box(0.0, np.inf, shape, batch.dtype.type), VELOCITY: act})
+    if not play.message:
+        return act
+    return spaces.Dict({ACT: act, SAY: spaces.Box(-np.inf, np.inf, (play.message,), batch.dtype.type)})
 
 
-def observation_space(seen: Any) -> spaces.Space[Any]:
+def observation_space(play: Play, seen: Any) -> spaces.Space[Any]:
     """Return the observation space of one agent, from the observations (B, n, ...) of all."""
+    axes = play.task.sees(play.world)
+    if not play.message:
+        return _space(seen, axes)
+    vehicles = sum(fleet.size for fleet in play.world.fleets)
+    size = seen[SENDER].shape[2:]
+    return spaces.Dict({
+        SEE: _space(seen[SEE], axes),
+        HEARD: _space(seen[HEARD]),
+        SENDER: spaces.Box(-1, vehicles - 1, size, np.int32),
+        AGE: spaces.Box(0.0, np.inf, size, seen[AGE].dtype.type),
+        RSSI: _space(seen[RSSI]),
+        MASK: spaces.MultiBinary(size),
+    })  # fmt: skip
+
+
+def split_say(batch: Batch, action: Any, who: str, *lead: int) -> tuple[Any, np.ndarray[Any, Any]]:
+    """Split an action into what is done and what is said, (*lead, D); NaN for who says nothing, D = 0 without a radio.
+
+    Raises:
+        UsageError: with a radio it is no dict of ``act`` and ``say``, or ``say`` are no D finite numbers.
+    """
+    size = batch.functional.play.message
+    words = np.full((*lead, size), np.nan, batch.dtype)
+    if not size:
+        return action, words
+    if not isinstance(action, dict) or ACT not in action:
+        raise UsageError(
+            f"{who}: expected a dict of {ACT} and {SAY}, for there is a radio, found {type(action).__name__}"
+            + (f" of {', '.join(map(str, action)) or 'nothing'}" if isinstance(action, dict) else "")
+        )
+    for part in action:
+        if part not in (ACT, SAY):
+            raise UsageError(f"{who}: there is no part '{part}'{did_you_mean(str(part), (ACT, SAY))}")
+    if action.get(SAY) is None:
+        return action[ACT], words
+    try:
+        said = np.asarray(action[SAY], batch.dtype)
+    except (TypeError, ValueError, OverflowError):
+        raise UsageError(f"{who}: {SAY}: expected numbers of shape {words.shape}, found {action[SAY]!r}") from None
+    if said.shape != words.shape:
+        raise UsageError(f"{who}: {SAY}: expected shape {words.shape} (world.radio.size), found {said.shape}")
+    if not np.isfinite(said).all():
+        raise UsageError(
+            f"{who}: {SAY}: {said[~np.isfinite(said)][0]} is no finite number; without {SAY} nothing is said"
+        )
+    return action[ACT], said
+
+
+def _space(seen: Any, axes: Any = None) -> spaces.Space[Any]:
+    """Return the space of what is seen, by what the task says of its numbers (``Task.sees``); None: nothing."""
     if isinstance(seen, dict):
-        return spaces.Dict({name: observation_space(part) for name, part in seen.items()})
+        named = axes or {}
+        return spaces.Dict({name: _space(part, named.get(name)) for name, part in seen.items()})
     if np.issubdtype(seen.dtype, np.integer):
         return spaces.Box(0, np.iinfo(seen.dtype).max, seen.shape[2:], seen.dtype.type)
-    return spaces.Box(-np.inf, np.inf, seen.shape[2:], seen.dtype.type)
+    if axes is None or len(axes) != np.prod(seen.shape[2:], dtype=int):
+        return spaces.Box(-np.inf, np.inf, seen.shape[2:], seen.dtype.type)
+    low, high = (np.array([getattr(axis, end) for axis in axes], seen.dtype) for end in ("low", "high"))
+    return spaces.Box(low.reshape(seen.shape[2:]), high.reshape(seen.shape[2:]), dtype=seen.dtype.type)

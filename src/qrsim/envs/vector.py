@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 
 from qrsim.envs.batch import Batch
 from qrsim.envs.single import only_one, refuse_drawing, shaped, split_answer
-from qrsim.envs.spaces import action_space, observation_space
+from qrsim.envs.spaces import action_space, observation_space, split_say
 from qrsim.errors import UsageError
 
 Array = np.ndarray[Any, Any]
@@ -28,6 +28,9 @@ class VectorTask(VectorEnv[Any, Any, Any]):
     Args:
         scenario, overrides, precision, render_mode: as of ``SingleTask``.
         num_envs: how many.
+
+    Attributes:
+        observation_axes: as of ``SingleTask``.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
@@ -46,9 +49,11 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         only_one(self.batch)
         self.num_envs = self.batch.size
         self.single_action_space = action_space(self.batch)
+        self.observation_axes = self.batch.functional.observation_axes
         shapes = jax.eval_shape(self.batch.functional.reset, np.zeros(2, np.uint32))[1]
         self.single_observation_space = observation_space(
-            jax.tree.map(lambda leaf: np.broadcast_to(np.zeros((), leaf.dtype), (1, *leaf.shape)), shapes)
+            self.batch.functional.play,
+            jax.tree.map(lambda leaf: np.broadcast_to(np.zeros((), leaf.dtype), (1, *leaf.shape)), shapes),
         )
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -82,9 +87,10 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         Raises:
             UsageError: nothing has started, or actions of another shape, not finite, out of range or incomplete.
         """
+        actions, words = split_say(self.batch, actions, "actions", self.num_envs)
         flight, answers = split_answer(self.batch, actions, "actions")
         flown = shaped(self.batch, flight, "actions", self.num_envs)
-        reward, terminated, truncated = self.batch.step(flown[:, None], "actions")
+        reward, terminated, truncated = self.batch.step(flown[:, None], words[:, None], "actions")
         rewards = reward[:, 0].astype(np.float64)
         if answers is not None:
             for row in np.flatnonzero(truncated):

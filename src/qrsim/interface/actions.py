@@ -23,6 +23,7 @@ from qrsim.control import (
 )
 from qrsim.core.tree import map_tree, walk
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.interface.arrays import library_for
 from qrsim.interface.messages import Say, outboxes
 from qrsim.models.vehicles.commands import fields_of, limits_of
 from qrsim.world.state import Action, Fleet, Saying, Some, World
@@ -170,14 +171,14 @@ class ActionChecker:
             flat = np.ndim(cast(npt.ArrayLike, command)) == 1
         except ValueError:
             return command
-        return (jnp if self.traced else np).asarray(command)[None] if flat else command
+        return library_for(self.traced).asarray(command)[None] if flat else command
 
     def _filled(self, size: int, asked: Mapping[int, Any]) -> tuple[Any, Any]:
         """Return which vehicles (n,) of a fleet something is asked of, and that as (n,) each."""
         which = np.isin(np.arange(size), list(asked))
         first = next(iter(asked.values()))
         ones = [asked.get(row, first) for row in range(size)]
-        library: Any = jnp if self.traced else np
+        library = library_for(self.traced)
         return which, jax.tree.map(lambda *leaves: library.concatenate(leaves), *ones)
 
     def _cut(self, whole: T) -> list[T]:

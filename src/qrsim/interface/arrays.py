@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol, cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 from jax import Array
@@ -25,11 +26,21 @@ class Library(Protocol):
     def ones_like(self, x: Floats, /) -> Floats: ...  # noqa: D102
     def where(self, condition: npt.ArrayLike, x: Floats | int, y: Floats | int, /) -> Floats: ...  # noqa: D102
     def stack(self, arrays: Sequence[Floats] | Sequence[Array], /, *, axis: int) -> Floats: ...  # noqa: D102
+    def asarray(self, values: object, dtype: object = None, /) -> Array: ...  # noqa: D102
+    def broadcast_to(self, array: Array, shape: tuple[int, ...], /) -> Array: ...  # noqa: D102
+    def concatenate(self, arrays: Sequence[Array], /) -> Array: ...  # noqa: D102
+    def reshape(self, array: Array, shape: tuple[int, ...], /) -> Array: ...  # noqa: D102
+    def zeros(self, shape: tuple[int, ...], dtype: object, /) -> Array: ...  # noqa: D102
 
 
 def library_of(*values: object) -> Library:
     """Return the library that some arrays are of."""
     return library(*values)
+
+
+def library_for(traced: bool) -> Library:
+    """Return the library of arrays: JAX's while a program is being compiled, else NumPy."""
+    return cast(Library, jnp if traced else np)
 
 
 def as_array(value: object) -> Floats:

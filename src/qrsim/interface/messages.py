@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, cast
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +13,16 @@ import numpy.typing as npt
 from jax import Array
 
 from qrsim.core.noise import Stream, threefry2x32
-from qrsim.errors import RadioWarning, UsageError, did_you_mean
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.interface.arrays import Library, library_for
 from qrsim.models.radio.contracts import Outbox
-from qrsim.models.radio.tables import NOBODY
+from qrsim.models.radio.tables import NOBODY, Heard
 from qrsim.world.radio import vehicle_ids
 from qrsim.world.state import State, World
 
 ALL = -1
+# Of single precision, which messages have.
+_LARGEST = float(np.finfo(np.float32).max)
 # What keys of users are drawn with: the first two words of sha256("qrsim/user").
 _USER = (0x71E1A68C, 0x5E3CBE24)
 
@@ -59,30 +61,6 @@ class Message:
     received: float
     rssi: float
     payload: npt.NDArray[np.floating]
-
-
-class Library(Protocol):
-    """What is used of NumPy, or in a program that is being compiled of JAX, whose arrays it is typed by."""
-
-    def asarray(self, values: object, dtype: object = None, /) -> Array:
-        """Return an array of values."""
-
-    def broadcast_to(self, array: Array, shape: tuple[int, ...], /) -> Array:
-        """Repeat an array to a shape."""
-
-    def concatenate(self, arrays: Sequence[Array], /) -> Array:
-        """Join arrays along their first axis."""
-
-    def reshape(self, array: Array, shape: tuple[int, ...], /) -> Array:
-        """Return the same numbers in another shape."""
-
-    def zeros(self, shape: tuple[int, ...], dtype: object, /) -> Array:
-        """Return zeros."""
-
-
-def library_for(traced: bool) -> Library:
-    """Return the library of arrays: JAX's while a program is being compiled, else NumPy."""
-    return cast(Library, jnp if traced else np)
 
 
 def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: object, traced: bool) -> list[Outbox]:
@@ -156,7 +134,7 @@ def receiver_number(name: object, names: Sequence[str], what: str = "say: to") -
         return ALL
     if isinstance(name, str):
         if name not in names:
-            raise UsageError(f"{what}: no vehicle is called '{name}'{did_you_mean(name, names)}")
+            raise UsageError(f"{what}: no vehicle is called '{name[:60]}'{did_you_mean(name[:60], names)}")
         return list(names).index(name)
     if isinstance(name, bool) or not isinstance(name, int | np.integer):
         raise UsageError(f"{what}: expected the name or the number of a vehicle, found {name!r}")
@@ -166,12 +144,36 @@ def receiver_number(name: object, names: Sequence[str], what: str = "say: to") -
     return number
 
 
-def messages(world: World, state: State, tick: int, vehicle: int) -> list[Message]:
-    """Return what a vehicle has heard by a tick, the newest first; ``state`` on the host."""
+def checked_message(
+    world: World, names: Sequence[str], vehicle: object, numbers: Sequence[float], to: object
+) -> tuple[int, list[float], int]:
+    """Return number of the sender, its message (D,) and number of the receiver, -1 for all.
+
+    Raises:
+        UsageError: no radio, nobody of that name, or a message that is too long or not of finite numbers.
+    """
+    if world.radio is None:
+        raise UsageError("say: the scenario has no world.radio")
+    sender, receiver = receiver_number(vehicle, names, "say: vehicle"), receiver_number(to, names)
+    if len(numbers) > world.radio.size:
+        raise UsageError(
+            f"say: '{vehicle}': {len(numbers)} numbers are more than a message has, {world.radio.size} "
+            "(world.radio.size)"
+        )
+    if not all(abs(number) <= _LARGEST for number in numbers):
+        raise UsageError(f"say: '{vehicle}': a number is not finite, or larger than {_LARGEST:.4g}")
+    return sender, [*numbers, *[0.0] * (world.radio.size - len(numbers))], receiver
+
+
+def messages(world: World, state: State, tick: int, vehicles: Sequence[int]) -> list[list[Message]]:
+    """Return what each of some vehicles has heard by a tick, the newest first; ``state`` on the host."""
     assert world.radio is not None
     names = [name for fleet in world.fleets for name in fleet.vehicle_names]
-    dt = world.time_step
-    heard = world.radio.heard(state.radio, cast(Array, np.int32(tick)), dt)
+    heard = world.radio.heard(state.radio, cast(Array, np.int32(tick)), world.time_step)
+    return [_heard_by(vehicle, heard, names, world.time_step) for vehicle in vehicles]
+
+
+def _heard_by(vehicle: int, heard: Heard, names: Sequence[str], dt: float) -> list[Message]:
     senders, sent, arrives, rssi = (
         cast(list[float], column[:, vehicle].tolist())
         for column in (heard.sender, heard.sent, heard.arrives, heard.rssi)
@@ -182,24 +184,6 @@ def messages(world: World, state: State, tick: int, vehicle: int) -> list[Messag
         for row, sender in enumerate(senders)
         if sender != NOBODY
     ]
-
-
-def warn_of_overfull(world: World, state: State) -> None:
-    """Warn once if vehicles had more others around them than there was room for, so that they may have missed some.
-
-    Args:
-        world: with a radio.
-        state: at the end, on the host; of many worlds, leaves (W, ...).
-    """
-    assert world.radio is not None
-    looks = int(world.radio.counted(state.radio)["overfull"].sum())
-    if looks:
-        warnings.warn(
-            f"world.radio: {looks} times a vehicle had more others around it than were looked at, so that it may have"
-            " missed the nearest; give a larger world.radio.inbox.candidates, or a smaller reach",
-            RadioWarning,
-            stacklevel=2,
-        )
 
 
 def user_key(state: State, tick: object) -> Array:

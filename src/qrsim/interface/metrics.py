@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 from jax import Array
 
-from qrsim.control import OffboardSetpoint, PathSetpoint, WaypointSetpoint
+from qrsim.control import OffboardSetpoint, PathSetpoint, TrackSetpoint, WaypointSetpoint
 from qrsim.core.pairs import joined, two_sum
 from qrsim.core.tree import concatenated, quantity, record, replace, select
-from qrsim.core.vectors import Vec3
+from qrsim.core.vectors import Vec3, root
 from qrsim.interface.consistency import Looks
-from qrsim.interface.messages import warn_of_overfull
+from qrsim.interface.crowds import overfull_of_fleets, warn_of_overfull
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.vehicles.battery import Charge
 from qrsim.models.vehicles.commands import fields_of
@@ -114,6 +114,9 @@ class FlightMetrics:
         goal = _goal(world, state)
         start = select(_differs(goal, flight.leg_end), _known(flight.leg_end, flight.position_ned), flight.leg_start)
         error = _distance_from_leg(_minus(position, low, start), start, goal)
+        radius = _radius(state)
+        if radius is not None:
+            error = jnp.where(radius == 0.0, error, _distance_from_circle(_minus(position, low, goal), radius))
         counted = flying & jnp.isfinite(error)
         air = _together(state, lambda fleet: fleet.mean_wind_ned + fleet.gust_ned)
         clipped = _together(state, lambda fleet: fleet.command_clipped)
@@ -185,8 +188,11 @@ class FlightMetrics:
             found[name] = nothing if looks is None else mean(getattr(looks.total, what), looks.count)
         position = joined(flight.position_ned, flight.position_low_ned)
         found["position_ned"] = np.stack(jax.tree.leaves(position), axis=-1)
+        warn_of_overfull(world, state)
+        overfull = overfull_of_fleets(world, state)
+        if overfull is not None:
+            found["neighbours_overfull"] = overfull
         if world.radio is not None:
-            warn_of_overfull(world, state)
             found |= {f"radio_{name}": count for name, count in world.radio.counted(state.radio).items()}
         return {name: np.asarray(values) for name, values in found.items()}
 
@@ -225,8 +231,11 @@ def _one(counts: Array) -> Array:
 
 
 def _moves(world: World) -> Array:
-    """Return which vehicles (n,) take commands; what stands somewhere may well stand at the edge of the area."""
-    each = [np.full(fleet.size, bool(fields_of(fleet.vehicle.command_type))) for fleet in world.fleets]
+    """Return which vehicles (n,) fly by commands; what stands or drives may well be at the edge of the area."""
+    each = [
+        np.full(fleet.size, bool(fields_of(fleet.vehicle.command_type)) and not fleet.vehicle.rides)
+        for fleet in world.fleets
+    ]
     return jnp.asarray(np.concatenate(each))
 
 
@@ -243,11 +252,31 @@ def _goal(world: World, state: State) -> Vec3:
     for fleet in state.fleets:
         nowhere = fleet.vehicle.position_ned.map(lambda axis: jnp.full_like(axis, jnp.nan))
         setpoint = fleet.setpoint
-        if isinstance(setpoint, WaypointSetpoint | OffboardSetpoint | PathSetpoint):
+        if isinstance(setpoint, WaypointSetpoint | OffboardSetpoint | PathSetpoint | TrackSetpoint):
             goals.append(setpoint.position_ned)
         else:
             goals.append(nowhere)
     return concatenated(goals)
+
+
+def _radius(state: State) -> Array | None:
+    """Return the radius (n,) [m] of the circle that each vehicle flies, 0 on a leg; None where no fleet has circles."""
+    if not any(isinstance(fleet.setpoint, TrackSetpoint) for fleet in state.fleets):
+        return None
+    return jnp.concatenate(
+        [
+            fleet.setpoint.radius
+            if isinstance(fleet.setpoint, TrackSetpoint)
+            else jnp.zeros_like(fleet.vehicle.position_ned.x)
+            for fleet in state.fleets
+        ]
+    )
+
+
+def _distance_from_circle(offset: Vec3, radius: Array) -> Array:
+    """Return the distance (n,) [m] from level circles, at an offset (n,) [m] from their centres."""
+    beside = root(offset.x * offset.x + offset.y * offset.y) - jnp.abs(radius)
+    return root(beside * beside + offset.z * offset.z)
 
 
 def _differs(new: Vec3, old: Vec3) -> Array:

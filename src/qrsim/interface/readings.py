@@ -29,6 +29,9 @@ from qrsim.world.episode import picture
 from qrsim.world.radio import heard
 from qrsim.world.state import Fleet, FleetState, State, World
 
+# Fields that a sensor has if it is asked for them, with the parameter that asks.
+_UNASKED = {**dict.fromkeys(OF_SATELLITES, "per_satellite"), "velocity": "velocity"}
+
 
 class SensorReading:
     """The last reading of one sensor of n vehicles; its fields are attributes, see ``fields``.
@@ -67,7 +70,7 @@ class SensorReading:
         said = vars(self._reading)
         own = tuple(
             field.name for field in dataclasses.fields(self._reading)
-            if said[field.name] is not None or field.name not in OF_SATELLITES
+            if field.name not in _UNASKED or jax.tree.leaves(said[field.name])
         )  # fmt: skip
         if isinstance(self._reading, GnssReading):
             more = ["latitude_deg", "longitude_deg", "height", "fix_type"]
@@ -129,8 +132,8 @@ class SensorReading:
         if field.startswith("__"):
             raise AttributeError(field)
         if field not in self.fields:
-            if field in OF_SATELLITES and isinstance(self._reading, GnssFix):
-                raise AttributeError(f"sensor '{self._name}' has no '{field}'; give it per_satellite: true")
+            if field in _UNASKED and field in vars(self._reading):
+                raise AttributeError(f"sensor '{self._name}' has no '{field}'; give it {_UNASKED[field]}: true")
             raise AttributeError(f"sensor '{self._name}' has no '{field}'{did_you_mean(field, self.fields)}")
         if field in vars(self._reading):
             value = getattr(self._reading, field)

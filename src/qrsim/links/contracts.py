@@ -30,6 +30,21 @@ class Order:
 
 
 @dataclass(frozen=True)
+class Words:
+    """A message that one vehicle is to say over the radio.
+
+    Attributes:
+        vehicle: name.
+        numbers: of the message.
+        to: name of the vehicle that alone is to hear it; None: all.
+    """
+
+    vehicle: str
+    numbers: tuple[float, ...]
+    to: str | None = None
+
+
+@dataclass(frozen=True)
 class Silence:
     """What becomes of a vehicle without its controller.
 

@@ -23,6 +23,8 @@ LARGEST_EVERY = 2**31 - 1
 RUN_FILE, SCENARIO_FILE, EVENTS = "run.json", "scenario.yaml", "events"
 # Kind of the event that says that a person was found; its value is the number of the person.
 PERSON_FOUND = "person_found"
+# Kind of the events that say that others may have been missed; the last one of a run has how many looks that were.
+OVERFULL = "neighbours_overfull"
 
 FinalState = Literal["finished", "failed", "interrupted"]
 RunState = Literal["running", "finished", "failed", "interrupted"]

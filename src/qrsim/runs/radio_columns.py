@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, cast
 
 import numpy as np
@@ -35,3 +36,8 @@ def radio_columns(world: World, history: History) -> list[tuple[str, Any, str, s
             for name, (unit, doc) in _OF_LINKS.items()
         ]
     return items
+
+
+def links_logged(columns: Iterable[str]) -> int:
+    """Return of how many links to each vehicle a log with these columns tells; 0 without a radio."""
+    return sum(column.startswith("radio.sender.") for column in columns)

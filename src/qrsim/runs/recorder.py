@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from qrsim.errors import RunError
-from qrsim.interface.messages import warn_of_overfull
+from qrsim.interface.crowds import warn_of_overfull
 from qrsim.runs import RunInfo, RunWriter
 from qrsim.runs.layout import check_every
 from qrsim.runs.streams import STREAMS, EventFinder, columns, values
@@ -142,8 +142,7 @@ def fly(
         pace = _loop(simulation, scenario.ticks, (start_up, first_tick), paced, pilot, keep, progress, view)
         for event in finder.ending(simulation.history):
             writer.append_event(**event)
-        if simulation.world.radio is not None:
-            warn_of_overfull(simulation.world, simulation.state)
+        warn_of_overfull(simulation.world, simulation.state)
         return pace
 
 

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.tree import walk
+from qrsim.interface.crowds import crowds_of
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
 from qrsim.models.scene.area import REASONS, reason_text
 from qrsim.runs import Column
-from qrsim.runs.layout import PERSON_FOUND
+from qrsim.runs.layout import OVERFULL, PERSON_FOUND
 from qrsim.runs.mission_events import Found, MissionWatch
 from qrsim.runs.radio_columns import radio_columns
 from qrsim.simulation.simulation import History, Simulation
@@ -38,7 +39,7 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
         "commands": [("", state.command), ("setpoint.", state.setpoint)],
         "wind": [("mean_ned.", state.mean_wind_ned), ("gust_ned.", state.gust_ned)],
     }
-    if state.belief is not None:
+    if state.belief is not None and stream == "commands":
         # Without an estimator of its own a controller is fed with the readings, which are logged. A fleet's estimator
         # is logged as it is at this tick, a controller's own as it fed the command of this tick.
         parts = ("position_ned", "velocity_ned", "attitude")
@@ -150,6 +151,7 @@ class EventFinder:
         self.names = simulation.vehicle_names
         self.time_step = simulation.world.time_step
         self.standing: list[Any] = [None] * len(self.world.fleets)
+        self.crowded: set[str] = set()
         start = simulation.history
         self.before = {key: pick(start)[-1] for key, pick in self._sources().items()}
         self.missions = MissionWatch(self.world, start)
@@ -179,12 +181,36 @@ class EventFinder:
         found += self._persons(history)
         found += self._of_missions(history, self.missions.events(history))
         found += self._landings(history)
+        found += self._crowds(history)
         found.sort(key=lambda item: item[:2])
         return [event for _, _, event in found]
 
     def ending(self, history: History) -> list[dict[str, Any]]:
-        """Return the events of the end of a run: missions that it does not finish."""
-        return [event for _, _, event in self._of_missions(history, self.missions.ending(history))]
+        """Return the events of the end of a run: missions that it does not finish, and what crowds came to."""
+        found = [event for _, _, event in self._of_missions(history, self.missions.ending(history))]
+        for crowd in crowds_of(self.world, history.state):
+            looks = int(crowd.looks[-1].sum())
+            if looks:
+                event = self._at(history, len(history.ticks) - 1, 0) | {"vehicle": None, "kind": OVERFULL}
+                found.append({**event, "field": crowd.path, "value": float(looks), "message": crowd.text(looks)})
+        return found
+
+    def _crowds(self, history: History) -> list[tuple[int, int, dict[str, Any]]]:
+        """Return the first look of each radio, sensor and guidance that may have missed others."""
+        found = []
+        for crowd in crowds_of(self.world, history.state):
+            rows = np.argwhere(crowd.looks > 0)
+            if crowd.path in self.crowded or not len(rows):
+                continue
+            self.crowded.add(crowd.path)
+            row, vehicle = int(rows[0, 0]), crowd.first + int(rows[0, 1])
+            event = self._at(history, row, vehicle)
+            message = (
+                f"{event['vehicle']}: {crowd.path} had more others around it than are looked at, first at"
+                f" {event['time']:.2f} s"
+            )
+            found.append((row, vehicle, {**event, "kind": OVERFULL, "field": crowd.path, "message": message}))
+        return found
 
     def _of_missions(
         self, history: History, found: Iterable[tuple[int, Found]]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.runs.layout import Event
+from qrsim.runs.layout import OVERFULL, Event
 from qrsim.runs.reader import Run, Stream
 
 Floats = np.ndarray[Any, Any]
@@ -32,6 +32,7 @@ NOT_A_STOP = (
     "mission_unfinished",
     "landed",
     "took_off",
+    OVERFULL,
 )
 
 
@@ -135,6 +136,20 @@ def gnss_error(run: Run) -> tuple[Floats, Floats]:
     return run["measurements"].time[rows], reported[rows] - truth
 
 
+def radii_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
+    """Return the radius (T, n) [m] of the circle that each vehicle flew round its waypoint, 0 or NaN without one."""
+    commands = run["commands"]
+    if "setpoint.radius" in commands:
+        return np.asarray(commands["setpoint.radius"], np.float64)[rows]
+    return np.zeros((len(commands.time[rows]), len(run.vehicles)))
+
+
+def circling_error(position: Floats, centre: Floats, radius: Floats) -> Floats:
+    """Return the distance (T, n) [m] of positions (T, n, 3) from level circles about centres (T, n, 3)."""
+    away = position - centre
+    return np.hypot(np.hypot(away[..., 0], away[..., 1]) - np.abs(radius), away[..., 2])
+
+
 def tracking_error(position: Floats, waypoint: Floats) -> Floats:
     """Return the distance (T, n) [m] of positions (T, n, 3) from the leg that leads to each waypoint (T, n, 3)."""
     error = np.empty(position.shape[:2])
@@ -170,7 +185,9 @@ def summarise(run: Run) -> list[VehicleSummary]:
     distance = np.linalg.norm(np.diff(position[rows], axis=0), axis=-1).sum(axis=0)
     rows, commanded = common_rows(run, "truth", "commands")
     waypoints = waypoints_of(run, commanded)
-    tracking = _rms(tracking_error(position[rows], waypoints) * flying[rows])
+    radius = radii_of(run, commanded)
+    on_legs, on_circles = tracking_error(position[rows], waypoints), circling_error(position[rows], waypoints, radius)
+    tracking = _rms(np.where(np.abs(radius) > 0.0, on_circles, on_legs) * flying[rows])
     too_low = _rms((position[rows, :, 2] - waypoints[..., 2]) * flying[rows])
     _, gnss = gnss_error(run)
     horizontal, vertical = _rms(np.linalg.norm(gnss[..., :2], axis=-1)), _rms(gnss[..., 2])

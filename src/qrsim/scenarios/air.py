@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import jax
 import numpy as np
 
 from qrsim.errors import UsageError
@@ -66,7 +67,8 @@ def convection_speed(scenario: ScenarioSpec) -> float:
     except UsageError:
         return math.inf
     height = np.full(1, turbulence.get("convection_height", CONVECTION_HEIGHT), np.float32)
-    mean = wind.mean_velocity_ned(height)
+    # As one program: primitive by primitive it takes most of a second at every start.
+    mean = jax.jit(lambda wind, height: wind.mean_velocity_ned(height))(wind, height)
     return math.hypot(float(mean.x[0]), float(mean.y[0]))
 
 

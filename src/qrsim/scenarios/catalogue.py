@@ -10,12 +10,16 @@ from qrsim.control import (
     CascadeController,
     ComplementaryFilter,
     ErrorStateKalmanFilter,
+    FixedWingController,
+    FixedWingGuidance,
     FleeGuidance,
     MissionGuidance,
     NoController,
     NoGuidance,
     OffboardController,
     RouteFollower,
+    RoverController,
+    RoverGuidance,
     VelocityController,
     VelocityGuidance,
     VelocityHeightController,
@@ -69,9 +73,11 @@ from qrsim.models.sensors.scan import IdealScan, Scan
 from qrsim.models.vehicles.battery import GivenVoltage, LithiumPolymer
 from qrsim.models.vehicles.expression_quadrotor import ExpressionQuadrotor
 from qrsim.models.vehicles.fixed_point import FixedPoint
+from qrsim.models.vehicles.fixed_wing import FixedWing
 from qrsim.models.vehicles.lithium_cells import LithiumCells
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.quadrotor import Quadrotor
+from qrsim.models.vehicles.rover import DifferentialRover, Rover
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
 from qrsim.tasks import KeepSpot, KeepVelocity, NoTask, PlumeMapping, Pursuit, ReachWaypoint, Search
 
@@ -130,6 +136,9 @@ VEHICLES: Catalogue = {
     "expression": ExpressionQuadrotor,
     "fixed_point": FixedPoint,
     "multirotor": Multirotor,
+    "fixed_wing": FixedWing,
+    "rover": Rover,
+    "differential_rover": DifferentialRover,
 }
 BATTERIES: Catalogue = {"given": GivenVoltage, "lithium_polymer": LithiumPolymer, "lithium_cells": LithiumCells}
 CONTROLLERS: Catalogue = {
@@ -141,6 +150,8 @@ CONTROLLERS: Catalogue = {
     "offboard": OffboardController,
     "none": NoController,
     "cascade": CascadeController,
+    "fixed_wing": FixedWingController,
+    "rover": RoverController,
 }
 GUIDANCE: Catalogue = {
     "route": RouteFollower,
@@ -155,6 +166,8 @@ GUIDANCE: Catalogue = {
     "formation": FormationGuidance,
     "coverage": CoverageGuidance,
     "orca": AvoidanceGuidance,
+    "fixed_wing": FixedWingGuidance,
+    "rover": RoverGuidance,
     "none": NoGuidance,
 }
 SENSORS: Catalogue = {

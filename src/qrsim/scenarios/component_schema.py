@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from qrsim.core.presets import presets_of
+from qrsim.core.presets import filled, presets_of
 from qrsim.core.tree import FieldInfo, field_info
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
@@ -163,7 +163,7 @@ def _preset_base(base: type[Strict], presets: Mapping[str, Mapping[str, Any]]) -
             if not isinstance(name, str) or name not in presets:
                 return data
             twins = {key.removesuffix("_deg") + "_rad" for key in data if key.endswith("_deg")}
-            return {**{key: value for key, value in presets[name].items() if key not in twins}, **data}
+            return filled({key: value for key, value in presets[name].items() if key not in twins}, data)
 
     return Preset
 

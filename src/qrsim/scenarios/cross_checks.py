@@ -23,7 +23,8 @@ from qrsim.scenarios.contents import contents_problems
 from qrsim.scenarios.faults import fault_problems, reading_fields
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.fittings import fitting_problems
-from qrsim.scenarios.ground import below_ground, has_floor, standing_problems
+from qrsim.scenarios.fixed_wing_checks import fixed_wing_problems
+from qrsim.scenarios.ground import below_ground, has_floor, rides, riding_problems, standing_problems
 from qrsim.scenarios.hand_list import hand_lists
 from qrsim.scenarios.missions import mission_problems
 from qrsim.scenarios.multirotor_checks import multirotor_problems
@@ -50,6 +51,7 @@ PROVIDED = {
     "attitude": {"attitude_estimator", "ideal_attitude"},
     "specific_force": {"accelerometer", "ideal_accelerometer", "imu", "ideal_imu"},
     "rates_body": {"gyroscope", "ideal_gyroscope", "imu", "ideal_imu"},
+    "true_airspeed": {"airspeed", "ideal_airspeed"},
 }
 
 
@@ -128,6 +130,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield from _path_problems(fleet_name, fleet, scenario, floor)
         yield from controller_problems(fleet_name, fleet)
         yield from multirotor_problems(fleet_name, fleet, scenario)
+        yield from fixed_wing_problems(fleet_name, fleet, scenario)
         yield from _guidance_problems(fleet_name, fleet)
         yield from _fitting_problems(fleet_name, fleet, scenario)
         yield from _feed_problems(fleet_name, fleet)
@@ -155,6 +158,9 @@ def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
     except UsageError as error:
         yield f"world.ground: {error}"
         return
+    for name, fleet in scenario.fleets.items():
+        if rides(fleet):
+            yield from riding_problems(name, fleet, ground)
     if not ground.at_zero:
         yield from below_ground(scenario, ground)
 
@@ -162,7 +168,7 @@ def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
 def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
     for name, fleet in scenario.fleets.items():
         for i, vehicle in enumerate(fleet.vehicles):
-            if vehicle.on_ground:
+            if vehicle.on_ground and not rides(fleet):
                 path = f"fleets.{name}.vehicles.{i}.on_ground"
                 yield f"{path}: is for a fleet with ground: parked; it is '{fleet.ground}'"
         if fleet.ground == "parked":
@@ -201,6 +207,11 @@ def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
         )
     if fleet.battery.type != "lithium_polymer":
         return
+    if vehicle.rides or vehicle.launches:  # type: ignore[attr-defined]
+        yield (
+            f"fleets.{fleet_name}.battery: '{fleet.battery.type}' is drained by a thrust that carries the weight, "
+            f"which a '{fleet.vehicle.type}' has not; allowed: given"
+        )
     size = len(fleet.vehicles)
     full, empty = fleet.battery.voltage_full, fleet.battery.voltage_empty
     each = [values if isinstance(values, list) else [values] * size for values in (full, empty)]
@@ -280,6 +291,9 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
         other = f"leave out fleets.{name}.estimator"
     elif feed == "filter":
         needed = _estimated("complementary")
+    controller: Any = known.CONTROLLERS[fleet.controller.type]
+    if controller.reads_airspeed:
+        needed = {**needed, "true_airspeed": "airspeed"}
     types = {sensor.type for sensor in fleet.sensors.values()}
     kind = known.FILTERS["complementary" if fleet.estimator is None else fleet.estimator.type]
     instead: dict[str, str] = {} if needed is NEEDED else {_quantity(a): b for a, b in kind.instead.items()}

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from qrsim.models.sensors.earth_field import declination, inclination
+from qrsim.models.vehicles.fixed_wing import FixedWing
+from qrsim.models.vehicles.fixed_wing.trim import cruise, stall_speed
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.multirotor.derived import derived
 from qrsim.scenarios import catalogue as known
@@ -24,6 +26,8 @@ def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
         vehicle: Any = component(fleet.vehicle, known.VEHICLES, scenario.spec)
         if isinstance(vehicle, Multirotor):
             found[name] = derived(vehicle)
+        elif isinstance(vehicle, FixedWing):
+            found[name] = _level_flight(vehicle)
         elif (handling := vehicle.handling()) is not None:
             mass, gravity, most = (
                 float(np.ravel(value)[0]) for value in (handling.mass, handling.gravity, handling.thrust_max)
@@ -36,6 +40,16 @@ def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
         if any(sensor.type in MAGNETOMETERS for sensor in fleet.sensors.values()):
             found.setdefault(name, {}).update(_earth_field(scenario))
     return found
+
+
+def _level_flight(vehicle: FixedWing) -> dict[str, float]:
+    """Return what straight level flight at the cruise airspeed takes, of the first where aeroplanes differ."""
+    alpha, elevator, throttle = cruise(vehicle, np.asarray(vehicle.cruise_airspeed))  # type: ignore[arg-type]
+    each: dict[str, Any] = {
+        "stall_speed_m_s": stall_speed(vehicle), "cruise_throttle": throttle, "cruise_angle_of_attack_rad": alpha,
+        "cruise_elevator_rad": elevator,
+    }  # fmt: skip
+    return {key: float(np.ravel(value)[0]) for key, value in each.items()}
 
 
 def _earth_field(scenario: Scenario) -> dict[str, float]:

@@ -10,10 +10,13 @@ import numpy as np
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import Ground
 from qrsim.models.vehicles.contracts import Vehicle
-from qrsim.scenarios.schema import ScenarioSpec
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
 # A start or a waypoint so little below the ground [m] is meant to be on it.
 ON_IT = 0.01
+# Whoever rides on the ground may be given a place so far from it [m], and is put there.
+NEAR_IT = 0.5
 
 
 def bounds_of(area: Any) -> tuple[float, float, float, float] | None:
@@ -36,13 +39,37 @@ def has_floor(scenario: ScenarioSpec) -> bool:
     return bool(ground.type == "flat" and ground.height == 0.0)
 
 
+def rides(fleet: FleetSpec) -> bool:
+    """Return whether the vehicles of a fleet move on the ground."""
+    vehicle: Any = known.VEHICLES[fleet.vehicle.type]
+    return bool(vehicle.rides)
+
+
+def riding_problems(name: str, fleet: FleetSpec, ground: Ground) -> Iterator[str]:
+    """Yield which vehicles of a fleet that moves on the ground start elsewhere, or are sent elsewhere."""
+    points: dict[str, list[float]] = {}
+    for i, vehicle in enumerate(fleet.vehicles):
+        path = f"fleets.{name}.vehicles.{i}"
+        if fleet.placement.type == "given":
+            points[f"{path}.position_ned"] = vehicle.position_ned
+        points |= {f"{path}.{place}": point for place, point in vehicle.places_ned.items()}
+    places: Any = Vec3(*np.array(list(points.values()), np.float32).reshape(-1, 3).T)
+    for (path, point), down in zip(points.items(), np.asarray(ground.down(places)).tolist(), strict=True):
+        if abs(point[2] - down) > NEAR_IT:
+            more = ", or on_ground: true" if path.endswith("position_ned") else ""
+            yield (
+                f"{path}: z = {point[2]:g} m, but a '{fleet.vehicle.type}' drives on the ground; expected "
+                f"z = {down + 0.0:.4g}{more}"
+            )
+
+
 def put_on_ground(scenario: ScenarioSpec, ground: Ground) -> ScenarioSpec:
     """Return a scenario whose vehicles that start on the ground have its down coordinate there."""
     fleets = {}
     for name, fleet in scenario.fleets.items():
         vehicles = []
         for vehicle in fleet.vehicles:
-            if vehicle.on_ground and fleet.ground == "parked":
+            if vehicle.on_ground and (fleet.ground == "parked" or rides(fleet)):
                 north, east, _ = vehicle.position_ned
                 place: Any = Vec3(*np.array([[north], [east], [0.0]], np.float32))
                 # Added to zero, because a ground at z = 0 may be at -0.

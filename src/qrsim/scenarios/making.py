@@ -51,12 +51,17 @@ SENSORS = {
         "accelerometer": {"type": "ideal_accelerometer"},
     },
     "noisy": {
-        "gnss": {"type": "gnss_receiver"},
+        "gnss": {"type": "gnss", "preset": "f9p_single"},
+        "imu": {"type": "imu", "preset": "icm42688p"},
+        "magnetometer": {"type": "magnetometer"},
         "barometer": {"type": "barometer"},
-        "attitude": {"type": "attitude_estimator"},
-        "gyroscope": {"type": "gyroscope"},
-        "accelerometer": {"type": "accelerometer"},
     },
+}
+# What goes with the noisy ones where nothing else is said: gusts that neighbours share, and a filter of the readings.
+# An accelerometer of that preset may be off by 0.2 m/s^2 when it is switched on.
+OUTDOORS = {
+    "turbulence": {"type": "dryden_field"},
+    "estimator": {"type": "ekf", "accelerometer_bias_std": 0.25},
 }
 _TYPES = {
     cls: name
@@ -79,8 +84,10 @@ def make_scenario(
             persons, obstacles, buildings, base_station, interference, beacons, collision_distance, radio), and
             with ``vehicles`` of the fleet (vehicle, controller, guidance, limits, sensors, battery, faults, placement,
             and ground, which is the world's unless it is "stop" or "parked"). A component is the name of its type, a
-            dict as in YAML, or an object such as ``LogShear(...)``. Sensors are "ideal" (the default) or "noisy" ones
-            of every kind, or given by name. With ``extends``, ``fleets`` says what is different in them, and may be
+            dict as in YAML, or an object such as ``LogShear(...)``. Sensors are
+            "ideal" (the default), or given by name, or "noisy": a receiver, an IMU, a magnetometer and a barometer,
+            with an estimator ``ekf``, and in a wind with a ``speed_20ft`` turbulence ``dryden_field``, unless others
+            are given (estimator None for none). With ``extends``, ``fleets`` says what is different in them, and may be
             left out.
 
     Raises:
@@ -105,6 +112,10 @@ def make_scenario(
     content: dict[str, Any] = {"name": "experiment"}
     content |= {name: _plain(parts[name], name, name) for name in SCENARIO_PARTS if name in parts}
     world = {name: _part(parts[name], name) for name in WORLD_PARTS if name in parts}
+    outdoors = any(map(_is_outdoors, [fleet_parts, *(fleets or {}).values()]))
+    # Of a wind that says how strong its gusts are.
+    if outdoors and not extends and "turbulence" not in parts and "speed_20ft" in world.get("wind", ()):
+        world["turbulence"] = OUTDOORS["turbulence"]
     if world:
         content["world"] = world
     if vehicles is not None:
@@ -148,9 +159,17 @@ def _fleet(name: str, fleet: Any, extends: bool) -> dict[str, Any]:
     # What is left out of a fleet that is extended is as it is there.
     if "sensors" in fleet or not extends:
         content["sensors"] = _sensors(name, fleet.get("sensors", "ideal"))
+    if _is_outdoors(fleet) and "estimator" not in fleet:
+        content["estimator"] = OUTDOORS["estimator"]
     if "vehicles" in fleet or not extends:
         content["vehicles"] = _vehicles(name, fleet.get("vehicles", ()))
     return content
+
+
+def _is_outdoors(fleet: Any) -> bool:
+    """Return whether a fleet has the noisy sensors by their name."""
+    sensors = fleet.get("sensors") if isinstance(fleet, Mapping) else None
+    return isinstance(sensors, str) and sensors == "noisy"
 
 
 def _sensors(name: str, sensors: Any) -> dict[str, Any]:

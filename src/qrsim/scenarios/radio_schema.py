@@ -2,41 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from qrsim.models.radio.network import Network
-from qrsim.models.radio.parameters import PRESETS
 from qrsim.scenarios.component_schema import Finite, Strict, component_model
 
-PRESET = "sik_915"
 NONE = "none"
 
 
-class _WithPreset(Strict):
-    """Fills in what a preset says, in its parts too; a preset's name alone stands for a radio of it."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_the_preset(cls, data: Any) -> Any:
-        data = {"preset": data} if isinstance(data, str) else data
-        name = data.get("preset", PRESET) if isinstance(data, dict) else None
-        return _over(PRESETS[name], data) if isinstance(name, str) and name in PRESETS else data
+def _of_a_name(data: Any) -> Any:
+    return {"preset": data} if isinstance(data, str) else data
 
 
-def _over(usual: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is given, filled with what is usual."""
-    both = {**usual, **given}
-    for name, part in usual.items():
-        if isinstance(part, Mapping) and isinstance(given.get(name), Mapping):
-            both[name] = _over(part, given[name])
-    return both
-
-
-# Made at run time, so a type checker cannot see into it.
-RadioModel: Any = component_model("radio", Network, tagged=False, base=_WithPreset)
+# Made at run time, so a type checker cannot see into it. A preset's name alone stands for a radio of it.
+RadioModel: Any = Annotated[component_model("radio", Network, tagged=False), BeforeValidator(_of_a_name)]
 
 
 class FleetRadioSpec(Strict):

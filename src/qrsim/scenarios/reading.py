@@ -100,7 +100,9 @@ def _read_file(name: str, folder: Path) -> dict[str, Any]:
         text = read_text(path)
     except FileNotFoundError:
         near = [str(item) for item in path.parent.glob("*.y*ml")] if path.parent.is_dir() else []
-        hint = did_you_mean(name, [*near, *built_in_names()])
+        # Of the built-in ones that of its own name, before names that look like the whole of it.
+        built_in = [path.stem] if path.stem in built_in_names() else built_in_names()
+        hint = did_you_mean(name, [*near, *built_in])
         raise UsageError(f"scenario file {path}: no such file{hint if 'mean' in hint else ''}") from None
     except OSError as error:
         raise UsageError(f"scenario file {path}: cannot be read: {error.strerror}") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 from qrsim.errors import did_you_mean
 from qrsim.models.vehicles.commands import fields_of
@@ -10,6 +11,7 @@ from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.timing import is_multiple
+from qrsim.tasks.perceived import SEEING
 
 # Sensors by the field of a task that names one.
 SENSORS = {"camera": ("camera", "ideal_camera"), "sensor": ("concentration", "ideal_concentration")}
@@ -41,6 +43,23 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield from _fleet_problems(scenario, scenario.fleets[task.fleet])
 
 
+def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
+    """Yield what is wrong with the sensors that agents are to see by."""
+    names = vars(task).get("senses") or ()
+    if is_outside("task", task.type):
+        return
+    allowed = sorted(name for name, cls in known.SENSORS.items() if issubclass(cls, SEEING))
+    for number, name in enumerate(names):
+        if name not in fleet.sensors:
+            hint = did_you_mean(name, fleet.sensors)
+            yield f"task.senses: no sensor of fleet '{task.fleet}' is called '{name}'{hint}"
+        elif fleet.sensors[name].type not in allowed:
+            found = fleet.sensors[name].type
+            yield f"task.senses: '{name}' is a sensor of type '{found}'; allowed: {', '.join(allowed)}"
+        elif name in names[:number]:
+            yield f"task.senses: '{name}' is named twice"
+
+
 def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
     task = scenario.task
     asks_for = known.TASKS[task.type].asks_for  # type: ignore[attr-defined]
@@ -56,6 +75,7 @@ def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
             f"task.fleet: '{task.fleet}' has vehicles of type '{fleet.vehicle.type}', and the task '{task.type}' is "
             f"flown by their {', '.join(COMMANDED)}"
         )
+    yield from _senses_problems(task, fleet)
     for field, types in SENSORS.items():
         if field not in vars(task):
             continue

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from qrsim.core.presets import filled
 from qrsim.core.tree import field_info
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.models.vehicles.multirotor.geometry import Rotor
@@ -83,7 +84,7 @@ def _written_out(vehicle: dict[str, Any]) -> dict[str, Any]:
         found = numbers_of(SETS[model]())
     if "own" not in vehicle and {"geometry", "arm", "rotor_height"} & set(vehicle):
         found["rotors"] = [_written(rotor) for rotor in _arranged(vehicle)]
-    return _over(found, beside)
+    return filled(found, beside)
 
 
 def _slow_down(fleet: dict[str, Any], attitude_bandwidth: float) -> None:
@@ -127,12 +128,3 @@ def _arranged(vehicle: dict[str, Any]) -> tuple[Rotor, ...]:
     if numbers["arm"] <= 0.0:
         raise UsageError(f"arm: {numbers['arm']:g} m; allowed: above 0")
     return rotors_of(vehicle["geometry"], float(numbers["arm"]), float(numbers["rotor_height"]))
-
-
-def _over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """Return a part with the numbers of another in place of its own, nested parts too."""
-    found = dict(below)
-    for key, value in above.items():
-        nested = isinstance(value, dict) and isinstance(below.get(key), dict)
-        found[key] = _over(below[key], value) if nested else value
-    return found

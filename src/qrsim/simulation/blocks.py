@@ -130,6 +130,44 @@ class Engine:
         )
 
 
+class LateRadio:
+    """The radios' state of all worlds at a tick, fetched where a function looks at an inbox, and else not at all.
+
+    Args:
+        fetch: returns it while the tick lasts, leaves (W, ...).
+
+    Attributes:
+        over: the tick is over, and what was not fetched cannot be.
+    """
+
+    def __init__(self, fetch: Callable[[], Any]):
+        self._fetch, self._host = fetch, None
+        self.over = False
+
+    def of(self, world: int) -> Any:
+        """Return that of one world; raises UsageError where it is too late."""
+        if self._host is None:
+            if self.over:
+                raise UsageError(
+                    "inbox: this reading is of an earlier tick, at which its inbox was not looked at; keep what you "
+                    "need of reading.inbox in place of the reading"
+                )
+            self._host = jax.tree.map(np.asarray, self._fetch())
+        return jax.tree.map(lambda leaf: leaf[world], self._host)
+
+
+class _Told:
+    """What a reading takes of a world's state."""
+
+    def __init__(self, sky: Any, sky_keys: Any, fleets: list[Any], radios: LateRadio, world: int):
+        self.sky, self.sky_keys, self.fleets = sky, sky_keys, fleets
+        self._radios, self._world = radios, world
+
+    @property
+    def radio(self) -> Any:
+        return self._radios.of(self._world)
+
+
 class LockStep:
     """Calls the user's functions that are not compiled between ticks, world by world, each with its own memory."""
 
@@ -152,22 +190,22 @@ class LockStep:
         answer, self._memories[which] = function(reading, self._memories[which])
         return answer
 
-    def _readings(self, flight: Flight, tick: int) -> list[tuple[Reading, Array]]:
+    def _readings(self, flight: Flight, tick: int, radios: LateRadio) -> list[tuple[Reading, Array]]:
         """Return the reading of each world, and which of its vehicles (n,) fly."""
 
         def heard(carry: Carry) -> Any:
             state = carry.state
-            return (state.sky, state.sky_keys, state.radio), [
+            return (state.sky, state.sky_keys), [
                 (fleet.readings, fleet.violation, fleet.passed_on, fleet.fitted) for fleet in state.fleets
             ]
 
         found = []
         host = jax.tree.map(np.asarray, flight.get(heard))
         for world in range(len(self.rows)):
-            (sky, sky_keys, radio), own = jax.tree.map(lambda leaf, world=world: leaf[world], host)
+            (sky, sky_keys), own = jax.tree.map(lambda leaf, world=world: leaf[world], host)
             names = ("readings", "violation", "passed_on", "fitted")
             fleets = [SimpleNamespace(**dict(zip(names, fleet, strict=True))) for fleet in own]
-            state: Any = SimpleNamespace(sky=sky, fleets=fleets, sky_keys=sky_keys, radio=radio)
+            state: Any = _Told(sky, sky_keys, fleets, radios, world)
             flying = np.concatenate([fleet.violation.code for fleet in fleets]) == 0
             found.append((Reading(self.engine.example, state, tick, self.engine.setup.site), flying))
         return found
@@ -180,7 +218,8 @@ class LockStep:
         asks = self.policy is not None and tick % self.engine.setup.policy_ticks == 0
         if asks:
             self.actions = []
-        for world, (reading, flying) in enumerate(self._readings(flight, tick)):
+        radios = LateRadio(lambda: flight.get(lambda carry: carry.state.radio))
+        for world, (reading, flying) in enumerate(self._readings(flight, tick, radios)):
             where = f", at tick {tick} of world {self.rows[world]}"
             if self.policy is not None and asks:
                 with self.policy.blamed(where):
@@ -190,6 +229,7 @@ class LockStep:
                 with self.estimator.blamed(where):
                     estimate = self._asked(self.estimator, reading, world)
                     estimates.append(self.engine.checker.estimates(estimate))
+        radios.over = True
         return self._stack(self.policy, self.actions, count), self._stack(self.estimator, estimates, count)
 
     @staticmethod

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from qrsim.engine.layout import Buffers, LazyTree, Packer
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import UsageError
 from qrsim.interface.actions import ActionChecker
+from qrsim.interface.crowds import warn_of_overfull
 from qrsim.interface.messages import Message, Say, messages, outboxes, receiver_number
 from qrsim.interface.readings import Reading
 from qrsim.interface.truth import Truth
@@ -111,6 +113,8 @@ class Simulation(Alone):
         self._numbers: Any = None
         self._state: Buffers | None = None
         self._host: _Snapshot | None = None
+        # Whether vehicles may come to have more others around them than they look at.
+        self._crowded = True
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         return with_files(self, self.world, protocol) or super().__reduce_ex__(protocol)
@@ -182,6 +186,8 @@ class Simulation(Alone):
         self._changes = True
         try:
             self._advance(command, ticks, estimate)
+            if self._crowded:
+                self._crowded = warn_of_overfull(self.world, self._snapshot().state)
             return Reading(self.world, self._snapshot().view(self._numbers), self.tick, self.site)
         finally:
             self._changes = False
@@ -238,7 +244,6 @@ class Simulation(Alone):
             self._host = None
         return History(numbers, self.world.time_step, layout.unpack(rows))
 
-    @alone
     def send(self, vehicle: str | int, payload: Any, to: str | int | None = None) -> None:
         """Hand a message to the radio of a vehicle, which sends it as soon as its turn comes (docs/radio.md).
 
@@ -250,15 +255,31 @@ class Simulation(Alone):
         Raises:
             UsageError: no radio, nobody of that name, or a payload that is too long or no numbers.
         """
+        self.send_all([(vehicle, payload, to)])
+
+    @alone
+    def send_all(self, messages: Sequence[tuple[str | int, Any, str | int | None]]) -> None:
+        """Hand messages to radios, all or none, each as in ``send``: vehicle, payload and to.
+
+        Raises:
+            UsageError: as of ``send``.
+        """
         layout, before = self._running()
         if self.world.radio is None:
             raise UsageError("send: the scenario has no world.radio")
-        sender, receiver = self._vehicle_number("send", vehicle), receiver_number(to, self.vehicle_names, "send: to")
-        (outbox,) = outboxes(Say([payload], to=receiver), self.world, [[""]], self.dtype, False)
+        checked = [self._checked(*message) for message in messages]
         state = layout.unpack(tuple(np.array(part) for part in before))  # type: ignore[arg-type]
-        radio = self.world.radio.handed(state.radio, sender, outbox.payload[:, 0], receiver, self.tick)
+        radio = state.radio
+        for sender, payload, receiver in checked:
+            radio = self.world.radio.handed(radio, sender, payload, receiver, self.tick)
         with self.precision_context():
             self._state, self._host = self._ticks.adopt(layout.pack(replace(state, radio=radio))), None
+
+    def _checked(self, vehicle: str | int, payload: Any, to: str | int | None) -> tuple[int, Any, int]:
+        """Return number of the sender, its message (D,) and number of the receiver; raises UsageError."""
+        sender, receiver = self._vehicle_number("send", vehicle), receiver_number(to, self.vehicle_names, "send: to")
+        (outbox,) = outboxes(Say([payload], to=receiver), self.world, [[""]], self.dtype, False)
+        return sender, outbox.payload[:, 0], receiver
 
     def inbox(self, vehicle: str | int) -> list[Message]:
         """Return what a vehicle has heard over the radio, the newest message of each sender.
@@ -268,7 +289,13 @@ class Simulation(Alone):
         """
         if self.world.radio is None:
             raise UsageError("inbox: the scenario has no world.radio")
-        return messages(self.world, self.state, self.tick, self._vehicle_number("inbox", vehicle))
+        return messages(self.world, self.state, self.tick, [self._vehicle_number("inbox", vehicle)])[0]
+
+    def inboxes(self) -> list[list[Message]]:
+        """Return the same of every vehicle; raises UsageError without a radio."""
+        if self.world.radio is None:
+            raise UsageError("inboxes: the scenario has no world.radio")
+        return messages(self.world, self.state, self.tick, range(self.size))
 
     def _vehicle_number(self, what: str, vehicle: str | int) -> int:
         number = receiver_number(vehicle, self.vehicle_names, f"{what}: vehicle")

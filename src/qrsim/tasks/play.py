@@ -13,6 +13,7 @@ from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import quantity, record, replace, setting
 from qrsim.tasks.agents import Axis, all_fly, fleet_of, number_of
 from qrsim.tasks.contracts import Task
+from qrsim.tasks.speaking import at_first_period, message_size, overheard, spoken
 from qrsim.world import tick as ticks_of
 from qrsim.world.draws import keys_of
 from qrsim.world.state import State, World, WorldKeys, period_ticks
@@ -76,6 +77,11 @@ class Play:
         return self.task.acts(self.world)
 
     @property
+    def message(self) -> int:
+        """How many numbers an agent may say over the radio (D); 0 without a radio."""
+        return message_size(self.world)
+
+    @property
     def ticks(self) -> int:
         """Ticks of a step."""
         return period_ticks(self.task.period, self.world.time_step)
@@ -99,14 +105,15 @@ class Play:
         like = jnp.zeros((), self.world.fleets[0].start.position_ned.x.dtype)
         ids = jnp.arange(self.task.ids, dtype=jnp.uint32)
         memory = self.task.init(self.world, state, Draw(keys.task.stream(0, ids), jnp.int32(0), like))
-        return Episode(state, memory, jnp.int32(0)), self.task.observe(memory, self.world, state)
+        return Episode(state, memory, jnp.int32(0)), self._observed(memory, state, jnp.int32(0))
 
     def step(self, episode: Episode, action: Array) -> tuple[Episode, Step]:
         """Advance an episode by a step.
 
         Args:
             episode: before; where it has ended, what comes has no meaning.
-            action: (n, A) in [-1, 1], clipped; see ``axes`` of the task.
+            action: (n, A) in [-1, 1], clipped; see ``axes`` of the task. With a radio also (n, A + D), whose
+                last numbers are said to all; NaN: nothing is.
         """
         begun = episode.step * self.ticks
         commands = self._commands(episode, action)
@@ -122,7 +129,7 @@ class Play:
         """Advance an episode by one of the ``ticks`` of a step; as ``step``, for batches of worlds run tick by tick.
 
         Args:
-            action: (n, A) as of ``step``.
+            action: as of ``step``.
             progress: after the tick before.
             number: () int32 of the tick in its step, the same in all worlds.
         """
@@ -145,19 +152,28 @@ class Play:
         """Start an episode for ``tick``; its last step holds observations only."""
         episode, seen = self.reset(keys)
         dtype = self.world.fleets[0].start.position_ned.x.dtype
-        action = jnp.zeros((len(self.agents), len(self.axes)), dtype)
+        action = jnp.zeros((len(self.agents), len(self.axes) + self.message), dtype)
         commands = jax.eval_shape(self._commands, episode, action)
         _, step = jax.eval_shape(self._judged, episode)
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), (commands, step))
         return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode))
 
     def _commands(self, episode: Episode, action: Array) -> Any:
-        return self.task.commands(episode.memory, self.world, self.scaled(action))
+        acts = len(self.axes)
+        says = self.message > 0 and action.shape[1] > acts
+        flown = action[:, :acts] if says else action
+        commands = self.task.commands(episode.memory, self.world, self.scaled(flown))
+        return spoken(self.world, self.task.fleet, commands, action[:, acts:]) if says else commands
+
+    def _observed(self, memory: Any, state: State, tick: Any) -> Any:
+        seen = self.task.observe(memory, self.world, state)
+        return overheard(self.world, state, self.task.fleet, seen, tick) if self.message else seen
 
     def _tick(self, state: State, memory: Any, commands: Any, begun: Array, number: Any) -> tuple[State, Any]:
         # Where all are due together, the number is that of every world and slow sensors are really skipped.
-        when = (number, commands, None, begun) if self.in_step else (begun + number, commands, None, None)
-        state = ticks_of.step(self.world, state, *when)
+        tick, before = (number, begun) if self.in_step else (begun + number, None)
+        commands = at_first_period(self.world, commands, tick, number)
+        state = ticks_of.step(self.world, state, tick, commands, None, before)
         return state, self.task.each_tick(memory, self.world, state)
 
     def _judged(self, episode: Episode) -> tuple[Episode, Step]:
@@ -167,7 +183,8 @@ class Play:
         fly = all_fly(state)
         reward = jnp.where(fly, reward, self._crashed(episode))
         after = Episode(state, memory, number)
-        return after, Step(self.task.observe(memory, self.world, state), reward, ~fly, fly & (number >= self.steps))
+        seen = self._observed(memory, state, number * self.ticks)
+        return after, Step(seen, reward, ~fly, fly & (number >= self.steps))
 
     def _crashed(self, episode: Episode) -> Array:
         """Return the reward () of a step in which a vehicle has stopped."""

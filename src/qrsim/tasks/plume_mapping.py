@@ -18,6 +18,7 @@ from qrsim.models.scene.uniform import uniform
 from qrsim.models.sensors.concentration import ConcentrationReading
 from qrsim.tasks.agents import BELIEVED, Axis, action_period, believed, fleet_of, only, penalty, velocity_axes
 from qrsim.tasks.contracts import Task
+from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.episode import surroundings
 from qrsim.world.state import Action, State, World
 
@@ -56,6 +57,7 @@ class PlumeMapping(Task):
     fleet: str = setting(default="helicopters", doc="name of the fleet whose vehicles are the agents")
     sensor: str = setting(default="concentration", doc="name of their concentration sensor")
     period: float = action_period(1.0)
+    senses: tuple[str, ...] = senses()
 
     axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ned")
     hands_in: ClassVar[bool] = True
@@ -103,7 +105,7 @@ class PlumeMapping(Task):
         """Return the observation of each vehicle (n,).
 
         ``vehicle`` (n, 10) is what it believes of itself and the last concentration it measured, ``locations``
-        (n, L, 3) where the concentration is asked for [m].
+        (n, L, 3) where the concentration is asked for [m]. ``sensed`` (n, S) is what the sensors of ``senses`` say.
         """
         fleet, fleet_state = fleet_of(world, state, self.fleet)
         reading = fleet_state.readings[fleet.sensor_names.index(self.sensor)]
@@ -111,14 +113,16 @@ class PlumeMapping(Task):
         # Nothing is smelt any more by a vehicle that has stopped.
         last = jnp.where(jnp.isfinite(smelt), smelt, 0.0)
         locations = memory.locations_ned.stack()
-        return {
+        more = {"sensed": sensed(world, state, self.fleet, self.senses)} if self.senses else {}
+        return more | {
             "vehicle": jnp.concatenate([believed(fleet_state), last[:, None]], axis=-1),
             "locations": jnp.broadcast_to(locations[None], (fleet.size, *locations.shape)),
         }
 
     def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
         """Describe the named numbers of an observation."""
-        return {"vehicle": (*BELIEVED, Axis("concentration", "1"))}
+        more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}
+        return more | {"vehicle": (*BELIEVED, Axis("concentration", "1"))}
 
     def answer_shape(self, world: World) -> tuple[int, ...]:
         """Return the shape of an agent's answer: (L,) concentrations, or (L, K) samples for puffs."""

@@ -13,6 +13,7 @@ from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.tasks.agents import Axis, action_period, estimate_of, fleet_of, only, penalty, velocity_axes
 from qrsim.tasks.contracts import Task
+from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.state import Action, State, World
 
 
@@ -36,6 +37,7 @@ class Pursuit(Task):
     fleet: str = setting(default="cats", doc="name of the fleet whose vehicles are the agents")
     prey: str = setting(default="mice", doc="name of the fleet that is caught")
     period: float = action_period(1.0)
+    senses: tuple[str, ...] = senses()
 
     axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ne")
     asks_for: ClassVar[type | None] = VelocityHeightSetpoint
@@ -66,17 +68,19 @@ class Pursuit(Task):
         """Return each cat's measured position and velocity, and measured offsets to mice and other cats.
 
         North and east of each: position, velocity, offsets to the m mice, offsets to the n - 1 other cats in the order
-        of the fleet, beginning behind the cat itself.
+        of the fleet, beginning behind the cat itself. With ``senses``, what these sensors say in place of all offsets.
         """
         _, cats = fleet_of(world, state, self.fleet)
         _, mice = fleet_of(world, state, self.prey)
-        known, prey = estimate_of(cats), estimate_of(mice)
+        known = estimate_of(cats)
         own, velocity = known.position_ned, known.velocity_ned
-        count = own.x.shape[0]
+        parts = [jnp.stack([own.x, own.y, velocity.x, velocity.y], axis=-1)]
+        if self.senses:
+            return jnp.concatenate([*parts, sensed(world, state, self.fleet, self.senses)], axis=-1)
+        prey, count = estimate_of(mice), own.x.shape[0]
         to_mice, to_cats = -_between(own, prey.position_ned), -_between(own, own)
         order = (jnp.arange(count)[:, None] + jnp.arange(1, count)[None]) % count
         others = [jnp.take_along_axis(axis, order, axis=1) for axis in (to_cats.x, to_cats.y)]
-        parts = [jnp.stack([own.x, own.y, velocity.x, velocity.y], axis=-1)]
         for north, east in ((to_mice.x, to_mice.y), others):
             parts.append(jnp.stack([north, east], axis=-1).reshape(count, -1))
         return jnp.concatenate(parts, axis=-1)
@@ -87,8 +91,11 @@ class Pursuit(Task):
             next(fleet.size for fleet in world.fleets if fleet.name == name) for name in (self.fleet, self.prey)
         )
         named = [("position", "m"), ("velocity", "m/s")]
-        named += [(f"mouse_{i}_offset", "m") for i in range(mice)] + [(f"cat_{i}_offset", "m") for i in range(1, count)]
-        return tuple(Axis(f"{name}_{axis}", unit) for name, unit in named for axis in ("north", "east"))
+        if not self.senses:
+            named += [(f"mouse_{i}_offset", "m") for i in range(mice)]
+            named += [(f"cat_{i}_offset", "m") for i in range(1, count)]
+        own = tuple(Axis(f"{name}_{axis}", unit) for name, unit in named for axis in ("north", "east"))
+        return (*own, *sensed_axes(world, self.fleet, self.senses))
 
 
 def _between(one: Vec3, other: Vec3) -> Vec3:

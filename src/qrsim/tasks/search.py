@@ -24,6 +24,7 @@ from qrsim.tasks.agents import (
     velocity_axes,
 )
 from qrsim.tasks.contracts import Task
+from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.episode import picture
 from qrsim.world.state import Action, State, World
 
@@ -47,6 +48,7 @@ class Search(Task):
     fleet: str = setting(default="helicopters", doc="name of the fleet whose vehicles are the agents")
     camera: str = setting(default="camera", doc="name of their camera")
     period: float = action_period(1.0)
+    senses: tuple[str, ...] = senses()
 
     axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ned")
     asks_for: ClassVar[type | None] = VelocitySetpoint
@@ -82,7 +84,7 @@ class Search(Task):
         ``vehicle`` (n, 9) is what it believes of itself, ``ratio`` (n, R, C) the log-likelihood ratio of each window of
         its last picture, 0 beyond the grid, ``grid`` (n, 2) the rows and columns of the grid, and ``corners`` (n, 4, 2)
         north and east [m] of the grid's corners on the ground: upper left, upper right, lower right, lower left. They
-        and the grid are enough to know all windows' corners.
+        and the grid are enough to know all windows' corners. ``sensed`` (n, S) is what the sensors of ``senses`` say.
         """
         _, fleet = fleet_of(world, state, self.fleet)
         seen = self.picture(world, state)
@@ -97,8 +99,9 @@ class Search(Task):
             axis=1,
         )
         grid = jnp.stack([seen.rows, seen.columns], axis=-1)
+        more = {"sensed": sensed(world, state, self.fleet, self.senses)} if self.senses else {}
         # Nothing is seen any more by a vehicle that has stopped.
-        return {
+        return more | {
             "vehicle": believed(fleet),
             "ratio": jnp.where(jnp.isfinite(seen.ratio), seen.ratio, 0.0),
             "grid": jnp.where(jnp.isfinite(corners[:, 0, :1]), grid, 0),
@@ -107,7 +110,8 @@ class Search(Task):
 
     def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
         """Describe the named numbers of an observation."""
-        return {"vehicle": BELIEVED}
+        more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}
+        return more | {"vehicle": BELIEVED}
 
     def lens(self, world: World) -> Camera:
         """Return the camera."""

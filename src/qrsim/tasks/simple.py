@@ -34,6 +34,7 @@ from qrsim.tasks.agents import (
     square,
 )
 from qrsim.tasks.contracts import Task
+from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.state import Action, Fleet, FleetState, State, World
 
 Crash = Literal["worst", "published"]
@@ -126,6 +127,7 @@ class Commanded(Task):
     )  # fmt: skip
     fleet: str = setting(default="pelicans", doc="name of the fleet whose vehicles are the agents")
     period: float = action_period(0.02)
+    senses: tuple[str, ...] = senses()
 
     # Of quadrotors; ``acts`` has those of the fleet.
     axes: ClassVar[tuple[Axis, ...]] = axes_of(Command)
@@ -194,6 +196,11 @@ class Commanded(Task):
         cost = self.highest_cost(memory, world.with_drawn(state.drawn), steps * self.period)
         return jnp.minimum(penalty, -jnp.sum(cost))
 
+    def with_sensed(self, world: World, state: State, *parts: Array) -> Array:
+        """Return parts (n, ...) of an observation and what the sensors of ``senses`` say, side by side."""
+        more = [sensed(world, state, self.fleet, self.senses)] if self.senses else []
+        return jnp.concatenate([*parts, *more], axis=-1)
+
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
         """Return an upper bound of each vehicle's cost (n,) in an episode [s] without a crash."""
         return jnp.broadcast_to(self.effort.highest_rate(self.command_type(world)) * duration, memory.owed.shape)
@@ -205,7 +212,8 @@ class KeepSpot(Commanded):
 
     def sees(self, world: World) -> tuple[Axis, ...]:
         """Describe the numbers of an observation."""
-        return (*BELIEVED, *(Axis(f"to_{name}", "m") for name in ("north", "east", "down")))
+        goal = tuple(Axis(f"to_{name}", "m") for name in ("north", "east", "down"))
+        return (*BELIEVED, *goal, *sensed_axes(world, self.fleet, self.senses))
 
     def reach(self, world: World, start_ned: Vec3) -> Array:
         """Return that of the nearest limit of the area from the goal, or that of the start where it is farther away."""
@@ -230,7 +238,7 @@ class KeepSpot(Commanded):
         """Return each vehicle's own estimate, and the goal relative to it."""
         _, fleet = fleet_of(world, state, self.fleet)
         offset = self.goal(memory.start_ned, world) - estimate_of(fleet).position_ned
-        return jnp.concatenate([believed(fleet), offset.stack()], axis=-1)
+        return self.with_sensed(world, state, believed(fleet), offset.stack())
 
 
 @record
@@ -253,7 +261,8 @@ class KeepVelocity(Commanded):
 
     def sees(self, world: World) -> tuple[Axis, ...]:
         """Describe the numbers of an observation."""
-        return (*BELIEVED, *(Axis(f"wanting_{name}", "m/s") for name in ("north", "east", "down")))
+        lacking = tuple(Axis(f"wanting_{name}", "m/s") for name in ("north", "east", "down"))
+        return (*BELIEVED, *lacking, *sensed_axes(world, self.fleet, self.senses))
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
         """Return the effort, and the squared error of the velocity (n,)."""
@@ -270,7 +279,7 @@ class KeepVelocity(Commanded):
         """Return each vehicle's own estimate, and its velocity error."""
         _, fleet = fleet_of(world, state, self.fleet)
         lacking = self._wanted() - estimate_of(fleet).velocity_ned
-        return jnp.concatenate([believed(fleet), lacking.stack()], axis=-1)
+        return self.with_sensed(world, state, believed(fleet), lacking.stack())
 
     def _wanted(self) -> Vec3:
         return Vec3(self.velocity_north, self.velocity_east, self.velocity_down)

@@ -27,12 +27,13 @@ class Columns:
     Attributes:
         time: (T,) [s].
         stride: every so-many-th tick is kept.
+        names: of the vectors that are known.
     """
 
     def __init__(self, run: Run, stream: str, vectors: dict[str, tuple[str, ...] | None]):
         self._size = len(run.vehicles)
         known = {name: columns for name, columns in vectors.items() if columns}
-        self.time, self.stride = np.zeros(0), 1
+        self.time, self.stride, self.names = np.zeros(0), 1, tuple(known)
         if known:
             whole = run[stream].time
             self.stride = max(1, math.ceil(len(whole) * self._size / MOST_POSES))

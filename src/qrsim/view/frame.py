@@ -43,6 +43,21 @@ class Beside:
 
 
 @dataclass(frozen=True)
+class Links:
+    """Links of the radio in its last period, from the K nearest to each vehicle.
+
+    Attributes:
+        sender: (K, n) number of a vehicle; -1: nobody sent.
+        error: (K, n) chance that the packet is lost if nobody else sends.
+        outcome: (K, n) what became of it (models/radio/links.py).
+    """
+
+    sender: Floats
+    error: Floats
+    outcome: Floats
+
+
+@dataclass(frozen=True)
 class Frame:
     """State of all n vehicles at one time; NaN where a quantity is unknown.
 
@@ -56,6 +71,7 @@ class Frame:
         valid: (n,) whether each still flies.
         reasons: vehicle -> why it has stopped.
         beside: what there is beside vehicles; None where that is not known.
+        links: those of the radio; None where there is none.
     """
 
     time: float
@@ -68,6 +84,7 @@ class Frame:
     valid: Floats
     reasons: dict[int, str] = field(default_factory=dict)
     beside: Beside | None = None
+    links: Links | None = None
 
 
 @dataclass(frozen=True)
@@ -103,7 +120,7 @@ class Cast:
             for outline in self.outlines
             if outline is not None
             for x, y, _ in outline.rotors
-        ]
+        ] + [outline.size for outline in self.outlines if outline is not None and outline.size > 0.0]
         return max(spans, default=PELICAN_SPAN)
 
     @property
@@ -169,7 +186,16 @@ def frame_of(state: State, time: float, world: World) -> Frame:
         codes == 0,
         {int(i): code_in_words(int(codes[i]), float(values[i]), world.area) for i in np.flatnonzero(codes)},
         Beside(world, state.drawn, state.contents, state.fleet_keys, _pictures(state), state.field),
+        _links(state, world),
     )
+
+
+def _links(state: State, world: World) -> Links | None:
+    """Return the links of a world's radio."""
+    if world.radio is None:
+        return None
+    links: Any = world.radio.links(state.radio)
+    return Links(np.asarray(links.sender), np.asarray(links.error), np.asarray(links.outcome))
 
 
 def _pictures(state: State) -> dict[tuple[int, int], CameraReading]:

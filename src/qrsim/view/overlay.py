@@ -16,6 +16,7 @@ from qrsim.runs import colours
 from qrsim.view.air import AIR, GUST, REACHES, WHOLE
 from qrsim.view.interference import INTERFERENCE
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
+from qrsim.view.radio import LINKS
 from qrsim.view.script import run_script
 
 # Where pages look from at first, seen from what is looked at, NED.
@@ -42,6 +43,7 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
         ("arrow", [colours.GUST], f"gust in a plane, {REACHES[GUST]:g} m/s a step"),
         ("scale", list(colours.WIND), f"or all of the wind, {REACHES[WHOLE]:g} m/s a step"),
     ],
+    LINKS: [("scale", list(colours.WIND), "radio at who hears: 0 to all packets arrive; thin: the last was lost")],
     INTERFERENCE: [("plate", [colours.GREY], "reach of a jammer, disc or spoofer, while it acts")],
     "area": [("thin", [colours.GREY], "flight area")],
     "persons": [("pin", [colours.MISSING], "person not found"), ("pin", [colours.FOUND], "person found")],

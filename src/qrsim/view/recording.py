@@ -10,9 +10,10 @@ from qrsim.errors import QrsimError, RunError, warn_user
 from qrsim.models.gnss.fixes import OF_SATELLITES
 from qrsim.runs import Run
 from qrsim.runs.layout import EVENTS, Event
+from qrsim.runs.radio_columns import links_logged
 from qrsim.runs.summary import NOT_A_STOP
 from qrsim.view.columns import Columns, vector
-from qrsim.view.frame import Cast, Frame, cast_of
+from qrsim.view.frame import Cast, Frame, Links, cast_of
 from qrsim.view.readings import Excerpts, quantities_of
 from qrsim.view.reasons import in_words
 from qrsim.view.rebuilt import rebuilt
@@ -58,6 +59,7 @@ class Recording:
         self.stops = [(event, numbers[event.vehicle]) for event in _stops(run) if event.vehicle is not None]
         self.world, self.cast = self._surroundings()
         self._rebuilt = rebuilt(run, self.world)
+        self._links = _links(run)
         self._excerpts = Excerpts(run)
         self._slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
 
@@ -107,7 +109,16 @@ class Recording:
             ~(valid == 0.0),
             {i: self.why(event) for event, i in self.stops if event.time <= now + 1e-6},
             self._rebuilt.at(now) if self._rebuilt else None,
+            self._links_at(now),
         )
+
+    def _links_at(self, time: float) -> Links | None:
+        """Return the links of the radio at a time [s]; None where none were recorded."""
+        if self._links is None:
+            return None
+        found = [self._links.at(f"link{k}", time) for k in range(len(self._links.names))]
+        sender, error, outcome = (np.nan_to_num(np.stack([link[:, i] for link in found])) for i in range(3))
+        return Links(sender.astype(int), error, outcome.astype(int))
 
     def why(self, event: Event) -> str:
         """Say why a vehicle has stopped, by the event that says so."""
@@ -153,6 +164,16 @@ class Recording:
             return []
         said = {name: np.array([measured[slot[name]][row] for slot in self._slots]) for name in OF_SATELLITES}
         return satellites(said) if np.isfinite(said["elevation"]).all() else []
+
+
+def _links(run: Run) -> Columns | None:
+    """Return what was logged of the links of the radio; None without one."""
+    names = run["measurements"].columns() if "measurements" in run else ()
+    count = links_logged(names)
+    each: dict[str, tuple[str, ...] | None] = {
+        f"link{k}": tuple(f"radio.{part}.{k}" for part in ("sender", "error", "outcome")) for k in range(count)
+    }
+    return Columns(run, "measurements", each) if count else None
 
 
 def _first(run: Run, ending: str) -> str | None:

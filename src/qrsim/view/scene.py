@@ -19,6 +19,7 @@ from qrsim.view.interference import interference_layers
 from qrsim.view.layers import Ghosts, Gusts, Layer, Names, Poles, Stage, Vehicles, Wind
 from qrsim.view.overlay import SOUTH, Overlay
 from qrsim.view.paths import EstimatedPaths, Paths
+from qrsim.view.radio import radio_layers
 from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
@@ -69,7 +70,7 @@ class Scene:
         if world is not None:
             solid = [Area(self.stage, world), Obstacles(self.stage, world), *contents_layers(self.stage, world)]
             solid += [*camera_layers(self.stage, world), *air_layers(self.stage, world)]
-            solid += interference_layers(self.stage, world)
+            solid += [*interference_layers(self.stage, world), *radio_layers(self.stage, world)]
         ground = Ground(self.stage, world)
         layers: list[Layer] = [ground, *solid, self.vehicles, *moving]
         self.layers = {layer.title: layer for layer in layers}

@@ -108,11 +108,40 @@ def mast() -> Mesh:
     )
 
 
+def car() -> Mesh:
+    """Return a car of length 1 in body axes, its wheels on the ground at z = 0, with a beak where it looks."""
+    body = box((-0.45, -0.2, -0.3), (0.4, 0.2, -0.12))
+    cabin = box((-0.3, -0.16, -0.42), (0.12, 0.16, -0.3))
+    beak, faces = cone(0.38, 0.6, 0.09)
+    wheels = [box((x - 0.13, y - 0.05, -0.26), (x + 0.13, y + 0.05, 0.0)) for x in (-0.28, 0.28) for y in (-0.25, 0.25)]
+    return merged(body, cabin, (beak - np.array([0.0, 0.0, 0.21]), faces), *wheels)
+
+
+def plane() -> Mesh:
+    """Return an aeroplane of span 1 in body axes (x ahead, y right, z down), its tail a V upside down on two booms."""
+    wing = (
+        np.array([(0.1, 0.0, -0.04), (0.04, 0.5, -0.06), (-0.06, 0.5, -0.06), (-0.08, 0.0, -0.04),
+                  (-0.06, -0.5, -0.06), (0.04, -0.5, -0.06)]),
+        np.array([(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]),
+    )  # fmt: skip
+    tail = (
+        np.array([(-0.4, -0.09, -0.02), (-0.48, -0.09, -0.02), (-0.48, 0.0, -0.14), (-0.42, 0.0, -0.14),
+                  (-0.4, 0.09, -0.02), (-0.48, 0.09, -0.02)]),
+        np.array([(0, 1, 2), (0, 2, 3), (3, 2, 5), (3, 5, 4)]),
+    )  # fmt: skip
+    booms = [box((-0.48, y - 0.008, -0.035), (0.0, y + 0.008, -0.015)) for y in (-0.09, 0.09)]
+    fuselage = box((-0.16, -0.04, -0.05), (0.18, 0.04, 0.04))
+    return merged(wing, tail, *booms, fuselage, cone(0.17, 0.34, 0.045))
+
+
+_OTHERS = {"mast": mast, "car": car, "plane": plane}
+
+
 def looks(outline: Outline | None) -> Mesh:
     """Return a vehicle of span 1 in body axes."""
     if outline is None:
         return quadrotor()
-    return multirotor(outline.rotors, outline.rotor_radius) if outline.rotors else mast()
+    return multirotor(outline.rotors, outline.rotor_radius) if outline.rotors else _OTHERS[outline.kind]()
 
 
 def arrow() -> Mesh:

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.control import Estimate
-from qrsim.control.teams import Mates, TeamGuidance, mates_heard, mates_of
+from qrsim.control.teams import Mates, TeamGuidance, mates_heard, mates_of, mates_wanted
 from qrsim.core.tree import concatenated, map_tree, replace, select
 from qrsim.core.vectors import Vec3
-from qrsim.world.sensing import estimate_of
+from qrsim.world.sensing import estimate_of, with_airspeed
 from qrsim.world.standing import on_ground, seen_ground
 from qrsim.world.state import Action, Fleet, FleetState, Some, State, World
 
@@ -41,7 +41,7 @@ def command_fleet(
     if isinstance(action, fleet.vehicle.actions):
         return Commanded(state.guidance, state.setpoint, state.controller, state.estimate, [(None, action)])
     guidance = state.guidance
-    fed = estimate_of(fleet, state) if believed is None else believed
+    fed = with_airspeed(fleet, state, estimate_of(fleet, state) if believed is None else believed)
     standing = on_ground(fleet, state)
     alone = replace(fed, position_low_ned=None)
     estimate = map_tree(lambda new, old: jnp.where(jnp.isfinite(new), new, old), alone, state.estimate)
@@ -107,16 +107,14 @@ def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate
     guidance = cast(TeamGuidance, fleet.guidance)
     if guidance.knows == "heard":
         assert world.radio is not None
-        names = [other.name for other in world.fleets]
-        first = sum(other.size for other in world.fleets[: names.index(fleet.name)])
-        last = first + fleet.size
+        own = world.rows_of(fleet.name)
         heard = world.radio.heard(whole.radio, tick, world.time_step)
-        sender = heard.sender[:, first:last]
-        number = jnp.where((sender >= first) & (sender < last), sender - first, -1)
-        age = (tick - heard.sent[:, first:last]).astype(estimate.position_ned.x.dtype) * world.time_step
-        return mates_heard(number, heard.payload[:, :, first:last], age, estimate.position_ned, guidance.reach)
+        sender = heard.sender[:, own]
+        number = jnp.where((sender >= own.start) & (sender < own.stop), sender - own.start, -1)
+        age = (tick - heard.sent[:, own]).astype(estimate.position_ned.x.dtype) * world.time_step
+        return mates_heard(number, heard.payload[:, :, own], age, estimate.position_ned, guidance.reach)
     position = _flying(estimate.position_ned, state)
-    return mates_of(position, estimate.velocity_ned, guidance.reach, max(1, min(guidance.mates, fleet.size - 1)))
+    return mates_of(position, estimate.velocity_ned, guidance.reach, mates_wanted(guidance.mates, fleet.size))
 
 
 def _flying(position_ned: Vec3, state: FleetState) -> Vec3:

@@ -55,7 +55,8 @@ def exchange(world: World, state: State, said: tuple[Outbox | None, ...], tick: 
     if radio.own is not None:
         works = works & radio.own.works
     obstacles = world.obstacles
-    surfaces = Surfaces(position, works, obstacles if any_of(obstacles) else None)
+    height = world.height_agl(position) if radio.asks_height else None
+    surfaces = Surfaces(position, works, obstacles if any_of(obstacles) else None, height)
     spoken = None if all(part is None for part in said) else _together(world, said, position.x)
     beacons = _beacons(world, state, said) if radio.beacon else None
     ids = np.concatenate([vehicle_ids(fleet) for fleet in world.fleets])
@@ -92,7 +93,7 @@ def _together(world: World, said: tuple[Outbox | None, ...], like: Array) -> Out
 
 
 def _beacons(world: World, state: State, said: tuple[Outbox | None, ...]) -> Outbox:
-    """Return each vehicle's estimate of its own position and velocity, for all; nothing of fleets that speak."""
+    """Return each vehicle's estimate of its own position and velocity, for all; nothing of those who speak."""
     assert world.radio is not None
     size, parts, sends = world.radio.size, [], []
     for fleet, now, part in zip(world.fleets, state.fleets, said, strict=True):
@@ -100,6 +101,7 @@ def _beacons(world: World, state: State, said: tuple[Outbox | None, ...]) -> Out
         numbers = [*estimate.position_ned.axes, *estimate.velocity_ned.axes]
         zero = jnp.zeros_like(numbers[0])
         parts.append(jnp.stack([*numbers[:size], *[zero] * (size - len(numbers))]))
-        sends.append(jnp.full(fleet.size, part is None))
+        silent = jnp.full(fleet.size, part is None)
+        sends.append(silent if part is None or part.beacons is None else part.beacons)
     send = jnp.concatenate(sends)
     return Outbox(jnp.concatenate(parts, axis=1), send, jnp.full(send.shape, -1, jnp.int32))

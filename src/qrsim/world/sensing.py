@@ -12,13 +12,13 @@ from jax import Array
 from qrsim.control import Estimate
 from qrsim.core.noise import Noise
 from qrsim.core.tree import Record, concatenated, map_tree, replace
-from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.core.vectors import Euler, Vec3, root, rotation
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.scene.traffic import Traffic
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.fitting import Fitted, Fitting, mounted, start_fitted
-from qrsim.models.vehicles.contracts import VehicleState
+from qrsim.models.vehicles.contracts import Pose, VehicleState
 from qrsim.world.state import DELIVERY, Belief, Fleet, FleetState, World, period_ticks, when_due
 
 
@@ -207,6 +207,29 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
     }
 
 
+def with_airspeed(fleet: Fleet, state: FleetState, estimate: Estimate) -> Estimate:
+    """Return an estimate with the airspeed, true or measured, if the fleet's controller looks at it and it has none.
+
+    Without a sensor of it, as where an estimate is handed in, it is the true one.
+    """
+    if not fleet.controller.reads_airspeed:
+        return estimate if estimate.airspeed is None else replace(estimate, airspeed=None)
+    if estimate.airspeed is not None:
+        return estimate
+    if fleet.controller.feed != "truth":
+        measured = measured_quantities(state.readings).get("true_airspeed")
+        if measured is not None:
+            return replace(estimate, airspeed=measured)
+    pose = fleet.vehicle.pose(state.vehicle)
+    return replace(estimate, airspeed=airspeed_of(pose, state.mean_wind_ned + state.gust_ned))
+
+
+def airspeed_of(pose: Pose, air_ned: Vec3) -> Array:
+    """Return the speed (n,) [m/s] through air that moves (n,) [m/s] NED."""
+    through = pose.velocity_body - rotation(pose.attitude).to_body(air_ned)
+    return root(through.dot(through))
+
+
 def estimate_of(fleet: Fleet, state: FleetState) -> Estimate:
     """Return the controller's estimate: its own, the truth, or from horizontal GNSS, barometer and attitude."""
     if state.belief is not None and fleet.controller.feed != "truth":
@@ -233,6 +256,7 @@ class Measured(TypedDict, total=False):
     height_rate: Array
     attitude: Euler
     rates_body: Vec3
+    true_airspeed: Array
 
 
 def measured_quantities(readings: tuple[Record, ...]) -> Measured:

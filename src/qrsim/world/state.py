@@ -185,6 +185,12 @@ class World:
             return self.area.height_agl(position_ned)
         return self.ground.down(position_ned) - position_ned.z
 
+    def rows_of(self, name: str) -> slice[int, int, None]:
+        """Return where, in arrays (n,) of all vehicles, those of the named fleet are."""
+        number = [fleet.name for fleet in self.fleets].index(name)
+        first = sum(fleet.size for fleet in self.fleets[:number])
+        return slice(first, first + self.fleets[number].size)
+
     def with_drawn(self, drawn: tuple[Array, ...]) -> World:
         """Return the world with an episode's draws for its ranges."""
         world = self

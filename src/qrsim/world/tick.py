@@ -38,7 +38,7 @@ from qrsim.world.episode import (
     surroundings,
 )
 from qrsim.world.radio import exchange, parted, start_radio
-from qrsim.world.sensing import faulted, inputs_of, scene_of, sense, starting_fitted, with_traffic
+from qrsim.world.sensing import airspeed_of, faulted, inputs_of, scene_of, sense, starting_fitted, with_traffic
 from qrsim.world.standing import ground_checks, over_the_floor, settled, started
 from qrsim.world.state import (
     PROCESS,
@@ -71,7 +71,10 @@ def reset(world: World, key: Key | WorldKeys) -> State:
     sky = world.sky.init(draw_sky(world, keys.sky_start, jnp.int32(0), like))
     contents = start_contents(world, draws)
     placed = [place(world, fleet, draws) for fleet in world.fleets]
-    vehicles = [_vehicle_at(fleet, start) for fleet, (start, _) in zip(world.fleets, placed, strict=True)]
+    vehicles = [
+        _launched(world, fleet, _vehicle_at(fleet, start))
+        for fleet, (start, _) in zip(world.fleets, placed, strict=True)
+    ]
     view = with_traffic(world, surroundings(world, contents, jnp.int32(0)), vehicles, [None] * len(vehicles))
     field = draw_field(world, draws)
     fleets = tuple(
@@ -309,6 +312,8 @@ def start_fleet(
     guidance = fleet.guidance.init(fleet.route)
     # Until a sensor speaks, the controller believes what was true at the start.
     estimate = Estimate(pose.position_ned, rotation(pose.attitude).to_ned(pose.velocity_body), pose.attitude)
+    if fleet.controller.reads_airspeed:
+        estimate = replace(estimate, airspeed=airspeed_of(pose, air))
     controller = fleet.controller.init(estimate)
     setpoint = fleet.controller.shown(fleet.guidance.setpoint(guidance, fleet.route))
     state = FleetState(
@@ -353,7 +358,9 @@ def start_fleet(
     known = dict(zip(fleet.sensor_names, delivered, strict=True))
     return replace(
         state,
-        belief=None if estimator is None else Belief.of(estimator, *estimator.init(known, estimate)),
+        belief=None
+        if estimator is None
+        else Belief.of(estimator, *estimator.init(known, replace(estimate, airspeed=None))),
         fitted=starting_fitted(fleet, scene, tuple(reading for _, reading in firsts), tick),
         sensors=tuple(memory for memory, _ in firsts),
         readings=tuple(delivered),
@@ -364,3 +371,13 @@ def start_fleet(
 
 def _vehicle_at(fleet: Fleet, start: Start) -> VehicleState:
     return fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
+
+
+def _launched(world: World, fleet: Fleet, vehicle: VehicleState) -> VehicleState:
+    """Return vehicles (n,) at their start; who starts in flight does so in the mean wind there."""
+    if not fleet.vehicle.launches:
+        return vehicle
+    place = fleet.vehicle.pose(vehicle).position_ned
+    height = world.height_agl(place)
+    time = split_time(jnp.int32(0), world.time_step, height.dtype)
+    return fleet.vehicle.launched(vehicle, mean_wind_at(world.wind, height, place, time))

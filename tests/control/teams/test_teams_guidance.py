@@ -150,6 +150,15 @@ def test_a_flock_aligns_keeps_apart_and_stays_together() -> None:
     assert least_distance(crowded[150:]) < 3.0
 
 
+def test_a_flock_migrates_slower_the_nearer_it_is() -> None:
+    """A quarter of a metre a second for each metre, up to what is given; nobody else is in reach."""
+    places = [[0.0, 0.0], [0.0, 500.0]]
+    guidance = flocking(migration=3.0)
+    route = route_to([[8.0, 0.0], [0.0, 560.0]])
+    north, east = guidance.velocity(route, flat(places), flat(np.zeros((2, 2))), heard(places, np.zeros((2, 2)), 100.0))
+    np.testing.assert_allclose(np.stack([north, east]), [[2.0, 0.0], [0.0, 3.0]], atol=1e-5)
+
+
 def formation(**changes: Any) -> FormationGuidance:
     numbers = {"gain": 0.5, "speed": 50.0, "leader_speed": 2.0, "leader_weight": 0.5, "reach": 1e3, **changes}
     leader = numbers.pop("leader", False)
@@ -178,6 +187,19 @@ class TestFormation:
         np.testing.assert_allclose(speeds[-1], [[2.0, 0.0]] * 4, atol=0.01)
         # One step late, which the velocity that it says makes up for within 0.2 m.
         np.testing.assert_allclose(flown[-1] - flown[-1, 0], self.places, atol=0.45)
+
+    def test_each_of_the_leader_and_the_others_has_its_weight(self) -> None:
+        """4 m to its last waypoint the leader flies at 2 m/s. The last one lacks 8 m to the leader and 4 m to the
+        others, of which 0.3 and 0.7 count, times the gain of 0.5/s: 2.6 m/s, and the leader's own 1 m/s.
+        """
+        goals = np.array([[4.0, 0.0], *self.places[1:]])
+        there = self.places + np.array([[0.0, 0.0], [-4.0, 0.0], [-4.0, 0.0], [-8.0, 0.0]])
+        fast = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]
+        guidance = formation(leader=True, leader_weight=0.3, leader_speed=5.0)
+        route = route_to(goals, self.places)
+        north, east = guidance.velocity(route, flat(there), flat(fast), heard(there, fast))
+        assert (float(north[0]), float(north[3])) == pytest.approx((2.0, 1.0 + 0.5 * (0.3 * 8.0 + 0.7 * 4.0)), abs=1e-4)
+        assert float(east[3]) == pytest.approx(0.0, abs=1e-5)
 
     def test_a_leader_that_nobody_hears_leads_nobody(self) -> None:
         far = self.places + np.array([[500.0, 0.0], [0, 0], [0, 0], [0, 0]])
@@ -221,6 +243,15 @@ class TestAvoidance:
         planes = half_planes(flat([[0, 0], [1, 0]]), flat(np.zeros((2, 2))), mates, 1.0, 5.0, 0.5)
         north, east = nearest_velocity(planes, jnp.zeros(2), jnp.zeros(2), jnp.float32(5.0))
         np.testing.assert_allclose(np.stack([north, east]), [[-1.0, 1.0], [0.0, 0.0]], atol=1e-4)
+
+    def test_a_team_parts_within_a_second(self) -> None:
+        """As above, by the guidance: each leaves half of the metre that lacks in 1 s; it wants to stay."""
+        places = [[0.0, 0.0], [1.0, 0.0]]
+        numbers = {"speed": 3.0, "radius": 1.0, "horizon": 5.0, "keep_right_rad": 0.0, "gain": 0.5, "reach": 100.0}
+        guidance = AvoidanceGuidance(**{name: jnp.float32(value) for name, value in numbers.items()}, mates=1)
+        none = np.zeros((2, 2))
+        north, east = guidance.velocity(route_to(places), flat(places), flat(none), heard(places, none))
+        np.testing.assert_allclose(np.stack([north, east]), [[-0.5, 0.5], [0.0, 0.0]], atol=1e-4)
 
     def test_the_velocity_is_the_nearest_allowed_one(self) -> None:
         """Against all velocities of a grid of 0.02 m/s, for 60 random sets of four half-planes, seed 3."""

@@ -290,9 +290,8 @@ class Wake(Wind):
 
 @pytest.mark.parametrize("count", [1, *(pytest.param(n, marks=pytest.mark.long) for n in COUNTS if n > 1)])
 def test_components_of_users_by_both_compilers(count, monkeypatch):
-    world = replace(
-        qrsim.load_scenario(vehicles("patrol_published", count)).world(), wind=Wake(strength=jnp.float32(4.0))
-    )
+    scenario = qrsim.load_scenario(vehicles("patrol_published", count)) if count > 1 else bare_pair()
+    world = replace(scenario.world(), wind=Wake(strength=jnp.float32(4.0)))
 
     def fly() -> Any:
         simulation = Simulation(world, seed=1)

@@ -154,6 +154,46 @@ def test_a_client_in_cpp_shares_a_world(build):
     ]  # fmt: skip
 
 
+RADIO_TOUR = """
+#include <cstdio>
+#include <string>
+#include "qrsim_client.hpp"
+int main(int, char** words) try {
+  qrsim::Client client("127.0.0.1", std::stoi(words[1]));
+  qrsim::SessionOptions options;
+  options.task = "pair";
+  client.open(options);
+  client.say({{"vehicles_0", {1.5, -2.0}}}, "vehicles_1");
+  client.step_waypoint(0.1, {{3.0, 0.0, -11.0, 0.0}, {3.0, 9.0, -11.0, 0.0}});
+  const auto inbox = client.inbox();
+  const qrsim::Heard& heard = inbox.at("vehicles_1").at(0);
+  std::printf("%d %s %g %g %g %d\\n", static_cast<int>(inbox.at("vehicles_0").size()), heard.sender.c_str(),
+              heard.received, heard.payload[0], heard.payload[1], heard.rssi < 0.0);
+  try {
+    client.say({{"vehicles_2", {1.0}}});
+  } catch (const qrsim::Refused& error) {
+    std::printf("%s\\n", error.what());
+  }
+  client.disconnect();
+  return 0;
+} catch (const qrsim::Error& error) {
+  std::fprintf(stderr, "%s\\n", error.what());
+  return 1;
+}
+"""
+
+
+def test_a_client_in_cpp_says_and_hears_messages(build):
+    program = build("radio_tour", RADIO_TOUR)
+    radio = {"preset": "sik_915", "beacon": False, "size": 2, "inbox": {"size": 2, "candidates": 1}}
+    with running(Tasks(pair(radio=radio)), seed=SEED) as found:
+        said = subprocess.run([program, str(found.port)], capture_output=True, text=True, timeout=120.0)
+    assert (said.stderr, said.returncode) == ("", 0)
+    heard, refused = said.stdout.splitlines()
+    assert heard == "0 vehicles_0 0.02 1.5 -2 1"
+    assert refused.endswith("say: vehicle: no vehicle is called 'vehicles_2'; did you mean 'vehicles_1'?")
+
+
 def tour_line(what: str, simulation: qrsim.Simulation) -> str:
     numbers = " ".join(f"{value:.17g}" for value in np.asarray(simulation.truth.state[0], np.float64))
     return f"{what} t {simulation.time:.17g} vehicles 1/1 reasons 0 {numbers}"

@@ -90,8 +90,8 @@ def test_a_client_flies_a_scenario_of_its_own(clients):
         ("- 1", "expected keys and values"),
         ("extends: /etc/passwd", "extends: expected the name of a built-in scenario"),
         ("extends: ./other.yaml", "extends: expected the name of a built-in scenario"),
-        ("extends: hover\nworld: {sky: {orbits: {type: sp3, file: /etc/passwd}}}", "world.sky.orbits.file: "),
-        ("extends: hover\nworld: {area: {type: fence, file: x.kml}}", "can name no files"),
+        ("extends: hover_ideal\nworld: {sky: {orbits: {type: sp3, file: /etc/passwd}}}", "world.sky.orbits.file: "),
+        ("extends: hover_ideal\nworld: {area: {type: fence, file: x.kml}}", "can name no files"),
         ("extends: plume_mapping/3A\ntask: {locations: 1001}", "task.locations: 1001; allowed in a scenario that a"),
         ("extends: search_and_rescue/2A\nfleets: {a: {sensors: {camera: {most_rows: 1000000000}}}}", "most_rows: 1000"),
         ("a: &a [1, 1]\nb: [*a, *a]", "line 2: '*' is not allowed"),
@@ -110,7 +110,7 @@ def test_a_scenario_that_is_sent_can_do_no_harm(text, said):
 
 def test_faults_of_a_scenario_that_is_sent_are_all_told(clients):
     with pytest.raises(Refused) as caught:
-        clients().open(scenario="extends: hover\nworld: {wind: {type: clam}}\nduration: -1")
+        clients().open(scenario="extends: hover_ideal\nworld: {wind: {type: clam}}\nduration: -1")
     assert "world.wind" in str(caught.value)
     assert "duration" in str(caught.value)
 
@@ -364,5 +364,5 @@ def test_the_client_needs_nothing_that_computes():
 
 def test_the_scenario_error_of_a_server_keeps_its_lines():
     with pytest.raises(ScenarioError) as caught:
-        uploaded("extends: hover\nname: x\nduration: -1\ntime_step: 9")
+        uploaded("extends: hover_ideal\nname: x\nduration: -1\ntime_step: 9")
     assert len(caught.value.problems) == 2

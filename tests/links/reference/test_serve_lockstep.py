@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -228,6 +229,17 @@ def test_a_fleet_without_a_sensor_has_nan_and_fleets_stand_one_after_the_other()
     assert np.isnan(measured[3:, [0, 1, 2, 3, 4, 5, 9, 10, 11, 13, 14, 15, 17, 18]]).all()
 
 
+def test_where_no_sensor_reports_an_attitude_the_estimators_counts():
+    fleet: dict[str, Any] = {"sensors": {"attitude": None}, "estimator": {"type": "complementary"}}
+    fleet["vehicles"] = [{"position_ned": [0.0, 0.0, -10.0], "yaw_rad": 0.7}]
+    simulation = simulate({"extends": "hover_ideal", "name": "own", "fleets": {"pelicans": fleet}})
+    simulation.step(ticks=5)
+    believed = simulation.state.fleets[0].belief.estimate.attitude
+    _, measured = rows(Message.FromString(Readout(simulation).frame()[5:]).state)
+    np.testing.assert_array_equal(measured[:, 3:6], np.stack([believed.roll, believed.pitch, believed.yaw], axis=1))
+    assert measured[0, 3:6] == pytest.approx([0.0, 0.0, 0.7], abs=0.05)
+
+
 def test_a_reference_client_can_hold_thirty_six_vehicles():
     assert largest_fleet(10_000) == 36
     assert state_size(36) <= 10_000 < state_size(37)
@@ -235,7 +247,7 @@ def test_a_reference_client_can_hold_thirty_six_vehicles():
 
 def test_a_served_cascade_takes_all_commands_as_it_is():
     """Its gains have other units than those of the published loops."""
-    assert offboard(load_scenario("outdoor_patrol")).spec == load_scenario("outdoor_patrol").spec
+    assert offboard(load_scenario("patrol_plain")).spec == load_scenario("patrol_plain").spec
 
 
 @pytest.mark.parametrize("name", ["keep_spot", "keep_velocity", "patrol_published"])
@@ -271,11 +283,13 @@ def test_with_reasons_a_state_has_one_for_each_vehicle_byte_for_byte():
 
 
 def test_every_built_in_scenario_has_every_sensor_of_the_measured_vector():
-    types = {"gnss", "barometer", "attitude", "gyroscope", "accelerometer"}
     for name in Tasks().names:
         for fleet in Tasks().offboard(name).spec.fleets.values():
             # Those of a task may have a camera or a concentration sensor too.
-            assert set(fleet.sensors) >= types, name
+            has = set(fleet.sensors) | ({"attitude"} if fleet.estimator is not None else set())
+            has |= {"gyroscope", "accelerometer"} if "imu" in has else set()
+            if fleet.vehicle.type in ("pelican", "multirotor"):
+                assert has >= {"gnss", "barometer", "attitude", "gyroscope", "accelerometer"}, name
 
 
 def test_reference_names_are_our_scenarios_and_an_empty_name_is_the_operators_own():

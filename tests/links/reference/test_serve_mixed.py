@@ -14,7 +14,7 @@ from qrsim.links.reference.tasks import offboard, uploaded
 from qrsim.simulation.simulation import Simulation
 
 MIXED = """
-extends: hover
+extends: hover_ideal
 name: with_a_base
 fleets:
   base:

@@ -283,10 +283,14 @@ def test_the_world_is_described(barrier):
     one = connect()
     found = one.describe()
     assert (found["scenario"], found["time_step"], found["obstacles"]) == ("pair", 0.02, [])
+    # The default site, at height 0.
+    assert found["origin"] == pytest.approx([51.7119, -0.21052, 0.0])
+    assert found["collision_distance"] == 2.0
     assert (found["area"]["type"], found["area"]["x_min"], found["area"]["units"]["x_min"]) == ("box", -40.0, "m")
     fleet = found["fleets"]["vehicles"]
     assert (fleet["vehicles"], fleet["model"]["type"], fleet["controller"]) == ([A, B], "pelican", "offboard")
     assert fleet["start"][1] == [0.0, 9.0, -12.0]
+    assert fleet["radius"] == 1.0
     assert fleet["sensors"]["gnss"]["period"] == pytest.approx(0.2)
     assert fleet["limits"]["velocity"] == 15.0
     throttle = fleet["commands"]["control"][2]

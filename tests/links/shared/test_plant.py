@@ -133,8 +133,13 @@ def test_who_claims_its_own_vehicle_again_says_anew_what_it_does_in_silence():
 def test_a_silent_vehicle_flies_on_its_last_order_and_the_log_says_since_when():
     flight = Flight(silence=Silence("hold", 0.0))
     flight.plant.claim(1, [A])
-    flight.fly(10, THERE).fly(40)
+    # The last order arrives at tick 8; half a second are 25 ticks.
+    flight.fly(10, THERE).fly(23)
+    assert flight.said == []
+    flight.fly(1)
     text = "nothing is heard from its controller; last order at 0.16 s; it flies on by its last order"
+    assert flight.said == [("controller_silent", A, text)]
+    flight.fly(16)
     assert flight.said == [("controller_silent", A, text)]
     assert flight.plant.controlled[A].flies == "command"
     assert flight.plant.age(A) == pytest.approx((50 - 8) * 0.02)

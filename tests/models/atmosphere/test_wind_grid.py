@@ -246,7 +246,7 @@ def test_vehicles_feel_it_where_they_are(tmp_path, whole, compiler, monkeypatch)
         f"world.wind={{type: grid, file: {whole}}}", "duration=60", "world.area.z_min=-120",
         "world.turbulence={type: dryden, speed_20ft: 2, wind_from_rad: 1.0}",
     ]  # fmt: skip
-    sim = qrsim.Simulation(qrsim.load_scenario("outdoor_patrol", changes, quiet=True).world(), seed=1)
+    sim = qrsim.Simulation(qrsim.load_scenario("patrol_plain", changes, quiet=True).world(), seed=1)
     sim.reset()
     sim.step(ticks=400)
     assert sim.compiled_by[0] == compiler

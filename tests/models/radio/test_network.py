@@ -24,6 +24,44 @@ def network(**parts):
     return cast(Network(**{**usual, **parts}), np.float32)
 
 
+@pytest.mark.parametrize(
+    ("preset", "channel", "law", "air_ms"),
+    [
+        ("sik_915", (915.0, 20.0, 250.0, 64.0, 6.0), ("fsk", None), 7.5),
+        ("xbee_pro_900", (915.0, 17.0, 300.0, 156.0, 6.0), ("threshold", 12.13), 3.0769),
+        ("wifi_2g4", (2437.0, 20.0, 20_000.0, 6000.0, 7.0), ("threshold", 10.89), 0.1),
+        # (8 + 4.25 + 8 + 50) symbols of 1.024 ms and (8 + 4.25 + 8 + 35) of 32.768 ms.
+        ("lora_sf7", (868.0, 14.0, 125.0, 5.47, 6.0), ("threshold", -8.6), 71.936),
+        ("lora_sf12", (868.0, 14.0, 125.0, 0.293, 6.0), ("threshold", -21.1), 1810.432),
+    ],
+)
+def test_a_preset_named_in_python_is_that_of_its_sheet(preset, channel, law, air_ms):
+    """MHz, dBm, kHz, kbit/s, dB; law of the loss with its ratio [dB]; time of a packet on the air (docs/radio.md)."""
+    radio = Network(preset=preset)
+    assert channel == (
+        radio.frequency_mhz, radio.power_dbm, radio.bandwidth_khz, radio.rate_kbps, radio.noise_figure_db
+    )  # fmt: skip
+    assert radio.packet.model == law[0]
+    assert law[1] is None or radio.packet.snr50_db == law[1]
+    assert 1e3 * radio.air_time == pytest.approx(air_ms, rel=1e-4)
+
+
+def test_what_is_not_of_a_preset_has_its_default():
+    """Numbers of docs/radio.md; a part that is given counts as a whole, and others are still those of the preset."""
+    radio = Network(preset="lora_sf12", packet=Packet(bytes=40))
+    assert (radio.packet.model, radio.packet.spreading_factor, radio.packet.bytes) == ("fsk", 0, 40)
+    assert (radio.mac.period, radio.inbox.forget, radio.frequency_mhz) == (2.0, 20.0, 868.0)
+    usual = Network()
+    assert vars(usual.path_loss) == {
+        "exponent": 2.2, "shadowing_db": 3.0, "correlation_distance": 50.0, "blocked_db": 20.0, "waves": 32,
+        "air_to_ground": "none", "ground_height": 5.0,
+    }  # fmt: skip
+    assert (usual.packet.capture_db, usual.packet.width_db, usual.delay.fixed, usual.delay.jitter) == (
+        6.0, 0.5, 0.005, 0.002
+    )  # fmt: skip
+    assert (usual.inbox.reach, usual.inbox.candidates, usual.inbox.forget) == (300.0, 24, 2.0)
+
+
 class Air:
     """A network and its vehicles, from tick to tick."""
 

@@ -36,6 +36,9 @@ class TestFlat:
         np.testing.assert_array_equal(FlatGround(height=7.0).down(POINTS), [-7.0, -7.0])
         assert FlatGround().at_zero
         assert not FlatGround(height=7.0).at_zero
+        # Between two above it there is nothing; there may be a hill.
+        assert FlatGround.flat
+        assert not GridGround.flat
 
     def test_heights_of_a_world_are_counted_from_it(self):
         for height, expected in ((0.0, [12.5, -6.0]), (7.0, [5.5, -13.0])):

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
@@ -52,6 +53,7 @@ def test_they_lie_on_the_ground_that_the_chances_say() -> None:
         assert abs((on == number).mean() - chance) < 4.0 * np.sqrt(chance * (1.0 - chance) / on.size)
 
 
+@pytest.mark.long
 def test_where_there_is_no_such_ground_they_lie_anywhere() -> None:
     found = many(Persons(on_occlusion=1.0), jnp.full((4, 4), CLEAR, jnp.int32))  # type: ignore[arg-type]
     assert np.isfinite(np.asarray(found.north)).all()

@@ -39,6 +39,7 @@ def test_the_classes_have_their_shares(grounds: np.ndarray[Any, Any]) -> None:
     assert cluttered.mean() > 0.18
 
 
+@pytest.mark.long
 def test_a_class_lies_in_patches(grounds: np.ndarray[Any, Any]) -> None:
     """A neighbour of a cluttered cell is cluttered far more often than one cell in five."""
     cluttered = grounds == CLUTTER
@@ -46,6 +47,7 @@ def test_a_class_lies_in_patches(grounds: np.ndarray[Any, Any]) -> None:
     assert pairs.sum() / cluttered[:, 1:].sum() > 0.7
 
 
+@pytest.mark.long
 def test_episodes_have_grounds_of_their_own(grounds: np.ndarray[Any, Any]) -> None:
     assert len({ground.tobytes() for ground in grounds}) == len(grounds)
     everywhere = (grounds != CLEAR).mean(axis=0)

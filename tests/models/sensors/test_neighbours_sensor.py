@@ -71,6 +71,9 @@ class TestInAWorld:
         np.testing.assert_array_equal(reading.one.vehicle[:, 0], [2, 0, 0])
         np.testing.assert_array_equal(reading.one.count, [1, 1, 1])
         np.testing.assert_allclose(reading.nose.position[0, 0], [-2.0, 25.0, -4.0], atol=1e-4)
+        assert "velocity" not in reading.all.fields
+        with pytest.raises(AttributeError, match="sensor 'all' has no 'velocity'; give it velocity: true"):
+            _ = reading.all.velocity
 
     def test_a_wall_hides(self) -> None:
         wall = {"type": "box", "x_min": 10, "x_max": 12, "y_min": -5, "y_max": 5, "z_min": -40}
@@ -124,6 +127,28 @@ class TestErrors:
         np.testing.assert_allclose(np.linalg.norm(place, axis=0), along, rtol=1e-4)
         for axis in place[1:] / along:
             assert axis.std() == pytest.approx(0.02, rel=3.3 / math.sqrt(2 * count))
+
+    def test_velocity(self) -> None:
+        """Of one who flies at (3, -1, 0.5) m/s past who flies at (1, 0, 0), heading east; false ones stand still."""
+        count = 2000
+        scene = pairs(count)
+        first = jnp.arange(2 * count) < count
+        parts = ((1.0, 3.0), (0.0, -1.0), (0.0, 0.5))
+        fast = Vec3(*(jnp.where(first, own, other) for own, other in parts))
+        east = Euler(jnp.zeros(count), jnp.zeros(count), jnp.full(count, math.pi / 2.0))
+        scene |= {"traffic": replace(scene["traffic"], velocity_ned=fast), "attitude": east}
+        sensor = NeighbourSensor(**{**CLEAN, "false_alarms": 0.1}, velocity=True, velocity_noise=0.3, slots=2)
+        found = looked(sensor, count, scene)
+        number = np.asarray(found.vehicle[0])
+        measured = np.array([np.asarray(axis) for axis in found.velocity[0].axes])
+        for axis, expected in zip(measured[:, number >= 0.0], (-1.0, -2.0, 0.5), strict=True):
+            assert axis.mean() == pytest.approx(expected, abs=3.3 * 0.3 / math.sqrt(0.9 * count))
+            assert axis.std() == pytest.approx(0.3, rel=3.3 / math.sqrt(1.8 * count))
+        assert (number < 0.0).sum() > 20
+        still = measured[:, number < 0.0]
+        np.testing.assert_allclose(still, np.broadcast_to([[0.0], [1.0], [0.0]], still.shape), atol=1e-5)
+        nobody = np.isnan(np.asarray(found.vehicle[1]))
+        assert np.isnan(np.asarray(found.velocity[1].x)[nobody]).all()
 
     def test_nobody_knows_who_they_are(self) -> None:
         found = looked(NeighbourSensor(**CLEAN, identity=False), 2, pairs(2))

@@ -120,6 +120,11 @@ class TestBeam:
         assert read(Rangefinder(**CLEAN), (0.0, 0.0, -12.0), obstacles=roof)[0] == pytest.approx(8.0, rel=1e-6)
         assert read(Rangefinder(**CLEAN), (0.0, 0.0, 1.0))[1] == 1
 
+    def test_an_edge_within_2_cm_of_the_beam_is_a_wall_along_it(self) -> None:
+        for edge, status in ((0.021, 0), (0.019, 2)):
+            wall = solids((20.0, 24.0, -50.0, edge, -30.0, 0.0))
+            assert read(Rangefinder(**CLEAN, axis="forward"), (0.0, 0.0, -12.0), obstacles=wall)[1] == status
+
 
 class TestReach:
     def test_a_slant_is_seen_less_far(self) -> None:
@@ -131,6 +136,9 @@ class TestReach:
         ahead = Rangefinder(**CLEAN, range_max=30.0, axis="forward")
         for away, status in ((10.5, 0), (10.7, 2)):
             found = read(ahead, (20.0 - away, 0.0, -12.0), attitude(yaw=math.pi / 3.0), solids(WALL))
+            assert found[1] == status, away
+            # The same of a nose that is up by 60 degrees.
+            found = read(ahead, (20.0 - away, 0.0, -5.0), attitude(pitch=math.pi / 3.0), solids(WALL))
             assert found[1] == status, away
 
     def test_what_reflects_less_is_seen_less_far(self) -> None:
@@ -152,6 +160,12 @@ class TestErrors:
         for height in (5.0, 20.0):
             found, _ = read(sensor, (0.0, 0.0, -height), normals=(1.5, 0.0, 0.0))
             assert found == pytest.approx(height + 1.5 * (0.1 + 0.02 * height), rel=1e-6)
+
+    def test_a_pulse_is_lost_by_two_normals(self) -> None:
+        """exp(-(1.5^2 + 0.5^2)/2) = 0.2865."""
+        for share, status in ((0.28, 0), (0.29, 3)):
+            sensor = Rangefinder(**CLEAN, dropouts=share)
+            assert read(sensor, (0.0, 0.0, -10.0), normals=(0.0, 1.5, 0.5))[1] == status
 
     def test_steps(self) -> None:
         sensor = Rangefinder(**{**CLEAN, "resolution": 0.25})

@@ -46,9 +46,16 @@ def mixed(**changes: Any) -> dict[str, Any]:
     return {"name": "mixed", "extends": "patrol_published", "duration": 4.0, "world": world, "fleets": {"posts": fleet}}
 
 
+# All sensors take long to compile.
+SOME = ("gnss_receiver", "ideal_accelerometer")
+every = pytest.mark.parametrize(
+    "names", [SOME, pytest.param(tuple(SENSORS), marks=pytest.mark.long)], ids=["some", "all"]
+)
+
+
 @cache
-def flown() -> Simulation:
-    simulation = Simulation(load_scenario(mixed()).world(), seed=3)
+def flown(names: tuple[str, ...] = SOME) -> Simulation:
+    simulation = Simulation(load_scenario(mixed(sensors={name: SENSORS[name] for name in names})).world(), seed=3)
     simulation.reset()
     simulation.step(ticks=150)
     return simulation
@@ -58,7 +65,7 @@ def flown() -> Simulation:
 def small() -> World:
     """Return a hovering vehicle and two fixed points without sensors."""
     posts = {"vehicle": {"type": "fixed_point"}, "vehicles": POSTS["vehicles"]}
-    return load_scenario({"name": "small", "extends": "hover", "fleets": {"posts": posts}}).world()
+    return load_scenario({"name": "small", "extends": "hover_ideal", "fleets": {"posts": posts}}).world()
 
 
 def test_it_stands_level_and_feels_its_weight() -> None:
@@ -75,9 +82,10 @@ def test_it_stands_level_and_feels_its_weight() -> None:
     assert simulation.reasons[posts] == ["", ""]
 
 
-def test_it_carries_every_sensor() -> None:
-    found = flown().reading["posts"]
-    assert set(found.sensors) == set(catalogue.SENSORS)
+@every
+def test_it_carries_every_sensor(names: tuple[str, ...]) -> None:
+    found = flown(names).reading["posts"]
+    assert set(found.sensors) == set(names)
     for name in found.sensors:
         for field in (field for field in getattr(found, name).fields if field not in ("ratio", "corners_ned", "grid")):
             values = getattr(getattr(found, name), field)
@@ -85,7 +93,7 @@ def test_it_carries_every_sensor() -> None:
             assert np.isfinite(values).all() or name.removeprefix("ideal_") in MAY_BE_WITHOUT, (name, field)
     np.testing.assert_allclose(found.ideal_accelerometer.specific_force, [[0.0, 0.0, -9.81]] * 2, rtol=1e-6)
     # The receiver errs by metres, and both by much the same: they share the sky.
-    error = found.gnss_receiver.position_ned - flown().truth.position_ned[5:]
+    error = found.gnss_receiver.position_ned - flown(names).truth.position_ned[5:]
     assert np.linalg.norm(error, axis=1).min() > 0.01
     assert np.linalg.norm(error[0] - error[1]) < 1.0
 
@@ -174,7 +182,7 @@ def test_what_does_not_fit_is_refused(changes: dict[str, Any], problem: str) -> 
 
 def test_a_pelican_needs_what_commands_it() -> None:
     with pytest.raises(ScenarioError) as caught:
-        load_scenario("hover", ["fleets.pelicans.controller=none"])
+        load_scenario("hover_ideal", ["fleets.pelicans.controller=none"])
     assert caught.value.problems[0].startswith("fleets.pelicans.controller: 'none' does not fly a 'pelican'; allowed: ")
 
 

@@ -7,7 +7,7 @@ from qrsim.control.teams.avoidance import AvoidanceGuidance
 from qrsim.control.teams.coverage import CoverageGuidance
 from qrsim.control.teams.flocking import FlockingGuidance
 from qrsim.control.teams.formation import FormationGuidance
-from qrsim.control.teams.mates import Mates, TeamGuidance, mates_heard, mates_of
+from qrsim.control.teams.mates import Mates, TeamGuidance, mates_heard, mates_of, mates_wanted
 from qrsim.control.teams.vicsek import VicsekGuidance
 
 __all__ = [
@@ -20,4 +20,5 @@ __all__ = [
     "VicsekGuidance",
     "mates_heard",
     "mates_of",
+    "mates_wanted",
 ]

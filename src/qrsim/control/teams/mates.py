@@ -11,8 +11,8 @@ from jax import Array
 from qrsim.control.contracts import Guidance
 from qrsim.control.guidance import Route, RouteState
 from qrsim.control.setpoints import VelocityHeightSetpoint
-from qrsim.core.neighbours import neighbours
-from qrsim.core.tree import map_tree, quantity, record
+from qrsim.core.neighbours import always_room, neighbours
+from qrsim.core.tree import map_tree, quantity, record, replace
 from qrsim.core.vectors import Vec3, root
 
 KNOWS = "whom it knows of: all, at once; heard: whose beacons its radio has received"
@@ -26,6 +26,7 @@ class Mates:
     position_ned: Vec3 = quantity(unit="m", doc="(K, n) where it said it was")
     velocity_ned: Vec3 = quantity(unit="m/s", doc="(K, n) how fast it said it was")
     age: Array = quantity(unit="s", doc="(K, n) since it said so")
+    overfull: Array | None = quantity(default=None, doc="(n,) bool: it may have missed some; None: nobody has")
 
     @property
     def known(self) -> Array:
@@ -34,7 +35,8 @@ class Mates:
 
     def now(self) -> Mates:
         """Return them where they are by now if they went on as they said."""
-        return Mates(self.number, self.position_ned + self.velocity_ned * self.age, self.velocity_ned, 0.0 * self.age)
+        position = self.position_ned + self.velocity_ned * self.age
+        return replace(self, position_ned=position, age=0.0 * self.age)
 
 
 def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -> Mates:
@@ -57,7 +59,13 @@ def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -
         position_ned.map(theirs),
         velocity_ned.map(theirs),
         jnp.zeros_like(near.squared),
+        None if always_room(position_ned.x.shape[0], count) else near.overfull,
     )
+
+
+def mates_wanted(mates: int, fleet: int) -> int:
+    """Return how many others at most each of a fleet of so many vehicles knows that is to know ``mates``."""
+    return max(1, min(mates, fleet - 1))
 
 
 def mates_heard(number: Array, payload: Any, age: Array, position_ned: Vec3, reach: Array) -> Mates:
@@ -99,7 +107,10 @@ class TeamGuidance(Guidance, Protocol):
 
     def init(self, route: Route) -> RouteState:
         """Return the start of each route, where it stays."""
-        return RouteState.start(route)
+        start, fleet = RouteState.start(route), route.count.shape[0]
+        if self.knows == "heard" or always_room(fleet, mates_wanted(self.mates, fleet)):
+            return start
+        return replace(start, overfull=jnp.zeros_like(start.index))
 
     def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
         """Return the set-point (n,) before anybody is known: stay at the height of the first waypoint."""
@@ -122,6 +133,8 @@ class TeamGuidance(Guidance, Protocol):
         # A number may be one for all, or one for each.
         each = map_tree(lambda leaf: jnp.broadcast_to(leaf, position_ned.x.shape), self)
         north, east = each.velocity(route, position_ned, velocity_ned, mates.now())
+        if state.overfull is not None and mates.overfull is not None:
+            state = replace(state, overfull=state.overfull + mates.overfull.astype(jnp.int32))
         return state, VelocityHeightSetpoint(north, east, still.z, still.yaw)
 
     @abstractmethod

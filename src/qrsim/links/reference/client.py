@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qrsim.errors import UsageError
-from qrsim.links.reference.claiming import SharedCalls, kind_of
+from qrsim.links.reference.claiming import SharedCalls, kind_of, numbers_of
 from qrsim.links.reference.protocol import DecodeError
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import Deframer, frame
@@ -28,6 +28,7 @@ from qrsim.links.reference.replies import (
     Claim,
     ConnectionFailed,
     Episode,
+    Heard,
     InvalidState,
     Outcome,
     Refused,
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     Array = np.ndarray[Any, Any]
 
 __all__ = [
-    "Axis", "Claim", "Client", "ConnectionFailed", "Episode", "InvalidState", "Outcome", "Refused", "Sensed",
+    "Axis", "Claim", "Client", "ConnectionFailed", "Episode", "Heard", "InvalidState", "Outcome", "Refused", "Sensed",
     "SensedVehicle", "Session", "State", "Status", "VehicleStatus",
 ]  # fmt: skip
 
@@ -243,17 +244,19 @@ class Client(SharedCalls):
             session=found.id, scenario=found.scenario, seed=found.seed, number=found.number, agents=tuple(found.agent),
             axes=tuple(Axis(axis.name, axis.unit, axis.low, axis.high) for axis in found.axis), period=found.period,
             steps=found.steps, answer_shape=tuple(found.answer_shape), observation=seen_of(found.observation),
-            info=arrays_of(found.info),
+            info=arrays_of(found.info), say_size=found.say_size,
         )  # fmt: skip
 
-    def act(self, action: Any, answer: Any = None) -> Outcome:
+    def act(self, action: Any, answer: Any = None, say: Any = None) -> Outcome:
         """Advance the episode by a step.
 
         Args:
             action: (n, A) numbers in [-1, 1].
             answer: what the n agents hand in, (n, ...); with the last action of tasks that ask for it.
+            say: what they say over the radio, (n, D), an empty row for who says nothing; default: nobody does.
         """
-        request = pb.Act(action=_vectors("action", action), answer=_answers(answer))
+        words = [] if say is None else [pb.Arrayd(value=numbers_of(f"agent {i}", row)) for i, row in enumerate(say)]
+        request = pb.Act(action=_vectors("action", action), answer=_answers(answer), say=words)
         found = self._ask(Message(type=Message.ACT, act=request), Message.OUTCOME).outcome
         return Outcome(
             step=found.step, time=found.t, observation=seen_of(found.observation), reward=np.array(found.reward),

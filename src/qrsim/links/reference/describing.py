@@ -41,6 +41,8 @@ def description(scenario: Scenario, simulation: Simulation) -> pb.World:
         gust=_part(air["gust"], catalogue.GUSTS),
         origin=origin,
     )
+    if world.radio is not None:
+        found.radio.CopyFrom(_part({"type": "radio"} | air["radio"], {"radio": type(world.radio)}))
     for fleet in world.fleets:
         _add_fleet(found, spec["fleets"][fleet.name], fleet, world, reading[fleet.name])
     return found

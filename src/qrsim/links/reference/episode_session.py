@@ -18,6 +18,7 @@ from qrsim.links.pacing import Pacer
 from qrsim.links.reference.commands import rows_of
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Act, Arrayd, Outcome
+from qrsim.links.reference.radio import said
 from qrsim.links.reference.readout import States
 from qrsim.links.reference.session import SessionOptions
 from qrsim.tasks import Play
@@ -130,7 +131,7 @@ class EpisodeSession:
         """
         if not self._running:
             raise UsageError("ACT: the episode has ended; PLAY starts the next one")
-        action = self._action(request.action)
+        action = np.concatenate([self._action(request.action), said(self.play, request)], axis=1, dtype=PRECISION)
         last = self._step + 1 >= self.play.steps
         answer = self._answer(request.answer) if request.answer or (last and self.answer_shape) else None
         step, self._truth = self._episodes.step(action[None])
@@ -179,7 +180,7 @@ class EpisodeSession:
 
     def observation(self) -> list[pb.Values]:
         """Return the observations of the agents."""
-        return _values(self._seen if isinstance(self._seen, dict) else {"": self._seen})
+        return _values(_flat(self._seen) if isinstance(self._seen, dict) else {"": self._seen})
 
     def info(self) -> list[pb.Values]:
         """Return the ground truth."""
@@ -208,10 +209,18 @@ class EpisodeSession:
         self.thread.shutdown(wait=False)
 
 
+def _flat(arrays: dict[str, Any], before: str = "") -> dict[str, Any]:
+    """Return the arrays of a dict of dicts, with the names on the way to each."""
+    found: dict[str, Any] = {}
+    for name, array in arrays.items():
+        found |= _flat(array, f"{before}{name}.") if isinstance(array, dict) else {f"{before}{name}": array}
+    return found
+
+
 def _values(arrays: dict[str, Any]) -> list[pb.Values]:
     """Return arrays (1, n, ...) as messages."""
     found = []
     for name, array in arrays.items():
         numbers = np.asarray(array)[0]
-        found.append(pb.Values(name=name, shape=numbers.shape, value=numbers.ravel().tolist()))
+        found.append(pb.Values(name=name, shape=numbers.shape, value=numbers.astype(np.float32).ravel().tolist()))
     return found

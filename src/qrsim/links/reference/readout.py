@@ -83,11 +83,18 @@ class Source(Protocol):
         """The state of the world in flat buffers, and their layout."""
 
 
+def places_of(simulation: Source) -> Any:
+    """Return the state of a world whose leaves are their own places in its packed arrays."""
+    layout, _ = simulation.packed
+    floats, integers = layout.sizes
+    return layout.unpack((np.arange(floats), np.arange(integers, dtype=np.int32)))
+
+
 class Readout:
     """Writes STATE messages of one simulation.
 
     The measured vector is NaN where a fleet lacks the sensor and where a sensor has no reading. Where a fleet has
-    several of a kind, the first one counts.
+    several of a kind, the first one counts. Where no sensor reports an attitude, that of the estimator does.
 
     Args:
         simulation: whose state.
@@ -116,9 +123,7 @@ class Readout:
 
     def _find_places(self, simulation: Source) -> None:
         """Find where in the packed state the numbers of each vehicle are."""
-        layout, _ = simulation.packed
-        floats, integers = layout.sizes
-        places = layout.unpack((np.arange(floats), np.arange(integers, dtype=np.int32)))
+        places = places_of(simulation)
         self._x_places = np.concatenate([_state_places(fleet) for fleet in places.fleets])
         # Vehicles from outside can have a state without a thrust, for example.
         self._unknown = self._x_places < 0 if (self._x_places < 0).any() else None
@@ -284,4 +289,7 @@ def _measured_places(fleet: FleetState) -> dict[int, Any]:
             found |= {9: rates.x, 10: rates.y, 11: rates.z, 13: force.x, 14: force.y, 15: force.z}
         elif isinstance(reading, BarometerReading | PressureReading):
             found |= {16: reading.height, 19: reading.height_rate}
+    if 3 not in found and fleet.belief is not None:
+        attitude = fleet.belief.estimate.attitude
+        found |= {3: attitude.roll, 4: attitude.pitch, 5: attitude.yaw}
     return found

@@ -15,20 +15,19 @@ from qrsim.links.reference.episode_session import EpisodeSession
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import LARGEST_REQUEST
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
+from qrsim.links.reference.radio import hand_over, words_of
 from qrsim.links.reference.roles import Client
 from qrsim.links.reference.sensors import sensor_readings
-from qrsim.links.reference.session import Session, SessionOptions
+from qrsim.links.reference.session import SHORT_S, Session, SessionOptions
 from qrsim.links.reference.shared_session import SharedSession
 from qrsim.links.reference.tasks import offboard, uploaded
 
 CAPABILITIES = (
     "seed", "scenario", "realtime", "readings", "reasons", "watch", "events", "episodes", "setpoints", "describe",
-    "claims",
+    "claims", "radio",
 )  # fmt: skip
 # What clients of the reference implementation look for.
 INVALID = "invalid uav state"
-# A STEP that takes less than this is not handed to another thread, which would take as long.
-SHORT_S = 0.0005
 # Of one ACT, which cannot be cut into pieces where its client leaves.
 MOST_TICKS_OF_ACT = 10_000
 
@@ -320,6 +319,7 @@ async def play(connection: Client, message: Message) -> bool:
         period=session.play.ticks * session.play.world.time_step,
         steps=session.play.steps,
         answer_shape=session.answer_shape,
+        say_size=session.play.message or None,
         observation=session.observation(),
         info=session.info(),
     )
@@ -362,6 +362,17 @@ async def act(connection: Client, message: Message) -> bool:
     return True
 
 
+async def say(connection: Client, message: Message) -> bool:
+    """Hand messages to the radios of vehicles."""
+    session, words = connection.required_session(), words_of(message.say)
+    if isinstance(session, SharedSession):
+        session.plant.say(connection.number, words)
+    else:
+        await connection.server.run(session, lambda: hand_over(session.simulation, words))
+    connection.acknowledge()
+    return True
+
+
 Handler = Callable[["Client", Message], Awaitable[bool]]
 # Each returns whether the connection goes on.
 HANDLERS: dict[int, Handler] = {
@@ -384,6 +395,7 @@ HANDLERS: dict[int, Handler] = {
     Message.SUBSCRIBE: shared.subscribe,
     Message.GET_STATUS: shared.get_status,
     Message.DESCRIBE: describe,
+    Message.SAY: say,
 }
 # What only a world that clients share has, and what it has not.
 SHARED = {Message.CLAIM, Message.RELEASE, Message.COMMAND, Message.SUBSCRIBE, Message.GET_STATUS}

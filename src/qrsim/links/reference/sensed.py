@@ -11,7 +11,8 @@ import numpy as np
 
 from qrsim.links.reference.protocol.framing import frame
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, Readings
-from qrsim.links.reference.readout import STATE_SIZE, States, varint
+from qrsim.links.reference.radio import heard_by_all, heard_bytes
+from qrsim.links.reference.readout import STATE_SIZE, States, places_of, varint
 from qrsim.links.reference.sensors import sensor_of
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
@@ -37,9 +38,7 @@ class Sensed:
     def __init__(self, simulation: Simulation, states: States):
         self._simulation, self._states = simulation, states
         self._names = simulation.vehicle_names
-        layout, _ = simulation.packed
-        floats, integers = layout.sizes
-        places = layout.unpack((np.arange(floats), np.arange(integers, dtype=np.int32)))
+        places = places_of(simulation)
         self._codes = np.concatenate([fleet.violation.code for fleet in places.fleets])
         self._fleets, first = [], 0
         for number, (fleet, state) in enumerate(zip(simulation.world.fleets, places.fleets, strict=True)):
@@ -49,6 +48,8 @@ class Sensed:
         self._tick = -1
         self._written: dict[int, bytes] = {}
         self._vectors: Array | None = None
+        # Of all vehicles, once somebody asks.
+        self._heard: list[list[Readings.Heard]] = []
 
     def frame(self, kind: Message.Type, rows: Sequence[int], truth: bool, missed: int = 0) -> bytes:
         """Return a message of some vehicles by their numbers, with its length message.
@@ -74,7 +75,7 @@ class Sensed:
     def _look(self) -> None:
         """Forget what was of another tick."""
         if self._tick != self._simulation.tick:
-            self._tick, self._vectors = self._simulation.tick, None
+            self._tick, self._vectors, self._heard = self._simulation.tick, None, []
             self._written.clear()
             for fleet in self._fleets:
                 fleet.look()
@@ -89,7 +90,11 @@ class Sensed:
         found = self._written.get(row)
         if found is None:
             fleet, own = self._of_row[row]
-            found = self._written[row] = fleet.vehicle(own, self._names[row], bool(self._flies[row]))
+            found = fleet.vehicle(own, self._names[row], bool(self._flies[row]))
+            if self._simulation.world.radio is not None:
+                self._heard = self._heard or heard_by_all(self._simulation)
+                found += heard_bytes(self._heard[row])
+            self._written[row] = found
         return found
 
 

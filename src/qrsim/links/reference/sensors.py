@@ -11,7 +11,8 @@ import numpy as np
 from qrsim.interface.arrays import as_array, quaternion_of
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.framing import frame
-from qrsim.links.reference.readout import varint
+from qrsim.links.reference.radio import heard_by_all
+from qrsim.links.reference.readout import places_of, varint
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.sensors.attitude import AttitudeReading
 from qrsim.models.sensors.camera import CameraReading
@@ -30,8 +31,9 @@ _FIELD, _SENSOR_REASON, _VALUES = b"\x12", b"\x1a", b"\x12"
 def sensor_readings(simulation: Simulation) -> pb.Readings:
     """Return every sensor's reading, or the reason it is missing."""
     reading, found = simulation.reading, pb.Readings(t=simulation.time)
-    for name, valid, reason in zip(simulation.vehicle_names, simulation.valid, simulation.reasons, strict=True):
-        found.vehicle.add(name=name, valid=bool(valid), reason=reason)
+    told = zip(simulation.vehicle_names, simulation.valid, simulation.reasons, heard_by_all(simulation), strict=True)
+    for name, valid, reason, heard in told:
+        found.vehicle.add(name=name, valid=bool(valid), reason=reason, heard=heard)
     first = 0
     for fleet in simulation.world.fleets:
         for sensor_name in fleet.sensor_names:
@@ -77,15 +79,15 @@ class SensorReadout:
 
     def __init__(self, simulation: Simulation):
         self._simulation = simulation
-        layout, _ = simulation.packed
-        floats, integers = layout.sizes
-        places = layout.unpack((np.arange(floats), np.arange(integers, dtype=np.int32)))
+        places = places_of(simulation)
         self._codes = np.concatenate([fleet.violation.code for fleet in places.fleets])
         fleets = [
             [sensor_of(*named, simulation.site) for named in zip(fleet.sensor_names, state.readings, strict=True)]
             for fleet, state in zip(simulation.world.fleets, places.fleets, strict=True)
         ]
-        self._writable = all(sensor is not None for sensors in fleets for sensor in sensors)
+        # How many messages there are changes from tick to tick.
+        silent = simulation.world.radio is None
+        self._writable = silent and all(sensor is not None for sensors in fleets for sensor in sensors)
         if self._writable:
             self._lay_out(fleets)
 

@@ -36,6 +36,8 @@ MOST_TICKS = 1_000_000
 # Between two of its pieces a long step notices that its client has gone.
 PIECE_S = 0.25
 PIECE_TICKS = 50
+# What takes less than this is not handed to another thread, which would take as long.
+SHORT_S = 0.0005
 MOST_EVENTS = 10_000
 
 

@@ -12,11 +12,9 @@ from qrsim.links.contracts import Order, Silence
 from qrsim.links.pacing import Metronome
 from qrsim.links.reference.protocol.qrsim_pb2 import Message
 from qrsim.links.reference.roles import Client, Host
-from qrsim.links.reference.session import MOST_TICKS
+from qrsim.links.reference.session import MOST_TICKS, SHORT_S
 from qrsim.links.reference.shared_session import SharedSession
 
-# Ticks that take less than this are not handed to another thread, which would take as long.
-SHORT_S = 0.0005
 # Bytes that wait for a reader: with more it misses what is sensed meanwhile, rather than to hear old news.
 MOST_STALE = 1 << 16
 

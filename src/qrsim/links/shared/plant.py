@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
-from qrsim.links.contracts import ON_SILENCE, Order, Silence
+from qrsim.interface.messages import checked_message
+from qrsim.links.contracts import ON_SILENCE, Order, Silence, Words
 from qrsim.links.shared.claims import Claims
 from qrsim.links.shared.failsafe import believed_of, failsafe
 from qrsim.links.shared.latches import Latches
+from qrsim.links.shared.spoken import Spoken
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Some
 
@@ -72,6 +74,7 @@ class Plant:
         latches: what they fly by.
         controlled: by vehicle.
         now: the tick at which what arrives now arrives.
+        spoken: what is said over the radio; None: there is none.
         flown: what the ticks since the last ``begin`` are flown by, (n,) or (n, W) each, by name.
     """
 
@@ -84,6 +87,7 @@ class Plant:
     ):
         self.simulation, self._default, self._note = simulation, silence or Silence(), note
         self.keep_pace(factor)
+        self.spoken = None if simulation.world.radio is None else Spoken(simulation)
         self.latches = Latches(simulation.world.fleets, simulation.dtype)
         names = self.latches.names
         self.claims = Claims(names, [name for name in names if not self.latches.kinds(name)])
@@ -102,6 +106,8 @@ class Plant:
             self.latches.clear(name)
             if name in before and self.claims.holder(name):
                 now.silence = before[name].silence
+        if self.spoken is not None:
+            self.spoken = Spoken(self.simulation)
         self._home = self.simulation.truth.position_ned.copy()
         self.now = self.simulation.tick
         # Of all vehicles at a tick, where somebody has to know it.
@@ -165,6 +171,21 @@ class Plant:
             now.waiting, now.source_tick, now.arrival_tick = order, source_tick, self.now
             now.heard = max(now.heard, self.now)
 
+    def say(self, holder: int, words: Sequence[Words]) -> None:
+        """Take messages of a controller's vehicles, all or none; the next ``begin`` hands them to their radios.
+
+        Raises:
+            UsageError: one is of a vehicle that it has not claimed, or cannot be said.
+        """
+        checked = []
+        for each in words:
+            self.claims.check_own(holder, each.vehicle, "SAY")
+            world = self.simulation.world
+            checked.append(checked_message(world, self.latches.names, each.vehicle, each.numbers, each.to))
+        for sender, numbers, receiver in checked:
+            assert self.spoken is not None
+            self.spoken.waiting[sender] = numbers, receiver
+
     def heard_until(self, holder: int, tick: int) -> None:
         """Note that nothing more is to be heard of a controller before a tick."""
         for name in self.claims.of(holder):
@@ -180,6 +201,8 @@ class Plant:
     def begin(self) -> dict[str, Some]:
         """Latch what has arrived, let failsafes take over, and return what the next ticks fly by."""
         self.now, self._believed = self.simulation.tick, None
+        if self.spoken is not None:
+            self.spoken.hand_over(self.simulation)
         for name, now in self.controlled.items():
             if now.waiting is not None:
                 self._obey(name, now, now.waiting)
@@ -198,6 +221,8 @@ class Plant:
             "source_tick": np.array([-1 if now.source_tick is None else now.source_tick for now in controlled]),
             "arrival_tick": np.array([-1 if now.arrival_tick is None else now.arrival_tick for now in controlled]),
         }
+        if self.spoken is not None:
+            self.flown |= self.spoken.columns()
 
     def _obey(self, name: str, now: Controlled, order: Order) -> None:
         self.latches.put(order)

@@ -27,6 +27,7 @@ def order_columns(plant: Plant) -> list[Column]:
         Column("client", "", "number of the client that had claimed it; 0: nobody", "int32"),
         Column("source_tick", "", "of the readings that the order was computed from; -1: unknown", "int64"),
         Column("arrival_tick", "", "at which the order arrived; -1: there was none", "int64"),
+        *([] if plant.spoken is None else plant.spoken.described()),
     ]
 
 

@@ -12,6 +12,7 @@ from qrsim.errors import RunError, UsageError
 from qrsim.links.shared.kinds import NAMES
 from qrsim.links.shared.latches import Latches
 from qrsim.links.shared.recorded import STREAM
+from qrsim.links.shared.spoken import TICK, Spoken
 from qrsim.runs import Run, RunInfo, RunWriter
 from qrsim.runs.streams import EventFinder, Values, columns, values
 from qrsim.scenarios.scenario import load_scenario
@@ -65,6 +66,8 @@ def replay(run: Run, out: Path) -> Path:
 def _flights(run: Run, simulation: Simulation, beginning: History) -> Iterator[tuple[History, Values]]:
     """Yield some ticks after the other, with the orders that they were flown by."""
     latches = Latches(simulation.world.fleets, simulation.dtype)
+    # Recordings of before there were radios have no such columns.
+    spoken = Spoken(simulation) if simulation.world.radio is not None and TICK in run[STREAM].columns() else None
     for batch in run[STREAM].batches():
         first = 0
         if batch.tick[0] == 0:
@@ -78,13 +81,16 @@ def _flights(run: Run, simulation: Simulation, beginning: History) -> Iterator[t
                 raise RunError(f"{run.folder}: its orders are of a kind that this qrsim does not know")
             for i in range(latches.numbers.shape[1]):
                 latches.numbers[:, i] = batch.arrays[f"number_{i}"][begin]
+            if spoken is not None:
+                spoken.read(batch.arrays, begin)
+                spoken.say_again(simulation)
             history = simulation.record(end - begin, latches.actions(), MOST_AT_ONCE)
             yield history, {name: array[begin:end] for name, array in batch.arrays.items()}
 
 
 def _alike(arrays: Any, first: int, count: int) -> Iterator[tuple[int, int]]:
-    """Yield begin and end of ticks with the same orders."""
-    names = ["kind", *(name for name in arrays if name.startswith("number_"))]
+    """Yield begin and end of ticks with the same orders, in which nothing is said but before the first."""
+    names = ["kind", *(name for name in arrays if name.startswith("number_") or name == TICK)]
     rows = np.concatenate([np.asarray(arrays[name], np.float64) for name in names], axis=1)
     same = np.zeros(count, bool)
     same[1:] = ((rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1]))).all(axis=1)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.noise import LARGEST_NORMAL
 from qrsim.core.tree import derived, parameter, quantity, record, setting
-from qrsim.models.radio.parameters import Delay, InboxSize, Mac, Packet, PathLoss, PresetName
-from qrsim.models.radio.propagation import lora_air_time
+from qrsim.models.radio.parameters import PRESETS, Delay, InboxSize, Mac, Packet, PathLoss, PresetName
+from qrsim.models.radio.propagation import lora_air_time, noise_floor
 
 # Of the logarithm of the jitter.
 JITTER_SIGMA = 0.5
@@ -47,6 +47,8 @@ def _own(own: Array, usual: Array) -> Array:
 class Channel:
     """One channel for all vehicles of a world."""
 
+    presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
+
     preset: PresetName = setting(default="sik_915", doc="what says all that is not given")
     frequency_mhz: Array = parameter(default=915.0, unit="MHz", doc="of the carrier", above=0.0)
     power_dbm: Array = parameter(default=20.0, unit="dBm", doc="transmitted")
@@ -69,6 +71,17 @@ class Channel:
     def field_ids(self) -> int:
         """Number of waves of the shadowing."""
         return self.path_loss.waves
+
+    @property
+    def noise_dbm(self) -> Array:
+        """Noise of the receivers [dBm]: () of all, or (n,) of each."""
+        figure = self.noise_figure_db if self.own is None else self.own.noise(self.noise_figure_db)
+        return noise_floor(1000.0 * self.bandwidth_khz, figure)
+
+    @property
+    def asks_height(self) -> bool:
+        """Whether it matters how high the ends of links are above the ground."""
+        return self.path_loss.air_to_ground != "none"
 
     @property
     def air_time(self) -> float:

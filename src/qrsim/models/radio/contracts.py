@@ -37,6 +37,9 @@ class Outbox:
     payload: Array = quantity(doc="(D, n) numbers")
     send: Array = quantity(doc="(n,) bool: it is said now")
     to: Array = quantity(doc="(n,) int32 number in the world of who alone hears it; -1: all")
+    beacons: Array | None = quantity(
+        default=None, doc="(n,) bool: has nothing to say, and goes on to send beacons; None: nobody does"
+    )
 
 
 @record
@@ -46,6 +49,9 @@ class Surfaces:
     position_ned: Vec3 = quantity(unit="m", doc="true position of each vehicle (n,)")
     works: Array = quantity(doc="(n,) bool: has a radio that is on, and flies")
     obstacles: Any = quantity(default=None, doc="of the world; None: nothing is in the way")
+    height: Array | None = quantity(
+        default=None, unit="m", doc="(n,) above the ground, for radios that ask; None: unknown"
+    )
 
 
 class Exchange(NamedTuple):
@@ -87,6 +93,11 @@ class Radio(Protocol):
     @abstractmethod
     def period(self) -> float:
         """Time [s] from one exchange to the next, a multiple of the time step."""
+
+    @property
+    def asks_height(self) -> bool:
+        """Whether it matters how high the ends of links are above the ground."""
+        return False
 
     @property
     @abstractmethod

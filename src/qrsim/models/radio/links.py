@@ -9,13 +9,12 @@ from qrsim.core.neighbours import Neighbours
 from qrsim.core.tree import quantity, record
 from qrsim.models.radio.channel import Channel
 from qrsim.models.radio.contracts import Surfaces
-from qrsim.models.radio.parameters import Packet
 from qrsim.models.radio.propagation import (
     ShadowField,
+    air_to_ground_loss,
     bpsk_bit_error,
     db,
     fsk_bit_error,
-    noise_floor,
     packet_error,
     path_loss,
     ratio,
@@ -68,12 +67,37 @@ def powers(network: Channel, field: ShadowField, near: Neighbours, surfaces: Sur
         power = sent.at[there].get(mode="promise_in_bounds")
         gain = own.gain(network.gain_db)[None]
     lost = path_loss(squared, 1e6 * network.frequency_mhz, way.exponent)
+    if network.asks_height:
+        lost = _over_land(network, near, surfaces, squared, other.z - here.z, lost)
     shadow = way.shadowing_db * field.between(here, other, way.correlation_distance)
     received = power + gain - lost - shadow
     if surfaces.obstacles is not None:
         walls = jnp.minimum(walls_between(surfaces.obstacles, other, here), _MOST_WALLS)
         received = received - way.blocked_db * walls.astype(received.dtype)
     return received
+
+
+def _over_land(
+    network: Channel, near: Neighbours, surfaces: Surfaces, squared: Array, apart: Array, lost: Array
+) -> Array:
+    """Return the loss (K, n) [dB] of links, of those between the ground and the air by the land between them.
+
+    Args:
+        network: the radio.
+        near: who is near each vehicle.
+        surfaces: with heights above the ground.
+        squared: (K, n) lengths squared [m^2].
+        apart: (K, n) heights of one end above the other [m].
+        lost: (K, n) of all other links.
+    """
+    way = network.path_loss
+    assert surfaces.height is not None
+    low = surfaces.height <= way.ground_height
+    other = low.at[jnp.maximum(near.index, 0)].get(mode="promise_in_bounds")
+    upright = jnp.abs(apart)
+    elevation = jnp.arctan2(upright, jnp.sqrt(jnp.maximum(squared - upright * upright, 0.0)))
+    over = air_to_ground_loss(squared, 1e6 * network.frequency_mhz, elevation, way.air_to_ground)
+    return jnp.where(low[None] != other, over, lost)
 
 
 def outcomes(
@@ -93,9 +117,8 @@ def outcomes(
     packet = network.packet
     there = jnp.maximum(near.index, 0)
     comes = (near.index >= 0) & sends.at[there].get(mode="promise_in_bounds")
-    figure = network.noise_figure_db if network.own is None else network.own.noise(network.noise_figure_db)
-    floor = jnp.broadcast_to(noise_floor(1000.0 * network.bandwidth_khz, figure), begin.shape)
-    alone = error_rate(network, packet, power - floor[None], near.squared)
+    floor = jnp.broadcast_to(network.noise_dbm, begin.shape)
+    alone = error_rate(network, power - floor[None], near.squared)
     lost, collides = alone, jnp.zeros(comes.shape, bool)
     if network.mac.type != "ideal":
         others, deaf = _disturbance(network, power, begin, sends, there, comes)
@@ -103,7 +126,7 @@ def outcomes(
         disturbed = others > _NOTHING
         captured = power - db(below) >= packet.capture_db
         both = db(jnp.maximum(ratio(floor)[None] + others, _NOTHING))
-        lost = jnp.where(disturbed, error_rate(network, packet, power - both, near.squared), alone)
+        lost = jnp.where(disturbed, error_rate(network, power - both, near.squared), alone)
         collides = deaf | (disturbed & ~captured)
     receiver = to.at[there].get(mode="promise_in_bounds")
     itself = jnp.arange(begin.shape[0], dtype=jnp.int32)[None]
@@ -122,8 +145,9 @@ def outcomes(
     )
 
 
-def error_rate(network: Channel, packet: Packet, snr_db: Array, squared: Array) -> Array:
+def error_rate(network: Channel, snr_db: Array, squared: Array) -> Array:
     """Return the chance that a packet is lost, by signal to noise ratio or by distance alone."""
+    packet = network.packet
     bits = 8.0 * packet.bytes
     if packet.model == "threshold":
         return threshold_error(snr_db, packet.snr50_db, packet.width_db)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -16,8 +17,8 @@ from qrsim.models.radio.access import starts
 from qrsim.models.radio.channel import JITTER_SIGMA, Channel
 from qrsim.models.radio.contracts import STREAMS, Exchange, Inbox, Outbox, Radio
 from qrsim.models.radio.links import Links, Outcome, outcomes, powers
-from qrsim.models.radio.propagation import SPEED_OF_LIGHT, ShadowField, noise_floor
-from qrsim.models.radio.tables import NOBODY, Heard, newest, taken
+from qrsim.models.radio.propagation import SPEED_OF_LIGHT, ShadowField
+from qrsim.models.radio.tables import NOBODY, Heard, first_of, library_of, newest, taken
 from qrsim.models.scene.uniform import uniform
 
 PACKET, JITTER, BACKOFF = range(len(STREAMS))
@@ -96,7 +97,7 @@ class Network(Channel, Radio):
     def received(self, state: NetworkState, tick: Any, time_step: float) -> Inbox:
         """Return what each vehicle has heard by a tick."""
         heard = self.heard(state, tick, time_step)
-        library: Any = np if isinstance(heard.sender, np.ndarray) else jnp
+        library = library_of(heard.sender)
         mask = heard.sender != NOBODY
         age = (tick - heard.sent).astype(heard.rssi.dtype) * time_step
         return Inbox(
@@ -173,12 +174,12 @@ class Network(Channel, Radio):
         begin, sends = starts(self.mac, self.air_time, draw, wants, self._audible(near, power))
         links = outcomes(self, near, power, begin, sends, to, self._chance(state.keys, near, now.ids, frame))
         heard = self._arriving(state, near, links, (payload, since, begin), now, frame)
-        rows = limits.size
-        old = replace(state, table=self.heard(state, now.tick, now.time_step))
-        coming = heard.joined(_first_rows(state.coming, state.coming.sender.shape[0] - rows))
+        table = self.heard(state, now.tick, now.time_step)
+        kept = state.coming.sender.shape[0] - limits.size
+        coming = heard.joined(jax.tree.map(lambda leaf: leaf[:kept], state.coming))
         waiting = _without_first(state.waiting, queued & sends)
         return replace(
-            old, waiting=waiting, coming=coming, links=links,
+            state, waiting=waiting, coming=coming, table=table, links=links,
             counts=_counted(state.counts, links, near, sends, wants),
         )  # fmt: skip
 
@@ -196,9 +197,7 @@ class Network(Channel, Radio):
 
     def _audible(self, near: Neighbours, power: Array) -> tuple[Array, Array]:
         """Return whom each vehicle hears well enough to wait for: those above its noise."""
-        figure = self.noise_figure_db if self.own is None else self.own.noise(self.noise_figure_db)[None]
-        floor = noise_floor(1000.0 * self.bandwidth_khz, figure)
-        return jnp.maximum(near.index, 0), (near.index >= 0) & (power > floor)
+        return jnp.maximum(near.index, 0), (near.index >= 0) & (power > jnp.broadcast_to(self.noise_dbm, power.shape))
 
     @staticmethod
     def _stream(keys: StreamKeys, which: int, ids: Any, frame: Any) -> Stream:
@@ -223,11 +222,6 @@ class Network(Channel, Radio):
         """Return the nearest heard packets with the ticks at which they arrive."""
         payload, since, begin = packets
         heard = links.outcome == Outcome.HEARD
-        place = jnp.cumsum(heard.astype(jnp.int32), axis=0, dtype=jnp.int32)
-        row = jnp.arange(heard.shape[0], dtype=jnp.int32)
-        wanted = jnp.arange(1, self.inbox.size + 1, dtype=jnp.int32)
-        first = heard[None] & (place[None] == wanted[:, None, None])
-        chosen = jnp.min(jnp.where(first, row[None, :, None], jnp.int32(heard.shape[0])), axis=1)
         there = jnp.maximum(near.index, 0)
         late = self._late(state.keys, near, begin.at[there].get(mode="promise_in_bounds"), now, frame)
         arrives = jnp.asarray(now.tick, jnp.int32) + jnp.maximum(
@@ -236,7 +230,7 @@ class Network(Channel, Radio):
         sent = since.at[there].get(mode="promise_in_bounds")
         # Payloads are looked up for those only that are heard.
         nothing = jnp.zeros((heard.shape[0], 0, heard.shape[1]), payload.dtype)
-        found = taken(Heard(nothing, links.sender, sent, arrives, links.rssi), chosen)
+        found = taken(Heard(nothing, links.sender, sent, arrives, links.rssi), first_of(heard, self.inbox.size))
         speaker = jnp.maximum(found.sender, 0)
         words = jnp.stack([row.at[speaker].get(mode="promise_in_bounds") for row in payload], axis=1)
         return replace(found, payload=jnp.where((found.sender != NOBODY)[:, None], words, 0.0))
@@ -262,10 +256,6 @@ def _without_first(waiting: Waiting, gone: Array) -> Waiting:
     return Waiting(
         _shifted(waiting.payload, gone), _shifted(waiting.to, gone), jnp.where(gone[None], since, waiting.since)
     )
-
-
-def _first_rows(heard: Heard, rows: int) -> Heard:
-    return Heard(heard.payload[:rows], heard.sender[:rows], heard.sent[:rows], heard.arrives[:rows], heard.rssi[:rows])
 
 
 def _counted(counts: Counts, links: Links, near: Neighbours, sends: Array, wants: Array) -> Counts:

@@ -8,6 +8,8 @@ from jax import Array
 
 from qrsim.core.tree import parameter, record, setting
 
+# Built-up land about a station, by what its buildings do (models/radio/propagation.py).
+Land = Literal["none", "suburban", "urban", "dense_urban", "high_rise"]
 PresetName = Literal["sik_915", "xbee_pro_900", "wifi_2g4", "lora_sf7", "lora_sf12", "sphere"]
 
 
@@ -28,6 +30,13 @@ class PathLoss:
         default=20.0, unit="dB", doc="loss for each obstacle in the way, at most twice", minimum=0.0
     )
     waves: int = setting(default=32, doc="whose sum the shadowing is", minimum=1, maximum=1024)
+    air_to_ground: Land = setting(
+        default="none",
+        doc="land between a station or a person on the ground and who is above; none: all links are alike",
+    )
+    ground_height: float = setting(
+        default=5.0, unit="m", doc="up to which height above the ground one is on it, for air_to_ground", minimum=0.0
+    )
 
 
 @record

@@ -46,6 +46,40 @@ def path_loss(squared: Array, frequency_hz: Array, exponent: Array) -> Array:
     return first + 0.5 * exponent * db(jnp.maximum(squared, 1.0))
 
 
+# Of built-up land: a, b of the chance of a line of sight, and what is lost beside free space with one and without [dB].
+LANDS = {
+    "suburban": (4.88, 0.43, 0.1, 21.0),
+    "urban": (9.61, 0.16, 1.0, 20.0),
+    "dense_urban": (12.08, 0.11, 1.6, 23.0),
+    "high_rise": (27.23, 0.08, 2.3, 34.0),
+}
+
+
+def sight_chance(elevation: Array, land: str) -> Array:
+    """Return the chance that one sees who is at an elevation [rad] above built-up land.
+
+    A. Al-Hourani, S. Kandeepan, S. Lardner, "Optimal LAP altitude for maximum coverage", IEEE Wireless Communications
+    Letters 3, 2014: 1/(1 + a exp(-b (elevation - a))), in degrees.
+    """
+    a, b, _, _ = LANDS[land]
+    return 1.0 / (1.0 + a * exp(-b * (elevation * (180.0 / math.pi) - a)))
+
+
+def air_to_ground_loss(squared: Array, frequency_hz: Array, elevation: Array, land: str) -> Array:
+    """Return the mean loss [dB] of links between the ground and the air: free space, and what buildings take.
+
+    Args:
+        squared: lengths squared [m^2].
+        frequency_hz: of the carrier.
+        elevation: at which who is on the ground sees the other [rad].
+        land: one of LANDS.
+    """
+    _, _, with_sight, without = LANDS[land]
+    chance = sight_chance(elevation, land)
+    free = path_loss(squared, frequency_hz, jnp.asarray(2.0, squared.dtype))
+    return free + without + (with_sight - without) * chance
+
+
 def noise_floor(bandwidth_hz: float, noise_figure_db: Array) -> Array:
     """Return the noise [dBm] of a receiver."""
     return THERMAL + db(jnp.asarray(bandwidth_hz)) + noise_figure_db

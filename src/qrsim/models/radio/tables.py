@@ -41,7 +41,7 @@ class Heard:
 
     def joined(self, other: Heard) -> Heard:
         """Return the messages of both, these first."""
-        library = _library(self.sender)
+        library = library_of(self.sender)
         return jax.tree.map(lambda a, b: library.concatenate([a, b], axis=0), self, other)
 
 
@@ -53,24 +53,31 @@ def newest(heard: Heard, counts: Any, size: int) -> Heard:
         counts: (E, n) which of them are looked at.
         size: rows of the result.
     """
-    library = _library(heard.sender)
+    library = library_of(heard.sender)
     rows = heard.sender.shape[0]
     number = library.arange(rows, dtype=library.int32)
     same = (heard.sender[:, None] == heard.sender[None, :]) & counts[:, None]
     earlier = (number[:, None] < number[None, :])[:, :, None]
     keep = counts & ~library.any(same & earlier, axis=0)
-    place = library.cumsum(keep.astype(library.int32), axis=0, dtype=library.int32)
+    return taken(heard, first_of(keep, size))
+
+
+def first_of(which: Any, size: int) -> Any:
+    """Return the first rows (size, n) int32 of those (E, n) that count for each vehicle; E where there are no more."""
+    library = library_of(which)
+    rows = which.shape[0]
+    number = library.arange(rows, dtype=library.int32)
+    place = library.cumsum(which.astype(library.int32), axis=0, dtype=library.int32)
     wanted = library.arange(1, size + 1, dtype=library.int32)
-    chosen = library.min(
-        library.where(keep[None] & (place[None] == wanted[:, None, None]), number[None, :, None], library.int32(rows)),
+    return library.min(
+        library.where(which[None] & (place[None] == wanted[:, None, None]), number[None, :, None], library.int32(rows)),
         axis=1,
     )
-    return taken(heard, chosen)
 
 
 def taken(heard: Heard, chosen: Any) -> Heard:
     """Return chosen rows (K, n) of messages; the number of rows stands for none."""
-    library = _library(heard.sender)
+    library = library_of(heard.sender)
     rows = heard.sender.shape[0]
     there = chosen < rows
     row = library.minimum(chosen, rows - 1)
@@ -94,5 +101,6 @@ def taken(heard: Heard, chosen: Any) -> Heard:
     )  # fmt: skip
 
 
-def _library(values: Any) -> Any:
+def library_of(values: Any) -> Any:
+    """Return NumPy for its arrays, else jax.numpy."""
     return np if isinstance(values, np.ndarray) else jnp

@@ -62,10 +62,12 @@ class Ground(Protocol):
     Attributes:
         at_zero: whether it is the plane z = 0, which areas take for their floor.
         hides: whether it hides satellites, see ``horizon_sine``.
+        flat: whether it is a level plane, which is never between two who are above it.
     """
 
     at_zero: bool = False
     hides: ClassVar[bool] = False
+    flat: ClassVar[bool] = False
 
     def at(self, site: Any, box: Any) -> Ground:
         """Return the ground for a site and the bounds of an area (south, north, west, east [m], or None)."""

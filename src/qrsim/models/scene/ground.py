@@ -34,6 +34,7 @@ class FlatGround(Ground):
     """A horizontal plane."""
 
     height: float = setting(default=0.0, unit="m", doc="height over the origin of the local frame, positive up")
+    flat: ClassVar[bool] = True
 
     @property
     def at_zero(self) -> bool:  # type: ignore[override]

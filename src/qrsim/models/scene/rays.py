@@ -57,6 +57,11 @@ def any_of(obstacles: Obstacles) -> bool:
     return any(kind is not None and kind.z_min.shape[0] > 0 for kind in kinds)
 
 
+def can_hide(obstacles: Obstacles, ground: Ground) -> bool:
+    """Return whether anything in a world can stand between two who are above its ground; known as ``any_of`` is."""
+    return any_of(obstacles) or not ground.flat
+
+
 def _shape(origin_ned: Vec3, direction: Vec3) -> tuple[int, ...]:
     return jnp.broadcast_shapes(origin_ned.x.shape, direction.x.shape)
 

@@ -13,6 +13,7 @@ from qrsim.core.vectors import Euler, Vec3, root, rotation
 from qrsim.models.atmosphere.standard import DENSITY, PRESSURE, TEMPERATURE, air_above
 from qrsim.models.sensors.air_presets import AIRSPEEDS, default_airspeed
 from qrsim.models.sensors.contracts import Explained, Sensor
+from qrsim.models.sensors.quantization import quantized
 
 
 def _number(name: str, unit: str, doc: str) -> Any:
@@ -109,9 +110,7 @@ class Airspeed(Sensor):
         density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
         true = 0.5 * density * (speed * speed) * jnp.where(speed > 0.0, 1.0, -jnp.asarray(self.reverse))
         found = true + true * state.scale + state.offset + self.noise_std * white
-        found = jnp.clip(found, -self.range, self.range) if self.range > 0.0 else found
-        if self.resolution > 0.0:
-            found = jnp.round(found * (1.0 / self.resolution)) * self.resolution
+        found = quantized(found, self.range, self.resolution)
         indicated = root(jnp.abs(found) * (2.0 / DENSITY))
         told, true_speed = indicated >= self.speed_min, indicated * root(DENSITY / density)
         return AirspeedReading(found, jnp.where(told, indicated, jnp.nan), jnp.where(told, true_speed, jnp.nan))

@@ -89,6 +89,13 @@ class Sensor(Protocol):
         """Return the true slow error (n,) of each vector of its reading, by name, of those that are known."""
         return {}
 
+    def overfull(self, state: Any) -> Array | None:
+        """Return the looks (n,) int32 so far in which it may have missed others, for want of room; None: there is room.
+
+        Room is what ``neighbours`` of core/neighbours.py has for those around a vehicle.
+        """
+        return None
+
     def placed(self, chosen: Array, fresh: Any, before: Any) -> Any:
         """Return the state in which chosen vehicles (n,) have been put elsewhere; ``fresh``: as if all had been."""
         return select(chosen, fresh, before)

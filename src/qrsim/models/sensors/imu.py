@@ -20,6 +20,7 @@ from qrsim.core.tree import parameter, quantity, record, replace, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.imu_presets import PRESETS, default
+from qrsim.models.sensors.quantization import quantized
 from qrsim.models.sensors.vibration import Vibration, measured
 from qrsim.models.vehicles.contracts import Load
 
@@ -293,12 +294,10 @@ class Imu(Sensor):
         samples = max(1.0, self.sample_rate * dt)
         kinds = [(self.gyroscope_range, self.gyroscope_resolution)] * 3
         kinds += [(self.accelerometer_range, self.accelerometer_resolution)] * 3
-        found = []
-        for value, (limit, resolution) in zip(values, kinds, strict=True):
-            step = resolution / samples
-            number = jnp.clip(value, -limit, limit) if limit > 0.0 else value
-            found.append(jnp.round(number * (1.0 / step)) * step if step > 0.0 else number)
-        return tuple(found)
+        return tuple(
+            quantized(value, limit, resolution / samples)
+            for value, (limit, resolution) in zip(values, kinds, strict=True)
+        )
 
 
 @record

@@ -21,6 +21,7 @@ from qrsim.core.tree import derived, parameter, quantity, record, replace, setti
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.models.sensors.contracts import Sensor
 from qrsim.models.sensors.magnetometer_presets import PRESETS, default
+from qrsim.models.sensors.quantization import quantized
 from qrsim.models.vehicles.contracts import Load
 
 # Where no site is known: that of the default site in summer 2026, rounded.
@@ -184,8 +185,7 @@ class Magnetometer(Sensor):
             strict=True,
         ):  # fmt: skip
             value = axis + row.dot(field) + offset + current * thrust + drift + spread * normal
-            value = jnp.clip(value, -self.range, self.range) if self.range > 0.0 else value
-            axes.append(jnp.round(value * (1.0 / step)) * step if step > 0.0 else value)
+            axes.append(quantized(value, self.range, step))
         return MagnetometerReading(Vec3(*axes))
 
 

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import sincos
-from qrsim.core.neighbours import neighbours
+from qrsim.core.neighbours import always_room, neighbours
 from qrsim.core.noise import Draw
-from qrsim.core.tree import parameter, quantity, record, setting
+from qrsim.core.tree import map_tree, parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Rotation, Vec3, root, rotation
 from qrsim.models.scene.contracts import Ground
-from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.obstacles import Obstacles
-from qrsim.models.scene.rays import any_of, first_hit
+from qrsim.models.scene.rays import can_hide, first_hit
 from qrsim.models.scene.traffic import Traffic
 from qrsim.models.sensors.contracts import Explained, Sensor
 from qrsim.models.sensors.uniforms import along_rows, uniforms
@@ -37,6 +37,11 @@ class NeighboursReading(Explained):
     distance: tuple[Array, ...] = quantity(unit="m", doc="of another, as measured")
     vehicle: tuple[Array, ...] = quantity(unit="1", doc="number of the vehicle in the world, -1: not known who")
     count: Array = quantity(unit="1", doc="slots that are taken")
+    velocity: tuple[Vec3, ...] = quantity(
+        default=(),
+        unit="m/s",
+        doc="of another against the vehicle, in the axes of position; empty if not asked for",
+    )
 
     def reason(self, vehicle: int) -> str:
         """Return how many it sees."""
@@ -47,11 +52,59 @@ def _slots() -> Any:
     return setting(default=4, unit="1", doc="others that a reading has room for, K", minimum=1, maximum=MOST)
 
 
+def _velocity() -> Any:
+    return setting(default=False, doc="whether it measures how fast others move against the vehicle")
+
+
+class Looking(Sensor):
+    """Base of the sensors of this file: their state counts the looks at crowds; None where no crowd is too large."""
+
+    slots: int
+    velocity: bool
+    identity: bool
+    range_max: Array
+    reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground", "traffic")
+
+    def init(
+        self, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
+    ) -> tuple[Array | None, NeighboursReading]:
+        """Return whom vehicles (n,) see."""
+        start = None
+        if not always_room(traffic.count, self.slots, ROOM):
+            start = jnp.zeros(position_ned.x.shape, jnp.int32)
+        return self.step(start, draw, position_ned, attitude, obstacles, ground, traffic)
+
+    def step(
+        self, state: Array | None, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
+        traffic: Traffic,
+    ) -> tuple[Array | None, NeighboursReading]:  # fmt: skip
+        """Return whom vehicles (n,) see."""
+        reading, crowded = self.look(draw, position_ned, attitude, obstacles, ground, traffic)
+        return None if state is None else state + crowded.astype(jnp.int32), reading
+
+    def restart(
+        self, state: Array | None, draw: Any, since: Array, *args: Any, **scene: Any
+    ) -> tuple[Array | None, NeighboursReading]:
+        """Return whom vehicles (n,) see that were put elsewhere; what was counted before counts."""
+        return self.step(state, draw, *args, **scene)
+
+    def overfull(self, state: Array | None) -> Array | None:
+        """Return the looks (n,) in which more were around a vehicle than are looked at; None: that cannot be."""
+        return state
+
+    @abstractmethod
+    def look(
+        self, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
+    ) -> tuple[NeighboursReading, Array]:
+        """Return whom vehicles (n,) see, and around whom (n,) there were more than are looked at."""
+
+
 @record
-class NeighbourSensor(Sensor):
+class NeighbourSensor(Looking):
     """Relative positions of the K nearest others in view, with noise, missed detections and false alarms."""
 
     slots: int = _slots()
+    velocity: bool = _velocity()
     identity: bool = setting(default=True, doc="whether it knows who they are")
     field_of_view_rad: float = setting(
         default=2.0 * math.pi,
@@ -68,6 +121,9 @@ class NeighbourSensor(Sensor):
     range_noise_share: Array = parameter(
         default=0.05, unit="1", doc="what that grows by with the distance", minimum=0.0
     )
+    velocity_noise: Array = parameter(
+        default=0.5, unit="m/s", doc="white noise of each component of the velocity", minimum=0.0
+    )
     missed: Array = parameter(default=0.05, unit="1", doc="share of others that are missed", minimum=0.0, maximum=1.0)
     false_alarms: Array = parameter(
         default=0.01, unit="1", doc="probability that a reading has one who is not there", minimum=0.0, maximum=1.0
@@ -75,96 +131,121 @@ class NeighbourSensor(Sensor):
     period: float = setting(
         default=0.1, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
-    reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground", "traffic")
     draws_alone: ClassVar[bool] = True
 
-    def init(
+    def look(
         self, draw: Draw, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
-    ) -> tuple[None, NeighboursReading]:
-        """Return whom vehicles (n,) see."""
+    ) -> tuple[NeighboursReading, Array]:
+        """Return whom vehicles (n,) see, and around whom (n,) there were more than are looked at."""
         direction = rotation(attitude)
         reach = jnp.asarray(self.range_max)
-        who, there = _nearest(self.slots, jnp.max(reach), position_ned, traffic)
+        who, there, crowded = _nearest(self.slots, jnp.max(reach), position_ned, traffic)
         seen = _seen(
             self.field_of_view_rad, along_rows(reach), who, there, direction, position_ned, obstacles, ground, traffic
         )
         inside, unit, distance = seen
         chances = uniforms(draw, self.slots + 4)
         inside = inside & (chances[: self.slots] >= along_rows(self.missed))
-        normals = draw.normal_rows(3 * self.slots)
+        normals = draw.normal_rows((6 if self.velocity else 3) * self.slots)
         k = self.slots
         spread = along_rows(self.range_noise) + along_rows(self.range_noise_share) * distance
         measured = jnp.maximum(distance + spread * normals[:k], 0.0)
         across = along_rows(self.bearing_noise)
-        moved = _turned(unit, across * normals[k : 2 * k], across * normals[2 * k :])
+        moved = _turned(unit, across * normals[k : 2 * k], across * normals[2 * k : 3 * k])
         place = moved * measured
         number = who.astype(distance.dtype) if self.identity else jnp.full_like(distance, UNKNOWN)
         alarm = chances[k] < jnp.asarray(self.false_alarms)
         false = _anywhere(chances[k + 1 :], self.field_of_view_rad, reach)
-        return None, _in_order(self.slots, inside, place, measured, number, alarm, false)
-
-    def step(
-        self, state: None, draw: Draw, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
-        traffic: Traffic,
-    ) -> tuple[None, NeighboursReading]:  # fmt: skip
-        """Return whom vehicles (n,) see."""
-        return self.init(draw, position_ned, attitude, obstacles, ground, traffic)
+        fast = None
+        if self.velocity:
+            noise = along_rows(self.velocity_noise)
+            parts = Vec3(*(noise * normals[i * k : (i + 1) * k] for i in (3, 4, 5)))
+            own = _own_velocity(position_ned, traffic)
+            # What is not there stands still.
+            still = _in_axes(direction, own.map(lambda axis: -axis[None, :]))
+            fast = _joined(_against(who, direction, own, traffic) + parts, still)
+        both = _joined(place, false.map(lambda axis: axis[None, :]))
+        away = jnp.where(inside, measured, jnp.inf)
+        away = jnp.concatenate([away, jnp.where(alarm, root(false.dot(false)), jnp.inf)[None, :]])
+        number = jnp.concatenate([number, jnp.full_like(number[:1], UNKNOWN)])
+        return _in_order(self.slots, away, both, number, fast), crowded
 
 
 @record
-class IdealNeighbours(Sensor):
+class IdealNeighbours(Looking):
     """The true relative positions of the K nearest others, all around and whatever stands in between."""
 
     slots: int = _slots()
+    velocity: bool = _velocity()
     range_max: Array = parameter(default=200.0, unit="m", doc="how far it sees", above=0.0)
     period: float = setting(
         default=0.1, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
-    reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "obstacles", "ground", "traffic")
     normals: ClassVar[int] = 0
+    identity: ClassVar[bool] = True  # type: ignore[misc]
 
-    def init(
+    def look(
         self, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
-    ) -> tuple[None, NeighboursReading]:
-        """Return where others are."""
-        reach = jnp.asarray(self.range_max)
-        who, there = _nearest(self.slots, jnp.max(reach), position_ned, traffic)
-        apart = _apart(who, rotation(attitude), position_ned, traffic)
+    ) -> tuple[NeighboursReading, Array]:
+        """Return where others are, and around whom (n,) there were more than are looked at."""
+        reach, direction = jnp.asarray(self.range_max), rotation(attitude)
+        who, there, crowded = _nearest(self.slots, jnp.max(reach), position_ned, traffic)
+        apart = _apart(who, direction, position_ned, traffic)
         distance = root(apart.dot(apart))
-        inside = there & (distance <= along_rows(reach))
-        return None, _in_order(self.slots, inside, apart, distance, who.astype(distance.dtype), None, None)
-
-    def step(
-        self, state: None, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground,
-        traffic: Traffic,
-    ) -> tuple[None, NeighboursReading]:  # fmt: skip
-        """Return where others are."""
-        return self.init(draw, position_ned, attitude, obstacles, ground, traffic)
+        away = jnp.where(there & (distance <= along_rows(reach)), distance, jnp.inf)
+        fast = _against(who, direction, _own_velocity(position_ned, traffic), traffic) if self.velocity else None
+        return _in_order(self.slots, away, apart, who.astype(distance.dtype), fast), crowded
 
 
-def _nearest(slots: int, reach: Array, position_ned: Vec3, traffic: Traffic) -> tuple[Array, Array]:
-    """Return the numbers (K, n) int32 of the nearest others in the world, and whether there is one."""
+def _nearest(slots: int, reach: Array, position_ned: Vec3, traffic: Traffic) -> tuple[Array, Array, Array]:
+    """Return the numbers (K, n) int32 of the nearest others, whether there is one, and who (n,) is in a crowd."""
     place = traffic.position_ned.map(lambda axis: jnp.where(traffic.flies, axis, jnp.nan))
-    found = neighbours(*place.axes, reach, slots, ROOM).index
-    own = jnp.arange(position_ned.x.shape[0], dtype=jnp.int32) + traffic.first
-    mine = found
-    if traffic.count != own.shape[0]:
+    near = neighbours(*place.axes, reach, slots, ROOM)
+    mine, crowded = near.index, near.overfull
+    if traffic.count != position_ned.x.shape[0]:
         # Row by row: the compiler of our own takes numbers of single elements alone.
-        row = jnp.minimum(own, traffic.count - 1)
-        mine = jnp.stack([found[k].at[row].get(mode="promise_in_bounds") for k in range(slots)])
-    return jnp.maximum(mine, 0), mine >= 0
+        row = _rows(position_ned, traffic)
+        mine = jnp.stack([mine[k].at[row].get(mode="promise_in_bounds") for k in range(slots)])
+        crowded = crowded.at[row].get(mode="promise_in_bounds")
+    return jnp.maximum(mine, 0), mine >= 0, crowded
+
+
+def _rows(position_ned: Vec3, traffic: Traffic) -> Array:
+    """Return the numbers (n,) of the vehicles that look."""
+    own = jnp.arange(position_ned.x.shape[0], dtype=jnp.int32) + traffic.first
+    return jnp.minimum(own, traffic.count - 1)
+
+
+def _own_velocity(position_ned: Vec3, traffic: Traffic) -> Vec3:
+    """Return the velocity over ground (n,) [m/s] of the vehicles that look."""
+    row = _rows(position_ned, traffic)
+    return traffic.velocity_ned.map(lambda axis: jnp.asarray(axis).at[row].get(mode="promise_in_bounds"))
 
 
 def _apart(who: Array, direction: Rotation, position_ned: Vec3, traffic: Traffic) -> Vec3:
     """Return where others (K, n) are against the sensor, in its axes [m]."""
     pairs = zip(traffic.position_ned.axes, position_ned.axes, strict=True)
-    way = Vec3(*(axis[who] - own[None, :] for axis, own in pairs))
-    return Vec3(
-        *(
-            axis.map(lambda part: part[None, :]).dot(way)
-            for axis in (direction.forward, direction.right, direction.down)
-        )
-    )
+    return _in_axes(direction, Vec3(*(axis[who] - own[None, :] for axis, own in pairs)))
+
+
+def _against(who: Array, direction: Rotation, velocity_ned: Vec3, traffic: Traffic) -> Vec3:
+    """Return how fast others (K, n) move against the vehicles that look, in the sensor's axes [m/s]."""
+    pairs = zip(traffic.velocity_ned.axes, velocity_ned.axes, strict=True)
+    return _in_axes(direction, Vec3(*(axis[who] - own[None, :] for axis, own in pairs)))
+
+
+def _in_axes(direction: Rotation, vector_ned: Vec3) -> Vec3:
+    """Return vectors (K, n) in the sensor's axes."""
+    return _for_rows(direction).to_body(vector_ned)
+
+
+def _joined(one: Vec3, other: Vec3) -> Vec3:
+    return Vec3(*(jnp.concatenate(both) for both in zip(one.axes, other.axes, strict=True)))
+
+
+def _for_rows(direction: Rotation) -> Rotation:
+    """Return rotations (n,) such that they go with rows (K, n)."""
+    return map_tree(lambda part: part[None, :], direction)
 
 
 def _seen(
@@ -176,11 +257,8 @@ def _seen(
     distance = root(apart.dot(apart))
     unit = apart * (1.0 / jnp.where(distance > 0.0, distance, 1.0))
     inside = there & (distance <= reach) & (unit.x >= math.cos(0.5 * field_of_view_rad) - 1e-6)
-    if any_of(obstacles) or not isinstance(ground, FlatGround):
-        rows = Rotation(
-            *(axis.map(lambda part: part[None, :]) for axis in (direction.forward, direction.right, direction.down))
-        )
-        origin, beam = position_ned.map(lambda axis: axis[None, :]), rows.to_ned(unit)
+    if can_hide(obstacles, ground):
+        origin, beam = position_ned.map(lambda axis: axis[None, :]), _for_rows(direction).to_ned(unit)
         inside = inside & ~jnp.isfinite(first_hit(obstacles, ground, origin, beam, jnp.maximum(distance - _CLEAR, 0.0)))
     return inside, unit, distance
 
@@ -206,17 +284,10 @@ def _anywhere(chances: Array, field_of_view_rad: float, reach: Array) -> Vec3:
     return Vec3(ahead, side * sine, side * cosine) * (reach * chances[2])
 
 
-def _in_order(
-    slots: int, inside: Array, place: Vec3, distance: Array, number: Array, alarm: Array | None, false: Vec3 | None
-) -> NeighboursReading:
-    """Return others (K, n), and one who is not there, by the distance that was measured."""
-    away = jnp.where(inside, distance, jnp.inf)
-    if alarm is not None and false is not None:
-        away = jnp.concatenate([away, jnp.where(alarm, root(false.dot(false)), jnp.inf)[None, :]])
-        place = Vec3(*(jnp.concatenate([a, b[None, :]]) for a, b in zip(place.axes, false.axes, strict=True)))
-        number = jnp.concatenate([number, jnp.full_like(number[:1], UNKNOWN)])
+def _in_order(slots: int, away: Array, place: Vec3, number: Array, fast: Vec3 | None) -> NeighboursReading:
+    """Return others (M, n) by the distance that was measured, infinite of who is not seen."""
     row = jnp.arange(away.shape[0], dtype=jnp.int32)[:, None]
-    places, distances, numbers = [], [], []
+    places, distances, numbers, velocities = [], [], [], []
     taken = jnp.zeros_like(away[0])
     for _ in range(slots):
         nearest = jnp.min(away, axis=0)
@@ -229,6 +300,8 @@ def _in_order(
         places.append(place.map(chosen))
         distances.append(jnp.where(found, nearest, jnp.nan))
         numbers.append(chosen(number))
+        if fast is not None:
+            velocities.append(fast.map(chosen))
         taken = taken + found.astype(taken.dtype)
         away = jnp.where(mine, jnp.inf, away)
-    return NeighboursReading(tuple(places), tuple(distances), tuple(numbers), taken)
+    return NeighboursReading(tuple(places), tuple(distances), tuple(numbers), taken, tuple(velocities))

@@ -1,4 +1,4 @@
-"""The sensor ``rangefinder``: one beam along an axis of the body (docs/models/sensors.md)."""
+"""The sensor ``rangefinder``: one beam along an axis of the body (docs/models/perception.md)."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from qrsim.models.scene.contracts import Ground
 from qrsim.models.scene.obstacles import Obstacles
 from qrsim.models.scene.rays import any_of, first_hit, ray_distance
 from qrsim.models.sensors.contracts import Explained, Sensor
+from qrsim.models.sensors.quantization import quantized
 from qrsim.models.sensors.rangefinder_presets import RANGEFINDERS, default_rangefinder
 
 MEASURED, TOO_NEAR, NOTHING, LOST = 0.0, 1.0, 2.0, 3.0
@@ -93,8 +94,7 @@ class Rangefinder(Sensor):
         far = ~(distance <= reach)
         distance = jnp.where(far, 0.0, distance)
         measured = distance + (self.noise_std + self.noise_per_range * distance) * noise
-        if self.resolution > 0.0:
-            measured = jnp.round(measured * (1.0 / self.resolution)) * self.resolution
+        measured = quantized(measured, 0.0, self.resolution)
         # Half the sum of two squared normals has an exponential distribution.
         lost = exp(-0.5 * (a * a + b * b)) < self.dropouts
         near = distance < self.range_min

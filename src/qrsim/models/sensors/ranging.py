@@ -14,9 +14,8 @@ from qrsim.core.noise import Draw, ou_step
 from qrsim.core.tree import derived, parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3, root
 from qrsim.models.scene.contracts import Ground
-from qrsim.models.scene.ground import FlatGround
 from qrsim.models.scene.obstacles import Obstacles
-from qrsim.models.scene.rays import any_of, first_hit
+from qrsim.models.scene.rays import can_hide, first_hit
 from qrsim.models.scene.traffic import Traffic
 from qrsim.models.sensors.contracts import Explained, Sensor
 from qrsim.models.sensors.ranging_presets import PRESETS, default
@@ -103,7 +102,7 @@ class Ranging(Sensor):
         """Return the first ranges of vehicles (n,), whose paths have long been there."""
         rows = len(_partners(self, position_ned, traffic))
         paths = None
-        if any_of(obstacles) or not isinstance(ground, FlatGround):
+        if can_hide(obstacles, ground):
             normals = draw.normal_rows(2 * rows, first=rows + 1)
             paths = (_tuple(normals[:rows]), _tuple(normals[rows:]))
         turn = jnp.zeros(position_ned.x.shape, jnp.int32)
@@ -246,8 +245,7 @@ def _partners(sensor: Any, position_ned: Vec3, traffic: Traffic | None) -> Partn
     row = jnp.arange(place.x.shape[0], dtype=jnp.int32)[:, None]
     itself = row == beacons + own[None, :]
     apart = Vec3(*(there[:, None] - here[None, :] for there, here in zip(place.axes, position_ned.axes, strict=True)))
-    square = jnp.where(itself, 0.0, apart.dot(apart))
-    distance = root(square)
+    distance = root(jnp.where(itself, 0.0, apart.dot(apart)))
     return Partners(place, distance, jnp.concatenate(flies)[:, None] & ~itself, itself, own, beacons)
 
 

@@ -10,7 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -93,12 +93,16 @@ class Outline:
     """The looks of a vehicle, for pictures, in body axes.
 
     Attributes:
-        rotors: position of the hub of each rotor [m]; none: it stands on a mast.
+        rotors: position of the hub of each rotor [m]; none: it is of another kind.
         rotor_radius: of all rotors [m].
+        kind: what it is, where it has no rotors.
+        size: its span or length [m], where it has no rotors; 0: unknown.
     """
 
     rotors: tuple[tuple[float, float, float], ...] = ()
     rotor_radius: float = 0.0
+    kind: Literal["mast", "car", "plane"] = "mast"
+    size: float = 0.0
 
 
 class VehicleState(Protocol):
@@ -143,6 +147,8 @@ class Vehicle(Protocol):
         gives_power: whether its ``load`` has an electrical power.
         default_limits: state limits where a scenario gives none, by name; those that are left out are the published.
         default_controller: name in the catalogue of what flies it where a scenario names no controller.
+        rides: whether it moves on the ground, where it is put at a start.
+        launches: whether it starts in flight: the velocity of a start is one through the air (``launched``).
     """
 
     command_type: ClassVar[type[Any]]
@@ -152,6 +158,8 @@ class Vehicle(Protocol):
     gives_power: ClassVar[bool] = False
     default_limits: ClassVar[Mapping[str, float]] = MappingProxyType({})
     default_controller: ClassVar[str] = "waypoint"
+    rides: ClassVar[bool] = False
+    launches: ClassVar[bool] = False
 
     def prepared(self, duration: float) -> Vehicle:
         """Return the vehicle of a run of a length [s], with the files read that it names.
@@ -276,6 +284,11 @@ class Vehicle(Protocol):
 
     def stood(self, state: Any, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> VehicleState:
         """Return the state at a start, where who begins on the ground by its own contact stands; see ``Around``."""
+        found: VehicleState = state
+        return found
+
+    def launched(self, state: Any, air_ned: Vec3) -> VehicleState:
+        """Return the state at a start in a mean wind (n,) [m/s] NED, where it ``launches``."""
         found: VehicleState = state
         return found
 

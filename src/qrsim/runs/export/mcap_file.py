@@ -34,13 +34,14 @@ from qrsim.runs.export.mcap_scene import scene
 from qrsim.runs.export.output import Written, is_readable, replacing
 from qrsim.runs.export.place import Floats, Place
 from qrsim.runs.export.tracks import Samples, axes, is_fresh, position_sensors, read_samples
+from qrsim.runs.layout import OVERFULL
 from qrsim.runs.summary import NOT_A_STOP
 from qrsim.runs.surroundings import surroundings_of
 
 WORLD = "map"
 # Foxglove's timestamps count the seconds since 1970 in 32 bits.
 LAST_START_US = 2**32 * 1_000_000
-WARNINGS = ("command_clipped", "fault_begins", "no_fix", "fix_lost")
+WARNINGS = ("command_clipped", "fault_begins", "no_fix", "fix_lost", OVERFULL)
 
 
 def write(run: Run, place: Place, path: Path, every: int) -> Written:
@@ -128,9 +129,11 @@ def _fixes(run: Run, place: Place, every: int, sensor: str) -> Iterator[Message]
     topics = topics_of(run, quote(sensor, safe=""), "fix")
     last = np.full((len(run.vehicles), 3), np.nan)
     known = {column.name for column in run.describe("measurements")}
+    # What the receiver states itself, else its dilution of precision times the errors of its ranges.
+    stated = [name for name in (f"{sensor}.horizontal_accuracy", f"{sensor}.vertical_accuracy") if name in known]
     dops = [name for name in (f"{sensor}.hdop", f"{sensor}.vdop") if name in known]
-    spread = _range_spread(run, sensor) if len(dops) == 2 else math.nan
-    wanted = [*axes(f"{sensor}.position_ned"), *dops]
+    spread = 1.0 if len(stated) == 2 else _range_spread(run, sensor) if len(dops) == 2 else math.nan
+    wanted = [*axes(f"{sensor}.position_ned"), *(stated if len(stated) == 2 else dops)]
     for samples in read_samples(run, "measurements", wanted, lambda ticks: ticks % every == 0):
         places_ned = Samples(samples.vehicles, samples.ticks, samples.times, samples.values[:, :3])
         rows = _fresh_rows(places_ned, last)
@@ -195,7 +198,7 @@ def _finite(run: Run, stream: str, columns: list[str], every: int) -> Iterator[S
 
 
 def _fix(frame: str, geodetic: list[float], errors: Sequence[float] = ()) -> dict[str, Any]:
-    """Return a fix; ``errors`` are its horizontal and vertical std [m], by DOP, where they are known.
+    """Return a fix; ``errors`` are its horizontal and vertical std [m], where they are known.
 
     The covariance is of east, north, up: the horizontal variance is shared evenly by its two axes, an approximation.
     """

@@ -43,6 +43,8 @@ def baseline(play: Play, seed: int = 0) -> Baseline:
     kind = KINDS.get(type(play.task))
     if kind is None:
         raise UsageError("policy baseline: this task has none; it is for pursuit, search and plume mapping")
+    if isinstance(play.task, Pursuit) and play.task.senses:
+        raise UsageError("policy baseline: it reads the offsets that the observation lacks with task.senses")
     made: Baseline = kind(play, seed)
     return made
 

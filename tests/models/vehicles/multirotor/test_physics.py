@@ -62,7 +62,9 @@ def flown(dtype: Any) -> Any:
     commands = []
     for k in range(STEPS):
         lean = 0.25 * np.sin(2.0 * np.pi * 0.4 * DT * k) * spun
-        columns = (lean, 0.7 * lean, hover * (1.0 + 0.1 * lean), 2.0 * lean)
+        # Who rests is asked to turn.
+        turns = 2.0 * lean + np.where(np.arange(COUNT) == RESTS, 0.5, 0.0)
+        columns = (lean, 0.7 * lean, hover * (1.0 + 0.1 * lean), turns)
         commands.append(AttitudeCommand(*(column.astype(dtype) for column in columns)))
     found = flight.fly(start, commands)
     states = [start, *(state for state, _ in found)]
@@ -115,6 +117,15 @@ def test_rest_stays_at_rest_in_wind(flights: Any) -> None:
     np.testing.assert_allclose(place[-1], (0.0, 20.0, -0.197), atol=2e-3)
     assert states.standing[-1, RESTS] > 5.0
     np.testing.assert_allclose(stacked(force)[-1, RESTS], (0.0, 0.0, -GRAVITY), atol=0.03)
+
+
+def test_who_has_no_throttle_holds_no_heading(flights: Any) -> None:
+    """Asked to turn for 8 s with motors that are off, it looks where it looked, and would go on from there."""
+    states, _ = flights
+    np.testing.assert_allclose(states.yaw_setpoint[:, RESTS], 0.3, atol=1e-3)
+    # In the air it follows the sum of what is asked for.
+    asked = np.sum(2.0 * 0.25 * np.sin(2.0 * np.pi * 0.4 * DT * np.arange(STEPS)) * DT)
+    assert states.yaw_setpoint[-1, FREE] == pytest.approx(asked, abs=1e-9)
 
 
 def test_energy_does_not_grow_without_power(flights: Any) -> None:

@@ -182,19 +182,34 @@ class Readings(_message.Message):
         time: float
         fresh: bool
         def __init__(self, name: _Optional[str] = ..., field: _Optional[_Iterable[_Union[Readings.Field, _Mapping]]] = ..., reason: _Optional[str] = ..., time: _Optional[float] = ..., fresh: bool = ...) -> None: ...
+    class Heard(_message.Message):
+        __slots__ = ("sender", "sent", "received", "rssi", "value")
+        SENDER_FIELD_NUMBER: _ClassVar[int]
+        SENT_FIELD_NUMBER: _ClassVar[int]
+        RECEIVED_FIELD_NUMBER: _ClassVar[int]
+        RSSI_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        sender: str
+        sent: float
+        received: float
+        rssi: float
+        value: _containers.RepeatedScalarFieldContainer[float]
+        def __init__(self, sender: _Optional[str] = ..., sent: _Optional[float] = ..., received: _Optional[float] = ..., rssi: _Optional[float] = ..., value: _Optional[_Iterable[float]] = ...) -> None: ...
     class Vehicle(_message.Message):
-        __slots__ = ("name", "valid", "reason", "sensor", "X")
+        __slots__ = ("name", "valid", "reason", "sensor", "X", "heard")
         NAME_FIELD_NUMBER: _ClassVar[int]
         VALID_FIELD_NUMBER: _ClassVar[int]
         REASON_FIELD_NUMBER: _ClassVar[int]
         SENSOR_FIELD_NUMBER: _ClassVar[int]
         X_FIELD_NUMBER: _ClassVar[int]
+        HEARD_FIELD_NUMBER: _ClassVar[int]
         name: str
         valid: bool
         reason: str
         sensor: _containers.RepeatedCompositeFieldContainer[Readings.Sensor]
         X: Arrayd
-        def __init__(self, name: _Optional[str] = ..., valid: bool = ..., reason: _Optional[str] = ..., sensor: _Optional[_Iterable[_Union[Readings.Sensor, _Mapping]]] = ..., X: _Optional[_Union[Arrayd, _Mapping]] = ...) -> None: ...
+        heard: _containers.RepeatedCompositeFieldContainer[Readings.Heard]
+        def __init__(self, name: _Optional[str] = ..., valid: bool = ..., reason: _Optional[str] = ..., sensor: _Optional[_Iterable[_Union[Readings.Sensor, _Mapping]]] = ..., X: _Optional[_Union[Arrayd, _Mapping]] = ..., heard: _Optional[_Iterable[_Union[Readings.Heard, _Mapping]]] = ...) -> None: ...
     T_FIELD_NUMBER: _ClassVar[int]
     VEHICLE_FIELD_NUMBER: _ClassVar[int]
     TICK_FIELD_NUMBER: _ClassVar[int]
@@ -287,7 +302,7 @@ class Values(_message.Message):
     def __init__(self, name: _Optional[str] = ..., shape: _Optional[_Iterable[int]] = ..., value: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Episode(_message.Message):
-    __slots__ = ("id", "scenario", "seed", "number", "agent", "axis", "period", "steps", "answer_shape", "observation", "info")
+    __slots__ = ("id", "scenario", "seed", "number", "agent", "axis", "period", "steps", "answer_shape", "say_size", "observation", "info")
     class Axis(_message.Message):
         __slots__ = ("name", "unit", "low", "high")
         NAME_FIELD_NUMBER: _ClassVar[int]
@@ -308,6 +323,7 @@ class Episode(_message.Message):
     PERIOD_FIELD_NUMBER: _ClassVar[int]
     STEPS_FIELD_NUMBER: _ClassVar[int]
     ANSWER_SHAPE_FIELD_NUMBER: _ClassVar[int]
+    SAY_SIZE_FIELD_NUMBER: _ClassVar[int]
     OBSERVATION_FIELD_NUMBER: _ClassVar[int]
     INFO_FIELD_NUMBER: _ClassVar[int]
     id: int
@@ -319,12 +335,13 @@ class Episode(_message.Message):
     period: float
     steps: int
     answer_shape: _containers.RepeatedScalarFieldContainer[int]
+    say_size: int
     observation: _containers.RepeatedCompositeFieldContainer[Values]
     info: _containers.RepeatedCompositeFieldContainer[Values]
-    def __init__(self, id: _Optional[int] = ..., scenario: _Optional[str] = ..., seed: _Optional[int] = ..., number: _Optional[int] = ..., agent: _Optional[_Iterable[str]] = ..., axis: _Optional[_Iterable[_Union[Episode.Axis, _Mapping]]] = ..., period: _Optional[float] = ..., steps: _Optional[int] = ..., answer_shape: _Optional[_Iterable[int]] = ..., observation: _Optional[_Iterable[_Union[Values, _Mapping]]] = ..., info: _Optional[_Iterable[_Union[Values, _Mapping]]] = ...) -> None: ...
+    def __init__(self, id: _Optional[int] = ..., scenario: _Optional[str] = ..., seed: _Optional[int] = ..., number: _Optional[int] = ..., agent: _Optional[_Iterable[str]] = ..., axis: _Optional[_Iterable[_Union[Episode.Axis, _Mapping]]] = ..., period: _Optional[float] = ..., steps: _Optional[int] = ..., answer_shape: _Optional[_Iterable[int]] = ..., say_size: _Optional[int] = ..., observation: _Optional[_Iterable[_Union[Values, _Mapping]]] = ..., info: _Optional[_Iterable[_Union[Values, _Mapping]]] = ...) -> None: ...
 
 class Act(_message.Message):
-    __slots__ = ("action", "answer")
+    __slots__ = ("action", "answer", "say")
     class Answer(_message.Message):
         __slots__ = ("value",)
         VALUE_FIELD_NUMBER: _ClassVar[int]
@@ -332,9 +349,11 @@ class Act(_message.Message):
         def __init__(self, value: _Optional[_Iterable[float]] = ...) -> None: ...
     ACTION_FIELD_NUMBER: _ClassVar[int]
     ANSWER_FIELD_NUMBER: _ClassVar[int]
+    SAY_FIELD_NUMBER: _ClassVar[int]
     action: _containers.RepeatedCompositeFieldContainer[Arrayd]
     answer: _containers.RepeatedCompositeFieldContainer[Act.Answer]
-    def __init__(self, action: _Optional[_Iterable[_Union[Arrayd, _Mapping]]] = ..., answer: _Optional[_Iterable[_Union[Act.Answer, _Mapping]]] = ...) -> None: ...
+    say: _containers.RepeatedCompositeFieldContainer[Arrayd]
+    def __init__(self, action: _Optional[_Iterable[_Union[Arrayd, _Mapping]]] = ..., answer: _Optional[_Iterable[_Union[Act.Answer, _Mapping]]] = ..., say: _Optional[_Iterable[_Union[Arrayd, _Mapping]]] = ...) -> None: ...
 
 class Outcome(_message.Message):
     __slots__ = ("step", "t", "observation", "reward", "terminated", "truncated", "info")
@@ -478,7 +497,7 @@ class Describe(_message.Message):
     def __init__(self) -> None: ...
 
 class World(_message.Message):
-    __slots__ = ("scenario", "time_step", "collision_distance", "area", "obstacle", "ground", "wind", "turbulence", "gust", "fleet", "origin")
+    __slots__ = ("scenario", "time_step", "collision_distance", "area", "obstacle", "ground", "wind", "turbulence", "gust", "fleet", "radio", "origin")
     class Quantity(_message.Message):
         __slots__ = ("name", "unit", "value", "text")
         NAME_FIELD_NUMBER: _ClassVar[int]
@@ -561,6 +580,7 @@ class World(_message.Message):
     TURBULENCE_FIELD_NUMBER: _ClassVar[int]
     GUST_FIELD_NUMBER: _ClassVar[int]
     FLEET_FIELD_NUMBER: _ClassVar[int]
+    RADIO_FIELD_NUMBER: _ClassVar[int]
     ORIGIN_FIELD_NUMBER: _ClassVar[int]
     scenario: str
     time_step: float
@@ -572,11 +592,27 @@ class World(_message.Message):
     turbulence: World.Part
     gust: World.Part
     fleet: _containers.RepeatedCompositeFieldContainer[World.Fleet]
+    radio: World.Part
     origin: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, scenario: _Optional[str] = ..., time_step: _Optional[float] = ..., collision_distance: _Optional[float] = ..., area: _Optional[_Union[World.Part, _Mapping]] = ..., obstacle: _Optional[_Iterable[_Union[World.Part, _Mapping]]] = ..., ground: _Optional[_Union[World.Part, _Mapping]] = ..., wind: _Optional[_Union[World.Part, _Mapping]] = ..., turbulence: _Optional[_Union[World.Part, _Mapping]] = ..., gust: _Optional[_Union[World.Part, _Mapping]] = ..., fleet: _Optional[_Iterable[_Union[World.Fleet, _Mapping]]] = ..., origin: _Optional[_Iterable[float]] = ...) -> None: ...
+    def __init__(self, scenario: _Optional[str] = ..., time_step: _Optional[float] = ..., collision_distance: _Optional[float] = ..., area: _Optional[_Union[World.Part, _Mapping]] = ..., obstacle: _Optional[_Iterable[_Union[World.Part, _Mapping]]] = ..., ground: _Optional[_Union[World.Part, _Mapping]] = ..., wind: _Optional[_Union[World.Part, _Mapping]] = ..., turbulence: _Optional[_Union[World.Part, _Mapping]] = ..., gust: _Optional[_Union[World.Part, _Mapping]] = ..., fleet: _Optional[_Iterable[_Union[World.Fleet, _Mapping]]] = ..., radio: _Optional[_Union[World.Part, _Mapping]] = ..., origin: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Say(_message.Message):
+    __slots__ = ("words",)
+    class Words(_message.Message):
+        __slots__ = ("vehicle", "value", "to")
+        VEHICLE_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        TO_FIELD_NUMBER: _ClassVar[int]
+        vehicle: str
+        value: _containers.RepeatedScalarFieldContainer[float]
+        to: str
+        def __init__(self, vehicle: _Optional[str] = ..., value: _Optional[_Iterable[float]] = ..., to: _Optional[str] = ...) -> None: ...
+    WORDS_FIELD_NUMBER: _ClassVar[int]
+    words: _containers.RepeatedCompositeFieldContainer[Say.Words]
+    def __init__(self, words: _Optional[_Iterable[_Union[Say.Words, _Mapping]]] = ...) -> None: ...
 
 class Message(_message.Message):
-    __slots__ = ("type", "init", "reset", "disconnect", "setsState", "step", "state", "taskInfo", "ack", "hello", "server", "open", "session", "restart", "get_readings", "readings", "watch", "get_events", "events", "pace", "pacing", "play", "episode", "act", "outcome", "claim", "claimed", "release", "command", "commanded", "subscribe", "sensed", "get_status", "status", "describe", "world")
+    __slots__ = ("type", "init", "reset", "disconnect", "setsState", "step", "state", "taskInfo", "ack", "hello", "server", "open", "session", "restart", "get_readings", "readings", "watch", "get_events", "events", "pace", "pacing", "play", "episode", "act", "outcome", "claim", "claimed", "release", "command", "commanded", "subscribe", "sensed", "get_status", "status", "describe", "world", "say")
     class Type(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         NONE: _ClassVar[Message.Type]
@@ -615,6 +651,7 @@ class Message(_message.Message):
         STATUS: _ClassVar[Message.Type]
         DESCRIBE: _ClassVar[Message.Type]
         WORLD: _ClassVar[Message.Type]
+        SAY: _ClassVar[Message.Type]
     NONE: Message.Type
     INIT: Message.Type
     RESET: Message.Type
@@ -651,6 +688,7 @@ class Message(_message.Message):
     STATUS: Message.Type
     DESCRIBE: Message.Type
     WORLD: Message.Type
+    SAY: Message.Type
     TYPE_FIELD_NUMBER: _ClassVar[int]
     INIT_FIELD_NUMBER: _ClassVar[int]
     RESET_FIELD_NUMBER: _ClassVar[int]
@@ -687,6 +725,7 @@ class Message(_message.Message):
     STATUS_FIELD_NUMBER: _ClassVar[int]
     DESCRIBE_FIELD_NUMBER: _ClassVar[int]
     WORLD_FIELD_NUMBER: _ClassVar[int]
+    SAY_FIELD_NUMBER: _ClassVar[int]
     type: Message.Type
     init: Init
     reset: Reset
@@ -723,4 +762,5 @@ class Message(_message.Message):
     status: Status
     describe: Describe
     world: World
-    def __init__(self, type: _Optional[_Union[Message.Type, str]] = ..., init: _Optional[_Union[Init, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., disconnect: _Optional[_Union[Disconnect, _Mapping]] = ..., setsState: _Optional[_Union[SetState, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., state: _Optional[_Union[State, _Mapping]] = ..., taskInfo: _Optional[_Union[TaskInfo, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., hello: _Optional[_Union[Hello, _Mapping]] = ..., server: _Optional[_Union[Server, _Mapping]] = ..., open: _Optional[_Union[Open, _Mapping]] = ..., session: _Optional[_Union[Session, _Mapping]] = ..., restart: _Optional[_Union[Restart, _Mapping]] = ..., get_readings: _Optional[_Union[GetReadings, _Mapping]] = ..., readings: _Optional[_Union[Readings, _Mapping]] = ..., watch: _Optional[_Union[Watch, _Mapping]] = ..., get_events: _Optional[_Union[GetEvents, _Mapping]] = ..., events: _Optional[_Union[Events, _Mapping]] = ..., pace: _Optional[_Union[Pace, _Mapping]] = ..., pacing: _Optional[_Union[Pacing, _Mapping]] = ..., play: _Optional[_Union[Play, _Mapping]] = ..., episode: _Optional[_Union[Episode, _Mapping]] = ..., act: _Optional[_Union[Act, _Mapping]] = ..., outcome: _Optional[_Union[Outcome, _Mapping]] = ..., claim: _Optional[_Union[Claim, _Mapping]] = ..., claimed: _Optional[_Union[Claimed, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., command: _Optional[_Union[Command, _Mapping]] = ..., commanded: _Optional[_Union[Commanded, _Mapping]] = ..., subscribe: _Optional[_Union[Subscribe, _Mapping]] = ..., sensed: _Optional[_Union[Readings, _Mapping]] = ..., get_status: _Optional[_Union[GetStatus, _Mapping]] = ..., status: _Optional[_Union[Status, _Mapping]] = ..., describe: _Optional[_Union[Describe, _Mapping]] = ..., world: _Optional[_Union[World, _Mapping]] = ...) -> None: ...
+    say: Say
+    def __init__(self, type: _Optional[_Union[Message.Type, str]] = ..., init: _Optional[_Union[Init, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., disconnect: _Optional[_Union[Disconnect, _Mapping]] = ..., setsState: _Optional[_Union[SetState, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., state: _Optional[_Union[State, _Mapping]] = ..., taskInfo: _Optional[_Union[TaskInfo, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., hello: _Optional[_Union[Hello, _Mapping]] = ..., server: _Optional[_Union[Server, _Mapping]] = ..., open: _Optional[_Union[Open, _Mapping]] = ..., session: _Optional[_Union[Session, _Mapping]] = ..., restart: _Optional[_Union[Restart, _Mapping]] = ..., get_readings: _Optional[_Union[GetReadings, _Mapping]] = ..., readings: _Optional[_Union[Readings, _Mapping]] = ..., watch: _Optional[_Union[Watch, _Mapping]] = ..., get_events: _Optional[_Union[GetEvents, _Mapping]] = ..., events: _Optional[_Union[Events, _Mapping]] = ..., pace: _Optional[_Union[Pace, _Mapping]] = ..., pacing: _Optional[_Union[Pacing, _Mapping]] = ..., play: _Optional[_Union[Play, _Mapping]] = ..., episode: _Optional[_Union[Episode, _Mapping]] = ..., act: _Optional[_Union[Act, _Mapping]] = ..., outcome: _Optional[_Union[Outcome, _Mapping]] = ..., claim: _Optional[_Union[Claim, _Mapping]] = ..., claimed: _Optional[_Union[Claimed, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., command: _Optional[_Union[Command, _Mapping]] = ..., commanded: _Optional[_Union[Commanded, _Mapping]] = ..., subscribe: _Optional[_Union[Subscribe, _Mapping]] = ..., sensed: _Optional[_Union[Readings, _Mapping]] = ..., get_status: _Optional[_Union[GetStatus, _Mapping]] = ..., status: _Optional[_Union[Status, _Mapping]] = ..., describe: _Optional[_Union[Describe, _Mapping]] = ..., world: _Optional[_Union[World, _Mapping]] = ..., say: _Optional[_Union[Say, _Mapping]] = ...) -> None: ...

@@ -203,6 +203,9 @@ def stabilised(
     if known:
         heading = jnp.where(mixer.holds_yaw > 0.0, heading, state.quaternion.euler().yaw)
         yaw_rate = yaw_rate * mixer.holds_yaw
+    # Motors that are off hold no heading: who is turned meanwhile, or asked to turn, goes on from where it looks.
+    heading = jnp.where(runs, heading, state.quaternion.euler().yaw)
+    yaw_rate = jnp.where(runs, yaw_rate, 0.0)
     sine, cosine = sincos(0.5 * heading)
     turn_sine, turn_cosine = sincos((0.5 * dt / count) * yaw_rate)
     tilt = Quaternion.of_tilt(command.roll, command.pitch)

@@ -1,0 +1,82 @@
+"""Others' MAVLink clients, each in an environment of its own, and a running ``qrsim mavlink`` for them."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+FACTOR = 5.0
+# What the examples print of a whole flight, in this order.
+STEPS = (
+    "took off", "there", "mission flown", "at the position of the set-point", "flies by velocity", "landed", "disarmed",
+)  # fmt: skip
+REQUIREMENTS = {
+    "mavsdk3": ("mavsdk==3.17.4",),
+    "mavsdk4": ("mavsdk==4.1.0",),
+    "mavproxy": ("MAVProxy==1.8.75", "setuptools<81"),
+}
+
+
+class NotThereError(Exception):
+    """A client cannot be fetched here."""
+
+
+class Field:
+    """A running ``qrsim mavlink``, of the scenario mavlink_field."""
+
+    def __init__(self, *options: str, factor: float = FACTOR):
+        words = [sys.executable, "-m", "qrsim.cli", "mavlink", "--realtime", f"{factor:g}", "--tcp", *options]
+        self.process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        self.lines: list[str] = []
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip())
+            if line.startswith("TCP: "):
+                break
+        found = re.search(r"UDP (\d+)", "\n".join(self.lines))
+        assert found, self.lines
+        self.port = int(found[1])
+        self.tcp = int(self.lines[-1].split()[1])
+
+    def end(self) -> str:
+        """Stop it, and return all that it has printed."""
+        self.process.send_signal(signal.SIGTERM)
+        rest, _ = self.process.communicate(timeout=30)
+        assert self.process.returncode == 143
+        return "\n".join([*self.lines, rest])
+
+
+def environment(name: str) -> str:
+    """Return the Python of a client's environment, made once; raises NotThereError."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    folder = cache / "qrsim-tests" / f"{name}-{sys.version_info.major}.{sys.version_info.minor}"
+    python = folder / "bin" / "python"
+    if not (folder / "complete").exists():
+        subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True, timeout=300)
+        words = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *REQUIREMENTS[name]]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=600, check=False)
+        if done.returncode and ("ConnectionError" in done.stderr or "No matching distribution" in done.stderr):
+            raise NotThereError(f"{name}: {done.stderr.strip().splitlines()[-1]}")
+        assert done.returncode == 0, done.stderr
+        (folder / "complete").touch()
+    return str(python)
+
+
+def fly(python: str, script: str, *arguments: str) -> list[str]:
+    """Run an example, and return the steps that it has printed."""
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [python, str(EXAMPLES / script), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        env=clean,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return [line for line in done.stdout.splitlines() if line in STEPS]

@@ -1,0 +1,161 @@
+"""``qrsim mavlink``."""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+import socket
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from qrsim.errors import UsageError, did_you_mean
+
+if TYPE_CHECKING:
+    from qrsim.links.mavlink.ports import Ports
+    from qrsim.links.mavlink.world import FlownWorld
+
+FLAVOURS = ("px4", "ardupilot")
+LAST_SYSTEM = 240
+
+
+@dataclass(frozen=True)
+class Mavlink:
+    """Make every vehicle of a scenario a MAVLink system, for QGroundControl, MAVSDK, pymavlink and MAVProxy.
+
+    The vehicles stand on the ground below where the scenario has them, disarmed, with modes, parameters, missions and
+    failsafes like those of PX4. Vehicle i (from 0) is system i + 1. It speaks to UDP port 14540 + i for programs (from
+    the tenth on to 14549) and to 14550 for a ground station. docs/mavlink.md has scripts, and what is not spoken.
+
+    Anybody who can send to its ports can fly. Nothing is encrypted and nobody is asked who they are, so only programs
+    on this machine can, unless --allow-remote is given.
+
+    Ctrl-C or SIGTERM ends it.
+
+    Example:
+      qrsim mavlink
+      qrsim mavlink my_scenario.yaml --realtime 5
+      qrsim mavlink outdoor_patrol --tcp --set world.wind.speed_20ft=6
+    """
+
+    scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "mavlink_field"
+    """Name (see 'qrsim list') or YAML file."""
+    realtime: Annotated[float, tyro.conf.arg(metavar="FACTOR")] = 1.0
+    """Simulated seconds per second of the wall clock."""
+    seed: int = 0
+    """Seed of the episode."""
+    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
+        default_factory=list
+    )
+    """Change one value of the scenario; can be given several times."""
+    flavour: Annotated[str, tyro.conf.arg(metavar="px4|ardupilot")] = "px4"
+    """Whose numbers of modes are spoken."""
+    first_sysid: Annotated[int, tyro.conf.arg(metavar="N")] = 1
+    """MAVLink system id of the first vehicle; the last one is 240."""
+    own_ports: bool = False
+    """Give vehicles from the tenth on a port of their own too: 14540 + i."""
+    tcp: bool = False
+    """Listen on TCP port 5760 too; a client there hears all vehicles."""
+    gcs: Annotated[str, tyro.conf.arg(metavar="HOST")] = "127.0.0.1"
+    """Where the ground station is: vehicles speak to its UDP port 14550."""
+    allow_remote: bool = False
+    """Let other machines fly: sockets are those of all addresses of this machine."""
+    stream_time: Annotated[str, tyro.conf.arg(metavar="wall|sim")] = "wall"
+    """By which clock a message goes out at most 100 times a second, where the world runs faster than the wall clock."""
+    truth: bool = False
+    """Let clients ask for HIL_STATE_QUATERNION, the true state; without it they get estimates and readings only."""
+
+    def run(self) -> None:
+        """Check, compile, serve."""
+        self._check()
+        ground = self._address()
+        import asyncio
+
+        from qrsim.links.mavlink.fleet import prepared
+        from qrsim.links.mavlink.ports import EVERYWHERE, HERE, opened
+        from qrsim.links.mavlink.server import Server, Wire
+        from qrsim.links.mavlink.stack.flight_stack import FlightStack
+        from qrsim.links.mavlink.world import FlownWorld
+        from qrsim.links.printing import Log
+        from qrsim.scenarios.scenario import load_scenario
+
+        log = Log()
+        say = log.say
+        world = FlownWorld(
+            prepared(load_scenario(self.scenario, self.set)),
+            lambda facts, site: FlightStack(facts, site, flavour=self.flavour),  # type: ignore[arg-type]
+            seed=self.seed, first_system=self.first_sysid, factor=self.realtime, truth=self.truth, log=say,
+        )  # fmt: skip
+        ports = opened(len(world.systems), EVERYWHERE if self.allow_remote else HERE, self.tcp, self.own_ports)
+        server = Server(world, ports, Wire(self.realtime, HERE, ground, self.stream_time == "sim"), say)
+        self._describe(world, ports, ground, say)
+        try:
+            asyncio.run(server.serve())
+        finally:
+            ports.close()
+            report = server.report()
+            if report.steps:
+                say(
+                    f"{report.simulated:.1f} s simulated in {report.wall:.1f} s; {report.overruns} of {report.steps} "
+                    f"ticks late, the worst by {report.worst_delay:.3f} s"
+                )
+            log.close()
+
+    def _check(self) -> None:
+        if not (math.isfinite(self.realtime) and 1e-3 <= self.realtime <= 1e3):
+            raise UsageError(f"--realtime {self.realtime:g}: expected 0.001 to 1000")
+        if not 0 <= self.seed < 2**63:
+            raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
+        if not 1 <= self.first_sysid <= LAST_SYSTEM:
+            raise UsageError(f"--first-sysid {self.first_sysid}: expected 1 to {LAST_SYSTEM}")
+        for name, value, allowed in (
+            ("--flavour", self.flavour, FLAVOURS),
+            ("--stream-time", self.stream_time, ("wall", "sim")),
+        ):
+            if value not in allowed:
+                raise UsageError(f"{name} {value}: expected {' or '.join(allowed)}{did_you_mean(value, allowed)}")
+
+    def _address(self) -> str:
+        """Return the address of the ground station."""
+        try:
+            address = socket.gethostbyname(self.gcs)
+        except (OSError, UnicodeError):
+            raise UsageError(f"--gcs {self.gcs}: no machine is known by this name") from None
+        if ipaddress.ip_address(address).is_loopback:
+            if self.allow_remote:
+                _warn()
+            return address
+        if not self.allow_remote:
+            raise UsageError(
+                f"--gcs {self.gcs}: it is another machine, which could fly; if that is meant, give --allow-remote too"
+            )
+        _warn()
+        return address
+
+    def _describe(self, world: FlownWorld, ports: Ports, ground: str, say: Callable[[str], None]) -> None:
+        from qrsim.links.mavlink.ports import GROUND_PEER
+
+        systems = world.systems
+        last = len(systems) - 1
+        if ports.block:
+            say(f"ports 14580 and 18570 are taken: these are those of block {ports.block}")
+            if self.first_sysid == 1:
+                say("a ground station that shows the other vehicles too needs other system ids: --first-sysid")
+        say(f"qrsim mavlink: {len(systems)} vehicles, systems {systems[0].number} to {systems[-1].number}")
+        peers = f"{ports.peers[0]}" if not last else f"{ports.peers[0]} to {ports.peers[-1]}"
+        say(f"programs: UDP {peers}, from {ports.onboard} to {ports.onboard + last}")
+        say(f"ground station: UDP {ground}:{GROUND_PEER}, from {ports.ground} to {ports.ground + last}")
+        if ports.tcp:
+            say(f"TCP: {ports.tcp}")
+        others = world.simulation.size - len(systems)
+        if others:
+            say(f"{others} more of the scenario take no paths, velocities and attitudes, and are no systems")
+
+
+def _warn() -> None:
+    print(
+        "warning: every machine that can reach this one can fly these vehicles; nothing is encrypted", file=sys.stderr
+    )

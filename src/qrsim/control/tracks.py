@@ -1,0 +1,131 @@
+"""Guidance along lines from waypoint to waypoint, for rovers, which stop at the last, and fixed wings, which circle it.
+
+Code of what both share: a line is reached where its end is near, or behind.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.control.contracts import Guidance
+from qrsim.control.guidance import Route, RouteState
+from qrsim.control.setpoints import TrackSetpoint
+from qrsim.core.tree import parameter, record, setting
+from qrsim.core.vectors import Vec3, root
+
+
+def waypoint_at(route: Route, index: Array) -> Vec3:
+    """Return the waypoint (n,) [m] of each vehicle."""
+    # A sum over a one-hot mask, because gathers are slow on a CPU and routes are short.
+    rows = jnp.arange(route.yaw.shape[0], dtype=jnp.int32)[:, None]
+    chosen = rows == index[None, :]
+    return route.position_ned.map(lambda values: jnp.sum(jnp.where(chosen, values, 0.0), axis=0))
+
+
+def line_of(state: RouteState, route: Route) -> tuple[Vec3, Vec3]:
+    """Return begin and end (n,) [m] of the line to each vehicle's waypoint; straight to the first one of all."""
+    before = jnp.where(state.index > 0, state.index - 1, jnp.where(state.reached > 0, route.count - 1, 0))
+    return waypoint_at(route, before), waypoint_at(route, state.index)
+
+
+def left_of(begin: Vec3, end: Vec3, position_ned: Vec3) -> tuple[Array, Array]:
+    """Return the horizontal distance (n,) [m] to the end of lines, and how far it is along them; 0 without a line."""
+    north, east = end.x - position_ned.x, end.y - position_ned.y
+    way_north, way_east = end.x - begin.x, end.y - begin.y
+    length = root(way_north * way_north + way_east * way_east)
+    along = (north * way_north + east * way_east) / jnp.maximum(length, 1e-3)
+    return root(north * north + east * east), along
+
+
+def advanced(
+    state: RouteState, route: Route, position_ned: Vec3, reach: Array, passed: Array | bool, repeat: bool
+) -> RouteState:
+    """Return the state after waypoints within ``reach`` (n,) [m], or behind where ``passed`` allows, were reached."""
+    begin, end = line_of(state, route)
+    distance, along = left_of(begin, end, position_ned)
+    has_line = (begin.x != end.x) | (begin.y != end.y)
+    arrived = (distance < reach) | (has_line & (along < 0.0) & passed)
+    following = state.index + 1
+    last = jnp.zeros_like(following) if repeat else route.count - 1
+    following = jnp.where(following >= route.count, last, following)
+    counts = arrived & ((following != state.index) | (state.reached < route.count))
+    return RouteState(jnp.where(arrived, following, state.index), state.reached + counts.astype(jnp.int32))
+
+
+@record
+class RoverGuidance(Guidance):
+    """Drives along the lines between waypoints."""
+
+    acceptance_radius: Array = parameter(
+        default=1.5, unit="m", doc="distance at which a waypoint counts as reached", above=0.0
+    )
+    repeat: bool = setting(default=True, doc="start again after the last waypoint, else stop there")
+
+    gives: ClassVar[type] = TrackSetpoint
+
+    def init(self, route: Route) -> RouteState:
+        """Return the start of each route."""
+        return RouteState.start(route)
+
+    def step(
+        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
+    ) -> tuple[RouteState, TrackSetpoint]:
+        """Return the new state and the set-point for vehicles with estimated positions position_ned (n,)."""
+        moved = advanced(state, route, position_ned, self.acceptance_radius, True, self.repeat)
+        return moved, self.setpoint(moved, route)
+
+    def setpoint(self, state: RouteState, route: Route) -> TrackSetpoint:
+        """Return the line that each vehicle (n,) is on."""
+        begin, end = line_of(state, route)
+        final = state.index + 1 >= route.count
+        stops = final & (route.count < 2) if self.repeat else final
+        zero = jnp.zeros_like(end.x)
+        return TrackSetpoint(begin, end, zero, zero, jnp.where(stops, 1.0 + zero, zero))
+
+
+@record
+class FixedWingGuidance(Guidance):
+    """Flies along the lines between waypoints, and round the last one; without waypoints round the start."""
+
+    acceptance_radius: Array = parameter(
+        default=40.0,
+        unit="m",
+        doc="distance at which the next line begins, so that the turn is not overshot",
+        above=0.0,
+    )
+    radius: Array = parameter(
+        default=150.0,
+        unit="m",
+        doc="of the circle round the last waypoint, clockwise from above; negative: the other way",
+    )
+    airspeed: Array = parameter(default=0.0, unit="m/s", doc="wanted airspeed; 0: that of the controller", minimum=0.0)
+    repeat: bool = setting(default=False, doc="start again after the last waypoint, else circle it")
+
+    gives: ClassVar[type] = TrackSetpoint
+
+    def init(self, route: Route) -> RouteState:
+        """Return the start of each route."""
+        return RouteState.start(route)
+
+    def step(
+        self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
+    ) -> tuple[RouteState, TrackSetpoint]:
+        """Return the new state and the set-point for vehicles with estimated positions position_ned (n,)."""
+        circles = self._circles(state, route)
+        reach = self.acceptance_radius + jnp.where(circles, jnp.abs(self.radius), 0.0)
+        moved = advanced(state, route, position_ned, reach, ~circles, self.repeat)
+        return moved, self.setpoint(moved, route)
+
+    def setpoint(self, state: RouteState, route: Route) -> TrackSetpoint:
+        """Return the line or circle that each vehicle (n,) is on."""
+        begin, end = line_of(state, route)
+        zero = jnp.zeros_like(end.x)
+        radius = jnp.where(self._circles(state, route), self.radius, 0.0)
+        return TrackSetpoint(begin, end, radius, zero + self.airspeed, zero)
+
+    def _circles(self, state: RouteState, route: Route) -> Array:
+        final = state.index + 1 >= route.count
+        return final & (route.count < 2) if self.repeat else final

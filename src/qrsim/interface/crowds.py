@@ -1,0 +1,100 @@
+"""Crowds: where more others were around a vehicle than it looks at, so that it may have missed the nearest.
+
+Who is near is searched by cells (``qrsim.core.neighbours``), by radios, sensors that see others, and teams. Collisions
+are found by a search without such a limit.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from qrsim.control import RouteState
+from qrsim.core.neighbours import always_room
+from qrsim.errors import NeighbourWarning, RadioWarning
+from qrsim.world.state import State, World
+
+
+@dataclass(frozen=True)
+class Crowds:
+    """Looks of one radio, sensor or guidance of vehicles in a row that may have missed others, since the start.
+
+    Attributes:
+        path: whose looks, as in the scenario.
+        remedy: what makes room.
+        first: number of the first of these vehicles in the world.
+        looks: (..., n) how many.
+    """
+
+    path: str
+    remedy: str
+    first: int
+    looks: npt.NDArray[np.int32]
+
+    def text(self, looks: int) -> str:
+        """Return what is said of so many looks."""
+        return (
+            f"{self.path}: {looks} times a vehicle had more others around it than were looked at, so that it may have"
+            f" missed the nearest; {self.remedy}"
+        )
+
+
+def crowds_of(world: World, state: State) -> list[Crowds]:
+    """Return the looks of all that may miss others; ``state`` on the host, leaves (n,), or (W, n) of many worlds."""
+    fleets = _of_fleets(world, state)
+    # However few are looked at, so many always find room.
+    if world.radio is None or always_room(sum(fleet.size for fleet in world.fleets), 1):
+        return fleets
+    looks = world.radio.counted(state.radio)["overfull"]
+    remedy = "give a larger world.radio.inbox.candidates, or a smaller reach"
+    return [Crowds("world.radio", remedy, 0, np.asarray(looks)), *fleets]
+
+
+def _of_fleets(world: World, state: State) -> list[Crowds]:
+    """Return those of guidance and sensors."""
+    found, first = [], 0
+    for fleet, now in zip(world.fleets, state.fleets, strict=True):
+        path = f"fleets.{fleet.name}"
+        of_team = now.guidance.overfull if isinstance(now.guidance, RouteState) else None
+        if of_team is not None:
+            remedy = f"give a larger {path}.guidance.mates, or a smaller reach"
+            found.append(Crowds(f"{path}.guidance", remedy, first, np.asarray(of_team)))
+        for name, sensor, memory in zip(fleet.sensor_names, fleet.sensors, now.sensors, strict=True):
+            seen = sensor.overfull(memory)
+            if seen is not None:
+                remedy = f"give a smaller {path}.sensors.{name}.range_max"
+                found.append(Crowds(f"{path}.sensors.{name}", remedy, first, np.asarray(seen)))
+        first += fleet.size
+    return found
+
+
+def overfull_of_fleets(world: World, state: State) -> npt.NDArray[np.int32] | None:
+    """Return the looks (..., N) of sensors and guidance of all vehicles; None where none can miss anybody."""
+    crowds = _of_fleets(world, state)
+    if not crowds:
+        return None
+    total = np.zeros((*crowds[0].looks.shape[:-1], sum(fleet.size for fleet in world.fleets)), np.int32)
+    for crowd in crowds:
+        total[..., crowd.first : crowd.first + crowd.looks.shape[-1]] += crowd.looks
+    return total
+
+
+def warn_of_overfull(world: World, state: State) -> bool:
+    """Warn once of each radio, sensor and guidance by which vehicles may have missed others.
+
+    Args:
+        world: its parameters.
+        state: at the end, on the host; of many worlds, leaves (W, ...).
+
+    Returns:
+        Whether there may be something to warn of later.
+    """
+    crowds = crowds_of(world, state)
+    full = [crowd for crowd in crowds if crowd.looks.any()]
+    for crowd in full:
+        kind = RadioWarning if crowd.path == "world.radio" else NeighbourWarning
+        warnings.warn(crowd.text(int(crowd.looks.sum())), kind, stacklevel=2)
+    return bool(crowds) and not full

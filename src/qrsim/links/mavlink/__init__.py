@@ -1,0 +1,1 @@
+"""MAVLink: every vehicle of a scenario as a system of its own."""

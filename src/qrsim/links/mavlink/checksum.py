@@ -1,0 +1,14 @@
+"""CRC-16/MCRF4XX, which MAVLink calls X.25: of all frames that are sent or read, so it has to be quick."""
+
+from __future__ import annotations
+
+from binascii import crc_hqx
+
+# The standard library has the same polynomial with its bits in the other order.
+_TURNED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+_TURNED_16 = tuple(_TURNED[word & 0xFF] << 8 | _TURNED[word >> 8] for word in range(1 << 16))
+
+
+def x25(data: bytes) -> int:
+    """Return the check of some bytes, 0 to 65535; that of b"123456789" is 0x6F91."""
+    return _TURNED_16[crc_hqx(data.translate(_TURNED), 0xFFFF)]

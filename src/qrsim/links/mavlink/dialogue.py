@@ -1,0 +1,295 @@
+"""What a vehicle answers to the frames of clients."""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+from collections.abc import Callable
+from typing import Any
+
+from qrsim.links.mavlink import table
+from qrsim.links.mavlink.dialect import BY_NUMBER, LAYOUTS, Message
+from qrsim.links.mavlink.frames import Frame
+from qrsim.links.mavlink.link import COMPONENT, Link
+from qrsim.links.mavlink.stack.contracts import (
+    Ack,
+    AttitudeTarget,
+    Command,
+    GlobalTarget,
+    LocalTarget,
+    Result,
+    Severity,
+    Text,
+)
+from qrsim.links.mavlink.system import System
+from qrsim.links.mavlink.telemetry import ENCODERS, sendable
+
+GROUND_STATION = 6
+# MAV_CMD.
+GET_INTERVAL, SET_INTERVAL, REQUEST_MESSAGE, REQUEST_PROTOCOL, REQUEST_VERSION = 510, 511, 512, 519, 520
+DO_SET_MODE = 176
+# FILE_TRANSFER_PROTOCOL: a refusal, and why: no such file, or a request that is not known.
+_NAK, _NO_FILE, _UNKNOWN = 129, 10, 7
+_OPENS = (4, 5, 6, 11, 14, 15)
+_VERSION = LAYOUTS["AUTOPILOT_VERSION"].number
+Handler = Callable[[System, Link, Frame], None]
+
+
+def handle(system: System, link: Link, frame: Frame) -> None:
+    """Answer a frame, if it is for this vehicle; what nobody here knows is passed over.
+
+    Args:
+        system: the vehicle.
+        link: on which it came, and the answer goes.
+        frame: of a client.
+    """
+    handler = _HANDLERS.get(frame.layout.name)
+    if handler is None or not _is_for(system, frame):
+        return
+    link.heard = time.monotonic()
+    handler(system, link, frame)
+
+
+def _is_for(system: System, frame: Frame) -> bool:
+    """Return whether a frame is for everybody, or for this vehicle and its autopilot."""
+    places = _TARGETS.get(frame.layout.number)
+    if places is None:
+        return True
+    payload, (at, component) = frame.payload, places
+    target = payload[at] if at < len(payload) else 0
+    part = payload[component] if 0 <= component < len(payload) else 0
+    return target in (0, system.number) and part in (0, COMPONENT)
+
+
+def _targets() -> dict[int, tuple[int, int]]:
+    """Return where in a payload target_system and target_component are, by number of the message; -1: nowhere."""
+    found = {}
+    for number, layout in BY_NUMBER.items():
+        places, at = {}, 0
+        for field in layout.fields:
+            places[field.name] = at
+            at += struct.calcsize(f"<{field.format}")
+        if "target_system" in places:
+            found[number] = places["target_system"], places.get("target_component", -1)
+    return found
+
+
+_TARGETS = _targets()
+
+# ---- commands ----
+
+
+def _command_long(system: System, link: Link, frame: Frame) -> None:
+    message = frame.message()
+    params = tuple(getattr(message, f"param{number}") for number in range(1, 8))
+    _obey(system, link, frame, Command(message.command, params))
+
+
+def _command_int(system: System, link: Link, frame: Frame) -> None:
+    m = frame.message()
+    params = (m.param1, m.param2, m.param3, m.param4)
+    _obey(system, link, frame, Command.of_int(m.command, m.frame, params, m.x, m.y, m.z))
+
+
+def _obey(system: System, link: Link, frame: Frame, command: Command) -> None:
+    own = _OWN.get(command.id)
+    if own is not None:
+        ack, answer = own(system, link, command)
+    else:
+        ack, answer = system.stack.command(command), None
+    acknowledge(link, frame, command.id, ack)
+    if answer is not None:
+        link.put(*answer)
+        link.flush()
+
+
+def acknowledge(link: Link, frame: Frame, command: int, ack: Ack) -> None:
+    """Send COMMAND_ACK to whoever sent a frame."""
+    link.say(
+        "COMMAND_ACK", command=command, result=int(ack.result), progress=ack.progress, target_system=frame.system,
+        target_component=frame.component,
+    )  # fmt: skip
+
+
+Answer = tuple[Ack, tuple[int, bytes] | None]
+
+
+def _number(value: float) -> int:
+    """Return the number of a message that a command names; -1 for what is none."""
+    return int(value) if math.isfinite(value) and abs(value) < 2**24 else -1
+
+
+def _set_interval(system: System, link: Link, command: Command) -> Answer:
+    number, interval = _number(command.params[0]), command.params[1]
+    if not sendable(number, system.view) or not math.isfinite(interval):
+        return Ack(Result.DENIED), None
+    link.streams.set(number, interval, system.tick)
+    return Ack(Result.ACCEPTED), None
+
+
+def _get_interval(system: System, link: Link, command: Command) -> Answer:
+    number = _number(command.params[0])
+    interval = link.streams.interval_us(number) if number in ENCODERS else 0
+    payload = LAYOUTS["MESSAGE_INTERVAL"].payload(message_id=max(number, 0) & 0xFFFF, interval_us=interval)
+    return Ack(Result.ACCEPTED), (LAYOUTS["MESSAGE_INTERVAL"].number, payload)
+
+
+def _request(system: System, link: Link, command: Command) -> Answer:
+    number = _number(command.params[0])
+    payload = ENCODERS[number](system.view) if number in ENCODERS else None
+    if payload is None:
+        return Ack(Result.UNSUPPORTED), None
+    return Ack(Result.ACCEPTED), (number, payload)
+
+
+def _request_version(system: System, link: Link, command: Command) -> Answer:
+    if command.params[0] != 1.0:
+        return Ack(Result.DENIED), None
+    payload = ENCODERS[_VERSION](system.view)
+    assert payload is not None
+    return Ack(Result.ACCEPTED), (_VERSION, payload)
+
+
+def _request_protocol(system: System, link: Link, command: Command) -> Answer:
+    # PROTOCOL_VERSION is no message of the set that is spoken here; capabilities say that it is MAVLink 2.
+    return Ack(Result.UNSUPPORTED), None
+
+
+_OWN: dict[int, Callable[[System, Link, Command], Answer]] = {
+    SET_INTERVAL: _set_interval,
+    GET_INTERVAL: _get_interval,
+    REQUEST_MESSAGE: _request,
+    REQUEST_VERSION: _request_version,
+    REQUEST_PROTOCOL: _request_protocol,
+}
+
+
+def _set_mode(system: System, link: Link, frame: Frame) -> None:
+    message = frame.message()
+    acknowledge(link, frame, DO_SET_MODE, Ack(system.stack.set_mode(message.base_mode, message.custom_mode)))
+
+
+# ---- set-points ----
+
+
+def _axes(m: Message, *names: str) -> Any:
+    return tuple(getattr(m, name) for name in names)
+
+
+def _local_target(system: System, link: Link, frame: Frame) -> None:
+    m = frame.message()
+    system.stack.setpoint(
+        LocalTarget(
+            m.coordinate_frame, m.type_mask, _axes(m, "x", "y", "z"), _axes(m, "vx", "vy", "vz"),
+            _axes(m, "afx", "afy", "afz"), m.yaw, m.yaw_rate,
+        )
+    )  # fmt: skip
+
+
+def _global_target(system: System, link: Link, frame: Frame) -> None:
+    m = frame.message()
+    system.stack.setpoint(
+        GlobalTarget(
+            m.coordinate_frame, m.type_mask, m.lat_int, m.lon_int, m.alt, _axes(m, "vx", "vy", "vz"),
+            _axes(m, "afx", "afy", "afz"), m.yaw, m.yaw_rate,
+        )
+    )  # fmt: skip
+
+
+def _attitude_target(system: System, link: Link, frame: Frame) -> None:
+    m = frame.message()
+    rates = _axes(m, "body_roll_rate", "body_pitch_rate", "body_yaw_rate")
+    system.stack.setpoint(AttitudeTarget(m.type_mask, m.q, rates, m.thrust))
+
+
+def _actuators(system: System, link: Link, frame: Frame) -> None:
+    system.tell_once("actuators", Text(Severity.WARNING, "SET_ACTUATOR_CONTROL_TARGET is not flown"))
+
+
+# ---- all else ----
+
+
+def _heartbeat(system: System, link: Link, frame: Frame) -> None:
+    if frame.message().type == GROUND_STATION:
+        system.stack.heard_ground()
+
+
+def _ping(system: System, link: Link, frame: Frame) -> None:
+    message = frame.message()
+    if message.target_system == 0:
+        link.say(
+            "PING", time_usec=message.time_usec, seq=message.seq, target_system=frame.system,
+            target_component=frame.component,
+        )  # fmt: skip
+
+
+def _timesync(system: System, link: Link, frame: Frame) -> None:
+    message = frame.message()
+    if message.tc1 == 0:
+        link.say("TIMESYNC", tc1=int(system.view.seen.time * 1e9), ts1=message.ts1)
+
+
+def _file(system: System, link: Link, frame: Frame) -> None:
+    """Refuse files, so that clients do not wait for them."""
+    message = frame.message()
+    request = bytes(message.payload)
+    sequence = (int.from_bytes(request[:2], "little") + 1) & 0xFFFF
+    why = _NO_FILE if request[3] in _OPENS else _UNKNOWN
+    reply = sequence.to_bytes(2, "little") + bytes([request[2], _NAK, 1, request[3], 0, 0, 0, 0, 0, 0, why])
+    link.say(
+        "FILE_TRANSFER_PROTOCOL", target_system=frame.system, target_component=frame.component,
+        payload=list(reply.ljust(251, b"\0")),
+    )  # fmt: skip
+
+
+def _logs(system: System, link: Link, frame: Frame) -> None:
+    link.say("LOG_ENTRY")
+
+
+def _partner(frame: Frame) -> tuple[int, int]:
+    return frame.system, frame.component
+
+
+def _set_current(system: System, link: Link, frame: Frame) -> None:
+    system.stack.set_current(frame.message().seq)
+    payload = ENCODERS[LAYOUTS["MISSION_CURRENT"].number](system.view)
+    assert payload is not None
+    link.put(LAYOUTS["MISSION_CURRENT"].number, payload)
+    link.flush()
+
+
+_HANDLERS: dict[str, Handler] = {
+    "HEARTBEAT": _heartbeat,
+    "COMMAND_LONG": _command_long,
+    "COMMAND_INT": _command_int,
+    "SET_MODE": _set_mode,
+    "SET_POSITION_TARGET_LOCAL_NED": _local_target,
+    "SET_POSITION_TARGET_GLOBAL_INT": _global_target,
+    "SET_ATTITUDE_TARGET": _attitude_target,
+    "SET_ACTUATOR_CONTROL_TARGET": _actuators,
+    "PARAM_REQUEST_LIST": lambda system, link, frame: table.send_all(system, link),
+    "PARAM_REQUEST_READ": table.send_one,
+    "PARAM_SET": table.set_one,
+    "MISSION_COUNT": lambda system, link, frame: system.transfers.begin(link, _partner(frame), frame.message()),
+    "MISSION_ITEM": lambda system, link, frame: system.transfers.item(_partner(frame), frame.message()),
+    "MISSION_ITEM_INT": lambda system, link, frame: system.transfers.item(_partner(frame), frame.message()),
+    "MISSION_REQUEST_LIST": lambda system, link, frame: system.transfers.count(link, _partner(frame), frame.message()),
+    "MISSION_REQUEST_INT": lambda system, link, frame: system.transfers.send(
+        link, _partner(frame), frame.message(), True
+    ),
+    "MISSION_REQUEST": lambda system, link, frame: system.transfers.send(link, _partner(frame), frame.message(), False),
+    "MISSION_CLEAR_ALL": lambda system, link, frame: system.transfers.clear(link, _partner(frame), frame.message()),
+    "MISSION_ACK": lambda system, link, frame: system.transfers.heard_ack(_partner(frame), frame.message()),
+    "MISSION_SET_CURRENT": _set_current,
+    "MISSION_REQUEST_PARTIAL_LIST": lambda system, link, frame: system.transfers.refuse(
+        link, _partner(frame), frame.message()
+    ),
+    "MISSION_WRITE_PARTIAL_LIST": lambda system, link, frame: system.transfers.refuse(
+        link, _partner(frame), frame.message()
+    ),
+    "PING": _ping,
+    "TIMESYNC": _timesync,
+    "FILE_TRANSFER_PROTOCOL": _file,
+    "LOG_REQUEST_LIST": _logs,
+}

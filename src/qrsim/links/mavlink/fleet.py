@@ -1,0 +1,135 @@
+"""Vehicles of a scenario as a flight stack flies them: on the ground at first, with a controller of paths."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.control.cascade import CascadeController
+from qrsim.control.setpoints import SETPOINTS
+from qrsim.errors import ScenarioError, UsageError
+from qrsim.links.mavlink.stack.contracts import Facts
+from qrsim.links.shared.kinds import kinds_of
+from qrsim.models.scene.fence import PolygonArea
+from qrsim.models.vehicles.contracts import Vehicle
+from qrsim.models.vehicles.multirotor.vehicle import Multirotor
+from qrsim.scenarios.catalogue import CONTROLLERS, VEHICLES
+from qrsim.scenarios.scenario import Scenario, load_scenario
+from qrsim.world.state import Fleet, World
+
+# Without an own component id in a scenario, ids of systems are 1 to this: clients are 245 and above.
+LAST_SYSTEM = 240
+NEEDED = ("path", "velocity", "attitude")
+
+
+def prepared(scenario: Scenario) -> Scenario:
+    """Return a scenario whose vehicles stand on the ground, without routes, and whose fleets follow paths.
+
+    Vehicles without a contact of their own are ``parked``. A fleet whose controller takes no paths, velocities and
+    attitudes gets a ``cascade``, with its ``feed`` if that has it. Vehicles that take no such controller stay.
+
+    Raises:
+        UsageError: on the ground they are not as a scenario can have them, too near to each other for example.
+    """
+    content = scenario.spec.model_dump(mode="json")
+    for fleet in content["fleets"].values():
+        model: Any = VEHICLES[fleet["vehicle"]["type"]]
+        if model.tilt_command is Vehicle.tilt_command:
+            continue
+        controller: Any = CONTROLLERS[fleet["controller"]["type"]]
+        if not {SETPOINTS[kind] for kind in NEEDED} <= set(controller.setpoints):
+            feed = fleet["controller"].get("feed")
+            fleet["controller"] = {"type": "cascade"} | ({"feed": feed} if feed else {})
+        fleet["guidance"] = {"type": "route"}
+        if "ground" not in model.reads:
+            fleet["ground"] = "parked"
+        for vehicle in fleet["vehicles"]:
+            vehicle["waypoints_ned"], vehicle["legs"] = [], []
+            vehicle["velocity_body"] = [0.0, 0.0, 0.0]
+    try:
+        _put_down(content, load_scenario(content, quiet=True).world())
+        return load_scenario(content, quiet=True)
+    except ScenarioError as error:
+        raise UsageError(f"with vehicles on the ground, and controllers that follow paths: {error}") from None
+
+
+def _put_down(content: dict[str, Any], world: World) -> None:
+    """Give vehicles that a stack can fly the height of the ground below their place, with their feet on it."""
+    for fleet in world.fleets:
+        if not flown(fleet):
+            continue
+        down = np.asarray(world.ground_down(fleet.start.position_ned), np.float64)
+        points = fleet.vehicle.feet if isinstance(fleet.vehicle, Multirotor) else ()
+        feet = max((float(foot[2]) for foot in points), default=0.0)
+        for vehicle, height in zip(content["fleets"][fleet.name]["vehicles"], down, strict=True):
+            north, east, _ = vehicle["position_ned"]
+            vehicle["position_ned"] = [north, east, float(height) - feet]
+
+
+def flown(fleet: Fleet) -> bool:
+    """Return whether a stack can fly the vehicles of a fleet."""
+    return set(NEEDED) <= set(kinds_of(fleet)) and fleet.vehicle.handling() is not None
+
+
+def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
+    """Return the row in the world and the facts of each vehicle that can be flown, with system ids from the first on.
+
+    Raises:
+        UsageError: there is none, or there are more than system ids.
+    """
+    found: list[tuple[int, Facts]] = []
+    row = 0
+    for fleet in world.fleets:
+        if flown(fleet):
+            for number in range(fleet.size):
+                found.append((row + number, _facts(world, fleet, number, first + len(found))))
+        row += fleet.size
+    if not found:
+        raise UsageError("no vehicle of the scenario can be flown: they take no paths, velocities and attitudes")
+    most = LAST_SYSTEM - first + 1
+    if len(found) > most:
+        raise UsageError(
+            f"{len(found)} vehicles; from system {first} on there are ids for {most} (to {LAST_SYSTEM}); fly the "
+            "others in a second process"
+        )
+    return found
+
+
+def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
+    handling = fleet.vehicle.handling()
+    assert handling is not None
+
+    def own(value: Any) -> float:
+        return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
+
+    controller = fleet.controller
+    speeds: tuple[Any, ...] = (8.0, 3.0, 1.5)
+    if isinstance(controller, CascadeController):
+        speeds = (controller.speed_limit, controller.climb_limit, controller.sink_limit)
+    pitch = handling.tilt_gain if handling.pitch_gain is None else handling.pitch_gain
+    return Facts(
+        name=fleet.vehicle_names[number],
+        system=system,
+        time_step=world.time_step,
+        kinds=frozenset(kinds_of(fleet)),
+        hover_throttle=own(handling.throttle(handling.mass * handling.gravity)),
+        tilt_max=own(handling.tilt_max),
+        roll_gain=own(handling.tilt_gain),
+        pitch_gain=own(pitch),
+        speed_limit=own(speeds[0]),
+        climb_limit=own(speeds[1]),
+        sink_limit=own(speeds[2]),
+        has_battery=fleet.battery.drains,
+        fence=_fence(world.area),
+    )
+
+
+def _fence(area: Any) -> tuple[tuple[float, float], ...]:
+    """Return the corners (north, east) [m] of the area."""
+    if area.is_box:
+        south, north, west, east = (float(getattr(area, name)) for name in ("x_min", "x_max", "y_min", "y_max"))
+        return (south, west), (south, east), (north, east), (north, west)
+    if not isinstance(area, PolygonArea):
+        return ()
+    return tuple((float(x), float(y)) for x, y in zip(area.north, area.east, strict=True))

@@ -1,0 +1,134 @@
+"""Frames of MAVLink, versions 1 and 2: written and read."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from qrsim.links.mavlink.checksum import x25
+from qrsim.links.mavlink.dialect import BY_NUMBER, Layout, Message
+
+VERSION_1, VERSION_2 = 0xFE, 0xFD
+SIGNED = 0x01
+SIGNATURE_SIZE = 13
+# A stream that makes no sense for so long is no MAVLink.
+LARGEST_FRAME = 280
+_HEAD = struct.Struct("<BBBBBBBHB")
+_CHECK = struct.Struct("<H")
+_EXTRA = {number: bytes([layout.extra]) for number, layout in BY_NUMBER.items()}
+
+
+def frame(number: int, payload: bytes, sequence: int, system: int, component: int = 1) -> bytes:
+    """Return a frame of version 2.
+
+    Args:
+        number: of the message.
+        payload: of it, whole; zeros at its end are not sent.
+        sequence: number of the frame on its link, 0 to 255.
+        system, component: who sends it.
+    """
+    # One byte is sent, whatever it is.
+    short = payload.rstrip(b"\0") or payload[:1]
+    content = (
+        _HEAD.pack(VERSION_2, len(short), 0, 0, sequence, system, component, number & 0xFFFF, number >> 16) + short
+    )
+    return content + _CHECK.pack(x25(content[1:] + _EXTRA[number]))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame that arrived whole and unharmed, of a message that is known.
+
+    Attributes:
+        layout: of its message.
+        payload: as sent.
+        sequence: its number.
+        system, component: who sent it.
+        version: 1 or 2.
+    """
+
+    layout: Layout
+    payload: bytes
+    sequence: int
+    system: int
+    component: int
+    version: int
+
+    def message(self) -> Message:
+        """Return its message."""
+        return self.layout.message(self.payload)
+
+
+class Reader:
+    """Cuts bytes into frames, whatever lies between them.
+
+    Attributes:
+        damaged: frames with a wrong check, and unknown messages, whose check nobody can know.
+        skipped: bytes outside frames.
+    """
+
+    def __init__(self) -> None:
+        self._kept = b""
+        self.damaged = self.skipped = 0
+
+    def datagram(self, data: bytes) -> Iterator[Frame]:
+        """Return the frames of a datagram; what is incomplete at its end is left out."""
+        self._kept = b""
+        yield from self.feed(data)
+        self._kept = b""
+
+    def feed(self, data: bytes) -> Iterator[Frame]:
+        """Return the frames that are complete with some more bytes of a stream."""
+        data = self._kept + data
+        at, end = 0, len(data)
+        while at < end:
+            magic = data[at]
+            if magic not in (VERSION_1, VERSION_2):
+                at += 1
+                self.skipped += 1
+                continue
+            if end - at < 3:
+                break
+            size = _size(data, at)
+            if end - at < size:
+                break
+            found = _read(data, at, size)
+            if found is not None:
+                at += size
+                yield found
+                continue
+            self.damaged += 1
+            # What looked like a beginning may have been none; where another frame follows, it was one.
+            at += size if at + size == end or data[at + size] == data[at] else 1
+        self._kept = data[at:]
+
+
+def _size(data: bytes, at: int) -> int:
+    length = data[at + 1]
+    if data[at] == VERSION_1:
+        return length + 8
+    return length + 12 + (SIGNATURE_SIZE if data[at + 2] & SIGNED else 0)
+
+
+def _read(data: bytes, at: int, size: int) -> Frame | None:
+    length = data[at + 1]
+    if data[at] == VERSION_1:
+        head = 6
+        sequence, system, component, number = data[at + 2 : at + 6]
+        version = 1
+    else:
+        if data[at + 2] & ~SIGNED:
+            return None  # of flags that change the frame
+        head = 10
+        sequence, system, component = data[at + 4 : at + 7]
+        number = int.from_bytes(data[at + 7 : at + 10], "little")
+        version = 2
+    layout = BY_NUMBER.get(number)
+    if layout is None:
+        return None
+    inner = data[at + 1 : at + head + length]
+    low, high = data[at + head + length : at + head + length + 2]
+    if x25(inner + _EXTRA[number]) != low | high << 8:
+        return None
+    return Frame(layout, data[at + head : at + head + length], sequence, system, component, version)

@@ -1,0 +1,56 @@
+"""A way from a vehicle to its clients: frames, counted, several in a datagram."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from qrsim.links.mavlink.dialect import LAYOUTS, NUMBERS
+from qrsim.links.mavlink.frames import frame
+from qrsim.links.mavlink.streams import Streams
+
+# Frames that go out together, in a datagram that every network takes.
+LARGEST_DATAGRAM = 1200
+# MAV_COMP_ID_AUTOPILOT1, which all vehicles speak as.
+COMPONENT = 1
+
+
+class Link:
+    """A way to clients of one vehicle: frames of it, counted.
+
+    Args:
+        system: number of the vehicle's system.
+        streams: what is sent on it by itself.
+        send: sends bytes.
+        ready: returns whether there is room for streams; what answers a request is sent in any case.
+    """
+
+    def __init__(
+        self, system: int, streams: Streams, send: Callable[[bytes], None], ready: Callable[[], bool] = lambda: True
+    ):
+        self.system, self.streams, self._send, self.ready = system, streams, send, ready
+        self._sequence = 0
+        self._parts: list[bytes] = []
+        self._size = 0
+        self.heard = time.monotonic()
+
+    def put(self, number: int, payload: bytes) -> None:
+        """Send a message with the next ``flush``."""
+        part = frame(number, payload, self._sequence, self.system, COMPONENT)
+        self._sequence = (self._sequence + 1) & 0xFF
+        if self._size + len(part) > LARGEST_DATAGRAM:
+            self.flush()
+        self._parts.append(part)
+        self._size += len(part)
+
+    def say(self, name: str, **values: object) -> None:
+        """Send a message by its name and fields at once."""
+        self.put(NUMBERS[name], LAYOUTS[name].payload(**values))
+        self.flush()
+
+    def flush(self) -> None:
+        """Send what waits."""
+        if self._parts:
+            data = self._parts[0] if len(self._parts) == 1 else b"".join(self._parts)
+            self._parts, self._size = [], 0
+            self._send(data)

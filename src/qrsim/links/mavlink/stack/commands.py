@@ -1,0 +1,237 @@
+"""Commands: COMMAND_LONG and COMMAND_INT of flight, and the answer to each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from qrsim.links.mavlink.stack.contracts import Command, Home, Result, Severity, Triple
+from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, RELATIVE
+from qrsim.links.mavlink.stack.flight import Flight
+from qrsim.links.mavlink.stack.mission import change_speed
+from qrsim.links.mavlink.stack.modes import Mode
+
+# Param2 of an arm or disarm command that leaves checks out.
+FORCE = 21196.0
+LARGEST_ALTITUDE = 1e5
+
+
+def obey(stack: Flight, command: Command) -> Result:
+    """Obey or refuse a command."""
+    known = _COMMANDS.get(command.id)
+    if known is None or (command.id == 115 and stack.flavour.name == "px4"):
+        return Result.UNSUPPORTED
+    if any(map(math.isinf, command.params)):
+        stack.craft.say(Severity.WARNING, f"Command {command.id} denied: infinite numbers")
+        return Result.DENIED
+    return known(stack, command)
+
+
+def _number(value: float, otherwise: float = 0.0) -> float:
+    return otherwise if math.isnan(value) else value
+
+
+def _arm(stack: Flight, command: Command) -> Result:
+    force = command.params[1] == FORCE
+    # Unset is neither, and must not stop motors.
+    if math.isnan(command.params[0]):
+        return Result.DENIED
+    if command.params[0] >= 0.5:
+        return stack.arm(force)
+    if not stack.armed:
+        return Result.ACCEPTED
+    if not (force or stack.on_ground):
+        stack.craft.say(Severity.CRITICAL, "Disarming denied: not landed")
+        return Result.TEMPORARILY_REJECTED
+    in_air = not stack.on_ground
+    stack.disarm("Killed by external command" if in_air else "Disarmed by external command")
+    return Result.ACCEPTED
+
+
+def _take_off(stack: Flight, command: Command) -> Result:
+    craft = stack.craft
+    if not craft.seen.valid or craft.home is None:
+        craft.say(Severity.CRITICAL, "Takeoff rejected: no position")
+        return Result.TEMPORARILY_REJECTED
+    here, asked = craft.seen.position_ned, command.params[6]
+    if abs(asked) > LARGEST_ALTITUDE:
+        return Result.DENIED
+    default = craft.home_z - stack.parameters["MIS_TAKEOFF_ALT"]
+    if stack.flavour.name == "ardupilot":
+        if not (stack.armed and stack.guided):
+            craft.say(Severity.CRITICAL, "Takeoff rejected: arm in GUIDED first")
+            return Result.FAILED
+        z = craft.home_z - asked if math.isfinite(asked) else default
+    else:
+        z = _z_of(stack, command) if math.isfinite(asked) else default
+    if z > here[2] - 0.3:
+        if craft.flies:
+            craft.say(Severity.WARNING, "Already higher than takeoff altitude")
+        else:
+            craft.say(Severity.WARNING, f"Takeoff altitude is below me: {asked:.1f} m; using MIS_TAKEOFF_ALT")
+        z = here[2] if craft.flies else min(default, here[2] - 0.5)
+    craft.turn_to(math.radians(command.params[3]) if math.isfinite(command.params[3]) else craft.seen.attitude[2])
+    stack.switch(Mode.TAKEOFF, goal=(here[0], here[1], z))
+    return Result.ACCEPTED
+
+
+def _z_of(stack: Flight, command: Command) -> float:
+    """Return the position down [m], here, of the altitude of a command."""
+    craft, altitude = stack.craft, command.params[6]
+    if command.frame in RELATIVE:
+        return craft.home_z - altitude
+    if command.frame in GLOBAL and command.frame not in AMSL:
+        return -altitude
+    return craft.z_of_altitude(altitude)
+
+
+def _land(stack: Flight, command: Command) -> Result:
+    return stack.request(Mode.LAND)
+
+
+def _return(stack: Flight, command: Command) -> Result:
+    return stack.request(Mode.RTL)
+
+
+def _start_mission(stack: Flight, command: Command) -> Result:
+    first = _number(command.params[0], -1.0)
+    if stack.plan.items and not -1.0 <= first < len(stack.plan.items):
+        return Result.DENIED
+    result = stack.request(Mode.MISSION)
+    if result is not Result.ACCEPTED:
+        return result
+    if first > 0.0:
+        stack.plan.set_current(int(first), stack.craft)
+    # PX4 arms for it.
+    return stack.arm()
+
+
+def _set_mode(stack: Flight, command: Command) -> Result:
+    base, main, sub = (_number(value) for value in command.params[:3])
+    if not int(base) & 1:
+        return Result.UNSUPPORTED
+    if not 0.0 <= main < 256.0 or not 0.0 <= sub < 256.0:
+        return Result.DENIED
+    return stack.request(stack.flavour.mode_of(int(main), int(sub)))
+
+
+def _reposition(stack: Flight, command: Command) -> Result:
+    craft, params = stack.craft, command.params
+    if command.frame not in GLOBAL or not craft.seen.valid or craft.home is None:
+        return Result.DENIED
+    if not (stack.mode is Mode.HOLD or int(_number(params[1])) & 1):
+        return Result.DENIED
+    if not stack.armed:
+        craft.say(Severity.CRITICAL, "Reposition rejected: not armed")
+        return Result.TEMPORARILY_REJECTED
+    goal = _place(stack, command)
+    if goal is None:
+        return Result.DENIED
+    if not craft.fence.inside(goal[0], goal[1]):
+        craft.say(Severity.CRITICAL, "Reposition is outside the fence")
+        return Result.DENIED
+    if _number(params[0]) > 0.0:
+        craft.cruise = params[0]
+    craft.critical = False
+    stack.guided = stack.flavour.name == "ardupilot"
+    # From the ground it takes off first, to the height of its goal.
+    stack.switch(Mode.HOLD, goal=goal)
+    if not craft.flies:
+        here = craft.seen.position_ned
+        stack.switch(Mode.TAKEOFF, goal=(here[0], here[1], min(goal[2], here[2] - 0.5)))
+    if math.isfinite(params[3]):
+        craft.turn_to(_yaw(stack, params[3]))
+    elif stack.mode is Mode.HOLD:
+        craft.look_to(goal[0], goal[1], 2.0)
+    return Result.ACCEPTED
+
+
+def _yaw(stack: Flight, value: float) -> float:
+    """Return the heading [rad] of a DO_REPOSITION: radians in PX4's language, degrees in the other."""
+    return math.radians(value) if stack.flavour.name == "ardupilot" else value
+
+
+def _place(stack: Flight, command: Command) -> Triple | None:
+    """Return the place of a command NED [m]; here for what it leaves out, None where there is no such place."""
+    latitude, longitude, altitude = command.params[4:7]
+    craft = stack.craft
+    here = craft.seen.position_ned
+    z = _z_of(stack, command) if math.isfinite(altitude) else here[2]
+    if math.isnan(latitude) or math.isnan(longitude) or (latitude == 0.0 and longitude == 0.0):
+        return here[0], here[1], z
+    if abs(latitude) > 90.0 or abs(longitude) > 180.0 or abs(_number(altitude)) > LARGEST_ALTITUDE:
+        return None
+    level = craft.seen.altitude
+    if math.isfinite(altitude):
+        home = craft.home.altitude if craft.home else craft.geodesy.height
+        level = altitude
+        if command.frame not in AMSL:
+            level += home if command.frame in RELATIVE else craft.geodesy.height
+    return craft.geodesy.to_ned(latitude, longitude, level)
+
+
+def _speed(stack: Flight, command: Command) -> Result:
+    taken = change_speed(stack.craft, _number(command.params[0]), _number(command.params[1], -1.0))
+    return Result.ACCEPTED if taken else Result.DENIED
+
+
+def _heading(stack: Flight, command: Command) -> Result:
+    angle, direction, relative = command.params[0], command.params[2], command.params[3]
+    if math.isnan(angle):
+        return Result.DENIED
+    turn = math.radians(angle) * (-1.0 if _number(relative) and _number(direction) < 0.0 else 1.0)
+    craft = stack.craft
+    craft.turn_to(turn + (craft.yaw if _number(relative) else 0.0))
+    return Result.ACCEPTED
+
+
+def _set_home(stack: Flight, command: Command) -> Result:
+    craft = stack.craft
+    if _number(command.params[0]) >= 0.5:
+        return Result.ACCEPTED if craft.home_here() else Result.DENIED
+    latitude, longitude, altitude = command.params[4:7]
+    if any(map(math.isnan, (latitude, longitude, altitude))) or (latitude == 0.0 and longitude == 0.0):
+        return Result.DENIED
+    if abs(latitude) > 90.0 or abs(longitude) > 180.0 or abs(altitude) > LARGEST_ALTITUDE:
+        return Result.DENIED
+    yaw = _number(command.params[3])
+    place = craft.geodesy.to_ned(latitude, longitude, altitude)
+    craft.set_home(Home(latitude, longitude, altitude, place, math.radians(yaw)))
+    return Result.ACCEPTED
+
+
+def _set_current(stack: Flight, command: Command) -> Result:
+    seq = command.params[0]
+    if math.isnan(seq) or seq != int(seq) or not stack.plan.set_current(int(seq), stack.craft):
+        return Result.DENIED
+    return Result.ACCEPTED
+
+
+def _reboot(stack: Flight, command: Command) -> Result:
+    if stack.armed:
+        return Result.DENIED
+    if _number(command.params[0]) not in (1.0, 3.0):
+        return Result.ACCEPTED if _number(command.params[0]) == 0.0 else Result.UNSUPPORTED
+    stack.craft.terminated = False
+    stack.craft.tell("reboot")
+    return Result.ACCEPTED
+
+
+def _terminate(stack: Flight, command: Command) -> Result:
+    if _number(command.params[0]) >= 0.5:
+        stack.terminate()
+    return Result.ACCEPTED
+
+
+def _tell_home(stack: Flight, command: Command) -> Result:
+    if stack.craft.home is None:
+        return Result.TEMPORARILY_REJECTED
+    stack.craft.tell("home")
+    return Result.ACCEPTED
+
+
+_COMMANDS: dict[int, Callable[[Flight, Command], Result]] = {
+    20: _return, 21: _land, 22: _take_off, 115: _heading, 176: _set_mode, 178: _speed, 179: _set_home,
+    185: _terminate, 192: _reposition, 224: _set_current, 246: _reboot, 300: _start_mission, 400: _arm,
+    410: _tell_home,
+}  # fmt: skip

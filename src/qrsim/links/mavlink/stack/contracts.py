@@ -1,0 +1,404 @@
+"""What a flight stack is handed and what it gives: sights, commands, set-points, plans, orders, texts and events.
+
+Numbers are those of MAVLink's ``common`` dialect; angles of places are degrees, all others radians. A parameter that
+is NaN is one that was not set.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum, IntFlag
+from typing import TYPE_CHECKING, Literal, Protocol
+
+from qrsim.links.contracts import Order
+
+if TYPE_CHECKING:
+    from qrsim.links.mavlink.stack.parameters import Parameters
+
+Triple = tuple[float, float, float]
+Quadruple = tuple[float, float, float, float]
+FlavourName = Literal["px4", "ardupilot"]
+NAN = math.nan
+# x or y of an integer message that is not set.
+UNSET_INT = 2**31 - 1
+
+
+class Result(IntEnum):
+    """MAV_RESULT: the answer to a command."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+    IN_PROGRESS = 5
+    CANCELLED = 6
+
+
+class PlanResult(IntEnum):
+    """MAV_MISSION_RESULT: the answer to a plan."""
+
+    ACCEPTED = 0
+    ERROR = 1
+    UNSUPPORTED_FRAME = 2
+    UNSUPPORTED = 3
+    NO_SPACE = 4
+    INVALID = 5
+    INVALID_PARAM1 = 6
+    INVALID_PARAM2 = 7
+    INVALID_PARAM3 = 8
+    INVALID_PARAM4 = 9
+    INVALID_PARAM5_X = 10
+    INVALID_PARAM6_Y = 11
+    INVALID_PARAM7 = 12
+    INVALID_SEQUENCE = 13
+    DENIED = 14
+
+
+class PlanKind(IntEnum):
+    """MAV_MISSION_TYPE."""
+
+    MISSION = 0
+    FENCE = 1
+    RALLY = 2
+
+
+class MissionState(IntEnum):
+    """MISSION_STATE of MISSION_CURRENT."""
+
+    NO_MISSION = 1
+    NOT_STARTED = 2
+    ACTIVE = 3
+    PAUSED = 4
+    COMPLETE = 5
+
+
+class Landed(IntEnum):
+    """MAV_LANDED_STATE."""
+
+    ON_GROUND = 1
+    IN_AIR = 2
+    TAKEOFF = 3
+    LANDING = 4
+
+
+class Severity(IntEnum):
+    """MAV_SEVERITY of a STATUSTEXT."""
+
+    EMERGENCY = 0
+    ALERT = 1
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+class Sensor(IntFlag):
+    """MAV_SYS_STATUS_SENSOR: the bits of SYS_STATUS that the stack looks at or sets."""
+
+    GYRO = 0x1
+    ACCELEROMETER = 0x2
+    MAGNETOMETER = 0x4
+    BAROMETER = 0x8
+    GPS = 0x20
+    GEOFENCE = 0x100000
+    AHRS = 0x200000
+    BATTERY = 0x2000000
+    PREARM = 0x10000000
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a stack knows of its vehicle and its controller.
+
+    Attributes:
+        name: of the vehicle, for its orders.
+        system: its MAVLink system id.
+        time_step: of its ticks [s].
+        kinds: of orders that it takes, names of ``links/shared/kinds.py``; a stack needs "path", "velocity" and
+            "attitude".
+        hover_throttle: throttle that carries its weight, 0 to 1.
+        tilt_max: largest tilt that it can be commanded [rad].
+        roll_gain, pitch_gain: settled tilt per commanded tilt.
+        speed_limit: largest horizontal speed that its controller asks for [m/s].
+        climb_limit, sink_limit: largest vertical speeds up and down, of its controller [m/s].
+        has_battery: whether it carries a battery that drains.
+        fence: polygon of the scenario's area, corners (north, east) [m]; empty: none.
+    """
+
+    name: str
+    system: int = 1
+    time_step: float = 0.02
+    kinds: frozenset[str] = frozenset({"path", "velocity", "attitude"})
+    hover_throttle: float = 0.5
+    tilt_max: float = 0.9
+    roll_gain: float = 1.0
+    pitch_gain: float = 1.0
+    speed_limit: float = 8.0
+    climb_limit: float = 3.0
+    sink_limit: float = 1.5
+    has_battery: bool = False
+    fence: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(slots=True)
+class Seen:
+    """What a vehicle sees of itself at a tick; one object may be filled again at every tick.
+
+    Attributes:
+        time: simulated, since the reset [s].
+        position_ned, velocity_ned: estimate in the site's frame [m], [m/s].
+        attitude: estimate, roll, pitch, yaw [rad].
+        rates: body rates [rad/s].
+        valid: whether there is an estimate: all its numbers are finite.
+        fix_type: GPS_FIX_TYPE, 3 and more is a position in three dimensions; 0 without a receiver.
+        horizontal_accuracy, vertical_accuracy: as the receiver says [m]; NaN where it does not.
+        latitude, longitude: of the estimate [deg].
+        altitude: of the estimate above the ellipsoid, which stands for mean sea level here [m].
+        charge: of the battery, 0 to 1; NaN without one.
+        voltage: of it [V].
+        on_ground: whether it stands on the ground.
+        stopped: why its flight has ended, "" while it has not.
+        present, healthy: sensors that it carries, and those that work.
+    """
+
+    time: float = 0.0
+    position_ned: Triple = (0.0, 0.0, 0.0)
+    velocity_ned: Triple = (0.0, 0.0, 0.0)
+    attitude: Triple = (0.0, 0.0, 0.0)
+    rates: Triple = (0.0, 0.0, 0.0)
+    valid: bool = True
+    fix_type: int = 3
+    horizontal_accuracy: float = NAN
+    vertical_accuracy: float = NAN
+    latitude: float = 0.0
+    longitude: float = 0.0
+    altitude: float = 0.0
+    charge: float = NAN
+    voltage: float = NAN
+    on_ground: bool = True
+    stopped: str = ""
+    present: int = 0
+    healthy: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A COMMAND_LONG or COMMAND_INT.
+
+    Attributes:
+        id: MAV_CMD.
+        params: its seven numbers; of a place the fifth and sixth are degrees, for COMMAND_INT too.
+        frame: MAV_FRAME of a COMMAND_INT; 0, altitudes above mean sea level, of a COMMAND_LONG.
+        is_int: whether it came as COMMAND_INT.
+    """
+
+    id: int
+    params: tuple[float, float, float, float, float, float, float] = (NAN,) * 7
+    frame: int = 0
+    is_int: bool = False
+
+    @staticmethod
+    def of_int(id: int, frame: int, params: Quadruple, x: int, y: int, z: float) -> Command:
+        """Return the command of a COMMAND_INT: x and y are degrees times 1e7, or 2**31 - 1 where they are not set."""
+        place = [NAN if number == UNSET_INT else number * 1e-7 for number in (x, y)]
+        return Command(id, (*params, place[0], place[1], z), frame, True)
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """What COMMAND_ACK says: the result, and its progress [%] while it is IN_PROGRESS."""
+
+    result: Result
+    progress: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class LocalTarget:
+    """SET_POSITION_TARGET_LOCAL_NED: numbers that ``mask`` ignores may be anything.
+
+    Attributes:
+        frame: MAV_FRAME 1 local, 7 offset from here, 8 and 9 along the heading.
+        mask: POSITION_TARGET_TYPEMASK.
+    """
+
+    frame: int
+    mask: int
+    position: Triple = (NAN, NAN, NAN)
+    velocity: Triple = (NAN, NAN, NAN)
+    acceleration: Triple = (NAN, NAN, NAN)
+    yaw: float = NAN
+    yaw_rate: float = NAN
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalTarget:
+    """SET_POSITION_TARGET_GLOBAL_INT, latitude and longitude in degrees times 1e7; frames 0, 3, 5, 6, 10, 11."""
+
+    frame: int
+    mask: int
+    lat_int: int
+    lon_int: int
+    alt: float
+    velocity: Triple = (NAN, NAN, NAN)
+    acceleration: Triple = (NAN, NAN, NAN)
+    yaw: float = NAN
+    yaw_rate: float = NAN
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeTarget:
+    """SET_ATTITUDE_TARGET: quaternion w, x, y, z from body to NED, body rates [rad/s], thrust 0 to 1."""
+
+    mask: int
+    q: Quadruple
+    rates: Triple
+    thrust: float
+
+
+Target = LocalTarget | GlobalTarget | AttitudeTarget
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One item of a plan, as in MISSION_ITEM_INT: x and y are degrees times 1e7 in a global frame.
+
+    Of a MISSION_ITEM of floats, x and y are its degrees times 1e7, rounded; 2**31 - 1 where they are NaN.
+    """
+
+    seq: int
+    frame: int
+    command: int
+    params: Quadruple = (NAN, NAN, NAN, NAN)
+    x: int = 0
+    y: int = 0
+    z: float = 0.0
+    autocontinue: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Where a vehicle returns to: degrees, altitude above mean sea level [m], and in the site's frame [m]."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+    position_ned: Triple
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A STATUSTEXT; longer than 50 characters it goes out in chunks."""
+
+    severity: Severity
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that changed, which clients are told at once.
+
+    Attributes:
+        kind: "item_reached" (number: its seq; MISSION_ITEM_REACHED), "mission" (MISSION_CURRENT, see
+            ``Stack.mission``), "landed" (EXTENDED_SYS_STATE), "mode" and "armed" (HEARTBEAT), "home" (HOME_POSITION),
+            "plan" (number: PlanKind; it was replaced), "reboot".
+        number: what belongs to it.
+    """
+
+    kind: Literal["item_reached", "mission", "landed", "mode", "armed", "home", "plan", "reboot"]
+    number: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class MissionStatus:
+    """What MISSION_CURRENT says: the item that is flown, how many there are, and whether it is flown."""
+
+    seq: int = 0
+    total: int = 0
+    state: MissionState = MissionState.NO_MISSION
+    in_mode: bool = False
+
+
+@dataclass(slots=True)
+class Heartbeat:
+    """What HEARTBEAT and EXTENDED_SYS_STATE say, beside MAV_TYPE."""
+
+    autopilot: int = 12
+    base_mode: int = 0
+    custom_mode: int = 0
+    system_status: int = 3
+    landed: Landed = Landed.ON_GROUND
+
+
+@dataclass
+class Health:
+    """Bits for SYS_STATUS beside those of the sensors in ``Seen``: ``Sensor.PREARM``, GEOFENCE, AHRS, BATTERY."""
+
+    present: int = 0
+    enabled: int = 0
+    healthy: int = 0
+    reasons: list[str] = field(default_factory=list)
+
+
+class Stack(Protocol):
+    """The flight stack of one vehicle, as a server uses it (``flight_stack.FlightStack``).
+
+    Attributes:
+        parameters: its table; whatever was set holds from the next tick on.
+        factor: simulated seconds per second of wall time, for time-outs against a peer.
+        armed: whether its motors may turn.
+    """
+
+    parameters: Parameters
+    factor: float
+    armed: bool
+
+    @property
+    def home(self) -> Home | None:
+        """Where it returns to; None before there was a position."""
+
+    def tick(self, seen: Seen) -> Order | None:
+        """Advance by one tick; return the order for the vehicle, None where the last one holds."""
+
+    def reset(self) -> None:
+        """Begin again as after a boot: disarmed, time at zero; parameters and plans stay."""
+
+    def command(self, command: Command) -> Ack:
+        """Obey or refuse a command: those of flight and mission; of requests for messages it knows nothing."""
+
+    def set_mode(self, base_mode: int, custom_mode: int) -> Result:
+        """Obey or refuse a SET_MODE message."""
+
+    def setpoint(self, target: Target) -> bool:
+        """Take a set-point; return whether it can be flown. It is flown in OFFBOARD (GUIDED)."""
+
+    def accept(self, kind: PlanKind, items: Sequence[Item]) -> tuple[PlanResult, int]:
+        """Replace a plan, none of it where one item is bad; return the result and the seq of that item, else -1."""
+
+    def items(self, kind: PlanKind) -> tuple[Item, ...]:
+        """Return a plan as it was accepted."""
+
+    def set_current(self, seq: int) -> bool:
+        """Go on with another item of the mission; return whether there is one."""
+
+    def heard_ground(self) -> None:
+        """Note a heartbeat of a ground station (MAV_TYPE 6)."""
+
+    def heartbeat(self) -> Heartbeat:
+        """Return what HEARTBEAT and EXTENDED_SYS_STATE say."""
+
+    def health(self) -> Health:
+        """Return the bits that SYS_STATUS has from the stack."""
+
+    def mission(self) -> MissionStatus:
+        """Return what MISSION_CURRENT says."""
+
+    def texts(self) -> list[Text]:
+        """Return what there is to say since the last call."""
+
+    def events(self) -> list[Event]:
+        """Return what has changed since the last call."""

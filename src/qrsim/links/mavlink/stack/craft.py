@@ -1,0 +1,196 @@
+"""What all parts of one vehicle's stack share: what it sees, where it is going, and what it says."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from qrsim.links.contracts import Order
+from qrsim.links.mavlink.stack.contracts import Event, Facts, Home, Landed, Seen, Severity, Text, Triple
+from qrsim.links.mavlink.stack.fence import Fence
+from qrsim.links.mavlink.stack.geodesy import Geodesy
+from qrsim.links.mavlink.stack.parameters import Parameters
+from qrsim.links.mavlink.stack.path import Path
+
+# A vehicle that has risen so far from where it stood flies [m]; until then it goes straight up.
+RISEN, UPRIGHT_UNTIL = 0.1, 0.5
+ZERO: Triple = (0.0, 0.0, 0.0)
+
+
+class Craft:
+    """One vehicle.
+
+    Attributes:
+        seen: what it saw last.
+        home: where it returns to.
+        fence: that of the plan, or the area of the scenario.
+        area: that of the scenario, where a flight ends that leaves it.
+        path: the point that it follows.
+        yaw: heading that it is asked for [rad].
+        cruise: horizontal speed that was asked for [m/s]; None: that of the parameters.
+        climb, sink: vertical speeds that were asked for [m/s]; None: those of the parameters.
+        landed: what it says of itself.
+        stood_z: position down where it stood last [m].
+        flies: whether it has left the ground since.
+        critical: whether a failsafe is at work.
+        terminated: whether its flight was terminated, which holds until a reboot.
+    """
+
+    def __init__(self, facts: Facts, parameters: Parameters, geodesy: Geodesy):
+        self.facts, self.parameters, self.geodesy = facts, parameters, geodesy
+        self.fence = self.area = Fence(facts.fence)
+        self._texts: list[Text] = []
+        self._events: list[Event] = []
+        self._idle: Order | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin again as after a boot."""
+        self.seen = Seen()
+        self._known = (ZERO, ZERO, ZERO, self.geodesy.height)
+        self.home: Home | None = None
+        self.path = Path()
+        self.yaw = 0.0
+        self.cruise: float | None = None
+        self.climb: float | None = None
+        self.sink: float | None = None
+        self.landed = Landed.ON_GROUND
+        self.stood_z = 0.0
+        self.flies = self.critical = self.terminated = False
+
+    # ---- what it says ----
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Say something to all who listen."""
+        # A text that nobody fetches is dropped, the oldest first.
+        del self._texts[:-63]
+        self._texts.append(Text(severity, text))
+
+    def tell(self, kind: str, number: int = 0) -> None:
+        """Note that something changed."""
+        del self._events[:-255]
+        self._events.append(Event(kind, number))  # type: ignore[arg-type]
+
+    def texts(self) -> list[Text]:
+        """Return what there is to say, and forget it."""
+        said, self._texts = self._texts, []
+        return said
+
+    def events(self) -> list[Event]:
+        """Return what has changed, and forget it."""
+        told, self._events = self._events, []
+        return told
+
+    # ---- where it is ----
+
+    def look(self, seen: Seen) -> None:
+        """Take what it sees at a tick; of what it does not know it keeps what it knew last."""
+        if seen.valid:
+            self._known = (seen.position_ned, seen.velocity_ned, seen.attitude, seen.altitude)
+        else:
+            place, velocity, attitude, altitude = self._known
+            seen = replace(seen, position_ned=place, velocity_ned=velocity, attitude=attitude, altitude=altitude)
+        self.seen = seen
+        if seen.on_ground:
+            self.stood_z = seen.position_ned[2]
+            self.flies = False
+        elif not self.flies and self.stood_z - seen.position_ned[2] > RISEN:
+            self.flies = True
+
+    def set_home(self, home: Home) -> None:
+        """Set where it returns to."""
+        self.home = home
+        self.tell("home")
+
+    def home_here(self) -> bool:
+        """Set home to where it is; return whether it knows that."""
+        seen = self.seen
+        if not (seen.valid and math.isfinite(seen.latitude + seen.longitude + seen.altitude)):
+            return False
+        self.set_home(Home(seen.latitude, seen.longitude, seen.altitude, seen.position_ned, seen.attitude[2]))
+        return True
+
+    @property
+    def home_z(self) -> float:
+        """Position down of home [m]; 0 without one."""
+        return self.home.position_ned[2] if self.home else 0.0
+
+    def z_of_altitude(self, altitude: float) -> float:
+        """Return the position down [m], here, of an altitude above mean sea level [m]."""
+        return self.seen.position_ned[2] - (altitude - self.seen.altitude)
+
+    # ---- where it goes ----
+
+    def speeds(self) -> Triple:
+        """Return the largest horizontal, upward and downward speed [m/s] of automatic flight."""
+        values, facts = self.parameters.values, self.facts
+        cruise = values["MPC_XY_CRUISE"] if self.cruise is None else self.cruise
+        up = values["MPC_Z_VEL_MAX_UP"] if self.climb is None else self.climb
+        down = values["MPC_Z_VEL_MAX_DN"] if self.sink is None else self.sink
+        return (
+            min(cruise, values["MPC_XY_VEL_MAX"], facts.speed_limit),
+            min(up, facts.climb_limit),
+            min(down, facts.sink_limit),
+        )
+
+    def begin_path(self) -> None:
+        """Begin a path at where the vehicle is."""
+        self.path.begin(self.seen.position_ned, self.seen.velocity_ned)
+
+    def go(self, goal: Triple, speeds: Triple | None = None, beyond: float = 0.0) -> Order:
+        """Move on to a place; straight up first where it has just left the ground.
+
+        Args:
+            goal: NED [m].
+            speeds: largest horizontal, upward and downward one [m/s]; None: those of automatic flight.
+            beyond: how far beyond the goal the way goes on [m].
+        """
+        seen, path, values = self.seen, self.path, self.parameters.values
+        here = seen.position_ned
+        low = not self.flies or self.stood_z - here[2] < UPRIGHT_UNTIL
+        if low and goal[2] < here[2]:
+            # Where it stands or has just left the ground, nothing may pull it sideways.
+            path.position = (here[0], here[1], path.position[2])
+            path.velocity, path.acceleration = (0.0, 0.0, path.velocity[2]), (0.0, 0.0, path.acceleration[2])
+            goal = (here[0], here[1], goal[2])
+        limits = (values["MPC_ACC_HOR"], values["MPC_JERK_AUTO"])
+        path.move(goal, here, speeds or self.speeds(), limits, self.facts.time_step, beyond)
+        return self.follow(path.position, path.velocity, path.acceleration)
+
+    def follow(self, position: Triple, velocity: Triple = ZERO, acceleration: Triple = ZERO) -> Order:
+        """Return the order to follow a point."""
+        self._idle = None
+        return Order(self.facts.name, "path", (*position, *velocity, *acceleration, self.yaw))
+
+    def fly(self, velocity: Triple) -> Order:
+        """Return the order to fly at a velocity NED [m/s]."""
+        self._idle = None
+        return Order(self.facts.name, "velocity", (*velocity, self.yaw))
+
+    def lean(self, roll: float, pitch: float, throttle: float) -> Order:
+        """Return the order to lean [rad] with a throttle 0 to 1."""
+        self._idle = None
+        facts = self.facts
+        most = facts.tilt_max
+        roll = min(max(roll / facts.roll_gain, -most), most)
+        pitch = min(max(pitch / facts.pitch_gain, -most), most)
+        return Order(facts.name, "attitude", (roll, pitch, self.yaw, throttle))
+
+    def idle(self) -> Order | None:
+        """Return the order to stop the motors, or None where that is what it does already."""
+        if self._idle is not None:
+            return None
+        order = self.lean(0.0, 0.0, 0.0)
+        self._idle = order
+        return order
+
+    def turn_to(self, yaw: float) -> None:
+        """Turn to a heading [rad]."""
+        self.yaw = math.remainder(yaw, 2.0 * math.pi)
+
+    def look_to(self, north: float, east: float, farther: float = 1.0) -> None:
+        """Turn to a place [m], unless it is nearer than ``farther``."""
+        here = self.seen.position_ned
+        dx, dy = north - here[0], east - here[1]
+        if dx * dx + dy * dy > farther * farther:
+            self.yaw = math.atan2(dy, dx)

@@ -1,0 +1,132 @@
+"""Failsafes: battery, fence, link to the ground and offboard; each says what a vehicle is to do, and why."""
+
+from __future__ import annotations
+
+import math
+
+from qrsim.links.mavlink.stack.contracts import Severity
+from qrsim.links.mavlink.stack.craft import Craft
+from qrsim.links.mavlink.stack.modes import Mode
+from qrsim.links.mavlink.stack.offboard import Offboard
+from qrsim.links.mavlink.stack.path import braking_way
+
+# What a failsafe may ask for, the graver the later; of two the graver counts.
+NOTHING, HOLD, RETURN, LAND, DISARM, TERMINATE = range(6)
+MODE_OF = {HOLD: Mode.HOLD, RETURN: Mode.RTL, LAND: Mode.LAND}
+GRAVITY_OF = {mode: gravity for gravity, mode in MODE_OF.items()}
+# By the parameters' numbers.
+_FENCE = {0: NOTHING, 1: NOTHING, 2: HOLD, 3: RETURN, 4: TERMINATE, 5: LAND}
+_LINK = {0: NOTHING, 1: HOLD, 2: RETURN, 3: LAND, 5: TERMINATE, 6: DISARM}
+_OFFBOARD = {0: HOLD, 1: HOLD, 2: HOLD, 3: RETURN, 4: LAND, 5: HOLD, 6: TERMINATE, 7: DISARM}
+_BATTERY = (
+    ("", Severity.INFO, ""),
+    ("Low battery level", Severity.WARNING, "BAT_LOW_THR"),
+    ("Critical battery level", Severity.CRITICAL, "BAT_CRIT_THR"),
+    ("Dangerous battery level", Severity.EMERGENCY, "BAT_EMERGEN_THR"),
+)
+# The fence is looked at so often [s].
+FENCE_EVERY = 0.1
+# A vehicle answers so late that it shall stop [s].
+REACTS = 0.5
+
+
+class Failsafes:
+    """The failsafes of one vehicle.
+
+    Attributes:
+        breached: whether it is outside the fence.
+        link_lost: whether a ground station that was heard is heard no more.
+    """
+
+    def __init__(self) -> None:
+        self.breached = self.link_lost = False
+        self._battery = 0
+        self._fence_due = 0.0
+        self._ground_heard: float | None = None
+
+    def heard_ground(self, craft: Craft) -> None:
+        """Note a heartbeat of a ground station."""
+        self._ground_heard = craft.seen.time
+        if self.link_lost:
+            self.link_lost = False
+            craft.say(Severity.INFO, "Link to the ground regained")
+
+    def armed(self) -> None:
+        """Begin a flight."""
+        self._battery, self.breached, self._fence_due = 0, False, 0.0
+
+    def look(self, craft: Craft, mode: Mode, offboard: Offboard, factor: float) -> int:
+        """Return what an armed vehicle is to do now that it did not have to do before; NOTHING mostly."""
+        values = craft.parameters.values
+        stretch = max(1.0, factor)
+        asked = self._look_at_battery(craft)
+        if craft.seen.time >= self._fence_due:
+            self._fence_due = craft.seen.time + FENCE_EVERY - 0.5 * craft.facts.time_step
+            asked = max(asked, self._look_at_fence(craft))
+        heard, after = self._ground_heard, values["COM_DL_LOSS_T"] * stretch
+        if heard is not None and not self.link_lost and craft.seen.time - heard > after:
+            self.link_lost = True
+            action = _LINK.get(int(values["NAV_DLL_ACT"]), NOTHING)
+            craft.say(Severity.CRITICAL if action else Severity.INFO, "Link to the ground lost")
+            asked = max(asked, action)
+        if mode is Mode.OFFBOARD and not offboard.fresh(craft, values["COM_OF_LOSS_T"] * stretch):
+            craft.say(Severity.CRITICAL, "Failsafe: no offboard set-points")
+            asked = max(asked, _OFFBOARD[int(values["COM_OBL_RC_ACT"])])
+        return asked
+
+    def _look_at_battery(self, craft: Craft) -> int:
+        charge, values = craft.seen.charge, craft.parameters.values
+        if charge != charge or charge > values["BAT_LOW_THR"]:
+            return NOTHING
+        level = 1 + (charge <= values["BAT_CRIT_THR"]) + (charge <= values["BAT_EMERGEN_THR"])
+        if level <= self._battery:
+            return NOTHING
+        self._battery = level
+        text, severity, _ = _BATTERY[level]
+        action, asked = int(values["COM_LOW_BAT_ACT"]), NOTHING
+        if level == 2 and action in (2, 3):
+            asked = LAND if action == 2 else RETURN
+        elif level == 3 and action in (2, 3):
+            asked = LAND
+        word = {RETURN: ", return", LAND: ", land"}.get(asked, "")
+        craft.say(severity, f"{text}{word}: {100.0 * charge:.0f} %")
+        return asked
+
+    def _look_at_fence(self, craft: Craft) -> int:
+        seen, values = craft.seen, craft.parameters.values
+        action = int(values["GF_ACTION"])
+        why = beyond(craft) if seen.valid else ""
+        if not why:
+            self.breached = False
+            return NOTHING
+        if self.breached or action == 0 or not craft.flies:
+            return NOTHING
+        self.breached = True
+        craft.say(Severity.CRITICAL, f"Geofence breached: {why}")
+        return _FENCE[action]
+
+
+def _stops_inside(craft: Craft) -> bool:
+    """Return whether a vehicle can still come to rest in its area, which it must not leave for a moment."""
+    (north, east, _), (vn, ve, _) = craft.seen.position_ned, craft.seen.velocity_ned
+    speed = math.hypot(vn, ve)
+    if speed < 0.5:
+        return True
+    seconds = REACTS + braking_way(speed, craft.parameters["MPC_ACC_HOR"]) / speed
+    return craft.area.inside(north + seconds * vn, east + seconds * ve)
+
+
+def beyond(craft: Craft) -> str:
+    """Return what of the fence a vehicle is beyond; "" where it is inside."""
+    here, values = craft.seen.position_ned, craft.parameters.values
+    if not craft.fence.inside(here[0], here[1]):
+        return "outside the area"
+    if craft.fence is craft.area and not _stops_inside(craft):
+        return "about to leave the area of the scenario"
+    far, high = values["GF_MAX_HOR_DIST"], values["GF_MAX_VER_DIST"]
+    if craft.home is None or not (far or high):
+        return ""
+    home = craft.home.position_ned
+    if far and math.hypot(here[0] - home[0], here[1] - home[1]) > far:
+        return f"farther than {far:g} m from home"
+    return f"higher than {high:g} m over home" if high and home[2] - here[2] > high else ""

@@ -1,0 +1,333 @@
+"""The flight of one vehicle: its modes, and what leads from one to another."""
+
+from __future__ import annotations
+
+from qrsim.links.contracts import Order
+from qrsim.links.mavlink.stack import failsafes as grave
+from qrsim.links.mavlink.stack.arming import ArmingChecks
+from qrsim.links.mavlink.stack.contracts import (
+    Facts,
+    FlavourName,
+    Item,
+    Landed,
+    MissionState,
+    Result,
+    Seen,
+    Severity,
+    Triple,
+)
+from qrsim.links.mavlink.stack.craft import Craft
+from qrsim.links.mavlink.stack.failsafes import Failsafes
+from qrsim.links.mavlink.stack.geodesy import Geodesy
+from qrsim.links.mavlink.stack.landing import Descent
+from qrsim.links.mavlink.stack.mission import Mission
+from qrsim.links.mavlink.stack.modes import FLAVOURS, Mode
+from qrsim.links.mavlink.stack.offboard import Offboard
+from qrsim.links.mavlink.stack.parameters import Parameters
+from qrsim.links.mavlink.stack.returning import Return
+from qrsim.models.site import Site
+
+# A take-off is done within this height [m].
+TAKEN_OFF = 0.3
+
+
+class Flight:
+    """Modes, arming and failsafes; ``FlightStack`` has what clients ask on top.
+
+    Args:
+        facts: of the vehicle.
+        site: origin of its NED frame.
+        parameters: its table; None: the defaults.
+        flavour: whose mode numbers it speaks.
+        factor: simulated seconds per second of wall time.
+
+    Attributes:
+        mode: what it does.
+        armed: whether its motors may turn.
+        guided: whether HOLD is ArduPilot's GUIDED.
+        craft, plan, offboard, failsafes, checks: its parts.
+        rally: points of the rally plan.
+    """
+
+    def __init__(
+        self,
+        facts: Facts,
+        site: Site,
+        parameters: Parameters | None = None,
+        flavour: FlavourName = "px4",
+        factor: float = 1.0,
+    ):
+        self.facts, self.factor = facts, factor
+        if parameters is None:
+            parameters = Parameters({"MAV_SYS_ID": facts.system, "MPC_THR_HOVER": facts.hover_throttle})
+        self.parameters, self.flavour = parameters, FLAVOURS[flavour]
+        self.craft = Craft(facts, self.parameters, Geodesy(site))
+        # ArduPilot keeps home in item 0.
+        self.plan = Mission(1 if flavour == "ardupilot" else 0)
+        self.rally: tuple[Item, ...] = ()
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin again as after a boot: disarmed, time at zero; parameters and plans stay."""
+        self.craft.reset()
+        self.mode, self.armed, self.guided = Mode.HOLD, False, False
+        self.offboard, self.failsafes, self.checks = Offboard(), Failsafes(), ArmingChecks()
+        self._return, self._descent = Return(), Descent()
+        self._goal: Triple | None = None
+        self._armed_at = 0.0
+        self._landed_at: float | None = None
+        self._took_off = False
+        if self.plan.state is not MissionState.NO_MISSION:
+            self.plan.restart(self.craft)
+
+    # ---- ticks ----
+
+    def tick(self, seen: Seen) -> Order | None:
+        """Advance by one tick; return the order for the vehicle, None where the last one holds."""
+        craft = self.craft
+        craft.look(seen)
+        self.checks.look(craft)
+        if craft.home is None and seen.valid and seen.fix_type >= 3:
+            craft.home_here()
+        if not self.armed:
+            return craft.idle()
+        if seen.stopped:
+            craft.say(Severity.EMERGENCY, f"Flight has ended: {seen.stopped}")
+            self.disarm("")
+            return craft.idle()
+        asked = self.failsafes.look(craft, self.mode, self.offboard, self.factor)
+        if asked:
+            self._fail_over(asked)
+        order, landed = self._fly() if self.armed else (craft.idle(), False)
+        self._look_at_ground(landed)
+        return order if self.armed else craft.idle() or order
+
+    def _fly(self) -> tuple[Order | None, bool]:
+        """Return the order of the mode, and whether the vehicle has landed."""
+        craft, mode = self.craft, self.mode
+        if not craft.seen.valid and mode is not Mode.OFFBOARD:
+            # Blind: level, and a little less than the weight.
+            return craft.lean(0.0, 0.0, 0.95 * self.facts.hover_throttle if craft.flies else 0.0), False
+        if mode is Mode.HOLD:
+            return self._hold(), False
+        if mode is Mode.TAKEOFF:
+            return self._take_off(), False
+        if mode is Mode.MISSION:
+            return self._fly_mission()
+        if mode is Mode.RTL:
+            return self._return.fly(craft)
+        if mode is Mode.LAND:
+            if not self._took_off:
+                return craft.idle(), True
+            return self._descent.fly(craft, self._goal or craft.seen.position_ned)
+        return self.offboard.fly(craft)
+
+    def _hold(self) -> Order | None:
+        craft = self.craft
+        if not craft.flies and craft.seen.on_ground:
+            return craft.idle()
+        if self._goal is None:
+            self._goal = craft.path.stop(self.parameters["MPC_ACC_HOR"])
+        return craft.go(self._goal)
+
+    def _take_off(self) -> Order | None:
+        craft = self.craft
+        here = craft.seen.position_ned
+        if self._goal is None:
+            self._goal = (here[0], here[1], craft.home_z - self.parameters["MIS_TAKEOFF_ALT"])
+        if abs(self._goal[2] - here[2]) < TAKEN_OFF and craft.flies:
+            self.switch(Mode.HOLD, goal=self._goal)
+        level, up, down = craft.speeds()
+        return craft.go(self._goal or here, (level, min(up, self.parameters["MPC_TKO_SPEED"]), down))
+
+    def _fly_mission(self) -> tuple[Order | None, bool]:
+        craft, mission = self.craft, self.plan
+        order, over = mission.fly(craft)
+        if not over:
+            return order, False
+        if mission.returns:
+            self.switch(Mode.RTL)
+            return order, False
+        if mission.landed:
+            self.mode, self._goal = Mode.LAND, craft.seen.position_ned
+            self._descent.touchdown.since = mission.descent.touchdown.since
+            craft.tell("mode")
+            return order, True
+        craft.say(Severity.INFO, "Mission finished, loitering")
+        self.switch(Mode.HOLD)
+        return order, False
+
+    # ---- landing ----
+
+    def _look_at_ground(self, landed: bool) -> None:
+        """Bring the landed state up to date, and disarm who has landed or never took off."""
+        craft, now = self.craft, self.craft.seen.time
+        self._took_off = self._took_off or craft.flies
+        if not self.armed:
+            return
+        if landed and self._took_off and self._landed_at is None:
+            self._landed_at = now
+            craft.say(Severity.INFO, "Landing detected")
+        elif not landed and craft.flies:
+            self._landed_at = None
+        state = Landed.IN_AIR
+        if self._landed_at is not None or not self._took_off:
+            state = Landed.ON_GROUND
+        elif self.mode is Mode.TAKEOFF or (self.mode is Mode.MISSION and self.plan.rises):
+            state = Landed.TAKEOFF
+        elif self.lands:
+            state = Landed.LANDING
+        if state is not craft.landed:
+            craft.landed = state
+            craft.tell("landed")
+            if state is Landed.TAKEOFF:
+                craft.say(Severity.INFO, "Takeoff detected")
+        after = self.parameters.values["COM_DISARM_LAND" if self._took_off else "COM_DISARM_PRFLT"]
+        since = self._landed_at if self._took_off else self._armed_at
+        if state is Landed.ON_GROUND and since is not None and 0.0 <= after <= now - since + 1e-9:
+            self.disarm("Disarmed by landing" if self._took_off else "Disarmed by auto preflight disarming")
+
+    @property
+    def lands(self) -> bool:
+        """Whether it is coming down to the ground."""
+        mode = self.mode
+        return (
+            mode is Mode.LAND or (mode is Mode.RTL and self._return.lands) or (mode is Mode.MISSION and self.plan.lands)
+        )
+
+    # ---- arming ----
+
+    def arm(self, force: bool = False) -> Result:
+        """Arm, or say why not; ``force`` leaves the checks out."""
+        craft = self.craft
+        if self.armed:
+            return Result.ACCEPTED
+        reasons = self.checks.reasons(craft)
+        if force and not (craft.seen.stopped or craft.terminated):
+            reasons = []
+        if not reasons and self.mode is Mode.OFFBOARD and not self.fresh():
+            reasons = ["offboard without set-points"]
+        if reasons:
+            ardupilot = self.flavour.name == "ardupilot"
+            if not ardupilot:
+                craft.say(Severity.CRITICAL, "Arming denied: Resolve system health failures first")
+            for reason in reasons:
+                craft.say(Severity.CRITICAL, f"{'PreArm' if ardupilot else 'Preflight Fail'}: {reason}")
+            return Result.FAILED if ardupilot else Result.TEMPORARILY_REJECTED
+        self.armed, self._armed_at, self._landed_at = True, craft.seen.time, None
+        self._took_off = craft.flies = not craft.seen.on_ground
+        craft.critical = False
+        craft.home_here()
+        self.failsafes.armed()
+        craft.yaw = craft.seen.attitude[2]
+        craft.path.shift(craft.seen.position_ned)
+        if self.mode in (Mode.RTL, Mode.LAND):
+            self.switch(Mode.HOLD)
+        elif self.mode is Mode.MISSION:
+            self.plan.begin(craft)
+        elif self.mode is Mode.OFFBOARD:
+            self.offboard.begin(craft)
+        elif self._goal is not None:
+            here = craft.seen.position_ned
+            self._goal = (here[0], here[1], self._goal[2])
+        craft.tell("armed", 1)
+        craft.say(Severity.INFO, "Armed by external command")
+        return Result.ACCEPTED
+
+    def disarm(self, why: str) -> None:
+        """Stop the motors, wherever it is; the mode is HOLD then."""
+        craft = self.craft
+        if not self.armed:
+            return
+        self.armed, craft.critical = False, False
+        craft.cruise = craft.climb = craft.sink = None
+        if self.mode is not Mode.HOLD:
+            self.switch(Mode.HOLD)
+        self._goal, self._landed_at = None, None
+        if craft.landed is not Landed.ON_GROUND:
+            craft.landed = Landed.ON_GROUND
+            craft.tell("landed")
+        craft.tell("armed", 0)
+        if why:
+            craft.say(Severity.INFO, why)
+
+    @property
+    def on_ground(self) -> bool:
+        """Whether it says that it stands on the ground."""
+        return self.craft.landed is Landed.ON_GROUND
+
+    # ---- modes ----
+
+    def request(self, mode: Mode | None) -> Result:
+        """Change the mode as somebody asks, or say why not."""
+        craft = self.craft
+        if mode is None:
+            return Result.UNSUPPORTED
+        if mode is Mode.MANUAL:
+            craft.say(Severity.CRITICAL, "Mode rejected: no remote control")
+            return Result.TEMPORARILY_REJECTED
+        if mode is Mode.MISSION and (not self.plan.items or self.plan.why_not(craft)):
+            if not self.plan.items:
+                craft.say(Severity.CRITICAL, "Mission rejected: no mission")
+            return Result.TEMPORARILY_REJECTED
+        if mode is Mode.OFFBOARD and not self.fresh():
+            craft.say(Severity.CRITICAL, "Offboard rejected: no set-points")
+            return Result.TEMPORARILY_REJECTED
+        guided = mode is Mode.GUIDED
+        wanted = Mode.HOLD if guided else mode
+        if wanted is self.mode and guided == self.guided:
+            return Result.ACCEPTED
+        self.guided = guided
+        craft.critical = False
+        self.switch(wanted)
+        return Result.ACCEPTED
+
+    def switch(self, mode: Mode, goal: Triple | None = None) -> None:
+        """Change the mode; ``goal`` [m] is where HOLD and TAKEOFF go."""
+        craft, before = self.craft, self.mode
+        self.mode, self._goal = mode, goal
+        if self._landed_at is not None and mode in (Mode.TAKEOFF, Mode.MISSION, Mode.OFFBOARD):
+            # It has landed, and is to fly again.
+            self._took_off, self._armed_at, self._landed_at = False, craft.seen.time, None
+        if before is Mode.MISSION and mode is not Mode.MISSION:
+            self.plan.pause(craft)
+        if mode is Mode.MISSION:
+            if self.armed:
+                self.plan.begin(craft)
+        elif mode is Mode.RTL:
+            self._return.begin(craft, self.rally)
+        elif mode is Mode.OFFBOARD:
+            self.offboard.begin(craft)
+        else:
+            craft.begin_path()
+        if mode is Mode.LAND:
+            self._descent.begin()
+            self._goal = craft.path.stop(self.parameters["MPC_ACC_HOR"])
+        craft.tell("mode")
+
+    def fresh(self) -> bool:
+        """Return whether set-points come in."""
+        limit = self.parameters["COM_OF_LOSS_T"] * max(1.0, self.factor)
+        return self.offboard.fresh(self.craft, limit)
+
+    def _fail_over(self, asked: int) -> None:
+        """Do what a failsafe asks for, unless something graver is under way."""
+        craft = self.craft
+        if asked == grave.TERMINATE:
+            self.terminate()
+        elif asked == grave.DISARM:
+            self.disarm("Disarmed by failsafe")
+        elif self.flavour.name == "ardupilot" and self.guided and self.mode is Mode.OFFBOARD and asked == grave.HOLD:
+            # GUIDED holds without set-points, and is no failsafe.
+            self.switch(Mode.HOLD)
+        elif asked > grave.GRAVITY_OF.get(self.mode, grave.NOTHING):
+            craft.critical, self.guided = True, False
+            mode = grave.MODE_OF[asked]
+            craft.say(Severity.CRITICAL, f"Failsafe activated: {mode.value}")
+            self.switch(mode)
+
+    def terminate(self) -> None:
+        """End the flight: motors off until a reboot."""
+        self.craft.terminated = True
+        self.craft.say(Severity.EMERGENCY, "Flight termination")
+        self.disarm("")

@@ -1,0 +1,163 @@
+"""The flight stack of one vehicle: what clients ask of it, and what it tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from qrsim.links.mavlink.stack.commands import obey
+from qrsim.links.mavlink.stack.contracts import (
+    Ack,
+    Command,
+    Event,
+    Facts,
+    FlavourName,
+    Health,
+    Heartbeat,
+    Home,
+    Item,
+    MissionStatus,
+    PlanKind,
+    PlanResult,
+    Result,
+    Sensor,
+    Severity,
+    Target,
+    Text,
+)
+from qrsim.links.mavlink.stack.fence import Fence, rally_points
+from qrsim.links.mavlink.stack.flight import Flight
+from qrsim.links.mavlink.stack.modes import ARMED_FLAG, Mode
+from qrsim.links.mavlink.stack.parameters import Parameters
+from qrsim.models.site import Site
+
+# MAV_STATE.
+STANDBY, ACTIVE, CRITICAL, TERMINATION = 3, 4, 5, 8
+
+
+class FlightStack(Flight):
+    """See ``contracts.Stack``; the arguments are those of ``Flight``."""
+
+    def __init__(
+        self,
+        facts: Facts,
+        site: Site,
+        parameters: Parameters | None = None,
+        flavour: FlavourName = "px4",
+        factor: float = 1.0,
+    ):
+        super().__init__(facts, site, parameters, flavour, factor)
+        self._fence_items = self._area_items()
+        self._heartbeat = Heartbeat(self.flavour.autopilot)
+
+    # ---- what clients ask ----
+
+    def command(self, command: Command) -> Ack:
+        """Obey or refuse a command: those of flight and mission; of requests for messages it knows nothing."""
+        return Ack(obey(self, command))
+
+    def set_mode(self, base_mode: int, custom_mode: int) -> Result:
+        """Obey or refuse a SET_MODE message; without the flag of custom modes none is meant."""
+        if not base_mode & 1:
+            return Result.UNSUPPORTED
+        return self.request(self.flavour.of_custom(custom_mode))
+
+    def setpoint(self, target: Target) -> bool:
+        """Take a set-point; return whether it can be flown. It is flown in OFFBOARD (GUIDED)."""
+        taken = self.offboard.take(target, self.craft)
+        if taken and self.guided and self.mode is Mode.HOLD:
+            self.switch(Mode.OFFBOARD)
+        return taken
+
+    def heard_ground(self) -> None:
+        """Note a heartbeat of a ground station (MAV_TYPE 6)."""
+        self.failsafes.heard_ground(self.craft)
+
+    # ---- plans ----
+
+    def accept(self, kind: PlanKind, items: Sequence[Item]) -> tuple[PlanResult, int]:
+        """Replace a plan, none of it where one item is bad; return the result and the seq of that item, else -1."""
+        craft = self.craft
+        if kind is PlanKind.MISSION:
+            result, bad = self.plan.accept(items, craft)
+            if result is PlanResult.ACCEPTED and self.mode is Mode.MISSION:
+                self.switch(Mode.MISSION if items and not self.plan.why_not(craft) else Mode.HOLD)
+        elif kind is PlanKind.FENCE:
+            fence, result, bad = Fence.of(items, craft.geodesy)
+            if result is PlanResult.ACCEPTED:
+                craft.fence, self._fence_items = fence, tuple(items)
+                if self.plan.items:
+                    self.plan.why_not(craft)
+        else:
+            result, bad = rally_points(items)
+            if result is PlanResult.ACCEPTED:
+                self.rally = tuple(items)
+        if result is PlanResult.ACCEPTED:
+            craft.tell("plan", int(kind))
+        else:
+            craft.say(Severity.WARNING, f"{kind.name.capitalize()} refused at item {bad}: {result.name.lower()}")
+        return result, bad
+
+    def items(self, kind: PlanKind) -> tuple[Item, ...]:
+        """Return a plan as it was accepted; the fence is that of the scenario before."""
+        return {
+            PlanKind.MISSION: self.plan.items, PlanKind.FENCE: self._fence_items, PlanKind.RALLY: self.rally
+        }[kind]  # fmt: skip
+
+    def set_current(self, seq: int) -> bool:
+        """Go on with another item of the mission; return whether there is one."""
+        return self.plan.set_current(seq, self.craft)
+
+    def _area_items(self) -> tuple[Item, ...]:
+        """Return the scenario's area as a fence plan."""
+        corners = self.facts.fence
+        items = []
+        for seq, (north, east) in enumerate(corners):
+            latitude, longitude, _ = self.craft.geodesy.to_geodetic((north, east, 0.0))
+            params = (float(len(corners)), 0.0, 0.0, 0.0)
+            items.append(Item(seq, 5, 5001, params, round(latitude * 1e7), round(longitude * 1e7)))
+        return tuple(items)
+
+    # ---- what it says ----
+
+    @property
+    def home(self) -> Home | None:
+        """Where it returns to; None before there was a position."""
+        return self.craft.home
+
+    def heartbeat(self) -> Heartbeat:
+        """Return what HEARTBEAT and EXTENDED_SYS_STATE say."""
+        told, craft = self._heartbeat, self.craft
+        told.base_mode = self.flavour.base_mode | (ARMED_FLAG if self.armed else 0)
+        told.custom_mode = self.flavour.custom_mode(self.mode, self.guided)
+        told.landed = craft.landed
+        told.system_status = ACTIVE if self.armed else STANDBY
+        if craft.terminated:
+            told.system_status = TERMINATION
+        elif self.armed and craft.critical:
+            told.system_status = CRITICAL
+        return told
+
+    def health(self) -> Health:
+        """Return the bits that SYS_STATUS has from the stack."""
+        craft, seen = self.craft, self.craft.seen
+        reasons = [] if self.armed else self.checks.reasons(craft)
+        battery = Sensor.BATTERY if seen.charge == seen.charge else 0
+        # MAVProxy takes a fence that is not enabled for a breach.
+        present = Sensor.PREARM | Sensor.AHRS | Sensor.GEOFENCE | battery
+        healthy = 0 if reasons else int(Sensor.PREARM)
+        healthy |= Sensor.AHRS if seen.valid else 0
+        healthy |= 0 if self.failsafes.breached else Sensor.GEOFENCE
+        healthy |= battery if seen.charge > self.parameters["BAT_CRIT_THR"] else 0
+        return Health(int(present), int(present), int(healthy), reasons)
+
+    def mission(self) -> MissionStatus:
+        """Return what MISSION_CURRENT says."""
+        return self.plan.status(self.mode is Mode.MISSION)
+
+    def texts(self) -> list[Text]:
+        """Return what there is to say since the last call."""
+        return self.craft.texts()
+
+    def events(self) -> list[Event]:
+        """Return what has changed since the last call."""
+        return self.craft.events()

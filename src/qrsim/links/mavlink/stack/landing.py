@@ -1,0 +1,69 @@
+"""Landing: down to the ground, idle motors there, and when a vehicle has landed."""
+
+from __future__ import annotations
+
+from qrsim.links.contracts import Order
+from qrsim.links.mavlink.stack.contracts import Triple
+from qrsim.links.mavlink.stack.craft import Craft
+
+# Descent is slow below the second height over home, and slower than before below the first [m].
+SLOWS_AT, SLOW_AT = 10.0, 5.0
+# What is asked to come down so far [m] and moves slower than this [m/s] is held by the ground; idle motors do not hold
+# what falls faster than the last [m/s].
+HELD, HELD_SPEED, FALLS = 0.6, 0.25, 1.0
+# On the ground for so long with a descent asked for, the motors idle; for so long, it has landed [s].
+IDLE_AFTER, LANDED_AFTER = 0.5, 1.0
+
+
+class Touchdown:
+    """Tells when a vehicle that is asked to come down has landed."""
+
+    def __init__(self) -> None:
+        self.since: float | None = None
+
+    def clear(self) -> None:
+        """Forget that it touched the ground."""
+        self.since = None
+
+    def seconds(self, craft: Craft, wanted_z: float) -> float:
+        """Return how long a vehicle that is asked down to ``wanted_z`` [m] has been on the ground [s]."""
+        seen = craft.seen
+        speed = abs(seen.velocity_ned[2])
+        held = wanted_z - seen.position_ned[2] > HELD and speed < HELD_SPEED
+        idles = self.since is not None and seen.time - self.since >= IDLE_AFTER and speed < FALLS
+        if not (seen.on_ground or held or idles):
+            self.since = None
+            return 0.0
+        if self.since is None:
+            self.since = seen.time
+        return seen.time - self.since
+
+
+class Descent:
+    """The way down at one place."""
+
+    def __init__(self) -> None:
+        self.touchdown = Touchdown()
+
+    def begin(self) -> None:
+        """Begin anew."""
+        self.touchdown.clear()
+
+    def fly(self, craft: Craft, place: Triple) -> tuple[Order | None, bool]:
+        """Return the order, and whether it has landed.
+
+        Args:
+            craft: vehicle.
+            place: above which it comes down [m]; its third number counts for nothing.
+        """
+        path = craft.path
+        on = self.touchdown.seconds(craft, path.position[2])
+        if on >= IDLE_AFTER:
+            return craft.idle(), on >= LANDED_AFTER
+        level, up, down = craft.speeds()
+        slow = min(craft.parameters.values["MPC_LAND_SPEED"], down)
+        height = craft.home_z - craft.seen.position_ned[2]
+        share = min(max((height - SLOW_AT) / (SLOWS_AT - SLOW_AT), 0.0), 1.0)
+        # Below the ground as far as it takes: what holds the vehicle then is the ground.
+        goal = (place[0], place[1], path.position[2] + 10.0)
+        return craft.go(goal, (level, up, slow + share * (down - slow))), False

@@ -1,0 +1,292 @@
+"""Mission: the items of a plan flown one after the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from qrsim.links.contracts import Order
+from qrsim.links.mavlink.stack import plan
+from qrsim.links.mavlink.stack.contracts import Item, MissionState, MissionStatus, PlanResult, Severity, Triple
+from qrsim.links.mavlink.stack.craft import Craft
+from qrsim.links.mavlink.stack.landing import Descent
+
+# An item's height counts as reached within this [m], as NAV_MC_ALT_RAD.
+HEIGHT_RADIUS = 0.8
+# A jump with this many repeats has no end.
+FOR_EVER = -1.0
+
+
+class Mission:
+    """The plan of one vehicle, and how far it is with it.
+
+    Args:
+        first: seq of the first item that is flown; those before it say where home was.
+
+    Attributes:
+        items: as accepted.
+        current: seq of the item that is flown.
+        state: of it.
+        returns: whether the item that was reached last asks for a return.
+        landed: whether the mission ended on the ground.
+        rises, lands: whether the item that is flown takes off or comes down.
+        descent: of a landing.
+    """
+
+    def __init__(self, first: int = 0) -> None:
+        self._first = first
+        self.items: tuple[Item, ...] = ()
+        self.current = 0
+        self.state = MissionState.NO_MISSION
+        self.returns = self.landed = self.rises = self.lands = False
+        self._jumps: dict[int, int] = {}
+        self.descent = Descent()
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin with the item that is flown."""
+        self._goal: Triple | None = None
+        self._from: Triple | None = None
+        self._arrived: float | None = None
+        self._turned = self._entry = 0.0
+        self._lifted = False
+        self.rises = self.lands = False
+        self.descent.begin()
+
+    # ---- the plan ----
+
+    def accept(self, items: Sequence[Item], craft: Craft) -> tuple[PlanResult, int]:
+        """Replace the plan; return the result and the seq of the bad item, else -1."""
+        result, bad = plan.check(items)
+        if result is not PlanResult.ACCEPTED:
+            return result, bad
+        self.items = tuple(items)
+        self.restart(craft)
+        self.why_not(craft)
+        return result, -1
+
+    def why_not(self, craft: Craft) -> str:
+        """Return why the mission cannot be flown, and say it; "" where it can."""
+        why = "no mission" if not self.items else ""
+        seq = plan.outside(self.items, craft)
+        if seq is not None:
+            why = f"item {seq} is outside the fence"
+        if why and self.items:
+            craft.say(Severity.CRITICAL, f"Mission rejected: {why}")
+        return why
+
+    def status(self, in_mode: bool) -> MissionStatus:
+        """Return what MISSION_CURRENT says."""
+        return MissionStatus(self.current, len(self.items), self.state, in_mode)
+
+    def set_current(self, seq: int, craft: Craft) -> bool:
+        """Go on with another item; return whether there is one."""
+        if not 0 <= seq < len(self.items):
+            return False
+        self.current = seq
+        self._jumps.clear()
+        self._forget()
+        if self.state is MissionState.COMPLETE:
+            self.state = MissionState.NOT_STARTED
+        craft.tell("mission")
+        return True
+
+    def restart(self, craft: Craft) -> None:
+        """Begin the plan again, not started."""
+        self.current = min(self._first, max(0, len(self.items) - 1))
+        self._jumps.clear()
+        self._forget()
+        self.state = MissionState.NOT_STARTED if self.items else MissionState.NO_MISSION
+        craft.tell("mission")
+
+    # ---- flight ----
+
+    def begin(self, craft: Craft) -> None:
+        """Start or go on; a mission that was completed starts again."""
+        if self.state is MissionState.COMPLETE or self.current >= len(self.items):
+            self.current = min(self._first, max(0, len(self.items) - 1))
+            self._jumps.clear()
+        self._forget()
+        self.state, self.returns, self.landed = MissionState.ACTIVE, False, False
+        craft.begin_path()
+        craft.tell("mission")
+
+    def pause(self, craft: Craft) -> None:
+        """Note that it is no longer flown."""
+        if self.state is MissionState.ACTIVE:
+            self.state = MissionState.PAUSED
+            craft.tell("mission")
+
+    def fly(self, craft: Craft) -> tuple[Order | None, bool]:
+        """Return the order, and whether the mission is over."""
+        # Items without a place take no time, but two of them may jump to each other.
+        for _ in range(len(self.items)):
+            item = self.items[self.current]
+            done, order = self._fly_item(item, craft)
+            if not done:
+                return order, False
+            over = self._next(item, craft)
+            if over or order is not None:
+                return order, over
+        return None, False
+
+    def _next(self, item: Item, craft: Craft) -> bool:
+        """Go over to the next item; return whether there is none."""
+        craft.tell("item_reached", self.current)
+        self.returns = item.command == plan.RETURN
+        following = self.current + 1
+        if item.command == plan.JUMP:
+            jumped, times = self._jumps.get(self.current, 0), item.params[1]
+            if times == FOR_EVER or jumped < times:
+                self._jumps[self.current] = jumped + 1
+                following = int(item.params[0])
+        over = following >= len(self.items) or self.returns
+        if over:
+            self.state = MissionState.COMPLETE
+            self.landed = item.command == plan.LAND
+        else:
+            before = self._goal
+            self.current = following
+            self._forget()
+            self._from = before
+        craft.tell("mission")
+        return over
+
+    def _fly_item(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
+        """Return whether an item is done, and the order."""
+        command, params, now = item.command, item.params, craft.seen.time
+        if command == plan.LAND:
+            return self._land(item, craft)
+        if command == plan.TAKEOFF:
+            return self._take_off(item, craft)
+        if command in plan.PLACES:
+            return self._go(item, craft)
+        if command in (plan.DELAY, plan.CONDITION_DELAY):
+            self._arrived = now if self._arrived is None else self._arrived
+            wait = params[0] if params[0] > 0.0 else 0.0
+            return now - self._arrived >= wait, self._stay(craft)
+        if command == plan.CHANGE_SPEED:
+            change_speed(craft, params[0], params[1])
+        return True, None
+
+    def _stay(self, craft: Craft) -> Order | None:
+        if not craft.flies and craft.seen.on_ground:
+            return craft.idle()
+        if self._goal is None:
+            self._goal = self._from or craft.path.stop(craft.parameters["MPC_ACC_HOR"])
+        return craft.go(self._goal)
+
+    def _take_off(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
+        self.rises = True
+        here = craft.seen.position_ned
+        if self._goal is None:
+            height = craft.home_z - craft.parameters["MIS_TAKEOFF_ALT"]
+            goal = plan.place_of(item, craft, (here[0], here[1], height))
+            self._goal = (here[0], here[1], min(goal[2], here[2]))
+        if math.isfinite(item.params[3]) and craft.flies:
+            craft.turn_to(math.radians(item.params[3]))
+        level, up, down = craft.speeds()
+        order = craft.go(self._goal, (level, min(up, craft.parameters["MPC_TKO_SPEED"]), down))
+        return here[2] - self._goal[2] < HEIGHT_RADIUS, order
+
+    def _go(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
+        here, now = craft.seen.position_ned, craft.seen.time
+        if self._goal is None:
+            self._goal = plan.place_of(item, craft, self._from or here)
+            self._lifted = craft.flies
+        goal = self._goal
+        if not self._lifted:
+            # From the ground it rises to the height of its first item, at least to that of a take-off.
+            top = min(goal[2], craft.home_z - craft.parameters["MIS_TAKEOFF_ALT"])
+            self._lifted = here[2] - top < HEIGHT_RADIUS
+            self.rises = not self._lifted
+            level, up, down = craft.speeds()
+            return False, craft.go((here[0], here[1], top), (level, min(up, craft.parameters["MPC_TKO_SPEED"]), down))
+        radius = item.params[1] if item.command == plan.WAYPOINT and item.params[1] > 0.0 else 0.0
+        radius = radius or craft.parameters["NAV_ACC_RAD"]
+        if math.isfinite(item.params[3]) and item.command == plan.WAYPOINT:
+            craft.turn_to(math.radians(item.params[3]))
+        elif self._arrived is None:
+            craft.look_to(goal[0], goal[1], radius)
+        away = math.hypot(goal[0] - here[0], goal[1] - here[1])
+        level = abs(goal[2] - here[2]) < HEIGHT_RADIUS
+        near = away < radius and level
+        if item.command == plan.LOITER_TURNS:
+            near = away < abs(_turn_radius(item)) + radius and level
+            if near or self._arrived is not None:
+                return self._circle(item, craft, goal)
+        if near and self._arrived is None:
+            self._arrived = now
+        hold = self._hold(item)
+        order = craft.go(goal, beyond=0.0 if hold > 0.0 or self.current + 1 >= len(self.items) else 0.5 * radius)
+        return self._arrived is not None and now - self._arrived >= hold, order
+
+    @staticmethod
+    def _hold(item: Item) -> float:
+        if item.command == plan.LOITER_UNLIMITED:
+            return math.inf
+        timed = item.command in (plan.WAYPOINT, plan.LOITER_TIME)
+        return item.params[0] if timed and item.params[0] > 0.0 else 0.0
+
+    def _circle(self, item: Item, craft: Craft, centre: Triple) -> tuple[bool, Order | None]:
+        """Fly turns round a place, beginning where the vehicle is; a negative radius is the other way."""
+        here, path, signed = craft.seen.position_ned, craft.path, _turn_radius(item)
+        radius, sign = abs(signed), math.copysign(1.0, signed)
+        if self._arrived is None:
+            self._arrived = craft.seen.time
+            self._entry = math.atan2(here[1] - centre[1], here[0] - centre[0])
+        dt, acceleration = craft.facts.time_step, craft.parameters["MPC_ACC_HOR"]
+        speed = min(craft.speeds()[0], math.sqrt(0.5 * acceleration * radius))
+        angle = self._entry + sign * self._turned
+        sine, cosine = math.sin(angle), math.cos(angle)
+        place = (centre[0] + radius * cosine, centre[1] + radius * sine, centre[2])
+        done = self._turned >= 2.0 * math.pi * item.params[0]
+        craft.yaw = math.atan2(sign * cosine, -sign * sine)
+        # The point on the circle waits for the vehicle, as every path does.
+        speed *= min(max(1.0 - (math.dist(here, place) - 2.0) / 3.0, 0.0), 1.0)
+        if speed == 0.0:
+            return False, craft.go(place)
+        self._turned += speed * dt / radius
+        along, inward = sign * speed, -speed * speed / radius
+        path.position = place
+        path.velocity = (-along * sine, along * cosine, 0.0)
+        path.acceleration = (inward * cosine, inward * sine, 0.0)
+        return done, craft.follow(path.position, path.velocity, path.acceleration)
+
+    def _land(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
+        here = craft.seen.position_ned
+        if self._goal is None:
+            place = plan.place_of(item, craft, self._from or here)
+            self._goal = (place[0], place[1], here[2])
+        if not self.lands:
+            goal = (self._goal[0], self._goal[1], self._goal[2])
+            if math.hypot(goal[0] - here[0], goal[1] - here[1]) > max(1.0, 0.5 * craft.parameters["NAV_ACC_RAD"]):
+                craft.look_to(goal[0], goal[1], 2.0)
+                return False, craft.go(goal)
+            self.lands = True
+        order, landed = self.descent.fly(craft, self._goal)
+        return landed, order
+
+
+def _turn_radius(item: Item) -> float:
+    """Return the radius [m] of a circle, negative for the other way; one that says none has 10 m."""
+    return item.params[2] if abs(item.params[2]) > 0.1 else 10.0
+
+
+def change_speed(craft: Craft, kind: float, speed: float) -> bool:
+    """Obey DO_CHANGE_SPEED: kind 0 and 1 over ground, 2 up, 3 down; [m/s], -1 no change, -2 the default.
+
+    Return whether it can be obeyed.
+    """
+    if kind not in (0.0, 1.0, 2.0, 3.0) or not (speed in (-1.0, -2.0) or 0.0 < speed < math.inf):
+        return False
+    if speed == -1.0:
+        return True
+    wanted = None if speed == -2.0 else speed
+    if kind in (0.0, 1.0):
+        craft.cruise = wanted
+    elif kind == 2.0:
+        craft.climb = wanted
+    else:
+        craft.sink = wanted
+    return True

@@ -1,0 +1,261 @@
+"""Set-points from outside: what of them can be flown, and the orders that they become."""
+
+from __future__ import annotations
+
+import math
+
+from qrsim.links.contracts import Order
+from qrsim.links.mavlink.stack.contracts import (
+    NAN,
+    AttitudeTarget,
+    GlobalTarget,
+    LocalTarget,
+    Severity,
+    Target,
+    Triple,
+)
+from qrsim.links.mavlink.stack.craft import Craft
+from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, RELATIVE
+from qrsim.links.mavlink.stack.landing import IDLE_AFTER, LANDED_AFTER, Touchdown
+
+# MAV_FRAME: local, from here along north and east, and twice from here along the heading.
+LOCAL_NED, LOCAL_OFFSET, BODY_NED, BODY_OFFSET, BODY_FRD = 1, 7, 8, 9, 12
+# POSITION_TARGET_TYPEMASK: three bits each, then whether the acceleration is a force, and yaw and its rate.
+FORCE, NO_YAW, NO_YAW_RATE = 0x200, 0x400, 0x800
+# ATTITUDE_TARGET_TYPEMASK.
+NO_RATES, NO_THRUST, NO_ATTITUDE = 0x7, 0x40, 0x80
+# Larger numbers than this are no places, velocities or angles.
+LARGEST = 1e6
+# A set-point that asks for so much height above where a vehicle stands [m], or for such a climb [m/s], takes off.
+TAKES_OFF, CLIMBS = 0.2, 0.1
+
+
+class Offboard:
+    """The set-point of one vehicle.
+
+    Attributes:
+        heard: when the last one came [s]; None before the first.
+        lands: whether the set-point asks it to come down.
+    """
+
+    def __init__(self) -> None:
+        self.heard: float | None = None
+        self.lands = False
+        self._kind = "none"
+        self._position: Triple = (NAN, NAN, NAN)
+        self._velocity: Triple = (NAN, NAN, NAN)
+        self._acceleration: Triple = (NAN, NAN, NAN)
+        self._yaw, self._yaw_rate = NAN, NAN
+        self._tilt: tuple[float, float] | None = None
+        self._rates: Triple = (0.0, 0.0, 0.0)
+        self._thrust = 0.0
+        self._z, self._went = 0.0, False
+        self._touchdown = Touchdown()
+        self._complained = -math.inf
+
+    # ---- what comes in ----
+
+    def take(self, target: Target, craft: Craft) -> bool:
+        """Take a set-point; return whether it can be flown."""
+        if isinstance(target, AttitudeTarget):
+            why = self._take_attitude(target, craft)
+        elif isinstance(target, LocalTarget):
+            why = self._take_local(target, craft)
+        else:
+            why = self._take_global(target, craft)
+        if why:
+            # A client repeats its set-points many times a second.
+            if craft.seen.time - self._complained >= 5.0 or craft.seen.time < self._complained:
+                self._complained = craft.seen.time
+                craft.say(Severity.WARNING, f"Set-point refused: {why}")
+            return False
+        self.heard = craft.seen.time
+        return True
+
+    def _take_local(self, target: LocalTarget, craft: Craft) -> str:
+        frame = target.frame
+        if frame not in (LOCAL_NED, LOCAL_OFFSET, BODY_NED, BODY_OFFSET, BODY_FRD):
+            return f"frame {frame} is not supported"
+        position, velocity, acceleration = _unmasked(target)
+        if frame != LOCAL_NED:
+            here = craft.seen.position_ned
+            if frame != LOCAL_OFFSET:
+                yaw = craft.seen.attitude[2]
+                position, velocity, acceleration = (_turned(part, yaw) for part in (position, velocity, acceleration))
+            position = (here[0] + position[0], here[1] + position[1], here[2] + position[2])
+        return self._take_motion(target, position, velocity, acceleration)
+
+    def _take_global(self, target: GlobalTarget, craft: Craft) -> str:
+        if target.frame not in GLOBAL:
+            return f"frame {target.frame} is not supported"
+        ignored, velocity, acceleration = _unmasked(target)
+        position: Triple = (NAN, NAN, NAN)
+        if not math.isnan(ignored[0] + ignored[1] + ignored[2]):
+            latitude, longitude, altitude = target.lat_int * 1e-7, target.lon_int * 1e-7, target.alt
+            if abs(latitude) > 90.0 or abs(longitude) > 180.0 or math.isinf(altitude):
+                return "no such place"
+            if target.frame in RELATIVE:
+                altitude += craft.home.altitude if craft.home else craft.geodesy.height
+            elif target.frame not in AMSL:
+                altitude += craft.geodesy.height
+            position = craft.geodesy.to_ned(latitude, longitude, altitude)
+        return self._take_motion(target, position, velocity, acceleration)
+
+    def _take_motion(
+        self, target: LocalTarget | GlobalTarget, position: Triple, velocity: Triple, acceleration: Triple
+    ) -> str:
+        numbers = (*position, *velocity, *acceleration)
+        yaw = NAN if target.mask & NO_YAW else target.yaw
+        rate = NAN if target.mask & NO_YAW_RATE else target.yaw_rate
+        if any(abs(number) > LARGEST for number in (*numbers, yaw, rate)):
+            return "numbers too large"
+        # Where accelerations are left out, what they are counts for nothing: many a client's mask has all bits.
+        if target.mask & FORCE and any(map(math.isfinite, acceleration)):
+            return "forces are not supported"
+        for axis, name in enumerate("xyz"):
+            if all(math.isnan(part[axis]) for part in (position, velocity, acceleration)):
+                return f"{name} has no number"
+        # Height alone, or the like, is held by what is given for each axis.
+        self._kind = "motion"
+        self._position, self._velocity, self._acceleration = position, velocity, acceleration
+        self._yaw, self._yaw_rate = yaw, rate
+        return ""
+
+    def _take_attitude(self, target: AttitudeTarget, craft: Craft) -> str:
+        if target.mask & NO_THRUST or not 0.0 <= target.thrust <= 1.0:
+            return f"thrust {target.thrust:g}, 0 to 1 needed" if not target.mask & NO_THRUST else "no thrust"
+        tilt, yaw = None, NAN
+        if not target.mask & NO_ATTITUDE:
+            size = math.sqrt(sum(part * part for part in target.q))
+            if not 0.5 < size < 2.0:
+                return "quaternion is none"
+            roll, pitch, yaw = _euler(*(part / size for part in target.q))
+            tilt = (roll, pitch)
+        elif target.mask & NO_RATES == NO_RATES:
+            return "neither attitude nor rates"
+        rates = tuple(0.0 if target.mask & (1 << axis) else target.rates[axis] for axis in range(3))
+        if not all(map(math.isfinite, rates)):
+            return "rates are not finite"
+        self._kind, self._thrust, self._yaw = "attitude", target.thrust, yaw
+        self._tilt, self._rates = tilt, (rates[0], rates[1], rates[2])
+        return ""
+
+    # ---- what goes out ----
+
+    def fresh(self, craft: Craft, limit: float) -> bool:
+        """Return whether a set-point came in the last ``limit`` seconds."""
+        # A small part of a tick is left for the rounding of times.
+        return self.heard is not None and craft.seen.time - self.heard < limit + 0.01 * craft.facts.time_step
+
+    def begin(self, craft: Craft) -> None:
+        """Begin to fly by set-points."""
+        self._touchdown.clear()
+        self._went = False
+        self._leaning = craft.seen.attitude[:2]
+        craft.yaw = craft.seen.attitude[2]
+
+    def fly(self, craft: Craft) -> tuple[Order | None, bool]:
+        """Return the order, and whether it has landed."""
+        dt = craft.facts.time_step
+        if self._kind == "attitude":
+            return self._fly_attitude(craft, dt), craft.seen.on_ground and self._thrust < 0.1
+        if math.isfinite(self._yaw):
+            craft.turn_to(self._yaw)
+        elif math.isfinite(self._yaw_rate):
+            craft.turn_to(craft.yaw + self._yaw_rate * dt)
+        self.lands = not self._rises(craft)
+        if not craft.flies and self.lands:
+            return craft.idle(), self._touchdown.seconds(craft, craft.seen.position_ned[2]) >= LANDED_AFTER
+        if self.lands:
+            self._z = max(self._z, craft.seen.position_ned[2]) + (self._sinks() * dt)
+            on = self._touchdown.seconds(craft, self._z)
+            if on >= IDLE_AFTER:
+                return craft.idle(), on >= LANDED_AFTER
+        else:
+            self._touchdown.clear()
+            self._z = craft.seen.position_ned[2]
+        return self._motion(craft, dt), False
+
+    def _sinks(self) -> float:
+        return self._velocity[2] if self._velocity[2] > 0.0 else 0.5
+
+    def _rises(self, craft: Craft) -> bool:
+        """Return whether the set-point keeps a vehicle off the ground."""
+        here = craft.seen.position_ned[2]
+        if math.isfinite(self._position[2]):
+            # In flight a place below where it stood is a landing.
+            return self._position[2] < (craft.stood_z if craft.flies else here - TAKES_OFF)
+        down = self._velocity[2]
+        if math.isfinite(down):
+            return down < (CLIMBS if craft.flies else -CLIMBS)
+        return self._acceleration[2] < (0.5 if craft.flies else -0.5)
+
+    def _motion(self, craft: Craft, dt: float) -> Order:
+        position, velocity, acceleration = self._position, self._velocity, self._acceleration
+        values, facts, seen = craft.parameters.values, craft.facts, craft.seen
+        level = min(values["MPC_XY_VEL_MAX"], facts.speed_limit)
+        up, down = min(values["MPC_Z_VEL_MAX_UP"], facts.climb_limit), min(values["MPC_Z_VEL_MAX_DN"], facts.sink_limit)
+        moves = [math.isfinite(part) for part in velocity]
+        if all(map(math.isfinite, position)) and not any(moves):
+            if not self._went:
+                craft.begin_path()
+                self._went = True
+            return craft.go(position, (level, up, down))
+        self._went = False
+        if all(moves) and not any(map(math.isfinite, (*position, *acceleration))):
+            return craft.fly(_limited(velocity, level, up, down))
+        place, along, push = [], [], []
+        for axis in range(3):
+            wanted, speed, extra = position[axis], velocity[axis], acceleration[axis]
+            free = math.isnan(wanted)
+            place.append(seen.position_ned[axis] if free else wanted)
+            if math.isnan(speed):
+                # A free axis that is pushed goes on as it does.
+                speed = seen.velocity_ned[axis] if free else 0.0
+            along.append(speed)
+            push.append(0.0 if math.isnan(extra) else extra)
+        motion = _limited((along[0], along[1], along[2]), level, up, down)
+        return craft.follow((place[0], place[1], place[2]), motion, (push[0], push[1], push[2]))
+
+    def _fly_attitude(self, craft: Craft, dt: float) -> Order:
+        rates = self._rates
+        if self._tilt is not None:
+            roll, pitch = self._tilt
+            craft.yaw = self._yaw
+        else:
+            # Tilt and throttle are what the platform takes: rates are added up.
+            most = craft.facts.tilt_max
+            roll = min(max(self._leaning[0] + rates[0] * dt, -most), most)
+            pitch = min(max(self._leaning[1] + rates[1] * dt, -most), most)
+            craft.turn_to(craft.yaw + rates[2] * dt)
+        self._leaning = (roll, pitch)
+        return craft.lean(roll, pitch, self._thrust)
+
+
+def _unmasked(target: LocalTarget | GlobalTarget) -> tuple[Triple, Triple, Triple]:
+    """Return position, velocity and acceleration of a target, NaN where its mask leaves them out."""
+    position = target.position if isinstance(target, LocalTarget) else (0.0, 0.0, target.alt)
+    parts = []
+    for shift, part in ((0, position), (3, target.velocity), (6, target.acceleration)):
+        bits = target.mask >> shift
+        parts.append((NAN if bits & 1 else part[0], NAN if bits & 2 else part[1], NAN if bits & 4 else part[2]))
+    return parts[0], parts[1], parts[2]
+
+
+def _turned(vector: Triple, yaw: float) -> Triple:
+    """Return a vector along the heading in NED; where one of its two axes is free, so are both."""
+    sine, cosine = math.sin(yaw), math.cos(yaw)
+    return cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1], vector[2]
+
+
+def _limited(velocity: Triple, level: float, up: float, down: float) -> Triple:
+    size = math.hypot(velocity[0], velocity[1])
+    ratio = min(1.0, level / size) if size > 0.0 else 1.0
+    return velocity[0] * ratio, velocity[1] * ratio, min(max(velocity[2], -up), down)
+
+
+def _euler(w: float, x: float, y: float, z: float) -> Triple:
+    """Return roll, pitch and yaw [rad] of a unit quaternion from body to NED."""
+    pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return roll, pitch, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -1,0 +1,109 @@
+"""A point that moves to a goal with limited speed, acceleration and jerk, and that the vehicle follows."""
+
+from __future__ import annotations
+
+import math
+
+from qrsim.links.mavlink.stack.contracts import Triple
+
+# Wanted speed per metre to the goal [1/s], and acceleration per error of speed [1/s].
+APPROACH, ANSWER = 0.8, 3.0
+# Of the acceleration that the jerk could still end in time, what is asked for.
+SOON = 0.8
+# Of the largest acceleration, what braking counts on: the jerk's limit takes the rest.
+BRAKING = 0.6
+# Of a vehicle that is farther behind than the first [m] the point waits; it stands at the second more.
+WAITS_FROM, WAITS_OVER = 2.0, 3.0
+# Largest vertical acceleration of the point [m/s^2].
+VERTICAL = 2.5
+
+
+class Path:
+    """The moving point of one vehicle.
+
+    Attributes:
+        position, velocity, acceleration: of the point, NED [m], [m/s], [m/s^2].
+    """
+
+    def __init__(self) -> None:
+        self.position: Triple = (0.0, 0.0, 0.0)
+        self.velocity: Triple = (0.0, 0.0, 0.0)
+        self.acceleration: Triple = (0.0, 0.0, 0.0)
+
+    def begin(self, position: Triple, velocity: Triple) -> None:
+        """Put the point to where a vehicle is, unless it is there already."""
+        if math.dist(position, self.position) > 1.5 or math.dist(velocity, self.velocity) > 1.0:
+            self.position, self.velocity, self.acceleration = position, velocity, (0.0, 0.0, 0.0)
+
+    def shift(self, position: Triple) -> None:
+        """Let the point stand at a place."""
+        self.position, self.velocity, self.acceleration = position, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+    def stop(self, most: float) -> Triple:
+        """Return where the point would come to rest with an acceleration of at most ``most`` [m/s^2]."""
+        north, east, down = self.velocity
+        way = braking_way(math.hypot(north, east), most)
+        ratio = way / max(math.hypot(north, east), 1e-9)
+        fall = math.copysign(braking_way(abs(down), VERTICAL), down)
+        return self.position[0] + north * ratio, self.position[1] + east * ratio, self.position[2] + fall
+
+    def move(
+        self, goal: Triple, here: Triple, speeds: Triple, limits: tuple[float, float], dt: float, beyond: float = 0.0
+    ) -> None:
+        """Move the point on by a step.
+
+        Args:
+            goal: where it is to go [m].
+            here: where the vehicle is, for which it waits [m].
+            speeds: largest horizontal, upward and downward speed [m/s].
+            limits: largest horizontal acceleration [m/s^2] and jerk [m/s^3].
+            dt: step [s].
+            beyond: how far beyond the goal the way goes on: so much later it brakes [m].
+        """
+        px, py, pz = self.position
+        vx, vy, vz = self.velocity
+        ax, ay, az = self.acceleration
+        dx, dy, dz = goal[0] - px, goal[1] - py, goal[2] - pz
+        most, jerk = limits
+        behind = math.dist(here, self.position)
+        rate = min(max(1.0 - (behind - WAITS_FROM) / WAITS_OVER, 0.0), 1.0)
+        way = math.hypot(dx, dy)
+        ratio = min(speeds[0], approach(way + beyond, BRAKING * most)) / way if way > 1e-6 else 0.0
+        if ratio * dt > 1.0:
+            # Never past the goal within a step.
+            ratio = 1.0 / dt
+        bx, by = dx * ratio * rate - vx, dy * ratio * rate - vy
+        size = math.hypot(bx, by)
+        ratio = _answer(size, most, jerk) / size if size > 1e-9 else 0.0
+        bx, by = bx * ratio, by * ratio
+        bz = math.copysign(approach(abs(dz), BRAKING * VERTICAL), dz)
+        bz = min(max(bz, -speeds[1]), speeds[2]) * rate - vz
+        bz = math.copysign(_answer(abs(bz), VERTICAL, jerk), bz)
+        step = jerk * dt
+        ax, ay = ax + _within(bx - ax, step), ay + _within(by - ay, step)
+        az = az + _within(bz - az, step)
+        vx, vy, vz = vx + ax * dt, vy + ay * dt, vz + az * dt
+        self.acceleration, self.velocity = (ax, ay, az), (vx, vy, vz)
+        self.position = (px + vx * dt, py + vy * dt, pz + vz * dt)
+
+
+def approach(way: float, most: float) -> float:
+    """Return the speed [m/s] at a distance [m] from a goal, from which ``most`` [m/s^2] brakes in time."""
+    linear = most / (APPROACH * APPROACH)
+    return APPROACH * way if way < linear else math.sqrt(2.0 * most * (way - 0.5 * linear))
+
+
+def braking_way(speed: float, most: float) -> float:
+    """Return the distance [m] at which ``approach`` is a speed [m/s]."""
+    most *= BRAKING
+    linear = most / (APPROACH * APPROACH)
+    return speed / APPROACH if speed < APPROACH * linear else speed * speed / (2.0 * most) + 0.5 * linear
+
+
+def _answer(error: float, most: float, jerk: float) -> float:
+    """Return the acceleration [m/s^2] for an error of speed [m/s], which the jerk [m/s^3] can end in time."""
+    return min(ANSWER * error, SOON * math.sqrt(2.0 * jerk * error), most)
+
+
+def _within(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)

@@ -1,0 +1,101 @@
+"""Mission plans: what is accepted, and what each item asks for in the site's frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from qrsim.links.mavlink.stack.contracts import UNSET_INT, Item, PlanResult, Triple
+from qrsim.links.mavlink.stack.craft import Craft
+from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, MOST_ITEMS, RELATIVE, bad_place
+
+WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
+LOITER_TO_ALTITUDE, DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED = 31, 93, 112, 177, 178
+PLACES = frozenset((WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, LOITER_TO_ALTITUDE))
+FLOWN = PLACES | {RETURN, DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED}
+# Cameras, gimbals and regions of interest: accepted, told as reached, nothing is done.
+SKIPPED = frozenset((195, 196, 197, 201, 205, 206, 530, 531, 1000, 1001, 2000, 2001, 2500, 2501))
+FRAME_MISSION = 2
+LARGEST_ALTITUDE = 1e5
+
+
+def check(items: Sequence[Item]) -> tuple[PlanResult, int]:
+    """Return whether a mission can be flown: the result, and the seq of the item that is bad, else -1."""
+    if len(items) > MOST_ITEMS:
+        return PlanResult.NO_SPACE, MOST_ITEMS
+    for index, item in enumerate(items):
+        if item.command not in FLOWN | SKIPPED:
+            return PlanResult.UNSUPPORTED, index
+        bad = _bad_place(item) if item.command in PLACES else None
+        if bad is None:
+            bad = _bad_numbers(item, len(items))
+        if bad is not None:
+            return bad, index
+    return PlanResult.ACCEPTED, -1
+
+
+def _bad_place(item: Item) -> PlanResult | None:
+    if item.frame not in GLOBAL:
+        return PlanResult.UNSUPPORTED_FRAME
+    if has_place(item):
+        bad = bad_place(item)
+        if bad is not None:
+            return bad
+    # A take-off has a height of its own, and a landing needs none.
+    free = item.command in (TAKEOFF, LAND) and math.isnan(item.z)
+    return None if free or abs(item.z) <= LARGEST_ALTITUDE else PlanResult.INVALID_PARAM7
+
+
+def _bad_numbers(item: Item, total: int) -> PlanResult | None:
+    first, second, third, _ = item.params
+    if any(math.isinf(number) for number in item.params):
+        return (
+            PlanResult.INVALID_PARAM1, PlanResult.INVALID_PARAM2, PlanResult.INVALID_PARAM3, PlanResult.INVALID_PARAM4
+        )[next(place for place, number in enumerate(item.params) if math.isinf(number))]  # fmt: skip
+    if item.command == JUMP and not (first == first and 0 <= first < total and first == int(first)):
+        return PlanResult.INVALID_PARAM1
+    if item.command == CHANGE_SPEED:
+        if first not in (0.0, 1.0, 2.0, 3.0):
+            return PlanResult.INVALID_PARAM1
+        return None if second in (-1.0, -2.0) or second > 0.0 else PlanResult.INVALID_PARAM2
+    if item.command == LOITER_TURNS and not first > 0.0:
+        return PlanResult.INVALID_PARAM1
+    return PlanResult.INVALID_PARAM3 if item.command == LOITER_TURNS and abs(third) > 1000.0 else None
+
+
+def has_place(item: Item) -> bool:
+    """Return whether an item says a latitude and longitude; (0, 0) does not, nor do numbers that are not set."""
+    unset = (UNSET_INT, -UNSET_INT - 1)
+    return item.x not in unset and item.y not in unset and not (item.x == 0 and item.y == 0)
+
+
+def place_of(item: Item, craft: Craft, otherwise: Triple) -> Triple:
+    """Return where an item is, NED [m], with ``otherwise`` for what it does not say."""
+    home = craft.home
+    z = otherwise[2]
+    if math.isfinite(item.z):
+        altitude = item.z
+        if item.frame in RELATIVE:
+            altitude += home.altitude if home else craft.geodesy.height
+        elif item.frame not in AMSL:
+            # Terrain is flat: the site's own height.
+            altitude += craft.geodesy.height
+        if has_place(item):
+            return craft.geodesy.to_ned(item.x * 1e-7, item.y * 1e-7, altitude)
+        z = craft.z_of_altitude(altitude)
+    if has_place(item):
+        north, east, _ = craft.geodesy.to_ned(item.x * 1e-7, item.y * 1e-7, craft.geodesy.height)
+        return north, east, z
+    return otherwise[0], otherwise[1], z
+
+
+def outside(items: Sequence[Item], craft: Craft) -> int | None:
+    """Return the seq of the first item of a mission that lies outside the fence or too far; None where none does."""
+    if craft.fence.empty:
+        return None
+    for index, item in enumerate(items):
+        if item.command in PLACES and has_place(item):
+            place = place_of(item, craft, (0.0, 0.0, 0.0))
+            if not craft.fence.inside(place[0], place[1]):
+                return index
+    return None

@@ -1,0 +1,104 @@
+"""Which messages go out on a link of a vehicle, and how often."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from heapq import heapify, heappush, heapreplace
+
+from qrsim.links.mavlink.dialect import LAYOUTS
+
+# Rates [Hz] of simulated time; EACH_FIX goes out when there is one.
+EACH_FIX = 0.0
+ONBOARD: dict[str, float] = {
+    "HEARTBEAT": 1, "ATTITUDE": 100, "ATTITUDE_QUATERNION": 50, "GLOBAL_POSITION_INT": 50, "HIGHRES_IMU": 50,
+    "LOCAL_POSITION_NED": 30, "ODOMETRY": 30, "VFR_HUD": 10, "ALTITUDE": 10, "SYS_STATUS": 5, "EXTENDED_SYS_STATE": 5,
+    "ESTIMATOR_STATUS": 1, "WIND_COV": 1, "GPS_RAW_INT": EACH_FIX, "SYSTEM_TIME": 1, "HOME_POSITION": 0.5,
+    "BATTERY_STATUS": 0.5, "MISSION_CURRENT": 1,
+}  # fmt: skip
+GROUND: dict[str, float] = {
+    "HEARTBEAT": 1, "ATTITUDE": 15, "ATTITUDE_QUATERNION": 5, "GLOBAL_POSITION_INT": 5, "LOCAL_POSITION_NED": 3,
+    "VFR_HUD": 4, "ALTITUDE": 1, "SYS_STATUS": 1, "EXTENDED_SYS_STATE": 1, "ESTIMATOR_STATUS": 0.5, "WIND_COV": 0.5,
+    "GPS_RAW_INT": 1, "SYSTEM_TIME": 1, "HOME_POSITION": 0.5, "BATTERY_STATUS": 0.5, "MISSION_CURRENT": 1,
+}  # fmt: skip
+# So often at most a message goes out by the wall clock, where the world runs faster than that [Hz].
+MOST_HZ = 100.0
+_FIX = LAYOUTS["GPS_RAW_INT"].number
+
+
+class Streams:
+    """The streams of a link.
+
+    Args:
+        rates: by name of the message, see ``ONBOARD``.
+        time_step: of the world [s].
+        factor: simulated seconds per second of the wall clock.
+        by_simulated_time: whether a message may go out more often than ``MOST_HZ`` by the wall clock.
+        phase: 0 to 1, by which those of this link come later than those of others, so that not all go out together.
+
+    Attributes:
+        changed: a client has asked for other intervals.
+    """
+
+    def __init__(
+        self, rates: Mapping[str, float], time_step: float, factor: float = 1.0, by_simulated_time: bool = False,
+        phase: float = 0.0,
+    ):  # fmt: skip
+        self._rates = {LAYOUTS[name].number: rate for name, rate in rates.items()}
+        self._dt, self._phase = time_step, phase
+        self._least = time_step if by_simulated_time else max(time_step, factor / MOST_HZ)
+        self._each_fix = False
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with the rates of the link, at tick 0."""
+        self.changed = False
+        # Intervals by number [ticks], and when each is due next, the earliest first.
+        self._intervals: dict[int, float] = {}
+        self._due: list[tuple[float, int]] = []
+        for number, rate in self._rates.items():
+            if rate == EACH_FIX:
+                self._each_fix = True
+            else:
+                self._begin(number, 1.0 / rate)
+
+    def begin_at(self, tick: int) -> None:
+        """Begin to count at a tick, with the intervals of now."""
+        self._due = [(tick + self._phase * interval, number) for number, interval in self._intervals.items()]
+        heapify(self._due)
+
+    def _begin(self, number: int, interval: float, tick: int | None = None) -> None:
+        ticks = max(interval, self._least) / self._dt
+        self._intervals[number] = ticks
+        heappush(self._due, (self._phase * ticks if tick is None else tick + 1.0, number))
+
+    def set(self, number: int, interval_us: float, tick: int) -> None:
+        """Send a message every so many microseconds of simulated time; 0: as by default, below 0: not at all."""
+        self.changed = True
+        if self._intervals.pop(number, None) is not None:
+            self._due = [each for each in self._due if each[1] != number]
+            heapify(self._due)
+        own = self._rates.get(number)
+        if number == _FIX:
+            self._each_fix = interval_us == 0.0 and own == EACH_FIX
+        if interval_us > 0.0:
+            self._begin(number, 1e-6 * interval_us, tick)
+        elif interval_us == 0.0 and own:
+            self._begin(number, 1.0 / own, tick)
+
+    def interval_us(self, number: int) -> int:
+        """Return the interval of a message [us]; -1 if it is not sent, 0 if it is sent when there is news."""
+        if number == _FIX and self._each_fix:
+            return 0
+        interval = self._intervals.get(number)
+        return -1 if interval is None else round(1e6 * interval * self._dt)
+
+    def due(self, tick: int, fresh: bool) -> Iterator[int]:
+        """Yield the numbers of the messages that are due at a tick; ``fresh``: a fix has arrived."""
+        waiting = self._due
+        while waiting and waiting[0][0] <= tick:
+            when, number = waiting[0]
+            # Late ones are not sent after.
+            heapreplace(waiting, (max(when + self._intervals[number], tick + 1e-9), number))
+            yield number
+        if fresh and self._each_fix:
+            yield _FIX

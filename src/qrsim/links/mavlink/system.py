@@ -1,0 +1,108 @@
+"""One vehicle as a MAVLink system, and the links on which it is heard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from qrsim.links.mavlink.dialect import LAYOUTS, NUMBERS
+from qrsim.links.mavlink.link import Link
+from qrsim.links.mavlink.stack.contracts import Event, Stack, Text
+from qrsim.links.mavlink.telemetry import ENCODERS
+from qrsim.links.mavlink.transfers import Transfers
+from qrsim.links.mavlink.view import View
+
+# Without a heartbeat of its client for so long, a link has the streams again that it began with [s, wall clock].
+PEER_TIMEOUT_S = 10.0
+_CHUNK = 50
+# What clients are told at once when it changes.
+_AT_ONCE = {
+    "mission": "MISSION_CURRENT", "landed": "EXTENDED_SYS_STATE", "mode": "HEARTBEAT", "armed": "HEARTBEAT",
+    "home": "HOME_POSITION",
+}  # fmt: skip
+
+
+class System:
+    """One vehicle on the wire.
+
+    Args:
+        stack: its flight stack.
+        name: of the vehicle.
+        number: of its MAVLink system.
+        unix: when the scenario starts, in seconds since 1970.
+        log: told one line of what its clients are told.
+
+    Attributes:
+        view: what its messages are made of.
+        links: on which it is heard.
+        transfers: of plans.
+    """
+
+    def __init__(
+        self, stack: Stack, name: str, number: int, unix: float = 0.0, log: Callable[[str], None] = lambda line: None
+    ):
+        self.stack, self.name, self.number, self._log = stack, name, number, log
+        self.view = View(stack, unix)
+        self.links: list[Link] = []
+        self.transfers = Transfers(stack)
+        self.tick = 0
+        self._text = 0
+        self.told: set[str] = set()
+
+    def publish(self, tick: int, wall: float) -> None:
+        """Send what is due at a tick: streams, news and texts."""
+        self.tick = tick
+        for event in self.stack.events():
+            self._tell(event)
+        for text in self.stack.texts():
+            self.text(text)
+        view, payloads = self.view, dict[int, bytes | None]()
+        for link in self.links:
+            if link.streams.changed and wall - link.heard > PEER_TIMEOUT_S:
+                link.streams.restart()
+                link.streams.begin_at(tick)
+            if link.ready():
+                for number in link.streams.due(tick, view.fresh):
+                    if number not in payloads:
+                        payloads[number] = ENCODERS[number](view)
+                    payload = payloads[number]
+                    if payload is not None:
+                        link.put(number, payload)
+            link.flush()
+        if self.transfers.upload is not None:
+            self.transfers.ask_again(wall)
+
+    def _tell(self, event: Event) -> None:
+        if event.kind == "item_reached":
+            self._broadcast("MISSION_ITEM_REACHED", LAYOUTS["MISSION_ITEM_REACHED"].payload(seq=event.number))
+        name = _AT_ONCE.get(event.kind)
+        if name is not None:
+            payload = ENCODERS[NUMBERS[name]](self.view)
+            if payload is not None:
+                self._broadcast(name, payload)
+
+    def text(self, text: Text) -> None:
+        """Tell all clients a text, in pieces where it is long."""
+        self._log(f"t = {self.view.seen.time:.10g} s, '{self.name}': {text.text}")
+        whole = text.text.encode("ascii", "replace")
+        pieces = [whole[at : at + _CHUNK] for at in range(0, len(whole), _CHUNK)] or [b""]
+        if len(pieces) > 1:
+            self._text = self._text % 0xFFFF + 1
+            if len(pieces[-1]) == _CHUNK:
+                # Only a piece that is not full says that it is the last.
+                pieces.append(b"")
+        for chunk, piece in enumerate(pieces):
+            values: Mapping[str, object] = {
+                "severity": int(text.severity), "text": piece, "id": self._text if len(pieces) > 1 else 0,
+                "chunk_seq": chunk,
+            }  # fmt: skip
+            self._broadcast("STATUSTEXT", LAYOUTS["STATUSTEXT"].payload(**values))
+
+    def tell_once(self, what: str, text: Text) -> None:
+        """Tell all clients something that is said once."""
+        if what not in self.told:
+            self.told.add(what)
+            self.text(text)
+
+    def _broadcast(self, name: str, payload: bytes) -> None:
+        for link in self.links:
+            link.put(NUMBERS[name], payload)

@@ -1,0 +1,81 @@
+"""The parameter protocol of one vehicle: PARAM_REQUEST_LIST, PARAM_REQUEST_READ, PARAM_SET."""
+
+from __future__ import annotations
+
+import struct
+
+from qrsim.links.mavlink.dialect import LAYOUTS
+from qrsim.links.mavlink.frames import Frame
+from qrsim.links.mavlink.link import Link
+from qrsim.links.mavlink.stack.parameters import INT32, Outcome, Parameter
+from qrsim.links.mavlink.system import System
+from qrsim.links.mavlink.telemetry import ARDUPILOT
+
+# The value as its four bytes: an integer may look like a float that is no number, which a float would not keep.
+_VALUE = struct.Struct("<4sHH16sB")
+_REAL, _INTEGER = struct.Struct("<f"), struct.Struct("<i")
+_NUMBER = LAYOUTS["PARAM_VALUE"].number
+# MAV_PARAM_ERROR.
+DOES_NOT_EXIST, READ_ONLY = 1, 5
+# param_index of a request by name, and of a reply that has no index.
+BY_NAME = -1
+
+
+def send_all(system: System, link: Link) -> None:
+    """Answer PARAM_REQUEST_LIST: every parameter, with its number and how many there are."""
+    for parameter in system.stack.parameters:
+        link.put(_NUMBER, _payload(system, parameter))
+    link.flush()
+
+
+def send_one(system: System, link: Link, frame: Frame) -> None:
+    """Answer PARAM_REQUEST_READ, by number or name."""
+    request = frame.message()
+    table, index = system.stack.parameters, request.param_index
+    name = request.param_id.decode("ascii", "replace")
+    parameter = table.parameter(name) if index == BY_NAME else table.at(index)
+    if parameter is None:
+        _refuse(link, frame, request.param_id, index, DOES_NOT_EXIST)
+    else:
+        link.put(_NUMBER, _payload(system, parameter))
+        link.flush()
+
+
+def set_one(system: System, link: Link, frame: Frame) -> None:
+    """Answer PARAM_SET: the value that holds now is told on all links."""
+    request, table = frame.message(), system.stack.parameters
+    name = request.param_id.decode("ascii", "replace")
+    parameter = table.parameter(name)
+    if parameter is None:
+        _refuse(link, frame, request.param_id, BY_NAME, DOES_NOT_EXIST)
+        return
+    raw = frame.payload[:4].ljust(4, b"\0")
+    kind = _format(system, request.param_type)
+    outcome = table.set(name, float(kind.unpack(raw)[0]), request.param_type)
+    if outcome is Outcome.READ_ONLY:
+        _refuse(link, frame, request.param_id, table.index(name), READ_ONLY)
+    payload = _payload(system, parameter)
+    told = system.links if outcome in (Outcome.SET, Outcome.CLAMPED) else [link]
+    for each in told:
+        each.put(_NUMBER, payload)
+        each.flush()
+
+
+def _format(system: System, type: int) -> struct.Struct:
+    """Return what the four bytes of a value are: of an integer itself, but with ArduPilot's flavour always a float."""
+    return _INTEGER if type == INT32 and system.stack.heartbeat().autopilot != ARDUPILOT else _REAL
+
+
+def _payload(system: System, parameter: Parameter) -> bytes:
+    table = system.stack.parameters
+    value = table[parameter.name]
+    kind = _format(system, parameter.type)
+    raw = kind.pack(int(value) if kind is _INTEGER else value)
+    return _VALUE.pack(raw, len(table), table.index(parameter.name), parameter.name.encode(), parameter.type)
+
+
+def _refuse(link: Link, frame: Frame, name: bytes, index: int, error: int) -> None:
+    link.say(
+        "PARAM_ERROR", target_system=frame.system, target_component=frame.component, param_id=name, param_index=index,
+        error=error,
+    )  # fmt: skip

@@ -1,0 +1,378 @@
+"""Payloads of the messages that vehicles send of themselves, from estimates and readings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from qrsim.links.mavlink import sight as s
+from qrsim.links.mavlink.dialect import LAYOUTS
+from qrsim.links.mavlink.stack.contracts import NAN, Sensor
+from qrsim.links.mavlink.view import View
+
+# MAV_TYPE of a quadrotor, MAVLink 2.
+QUADROTOR, PROTOCOL = 2, 3
+GRAVITY = 9.80665
+# MAV_PROTOCOL_CAPABILITY: floats and integers of missions and commands, bytewise parameters, set-points local, global
+# and of attitude, MAVLink 2, fence, rally; termination. No files.
+CAPABILITIES = 0x1 | 0x4 | 0x8 | 0x10 | 0x40 | 0x80 | 0x100 | 0x800 | 0x2000 | 0x4000 | 0x8000
+# How integer parameters travel: as their bytes, or, of ArduPilot (MAV_AUTOPILOT 3), as a float of the same value.
+BYTEWISE, CAST, ARDUPILOT = 0x10, 0x20000, 3
+ARDUPILOT_VERSION = 4 << 24 | 5 << 16 | 0 << 8 | 255
+# A PX4 of 1.15.0, whose modes and parameters these are, as a released version.
+FLIGHT_VERSION = 1 << 24 | 15 << 16 | 0 << 8 | 255
+# ESTIMATOR_STATUS: attitude, both velocities, positions horizontal relative and absolute and vertical absolute.
+_ESTIMATES = 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200
+# MAV_ODOM and MAV_ESTIMATOR_TYPE of a filter with GNSS; frames local NED and body FRD.
+_LOCAL_NED, _BODY_FRD, _GPS_INS = 1, 12, 5
+_UINT16, _INT16 = 0xFFFF, 0x7FFF
+
+_STRUCT = {name: layout.struct.pack for name, layout in LAYOUTS.items()}
+
+
+Payload = bytes | None
+
+
+def bounded(value: float, scale: float, low: int, high: int) -> int:
+    """Return a number in another unit, rounded, within the range of an integer field; 0 for NaN."""
+    if value != value:
+        return 0
+    return int(min(max(round(value * scale), low), high))
+
+
+def _short(value: float, scale: float) -> int:
+    return bounded(value, scale, -32768, 32767)
+
+
+def _unsigned(value: float, scale: float, unknown: int = _UINT16, most: int = 65534) -> int:
+    """Return an unsigned number, ``unknown`` for NaN."""
+    return unknown if value != value else int(min(max(round(value * scale), 0), most))
+
+
+def heartbeat(v: View) -> Payload:
+    """HEARTBEAT."""
+    beat = v.stack.heartbeat()
+    return _STRUCT["HEARTBEAT"](
+        beat.custom_mode, QUADROTOR, beat.autopilot, beat.base_mode, beat.system_status, PROTOCOL
+    )
+
+
+def sys_status(v: View) -> Payload:
+    """SYS_STATUS."""
+    health, seen = v.stack.health(), v.seen
+    voltage = _unsigned(seen.voltage, 1e3)
+    remaining = -1 if seen.charge != seen.charge else bounded(seen.charge, 100.0, 0, 100)
+    present, enabled = seen.present | health.present, seen.present | health.enabled
+    healthy = seen.healthy | health.healthy
+    return _STRUCT["SYS_STATUS"](
+        present, enabled, healthy, v.load, voltage, -1, 0, 0, 0, 0, 0, 0, remaining, 0, 0, 0
+    )  # fmt: skip
+
+
+def system_time(v: View) -> Payload:
+    """SYSTEM_TIME: that of the scenario."""
+    return _STRUCT["SYSTEM_TIME"](int((v.unix + v.seen.time) * 1e6), v.boot_ms)
+
+
+def gps_raw_int(v: View) -> Payload:
+    """GPS_RAW_INT, with the accuracies that the receiver states."""
+    row = v.row
+    if not v.seen.present & Sensor.GPS:
+        return None
+    fix = v.seen.fix_type
+    place = (0, 0, 0)
+    if fix >= 3 and row[s.FIX_PLACE] == row[s.FIX_PLACE]:
+        place = (round(row[s.FIX_PLACE] * 1e7), round(row[s.FIX_PLACE + 1] * 1e7), round(row[s.FIX_PLACE + 2] * 1e3))
+    north, east = row[s.FIX_VELOCITY], row[s.FIX_VELOCITY + 1]
+    moving = north == north and east == east
+    speed = math.hypot(north, east) if moving else NAN
+    course = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000 if moving else _UINT16
+    satellites = row[s.SATELLITES]
+    return _STRUCT["GPS_RAW_INT"](
+        int(v.fix_time * 1e6 + 0.5), *place, _unsigned(row[s.HDOP], 100.0), _unsigned(row[s.VDOP], 100.0),
+        _unsigned(speed, 100.0), course, fix, 255 if satellites != satellites else min(int(satellites), 254), place[2],
+        _accuracy(row[s.HORIZONTAL]), _accuracy(row[s.VERTICAL]), _accuracy(row[s.SPEED]), 0, 0,
+    )  # fmt: skip
+
+
+def _accuracy(value: float) -> int:
+    return 0 if value != value else int(min(round(value * 1e3), 0xFFFFFFFF))
+
+
+def attitude(v: View) -> Payload:
+    """ATTITUDE."""
+    if not v.seen.valid:
+        return None
+    return _STRUCT["ATTITUDE"](v.boot_ms, *v.seen.attitude, *v.seen.rates)
+
+
+def attitude_quaternion(v: View) -> Payload:
+    """ATTITUDE_QUATERNION."""
+    if not v.seen.valid:
+        return None
+    return _STRUCT["ATTITUDE_QUATERNION"](
+        v.boot_ms, *v.row[s.QUATERNION : s.QUATERNION + 4], *v.seen.rates, 0.0, 0.0, 0.0, 0.0
+    )
+
+
+def local_position_ned(v: View) -> Payload:
+    """LOCAL_POSITION_NED, in the site's frame."""
+    if not v.seen.valid:
+        return None
+    return _STRUCT["LOCAL_POSITION_NED"](v.boot_ms, *v.seen.position_ned, *v.seen.velocity_ned)
+
+
+def global_position_int(v: View) -> Payload:
+    """GLOBAL_POSITION_INT."""
+    seen = v.seen
+    if not seen.valid:
+        return None
+    north, east, down = seen.velocity_ned
+    heading = round(math.degrees(seen.attitude[2]) * 100.0) % 36000
+    return _STRUCT["GLOBAL_POSITION_INT"](
+        v.boot_ms, round(seen.latitude * 1e7), round(seen.longitude * 1e7), round(seen.altitude * 1e3),
+        round((seen.altitude - v.home_altitude) * 1e3), _short(north, 100.0), _short(east, 100.0), _short(down, 100.0),
+        heading,
+    )  # fmt: skip
+
+
+def vfr_hud(v: View) -> Payload:
+    """VFR_HUD; without an airspeed sensor its airspeed is the speed over ground."""
+    seen = v.seen
+    if not seen.valid:
+        return None
+    north, east, down = seen.velocity_ned
+    ground = math.hypot(north, east)
+    airspeed = v.row[s.AIRSPEED]
+    heading = round(math.degrees(seen.attitude[2])) % 360
+    return _STRUCT["VFR_HUD"](
+        airspeed if airspeed == airspeed else ground, ground, seen.altitude, -down, heading, _throttle(v)
+    )
+
+
+def _throttle(v: View) -> int:
+    """Return the thrust [%] that is asked for, that of hover where a path or a velocity is flown."""
+    if v.order is None or not v.stack.armed:
+        return 0
+    if v.order.kind == "attitude":
+        return bounded(v.order.numbers[3], 100.0, 0, 100)
+    return bounded(v.stack.parameters["MPC_THR_HOVER"], 100.0, 0, 100)
+
+
+def altitude(v: View) -> Payload:
+    """ALTITUDE; what is above terrain is above home."""
+    seen = v.seen
+    if not seen.valid:
+        return None
+    relative = seen.altitude - v.home_altitude
+    return _STRUCT["ALTITUDE"](
+        v.boot_us, seen.altitude, seen.altitude, -seen.position_ned[2], relative, NAN, v.row[s.RANGE]
+    )
+
+
+def highres_imu(v: View) -> Payload:
+    """HIGHRES_IMU; ``fields_updated`` has the sensors that there are."""
+    row = v.row
+    updated = 0
+    for bits, column in ((0x7, s.FORCE), (0x38, s.RATES), (0x1C0, s.FIELD)):
+        updated |= bits if row[column] == row[column] else 0
+    for bit, column in ((0x200, s.PRESSURE), (0x400, s.DIFFERENTIAL), (0x800, s.HEIGHT), (0x1000, s.TEMPERATURE)):
+        updated |= bit if row[column] == row[column] else 0
+    if not updated & 0x3F:
+        return None
+    # Microtesla are 0.01 gauss, pascals 0.01 mbar.
+    numbers = (
+        *row[s.FORCE : s.FORCE + 3], *row[s.RATES : s.RATES + 3], 0.01 * row[s.FIELD], 0.01 * row[s.FIELD + 1],
+        0.01 * row[s.FIELD + 2], 0.01 * row[s.PRESSURE], 0.01 * row[s.DIFFERENTIAL], row[s.HEIGHT],
+        row[s.TEMPERATURE] - 273.15,
+    )  # fmt: skip
+    return _STRUCT["HIGHRES_IMU"](v.boot_us, *[x if x == x else 0.0 for x in numbers], updated, 0)
+
+
+def _imu_numbers(row: list[float]) -> tuple[int, ...] | None:
+    """Return milli-g, mrad/s and mgauss, as SCALED_IMU and RAW_IMU have them; None without inertial sensors."""
+    force, rates, field = (row[at : at + 3] for at in (s.FORCE, s.RATES, s.FIELD))
+    if force[0] != force[0] and rates[0] != rates[0]:
+        return None
+    return (
+        *(_short(x, 1e3 / GRAVITY) for x in force), *(_short(x, 1e3) for x in rates), *(_short(x, 10.0) for x in field)
+    )  # fmt: skip
+
+
+def scaled_imu(v: View) -> Payload:
+    """SCALED_IMU."""
+    numbers = _imu_numbers(v.row)
+    return None if numbers is None else _STRUCT["SCALED_IMU"](v.boot_ms, *numbers, 0)
+
+
+def raw_imu(v: View) -> Payload:
+    """RAW_IMU, in the units of SCALED_IMU."""
+    numbers = _imu_numbers(v.row)
+    return None if numbers is None else _STRUCT["RAW_IMU"](v.boot_us, *numbers, 0, 0)
+
+
+def scaled_pressure(v: View) -> Payload:
+    """SCALED_PRESSURE, of a barometer that reads a pressure."""
+    pressure, differential, temperature = (v.row[at] for at in (s.PRESSURE, s.DIFFERENTIAL, s.TEMPERATURE))
+    if pressure != pressure:
+        return None
+    return _STRUCT["SCALED_PRESSURE"](
+        v.boot_ms, 0.01 * pressure, 0.0 if differential != differential else 0.01 * differential,
+        _short(temperature - 273.15, 100.0), 0,
+    )  # fmt: skip
+
+
+def distance_sensor(v: View) -> Payload:
+    """DISTANCE_SENSOR, of a rangefinder that looks down."""
+    distance = v.row[s.RANGE]
+    if distance != distance:
+        return None
+    return _STRUCT["DISTANCE_SENSOR"](
+        v.boot_ms, 0, _UINT16, _unsigned(distance, 100.0), 0, 0, 25, 255, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
+    )  # fmt: skip
+
+
+def odometry(v: View) -> Payload:
+    """ODOMETRY: position in NED, velocity in body axes; variances where the estimator states any."""
+    seen, row = v.seen, v.row
+    if not seen.valid:
+        return None
+    w, x, y, z = row[s.QUATERNION : s.QUATERNION + 4]
+    north, east, down = seen.velocity_ned
+    # Velocity turned into body axes by the conjugate of the quaternion.
+    tx, ty, tz = 2.0 * (z * east - y * down), 2.0 * (x * down - z * north), 2.0 * (y * north - x * east)
+    forward = north + w * tx + z * ty - y * tz
+    right = east + w * ty + x * tz - z * tx
+    below = down + w * tz + y * tx - x * ty
+    pose = _variances(row[s.STD_POSITION : s.STD_POSITION + 3], row[s.STD_ATTITUDE : s.STD_ATTITUDE + 3])
+    speed = _variances(row[s.STD_VELOCITY : s.STD_VELOCITY + 3], [NAN, NAN, NAN])
+    return _STRUCT["ODOMETRY"](
+        v.boot_us, *seen.position_ned, w, x, y, z, forward, right, below, *seen.rates, *pose, *speed, _LOCAL_NED,
+        _BODY_FRD, 0, _GPS_INS, 0,
+    )  # fmt: skip
+
+
+# Where the diagonal is in the 21 numbers of an upper triangle of 6 x 6.
+_DIAGONAL = (0, 6, 11, 15, 18, 20)
+
+
+def _variances(first: list[float], second: list[float]) -> list[float]:
+    """Return the upper triangle of a covariance; NaN in its first number where it is not known."""
+    found = [0.0] * 21
+    for at, std in zip(_DIAGONAL, (*first, *second), strict=True):
+        found[at] = std * std
+    return found
+
+
+def battery_status(v: View) -> Payload:
+    """BATTERY_STATUS, of a battery that drains."""
+    seen = v.seen
+    if seen.charge != seen.charge:
+        return None
+    # MAV_BATTERY_CHARGE_STATE by the thresholds of the stack: 1 ok, 2 low, 3 critical, 4 emergency.
+    names = ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")
+    state = 1 + sum(seen.charge <= v.stack.parameters[name] for name in names)
+    voltages = [_unsigned(seen.voltage, 1e3)] + [_UINT16] * 9
+    # Type 1 is lithium polymer.
+    return _STRUCT["BATTERY_STATUS"](
+        -1, -1, _INT16, *voltages, -1, 0, 0, 1, bounded(seen.charge, 100.0, 0, 100), 0, state, 0, 0, 0, 0, 0, 0
+    )
+
+
+def estimator_status(v: View) -> Payload:
+    """ESTIMATOR_STATUS: flags, and accuracies where the estimator states any."""
+    row = v.row
+    north, east, down = row[s.STD_POSITION : s.STD_POSITION + 3]
+    flags = _ESTIMATES if v.seen.valid else 0
+    return _STRUCT["ESTIMATOR_STATUS"](
+        v.boot_us, NAN, NAN, NAN, NAN, NAN, NAN, math.hypot(north, east), down, flags
+    )  # fmt: skip
+
+
+def wind_cov(v: View) -> Payload:
+    """WIND_COV, of an estimator that estimates the wind."""
+    north, east = v.row[s.WIND_NORTH], v.row[s.WIND_EAST]
+    if north != north:
+        return None
+    return _STRUCT["WIND_COV"](v.boot_us, north, east, 0.0, NAN, NAN, v.seen.altitude, NAN, NAN)
+
+
+def home_position(v: View) -> Payload:
+    """HOME_POSITION."""
+    home = v.stack.home
+    if home is None:
+        return None
+    half = 0.5 * home.yaw
+    return _STRUCT["HOME_POSITION"](
+        round(home.latitude * 1e7), round(home.longitude * 1e7), round(home.altitude * 1e3), *home.position_ned,
+        math.cos(half), 0.0, 0.0, math.sin(half), 0.0, 0.0, 0.0, v.boot_us,
+    )  # fmt: skip
+
+
+def extended_sys_state(v: View) -> Payload:
+    """EXTENDED_SYS_STATE."""
+    return _STRUCT["EXTENDED_SYS_STATE"](0, int(v.stack.heartbeat().landed))
+
+
+def mission_current(v: View) -> Payload:
+    """MISSION_CURRENT."""
+    status = v.stack.mission()
+    return _STRUCT["MISSION_CURRENT"](status.seq, status.total, int(status.state), 1 if status.in_mode else 2)
+
+
+def position_target_local_ned(v: View) -> Payload:
+    """POSITION_TARGET_LOCAL_NED: the path or the velocity that is flown."""
+    order = v.order
+    if order is None or order.kind not in ("path", "velocity"):
+        return None
+    if order.kind == "path":
+        return _STRUCT["POSITION_TARGET_LOCAL_NED"](v.boot_ms, *order.numbers, 0.0, 0x800, _LOCAL_NED)
+    north, east, down, yaw = order.numbers
+    return _STRUCT["POSITION_TARGET_LOCAL_NED"](
+        v.boot_ms, 0.0, 0.0, 0.0, north, east, down, 0.0, 0.0, 0.0, yaw, 0.0, 0x9C7, _LOCAL_NED
+    )
+
+
+def autopilot_version(v: View) -> Payload:
+    """AUTOPILOT_VERSION; the uid is the system id."""
+    cast = v.stack.heartbeat().autopilot == ARDUPILOT
+    return LAYOUTS["AUTOPILOT_VERSION"].payload(
+        capabilities=CAPABILITIES & ~BYTEWISE | CAST if cast else CAPABILITIES,
+        flight_sw_version=ARDUPILOT_VERSION if cast else FLIGHT_VERSION,
+        uid=int(v.stack.parameters["MAV_SYS_ID"]),
+    )
+
+
+def hil_state_quaternion(v: View) -> Payload:
+    """HIL_STATE_QUATERNION: the truth, where the server was asked to send it."""
+    if v.truth is None:
+        return None
+    quaternion, rates, (latitude, longitude, height) = v.truth[:4], v.truth[4:7], v.truth[7:10]
+    velocity, airspeed, force = v.truth[10:13], v.truth[13], v.truth[14:17]
+    speed = _unsigned(airspeed, 100.0)
+    return _STRUCT["HIL_STATE_QUATERNION"](
+        v.boot_us, *quaternion, *rates, round(latitude * 1e7), round(longitude * 1e7), round(height * 1e3),
+        *(_short(x, 100.0) for x in velocity), speed, speed, *(_short(x, 1e3 / GRAVITY) for x in force),
+    )  # fmt: skip
+
+
+Encoder = Callable[[View], Payload]
+ENCODERS: dict[int, Encoder] = {
+    LAYOUTS[function.__name__.upper()].number: function
+    for function in (
+        heartbeat, sys_status, system_time, gps_raw_int, attitude, attitude_quaternion, local_position_ned,
+        global_position_int, vfr_hud, altitude, highres_imu, scaled_imu, raw_imu, scaled_pressure, distance_sensor,
+        odometry, battery_status, estimator_status, wind_cov, home_position, extended_sys_state, mission_current,
+        position_target_local_ned, autopilot_version, hil_state_quaternion,
+    )
+}  # fmt: skip
+
+
+def sendable(number: int, view: View) -> bool:
+    """Return whether a vehicle has a message of this kind to send: now, or once it has something to say."""
+    if number not in ENCODERS:
+        return False
+    later: tuple[Any, ...] = (home_position, position_target_local_ned)
+    encoder = ENCODERS[number]
+    return encoder in later or encoder(view) is not None

@@ -1,0 +1,65 @@
+"""What one vehicle knows of itself at a tick."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.links.contracts import Order
+from qrsim.links.mavlink import sight as s
+from qrsim.links.mavlink.stack.contracts import NAN, Seen, Stack
+
+
+class View:
+    """What the messages of one vehicle are made of, at a tick.
+
+    Attributes:
+        numbers: of it (``sight.Sight``), of which ``row`` makes a list when a message needs them.
+        seen: what its stack sees.
+        stack: its flight stack.
+        order: what it flies by.
+        fresh: whether a fix has arrived at this tick.
+        fix_time: when its last fix was true [s].
+        unix: when the scenario starts, in seconds since 1970.
+        load: share of a tick's time that computing takes, in 1/1000.
+        truth: true state, for HIL_STATE_QUATERNION: position, velocity NED, quaternion, rates, force, place; else None.
+    """
+
+    def __init__(self, stack: Stack, unix: float):
+        self.stack, self.unix = stack, unix
+        self.numbers: Any = np.full(s.WIDTH, NAN)
+        self._row: list[float] | None = None
+        self.seen = Seen()
+        self.order: Order | None = None
+        self.fresh = False
+        self.fix_time = 0.0
+        self.load = 0
+        self.truth: tuple[float, ...] | None = None
+
+    def look(self, numbers: Any) -> None:
+        """Take the numbers of another tick (WIDTH,)."""
+        self.numbers, self._row = numbers, None
+
+    @property
+    def row(self) -> list[float]:
+        """Its numbers."""
+        if self._row is None:
+            self._row = self.numbers.tolist()
+        return self._row
+
+    @property
+    def boot_ms(self) -> int:
+        """Simulated time since the reset [ms]."""
+        return int(self.seen.time * 1e3 + 0.5) & 0xFFFFFFFF
+
+    @property
+    def boot_us(self) -> int:
+        """Simulated time since the reset [us]."""
+        return int(self.seen.time * 1e6 + 0.5)
+
+    @property
+    def home_altitude(self) -> float:
+        """Altitude of home [m], else the vehicle's own."""
+        home = self.stack.home
+        return self.seen.altitude if home is None else home.altitude

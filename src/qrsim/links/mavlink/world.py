@@ -1,0 +1,138 @@
+"""The one world of a server: its simulation, the stacks of its vehicles, and what they fly by; no sockets."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError
+from qrsim.interface.arrays import quaternion_of
+from qrsim.links.contracts import Order
+from qrsim.links.mavlink.fleet import NEEDED, systems_of
+from qrsim.links.mavlink.sight import Sight
+from qrsim.links.mavlink.stack.contracts import Facts, Severity, Stack, Text
+from qrsim.links.mavlink.system import System
+from qrsim.links.shared.latches import Latches
+from qrsim.models.site import Site
+from qrsim.scenarios.scenario import Scenario
+from qrsim.simulation.simulation import Simulation
+
+Array = np.ndarray[Any, Any]
+# A stack for a vehicle at a site.
+MakeStack = Callable[[Facts, Site], Stack]
+
+
+class FlownWorld:
+    """A simulation whose vehicles are flown by their stacks.
+
+    Args:
+        scenario: prepared (``fleet.prepared``).
+        make_stack: makes the stack of a vehicle.
+        seed: of the episode.
+        first_system: MAVLink system id of the first vehicle.
+        factor: simulated seconds per second of the wall clock.
+        truth: whether vehicles may tell their true state.
+        log: told one line of what clients are told.
+
+    Raises:
+        UsageError: no vehicle can be flown, or there are more than system ids.
+
+    Attributes:
+        simulation: reset.
+        systems: of the vehicles that are flown.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        make_stack: MakeStack,
+        *,
+        seed: int = 0,
+        first_system: int = 1,
+        factor: float = 1.0,
+        truth: bool = False,
+        log: Callable[[str], None] = lambda line: None,
+    ):
+        world, site = scenario.world(), scenario.site
+        known = systems_of(world, first_system)
+        self.simulation = Simulation(world, seed=seed, name=scenario.name, site=site)
+        self.simulation.reset()
+        self._truth = truth
+        self._latches = Latches(world.fleets, self.simulation.dtype)
+        self.systems: list[System] = []
+        self._rows: list[int] = []
+        unix = scenario.spec.start_time.timestamp()
+        for row, facts in known:
+            stack = make_stack(facts, site)
+            stack.factor = factor
+            self.systems.append(System(stack, facts.name, facts.system, unix, log))
+            self._rows.append(row)
+        self._warm()
+        self._sight = Sight(self.simulation)
+        self._busy = 0.0
+        self._command()
+
+    def _warm(self) -> None:
+        """Compile what is flown."""
+        self.simulation.advance(self._latches.actions())
+        self.simulation.reset()
+
+    def tick(self, wall: float) -> None:
+        """Advance by one tick, let the stacks see it, and send what is due.
+
+        Args:
+            wall: time of the wall clock [s], of ``time.monotonic``.
+        """
+        begin = time.perf_counter()
+        self.simulation.advance(self._latches.actions())
+        self._command()
+        for system in self.systems:
+            system.publish(self.simulation.tick, wall)
+        busy = (time.perf_counter() - begin) / self.simulation.world.time_step
+        self._busy += 0.02 * (busy - self._busy)
+
+    def _command(self) -> None:
+        """Let each stack see what its vehicle sees now, and latch what it orders."""
+        sight = self._sight
+        seen = sight.look()
+        load = int(min(1000.0, 1e3 * self._busy))
+        true = self._true_states() if self._truth else None
+        for row, system in zip(self._rows, self.systems, strict=True):
+            view = system.view
+            view.seen = seen[row]
+            view.look(sight.values[row])
+            view.fresh, view.fix_time, view.load = sight.fresh[row], sight.fix_time[row], load
+            if true is not None:
+                view.truth = tuple(true[row])
+            order = system.stack.tick(seen[row])
+            if order is not None and order is not view.order:
+                self._fly(system, order)
+
+    def _fly(self, system: System, order: Order) -> None:
+        try:
+            # A set-point has no range of its own; the whole check, with its words, is for what cannot be flown.
+            if not (order.kind in NEEDED and math.isfinite(sum(order.numbers))):
+                self._latches.checked(order)
+            self._latches.put(order)
+        except UsageError as error:
+            # What cannot be flown is not; the last order holds.
+            system.tell_once(f"order {order.kind}", Text(Severity.ERROR, f"Not flown: {error}"))
+            return
+        system.view.order = order
+
+    def _true_states(self) -> Sequence[Sequence[float]]:
+        """Return for each vehicle quaternion, rates, latitude, longitude, height, velocity, airspeed, force."""
+        truth, site = self.simulation.truth, self.simulation.site
+        latitude, longitude, height = site.ned_to_geodetic(truth.position_ned)
+        velocity = truth.velocity_ned
+        airspeed = np.linalg.norm(velocity - truth.wind_ned, axis=1)
+        quaternion = quaternion_of(np.asarray(truth.attitude))
+        columns = (
+            quaternion, truth.rates_body, np.degrees(latitude)[:, None], np.degrees(longitude)[:, None],
+            height[:, None], velocity, airspeed[:, None], truth.specific_force,
+        )  # fmt: skip
+        return np.concatenate(columns, axis=1, dtype=np.float64).tolist()

@@ -1,0 +1,66 @@
+"""What controllers of a shared world have said over the radio, handed to it tick by tick, and recorded."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.runs import Column
+from qrsim.simulation.simulation import Simulation
+
+Array = np.ndarray[Any, Any]
+TICK, TO = "said_tick", "said_to"
+
+
+class Spoken:
+    """Messages of the vehicles (n,) of a simulation with a radio.
+
+    Attributes:
+        waiting: by number of a vehicle, what it says at the next tick: D numbers, and number of the receiver, -1: all.
+        tick: (n,) at which each has said its last message; -1: none.
+        to: (n,) who alone is to hear that; -1: all.
+        numbers: (n, D) of it.
+    """
+
+    def __init__(self, simulation: Simulation):
+        assert simulation.world.radio is not None
+        self.waiting: dict[int, tuple[list[float], int]] = {}
+        self.tick, self.to = np.full(simulation.size, -1), np.full(simulation.size, -1)
+        self.numbers = np.zeros((simulation.size, simulation.world.radio.size))
+
+    def hand_over(self, simulation: Simulation) -> None:
+        """Hand what waits to the radios."""
+        for vehicle, (numbers, to) in self.waiting.items():
+            self.tick[vehicle], self.to[vehicle], self.numbers[vehicle] = simulation.tick, to, numbers
+        self.waiting = {}
+        self.say_again(simulation)
+
+    def say_again(self, simulation: Simulation) -> None:
+        """Hand those messages to the radios that were said at the present tick."""
+        now = np.flatnonzero(self.tick == simulation.tick).tolist()
+        if now:
+            simulation.send_all(list(zip(now, self.numbers[now], self.to[now].tolist(), strict=True)))
+
+    def columns(self) -> dict[str, Array]:
+        """Return what is recorded, (n,) each."""
+        numbers = {name: column.copy() for name, column in zip(self.names(), self.numbers.T, strict=True)}
+        return {TICK: self.tick.copy(), TO: self.to.copy()} | numbers
+
+    def names(self) -> list[str]:
+        """Return the names of the columns of a message."""
+        return [f"said_{i}" for i in range(self.numbers.shape[1])]
+
+    def described(self) -> list[Column]:
+        """Return the columns of a recording."""
+        return [
+            Column(TICK, "", "at which its controller's last message was handed to its radio; -1: none", "int64"),
+            Column(TO, "", "number of the vehicle that alone was to hear it; -1: all", "int32"),
+            *(Column(name, "", f"number {i} of it", "float64") for i, name in enumerate(self.names())),
+        ]
+
+    def read(self, arrays: Any, row: int) -> None:
+        """Take what a row of a recording says."""
+        self.tick[...], self.to[...] = arrays[TICK][row], arrays[TO][row]
+        for i, name in enumerate(self.names()):
+            self.numbers[:, i] = arrays[name][row]

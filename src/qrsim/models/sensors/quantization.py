@@ -1,0 +1,12 @@
+"""What a chip's converter does to numbers: the range and the steps of a sensor."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import Array
+
+
+def quantized(value: Array, limit: float, step: float) -> Array:
+    """Return values of any shape within -limit to limit, as whole steps; all in one unit, 0: no limit, no steps."""
+    value = jnp.clip(value, -limit, limit) if limit > 0.0 else value
+    return jnp.round(value * (1.0 / step)) * step if step > 0.0 else value

@@ -1,0 +1,159 @@
+"""The fixed wing: the contract of a vehicle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from qrsim.core.fastmath import sincos
+from qrsim.core.quaternions import Quaternion
+from qrsim.core.tree import record, replace
+from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, root
+from qrsim.models.vehicles.contracts import Around, Load, Outline, Pose, Vehicle
+from qrsim.models.vehicles.fixed_wing.aerodynamics import air_data, propeller
+from qrsim.models.vehicles.fixed_wing.commands import AttitudeCommand, SurfaceCommand, shown
+from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane
+from qrsim.models.vehicles.fixed_wing.rigid_body import slope_of, substep
+from qrsim.models.vehicles.fixed_wing.stabiliser import moved, wanted_surfaces
+from qrsim.models.vehicles.fixed_wing.state import FixedWingState, Motion, Stabiliser, Surfaces
+from qrsim.models.vehicles.fixed_wing.trim import cruise
+
+
+@record
+class FixedWing(Aeroplane, Vehicle):
+    """An aeroplane with a propeller at its nose or tail, and its stabiliser; the defaults are the Aerosonde's."""
+
+    command_type: ClassVar[type[Any]] = AttitudeCommand
+    actions: ClassVar[tuple[type[Any], ...]] = (AttitudeCommand, SurfaceCommand)
+    reads: ClassVar[tuple[str, ...]] = ("air_rates",)
+    default_limits: ClassVar[Mapping[str, float]] = MappingProxyType(
+        {"pitch": math.pi / 2.0, "velocity": 80.0, "rate": 30.0}
+    )
+    default_controller: ClassVar[str] = "fixed_wing"
+    launches: ClassVar[bool] = True
+
+    def initial_state(
+        self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
+    ) -> FixedWingState:
+        """Return the state at a pose, as if the air were still, its elevator as in level flight."""
+        zero = jnp.zeros_like(jnp.asarray(position_ned.x))
+        air = air_data(velocity_body)
+        _, elevator, throttle = cruise(self, jnp.maximum(air.airspeed, 0.5 * self.cruise_airspeed))
+        thrust, _ = propeller(self, air.airspeed, jnp.clip(throttle, 0.0, 1.0))
+        return FixedWingState(
+            position_ned, Quaternion.of(attitude), velocity_body, rates_body,
+            Surfaces(jnp.clip(elevator, -0.44, 0.44) + zero, zero, zero), Stabiliser(zero, zero, zero),
+            air.airspeed + zero, air.alpha + zero, air.beta + zero, thrust + zero,
+        )  # fmt: skip
+
+    def launched(self, state: FixedWingState, air_ned: Vec3) -> FixedWingState:
+        """Return the state in level flight: the speed of a start is one through the air, 0 that of cruise."""
+        speed = root(state.velocity_body.dot(state.velocity_body))
+        speed = jnp.where(speed > 0.0, speed, self.cruise_airspeed)
+        alpha = cruise(self, speed)[0]
+        yaw = state.quaternion.euler().yaw
+        zero = jnp.zeros_like(speed)
+        sine, cosine = sincos(alpha)
+        through = Vec3(speed * cosine, zero, speed * sine)
+        level = self.initial_state(state.position_ned, Euler(zero, alpha, yaw), through, Vec3(zero, zero, zero))
+        return replace(level, velocity_body=through + level.quaternion.rotation().to_body(air_ned))
+
+    def idle_command(self, like: Array) -> AttitudeCommand:
+        """Return level flight at the cruise airspeed."""
+        zero = jnp.zeros_like(like)
+        alpha, _, throttle = cruise(self, jnp.asarray(self.cruise_airspeed))
+        return AttitudeCommand(zero, zero + alpha, jnp.clip(zero + throttle, 0.0, 1.0))
+
+    def shown(self, command: Any) -> AttitudeCommand:
+        """Return a command as a world's state keeps it; NaN in the fields that it has not."""
+        return shown(command)
+
+    def load(self, state: FixedWingState) -> Load:
+        """Return the thrust of the propeller; a wing carries the weight."""
+        return Load(state.thrust, jnp.full_like(state.thrust, jnp.nan))
+
+    def pose(self, state: FixedWingState) -> Pose:
+        """Return position, attitude, velocity and rates (n,)."""
+        return Pose(state.position_ned, state.quaternion.euler(), state.velocity_body, state.rates_body)
+
+    def step(
+        self,
+        state: FixedWingState,
+        command: Any,
+        air_velocity: Callable[[AttitudeTrig], Vec3],
+        noise: Any,
+        dt: float,
+        around: Around | None = None,
+    ) -> tuple[FixedWingState, Vec3]:
+        """Advance one step in substeps; see ``Vehicle.step``."""
+        air, spins = _outside(state, air_velocity, around)
+        count = max(1, math.ceil(dt / self.longest_substep - 1e-9))
+        part = dt / count
+        elevator = cruise(self, jnp.asarray(self.cruise_airspeed))[1]
+        throttle = jnp.clip(command.throttle, 0.0, 1.0)
+        zero = jnp.zeros_like(state.airspeed)
+
+        def advance(_: Array, carried: Any) -> Any:
+            motion, surfaces, memory, force = carried
+            through = air_data(motion.velocity - motion.quaternion.rotation().to_body(air))
+            memory, wanted = wanted_surfaces(
+                self, memory, command, motion.quaternion.euler(), motion.rates, through.airspeed, elevator, part
+            )
+            surfaces = moved(self, surfaces, wanted, part)
+            motion, felt = substep(self, motion, surfaces, throttle, air, spins, part)
+            return motion, surfaces, memory, force + felt * (1.0 / count)
+
+        motion, surfaces, memory, force = jax.lax.fori_loop(
+            0, count, advance, (_motion_of(state), state.surfaces, state.stabiliser, Vec3(zero, zero, zero))
+        )
+        found = air_data(motion.velocity - motion.quaternion.rotation().to_body(air))
+        after = FixedWingState(
+            state.position_ned + motion.displacement, motion.quaternion, motion.velocity, motion.rates, surfaces,
+            memory, found.airspeed, found.alpha, found.beta, propeller(self, found.airspeed, throttle)[0],
+        )  # fmt: skip
+        return after, force
+
+    def specific_force(
+        self,
+        state: FixedWingState,
+        command: Any,
+        air_velocity: Callable[[AttitudeTrig], Vec3],
+        noise: Any,
+        dt: float,
+        around: Around | None = None,
+    ) -> Vec3:
+        """Return the specific force (n,) [m/s^2] in body axes at an instant, with the surfaces where they are."""
+        air, spins = _outside(state, air_velocity, around)
+        return slope_of(self, _motion_of(state), state.surfaces, command.throttle, air, spins)[1]
+
+    def stopped(self, state: FixedWingState) -> FixedWingState:
+        """Return the state at rest."""
+        rest = Vec3.zeros(state.airspeed.shape, state.airspeed.dtype)
+        zero = jnp.zeros_like(state.airspeed)
+        return replace(state, velocity_body=rest, rates_body=rest, airspeed=zero, thrust=zero)
+
+    def outline(self) -> Outline:
+        """Return an aeroplane of its span."""
+        return Outline(kind="plane", size=float(np.ravel(np.asarray(self.span))[0]))
+
+
+def _motion_of(state: FixedWingState) -> Motion:
+    zero = jnp.zeros_like(state.airspeed)
+    return Motion(Vec3(zero, zero, zero), state.quaternion, state.velocity_body, state.rates_body)
+
+
+def _outside(
+    state: FixedWingState, air_velocity: Callable[[AttitudeTrig], Vec3], around: Around | None
+) -> tuple[Vec3, Vec3]:
+    """Return the velocity of the air (n,) [m/s] NED and its rotation [rad/s] in body axes, where a step begins."""
+    zero, one = jnp.zeros_like(state.airspeed), jnp.ones_like(state.airspeed)
+    # At a level attitude, heading north, the air in body axes is that in NED.
+    air = air_velocity(AttitudeTrig(zero, one, zero, one, zero, one))
+    return air, Vec3(zero, zero, zero) if around is None else around.air_rates

@@ -1,0 +1,161 @@
+"""A rover that turns by the different speeds of its two sides (D5)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.fastmath import sincos, wrap_angle
+from qrsim.core.integrate import rk4
+from qrsim.core.tree import parameter, quantity, record, replace
+from qrsim.core.vectors import AttitudeTrig, Euler, Rotation, Vec3
+from qrsim.models.vehicles.contracts import Around, Load, Outline, Pose, Vehicle
+from qrsim.models.vehicles.rover.commands import WheelCommand
+from qrsim.models.vehicles.rover.planar import Ground, Plane, felt, ground_of, set_down, slope_rates, tilt_of
+
+
+@record
+class DifferentialRoverState:
+    """The state of n rovers with two driven sides; each array of shape (n,)."""
+
+    position_ned: Vec3 = quantity(unit="m", doc="position of the middle between the wheels, on the ground")
+    attitude: Euler = quantity(unit="rad", doc="tilt of the ground, and the heading")
+    left: Array = quantity(unit="m/s", doc="speed of the left wheels at their rims")
+    right: Array = quantity(unit="m/s", doc="speed of the right wheels at their rims")
+
+
+@record
+class _Motion:
+    plane: Plane = quantity()
+    left: Array = quantity(unit="m/s")
+    right: Array = quantity(unit="m/s")
+
+
+@record
+class DifferentialRover(Vehicle):
+    """Wheels with a lag on both sides; turning scrubs, so that it turns less than its wheels would have it."""
+
+    track: Array = parameter(default=0.4, unit="m", doc="distance between the wheels of both sides", above=0.0)
+    slip: Array = parameter(
+        default=0.3, unit="1", doc="part of the turn that is lost by scrubbing", minimum=0.0, maximum=0.95
+    )
+    friction: Array = parameter(default=0.7, unit="1", doc="largest force of a tyre by its load", above=0.0)
+    speed_max: Array = parameter(default=3.0, unit="m/s", doc="largest speed of a wheel", above=0.0)
+    speed_lag: Array = parameter(default=0.4, unit="s", doc="time constant of a wheel's speed", minimum=0.05)
+    acceleration_max: Array = parameter(default=4.0, unit="m/s^2", doc="largest acceleration of a wheel", above=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+
+    command_type: ClassVar[type[Any]] = WheelCommand
+    actions: ClassVar[tuple[type[Any], ...]] = (WheelCommand,)
+    reads: ClassVar[tuple[str, ...]] = ("ground",)
+    default_limits: ClassVar[Mapping[str, float]] = MappingProxyType(
+        {"pitch": math.pi / 2.0, "velocity": 30.0, "rate": 20.0}
+    )
+    default_controller: ClassVar[str] = "rover"
+    rides: ClassVar[bool] = True
+
+    def drive(self, speed: Array, curvature: Array) -> WheelCommand:
+        """Return its own command (n,) for a speed [m/s] and one by the radius of the turn [1/m], right positive."""
+        # Whoever turns as sharply as its track allows goes slower, so that the outer wheels can follow.
+        half = 0.5 * self.track / (1.0 - self.slip) * curvature
+        most = self.speed_max / (1.0 + jnp.abs(half))
+        speed = jnp.clip(speed, -most, most)
+        return WheelCommand(speed * (1.0 + half), speed * (1.0 - half))
+
+    def initial_state(
+        self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
+    ) -> DifferentialRoverState:
+        """Return the state at a pose; of the velocity only its forward part counts."""
+        half = 0.5 * self.track / (1.0 - self.slip) * rates_body.z
+        return DifferentialRoverState(position_ned, attitude, velocity_body.x + half, velocity_body.x - half)
+
+    def idle_command(self, like: Array) -> WheelCommand:
+        """Return the command to stand."""
+        zero = jnp.zeros_like(like)
+        return WheelCommand(zero, zero)
+
+    def load(self, state: DifferentialRoverState) -> Load:
+        """Return that it has neither thrust nor a weight that one would carry."""
+        nothing = jnp.full_like(state.left, jnp.nan)
+        return Load(nothing, nothing)
+
+    def pose(self, state: DifferentialRoverState) -> Pose:
+        """Return position, attitude, velocity and rates (n,)."""
+        speed, turn = self._turn(state.left, state.right)
+        zero = jnp.zeros_like(speed)
+        return Pose(state.position_ned, state.attitude, Vec3(speed, zero, zero), Vec3(zero, zero, turn))
+
+    def step(
+        self,
+        state: DifferentialRoverState,
+        command: WheelCommand,
+        air_velocity: Callable[[AttitudeTrig], Vec3],
+        noise: Any,
+        dt: float,
+        around: Around | None = None,
+    ) -> tuple[DifferentialRoverState, Vec3]:
+        """Advance one step; see ``Vehicle.step``. Without ``around`` the ground is level, at 0 m; air does nothing."""
+        turned = tilt_of(state.attitude)
+        after, force = rk4(lambda motion: self._slope(motion, command, turned), _motion_of(state), dt)
+        plane, before = after.plane, state.position_ned
+        place = Vec3(before.x + plane.north, before.y + plane.east, before.z)
+        place, attitude = set_down(place, wrap_angle(plane.heading), ground_of(around, state.left))
+        return DifferentialRoverState(place, attitude, after.left, after.right), force
+
+    def specific_force(
+        self,
+        state: DifferentialRoverState,
+        command: WheelCommand,
+        air_velocity: Callable[[AttitudeTrig], Vec3],
+        noise: Any,
+        dt: float,
+        around: Around | None = None,
+    ) -> Vec3:
+        """Return the specific force (n,) [m/s^2] in body axes at an instant, at the present speeds."""
+        held = WheelCommand(state.left, state.right)
+        return self._slope(_motion_of(state), held, tilt_of(state.attitude))[1]
+
+    def stopped(self, state: DifferentialRoverState) -> DifferentialRoverState:
+        """Return the state at rest."""
+        zero = jnp.zeros_like(state.left)
+        return replace(state, left=zero, right=zero)
+
+    def stood(self, state: DifferentialRoverState, ground: Ground) -> DifferentialRoverState:
+        """Return the state on the ground below."""
+        place, attitude = set_down(state.position_ned, state.attitude.yaw, ground)
+        return replace(state, position_ned=place, attitude=attitude)
+
+    def outline(self) -> Outline:
+        """Return a car."""
+        return Outline(kind="car", size=0.6)
+
+    def _turn(self, left: Array, right: Array) -> tuple[Array, Array]:
+        """Return speed [m/s] and yaw rate [rad/s] (n,): the left side faster turns to the right, as far as it grips."""
+        speed = 0.5 * (left + right)
+        turn = (left - right) * ((1.0 - self.slip) / self.track)
+        most = self.friction * self.gravity / jnp.maximum(jnp.abs(speed), 1e-3)
+        return speed, jnp.clip(turn, -most, most)
+
+    def _slope(self, motion: _Motion, command: WheelCommand, turned: Rotation) -> tuple[_Motion, Vec3]:
+        """Return the slope of a motion and the specific force (n,) [m/s^2] in body axes."""
+        hardest = jnp.minimum(self.acceleration_max, self.friction * self.gravity)
+
+        def spun(wanted: Array, wheel: Array) -> Array:
+            fast = jnp.clip(wanted, -self.speed_max, self.speed_max)
+            return jnp.clip((fast - wheel) / self.speed_lag, -hardest, hardest)
+
+        left, right = spun(command.left, motion.left), spun(command.right, motion.right)
+        speed, turn = self._turn(motion.left, motion.right)
+        north, east = slope_rates(turned, sincos(motion.plane.heading), speed, jnp.zeros_like(speed))
+        slope = _Motion(Plane(north, east, turn), left, right)
+        return slope, felt(turned, self.gravity, 0.5 * (left + right), speed * turn)
+
+
+def _motion_of(state: DifferentialRoverState) -> _Motion:
+    zero = jnp.zeros_like(state.left)
+    return _Motion(Plane(zero, zero, state.attitude.yaw), state.left, state.right)

@@ -1,0 +1,90 @@
+"""Checks of fixed wings: fast enough at the start, and circles that the wind lets them fly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError
+from qrsim.models.vehicles.fixed_wing import FixedWing
+from qrsim.models.vehicles.fixed_wing.trim import stall_speed
+from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.build import component
+from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
+from qrsim.scenarios.wind_limits import mean_wind
+
+# Steady bank of a circle; what is left up to the controller's limit keeps to it.
+BANK_RAD = math.radians(40.0)
+
+
+def fixed_wing_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield why the vehicles of a fleet cannot fly, if they are fixed wings."""
+    if not issubclass(known.VEHICLES[fleet.vehicle.type], FixedWing):
+        return
+    try:
+        vehicle: Any = component(fleet.vehicle, known.VEHICLES, scenario)
+        stall = stall_speed(vehicle)
+    except UsageError:
+        return
+    yield from _inertia(name, vehicle)
+    cruise = float(np.min(np.asarray(vehicle.cruise_airspeed)))
+    if cruise < stall:
+        yield f"fleets.{name}.vehicle.cruise_airspeed: {cruise:g} m/s {_stalls(stall)}"
+    for part, key in ((fleet.controller, "airspeed"), (fleet.guidance, "airspeed")):
+        slow = np.ravel(np.asarray(vars(part).get(key, 0.0), float))
+        slow = slow[(slow > 0.0) & (slow < stall)]
+        if slow.size:
+            which = "controller" if part is fleet.controller else "guidance"
+            yield f"fleets.{name}.{which}.{key}: {slow[0]:g} m/s {_stalls(stall)}"
+    for i, each in enumerate(fleet.vehicles):
+        speed = math.hypot(*each.velocity_body)
+        if 0.0 < speed < stall:
+            yield (
+                f"fleets.{name}.vehicles.{i}.velocity_body: starts at an airspeed of {speed:.4g} m/s, which "
+                f"{_stalls(stall)}; without it, it starts at {cruise:g} m/s"
+            )
+    yield from _circles(name, fleet, scenario, cruise)
+
+
+def _stalls(stall: float) -> str:
+    return f"is below its stall at {stall:.3g} m/s; allowed: above that"
+
+
+def _inertia(name: str, vehicle: Any) -> Iterator[str]:
+    x, z, xz = (np.asarray(part, float) for part in (vehicle.inertia_x, vehicle.inertia_z, vehicle.inertia_xz))
+    if np.any(x * z <= xz * xz):
+        yield (
+            f"fleets.{name}.vehicle.inertia_xz: no body has this product of inertia; allowed: at most the root of "
+            "inertia_x times inertia_z"
+        )
+
+
+def _circles(name: str, fleet: FleetSpec, scenario: ScenarioSpec, cruise: float) -> Iterator[str]:
+    """A circle is as wide as the bank allows at the speed over ground downwind."""
+    path, radius = "guidance.radius", vars(fleet.guidance).get("radius")
+    if fleet.controller.type != "fixed_wing" or radius is None:
+        return
+    size = len(fleet.vehicles)
+    given = [radius, *(vars(part).get("airspeed", 0.0) for part in (fleet.guidance, fleet.controller)), cruise]
+    try:
+        wide, *fast = (np.broadcast_to(np.asarray(part, float), (size,)) for part in given)
+    except ValueError:
+        return  # lists of the wrong length are a problem of their own
+    own = np.select([part > 0.0 for part in fast], fast)
+    gravity = float(np.min(np.asarray(vars(fleet.vehicle)["gravity"])))
+    for i, each in enumerate(fleet.vehicles):
+        if fleet.guidance.repeat and len(each.waypoints_ned) > 1:
+            continue
+        centre = each.waypoints_ned[-1] if each.waypoints_ned else each.position_ned
+        wind = float(mean_wind(scenario, np.array([-centre[2]]))[0])
+        least = (own[i] + wind) ** 2 / (max(gravity, 1e-3) * math.tan(BANK_RAD))
+        if abs(wide[i]) < least:
+            yield (
+                f"fleets.{name}.{path}: {wide[i]:g} m is tighter than the wind allows: at an airspeed of {own[i]:g} "
+                f"m/s in {wind:.3g} m/s of wind a bank of 40 deg flies a circle of {least:.0f} m downwind; allowed: at "
+                f"least {math.ceil(least):g}, or less airspeed"
+            )
+            return

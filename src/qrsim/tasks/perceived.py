@@ -1,0 +1,100 @@
+"""What agents see by their own sensors that look around: who is near, and how far it is to what stands around.
+
+A task whose ``senses`` name such sensors adds their readings to its observations, in the sensor's axes: forward, right
+and down of the vehicle unless it is mounted otherwise.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from qrsim.core.tree import setting
+from qrsim.models.sensors import rangefinder, scan
+from qrsim.models.sensors.neighbours import Looking, NeighboursReading
+from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder, RangefinderReading
+from qrsim.models.sensors.scan import IdealScan, Scan, ScanReading
+from qrsim.tasks.agents import Axis, fleet_of, number_of
+from qrsim.world.state import State, World
+
+# Sensors that agents can see by.
+SEEING = (Looking, Scan, IdealScan, Rangefinder, IdealRangefinder)
+
+
+def senses() -> Any:
+    """Return the field of the sensors that agents see by."""
+    return setting(
+        default=(), doc="names of the agents' sensors neighbours, scan and rangefinder whose readings they observe"
+    )
+
+
+def sensed_axes(world: World, fleet: str, names: tuple[str, ...]) -> tuple[Axis, ...]:
+    """Describe the S numbers of ``sensed``; their ranges hold in every episode."""
+    # An episode that draws how far a sensor sees draws no more than this.
+    world = world.with_drawn(tuple(item.high for item in world.ranges))
+    agents, axes = world.fleets[number_of(world, fleet)], []
+    for name in names:
+        sensor: Any = agents.sensors[agents.sensor_names.index(name)]
+        reach = float(np.max(np.asarray(_reach(sensor))))
+        if isinstance(sensor, Looking):
+            for slot in range(sensor.slots):
+                axes += [Axis(f"{name}_{slot}_{axis}", "m", -reach, reach) for axis in "xyz"]
+                axes += [Axis(f"{name}_{slot}_velocity_{axis}", "m/s") for axis in "xyz" if sensor.velocity]
+                axes += [Axis(f"{name}_{slot}_mate", "1", 0.0, 1.0)] * sensor.identity
+                axes.append(Axis(f"{name}_{slot}_seen", "1", 0.0, 1.0))
+        elif isinstance(sensor, Scan | IdealScan):
+            axes += [Axis(f"{name}_{ray}", "m", 0.0, reach) for ray in range(sensor.rays)]
+        else:
+            axes.append(Axis(name, "m", 0.0, reach))
+    return tuple(axes)
+
+
+def sensed(world: World, state: State, fleet: str, names: tuple[str, ...]) -> Array:
+    """Return what agents (n,) see by the named sensors, (n, S).
+
+    Of a sensor ``neighbours`` for each slot position and velocity (if it measures it), both 0 where it has nobody,
+    whether that is one of the agents' own fleet (if it knows who they are), and whether there is one, 1 or 0. Of a scan
+    or a rangefinder the ranges, its reach where nothing came back. No number leaves its range in ``sensed_axes``.
+    """
+    world = world.with_drawn(state.drawn)
+    agents, now = fleet_of(world, state, fleet)
+    columns: list[Array] = []
+    for name in names:
+        number = agents.sensor_names.index(name)
+        sensor, reading = agents.sensors[number], now.readings[number]
+        reach = jnp.asarray(_reach(sensor))
+        if isinstance(sensor, Looking):
+            columns += _neighbours(sensor, cast(NeighboursReading, reading), reach, world.rows_of(fleet))
+        elif isinstance(sensor, Scan | IdealScan):
+            columns += [_range(ray, reach) for ray in cast(ScanReading, reading).range]
+        else:
+            columns.append(_range(cast(RangefinderReading, reading).range, reach))
+    return jnp.stack(columns, axis=-1)
+
+
+def _neighbours(sensor: Looking, reading: NeighboursReading, reach: Array, mates: slice[int, int, None]) -> list[Array]:
+    columns = []
+    for slot in range(sensor.slots):
+        seen = jnp.isfinite(reading.distance[slot])
+        columns += [jnp.where(seen, jnp.clip(axis, -reach, reach), 0.0) for axis in reading.position[slot].axes]
+        if sensor.velocity:
+            columns += [jnp.where(seen, axis, 0.0) for axis in reading.velocity[slot].axes]
+        said = seen.astype(reach.dtype)
+        if sensor.identity:
+            who = reading.vehicle[slot]
+            columns.append(jnp.where((who >= mates.start) & (who < mates.stop), said, 0.0))
+        columns.append(said)
+    return columns
+
+
+def _range(measured: Array, reach: Array) -> Array:
+    return jnp.where(jnp.isfinite(measured), jnp.clip(measured, 0.0, reach), reach)
+
+
+def _reach(sensor: Any) -> Any:
+    if isinstance(sensor, IdealScan):
+        return scan.FARTHEST
+    return rangefinder.FARTHEST if isinstance(sensor, IdealRangefinder) else sensor.range_max

@@ -1,0 +1,82 @@
+"""Agents with radios: what they say beside what they do, and what they hear beside what they see (docs/tasks.md)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from qrsim.core.tree import replace
+from qrsim.models.radio.contracts import Outbox
+from qrsim.tasks.agents import number_of
+from qrsim.world.radio import heard
+from qrsim.world.state import Action, Saying, State, World, period_ticks
+
+# Parts of an action and of an observation, where there is a radio.
+ACT, SAY, SEE = "act", "say", "see"
+HEARD, SENDER, AGE, RSSI, MASK = "heard", "sender", "age", "rssi", "mask"
+
+
+def message_size(world: World) -> int:
+    """Return how many numbers a message has (D); 0 without a radio."""
+    return 0 if world.radio is None else world.radio.size
+
+
+def spoken(world: World, name: str, actions: tuple[Action, ...], words: Array) -> tuple[Action, ...]:
+    """Return actions with what the agents (n,) of the named fleet say to all.
+
+    Args:
+        world: with a radio.
+        name: of the fleet.
+        actions: one for each fleet.
+        words: (n, D); who has NaN there says nothing and leaves its radio to the beacon, if there is one.
+    """
+    says = jnp.all(jnp.isfinite(words), axis=1)
+    to = jnp.full(says.shape, -1, jnp.int32)
+    outbox = Outbox(jnp.where(says[None], words.T, 0.0), says, to, beacons=~says)
+    number = number_of(world, name)
+    return (*actions[:number], Saying(actions[number], outbox), *actions[number + 1 :])
+
+
+def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, number: Any) -> tuple[Action, ...]:
+    """Return actions that hand what is said to the radio at one tick of a step only.
+
+    That is the first tick of a step at which a period of the radio begins: so every message is sent once, and of steps
+    within one period those that cannot be sent do not crowd the queue.
+
+    Args:
+        world, actions: see ``spoken``.
+        tick: () int32 now, by which the radio's periods count.
+        number: () int32 of the tick in its step.
+    """
+    if world.radio is None:
+        return actions
+    ticks = period_ticks(world.radio.period, world.time_step)
+    first = (tick % ticks == 0) & (number < ticks)
+
+    def of(action: Action) -> Action:
+        if not isinstance(action, Saying):
+            return action
+        return replace(action, outbox=replace(action.outbox, send=action.outbox.send & first))
+
+    return tuple(of(action) for action in actions)
+
+
+def overheard(world: World, state: State, name: str, seen: Any, tick: Array) -> dict[str, Any]:
+    """Return what the agents of the named fleet see, with what they have heard by a tick; 0 where there is no message.
+
+    Returns:
+        see; heard (n, K, D); sender (n, K) int32 number of a vehicle in the world, -1 for none; age (n, K) [s];
+        rssi (n, K) [dBm]; mask (n, K) bool: there is a message.
+    """
+    own, inbox = world.rows_of(name), heard(world, state, tick)
+    there = inbox.mask[own]
+    return {
+        SEE: seen,
+        HEARD: inbox.payload[own],
+        SENDER: inbox.sender[own],
+        AGE: jnp.where(there, inbox.age[own], 0.0),
+        RSSI: jnp.where(there, inbox.rssi[own], 0.0),
+        MASK: there,
+    }

@@ -1,0 +1,112 @@
+"""Rovers driven by their controller: lines, circles, stops, places, velocities and paths."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import qrsim
+from qrsim.errors import ScenarioError, UsageError
+
+TRUTH = {"type": "rover", "feed": "truth"}
+
+
+def scenario(vehicle: Any = "rover", **fleet: Any) -> dict[str, Any]:
+    own = {"vehicle": {"type": vehicle}, "controller": TRUTH, "vehicles": [{"position_ned": [0.0, 3.0, 0.0]}]}
+    return {"name": "x", "duration": 30.0, "fleets": {"cars": {**own, **fleet}}}
+
+
+@pytest.mark.long
+def test_pure_pursuit_of_a_line_from_three_metres_beside_it() -> None:
+    """The published number of the law at 2.5 m/s: 0.000 m after 10 s, overshoot 0.13 m; and a circle within 3 %."""
+    vehicles = [{"position_ned": [0.0, 3.0, 0.0]}, {"position_ned": [0.0, -40.0, 0.0]}]
+    world = {**scenario(vehicles=vehicles), "world": {"collision_distance": 0.5}}
+    line, circle = np.zeros((2, 3)), np.array([[400.0, 0.0, 0.0], [0.0, -50.0, 0.0]])
+
+    def policy(reading: Any) -> Any:
+        return qrsim.TrackSetpoint(
+            qrsim.Vec3(*line.T), qrsim.Vec3(*circle.T), np.array([0.0, -10.0]), np.full(2, 2.5), np.zeros(2)
+        )
+
+    flight = qrsim.play(world, {"cars": policy}, ticks=1500, policy_ticks=1500, record_every=10)
+    beside = flight.position_ned[:, 0, 1]
+    assert abs(beside[50]) < 0.01
+    assert -np.min(beside) == pytest.approx(0.13, abs=0.03)
+    away = np.hypot(flight.position_ned[75:, 1, 0], flight.position_ned[75:, 1, 1] + 50.0)
+    np.testing.assert_allclose(away, 10.0, rtol=0.03)
+    # Against the clock as seen from above.
+    out = flight.position_ned[75:, 1] - circle[1]
+    swing = np.diff(np.unwrap(np.arctan2(out[:, 1], out[:, 0])))
+    assert (swing < 0.0).all()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("vehicle", ["rover", "differential_rover"])
+def test_it_stops_at_the_last_waypoint(vehicle: str) -> None:
+    route = [[20.0, 3.0, 0.0], [20.0, 18.0, 0.0]]
+    fleet = {"guidance": {"type": "rover", "repeat": False}}
+    vehicles = [{"position_ned": [0, 3, 0], "waypoints_ned": route}]
+    simulation = qrsim.load(scenario(vehicle, **fleet, vehicles=vehicles))
+    simulation.reset()
+    for _ in range(30):
+        simulation.advance(ticks=50)
+    truth = simulation.truth
+    np.testing.assert_allclose(truth.position_ned[0], route[-1], atol=0.35)
+    np.testing.assert_allclose(truth.velocity_ned[0], 0.0, atol=1e-3)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("vehicle", ["rover", "differential_rover"])
+def test_places_velocities_and_missions(vehicle: str) -> None:
+    def to_place(reading: Any) -> Any:
+        return qrsim.WaypointSetpoint.of([[-10.0, 3.0, 0.0]])
+
+    flight = qrsim.play(scenario(vehicle), {"cars": to_place}, ticks=1000, policy_ticks=1000, record_every=50)
+    np.testing.assert_allclose(flight.position_ned[-1, 0], [-10.0, 3.0, 0.0], atol=0.35)
+
+    def at_velocity(reading: Any) -> Any:
+        return qrsim.VelocitySetpoint.of([[-1.0, 1.0, 0.0]])
+
+    flight = qrsim.play(scenario(vehicle), {"cars": at_velocity}, ticks=1000, policy_ticks=1000, record_every=50)
+    np.testing.assert_allclose(flight.velocity_ned[-1, 0], [-1.0, 1.0, 0.0], atol=0.02)
+    legs = [{"to_ned": [20, 3, 0], "speed": 2.0}, {"to_ned": [20, 20, 0], "speed": 2.0, "stop": True}]
+    simulation = qrsim.load(scenario(vehicle, vehicles=[{"position_ned": [0, 3, 0], "legs": legs}]))
+    simulation.reset()
+    simulation.advance(ticks=1500)
+    np.testing.assert_allclose(simulation.truth.position_ned[0], [20.0, 20.0, 0.0], atol=0.5)
+
+
+@pytest.mark.long
+def test_it_drives_slowly_far_away_and_its_floor_is_no_margin() -> None:
+    """0.2 m/s at 49 km in single precision, where a step is less than its rounding: 2 m less the lag in 10 s."""
+    world = scenario(vehicles=[{"position_ned": [49_000.0, 0.0, 0.0]}])
+    world["world"] = {"area": {**dict.fromkeys(("x_max", "y_max"), 6e4), **dict.fromkeys(("x_min", "y_min"), -6e4)}}
+    world["world"]["area"] |= {"type": "box", "z_min": -100.0, "z_max": 0.0}
+
+    def north(reading: Any) -> Any:
+        return qrsim.VelocitySetpoint.of([[0.2, 0.0, 0.0]])
+
+    flight = qrsim.play(world, {"cars": north}, ticks=500, policy_ticks=500, record_every=500)
+    assert flight.position_ned[-1, 0, 0] - 49_000.0 == pytest.approx(1.991, abs=1e-3)
+    # Who drives on the floor of the area is not for that at its edge.
+    assert np.isnan(qrsim.rollout(world, ticks=10).metrics["fence_distance_min_m"]).all()
+
+
+def test_faults_of_a_scenario_are_said_in_a_line() -> None:
+    with pytest.raises(ScenarioError) as caught:
+        qrsim.load(scenario(vehicles=[{"position_ned": [0.0, 0.0, -10.0]}]))
+    assert caught.value.problems == [
+        "fleets.cars.vehicles.0.position_ned: z = -10 m, but a 'rover' drives on the ground; expected z = 0, or "
+        "on_ground: true"
+    ]
+    with pytest.raises(ScenarioError, match="controller: 'cascade' does not fly a 'rover'; allowed: rover"):
+        qrsim.load({**scenario(controller={"type": "cascade"})})
+    simulation = qrsim.load(scenario(vehicles=[{"position_ned": [0.0, 0.0, 5.0], "on_ground": True}]))
+    assert simulation.reset() is not None
+    assert simulation.truth.position_ned[0, 2] == 0.0
+    with pytest.raises(UsageError, match=r"steering of vehicle 0 .* is 1; allowed: -0.8 to 0.8"):
+        simulation.step(np.array([[1.0, 0.0]]))
+    assert math.isfinite(simulation.truth.position_ned[0, 0])

@@ -1,0 +1,240 @@
+"""Set-points from outside: what is refused, how they are flown in every frame, and what happens without them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from puppet import DT, EAST_DEG, NORTH_DEG, Puppet
+
+from qrsim.links.mavlink.stack.contracts import NAN, AttitudeTarget, GlobalTarget, Landed, LocalTarget
+from qrsim.links.mavlink.stack.modes import Mode
+
+OFFBOARD = 0x00060000
+NONE = (NAN, NAN, NAN)
+# The masks that MAVSDK sends.
+POSITION, VELOCITY, BOTH, ACCELERATION, BODY, ATTITUDE, RATES = 0x9F8, 0x9C7, 0x9C0, 0xC3F, 0x5C7, 0x07, 0x80
+
+
+def position(north: float, east: float, down: float, frame: int = 1, yaw: float = 0.0) -> LocalTarget:
+    return LocalTarget(frame, POSITION, (north, east, down), yaw=yaw)
+
+
+def velocity(north: float, east: float, down: float, frame: int = 1, yaw: float = 0.0) -> LocalTarget:
+    return LocalTarget(frame, VELOCITY, velocity=(north, east, down), yaw=yaw)
+
+
+def flying(target, height: float = 10.0, **more) -> Puppet:
+    """Return a puppet in OFFBOARD by a set-point, in the air."""
+    puppet = Puppet(**more)
+    puppet.fly_up(height)
+    assert puppet.stack.setpoint(target)
+    assert puppet.stack.set_mode(1, OFFBOARD) == 0
+    return puppet
+
+
+def keep(target):
+    """Return what sends a set-point at every tick."""
+    return lambda puppet: puppet.stack.setpoint(target)
+
+
+def test_places_are_flown_to_with_their_heading():
+    target = position(15.0, -8.0, -14.0, yaw=0.7)
+    puppet = flying(target)
+    puppet.run(20.0, each=keep(target))
+    assert puppet.seen.position_ned == pytest.approx((15.0, -8.0, -14.0), abs=0.1)
+    assert puppet.seen.attitude[2] == pytest.approx(0.7)
+    assert puppet.stack.heartbeat().custom_mode == OFFBOARD
+
+
+@pytest.mark.parametrize(("frame", "alt"), [(0, 500.0), (5, 500.0), (3, 12.0), (6, 12.0), (10, 12.0), (11, 12.0)])
+def test_places_on_earth_are_flown_to(frame, alt):
+    x, y = round((47.397742 + 6.0 * NORTH_DEG) * 1e7), round((8.545594 - 9.0 * EAST_DEG) * 1e7)
+    target = GlobalTarget(frame, POSITION, x, y, alt, yaw=0.0)
+    puppet = flying(target)
+    puppet.run(12.0, each=keep(target))
+    assert puppet.seen.position_ned == pytest.approx((6.0, -9.0, -12.0), abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("frame", "yaw", "flown"),
+    [(1, 0.0, (2.0, 1.0, -0.5)), (7, 1.0, (2.0, 1.0, -0.5)), (8, math.pi / 2, (-1.0, 2.0, -0.5)),
+     (9, math.pi, (-2.0, -1.0, -0.5)), (12, -math.pi / 2, (1.0, -2.0, -0.5))],
+)  # fmt: skip
+def test_velocities_are_flown_along_their_frame(frame, yaw, flown):
+    target = velocity(2.0, 1.0, -0.5, frame, yaw)
+    puppet = flying(target)
+    # It turns first: frames of the body are those of the heading that it has.
+    puppet.run(3.0, each=keep(target))
+    assert puppet.seen.velocity_ned == pytest.approx(flown, abs=0.02)
+
+
+def test_masks_of_old_examples_are_taken():
+    # 0b0000111111000111: velocities alone, with the bit of forces.
+    target = LocalTarget(1, 0b0000111111000111, (9.0, 9.0, 9.0), (1.0, 0.0, 0.0), (9.0, 9.0, 9.0))
+    puppet = flying(target)
+    puppet.run(3.0, each=keep(target))
+    assert puppet.seen.velocity_ned == pytest.approx((1.0, 0.0, 0.0), abs=0.02)
+
+
+def test_a_yaw_rate_turns_with_a_velocity_of_the_body():
+    target = LocalTarget(8, BODY, velocity=(0.0, 0.0, 0.0), yaw_rate=0.5)
+    puppet = flying(target)
+    puppet.run(2.0, each=keep(target))
+    assert puppet.seen.attitude[2] == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_place_with_a_velocity_is_followed_and_an_acceleration_felt():
+    target = LocalTarget(1, BOTH, (5.0, 0.0, -10.0), (1.5, 0.0, 0.0), yaw=0.0)
+    puppet = flying(target)
+    puppet.run(DT, each=keep(target))
+    assert puppet.order.kind == "path"
+    assert puppet.order.numbers[:6] == (5.0, 0.0, -10.0, 1.5, 0.0, 0.0)
+    target = LocalTarget(1, ACCELERATION, acceleration=(0.5, 0.0, 0.0))
+    puppet.run(2 * DT, each=keep(target))
+    assert puppet.order.numbers[6:9] == (0.5, 0.0, 0.0)
+
+
+def test_speeds_are_limited_by_the_parameters_and_the_controller():
+    target = velocity(30.0, 40.0, -9.0)
+    puppet = flying(target)
+    puppet.run(DT, each=keep(target))
+    # The controller's 8 m/s, and 3 m/s up.
+    assert puppet.order.numbers[:3] == pytest.approx((4.8, 6.4, -3.0))
+    puppet.stack.parameters.set("MPC_XY_VEL_MAX", 5.0)
+    puppet.stack.parameters.set("MPC_Z_VEL_MAX_UP", 2.0)
+    puppet.run(DT, each=keep(target))
+    assert puppet.order.numbers[:3] == pytest.approx((3.0, 4.0, -2.0))
+
+
+def test_attitude_and_thrust_are_handed_on():
+    # Roll 0.2, pitch -0.1, yaw 0.5, as the product of three turns.
+    cr, sr, cp, sp, cy, sy = *(f(0.1) for f in (math.cos, math.sin)), math.cos(-0.05), math.sin(-0.05), *(
+        f(0.25) for f in (math.cos, math.sin)
+    )  # fmt: skip
+    q = (
+        cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy,
+    )  # fmt: skip
+    target = AttitudeTarget(ATTITUDE, q, (0.0, 0.0, 0.0), 0.55)
+    puppet = flying(target)
+    puppet.run(DT, each=keep(target))
+    assert puppet.order.kind == "attitude"
+    assert puppet.order.numbers == pytest.approx((0.2, -0.1, 0.5, 0.55))
+
+
+def test_rates_add_up():
+    target = AttitudeTarget(RATES, (1.0, 0.0, 0.0, 0.0), (0.2, -0.1, 0.4), 0.5)
+    puppet = flying(target)
+    puppet.run(0.5, each=keep(target))
+    assert puppet.order.numbers == pytest.approx((0.1, -0.05, 0.2, 0.5), abs=0.001)
+
+
+def test_a_tilt_is_commanded_as_the_platform_takes_it():
+    puppet = flying(velocity(0.0, 0.0, 0.0))
+    facts = puppet.stack.facts
+    # The identified quadrotor settles at 0.745 of a command.
+    object.__setattr__(facts, "roll_gain", 0.745)
+    object.__setattr__(facts, "pitch_gain", 0.5)
+    order = puppet.stack.craft.lean(0.149, 0.1, 0.4)
+    assert order.numbers == pytest.approx((0.2, 0.2, puppet.stack.craft.yaw, 0.4))
+    assert puppet.stack.craft.lean(2.0, -2.0, 0.4).numbers[:2] == (0.9, -0.9)
+
+
+@pytest.mark.parametrize(
+    ("target", "why"),
+    [
+        (position(NAN, 0.0, 0.0), "x has no number"),
+        (velocity(0.0, 0.0, NAN), "z has no number"),
+        (LocalTarget(1, 0xFFF, (0.0, 0.0, 0.0)), "x has no number"),
+        (velocity(math.inf, 0.0, 0.0), "numbers too large"),
+        (position(0.0, 1.1e6, 0.0), "numbers too large"),
+        (LocalTarget(1, POSITION, (0.0, 0.0, 0.0), yaw=math.inf), "numbers too large"),
+        (position(0.0, 0.0, 0.0, frame=2), "frame 2 is not supported"),
+        (LocalTarget(1, 0xE3F, acceleration=(0.0, 0.0, 0.0)), "forces are not supported"),
+        (GlobalTarget(1, POSITION, 0, 0, 0.0), "frame 1 is not supported"),
+        (GlobalTarget(6, POSITION, 910_000_000, 0, 0.0), "no such place"),
+        (GlobalTarget(6, POSITION, 0, 0, NAN), "x has no number"),
+        (AttitudeTarget(ATTITUDE, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), NAN), "thrust nan, 0 to 1 needed"),
+        (AttitudeTarget(ATTITUDE, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.1), "thrust 1.1, 0 to 1 needed"),
+        (AttitudeTarget(ATTITUDE, (NAN, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5), "quaternion is none"),
+        (AttitudeTarget(ATTITUDE, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5), "quaternion is none"),
+        (AttitudeTarget(0x87, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5), "neither attitude nor rates"),
+        (AttitudeTarget(RATES, (1.0, 0.0, 0.0, 0.0), (NAN, 0.0, 0.0), 0.5), "rates are not finite"),
+        (AttitudeTarget(0x47, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5), "no thrust"),
+    ],
+)
+def test_bad_set_points_are_refused_and_said_once(target, why):
+    puppet = Puppet()
+    for _ in range(20):
+        assert not puppet.stack.setpoint(target)
+    assert [text.text for text in puppet.stack.texts()] == [f"Set-point refused: {why}"]
+    # They are no proof of life either.
+    assert puppet.stack.set_mode(1, OFFBOARD) == 1
+    assert "Offboard rejected" in puppet.stack.texts()[-1].text
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 5.0])
+def test_offboard_is_lost_after_its_time_which_is_of_the_wall_when_faster(factor):
+    target = velocity(1.0, 0.0, 0.0)
+    puppet = flying(target, factor=factor)
+    puppet.run(2.0, each=keep(target))
+    last = puppet.seen.time
+    assert puppet.run(20.0, lambda now: now.stack.mode is not Mode.OFFBOARD)
+    # COM_OF_LOSS_T, 1 s.
+    assert puppet.seen.time - last == pytest.approx(1.0 * max(1.0, factor), abs=1.01 * DT)
+    assert puppet.stack.mode is Mode.HOLD
+    assert puppet.stack.heartbeat().system_status == 5
+    assert puppet.texts[-2:] == ["Failsafe: no offboard set-points", "Failsafe activated: hold"]
+    puppet.run(5.0)
+    here = puppet.seen.position_ned
+    puppet.run(2.0)
+    assert puppet.seen.position_ned == pytest.approx(here, abs=0.05)
+
+
+@pytest.mark.parametrize(("action", "mode", "armed"), [(3, Mode.RTL, True), (4, Mode.LAND, True), (5, Mode.HOLD, True),
+                                                       (6, Mode.HOLD, False), (7, Mode.HOLD, False)])  # fmt: skip
+def test_what_follows_a_loss_of_offboard(action, mode, armed):
+    puppet = flying(velocity(0.0, 0.0, 0.0))
+    puppet.stack.parameters.set("COM_OBL_RC_ACT", action)
+    puppet.run(1.5)
+    assert (puppet.stack.mode, puppet.stack.armed) == (mode, armed)
+    assert puppet.stack.craft.terminated == (action == 6)
+
+
+def test_offboard_takes_off_lands_and_disarms():
+    puppet = Puppet()
+    up, down = velocity(0.0, 0.0, -1.0), velocity(0.0, 0.0, 0.7)
+    puppet.stack.setpoint(down)
+    puppet.stack.set_mode(1, OFFBOARD)
+    assert puppet.do(400, 1) == 0
+    puppet.run(1.0, each=keep(down))
+    assert puppet.order.numbers[3] == 0.0
+    puppet.run(5.0, each=keep(up))
+    assert puppet.highest > 4.0
+    assert puppet.stack.heartbeat().landed is Landed.IN_AIR
+    assert puppet.run(20.0, lambda now: not now.stack.armed, keep(down))
+    assert puppet.seen.on_ground
+    assert puppet.texts[-2:] == ["Landing detected", "Disarmed by landing"]
+
+
+def test_a_place_below_the_ground_lands():
+    target = position(0.0, 0.0, 3.0)
+    puppet = flying(target, 4.0)
+    assert puppet.run(30.0, lambda now: not now.stack.armed, keep(target))
+
+
+def test_guided_flies_set_points_at_once_and_holds_without():
+    puppet = Puppet("ardupilot")
+    puppet.do(400, 1)
+    puppet.do(176, 1, 4)
+    puppet.do(22, NAN, NAN, NAN, NAN, NAN, NAN, 5.0)
+    puppet.run(10.0)
+    target = velocity(1.0, 0.0, 0.0)
+    puppet.run(2.0, each=keep(target))
+    assert puppet.seen.velocity_ned[0] == pytest.approx(1.0, abs=0.02)
+    assert puppet.stack.heartbeat().custom_mode == 4
+    puppet.run(5.0)
+    assert puppet.stack.heartbeat().custom_mode == 4
+    assert puppet.stack.heartbeat().system_status == 4
+    assert abs(puppet.seen.velocity_ned[0]) < 0.05

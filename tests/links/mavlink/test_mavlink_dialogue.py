@@ -1,0 +1,372 @@
+"""The protocols of the wire with a flight stack and no world: commands, parameters, plans, streams."""
+
+import itertools
+import math
+import random
+import struct
+
+import pytest
+
+from qrsim.links.mavlink.dialect import LAYOUTS
+from qrsim.links.mavlink.dialogue import handle
+from qrsim.links.mavlink.frames import Frame, Reader, frame
+from qrsim.links.mavlink.link import Link
+from qrsim.links.mavlink.stack.contracts import Facts, Seen, Severity, Text
+from qrsim.links.mavlink.stack.flight_stack import FlightStack
+from qrsim.links.mavlink.streams import GROUND, ONBOARD, Streams
+from qrsim.links.mavlink.system import System
+from qrsim.models.site import Site
+
+DT = 0.02
+NAN = math.nan
+CLIENT = (245, 190)
+
+
+class Wire:
+    """A vehicle that stands on the ground, and what it sends."""
+
+    def __init__(self, number=1, rates=ONBOARD, flavour="px4"):
+        self.lines: list[str] = []
+        stack = FlightStack(Facts("a", system=number, time_step=DT), Site(), flavour=flavour)
+        self.system = System(stack, "a", number, log=self.lines.append)
+        self.sent: list[bytes] = []
+        self.link = Link(number, Streams(rates, DT), self.sent.append)
+        self.system.links.append(self.link)
+        self.seen, self.tick = Seen(present=0x2B, healthy=0x2B, latitude=51.7, longitude=-0.2, altitude=40.0), 0
+        self.run(100)
+
+    def run(self, ticks, wall=0.0):
+        for _ in range(ticks):
+            self.tick += 1
+            self.seen.time = self.tick * DT
+            order = self.system.stack.tick(self.seen)
+            view = self.system.view
+            view.seen, view.order = self.seen, order or view.order
+            self.system.publish(self.tick, wall)
+
+    def take(self, *names):
+        """Return the messages that were sent since the last call, of some names or all."""
+        reader = Reader()
+        found = [read.message() for data in self.sent for read in reader.datagram(data)]
+        self.raw = list(self.sent)
+        assert reader.damaged == 0
+        self.sent.clear()
+        return [message for message in found if not names or message.layout.name in names]
+
+    def ask(self, name, sender=CLIENT, **values):
+        """Send a message of a client, and return what comes back at once."""
+        self.take()
+        layout = LAYOUTS[name]
+        handle(self.system, self.link, Frame(layout, layout.payload(**values), 0, *sender, 2))
+        return self.take()
+
+    def command(self, number, *params, target=(1, 1), **more):
+        names = (f"param{i}" for i in range(1, 8))
+        values = dict(zip(names, (*params, *[NAN] * (7 - len(params))), strict=True))
+        return self.ask("COMMAND_LONG", target_system=target[0], target_component=target[1], command=number, **values)
+
+
+@pytest.fixture
+def wire():
+    return Wire()
+
+
+def test_every_command_has_exactly_one_answer(wire):
+    draw = random.Random(3)
+    for number in range(3001):
+        # 246 starts the vehicle again, 400 with these numbers kills it; they are commands as all others.
+        answers = wire.command(number, *(draw.choice([NAN, 0.0, 1.0, -1.0, 1e30, math.inf]) for _ in range(7)))
+        acks = [answer for answer in answers if answer.layout.name == "COMMAND_ACK"]
+        assert len(acks) == 1, number
+        assert (acks[0].command, acks[0].target_system, acks[0].target_component) == (number, *CLIENT)
+        assert 0 <= acks[0].result <= 6
+
+
+def test_a_command_as_integers_and_one_that_is_not_known(wire):
+    (ack,) = wire.ask("COMMAND_INT", target_system=1, target_component=1, command=34, frame=6, x=1, y=2, z=3.0)
+    assert (ack.command, ack.result) == (34, 3)
+    assert [answer.result for answer in wire.command(400, 1.0)] == [0]
+
+
+@pytest.mark.parametrize(("target", "answers"), [((1, 1), 1), ((0, 0), 1), ((1, 0), 1), ((2, 1), 0), ((1, 100), 0)])
+def test_only_what_is_for_this_vehicle_is_answered(wire, target, answers):
+    assert len(wire.command(400, 1.0, target=target)) == answers
+    assert wire.system.stack.armed is (answers == 1)
+
+
+def test_intervals_of_messages(wire):
+    (ack,) = wire.command(511, 105.0, 100_000.0)
+    assert ack.result == 2  # no inertial sensor here
+    assert [answer.result for answer in wire.command(511, 999.0, 1e5)] == [2]
+    assert [answer.result for answer in wire.command(511, 32.0, 100_000.0)] == [0]
+    ack, interval = wire.command(510, 32.0)
+    assert (interval.message_id, interval.interval_us) == (32, 100_000)
+    wire.take()
+    wire.run(100)
+    assert len(wire.take("LOCAL_POSITION_NED")) == 20
+    wire.command(511, 32.0, -1.0)
+    wire.run(100)
+    assert wire.take("LOCAL_POSITION_NED") == []
+    wire.command(511, 32.0, 0.0)
+    wire.run(100)
+    assert 59 <= len(wire.take("LOCAL_POSITION_NED")) <= 61
+
+
+def test_streams_that_a_client_asked_for_end_with_it(wire):
+    wire.command(511, 32.0, 100_000.0)
+    wire.run(1, wall=wire.link.heard + 9.0)
+    assert wire.command(510, 32.0)[1].interval_us == 100_000
+    wire.run(1, wall=wire.link.heard + 11.0)
+    assert wire.command(510, 32.0)[1].interval_us == 33_333
+
+
+def test_rates_of_an_onboard_link_and_of_a_ground_station():
+    wire = Wire()
+    wire.take()
+    wire.run(500)
+    counts = {}
+    for message in wire.take():
+        counts[message.layout.name] = counts.get(message.layout.name, 0) + 1
+    # In 10 s; ATTITUDE is asked for at 100 Hz and goes out once a tick.
+    wanted = {"ATTITUDE": 500, "ATTITUDE_QUATERNION": 500, "GLOBAL_POSITION_INT": 500, "LOCAL_POSITION_NED": 300,
+              "VFR_HUD": 100, "EXTENDED_SYS_STATE": 50, "SYS_STATUS": 50, "HEARTBEAT": 10}  # fmt: skip
+    assert {name: counts[name] for name in wanted} == pytest.approx(wanted, abs=1)
+    ground = Wire(rates=GROUND)
+    ground.take()
+    ground.run(500)
+    assert len(ground.take("VFR_HUD")) == pytest.approx(40, abs=1)
+
+
+def test_faster_than_the_wall_clock_a_message_goes_out_100_times_a_second():
+    streams = Streams({"ATTITUDE": 100}, DT, factor=20.0)
+    # A second of wall time is 1000 ticks.
+    assert sum(30 in streams.due(tick, False) for tick in range(1000)) == pytest.approx(100, abs=1)
+    streams = Streams({"ATTITUDE": 100}, DT, factor=20.0, by_simulated_time=True)
+    assert sum(30 in streams.due(tick, False) for tick in range(1000)) == 1000
+
+
+def test_a_message_on_request(wire):
+    ack, version = wire.command(512, 148.0)
+    assert (ack.result, version.layout.name) == (0, "AUTOPILOT_VERSION")
+    # Missions and commands of integers, parameters bytewise, set-points, MAVLink 2, fence; and no files.
+    wanted = 0x4 | 0x8 | 0x10 | 0x40 | 0x80 | 0x2000 | 0x4000
+    assert (version.capabilities & wanted, version.capabilities & 0x20) == (wanted, 0)
+    assert [answer.result for answer in wire.command(512, 33333.0)] == [3]
+    assert [answer.result for answer in wire.command(512, NAN)] == [3]
+
+
+def test_parameters_are_listed_and_set(wire):
+    values = wire.ask("PARAM_REQUEST_LIST", target_system=1, target_component=1)
+    count = values[0].param_count
+    assert [value.param_index for value in values] == list(range(count))
+    by_name = {value.param_id: value for value in values}
+    # An integer travels as its bytes: 4001 looks like 5.6e-42.
+    assert struct.pack("<f", by_name[b"SYS_AUTOSTART"].param_value) == struct.pack("<i", 4001)
+    assert by_name[b"SYS_AUTOSTART"].param_type == 6
+    assert by_name[b"RTL_RETURN_ALT"].param_value == 60.0
+    (value,) = wire.ask("PARAM_SET", target_system=1, param_id=b"RTL_RETURN_ALT", param_value=31.5, param_type=9)
+    assert (value.param_value, wire.system.stack.parameters["RTL_RETURN_ALT"]) == (31.5, 31.5)
+    (value,) = wire.ask("PARAM_SET", target_system=1, param_id=b"RTL_RETURN_ALT", param_value=1e9, param_type=9)
+    assert value.param_value == 150.0
+    (value,) = wire.ask("PARAM_SET", target_system=1, param_id=b"RTL_RETURN_ALT", param_value=NAN, param_type=9)
+    assert value.param_value == 150.0
+    (value,) = wire.ask("PARAM_REQUEST_READ", target_system=1, param_id=b"RTL_RETURN_ALT", param_index=-1)
+    assert value.param_value == 150.0
+    (value,) = wire.ask("PARAM_REQUEST_READ", target_system=1, param_index=0)
+    assert value.param_id == values[0].param_id
+
+
+def test_an_integer_parameter_that_is_no_number_as_a_float(wire):
+    # The bytes of -1 are those of a float that is no number.
+    raw = struct.pack("<iBB16sB", -1, 1, 1, b"GF_ACTION", 6)
+    layout = LAYOUTS["PARAM_SET"]
+    wire.take()
+    handle(wire.system, wire.link, Frame(layout, raw, 0, *CLIENT, 2))
+    assert wire.system.stack.parameters["GF_ACTION"] == 0
+    wire.system.stack.parameters.values["GF_ACTION"] = -1.0
+    wire.sent.clear()
+    wire.ask("PARAM_REQUEST_READ", target_system=1, param_id=b"GF_ACTION", param_index=-1)
+    assert wire.raw[-1][10:14] == b"\xff\xff\xff\xff"
+
+
+def test_parameters_of_ardupilot_are_floats():
+    wire = Wire(flavour="ardupilot")
+    (value,) = wire.ask("PARAM_SET", target_system=1, param_id=b"GF_ACTION", param_value=3.0, param_type=6)
+    assert (value.param_value, value.param_type, wire.system.stack.parameters["GF_ACTION"]) == (3.0, 6, 3)
+    _, version = wire.command(512, 148.0)
+    # Parameters are cast, not bytewise.
+    assert (version.capabilities & 0x20000, version.capabilities & 0x10) == (0x20000, 0)
+    (beat,) = (message for message in wire.command(512, 0.0) if message.layout.name == "HEARTBEAT")
+    assert (beat.autopilot, beat.type) == (3, 2)
+
+
+def test_parameters_that_cannot_be_set(wire):
+    (error,) = wire.ask("PARAM_SET", target_system=1, param_id=b"NO_SUCH", param_value=1.0, param_type=9)
+    assert (error.layout.name, error.error, error.param_id) == ("PARAM_ERROR", 1, b"NO_SUCH")
+    (error,) = wire.ask("PARAM_REQUEST_READ", target_system=1, param_id=b"NO_SUCH", param_index=-1)
+    assert error.error == 1
+    error, value = wire.ask("PARAM_SET", target_system=1, param_id=b"MPC_THR_HOVER", param_value=0.3, param_type=9)
+    assert (error.error, value.param_value) == (5, 0.5)
+    (value,) = wire.ask("PARAM_SET", target_system=1, param_id=b"GF_ACTION", param_value=3.0, param_type=9)
+    assert struct.pack("<f", value.param_value) == struct.pack("<i", 2)
+
+
+ITEMS = [
+    {"command": 22, "frame": 6, "x": 517000000, "y": -2000000, "z": 10.0},
+    {"command": 16, "frame": 6, "x": 517001000, "y": -2000000, "z": 12.5, "param2": 1.0, "param4": NAN},
+    {"command": 20, "frame": 2},
+]
+
+
+def upload(wire, items, kind=0):
+    """Upload items as a client does, and return the result."""
+    answers = wire.ask("MISSION_COUNT", target_system=1, target_component=1, count=len(items), mission_type=kind)
+    for _ in range(2 * len(items) + 1):
+        if answers[-1].layout.name == "MISSION_ACK":
+            return answers[-1].type
+        assert answers[-1].layout.name == "MISSION_REQUEST_INT"
+        seq = answers[-1].seq
+        answers = wire.ask("MISSION_ITEM_INT", target_system=1, target_component=1, seq=seq, mission_type=kind,
+                           autocontinue=1, **items[seq])  # fmt: skip
+    raise AssertionError("no end")
+
+
+def download(wire, kind=0):
+    (count,) = wire.ask("MISSION_REQUEST_LIST", target_system=1, target_component=1, mission_type=kind)
+    return [
+        wire.ask("MISSION_REQUEST_INT", target_system=1, target_component=1, seq=seq, mission_type=kind)[0]
+        for seq in range(count.count)
+    ]
+
+
+def test_a_mission_goes_up_and_comes_down(wire):
+    assert upload(wire, ITEMS) == 0
+    found = download(wire)
+    assert [(item.command, item.frame, item.x, item.y, item.z) for item in found] == [
+        (22, 6, 517000000, -2000000, 10.0), (16, 6, 517001000, -2000000, 12.5), (20, 2, 0, 0, 0.0)
+    ]  # fmt: skip
+    assert (found[1].param2, math.isnan(found[1].param4)) == (1.0, True)
+    (item,) = wire.ask("MISSION_REQUEST", target_system=1, target_component=1, seq=1)
+    assert (item.layout.name, item.x) == ("MISSION_ITEM", pytest.approx(51.7001, abs=4e-6))
+    (ack,) = wire.ask("MISSION_REQUEST_INT", target_system=1, target_component=1, seq=3)
+    assert ack.type == 13
+    (current,) = wire.ask("MISSION_SET_CURRENT", target_system=1, target_component=1, seq=1)
+    assert (current.seq, current.total) == (1, 3)
+    (ack,) = wire.ask("MISSION_CLEAR_ALL", target_system=1, target_component=1)
+    assert (ack.type, download(wire)) == (0, [])
+
+
+def test_a_mission_of_floats(wire):
+    wire.ask("MISSION_COUNT", target_system=1, target_component=1, count=1)
+    (ack,) = wire.ask(
+        "MISSION_ITEM", target_system=1, target_component=1, seq=0, frame=3, command=16, x=51.7, y=-0.2, z=9.0
+    )
+    assert ack.type == 0
+    (item,) = download(wire)
+    assert (item.x, item.y) == (pytest.approx(517000000, abs=40), pytest.approx(-2000000, abs=1))
+
+
+@pytest.mark.parametrize("sent", range(3))
+def test_an_upload_that_breaks_off_leaves_the_mission_of_before(wire, sent):
+    assert upload(wire, ITEMS) == 0
+    other = [{"command": 16, "frame": 6, "x": 517002000, "y": -2000000, "z": 5.0}] * 3
+    wire.ask("MISSION_COUNT", target_system=1, target_component=1, count=3)
+    for seq in range(sent):
+        wire.ask("MISSION_ITEM_INT", target_system=1, target_component=1, seq=seq, **other[seq])
+    # Every quarter of a second it is asked for again, ten times.
+    wall, asked, acks = wire.system.transfers.upload.asked, 0, []
+    for _ in range(200):
+        wall += 0.1
+        wire.run(1, wall)
+        if wire.system.transfers.upload is not None:
+            wire.system.transfers.upload.asked = min(wire.system.transfers.upload.asked, wall)
+        found = wire.take("MISSION_REQUEST_INT", "MISSION_ACK")
+        asked += sum(message.layout.name == "MISSION_REQUEST_INT" for message in found)
+        acks += [message.type for message in found if message.layout.name == "MISSION_ACK"]
+    assert (asked, acks) == (10, [1])
+    assert [item.command for item in download(wire)] == [22, 16, 20]
+
+
+def test_uploads_that_are_refused(wire):
+    assert upload(wire, [{"command": 9999, "frame": 6, "x": 517000000, "y": -2000000, "z": 9.0}]) == 3
+    assert upload(wire, [{"command": 16, "frame": 99, "x": 517000000, "y": -2000000, "z": 9.0}]) == 2
+    assert download(wire) == []
+    (ack,) = wire.ask("MISSION_COUNT", target_system=1, target_component=1, count=60000)
+    assert ack.type == 4
+    (ack,) = wire.ask("MISSION_COUNT", target_system=1, target_component=1, count=1, mission_type=77)
+    assert ack.type == 3
+    wire.ask("MISSION_COUNT", target_system=1, target_component=1, count=2)
+    (ack,) = wire.ask("MISSION_COUNT", sender=(246, 1), target_system=1, target_component=1, count=2)
+    assert ack.type == 14
+    # Another item than was asked for: it is asked for once more.
+    (again,) = wire.ask("MISSION_ITEM_INT", target_system=1, target_component=1, seq=1, **ITEMS[1])
+    assert (again.layout.name, again.seq) == ("MISSION_REQUEST_INT", 0)
+
+
+def test_fence_and_rally_are_plans_of_their_own(wire):
+    corners = [(517000000, -2000000), (517010000, -2000000), (517010000, -1990000)]
+    fence = [{"command": 5001, "frame": 5, "param1": 3.0, "x": x, "y": y} for x, y in corners]
+    assert upload(wire, fence, kind=1) == 0
+    assert upload(wire, [{"command": 5100, "frame": 6, "x": 517001000, "y": -2000000, "z": 20.0}], kind=2) == 0
+    assert [(item.command, item.mission_type) for item in download(wire, 1)] == [(5001, 1)] * 3
+    assert [(item.command, item.mission_type) for item in download(wire, 2)] == [(5100, 2)]
+    assert download(wire, 0) == []
+    (ack,) = wire.ask("MISSION_CLEAR_ALL", target_system=1, target_component=1, mission_type=255)
+    assert (ack.type, ack.mission_type) == (0, 255)
+    assert [download(wire, kind) for kind in range(3)] == [[], [], []]
+
+
+def test_time_pings_files_and_logs(wire):
+    wire.run(50)
+    now = wire.seen.time
+    (reply,) = wire.ask("TIMESYNC", tc1=0, ts1=123456789)
+    assert (reply.tc1, reply.ts1) == (pytest.approx(now * 1e9, abs=1.0), 123456789)
+    assert wire.ask("TIMESYNC", tc1=5, ts1=6) == []
+    (reply,) = wire.ask("PING", time_usec=77, seq=4)
+    assert (reply.time_usec, reply.seq, reply.target_system, reply.target_component) == (77, 4, *CLIENT)
+    # OpenFileRO, 4, of a file that is not there: NAK, 129, with why: 10.
+    opened = [5, 0, 3, 4] + [0] * 247
+    (reply,) = wire.ask("FILE_TRANSFER_PROTOCOL", target_system=1, target_component=1, payload=opened)
+    assert tuple(reply.payload[:6]) == (6, 0, 3, 129, 1, 4)
+    assert reply.payload[12] == 10
+    (reply,) = wire.ask("LOG_REQUEST_LIST", target_system=1, target_component=1)
+    assert reply.num_logs == 0
+
+
+def test_long_texts_go_out_in_pieces(wire):
+    wire.take()
+    text = "x" * 50 + "y" * 50
+    wire.system.text(Text(Severity.WARNING, text))
+    wire.run(1)
+    found = wire.take("STATUSTEXT")
+    assert [(piece.text, piece.chunk_seq) for piece in found] == [(b"x" * 50, 0), (b"y" * 50, 1), (b"", 2)]
+    assert len({piece.id for piece in found}) == 1
+    assert found[0].id > 0
+    assert wire.lines[-1].endswith(text)
+    wire.system.text(Text(Severity.INFO, "short"))
+    wire.run(1)
+    assert [(piece.text, piece.id) for piece in wire.take("STATUSTEXT")] == [(b"short", 0)]
+
+
+def test_frames_are_counted_by_link(wire):
+    wire.take()
+    numbers = []
+    wire.run(30)
+    for data in wire.sent:
+        numbers += [read.sequence for read in Reader().datagram(data)]
+    assert [(b - a) % 256 for a, b in itertools.pairwise(numbers)] == [1] * (len(numbers) - 1)
+
+
+def test_mutated_frames_disturb_nothing(wire):
+    """Frames of all kinds with changed bytes and right checks: no exception, and the vehicle stays on the ground."""
+    draw = random.Random(11)
+    reader = Reader()
+    for _ in range(4000):
+        layout = draw.choice(list(LAYOUTS.values()))
+        payload = bytearray(draw.randbytes(layout.struct.size))
+        for data in (frame(layout.number, bytes(payload), 0, 245, 190), bytes(payload)):
+            for read in reader.datagram(data):
+                handle(wire.system, wire.link, read)
+    wire.run(10)
+    for message in wire.take("HEARTBEAT"):
+        assert message.autopilot == 12
