@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import qrsim
+from evidence._plain_sensors import PLAIN
 from qrsim.world.state import State
 
 DOC = "hold and square of waypoint and cascade in wind, on the truth and on noisy sensors; the patrol in 8 m/s"
@@ -59,7 +60,7 @@ def world_of(speed: float, names: Sequence[str], duration: float, precision: str
             corners = ((SIDE, 0.0), (SIDE, SIDE), (0.0, SIDE), (0.0, 0.0))
             start["waypoints_ned"] = [[north + n, east + e, -HEIGHT] for n, e in corners]
         parts = {**HELD, **SQUARES}[name]
-        fleets[name] = {**parts, "sensors": "noisy", "limits": {"rate": 8.0}, "vehicles": [start]}
+        fleets[name] = {**parts, "sensors": PLAIN, "limits": {"rate": 8.0}, "vehicles": [start]}
     area = {
         "type": "box",
         **{f"{axis}_{end}": sign * 4000.0 for axis in "xy" for end, sign in (("min", -1), ("max", 1))},

@@ -2,7 +2,8 @@
 
 All by `cascade`, with full Dryden turbulence in a mean wind given at 20 ft above ground; fed with the truth unless a
 name says `filter`, which is the controller's own with noisy sensors and `gauss_markov_2` GNSS errors, or those of the
-preset `consumer` where the name says so. Every seed is a world of its own.
+preset `consumer` where the name says so, or `ekf`, with the sensors and the air that vehicles have outdoors. Every seed
+is a world of its own.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import qrsim
+from evidence._plain_sensors import PLAIN
 from qrsim.world.state import State
 
 DOC = "take-off, mission, landing and second take-off in wind; a square, and a line in time, in wind"
@@ -47,7 +49,12 @@ def vehicles() -> dict[str, dict[str, Any]]:
         "pelican": {"vehicle": "pelican", "ground": "parked"},
         "hexa4": {"vehicle": {"type": "multirotor", "model": "hexa4"}, "down": -0.25},
     }
-    feeds = {"": {"feed": "truth"}, "_filter": {"feed": "filter"}, "_consumer": {"feed": "filter", "sky": "consumer"}}
+    feeds: dict[str, dict[str, Any]] = {
+        "": {"feed": "truth"},
+        "_filter": {"feed": "filter", "sensors": PLAIN},
+        "_consumer": {"feed": "filter", "sensors": PLAIN, "sky": "consumer"},
+        "_ekf": {"feed": "filter", "sensors": "noisy", "turbulence": "dryden_field"},
+    }
     return {vehicle + name: {**part, **feed} for vehicle, part in parts.items() for name, feed in feeds.items()}
 
 
@@ -58,6 +65,8 @@ def world(
     duration: float,
     feed: str = "truth",
     sky: str = "gauss_markov_2",
+    sensors: Any = "ideal",
+    turbulence: str = "dryden",
     **fleet: Any,
 ) -> Any:
     """Return a world with one vehicle that flies legs."""
@@ -66,11 +75,11 @@ def world(
         vehicles=[{"position_ned": start, "legs": legs}],
         controller={"type": "cascade", "feed": feed},
         guidance=guidance,
-        sensors="noisy" if feed == "filter" else "ideal",
+        sensors=sensors,
         limits={"rate": 6.0},
         area={"type": "box", "x_min": -4000.0, "x_max": 4000.0, "y_min": -4000.0, "y_max": 4000.0, "z_min": -110.0},
         wind={"type": "log_shear", "speed_20ft": wind, "wind_from_deg": FROM_DEG} if wind else "calm",
-        turbulence="dryden" if wind else "still",
+        turbulence=turbulence if wind else "still",
         sky={"errors": sky},
         duration=duration,
         name="mission",

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 import qrsim
+from evidence._plain_sensors import PLAIN
 
 DOC = "flocking, mean headings, a formation, coverage and reciprocal avoidance, flown on noisy sensors in gusts"
 SEED = 0
@@ -70,7 +71,7 @@ def teams() -> dict[str, dict[str, Any]]:
 
 def flown(name: str, seeds: int, seconds: float) -> tuple[Any, Any, Any, list[str]]:
     """Return times (T,), places (seeds, T, n, 2) and velocities of a team, and reasons of those who stopped."""
-    fleet = {"controller": "cascade", "sensors": "noisy", **teams()[name]}
+    fleet = {"controller": "cascade", "sensors": PLAIN, **teams()[name]}
     world = qrsim.make_world(fleets={"team": fleet}, wind=WIND, turbulence="dryden", area=AREA)
     places, speeds, stopped = [], [], []
     simulation = qrsim.Simulation(world)

@@ -106,6 +106,30 @@ class TestParked:
         assert [reason.partition(" =")[0] for reason in reasons] == ["", "hit_ground: speed", "", "hit_ground: tilt"]
         np.testing.assert_array_equal(parked.truth.on_ground, [True, False, True, False])
 
+    def test_gyroscope_and_accelerometer_feel_the_touch(self, parked: Simulation):
+        """Else an estimator keeps the tilt and the speed of before, and takes off again with them."""
+        parked.reset()
+        # Leaning by 20 degrees at 1 m/s, and upright at 1 m/s.
+        still = [[north, *[0.0] * 11] for north in (40.0, 60.0)]
+        parked.set_state([placed(0.0, math.radians(20.0), 1.0), placed(20.0, 0.0, 1.0), *still])
+        turned, stopped, before = np.zeros(4), np.zeros(4), np.zeros(4)
+        for tick in range(100):
+            reading = fly(parked, [IDLE] * 4, 1)
+            stands = parked.truth.on_ground
+            rate = reading.gyroscope.rates_body[:, 0]
+            # As filters integrate it.
+            turned, before = turned + 0.5 * (rate + before) * 0.02, rate
+            stopped += np.where(stands, -9.81 - reading.accelerometer.specific_force[:, 2], 0.0) * 0.02
+            assert np.abs(rate[stands]).max() < 2.01
+            if tick == 9:
+                # 2 rad/s until a (1 - exp(-0.2)) is less than 0.04 rad: level is not reached in a tenth of a second.
+                assert 0.02 < abs(parked.truth.attitude[0, 0]) < 0.3
+        # The step of the touch has half of its 2 rad/s in the air: 0.02 rad.
+        np.testing.assert_allclose(turned[:2], [-math.radians(20.0), 0.0], atol=0.025)
+        assert stopped[1] == pytest.approx(1.0, abs=0.1)
+        np.testing.assert_array_equal(parked.truth.attitude[:2, :2], np.zeros((2, 2)))
+        np.testing.assert_array_equal(parked.truth.velocity_body, np.zeros((4, 3)))
+
     def test_who_is_to_lean_needs_the_thrust_for_it_first(self, parked: Simulation):
         parked.reset()
         # Pitch and roll of 0.9 rad settle at 0.745 x 0.9 = 0.67 rad, where cos(0.67)^2 = 61.5 % of the thrust lift.

@@ -144,6 +144,17 @@ def rotation(attitude: Euler) -> Rotation:
     return AttitudeTrig.of(attitude).rotation()
 
 
+def body_rates(attitude: Euler, rates: Euler) -> Vec3:
+    """Return the body rates [rad/s] at which the Euler angles change by ``rates`` [rad/s]: undoes ``euler_rates``."""
+    trig = AttitudeTrig.of(attitude)
+    lateral = rates.yaw * trig.cos_pitch
+    return Vec3(
+        rates.roll - rates.yaw * trig.sin_pitch,
+        rates.pitch * trig.cos_roll + lateral * trig.sin_roll,
+        lateral * trig.cos_roll - rates.pitch * trig.sin_roll,
+    )
+
+
 def euler_rates(trig: AttitudeTrig, rates_body: Vec3) -> Euler:
     """Return the time derivative of the Euler angles [rad/s]; singular at |pitch| = pi/2."""
     lateral = rates_body.y * trig.sin_roll + rates_body.z * trig.cos_roll

@@ -1,7 +1,7 @@
 """Standing on the ground, for vehicles without a contact of their own: ``ground: parked`` (docs/models/scene.md).
 
-Vehicles that touch softly and upright are parked: level and at rest where they touched, until their thrust exceeds
-their weight. Nothing of it is traced for fleets whose flight ends at the ground.
+Vehicles that touch softly and upright are parked: at rest where they touched, and soon level, until their thrust
+exceeds their weight. Nothing of it is traced for fleets whose flight ends at the ground.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.tree import replace, select
-from qrsim.core.vectors import Euler, Vec3, rotation
+from qrsim.core.vectors import Euler, Vec3, body_rates, rotation
 from qrsim.models.scene.area import reason_code
 from qrsim.models.vehicles.contracts import Check, Pose, VehicleState
 from qrsim.world.state import Fleet, FleetState, World
@@ -21,6 +21,10 @@ from qrsim.world.state import Fleet, FleetState, World
 SOFT_SPEED, SOFT_TILT = 1.5, math.radians(30.0)
 # A start this near to the ground [m] is one on the ground.
 START_HEIGHT = 0.01
+# Who touches down leaning comes to stand level: with this time constant [s], not faster than [rad/s].
+LEVELLING_TIME, LEVELLING_RATE = 0.1, 2.0
+# Who leans less [rad] is level.
+LEVEL = 1e-4
 
 
 def on_ground(fleet: Fleet, state: FleetState) -> Array | None:
@@ -51,7 +55,9 @@ def started(
         return vehicle, low, None
     pose = fleet.vehicle.pose(vehicle)
     parked = (jnp.abs(_depth(world, pose, low)) <= START_HEIGHT) & _softly(*_touch(world, pose))
-    held, held_low = _held(world, fleet, pose, low, jnp.zeros_like(pose.position_ned.z))
+    zero = jnp.zeros_like(pose.position_ned.z)
+    level = replace(pose, attitude=Euler(zero, zero, pose.attitude.yaw), rates_body=Vec3(zero, zero, zero))
+    held, held_low = _held(world, fleet, level, low, zero)
     return select(parked, held, vehicle), select(parked, held_low, low), parked
 
 
@@ -80,15 +86,36 @@ def settled(
     stood = model.pose(before.vehicle)
     place = select(stays, stood.position_ned, pose.position_ned)
     place_low = select(stays, before.position_low_ned, low)
-    yaw = jnp.where(stays, stood.attitude.yaw, pose.attitude.yaw)
-    there = replace(pose, position_ned=place, attitude=replace(pose.attitude, yaw=yaw))
+    there = _levelled(world, replace(pose, position_ned=place, attitude=select(stays, stood.attitude, pose.attitude)))
     held, held_low = _held(world, fleet, there, place_low, load.thrust)
     parked = stays | lands
     handling = model.handling()
     assert handling is not None
-    zero = jnp.zeros_like(force.z)
-    resting = Vec3(zero, zero, zero - handling.gravity)
-    return select(parked, held, moved), select(parked, held_low, low), select(parked, resting, force), parked
+    force_there = _stopping_force(world, stood, there.attitude, handling.gravity)
+    return select(parked, held, moved), select(parked, held_low, low), select(parked, force_there, force), parked
+
+
+def _levelled(world: World, pose: Pose) -> Pose:
+    """Return poses (n,) a step nearer to standing level, with the rates that took them there.
+
+    A gyroscope has to feel the turn: an estimator that did not would keep the tilt of the touch.
+    """
+    share, largest = 1.0 - math.exp(-world.time_step / LEVELLING_TIME), LEVELLING_RATE * world.time_step
+
+    def step(angle: Array) -> Array:
+        return jnp.where(jnp.abs(angle) < LEVEL, -angle, jnp.clip(-share * angle, -largest, largest))
+
+    roll, pitch = step(pose.attitude.roll), step(pose.attitude.pitch)
+    found = replace(pose.attitude, roll=pose.attitude.roll + roll, pitch=pose.attitude.pitch + pitch)
+    rates = body_rates(found, Euler(roll / world.time_step, pitch / world.time_step, 0.0 * roll))
+    return replace(pose, attitude=found, rates_body=rates)
+
+
+def _stopping_force(world: World, before: Pose, attitude: Euler, gravity: Array) -> Vec3:
+    """Return the mean specific force (n,) [m/s^2] of a step at whose end vehicles are at rest, body axes."""
+    came = rotation(before.attitude).to_ned(before.velocity_body)
+    stop = came.map(lambda axis: -axis / world.time_step)
+    return rotation(attitude).to_body(replace(stop, z=stop.z - gravity))
 
 
 def ground_checks(world: World, fleet: Fleet, state: FleetState) -> list[Check]:
@@ -140,9 +167,8 @@ def _softly(speed: Array, tilt: Array) -> Array:
 
 
 def _held(world: World, fleet: Fleet, pose: Pose, low: Vec3 | None, thrust: Array) -> tuple[VehicleState, Vec3 | None]:
-    """Return vehicles (n,) on the ground below a pose, level and at rest at its heading, with a thrust (n,) [N]."""
+    """Return vehicles (n,) at rest on the ground below a pose, in its attitude and rates, with a thrust (n,) [N]."""
     zero = jnp.zeros_like(pose.position_ned.z)
-    rest = Vec3(zero, zero, zero)
     place = replace(pose.position_ned, z=world.ground_down(pose.position_ned))
-    state = fleet.vehicle.initial_state(place, Euler(zero, zero, pose.attitude.yaw), rest, rest)
+    state = fleet.vehicle.initial_state(place, pose.attitude, Vec3(zero, zero, zero), pose.rates_body)
     return fleet.vehicle.with_thrust(state, thrust), None if low is None else replace(low, z=zero)
