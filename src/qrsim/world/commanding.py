@@ -15,7 +15,7 @@ from qrsim.core.tree import concatenated, map_tree, replace, select
 from qrsim.core.vectors import Vec3
 from qrsim.world.sensing import estimate_of, with_airspeed
 from qrsim.world.standing import on_ground, seen_ground
-from qrsim.world.state import Action, Fleet, FleetState, Some, State, World
+from qrsim.world.state import Action, Fleet, FleetState, Piloted, Some, State, World
 
 T = TypeVar("T")
 # Commands (n,) of one kind each, and which vehicles (n,) fly them; the first is for all others, and has None.
@@ -30,6 +30,8 @@ class Commanded(NamedTuple):
     controller: object
     estimate: Estimate
     commands: Commands
+    # What is shown as the command in place of what is flown; None: that.
+    shown: object | None = None
 
 
 def command_fleet(
@@ -38,6 +40,9 @@ def command_fleet(
     """Command a fleet at the start of a tick; see ``step`` of world/tick.py for the arguments."""
     if isinstance(action, Some):
         return _command_some(world, whole, fleet, state, tick, action, believed)
+    if isinstance(action, Piloted):
+        found = command_fleet(world, whole, fleet, state, tick, None, believed)
+        return found._replace(commands=[(None, action.command)], shown=found.commands[0][1])
     if isinstance(action, fleet.vehicle.actions):
         return Commanded(state.guidance, state.setpoint, state.controller, state.estimate, [(None, action)])
     guidance = state.guidance

@@ -33,7 +33,7 @@ from qrsim.models.vehicles.faults import RotorFault
 
 S = TypeVar("S")
 # What is asked of a fleet: a command of its vehicle, a set-point that its controller takes, Some of these, or nothing;
-# or Saying with one of these.
+# or Saying with one of these; or Piloted.
 Action = object
 # Names of noise streams are FLEET/USER; a fleet has no slash in its name, so this is no fleet's.
 SKY = "/sky"
@@ -61,6 +61,17 @@ class Saying:
 
     action: object = quantity(doc="a command, a set-point, Some of these, or None")
     outbox: Outbox = quantity(doc="what they have to say")
+
+
+@record
+class Piloted:
+    """A command from outside, past guidance and controller of a fleet, which go on and say what they would command.
+
+    So an autopilot of others flies: what the controller asks of tilt and throttle is shown as the fleet's command, for
+    the sticks of the next tick.
+    """
+
+    command: object = quantity(doc="what the vehicles (n,) fly by, one of their own commands")
 
 
 @record

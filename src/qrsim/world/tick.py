@@ -103,7 +103,7 @@ def step(
         tick: () int32, the tick the step starts from; unbatched under vmap, so slow sensors are really skipped.
         actions: for each fleet a Command (flown as it is, clipped to its range), a set-point (handed to the
             controller, which must take its kind) or None (the fleet's guidance hands out the set-point); ``Saying`` has
-            one of these and what the vehicles have to say.
+            one of these and what the vehicles have to say; ``Piloted`` is flown while the controller goes on.
         estimates: for each fleet what its controller is fed with; None: what ``controller.feed`` says.
         before: () int32 ticks that the world had flown before ``tick`` began to count, a multiple of every period;
             it may differ from world to world of a batch, where ``tick`` may not. None: none.
@@ -193,6 +193,8 @@ def _fly(
         return vehicle, low, force, parked, model.shown(command), clipped
 
     vehicle, low, force, parked, command, clipped = by_kind(commands, moved)
+    if flown.shown is not None:
+        command = model.shown(flown.shown)
     return replace(
         state, vehicle=vehicle, position_low_ned=low, specific_force=force, parked=parked,
         turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,

