@@ -9,6 +9,8 @@ from typing import Any
 import _common
 
 WORLDS, TICKS = (1, 16, 128), 100
+SENSORS = {"gnss": "gnss_receiver", "barometer": "barometer", "attitude": "attitude_estimator",
+           "gyroscope": "gyroscope", "accelerometer": "accelerometer"}  # fmt: skip
 HEADINGS = {
     "policy": "policy",
     "worlds": "worlds",
@@ -23,7 +25,7 @@ def world() -> Any:
     import qrsim
 
     teams = {
-        name: {"sensors": "noisy", "vehicles": [[north, 20.0 * i, -20.0] for i in range(5)]}
+        name: {"sensors": SENSORS, "vehicles": [[north, 20.0 * i, -20.0] for i in range(5)]}
         for name, north in (("scouts", 0.0), ("cats", 60.0))
     }
     return qrsim.make_world(
