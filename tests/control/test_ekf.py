@@ -195,6 +195,26 @@ def test_a_jump_is_not_believed_until_it_lasts():
     assert float(estimate.position_ned.x[0]) == pytest.approx(100.0, abs=0.5)
 
 
+def test_who_is_sure_of_a_wrong_tilt_finds_back():
+    """Of 0.4 rad, which accelerates the estimate by 4 m/s^2; 7 s later the filter begins again, and finds the tilt."""
+    kalman = ErrorStateKalmanFilter()
+    given = readings((0.0, 0.0, 0.0))
+    always = {name: jnp.array(True) for name in given}
+    wrong = Quaternion.of(Euler(jnp.full(1, 0.4), jnp.zeros(1), jnp.zeros(1)))
+    begun, _ = kalman.init(given, start())
+    step = jax.jit(lambda state: kalman.step(state, given, always, DT))
+    for _ in range(500):
+        begun, _ = step(begun)
+    state, far, estimate = replace(begun, attitude=wrong), 0.0, start()
+    for _ in range(500):
+        state, estimate = step(state)
+        far = max(far, abs(float(estimate.position_ned.y[0])))
+    assert far > 20.0
+    # With the tilt that it was sure of it still leans by 0.12 rad then, and flies at 0.5 m/s.
+    assert abs(float(estimate.attitude.roll[0])) < 0.05
+    assert abs(float(estimate.velocity_ned.y[0])) < 0.1
+
+
 def test_what_a_late_fix_says_of_errors_now():
     """0.2 s late: where the vehicle was then is 0.2 s of its velocity behind, and that by what accelerates it.
 

@@ -20,6 +20,8 @@ from qrsim.core.vectors import Rotation, Vec3
 
 # Errors by their numbers: position, velocity, attitude (NED), then biases (body axes); others follow (Places).
 PLACE, SPEED, TURN, GYROSCOPE, ACCELEROMETER, SIZE = 0, 3, 6, 9, 12, 15
+# What is known of each angle [rad] where fixes were not believed for too long.
+LOST_TURN_STD = 0.2
 
 
 @record
@@ -153,10 +155,15 @@ def small(half: Vec3) -> Quaternion:
 
 
 def lost(covariance: Covariance, variances: Sequence[Array], where: Array) -> Covariance:
-    """Return a covariance that knows nothing of place and speed, where a fix is to be believed whatever it says."""
+    """Return a covariance that knows nothing of place and speed and little of the attitude, where (n,) bool.
+
+    There a fix is to be believed whatever it says: the filter has been wrong for long, of which a wrong tilt may be
+    the cause, and with a tilt that it is sure of it would be wrong again at once.
+    """
     wide: Mapping[int, Array] = {
         **{PLACE + axis: 1e4 * variance for axis, variance in enumerate(variances)},
         **{SPEED + axis: jnp.full_like(variance, 100.0) for axis, variance in enumerate(variances)},
+        **{TURN + axis: jnp.full_like(variances[0], LOST_TURN_STD**2) for axis in range(3)},
     }
     return forgotten(covariance, wide, where)
 
