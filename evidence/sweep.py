@@ -28,7 +28,7 @@ from qrsim.scenarios.reading import dump_yaml
 DOC = "time of 10 000 episodes beside the raw core, kills, workers and clusters, memory of a study of a million points"
 SEED = 0
 ROOT = Path(__file__).parents[1]
-STUDY = "station_keeping"
+STUDY = "station_keeping_plain"
 # Words for ``qrsim sweep``: a part of the study, for what is flown many times.
 PART = [STUDY, "--seeds", "12", "--values", "8"]
 # A study small enough to be flown in a test.

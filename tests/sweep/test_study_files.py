@@ -10,6 +10,7 @@ import pytest
 from evidence.sweep import SMALL
 
 from qrsim.errors import QrsimError
+from qrsim.scenarios.scenario import load_scenario
 from qrsim.sweep.prepare import plan_of
 from qrsim.sweep.study import built_in_studies, load_study
 
@@ -116,3 +117,21 @@ def test_the_command_line_makes_a_study_small(study: Callable[..., Path]) -> Non
     assert small.spec.vary["fleets.pelicans.vehicle.mass"].count == 2
     assert plan_of(small).groups[()].ticks == 25
     assert SMALL["seeds"] == 5
+
+
+@pytest.mark.parametrize("name", ["station_keeping", "swarm_collisions"])
+def test_studies_of_flights_outdoors_fly_what_the_default_scenario_flies(name: str) -> None:
+    world = load_scenario(load_study(name).content, quiet=True).world()
+    [fleet] = world.fleets
+    assert type(world.turbulence).__name__ == "DrydenField"
+    assert set(fleet.sensor_names) == {"gnss", "imu", "magnetometer", "barometer"}
+    assert type(fleet.controller).__name__ == "CascadeController"
+    assert fleet.own_estimator is not None
+
+
+def test_what_station_keeping_was_is_kept() -> None:
+    """The published measurements of sweeps are of it."""
+    content = load_study("station_keeping_plain").content
+    assert content["world"]["turbulence"]["type"] == "dryden_first_order"
+    assert content["fleets"]["pelicans"]["controller"] == {"type": "waypoint", "feed": "measurements"}
+    assert plan_of(load_study("station_keeping_plain")).episodes == 10_000

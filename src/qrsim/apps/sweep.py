@@ -27,7 +27,8 @@ class Sweep:
     it. Results go to a store, an xarray Dataset in Zarr, as they come in, and can be read from there at once. A sweep
     that was interrupted or killed goes on where it was when the same command is given again.
 
-    Studies that come with qrsim: station_keeping, gnss_errors, swarm_collisions, search_in_wind.
+    Studies that come with qrsim: station_keeping, station_keeping_plain, gnss_errors, swarm_collisions,
+    formation_gusts, search_in_wind.
 
     Example:
       qrsim sweep station_keeping --seeds 4 --values 5
