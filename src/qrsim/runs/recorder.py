@@ -67,6 +67,13 @@ class Watcher(Protocol):
         """Wait until ticks are due, and return their number."""
 
 
+class Flyer(Protocol):
+    """Who flies a simulation from outside: a user's functions (``Pilot``), or an autopilot's firmware."""
+
+    def record(self, ticks: int, capacity: int = CHUNK_TICKS) -> History:
+        """Fly at most so many ticks and return their states."""
+
+
 def fly(
     scenario: Scenario,
     folder: Path,
@@ -81,6 +88,7 @@ def fly(
     progress: Callable[[float, float], None] = lambda simulated_s, wall_s: None,
     command_line: Sequence[str] | None = None,
     view: Watcher | None = None,
+    flown_by: Callable[[Simulation], Flyer] | None = None,
 ) -> Pace:
     """Fly a scenario from start to end and record it.
 
@@ -95,6 +103,7 @@ def fly(
         progress: called after every chunk with simulated and wall time [s].
         command_line: words to note in the run folder, by default those of this process.
         view: page that shows the flight, and says how fast it goes.
+        flown_by: makes of the simulation, at its start, who flies it in place of a policy and an estimator.
 
     Raises:
         UsageError: the folder exists, or ``every`` names no stream or is no integer from 1.
@@ -114,7 +123,11 @@ def fly(
         view.begin(simulation, f"{scenario.name}, seed {seed}")
     beginning, finder = simulation.history, EventFinder(simulation)
     wanted = columns(simulation.world, beginning)
-    pilot = None if policy is None and estimator is None else _pilot(simulation, policy, estimator, policy_ticks)
+    pilot: Flyer | None = None
+    if flown_by is not None:
+        pilot = flown_by(simulation)
+    elif not (policy is None and estimator is None):
+        pilot = _pilot(simulation, policy, estimator, policy_ticks)
     # The first tick alone, so that compiling does not count as flying.
     first = _record(simulation, 1, pilot)
     start_up, first_tick = time.perf_counter() - begun, time.time()
@@ -153,7 +166,7 @@ def _pilot(simulation: Simulation, policy: Any, estimator: Any, policy_ticks: in
     return Pilot(simulation, policy, estimator, policy_ticks)
 
 
-def _record(simulation: Simulation, ticks: int, pilot: Pilot | None) -> History:
+def _record(simulation: Simulation, ticks: int, pilot: Flyer | None) -> History:
     return pilot.record(ticks, CHUNK_TICKS) if pilot else simulation.record(ticks, capacity=CHUNK_TICKS)
 
 
@@ -178,7 +191,7 @@ def _loop(
     ticks: int,
     begun: tuple[float, float],
     realtime: bool,
-    pilot: Pilot | None,
+    pilot: Flyer | None,
     keep: Callable[[History], None],
     progress: Callable[[float, float], None],
     view: Watcher | None = None,

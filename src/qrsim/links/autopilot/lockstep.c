@@ -53,6 +53,7 @@ static int (*real_select)(int, fd_set *, fd_set *, fd_set *, struct timeval *);
 static ssize_t (*real_recvfrom)(int, void *, size_t, int, struct sockaddr *, socklen_t *);
 static ssize_t (*real_sendto)(int, const void *, size_t, int, const struct sockaddr *, socklen_t);
 static int (*real_bind)(int, const struct sockaddr *, socklen_t);
+static int (*real_listen)(int, int);
 
 __attribute__((constructor)) static void begin(void) {
     real_clock_gettime = dlsym(RTLD_NEXT, "clock_gettime");
@@ -61,6 +62,7 @@ __attribute__((constructor)) static void begin(void) {
     real_recvfrom = dlsym(RTLD_NEXT, "recvfrom");
     real_sendto = dlsym(RTLD_NEXT, "sendto");
     real_bind = dlsym(RTLD_NEXT, "bind");
+    real_listen = dlsym(RTLD_NEXT, "listen");
     const char *number = getenv("QRSIM_LOCKSTEP_FD");
     if (number) control = atoi(number);
     stepping = control >= 0 && !getenv("QRSIM_LOCKSTEP_FREE");
@@ -148,9 +150,32 @@ static struct reader *reader_of(int fd) {
     return fd < 0 ? NULL : fd == state.fd ? &state : fd == sticks.fd ? &sticks : NULL;
 }
 
+static int listening;
+
+int listen(int fd, int backlog) {
+    int failed = real_listen(fd, backlog);
+    __atomic_store_n(&listening, 1, __ATOMIC_SEQ_CST);
+    return failed;
+}
+
+/* The thread of the command line throws away sockets that do not listen yet, the main thread's new one among them: it
+   is held back until that listens, and a little longer, until that is noted. */
+static void hold_back(void) {
+    const struct timespec moment = {0, 1000000}, longer = {0, 20000000};
+    while (!__atomic_load_n(&listening, __ATOMIC_SEQ_CST)) real_nanosleep(&moment, NULL);
+    real_nanosleep(&longer, NULL);
+}
+
 int select(int count, fd_set *in, fd_set *out, fd_set *errors, struct timeval *limit) {
     struct reader *reader = stepping && in ? reader_of(count - 1) : NULL;
-    if (!reader || !FD_ISSET(reader->fd, in)) return real_select(count, in, out, errors, limit);
+    if (!reader || !FD_ISSET(reader->fd, in)) {
+        static __thread int held;
+        if (control >= 0 && !held && !(in && count && (FD_ISSET(count - 1, in) && reader_of(count - 1)))) {
+            held = 1;
+            hold_back();
+        }
+        return real_select(count, in, out, errors, limit);
+    }
     pthread_mutex_lock(&lock);
     reader->waiting = 1;
     pthread_cond_broadcast(&changed);
