@@ -7,6 +7,7 @@ import struct
 
 import pytest
 
+from qrsim.links.contracts import Order
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.frames import Frame, Reader, frame
@@ -20,6 +21,8 @@ from qrsim.models.site import Site
 DT = 0.02
 NAN = math.nan
 CLIENT = (245, 190)
+# Latitude, longitude [1e-7 deg] and height [mm] of the default site.
+ORIGIN = (517119000, -2105200, 0)
 
 
 class Wire:
@@ -153,6 +156,39 @@ def test_a_message_on_request(wire):
     assert (version.capabilities & wanted, version.capabilities & 0x20) == (wanted, 0)
     assert [answer.result for answer in wire.command(512, 33333.0)] == [3]
     assert [answer.result for answer in wire.command(512, NAN)] == [3]
+
+
+def test_the_origin_and_the_protocol_on_request(wire):
+    ack, origin = wire.command(512, 49.0)
+    assert (ack.result, origin.layout.name) == (0, "GPS_GLOBAL_ORIGIN")
+    assert (origin.latitude, origin.longitude, origin.altitude) == ORIGIN
+    for ack, version in (wire.command(519, 1.0), wire.command(512, 300.0)):
+        assert (ack.result, version.layout.name) == (0, "PROTOCOL_VERSION")
+        assert (version.version, version.min_version, version.max_version) == (200, 100, 200)
+    assert [answer.result for answer in wire.command(519, 0.0)] == [2]
+
+
+def test_targets_are_those_that_are_flown(wire):
+    # They are sent as soon as there are any: what does not fly by an attitude has none to send on request.
+    assert [answer.result for answer in wire.command(511, 83.0, 1e5)] == [0]
+    wire.system.view.order = Order("a", "attitude", (0.0, 0.0, math.pi / 2, 0.6))
+    ack, target = wire.command(512, 83.0)
+    assert (ack.result, target.type_mask) == (0, 0x07)
+    assert target.q == pytest.approx((math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)), abs=1e-6)
+    assert target.thrust == pytest.approx(0.6)
+    assert [answer.result for answer in wire.command(512, 87.0)] == [3]
+    wire.system.view.order = Order("a", "velocity", (1.0, -2.0, 0.5, 0.25))
+    _, target = wire.command(512, 87.0)
+    assert (target.coordinate_frame, target.type_mask) == (5, 0x9C7)
+    assert (target.vx, target.vy, target.vz, target.yaw) == (1.0, -2.0, 0.5, 0.25)
+    # An arc of a meridian at 51.7 degrees is 111 260 m for a degree (WGS-84): 111.26 m are 0.001 degrees.
+    wire.system.view.order = Order("a", "path", (111.26, 0.0, -10.0, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.5))
+    _, target = wire.command(512, 87.0)
+    assert target.type_mask == 0x800
+    assert target.lat_int - ORIGIN[0] == pytest.approx(10_000, abs=20)
+    assert target.lon_int == pytest.approx(ORIGIN[1], abs=1)
+    assert target.alt == pytest.approx(ORIGIN[2] / 1e3 + 10.0, abs=0.01)
+    assert (target.vx, target.vy, target.vz, target.yaw) == (1.0, 2.0, 3.0, 0.5)
 
 
 def test_parameters_are_listed_and_set(wire):

@@ -26,7 +26,14 @@ def test_check_of_the_standard_text():
     assert x25(b"") == 0xFFFF
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
+def test_the_version_of_the_protocol_which_pymavlink_lacks():
+    # CRC_EXTRA and length are those of the protocol's C library, mavlink_msg_protocol_version.h.
+    layout = LAYOUTS["PROTOCOL_VERSION"]
+    assert (layout.number, layout.extra, layout.least) == (300, 217, 22)
+    assert layout.payload(version=200, min_version=100, max_version=200) == b"\xc8\0d\0\xc8\0" + bytes(16)
+
+
+@pytest.mark.parametrize("name", sorted(set(LAYOUTS) - {"PROTOCOL_VERSION"}))
 def test_every_message_is_that_of_pymavlink(name):
     layout = LAYOUTS[name]
     theirs = getattr(common, f"MAVLink_{name.lower()}_message")

@@ -104,6 +104,7 @@ HOME_POSITION 242 latitude:i longitude:i altitude:i x:f y:f z:f q:4f approach_x:
 MESSAGE_INTERVAL 244 message_id:H interval_us:i
 EXTENDED_SYS_STATE 245 vtol_state:B landed_state:B
 STATUSTEXT 253 severity:B text:50c | id:H chunk_seq:B
+PROTOCOL_VERSION 300 version:H min_version:H max_version:H spec_version_hash:8B library_version_hash:8B
 ODOMETRY 331 time_usec:Q frame_id:B child_frame_id:B x:f y:f z:f q:4f vx:f vy:f vz:f rollspeed:f pitchspeed:f
   yawspeed:f pose_covariance:21f velocity_covariance:21f | reset_counter:B estimator_type:B quality:b
 PARAM_ERROR 345 target_system:B target_component:B param_id:16c param_index:h error:B

@@ -32,7 +32,7 @@ DO_SET_MODE = 176
 # FILE_TRANSFER_PROTOCOL: a refusal, and why: no such file, or a request that is not known.
 _NAK, _NO_FILE, _UNKNOWN = 129, 10, 7
 _OPENS = (4, 5, 6, 11, 14, 15)
-_VERSION = LAYOUTS["AUTOPILOT_VERSION"].number
+_VERSION, _PROTOCOL = LAYOUTS["AUTOPILOT_VERSION"].number, LAYOUTS["PROTOCOL_VERSION"].number
 Handler = Callable[[System, Link, Frame], None]
 
 
@@ -152,8 +152,11 @@ def _request_version(system: System, link: Link, command: Command) -> Answer:
 
 
 def _request_protocol(system: System, link: Link, command: Command) -> Answer:
-    # PROTOCOL_VERSION is no message of the set that is spoken here; capabilities say that it is MAVLink 2.
-    return Ack(Result.UNSUPPORTED), None
+    if command.params[0] != 1.0:
+        return Ack(Result.DENIED), None
+    payload = ENCODERS[_PROTOCOL](system.view)
+    assert payload is not None
+    return Ack(Result.ACCEPTED), (_PROTOCOL, payload)
 
 
 _OWN: dict[int, Callable[[System, Link, Command], Answer]] = {

@@ -9,6 +9,13 @@ from typing import Any
 from qrsim.links.mavlink import sight as s
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.stack.contracts import NAN, Sensor
+from qrsim.links.mavlink.targets import (
+    attitude_target,
+    gps_global_origin,
+    position_target_global_int,
+    position_target_local_ned,
+    protocol_version,
+)
 from qrsim.links.mavlink.view import View
 
 # MAV_TYPE of a quadrotor, MAVLink 2.
@@ -321,19 +328,6 @@ def mission_current(v: View) -> Payload:
     return _STRUCT["MISSION_CURRENT"](status.seq, status.total, int(status.state), 1 if status.in_mode else 2)
 
 
-def position_target_local_ned(v: View) -> Payload:
-    """POSITION_TARGET_LOCAL_NED: the path or the velocity that is flown."""
-    order = v.order
-    if order is None or order.kind not in ("path", "velocity"):
-        return None
-    if order.kind == "path":
-        return _STRUCT["POSITION_TARGET_LOCAL_NED"](v.boot_ms, *order.numbers, 0.0, 0x800, _LOCAL_NED)
-    north, east, down, yaw = order.numbers
-    return _STRUCT["POSITION_TARGET_LOCAL_NED"](
-        v.boot_ms, 0.0, 0.0, 0.0, north, east, down, 0.0, 0.0, 0.0, yaw, 0.0, 0x9C7, _LOCAL_NED
-    )
-
-
 def autopilot_version(v: View) -> Payload:
     """AUTOPILOT_VERSION; the uid is the system id."""
     cast = v.stack.heartbeat().autopilot == ARDUPILOT
@@ -364,7 +358,8 @@ ENCODERS: dict[int, Encoder] = {
         heartbeat, sys_status, system_time, gps_raw_int, attitude, attitude_quaternion, local_position_ned,
         global_position_int, vfr_hud, altitude, highres_imu, scaled_imu, raw_imu, scaled_pressure, distance_sensor,
         odometry, battery_status, estimator_status, wind_cov, home_position, extended_sys_state, mission_current,
-        position_target_local_ned, autopilot_version, hil_state_quaternion,
+        position_target_local_ned, autopilot_version, hil_state_quaternion, attitude_target,
+        position_target_global_int, gps_global_origin, protocol_version,
     )
 }  # fmt: skip
 
@@ -373,6 +368,8 @@ def sendable(number: int, view: View) -> bool:
     """Return whether a vehicle has a message of this kind to send: now, or once it has something to say."""
     if number not in ENCODERS:
         return False
-    later: tuple[Any, ...] = (home_position, position_target_local_ned)
+    later: tuple[Any, ...] = (
+        home_position, position_target_local_ned, position_target_global_int, attitude_target,
+    )  # fmt: skip
     encoder = ENCODERS[number]
     return encoder in later or encoder(view) is not None

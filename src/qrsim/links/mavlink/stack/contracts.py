@@ -361,6 +361,9 @@ class Stack(Protocol):
     def home(self) -> Home | None:
         """Where it returns to; None before there was a position."""
 
+    def place(self, position_ned: Triple) -> Triple:
+        """Return latitude and longitude [deg] and altitude [m] of a position NED [m]."""
+
     def tick(self, seen: Seen) -> Order | None:
         """Advance by one tick; return the order for the vehicle, None where the last one holds."""
 

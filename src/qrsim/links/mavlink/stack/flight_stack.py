@@ -23,6 +23,7 @@ from qrsim.links.mavlink.stack.contracts import (
     Severity,
     Target,
     Text,
+    Triple,
 )
 from qrsim.links.mavlink.stack.fence import Fence, rally_points
 from qrsim.links.mavlink.stack.flight import Flight
@@ -50,6 +51,10 @@ class FlightStack(Flight):
         self._heartbeat = Heartbeat(self.flavour.autopilot)
 
     # ---- what clients ask ----
+
+    def place(self, position_ned: Triple) -> Triple:
+        """Return latitude and longitude [deg] and altitude [m] of a position NED [m]."""
+        return self.craft.geodesy.to_geodetic(position_ned)
 
     def command(self, command: Command) -> Ack:
         """Obey or refuse a command: those of flight and mission; of requests for messages it knows nothing."""

@@ -1,0 +1,79 @@
+"""Payloads of the messages that say what a vehicle flies by, where its frame begins, and what it speaks."""
+
+from __future__ import annotations
+
+import math
+
+from qrsim.links.mavlink.dialect import LAYOUTS
+from qrsim.links.mavlink.view import View
+
+# MAV_FRAME of local NED, and of latitude and longitude with altitudes above mean sea level.
+_LOCAL_NED, _GLOBAL_INT = 1, 5
+# Left out of a set-point: a yaw rate; of a velocity also position and acceleration; of an attitude its rates.
+_PATH, _VELOCITY, _NO_RATES = 0x800, 0x9C7, 0x7
+# Versions of MAVLink, in hundredths, as PX4 states them.
+_VERSION, _OLDEST, _NEWEST = 200, 100, 200
+
+_STRUCT = {name: layout.struct.pack for name, layout in LAYOUTS.items()}
+Payload = bytes | None
+
+
+def _motion(v: View) -> tuple[int, tuple[float, ...]] | None:
+    """Return the mask and position, velocity, acceleration NED and heading that are flown; None for other orders."""
+    order = v.order
+    if order is None or order.kind not in ("path", "velocity"):
+        return None
+    if order.kind == "path":
+        return _PATH, order.numbers
+    north, east, down, yaw = order.numbers
+    return _VELOCITY, (0.0, 0.0, 0.0, north, east, down, 0.0, 0.0, 0.0, yaw)
+
+
+def position_target_local_ned(v: View) -> Payload:
+    """POSITION_TARGET_LOCAL_NED: the path or the velocity that is flown."""
+    found = _motion(v)
+    if found is None:
+        return None
+    mask, numbers = found
+    return _STRUCT["POSITION_TARGET_LOCAL_NED"](v.boot_ms, *numbers, 0.0, mask, _LOCAL_NED)
+
+
+def position_target_global_int(v: View) -> Payload:
+    """POSITION_TARGET_GLOBAL_INT: the same, with the place in latitude, longitude and altitude; 0 for a velocity."""
+    found = _motion(v)
+    if found is None:
+        return None
+    mask, numbers = found
+    place = (0, 0, 0.0)
+    if mask == _PATH:
+        latitude, longitude, altitude = v.stack.place((numbers[0], numbers[1], numbers[2]))
+        place = (round(latitude * 1e7), round(longitude * 1e7), altitude)
+    return _STRUCT["POSITION_TARGET_GLOBAL_INT"](v.boot_ms, *place, *numbers[3:], 0.0, mask, _GLOBAL_INT)
+
+
+def attitude_target(v: View) -> Payload:
+    """ATTITUDE_TARGET: the attitude and thrust that are flown."""
+    order = v.order
+    if order is None or order.kind != "attitude":
+        return None
+    roll, pitch, yaw, thrust = order.numbers
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(0.5 * x), math.cos(0.5 * x)) for x in (roll, pitch, yaw))
+    quaternion = (
+        cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )  # fmt: skip
+    return LAYOUTS["ATTITUDE_TARGET"].payload(time_boot_ms=v.boot_ms, type_mask=_NO_RATES, q=quaternion, thrust=thrust)
+
+
+def gps_global_origin(v: View) -> Payload:
+    """GPS_GLOBAL_ORIGIN: where the local frame begins, which is the site of the scenario."""
+    latitude, longitude, altitude = v.stack.place((0.0, 0.0, 0.0))
+    return LAYOUTS["GPS_GLOBAL_ORIGIN"].payload(
+        latitude=round(latitude * 1e7), longitude=round(longitude * 1e7), altitude=round(altitude * 1e3),
+        time_usec=v.boot_us,
+    )  # fmt: skip
+
+
+def protocol_version(v: View) -> Payload:
+    """PROTOCOL_VERSION: MAVLink 2, and version 1 is read too."""
+    return LAYOUTS["PROTOCOL_VERSION"].payload(version=_VERSION, min_version=_OLDEST, max_version=_NEWEST)
