@@ -5,9 +5,11 @@ import math
 import random
 import struct
 
+import numpy as np
 import pytest
 
 from qrsim.links.contracts import Order
+from qrsim.links.mavlink import sight
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.frames import Frame, Reader, frame
@@ -189,6 +191,19 @@ def test_targets_are_those_that_are_flown(wire):
     assert target.lon_int == pytest.approx(ORIGIN[1], abs=1)
     assert target.alt == pytest.approx(ORIGIN[2] / 1e3 + 10.0, abs=0.01)
     assert (target.vx, target.vy, target.vz, target.yaw) == (1.0, 2.0, 3.0, 0.5)
+
+
+def test_wind_and_distance_are_sent_where_they_are_known(wire):
+    view = wire.system.view
+    assert [answer.result for number in (231.0, 132.0) for answer in wire.command(512, number)] == [3, 3]
+    numbers = np.full(sight.WIDTH, NAN)
+    numbers[[sight.WIND_NORTH, sight.WIND_EAST, sight.RANGE]] = 4.0, -3.0, 12.34
+    view.look(numbers)
+    ack, wind = wire.command(512, 231.0)
+    assert (ack.result, wind.wind_x, wind.wind_y, wind.wind_z, wind.wind_alt) == (0, 4.0, -3.0, 0.0, 40.0)
+    # Centimetres, and MAV_SENSOR_ROTATION_PITCH_270 is down.
+    ack, distance = wire.command(512, 132.0)
+    assert (ack.result, distance.current_distance, distance.orientation) == (0, 1234, 25)
 
 
 def test_parameters_are_listed_and_set(wire):
