@@ -65,6 +65,9 @@ class Mavlink:
     """Let other machines fly: sockets are those of all addresses of this machine."""
     stream_time: Annotated[str, tyro.conf.arg(metavar="wall|sim")] = "wall"
     """By which clock a message goes out at most 100 times a second, where the world runs faster than the wall clock."""
+    lockstep: bool = False
+    """Begin when every vehicle has a set-point; then have the world wait at every tick, for at most 1 s of wall time,
+    until each has one newer than the last ATTITUDE that its client was sent: equal runs are equal to the bit."""
     truth: bool = False
     """Let clients ask for HIL_STATE_QUATERNION, the true state; without it they get estimates and readings only."""
 
@@ -90,7 +93,7 @@ class Mavlink:
             seed=self.seed, first_system=self.first_sysid, factor=self.realtime, truth=self.truth, log=say,
         )  # fmt: skip
         ports = opened(len(world.systems), EVERYWHERE if self.allow_remote else HERE, self.tcp, self.own_ports)
-        server = Server(world, ports, Wire(self.realtime, HERE, ground, self.stream_time == "sim"), say)
+        server = Server(world, ports, Wire(self.realtime, HERE, ground, self.stream_time == "sim", self.lockstep), say)
         self._describe(world, ports, ground, say)
         try:
             asyncio.run(server.serve())

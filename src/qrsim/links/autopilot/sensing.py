@@ -95,12 +95,14 @@ def _leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
         yield from _axes(RATES, state.vehicle.rates_body)
         yield from _axes(FORCE, state.specific_force)
     for reading in state.readings:
+        said = vars(reading)
         for name, column in (("rates_body", RATES), ("specific_force", FORCE)):
-            if hasattr(reading, name):
-                yield from _axes(column, getattr(reading, name))
+            if name in said:
+                yield from _axes(column, said[name])
         for name, column in (("height", HEIGHT), ("pressure", PRESSURE)):
-            if isinstance(getattr(reading, name, None), int):
-                yield column, getattr(reading, name)
+            # Its number in the state; None for a reading that may say it and does not.
+            if isinstance(said.get(name), int):
+                yield column, said[name]
 
 
 def _axes(column: int, vector: Any) -> Iterator[tuple[int, Any]]:

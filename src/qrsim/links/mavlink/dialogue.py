@@ -20,6 +20,7 @@ from qrsim.links.mavlink.stack.contracts import (
     LocalTarget,
     Result,
     Severity,
+    Target,
     Text,
 )
 from qrsim.links.mavlink.system import System
@@ -180,30 +181,33 @@ def _axes(m: Message, *names: str) -> Any:
     return tuple(getattr(m, name) for name in names)
 
 
+def _take(system: System, link: Link, target: Target) -> None:
+    system.stack.setpoint(target)
+    link.flies, link.owes = True, False
+
+
 def _local_target(system: System, link: Link, frame: Frame) -> None:
     m = frame.message()
-    system.stack.setpoint(
-        LocalTarget(
-            m.coordinate_frame, m.type_mask, _axes(m, "x", "y", "z"), _axes(m, "vx", "vy", "vz"),
-            _axes(m, "afx", "afy", "afz"), m.yaw, m.yaw_rate,
-        )
+    target = LocalTarget(
+        m.coordinate_frame, m.type_mask, _axes(m, "x", "y", "z"), _axes(m, "vx", "vy", "vz"),
+        _axes(m, "afx", "afy", "afz"), m.yaw, m.yaw_rate,
     )  # fmt: skip
+    _take(system, link, target)
 
 
 def _global_target(system: System, link: Link, frame: Frame) -> None:
     m = frame.message()
-    system.stack.setpoint(
-        GlobalTarget(
-            m.coordinate_frame, m.type_mask, m.lat_int, m.lon_int, m.alt, _axes(m, "vx", "vy", "vz"),
-            _axes(m, "afx", "afy", "afz"), m.yaw, m.yaw_rate,
-        )
+    target = GlobalTarget(
+        m.coordinate_frame, m.type_mask, m.lat_int, m.lon_int, m.alt, _axes(m, "vx", "vy", "vz"),
+        _axes(m, "afx", "afy", "afz"), m.yaw, m.yaw_rate,
     )  # fmt: skip
+    _take(system, link, target)
 
 
 def _attitude_target(system: System, link: Link, frame: Frame) -> None:
     m = frame.message()
     rates = _axes(m, "body_roll_rate", "body_pitch_rate", "body_yaw_rate")
-    system.stack.setpoint(AttitudeTarget(m.type_mask, m.q, rates, m.thrust))
+    _take(system, link, AttitudeTarget(m.type_mask, m.q, rates, m.thrust))
 
 
 def _actuators(system: System, link: Link, frame: Frame) -> None:

@@ -23,6 +23,11 @@ class Link:
         streams: what is sent on it by itself.
         send: sends bytes.
         ready: returns whether there is room for streams; what answers a request is sent in any case.
+
+    Attributes:
+        heard: when a frame for the vehicle came [s], of ``time.monotonic``.
+        flies: set-points come on it.
+        owes: none has since the last ATTITUDE went out on it.
     """
 
     def __init__(
@@ -33,6 +38,7 @@ class Link:
         self._parts: list[bytes] = []
         self._size = 0
         self.heard = time.monotonic()
+        self.flies = self.owes = False
 
     def put(self, number: int, payload: bytes) -> None:
         """Send a message with the next ``flush``."""

@@ -12,6 +12,7 @@ from typing import Any
 from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.frames import Frame, Reader
 from qrsim.links.mavlink.link import Link
+from qrsim.links.mavlink.lockstep import Lockstep
 from qrsim.links.mavlink.ports import GROUND_PEER, Ports
 from qrsim.links.mavlink.streams import GROUND, ONBOARD, Streams
 from qrsim.links.mavlink.system import System
@@ -35,12 +36,14 @@ class Wire:
         host: where vehicles speak to a program at first.
         ground: the same of a ground station.
         by_simulated_time: streams may go out more often than 100 times a second of the wall clock.
+        lockstep: the world waits for those who fly its vehicles by set-points.
     """
 
     factor: float = 1.0
     host: str = "127.0.0.1"
     ground: str = "127.0.0.1"
     by_simulated_time: bool = False
+    lockstep: bool = False
 
 
 class Server:
@@ -60,19 +63,26 @@ class Server:
         self._bugs = 0
         step = world.simulation.world.time_step
         self._pacer = Metronome(wire.factor, 0.0, step)
+        self._lockstep: Lockstep | None = None
 
     async def serve(self) -> None:
         """Run until it is cancelled."""
         loop = asyncio.get_running_loop()
+        if self._wire.lockstep:
+            self._lockstep = Lockstep(self._world.systems, self._say)
         count, ports = len(self._world.systems), self._ports
         for i, system in enumerate(self._world.systems):
             await self._open(ports.sockets[i], system, ONBOARD, (self._wire.host, ports.peers[i]), i / count)
             await self._open(ports.sockets[count + i], system, GROUND, (self._wire.ground, GROUND_PEER), i / count)
         if ports.tcp:
             await loop.create_server(lambda: _Connection(self), sock=ports.sockets[2 * count])
+        if self._lockstep is not None:
+            await self._lockstep.begun()
         step = self._world.simulation.world.time_step
         self._pacer = Metronome(self._wire.factor, self._world.simulation.time, step)
         while True:
+            if self._lockstep is not None:
+                await self._lockstep.answered()
             wait = self._pacer.until_s(self._world.simulation.time + step)
             # Also where it is late: others have their turn.
             await asyncio.sleep(max(0.0, wait))
@@ -90,7 +100,9 @@ class Server:
     def streams(self, rates: dict[str, float], phase: float) -> Streams:
         """Return the streams of a link."""
         step = self._world.simulation.world.time_step
-        return Streams(rates, step, self._wire.factor, self._wire.by_simulated_time, phase)
+        # Who waits for clients is as fast as they are, and they are to hear of every tick.
+        by_simulated_time = self._wire.by_simulated_time or self._wire.lockstep
+        return Streams(rates, step, self._wire.factor, by_simulated_time, phase)
 
     def heard(self, links: Iterable[tuple[System, Link]], frame: Frame) -> None:
         """Answer a frame; a bug of ours must not end the flight of others."""
@@ -102,6 +114,8 @@ class Server:
                 if self._bugs <= MOST_REPORTS:
                     self._say(f"bug in the answer to {frame.layout.name}: {type(error).__name__}: {error}")
                     self._say("".join(traceback.format_exception(error)).rstrip())
+        if self._lockstep is not None:
+            self._lockstep.heard()
 
     def say(self, line: str) -> None:
         """Tell the operator."""

@@ -14,6 +14,7 @@ from qrsim.links.mavlink.view import View
 # Without a heartbeat of its client for so long, a link has the streams again that it began with [s, wall clock].
 PEER_TIMEOUT_S = 10.0
 _CHUNK = 50
+_ATTITUDE = NUMBERS["ATTITUDE"]
 # What clients are told at once when it changes.
 _AT_ONCE = {
     "mission": "MISSION_CURRENT", "landed": "EXTENDED_SYS_STATE", "mode": "HEARTBEAT", "armed": "HEARTBEAT",
@@ -67,6 +68,7 @@ class System:
                     payload = payloads[number]
                     if payload is not None:
                         link.put(number, payload)
+                        link.owes |= number == _ATTITUDE
             link.flush()
         if self.transfers.upload is not None:
             self.transfers.ask_again(wall)
@@ -96,6 +98,14 @@ class System:
                 "chunk_seq": chunk,
             }  # fmt: skip
             self._broadcast("STATUSTEXT", LAYOUTS["STATUSTEXT"].payload(**values))
+
+    def present(self) -> None:
+        """Say that it is there, where no tick does."""
+        payload = ENCODERS[NUMBERS["HEARTBEAT"]](self.view)
+        assert payload is not None
+        self._broadcast("HEARTBEAT", payload)
+        for link in self.links:
+            link.flush()
 
     def tell_once(self, what: str, text: Text) -> None:
         """Tell all clients something that is said once."""

@@ -1,0 +1,68 @@
+"""A world that waits for the clients that fly its vehicles by set-points, and so flies the same in every run."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+from qrsim.links.mavlink.link import Link
+from qrsim.links.mavlink.system import System
+
+# So long a client is waited for, and as often vehicles that stand at the start say that they are there [s].
+PATIENCE_S = 1.0
+
+
+class Lockstep:
+    """Has the world stand until each client has sent a set-point newer than the last ATTITUDE that it was sent.
+
+    The world begins when every vehicle has had a first set-point. Who sends none for ``PATIENCE_S`` is waited for again
+    from its next one on.
+
+    Args:
+        systems: of all vehicles.
+        say: told one line of what happens.
+    """
+
+    def __init__(self, systems: Sequence[System], say: Callable[[str], None]):
+        self._systems, self._say = systems, say
+        self._news = asyncio.Event()
+
+    def heard(self) -> None:
+        """Look again: a frame has come."""
+        self._news.set()
+
+    async def begun(self) -> None:
+        """Wait until every vehicle has had a set-point."""
+        self._say("lock-step: the world stands until every vehicle has a set-point")
+        while not all(any(link.flies for link in system.links) for system in self._systems):
+            for system in self._systems:
+                system.present()
+            await self._heard(PATIENCE_S)
+
+    async def answered(self) -> None:
+        """Wait until nobody owes a set-point."""
+        loop = asyncio.get_running_loop()
+        until = loop.time() + PATIENCE_S
+        while owing := self._owing():
+            left = until - loop.time()
+            if left <= 0.0:
+                self._give_up(owing)
+                return
+            await self._heard(left)
+
+    def _owing(self) -> list[tuple[System, Link]]:
+        return [(system, link) for system in self._systems for link in system.links if link.flies and link.owes]
+
+    def _give_up(self, owing: list[tuple[System, Link]]) -> None:
+        for system, link in owing:
+            link.flies = False
+            self._say(
+                f"t = {system.view.seen.time:.10g} s, '{system.name}': no set-point for {PATIENCE_S:g} s; the world "
+                "goes on without waiting for it, until the next one"
+            )
+
+    async def _heard(self, seconds: float) -> None:
+        self._news.clear()
+        with suppress(TimeoutError, asyncio.TimeoutError):
+            await asyncio.wait_for(self._news.wait(), seconds)
