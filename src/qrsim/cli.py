@@ -223,7 +223,18 @@ def _parse(
         )
     if name and not name.startswith("-"):
         raise UsageError(f"{program}: no such command '{name}'{did_you_mean(name, commands)}")
+    if len(commands) == 1:
+        description = _with_the_only(commands, description)
+        if not arguments:
+            raise UsageError(f"{program}: expected a command: {', '.join(commands)}")
     return tyro.cli(_menu(commands), prog=program, description=description, args=arguments, config=_TYRO_CONFIG)
+
+
+def _with_the_only(commands: Mapping[str, type[Command] | Group], description: str) -> str:
+    """Return a description with the command of a group of one, which tyro takes for no choice and does not list."""
+    ((name, entry),) = commands.items()
+    text = entry.description if isinstance(entry, Group) else inspect.getdoc(entry) or ""
+    return f"{description}\n\nCommand:\n  {name}  {text.partition(chr(10))[0]}"
 
 
 def _help_text(docstring: str) -> str:

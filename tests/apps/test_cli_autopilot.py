@@ -36,6 +36,13 @@ def test_what_cannot_be_meant_is_refused(words: list[str], said: str, capsys: py
     assert found.strip().count("\n") == 0
 
 
+def test_the_group_names_its_command(capsys: pytest.CaptureFixture[str]):
+    assert cli.main(["autopilot"]) == 2
+    assert capsys.readouterr().err.strip() == "error: qrsim autopilot: expected a command: betaflight"
+    assert cli.main(["autopilot", "--help"]) == 0
+    assert "betaflight  Fly " in capsys.readouterr().out
+
+
 def absent(name: str) -> None:
     raise PackageNotFoundError(name)
 
