@@ -30,7 +30,7 @@ from qrsim.simulation.simulation import Simulation
 
 DOC = "constants identified from flights of Betaflight's firmware, and their errors on other flights, also in wind"
 SEED = 20261123
-FULL_S, SMALL_S = 120.0, 24.0
+FULL_S, SMALL_S = 120.0, 40.0
 RATE_HZ, DT = 400.0, 0.02
 # Sticks: largest tilt [rad] and yaw rate [rad/s], and for how long each is held [s].
 TILT, YAW_RATE, DWELL_S = 0.35, 1.0, (0.3, 1.5)
