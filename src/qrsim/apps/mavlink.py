@@ -80,7 +80,7 @@ class Mavlink:
         from qrsim.links.mavlink.fleet import prepared
         from qrsim.links.mavlink.ports import EVERYWHERE, HERE, opened
         from qrsim.links.mavlink.server import Server, Wire
-        from qrsim.links.mavlink.stack.flight_stack import FlightStack
+        from qrsim.links.mavlink.stack.own_guidance import stack_of
         from qrsim.links.mavlink.world import FlownWorld
         from qrsim.links.printing import Log
         from qrsim.scenarios.scenario import load_scenario
@@ -89,7 +89,7 @@ class Mavlink:
         say = log.say
         world = FlownWorld(
             prepared(load_scenario(self.scenario, self.set)),
-            lambda facts, site: FlightStack(facts, site, flavour=self.flavour),  # type: ignore[arg-type]
+            stack_of(self.flavour),  # type: ignore[arg-type]
             seed=self.seed, first_system=self.first_sysid, factor=self.realtime, truth=self.truth, log=say,
         )  # fmt: skip
         ports = opened(len(world.systems), EVERYWHERE if self.allow_remote else HERE, self.tcp, self.own_ports)
@@ -155,7 +155,7 @@ class Mavlink:
             say(f"TCP: {ports.tcp}")
         others = world.simulation.size - len(systems)
         if others:
-            say(f"{others} more of the scenario take no paths, velocities and attitudes, and are no systems")
+            say(f"{others} more of the scenario cannot be flown, and are no systems")
 
 
 def _warn() -> None:

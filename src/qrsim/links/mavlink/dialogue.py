@@ -183,7 +183,7 @@ def _axes(m: Message, *names: str) -> Any:
 
 def _take(system: System, link: Link, target: Target) -> None:
     system.stack.setpoint(target)
-    link.flies, link.owes = True, False
+    link.flies, link.owes = system.stack.takes_setpoints, False
 
 
 def _local_target(system: System, link: Link, frame: Frame) -> None:

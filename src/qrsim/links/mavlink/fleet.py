@@ -1,7 +1,11 @@
-"""Vehicles of a scenario as a flight stack flies them: on the ground at first, with a controller of paths."""
+"""Vehicles of a scenario as a flight stack flies them: on the ground at first, with a controller of paths.
+
+Rovers and fixed wings stay as the scenario has them, and go by its guidance.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,18 +13,29 @@ import numpy as np
 from qrsim.control.cascade import CascadeController
 from qrsim.control.setpoints import SETPOINTS
 from qrsim.errors import ScenarioError, UsageError
-from qrsim.links.mavlink.stack.contracts import Facts
+from qrsim.links.mavlink.stack.contracts import (
+    FIXED_WING,
+    GROUND_ROVER,
+    HEXAROTOR,
+    NEEDED,
+    OCTOROTOR,
+    QUADROTOR,
+    Facts,
+)
 from qrsim.links.shared.kinds import kinds_of
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.vehicles.contracts import Vehicle
+from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
+from qrsim.models.vehicles.rover.planar import Drives
 from qrsim.scenarios.catalogue import CONTROLLERS, VEHICLES
 from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.world.state import Fleet, World
 
 # Without an own component id in a scenario, ids of systems are 1 to this: clients are 245 and above.
 LAST_SYSTEM = 240
-NEEDED = ("path", "velocity", "attitude")
+# MAV_TYPE by the number of rotors; another number is told as a quadrotor.
+_BY_ROTORS = {4: QUADROTOR, 6: HEXAROTOR, 8: OCTOROTOR}
 
 
 def prepared(scenario: Scenario) -> Scenario:
@@ -69,11 +84,20 @@ def _put_down(content: dict[str, Any], world: World) -> None:
 
 def flown(fleet: Fleet) -> bool:
     """Return whether a stack can fly the vehicles of a fleet."""
-    return set(NEEDED) <= set(kinds_of(fleet)) and fleet.vehicle.handling() is not None
+    return set(kinds_of(fleet)) >= NEEDED and fleet.vehicle.handling() is not None
+
+
+def type_of(vehicle: Vehicle) -> int:
+    """Return the MAV_TYPE of a vehicle."""
+    if isinstance(vehicle, Drives):
+        return GROUND_ROVER
+    if isinstance(vehicle, Aeroplane):
+        return FIXED_WING
+    return _BY_ROTORS.get(len(vehicle.rotors), QUADROTOR) if isinstance(vehicle, Multirotor) else QUADROTOR
 
 
 def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
-    """Return the row in the world and the facts of each vehicle that can be flown, with system ids from the first on.
+    """Return row in the world and facts of each vehicle that can be flown or shown; system ids from ``first``.
 
     Raises:
         UsageError: there is none, or there are more than system ids.
@@ -81,12 +105,15 @@ def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
     found: list[tuple[int, Facts]] = []
     row = 0
     for fleet in world.fleets:
-        if flown(fleet):
+        if flown(fleet) or type_of(fleet.vehicle) in (GROUND_ROVER, FIXED_WING):
             for number in range(fleet.size):
                 found.append((row + number, _facts(world, fleet, number, first + len(found))))
         row += fleet.size
     if not found:
-        raise UsageError("no vehicle of the scenario can be flown: they take no paths, velocities and attitudes")
+        raise UsageError(
+            "no vehicle of the scenario can be flown: they take no paths, velocities and attitudes, and are no rovers "
+            "and no fixed wings"
+        )
     most = LAST_SYSTEM - first + 1
     if len(found) > most:
         raise UsageError(
@@ -97,8 +124,14 @@ def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
 
 
 def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
+    common = Facts(
+        name=fleet.vehicle_names[number], system=system, time_step=world.time_step, mav_type=type_of(fleet.vehicle),
+        kinds=frozenset(kinds_of(fleet)), has_battery=fleet.battery.drains,
+        fence=_fence(world.area),
+    )  # fmt: skip
     handling = fleet.vehicle.handling()
-    assert handling is not None
+    if handling is None or not flown(fleet):
+        return common
 
     def own(value: Any) -> float:
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
@@ -108,11 +141,8 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
     if isinstance(controller, CascadeController):
         speeds = (controller.speed_limit, controller.climb_limit, controller.sink_limit)
     pitch = handling.tilt_gain if handling.pitch_gain is None else handling.pitch_gain
-    return Facts(
-        name=fleet.vehicle_names[number],
-        system=system,
-        time_step=world.time_step,
-        kinds=frozenset(kinds_of(fleet)),
+    return replace(
+        common,
         hover_throttle=own(handling.throttle(handling.mass * handling.gravity)),
         tilt_max=own(handling.tilt_max),
         roll_gain=own(handling.tilt_gain),
@@ -120,8 +150,6 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
         speed_limit=own(speeds[0]),
         climb_limit=own(speeds[1]),
         sink_limit=own(speeds[2]),
-        has_battery=fleet.battery.drains,
-        fence=_fence(world.area),
     )
 
 

@@ -16,8 +16,8 @@ PATIENCE_S = 1.0
 class Lockstep:
     """Has the world stand until each client has sent a set-point newer than the last ATTITUDE that it was sent.
 
-    The world begins when every vehicle has had a first set-point. Who sends none for ``PATIENCE_S`` is waited for again
-    from its next one on.
+    The world begins when every vehicle that takes any has had a first set-point. Who sends none for ``PATIENCE_S`` is
+    waited for again from its next one on.
 
     Args:
         systems: of all vehicles.
@@ -35,7 +35,8 @@ class Lockstep:
     async def begun(self) -> None:
         """Wait until every vehicle has had a set-point."""
         self._say("lock-step: the world stands until every vehicle has a set-point")
-        while not all(any(link.flies for link in system.links) for system in self._systems):
+        flown = [system for system in self._systems if system.stack.takes_setpoints]
+        while not all(any(link.flies for link in system.links) for system in flown):
             for system in self._systems:
                 system.present()
             await self._heard(PATIENCE_S)

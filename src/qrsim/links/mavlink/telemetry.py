@@ -18,8 +18,8 @@ from qrsim.links.mavlink.targets import (
 )
 from qrsim.links.mavlink.view import View
 
-# MAV_TYPE of a quadrotor, MAVLink 2.
-QUADROTOR, PROTOCOL = 2, 3
+# MAVLink 2.
+PROTOCOL = 3
 GRAVITY = 9.80665
 # MAV_PROTOCOL_CAPABILITY: floats and integers of missions and commands, bytewise parameters, set-points local, global
 # and of attitude, MAVLink 2, fence, rally; termination. No files.
@@ -61,7 +61,7 @@ def heartbeat(v: View) -> Payload:
     """HEARTBEAT."""
     beat = v.stack.heartbeat()
     return _STRUCT["HEARTBEAT"](
-        beat.custom_mode, QUADROTOR, beat.autopilot, beat.base_mode, beat.system_status, PROTOCOL
+        beat.custom_mode, beat.mav_type, beat.autopilot, beat.base_mode, beat.system_status, PROTOCOL
     )
 
 

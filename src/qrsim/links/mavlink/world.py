@@ -12,9 +12,9 @@ import numpy as np
 from qrsim.errors import UsageError
 from qrsim.interface.arrays import quaternion_of
 from qrsim.links.contracts import Order
-from qrsim.links.mavlink.fleet import NEEDED, systems_of
+from qrsim.links.mavlink.fleet import systems_of
 from qrsim.links.mavlink.sight import Sight
-from qrsim.links.mavlink.stack.contracts import Facts, Severity, Stack, Text
+from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Severity, Stack, Text
 from qrsim.links.mavlink.system import System
 from qrsim.links.shared.latches import Latches
 from qrsim.models.site import Site
@@ -27,7 +27,7 @@ MakeStack = Callable[[Facts, Site], Stack]
 
 
 class FlownWorld:
-    """A simulation whose vehicles are flown by their stacks.
+    """A simulation whose vehicles are flown by their stacks, or go by their own guidance while those look on.
 
     Args:
         scenario: prepared (``fleet.prepared``).
@@ -43,7 +43,7 @@ class FlownWorld:
 
     Attributes:
         simulation: reset.
-        systems: of the vehicles that are flown.
+        systems: of the vehicles that are flown or shown.
     """
 
     def __init__(

@@ -235,3 +235,4 @@ _COMMANDS: dict[int, Callable[[Flight, Command], Result]] = {
     185: _terminate, 192: _reposition, 224: _set_current, 246: _reboot, 300: _start_mission, 400: _arm,
     410: _tell_home,
 }  # fmt: skip
+KNOWN = frozenset(_COMMANDS)

@@ -21,6 +21,10 @@ Triple = tuple[float, float, float]
 Quadruple = tuple[float, float, float, float]
 FlavourName = Literal["px4", "ardupilot"]
 NAN = math.nan
+# MAV_TYPE.
+FIXED_WING, QUADROTOR, GROUND_ROVER, HEXAROTOR, OCTOROTOR = 1, 2, 10, 13, 14
+# Kinds of orders by which a stack flies a vehicle itself.
+NEEDED = frozenset({"path", "velocity", "attitude"})
 # x or y of an integer message that is not set.
 UNSET_INT = 2**31 - 1
 
@@ -118,8 +122,8 @@ class Facts:
         name: of the vehicle, for its orders.
         system: its MAVLink system id.
         time_step: of its ticks [s].
-        kinds: of orders that it takes, names of ``links/shared/kinds.py``; a stack needs "path", "velocity" and
-            "attitude".
+        kinds: of orders that it takes, names of ``links/shared/kinds.py``; a stack that flies it needs ``NEEDED``.
+        mav_type: its MAV_TYPE.
         hover_throttle: throttle that carries its weight, 0 to 1.
         tilt_max: largest tilt that it can be commanded [rad].
         roll_gain, pitch_gain: settled tilt per commanded tilt.
@@ -132,7 +136,8 @@ class Facts:
     name: str
     system: int = 1
     time_step: float = 0.02
-    kinds: frozenset[str] = frozenset({"path", "velocity", "attitude"})
+    kinds: frozenset[str] = NEEDED
+    mav_type: int = QUADROTOR
     hover_throttle: float = 0.5
     tilt_max: float = 0.9
     roll_gain: float = 1.0
@@ -325,13 +330,14 @@ class MissionStatus:
 
 @dataclass(slots=True)
 class Heartbeat:
-    """What HEARTBEAT and EXTENDED_SYS_STATE say, beside MAV_TYPE."""
+    """What HEARTBEAT and EXTENDED_SYS_STATE say."""
 
     autopilot: int = 12
     base_mode: int = 0
     custom_mode: int = 0
     system_status: int = 3
     landed: Landed = Landed.ON_GROUND
+    mav_type: int = QUADROTOR
 
 
 @dataclass
@@ -351,11 +357,13 @@ class Stack(Protocol):
         parameters: its table; whatever was set holds from the next tick on.
         factor: simulated seconds per second of wall time, for time-outs against a peer.
         armed: whether its motors may turn.
+        takes_setpoints: whether clients can fly it.
     """
 
     parameters: Parameters
     factor: float
     armed: bool
+    takes_setpoints: bool
 
     @property
     def home(self) -> Home | None:

@@ -38,6 +38,8 @@ STANDBY, ACTIVE, CRITICAL, TERMINATION = 3, 4, 5, 8
 class FlightStack(Flight):
     """See ``contracts.Stack``; the arguments are those of ``Flight``."""
 
+    takes_setpoints: bool = True
+
     def __init__(
         self,
         facts: Facts,
@@ -48,7 +50,7 @@ class FlightStack(Flight):
     ):
         super().__init__(facts, site, parameters, flavour, factor)
         self._fence_items = self._area_items()
-        self._heartbeat = Heartbeat(self.flavour.autopilot)
+        self._heartbeat = Heartbeat(self.flavour.autopilot, mav_type=facts.mav_type)
 
     # ---- what clients ask ----
 
