@@ -150,6 +150,6 @@ def _draw(others: dict[str, FlightLog], start: dict[str, float], found: Any) -> 
             axes.plot(log.time[part], values[part], color=colour, lw=1.2, label=label)
         axes.set_ylabel(f"roll, {name} [deg]")
         axes.grid(alpha=0.3)
-    rows[0].legend(loc="upper right", ncols=4, fontsize=8)
+    rows[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, fontsize=8, frameon=False)
     rows[-1].set_xlabel("time [s]")
     figure.savefig(PICTURE, dpi=110)
