@@ -1,6 +1,6 @@
 """Vehicles of a scenario as a flight stack flies them: on the ground at first, with a controller of paths.
 
-Rovers and fixed wings stay as the scenario has them, and go by its guidance.
+Rovers and fixed wings stay as the scenario has them; fixed wings go by its guidance.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.control.cascade import CascadeController
+from qrsim.control.rover import RoverController
 from qrsim.control.setpoints import SETPOINTS
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.links.mavlink.stack.contracts import (
@@ -129,14 +130,16 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
         kinds=frozenset(kinds_of(fleet)), has_battery=fleet.battery.drains,
         fence=_fence(world.area),
     )  # fmt: skip
-    handling = fleet.vehicle.handling()
-    if handling is None or not flown(fleet):
-        return common
+    controller = fleet.controller
 
     def own(value: Any) -> float:
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
 
-    controller = fleet.controller
+    if isinstance(controller, RoverController):
+        return replace(common, speed_limit=own(controller.speed))
+    handling = fleet.vehicle.handling()
+    if handling is None or not flown(fleet):
+        return common
     speeds: tuple[Any, ...] = (8.0, 3.0, 1.5)
     if isinstance(controller, CascadeController):
         speeds = (controller.speed_limit, controller.climb_limit, controller.sink_limit)

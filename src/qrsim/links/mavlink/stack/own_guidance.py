@@ -8,6 +8,7 @@ from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.commands import KNOWN
 from qrsim.links.mavlink.stack.contracts import (
     FIXED_WING,
+    GROUND_ROVER,
     NEEDED,
     Ack,
     Command,
@@ -26,6 +27,7 @@ from qrsim.links.mavlink.stack.contracts import (
 )
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.stack.modes import Mode
+from qrsim.links.mavlink.stack.rover_stack import DRIVEN, RoverStack
 from qrsim.models.site import Site
 
 # Commands that change nothing of where it goes: DO_SET_HOME, REQUEST of HOME_POSITION.
@@ -112,9 +114,11 @@ class OwnGuidance(FlightStack):
 
 
 def stack_of(flavour: FlavourName = "px4") -> Callable[[Facts, Site], Stack]:
-    """Return what makes the stack of a vehicle: one that flies it, or, where it takes no such orders, only tells."""
+    """Return what makes the stack of a vehicle: one that flies or drives it, or else only tells."""
 
     def make(facts: Facts, site: Site) -> Stack:
+        if facts.mav_type == GROUND_ROVER and facts.kinds >= DRIVEN:
+            return RoverStack(facts, site, flavour=flavour)
         kind = FlightStack if facts.kinds >= NEEDED else OwnGuidance
         return kind(facts, site, flavour=flavour)
 

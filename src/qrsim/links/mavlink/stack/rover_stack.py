@@ -1,0 +1,191 @@
+"""The flight stack of a rover: it stands, and drives missions and home; it neither takes off nor lands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from qrsim.links.contracts import Order
+from qrsim.links.mavlink.stack import plan
+from qrsim.links.mavlink.stack.contracts import (
+    Ack,
+    Command,
+    Facts,
+    FlavourName,
+    Item,
+    PlanResult,
+    Result,
+    Seen,
+    Severity,
+    Target,
+    Triple,
+)
+from qrsim.links.mavlink.stack.craft import Craft
+from qrsim.links.mavlink.stack.flight_stack import FlightStack
+from qrsim.links.mavlink.stack.mission import Mission
+from qrsim.links.mavlink.stack.modes import FLAVOURS, Flavour, Mode
+from qrsim.links.mavlink.stack.parameters import Parameters
+from qrsim.models.site import Site
+
+# Orders by which a rover is driven.
+DRIVEN = frozenset({"path", "velocity"})
+# Land, take off, turn on the spot, reposition.
+REFUSED = frozenset((21, 22, 115, 192))
+# Items that need height, or circles.
+UNSUPPORTED = frozenset((plan.LOITER_TURNS, plan.LAND, plan.TAKEOFF, plan.LOITER_TO_ALTITUDE))
+# ArduPilot Rover.
+_ARDUPILOT = {Mode.HOLD: 4, Mode.MISSION: 10, Mode.RTL: 11}
+# A set-point that is refused is said once in so long [s].
+SAID_EVERY_S = 5.0
+
+
+class RoverFlavour(Flavour):
+    """Numbers of modes as a rover has them."""
+
+    def custom_mode(self, mode: Mode, guided: bool = False) -> int:
+        """Return the custom_mode of HEARTBEAT."""
+        return _ARDUPILOT[mode] if self.name == "ardupilot" else super().custom_mode(mode, guided)
+
+    def mode_of(self, main: int, sub: int) -> Mode | None:
+        """Return the mode of DO_SET_MODE's numbers, None where there is none."""
+        if self.name != "ardupilot":
+            return super().mode_of(main, sub)
+        return next((mode for mode, number in _ARDUPILOT.items() if number == main), None)
+
+
+class Drive(Mission):
+    """A mission on the ground: heights of items do not count."""
+
+    def accept(self, items: Sequence[Item], craft: Craft) -> tuple[PlanResult, int]:
+        """Replace the plan; return the result and the seq of the bad item, else -1."""
+        for index, item in enumerate(items):
+            if item.command in UNSUPPORTED:
+                return PlanResult.UNSUPPORTED, index
+        return super().accept(items, craft)
+
+    def _stay(self, craft: Craft) -> Order | None:
+        return None
+
+    def _go(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
+        """Return whether it has been at a place for as long as the item says, and the order; None: to stand."""
+        here, now = craft.seen.position_ned, craft.seen.time
+        if self._goal is None:
+            self._goal = plan.place_of(item, craft, self._from or here)
+        radius = item.params[1] if item.command == plan.WAYPOINT and item.params[1] > 0.0 else 0.0
+        radius = radius or craft.parameters["NAV_ACC_RAD"]
+        if self._arrived is None and away(craft, self._goal) < radius:
+            self._arrived = now
+        if self._arrived is not None:
+            return now - self._arrived >= self._hold(item), None
+        goes_on = self._hold(item) == 0.0 and self.current + 1 < len(self.items)
+        return False, drive(craft, self._goal, 0.5 * radius if goes_on else 0.0)
+
+
+class RoverStack(FlightStack):
+    """See ``contracts.Stack``; the arguments are those of ``FlightStack``."""
+
+    takes_setpoints = False
+
+    def __init__(
+        self,
+        facts: Facts,
+        site: Site,
+        parameters: Parameters | None = None,
+        flavour: FlavourName = "px4",
+        factor: float = 1.0,
+    ):
+        super().__init__(facts, site, parameters, flavour, factor)
+        base = FLAVOURS[flavour]
+        self.flavour = RoverFlavour(base.name, base.autopilot, base.base_mode)
+        self.plan = Drive(1 if flavour == "ardupilot" else 0)
+
+    def reset(self) -> None:
+        """Begin again as after a boot."""
+        super().reset()
+        self._stands, self._said_at = False, -SAID_EVERY_S
+
+    def tick(self, seen: Seen) -> Order | None:
+        """Advance by one tick; return the order for the vehicle, None where the last one holds."""
+        craft = self.craft
+        seen.on_ground = True
+        craft.look(seen)
+        # What is looked at in flight, the fence for example, is looked at while it is armed.
+        craft.flies = self.armed
+        self.checks.look(craft)
+        if craft.home is None and seen.valid and seen.fix_type >= 3:
+            craft.home_here()
+        if self.armed and seen.stopped:
+            craft.say(Severity.EMERGENCY, f"Run has ended: {seen.stopped}")
+            self.disarm("")
+        if self.armed:
+            asked = self.failsafes.look(craft, self.mode, self.offboard, self.factor)
+            if asked:
+                self._fail_over(asked)
+        order = self._drive() if self.armed and seen.valid else None
+        if order is not None:
+            self._stands = False
+            return order
+        return self._stand()
+
+    def _stand(self) -> Order | None:
+        if self._stands:
+            return None
+        self._stands = True
+        return Order(self.facts.name, "velocity", (0.0, 0.0, 0.0, 0.0))
+
+    def _drive(self) -> Order | None:
+        """Return the order of the mode; None: to stand."""
+        craft = self.craft
+        if self.mode is Mode.MISSION:
+            order, over = self.plan.fly(craft)
+            if over and self.plan.returns:
+                self.switch(Mode.RTL)
+            elif over:
+                craft.say(Severity.INFO, "Mission finished, holding")
+                self.switch(Mode.HOLD)
+            return order
+        if self.mode is Mode.RTL and craft.home is not None:
+            if away(craft, craft.home.position_ned) >= self.parameters["NAV_ACC_RAD"]:
+                return drive(craft, craft.home.position_ned)
+            self.switch(Mode.HOLD)
+        return None
+
+    def command(self, command: Command) -> Ack:
+        """Obey or refuse a command."""
+        if command.id not in REFUSED:
+            return super().command(command)
+        self._refuse(f"Command {command.id}", "a rover cannot")
+        return Ack(Result.DENIED)
+
+    def request(self, mode: Mode | None) -> Result:
+        """Change the mode as somebody asks, or say why not."""
+        if mode is None or mode in _ARDUPILOT:
+            return super().request(mode)
+        self._refuse("Mode", f"a rover has no {mode.value}")
+        return Result.DENIED
+
+    def switch(self, mode: Mode, goal: Triple | None = None) -> None:
+        """Change the mode; what ends a flight on the ground has a rover stand."""
+        super().switch(mode if mode in _ARDUPILOT else Mode.HOLD)
+
+    def setpoint(self, target: Target) -> bool:
+        """Refuse a set-point."""
+        now = self.craft.seen.time
+        if now - self._said_at >= SAID_EVERY_S:
+            self._said_at = now
+            self._refuse("Set-point", "a rover drives missions")
+        return False
+
+    def _refuse(self, what: str, why: str) -> None:
+        self.craft.say(Severity.WARNING, f"{what} denied: {why}")
+
+
+def away(craft: Craft, place: Triple) -> float:
+    """Return the horizontal distance [m] to a place NED [m]."""
+    here = craft.seen.position_ned
+    return math.hypot(place[0] - here[0], place[1] - here[1])
+
+
+def drive(craft: Craft, place: Triple, beyond: float = 0.0) -> Order:
+    """Return the order to drive on to a place NED [m], at the height where it is; ``beyond`` as ``Craft.go``."""
+    return craft.go((place[0], place[1], craft.seen.position_ned[2]), beyond=beyond)
