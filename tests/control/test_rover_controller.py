@@ -58,6 +58,24 @@ def test_it_stops_at_the_last_waypoint(vehicle: str) -> None:
     np.testing.assert_allclose(truth.velocity_ned[0], 0.0, atol=1e-3)
 
 
+@pytest.mark.parametrize("vehicle", ["rover", "differential_rover"])
+def test_it_comes_to_a_place_inside_its_turning_circle(vehicle: str) -> None:
+    """Steering for a place 0.75 m beside it at the lookahead's curvature, 1/0.75 m, would go round it for ever."""
+    places = np.array([[0.0, 0.75], [0.0, -0.4], [0.1, 0.6], [-0.3, 0.35], [0.3, 1.2]])
+    starts = [[0.0, 10.0 * i, 0.0] for i in range(len(places))]
+    targets = np.array([[*place, 0.0] for place in places]) + starts
+    vehicles = [
+        {"position_ned": start, "waypoints_ned": [target.tolist()]}
+        for start, target in zip(starts, targets, strict=True)
+    ]
+    fleet = {"guidance": {"type": "rover", "repeat": False}, "vehicles": vehicles}
+    simulation = qrsim.load(scenario(vehicle, **fleet))
+    simulation.reset()
+    simulation.advance(ticks=1000)
+    np.testing.assert_allclose(simulation.truth.position_ned, targets, atol=0.3)
+    np.testing.assert_allclose(simulation.truth.velocity_ned, 0.0, atol=1e-3)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("vehicle", ["rover", "differential_rover"])
 def test_places_velocities_and_missions(vehicle: str) -> None:

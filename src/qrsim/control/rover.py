@@ -19,6 +19,8 @@ from qrsim.models.vehicles.rover.planar import Drives
 
 # Whoever is asked for less [m/s] stands.
 CREEP = 0.15
+# With this speed [m/s] it backs away from a place that no forward turn leads to, until an arc this much wider does.
+BACK_SPEED, BACK_SHARE = 0.5, 1.4
 
 
 @record
@@ -119,17 +121,26 @@ class RoverController(Controller):
         )
         off = wrap_angle(aim - estimate.attitude.yaw)
         sine, cosine = sincos(off)
+        distance, left = left_of(track.begin_ned, track.position_ned, estimate.position_ned)
+        stops = track.stops > 0.0
+        side = jnp.where(sine < 0.0, -1.0, 1.0)
+        # Nearer than the lookahead to its stop, it takes the arc through that; where the arc is too tight, it backs.
+        near = stops & (track.radius == 0.0) & (distance < ahead)
+        tightest = self.lookahead_min * jnp.where(speed < -CREEP, BACK_SHARE, 1.0)
+        backs = near & (distance < tightest * jnp.abs(sine))
+        reach = jnp.where(near & (cosine > 0.0), jnp.maximum(distance, self.stop_radius), ahead)
         # Who looks the other way turns as for a point beside it.
-        curvature = 2.0 * jnp.where(cosine < 0.0, jnp.where(sine < 0.0, -1.0, 1.0), sine) / ahead
+        curvature = 2.0 * jnp.where(cosine < 0.0, side, sine) / reach
         wanted = jnp.where(track.speed > 0.0, track.speed, self.speed)
         wanted = jnp.minimum(wanted, root(self.side_acceleration / jnp.maximum(jnp.abs(curvature), 1e-3)))
-        distance, left = left_of(track.begin_ned, track.position_ned, estimate.position_ned)
         has_line = (track.begin_ned.x != track.position_ned.x) | (track.begin_ned.y != track.position_ned.y)
         over = (distance < self.stop_radius) | (has_line & (left < 0.0) & (distance < self.leave_radius))
-        stops = track.stops > 0.0
         resting = stops & (over | (state.resting & (distance < self.leave_radius)))
         braked = jnp.minimum(wanted, root(2.0 * self.deceleration * distance))
-        wanted = jnp.where(resting, 0.0, jnp.where(stops, braked, wanted))
+        wanted = jnp.where(stops, braked, wanted)
+        wanted = jnp.where(backs, -BACK_SPEED, wanted)
+        curvature = jnp.where(backs, -2.0 * side / self.lookahead_min, curvature)
+        wanted = jnp.where(resting, 0.0, wanted)
         return wanted, jnp.where(resting, 0.0, curvature), resting
 
     def _towards(
