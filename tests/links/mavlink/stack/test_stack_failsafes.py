@@ -87,6 +87,9 @@ def test_a_fence_that_is_crossed(action, mode):
 def test_the_area_of_the_scenario_is_never_left():
     for speed in (1.0, 4.0, 8.0):
         puppet = Puppet(fence=FENCE)
+        # A larger fence of a client does not take that guard away.
+        wide = item(0, 5003, 0.001, 0.0, 0.0, frame=5, params=(500.0, 0, 0, 0))
+        assert puppet.stack.accept(PlanKind.FENCE, [wide])[0] == 0
         puppet.fly_up()
         target = LocalTarget(1, 0x9C7, velocity=(speed, 0.0, 0.0), yaw=0.0)
         puppet.stack.setpoint(target)
@@ -116,9 +119,10 @@ def test_a_fence_of_distance_and_height():
     assert puppet.texts[-2] == "Geofence breached: higher than 8 m over home"
     assert -puppet.seen.position_ned[2] == pytest.approx(8.1, abs=0.3)
     puppet = Puppet()
-    puppet.stack.parameters.set("GF_MAX_HOR_DIST", 12.0)
     puppet.stack.accept(PlanKind.MISSION, [item(0, 16, 60, 0, 6.0)])
-    puppet.do(300)
+    assert puppet.do(300) == 0
+    # Before its start the mission would be rejected for it.
+    puppet.stack.parameters.set("GF_MAX_HOR_DIST", 12.0)
     assert puppet.run(30.0, lambda now: now.stack.mode is Mode.HOLD)
     assert "Geofence breached: farther than 12 m from home" in puppet.texts
     assert puppet.seen.position_ned[0] == pytest.approx(12.2, abs=0.6)

@@ -264,6 +264,31 @@ def test_a_bad_fence_is_refused_and_the_old_one_stays(changed, result, seq):
     assert puppet.stack.items(FENCE) == tuple(square())
 
 
+def test_a_fence_of_a_client_does_not_open_the_area_of_the_scenario():
+    puppet = Puppet(fence=((-30.0, -30.0), (-30.0, 30.0), (30.0, 30.0), (30.0, -30.0)))
+    # The square of the client reaches 50 m, and both hold; without a fence of a client the area does.
+    for items in (square(), []):
+        assert puppet.stack.accept(FENCE, items) == (PlanResult.ACCEPTED, -1)
+        fence = puppet.stack.craft.fence
+        assert [fence.inside(north, 0.0) for north in (-31.0, -29.0, 29.0, 31.0)] == [False, True, True, False]
+        assert not fence.empty
+    circle = item(0, 5003, 0.001, 0.0, 0.0, frame=5, params=(10.0, 0, 0, 0))
+    assert puppet.stack.accept(FENCE, [circle]) == (PlanResult.ACCEPTED, -1)
+    assert [puppet.stack.craft.fence.inside(north, 0.0) for north in (9.0, 11.0)] == [True, False]
+
+
+@pytest.mark.parametrize(("name", "limit", "seq"), [("GF_MAX_HOR_DIST", 30.0, 1), ("GF_MAX_VER_DIST", 15.0, 2)])
+def test_a_mission_beyond_the_largest_distance_is_not_flown(name, limit, seq):
+    puppet = Puppet()
+    puppet.stack.parameters.set(name, limit)
+    items = [item(0, WAYPOINT, 29, 0, 14.0), item(1, WAYPOINT, 31, 0, 14.0), item(2, WAYPOINT, 29, 0, 16.0)]
+    puppet.stack.accept(MISSION, items)
+    assert puppet.stack.texts()[-1].text == f"Mission rejected: item {seq} is outside the fence"
+    assert puppet.do(300) == 1
+    puppet.stack.parameters.set(name, 40.0)
+    assert puppet.do(300) == 0
+
+
 def test_the_area_of_the_scenario_is_a_fence_that_is_downloaded():
     puppet = Puppet(fence=((-30.0, -30.0), (-30.0, 40.0), (20.0, 0.0)))
     items = puppet.stack.items(FENCE)

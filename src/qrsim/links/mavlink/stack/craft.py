@@ -23,7 +23,7 @@ class Craft:
     Attributes:
         seen: what it saw last.
         home: where it returns to.
-        fence: that of the plan, or the area of the scenario.
+        fence: that of the plan within the area of the scenario, or that area alone.
         area: that of the scenario, where a flight ends that leaves it.
         path: the point that it follows.
         yaw: heading that it is asked for [rad].

@@ -121,7 +121,7 @@ def beyond(craft: Craft) -> str:
     here, values = craft.seen.position_ned, craft.parameters.values
     if not craft.fence.inside(here[0], here[1]):
         return "outside the area"
-    if craft.fence is craft.area and not _stops_inside(craft):
+    if not _stops_inside(craft):
         return "about to leave the area of the scenario"
     far, high = values["GF_MAX_HOR_DIST"], values["GF_MAX_VER_DIST"]
     if craft.home is None or not (far or high):

@@ -23,19 +23,23 @@ class Fence:
 
     Args:
         area: a polygon (north, east) [m] that is an inclusion from the start.
+        guard: another fence that holds as well; None: none.
     """
 
-    def __init__(self, area: Sequence[Point] = ()):
+    def __init__(self, area: Sequence[Point] = (), guard: Fence | None = None):
+        self._guard = guard
         self._polygons: list[tuple[bool, tuple[Point, ...]]] = [(True, tuple(area))] if area else []
         self._circles: list[tuple[bool, Point, float]] = []
 
     @property
     def empty(self) -> bool:
         """Whether there is nothing to stay in or out of."""
-        return not (self._polygons or self._circles)
+        return not (self._polygons or self._circles) and (self._guard is None or self._guard.empty)
 
     def inside(self, north: float, east: float) -> bool:
-        """Return whether a place [m] is in one of the inclusions, if there are any, and in no exclusion."""
+        """Return whether a place [m] is in one of the inclusions, if any, in no exclusion, and inside the guard."""
+        if self._guard is not None and not self._guard.inside(north, east):
+            return False
         included = has = False
         for includes, corners in self._polygons:
             within = in_polygon(corners, north, east)
@@ -61,9 +65,9 @@ class Fence:
         )
 
     @staticmethod
-    def of(items: Sequence[Item], geodesy: Geodesy) -> tuple[Fence, PlanResult, int]:
-        """Return the fence of a plan, the result, and the seq of the item that is bad, else -1."""
-        fence, index = Fence(), 0
+    def of(items: Sequence[Item], geodesy: Geodesy, guard: Fence | None = None) -> tuple[Fence, PlanResult, int]:
+        """Return the fence of a plan within a guard, the result, and the seq of the item that is bad, else -1."""
+        fence, index = Fence(guard=guard), 0
         if len(items) > MOST_ITEMS:
             return fence, PlanResult.NO_SPACE, MOST_ITEMS
         while index < len(items):

@@ -89,7 +89,7 @@ class FlightStack(Flight):
             if result is PlanResult.ACCEPTED and self.mode is Mode.MISSION:
                 self.switch(Mode.MISSION if items and not self.plan.why_not(craft) else Mode.HOLD)
         elif kind is PlanKind.FENCE:
-            fence, result, bad = Fence.of(items, craft.geodesy)
+            fence, result, bad = Fence.of(items, craft.geodesy, craft.area)
             if result is PlanResult.ACCEPTED:
                 craft.fence, self._fence_items = fence, tuple(items)
                 if self.plan.items:

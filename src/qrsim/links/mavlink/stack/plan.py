@@ -91,11 +91,21 @@ def place_of(item: Item, craft: Craft, otherwise: Triple) -> Triple:
 
 def outside(items: Sequence[Item], craft: Craft) -> int | None:
     """Return the seq of the first item of a mission that lies outside the fence or too far; None where none does."""
-    if craft.fence.empty:
+    far, high = craft.parameters["GF_MAX_HOR_DIST"], craft.parameters["GF_MAX_VER_DIST"]
+    if craft.fence.empty and not (far or high):
         return None
     for index, item in enumerate(items):
+        if item.command in PLACES and craft.home is not None and _too_far(item, craft, craft.home.position_ned):
+            return index
         if item.command in PLACES and has_place(item):
             place = place_of(item, craft, (0.0, 0.0, 0.0))
             if not craft.fence.inside(place[0], place[1]):
                 return index
     return None
+
+
+def _too_far(item: Item, craft: Craft, home: Triple) -> bool:
+    """Return whether an item lies beyond the largest distance from home or height over it [m], 0 for any."""
+    far, high = craft.parameters["GF_MAX_HOR_DIST"], craft.parameters["GF_MAX_VER_DIST"]
+    north, east, z = place_of(item, craft, home)
+    return bool((far and math.hypot(north - home[0], east - home[1]) > far) or (high and home[2] - z > high))
