@@ -170,6 +170,32 @@ def test_show_says_what_level_flight_takes() -> None:
     assert found["cruise_elevator_rad"] == pytest.approx(-0.125044, rel=0.01)
 
 
+def test_the_circle_round_a_waypoint_is_one_that_it_can_fly() -> None:
+    """25² m²/s² / (9.81 m/s² tan 40°) = 75.9 m; the guidance ``route`` gives places, not circles."""
+    tight = {"type": "fixed_wing", "feed": "truth", "loiter_radius": 60.0}
+    vehicles = [{"position_ned": [0.0, 0.0, -100.0], "waypoints_ned": [[300.0, 0.0, -100.0], [300.0, 300.0, -100.0]]}]
+    fleet = {
+        "vehicle": {"type": "fixed_wing"},
+        "controller": tight,
+        "guidance": {"type": "route"},
+        "vehicles": vehicles,
+    }
+    area = {
+        "type": "box",
+        "x_min": -900.0,
+        "x_max": 900.0,
+        "y_min": -900.0,
+        "y_max": 900.0,
+        "z_min": -300.0,
+        "z_max": 0.0,
+    }
+    source = {"name": "x", "duration": 10.0, "world": {"area": area}, "fleets": {"planes": fleet}}
+    with pytest.raises(ScenarioError, match=r"planes\.controller\.loiter_radius: 60 m is tighter .* at least 76, or"):
+        qrsim.load_scenario(source)
+    tight["loiter_radius"] = 80.0
+    assert qrsim.load_scenario(source).name == "x"
+
+
 def test_faults_of_a_scenario_are_said_in_a_line() -> None:
     wind = {"type": "log_shear", "speed_20ft": 6.0, "wind_from_deg": 270.0}
     slow = [{"position_ned": [0.0, 0.0, -100.0], "velocity_body": [8.0, 0.0, 0.0]}]

@@ -65,6 +65,8 @@ def _inertia(name: str, vehicle: Any) -> Iterator[str]:
 def _circles(name: str, fleet: FleetSpec, scenario: ScenarioSpec, cruise: float) -> Iterator[str]:
     """A circle is as wide as the bank allows at the speed over ground downwind."""
     path, radius = "guidance.radius", vars(fleet.guidance).get("radius")
+    if fleet.guidance.type == "route":
+        path, radius = "controller.loiter_radius", vars(fleet.controller).get("loiter_radius")
     if fleet.controller.type != "fixed_wing" or radius is None:
         return
     size = len(fleet.vehicles)
@@ -76,7 +78,7 @@ def _circles(name: str, fleet: FleetSpec, scenario: ScenarioSpec, cruise: float)
     own = np.select([part > 0.0 for part in fast], fast)
     gravity = float(np.min(np.asarray(vars(fleet.vehicle)["gravity"])))
     for i, each in enumerate(fleet.vehicles):
-        if fleet.guidance.repeat and len(each.waypoints_ned) > 1:
+        if fleet.guidance.type == "fixed_wing" and fleet.guidance.repeat and len(each.waypoints_ned) > 1:
             continue
         centre = each.waypoints_ned[-1] if each.waypoints_ned else each.position_ned
         wind = float(mean_wind(scenario, np.array([-centre[2]]))[0])
