@@ -187,7 +187,10 @@ def test_a_mission_for_a_vehicle_that_takes_none_is_denied(team):
 
 
 def test_the_hexacopter_is_flown(team):
-    team.command(5, 400, 1.0)
+    # Receivers are to have had fixes for some seconds.
+    for _ in range(round(12.0 / team.world.simulation.world.time_step)):
+        team.world.tick(0.0)
+    assert team.command(5, 400, 1.0)["COMMAND_ACK"].result == 0
     assert team.command(5, 22)["COMMAND_ACK"].result == 0
     team.run(400)
     assert team.world.simulation.truth.position_ned[4, 2] < -1.5
