@@ -66,6 +66,7 @@ OTHERS = {
     "task_plume_mapping.png": "make pictures",
     "task_search_and_rescue.png": "make pictures",
     "training.png": "make evidence training",
+    "betaflight_identified.png": "make evidence betaflight",
     "estimator_nees.png": "make evidence estimator",
     "gnss_allan.png": "make evidence gnss",
     "gnss_canyon.png": "make evidence canyon",
