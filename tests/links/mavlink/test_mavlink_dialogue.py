@@ -14,7 +14,8 @@ from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.frames import Frame, Reader, frame
 from qrsim.links.mavlink.link import Link
-from qrsim.links.mavlink.stack.contracts import Facts, Seen, Severity, Text
+from qrsim.links.mavlink.stack.codes import Severity
+from qrsim.links.mavlink.stack.contracts import Facts, Seen, Text
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.streams import GROUND, ONBOARD, Streams
 from qrsim.links.mavlink.system import System

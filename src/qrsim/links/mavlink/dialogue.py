@@ -12,17 +12,8 @@ from qrsim.links.mavlink import table
 from qrsim.links.mavlink.dialect import BY_NUMBER, LAYOUTS, Message
 from qrsim.links.mavlink.frames import Frame
 from qrsim.links.mavlink.link import COMPONENT, Link
-from qrsim.links.mavlink.stack.contracts import (
-    Ack,
-    AttitudeTarget,
-    Command,
-    GlobalTarget,
-    LocalTarget,
-    Result,
-    Severity,
-    Target,
-    Text,
-)
+from qrsim.links.mavlink.stack.codes import Result, Severity
+from qrsim.links.mavlink.stack.contracts import Ack, AttitudeTarget, Command, GlobalTarget, LocalTarget, Target, Text
 from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.telemetry import ENCODERS, sendable
 

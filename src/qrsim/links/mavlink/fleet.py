@@ -14,15 +14,8 @@ from qrsim.control.cascade import CascadeController
 from qrsim.control.rover import RoverController
 from qrsim.control.setpoints import SETPOINTS
 from qrsim.errors import ScenarioError, UsageError
-from qrsim.links.mavlink.stack.contracts import (
-    FIXED_WING,
-    GROUND_ROVER,
-    HEXAROTOR,
-    NEEDED,
-    OCTOROTOR,
-    QUADROTOR,
-    Facts,
-)
+from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER, HEXAROTOR, OCTOROTOR, QUADROTOR
+from qrsim.links.mavlink.stack.contracts import NEEDED, Facts
 from qrsim.links.shared.kinds import kinds_of
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.vehicles.contracts import Vehicle

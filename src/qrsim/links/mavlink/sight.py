@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from qrsim.control.kalman_state import KalmanState
-from qrsim.links.mavlink.stack.contracts import Seen, Sensor
+from qrsim.links.mavlink.stack.codes import Sensor
+from qrsim.links.mavlink.stack.contracts import Seen
 from qrsim.models.gnss.receivers import GnssReading
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet

@@ -8,7 +8,8 @@ from typing import Any
 
 from qrsim.links.mavlink import sight as s
 from qrsim.links.mavlink.dialect import LAYOUTS
-from qrsim.links.mavlink.stack.contracts import NAN, Sensor
+from qrsim.links.mavlink.stack.codes import Sensor
+from qrsim.links.mavlink.stack.contracts import NAN
 from qrsim.links.mavlink.targets import (
     attitude_target,
     gps_global_origin,

@@ -10,7 +10,8 @@ from typing import Any
 
 from qrsim.links.mavlink.dialect import Message
 from qrsim.links.mavlink.link import Link
-from qrsim.links.mavlink.stack.contracts import UNSET_INT, Item, PlanKind, PlanResult, Stack
+from qrsim.links.mavlink.stack.codes import UNSET_INT, PlanKind, PlanResult
+from qrsim.links.mavlink.stack.contracts import Item, Stack
 
 # An item that does not come is asked for again after so long [s, wall clock], so many times.
 ASK_AGAIN_S, MOST_ASKS = 0.25, 10

@@ -14,7 +14,8 @@ from qrsim.interface.arrays import quaternion_of
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.fleet import systems_of
 from qrsim.links.mavlink.sight import Sight
-from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Severity, Stack, Text
+from qrsim.links.mavlink.stack.codes import Severity
+from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Stack, Text
 from qrsim.links.mavlink.system import System
 from qrsim.links.shared.latches import Latches
 from qrsim.models.site import Site

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from puppet import DT, Puppet, item
 
-from qrsim.links.mavlink.stack.contracts import PlanKind
+from qrsim.links.mavlink.stack.codes import PlanKind
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.stack.offboard import LocalTarget
 from qrsim.links.mavlink.stack.parameters import INT32, REAL32, TABLE, Outcome, Parameters

@@ -7,7 +7,8 @@ import math
 import pytest
 from puppet import DT, EAST_DEG, NORTH_DEG, Puppet, command, item
 
-from qrsim.links.mavlink.stack.contracts import NAN, Landed, PlanKind, Result
+from qrsim.links.mavlink.stack.codes import Landed, PlanKind, Result
+from qrsim.links.mavlink.stack.contracts import NAN
 from qrsim.links.mavlink.stack.modes import Mode
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3

@@ -8,17 +8,8 @@ from typing import Any
 
 from puppet import Puppet, item
 
-from qrsim.links.mavlink.stack.contracts import (
-    NAN,
-    Ack,
-    AttitudeTarget,
-    Command,
-    GlobalTarget,
-    Item,
-    LocalTarget,
-    PlanKind,
-    Result,
-)
+from qrsim.links.mavlink.stack.codes import PlanKind, Result
+from qrsim.links.mavlink.stack.contracts import NAN, Ack, AttitudeTarget, Command, GlobalTarget, Item, LocalTarget
 
 ODD = (
     NAN,

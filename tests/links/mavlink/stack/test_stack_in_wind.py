@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import qrsim
-from qrsim.links.mavlink.stack.contracts import NAN, Command, Facts, Item, MissionState, PlanKind, PlanResult, Seen
+from qrsim.links.mavlink.stack.codes import MissionState, PlanKind, PlanResult
+from qrsim.links.mavlink.stack.contracts import NAN, Command, Facts, Item, Seen
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.shared.latches import Latches

@@ -8,7 +8,8 @@ import pytest
 from puppet import DT, NORTH_DEG, Puppet, item
 
 from qrsim.links.mavlink.stack import failsafes
-from qrsim.links.mavlink.stack.contracts import NAN, LocalTarget, PlanKind
+from qrsim.links.mavlink.stack.codes import PlanKind
+from qrsim.links.mavlink.stack.contracts import NAN, LocalTarget
 from qrsim.links.mavlink.stack.landing import Descent, Touchdown
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.stack.path import Path, approach, braking_way

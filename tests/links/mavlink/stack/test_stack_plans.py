@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from puppet import EAST_DEG, NORTH_DEG, SITE, Puppet, item, place
 
-from qrsim.links.mavlink.stack.contracts import NAN, Landed, MissionState, PlanKind, PlanResult
+from qrsim.links.mavlink.stack.codes import Landed, MissionState, PlanKind, PlanResult
+from qrsim.links.mavlink.stack.contracts import NAN
 from qrsim.links.mavlink.stack.fence import Fence, in_polygon
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.modes import Mode

@@ -7,7 +7,8 @@ import math
 import pytest
 from puppet import DT, EAST_DEG, NORTH_DEG, Puppet
 
-from qrsim.links.mavlink.stack.contracts import NAN, AttitudeTarget, GlobalTarget, Landed, LocalTarget
+from qrsim.links.mavlink.stack.codes import Landed
+from qrsim.links.mavlink.stack.contracts import NAN, AttitudeTarget, GlobalTarget, LocalTarget
 from qrsim.links.mavlink.stack.modes import Mode
 
 OFFBOARD = 0x00060000

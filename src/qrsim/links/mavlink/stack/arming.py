@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from qrsim.links.mavlink.stack.contracts import Sensor
+from qrsim.links.mavlink.stack.codes import Sensor
 from qrsim.links.mavlink.stack.craft import Craft
 
 # A fix has to hold for so long [s].

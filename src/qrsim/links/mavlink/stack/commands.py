@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from qrsim.links.mavlink.stack.contracts import Command, Home, Result, Severity, Triple
+from qrsim.links.mavlink.stack.codes import Result, Severity
+from qrsim.links.mavlink.stack.contracts import Command, Home, Triple
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, RELATIVE
 from qrsim.links.mavlink.stack.flight import Flight
 from qrsim.links.mavlink.stack.mission import change_speed

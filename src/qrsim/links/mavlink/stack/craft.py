@@ -6,7 +6,8 @@ import math
 from dataclasses import replace
 
 from qrsim.links.contracts import Order
-from qrsim.links.mavlink.stack.contracts import Event, Facts, Home, Landed, Seen, Severity, Text, Triple
+from qrsim.links.mavlink.stack.codes import Landed, Severity
+from qrsim.links.mavlink.stack.contracts import Event, Facts, Home, Seen, Text, Triple
 from qrsim.links.mavlink.stack.fence import Fence
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.parameters import Parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from qrsim.links.mavlink.stack.contracts import Severity
+from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.stack.offboard import Offboard

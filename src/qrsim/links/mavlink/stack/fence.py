@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from qrsim.links.mavlink.stack.contracts import Item, PlanResult, Triple
+from qrsim.links.mavlink.stack.codes import PlanResult
+from qrsim.links.mavlink.stack.contracts import Item, Triple
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 
 RETURN_POINT, INCLUSION, EXCLUSION, CIRCLE_INCLUSION, CIRCLE_EXCLUSION = 5000, 5001, 5002, 5003, 5004

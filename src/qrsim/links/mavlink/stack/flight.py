@@ -5,17 +5,8 @@ from __future__ import annotations
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import failsafes as grave
 from qrsim.links.mavlink.stack.arming import ArmingChecks
-from qrsim.links.mavlink.stack.contracts import (
-    Facts,
-    FlavourName,
-    Item,
-    Landed,
-    MissionState,
-    Result,
-    Seen,
-    Severity,
-    Triple,
-)
+from qrsim.links.mavlink.stack.codes import Landed, MissionState, Result, Severity
+from qrsim.links.mavlink.stack.contracts import Facts, FlavourName, Item, Seen, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.failsafes import Failsafes
 from qrsim.links.mavlink.stack.geodesy import Geodesy

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from qrsim.links.mavlink.stack.codes import PlanKind, PlanResult, Result, Sensor, Severity
 from qrsim.links.mavlink.stack.commands import obey
 from qrsim.links.mavlink.stack.contracts import (
     Ack,
@@ -16,11 +17,6 @@ from qrsim.links.mavlink.stack.contracts import (
     Home,
     Item,
     MissionStatus,
-    PlanKind,
-    PlanResult,
-    Result,
-    Sensor,
-    Severity,
     Target,
     Text,
     Triple,

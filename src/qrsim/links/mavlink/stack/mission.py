@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import plan
-from qrsim.links.mavlink.stack.contracts import Item, MissionState, MissionStatus, PlanResult, Severity, Triple
+from qrsim.links.mavlink.stack.codes import MissionState, PlanResult, Severity
+from qrsim.links.mavlink.stack.contracts import Item, MissionStatus, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.landing import Descent
 

@@ -5,15 +5,8 @@ from __future__ import annotations
 import math
 
 from qrsim.links.contracts import Order
-from qrsim.links.mavlink.stack.contracts import (
-    NAN,
-    AttitudeTarget,
-    GlobalTarget,
-    LocalTarget,
-    Severity,
-    Target,
-    Triple,
-)
+from qrsim.links.mavlink.stack.codes import Severity
+from qrsim.links.mavlink.stack.contracts import NAN, AttitudeTarget, GlobalTarget, LocalTarget, Target, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, RELATIVE
 from qrsim.links.mavlink.stack.landing import IDLE_AFTER, LANDED_AFTER, Touchdown

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from qrsim.links.contracts import Order
+from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER, Landed, PlanKind, PlanResult, Result, Severity
 from qrsim.links.mavlink.stack.commands import KNOWN
 from qrsim.links.mavlink.stack.contracts import (
-    FIXED_WING,
-    GROUND_ROVER,
     NEEDED,
     Ack,
     Command,
@@ -16,12 +15,7 @@ from qrsim.links.mavlink.stack.contracts import (
     FlavourName,
     Heartbeat,
     Item,
-    Landed,
-    PlanKind,
-    PlanResult,
-    Result,
     Seen,
-    Severity,
     Stack,
     Target,
 )

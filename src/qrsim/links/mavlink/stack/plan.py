@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from qrsim.links.mavlink.stack.contracts import UNSET_INT, Item, PlanResult, Triple
+from qrsim.links.mavlink.stack.codes import UNSET_INT, PlanResult
+from qrsim.links.mavlink.stack.contracts import Item, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.fence import AMSL, GLOBAL, MOST_ITEMS, RELATIVE, bad_place
 

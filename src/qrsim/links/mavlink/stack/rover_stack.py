@@ -7,19 +7,8 @@ from collections.abc import Sequence
 
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import plan
-from qrsim.links.mavlink.stack.contracts import (
-    Ack,
-    Command,
-    Facts,
-    FlavourName,
-    Item,
-    PlanResult,
-    Result,
-    Seen,
-    Severity,
-    Target,
-    Triple,
-)
+from qrsim.links.mavlink.stack.codes import PlanResult, Result, Severity
+from qrsim.links.mavlink.stack.contracts import Ack, Command, Facts, FlavourName, Item, Seen, Target, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.stack.mission import Mission
