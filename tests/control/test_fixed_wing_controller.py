@@ -196,6 +196,28 @@ def test_the_circle_round_a_waypoint_is_one_that_it_can_fly() -> None:
     assert qrsim.load_scenario(source).name == "x"
 
 
+def test_a_route_goes_on_from_the_circle_round_a_place() -> None:
+    """Two places 400 m apart, at 25 m/s, with circles of 150 m: a waypoint counts within 3 m of its circle."""
+    places = [[300.0, 0.0, -100.0], [300.0, 400.0, -100.0]]
+    vehicles = [{"position_ned": [0.0, 0.0, -100.0], "waypoints_ned": places}]
+    simulation = qrsim.load(scenario(guidance={"type": "route"}, vehicles=vehicles))
+    simulation.reset()
+    reached, nearest = [], [9e9, 9e9]
+    for _ in range(60):
+        for _ in range(50):
+            simulation.step()
+        reached.append(int(np.asarray(simulation.state.fleets[0].guidance.reached)[0]))
+        here = simulation.truth.position_ned[0]
+        nearest = [min(near, float(np.hypot(*(here - place)[:2]))) for near, place in zip(nearest, places, strict=True)]
+    # 300 m less 153 m at 25 m/s are 6 s; from there the other circle is 275 m away, 11 s and a turn.
+    assert reached[4] == 0
+    assert reached[7] == 1
+    assert reached[15] == 1
+    assert reached[25] == 2
+    assert reached[-1] >= 4
+    assert max(nearest) < 160.0
+
+
 def test_faults_of_a_scenario_are_said_in_a_line() -> None:
     wind = {"type": "log_shear", "speed_20ft": 6.0, "wind_from_deg": 270.0}
     slow = [{"position_ned": [0.0, 0.0, -100.0], "velocity_body": [8.0, 0.0, 0.0]}]

@@ -10,6 +10,8 @@ import numpy as np
 from pydantic import BaseModel
 
 from qrsim.control import Route
+from qrsim.control.fixed_wing import FixedWingController
+from qrsim.control.guidance import RouteFollower
 from qrsim.core.tree import cast, field_info, replace
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
@@ -172,16 +174,26 @@ def ground_if_any(scenario: ScenarioSpec) -> Any:
         return None
 
 
+def _guidance(spec: FleetSpec, scenario: ScenarioSpec, controller: Any) -> Any:
+    guidance = component(spec.guidance, known.GUIDANCE, scenario)
+    if isinstance(guidance, RouteFollower) and isinstance(controller, FixedWingController):
+        # Who goes round a place has reached it on the circle, and never comes nearer.
+        reach = guidance.acceptance_radius + np.abs(np.asarray(controller.loiter_radius))
+        return replace(guidance, acceptance_radius=reach)
+    return guidance
+
+
 def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> Fleet:
     vehicle = component(spec.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
     built = [component(sensor, known.SENSORS, scenario) for sensor in spec.sensors.values()]
     built = [at_site(of_vehicles(sensor, name, spec, scenario), scenario, vehicle) for sensor in built]
     built = [with_beacons(sensor, scenario) for sensor in built]
     sensors, fittings = fitted(spec, built)
+    controller = component(spec.controller, known.CONTROLLERS, scenario).fitted(vehicle)
     return Fleet(
         vehicle=vehicle,
-        controller=component(spec.controller, known.CONTROLLERS, scenario).fitted(vehicle),
-        guidance=component(spec.guidance, known.GUIDANCE, scenario),
+        controller=controller,
+        guidance=_guidance(spec, scenario, controller),
         route=mission(spec, ground) if spec.guidance.type == MISSION else _route(spec),
         start=_start(spec),
         limits=component(spec.limits, StateLimits, scenario),
