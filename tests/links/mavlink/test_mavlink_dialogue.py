@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from qrsim.links.contracts import Order
-from qrsim.links.mavlink import sight
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.frames import Frame, Reader, frame
@@ -19,6 +18,7 @@ from qrsim.links.mavlink.stack.contracts import Facts, Seen, Text
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.streams import GROUND, ONBOARD, Streams
 from qrsim.links.mavlink.system import System
+from qrsim.links.shared import sight
 from qrsim.models.site import Site
 
 DT = 0.02

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from qrsim.links.mavlink import sight as s
 from qrsim.links.mavlink.dialect import LAYOUTS
 from qrsim.links.mavlink.stack.codes import Sensor
 from qrsim.links.mavlink.stack.contracts import NAN
@@ -18,6 +17,7 @@ from qrsim.links.mavlink.targets import (
     protocol_version,
 )
 from qrsim.links.mavlink.view import View
+from qrsim.links.shared import sight as s
 
 # MAVLink 2.
 PROTOCOL = 3

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 
 from qrsim.links.contracts import Order
-from qrsim.links.mavlink import sight as s
 from qrsim.links.mavlink.stack.contracts import NAN, Seen, Stack
+from qrsim.links.shared import sight as s
 
 
 class View:
     """What the messages of one vehicle are made of, at a tick.
 
     Attributes:
-        numbers: of it (``sight.Sight``), of which ``row`` makes a list when a message needs them.
+        numbers: of it (``shared.sight``), of which ``row`` makes a list when a message needs them.
         seen: what its stack sees.
         stack: its flight stack.
         order: what it flies by.

@@ -13,7 +13,7 @@ from qrsim.errors import UsageError
 from qrsim.interface.arrays import quaternion_of
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.fleet import systems_of
-from qrsim.links.mavlink.sight import Sight
+from qrsim.links.mavlink.sight import StackSight
 from qrsim.links.mavlink.stack.codes import Severity
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts, Stack, Text
 from qrsim.links.mavlink.system import System
@@ -73,7 +73,7 @@ class FlownWorld:
             self.systems.append(System(stack, facts.name, facts.system, unix, log))
             self._rows.append(row)
         self._warm()
-        self._sight = Sight(self.simulation)
+        self._sight = StackSight(self.simulation)
         self._busy = 0.0
         self._command()
 
@@ -99,7 +99,7 @@ class FlownWorld:
     def _command(self) -> None:
         """Let each stack see what its vehicle sees now, and latch what it orders."""
         sight = self._sight
-        seen = sight.look()
+        seen = sight.see()
         load = int(min(1000.0, 1e3 * self._busy))
         true = self._true_states() if self._truth else None
         for row, system in zip(self._rows, self.systems, strict=True):

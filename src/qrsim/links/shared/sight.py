@@ -1,0 +1,218 @@
+"""What all vehicles of a world know of themselves at a tick: estimates and readings, as plain numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from qrsim.control.kalman_state import KalmanState
+from qrsim.models.gnss.receivers import GnssReading
+from qrsim.simulation.simulation import Simulation
+from qrsim.world.state import Fleet
+
+Array = np.ndarray[Any, Any]
+# Columns of ``Sight.rows``. Vectors are NED or body axes, x y z, in SI units.
+POSITION, VELOCITY, ATTITUDE, RATES, FORCE, FIELD = 0, 3, 6, 9, 12, 15
+FIX_POSITION, FIX_VELOCITY = 18, 21
+HEIGHT, PRESSURE, TEMPERATURE, DIFFERENTIAL, AIRSPEED, RANGE = 24, 25, 26, 27, 28, 29
+SATELLITES, FIX_TYPE, HORIZONTAL, VERTICAL, SPEED = 30, 31, 32, 33, 34
+CHARGE, WIND_NORTH, WIND_EAST, STD_POSITION, STD_VELOCITY, STD_ATTITUDE = 35, 36, 37, 38, 41, 44
+HDOP, VDOP = 47, 48
+# What follows is computed: latitude, longitude [deg] and height [m] of the estimate, its quaternion, the same place of
+# the fix, and the voltage of the battery [V].
+PLACE, QUATERNION, FIX_PLACE, VOLTAGE = 49, 52, 56, 59
+WIDTH = 60
+# Where the fields of readings go; the first sensor that has a field counts.
+_VECTORS = {"rates_body": RATES, "specific_force": FORCE, "field_body": FIELD}
+_FIX_VECTORS = {"position_ned": FIX_POSITION, "velocity_ned": FIX_VELOCITY}
+_SCALARS = {
+    "height": HEIGHT, "pressure": PRESSURE, "temperature": TEMPERATURE, "differential_pressure": DIFFERENTIAL,
+    "true_airspeed": AIRSPEED, "range": RANGE,
+}  # fmt: skip
+_FIX_SCALARS = {
+    "satellites": SATELLITES, "fix_type": FIX_TYPE, "horizontal_accuracy": HORIZONTAL, "vertical_accuracy": VERTICAL,
+    "speed_accuracy": SPEED, "hdop": HDOP, "vdop": VDOP,
+}  # fmt: skip
+# A voltage changes slowly, and takes longer to compute than all else [s].
+_VOLTAGE_EVERY_S = 0.5
+
+
+class Sight:
+    """Estimates and readings of the vehicles of a simulation.
+
+    Args:
+        simulation: reset.
+
+    Attributes:
+        values: (n, WIDTH) of each vehicle its numbers, by the columns above; NaN where nobody knows them.
+        codes: where the integers of the packed state say why each vehicle was stopped.
+        fresh: of each vehicle whether a fix has arrived at this tick.
+        fix_time: of each vehicle when its last fix was true [s].
+    """
+
+    def __init__(self, simulation: Simulation):
+        self._simulation = simulation
+        self.values: Array = np.full((simulation.size, WIDTH), math.nan)
+        layout, _ = simulation.packed
+        numbers = layout.numbers()
+        sources, targets, codes, self._receivers = [], [], [], []
+        # Of each fleet the number of the sensor that a column is of.
+        self._sensors: list[dict[int, int]] = []
+        first = 0
+        for fleet, state in zip(simulation.world.fleets, numbers.fleets, strict=True):
+            rows = np.arange(first, first + fleet.size)
+            own: dict[int, int] = {}
+            for column, leaf, number in _leaves(fleet, state):
+                if number is not None:
+                    own[column] = number
+                if layout.is_float[leaf]:
+                    sources.append(np.arange(layout.slices[leaf].start, layout.slices[leaf].stop))
+                    targets.append(rows * WIDTH + column)
+            code = layout.slices[state.violation.code]
+            codes.append(np.arange(code.start, code.stop))
+            self._receivers.append(_receiver(fleet))
+            self._sensors.append(own)
+            first += fleet.size
+        self._sources, self._targets = np.concatenate(sources), np.concatenate(targets)
+        self.codes = np.concatenate(codes)
+        typed, placed = (self._has(column) for column in (FIX_TYPE, FIX_POSITION))
+        self._plain = placed & ~typed
+        self._voltage_at = -math.inf
+        self.look()
+
+    def _has(self, column: int) -> Array:
+        """Return which vehicles (n,) have a number of the packed state in a column."""
+        found = np.zeros(len(self.values), bool)
+        found[self._targets[self._targets % WIDTH == column] // WIDTH] = True
+        return found
+
+    def look(self) -> None:
+        """Read the present state."""
+        simulation, values = self._simulation, self.values
+        floats, _ = (np.asarray(part) for part in simulation.packed[1])
+        values.reshape(-1)[self._targets] = floats[self._sources]
+        self._compute()
+        self._look_for_fixes()
+        if simulation.time - self._voltage_at >= _VOLTAGE_EVERY_S or simulation.time < self._voltage_at:
+            self._voltage_at = simulation.time
+            self._measure_voltage()
+
+    def _compute(self) -> None:
+        values, size = self.values, len(self.values)
+        both = values[:, [0, 1, 2, FIX_POSITION, FIX_POSITION + 1, FIX_POSITION + 2]].reshape(-1, 3)
+        latitude, longitude, height = self._simulation.site.ned_to_geodetic(both)
+        places = np.stack([np.degrees(latitude), np.degrees(longitude), height], axis=1).reshape(size, 6)
+        values[:, PLACE : PLACE + 3], values[:, FIX_PLACE : FIX_PLACE + 3] = places[:, :3], places[:, 3:]
+        half = 0.5 * values[:, ATTITUDE : ATTITUDE + 3].T
+        (sr, sp, sy), (cr, cp, cy) = np.sin(half), np.cos(half)
+        quaternion = values[:, QUATERNION : QUATERNION + 4]
+        quaternion[:, 0] = cr * cp * cy + sr * sp * sy
+        quaternion[:, 1] = sr * cp * cy - cr * sp * sy
+        quaternion[:, 2] = cr * sp * cy + sr * cp * sy
+        quaternion[:, 3] = cr * cp * sy - sr * sp * cy
+        # A receiver that gives no type has a fix in three dimensions, or none.
+        plain = self._plain
+        if plain.any():
+            values[plain, FIX_TYPE] = np.where(np.isfinite(values[plain, FIX_POSITION]), 3.0, 0.0)
+
+    def _look_for_fixes(self) -> None:
+        """Find whose fix has arrived at this tick, and when it was true."""
+        self.fresh: list[bool] = []
+        self.fix_time: list[float] = []
+        for fleet, number in zip(self._simulation.world.fleets, self._receivers, strict=True):
+            fresh, times = self._delivery(fleet, number)
+            self.fresh += fresh
+            self.fix_time += times
+
+    def news(self, column: int) -> tuple[list[bool], list[float]]:
+        """Return of each vehicle whether a column's sensor has delivered at this tick, and when that was true [s]."""
+        fresh: list[bool] = []
+        times: list[float] = []
+        for fleet, own in zip(self._simulation.world.fleets, self._sensors, strict=True):
+            delivered, true = self._delivery(fleet, own.get(column))
+            fresh += delivered
+            times += true
+        return fresh, times
+
+    def _delivery(self, fleet: Fleet, number: int | None) -> tuple[list[bool], list[float]]:
+        simulation = self._simulation
+        if number is None:
+            return [False] * fleet.size, [0.0] * fleet.size
+        fitting = fleet.fitting(number)
+        if fitting is not None and fitting.is_late:
+            reading = getattr(simulation.reading[fleet.name], fleet.sensor_names[number])
+            return np.asarray(reading.fresh).tolist(), np.asarray(reading.time_of_reading).tolist()
+        tick: Any = simulation.tick
+        dt, sensor = simulation.world.time_step, fleet.sensors[number]
+        time = float(sensor.time_of_reading(tick, dt)) * dt
+        return [bool(sensor.fresh(tick, dt))] * fleet.size, [time] * fleet.size
+
+    def sensor(self, fleet: int, column: int) -> Any:
+        """Return the sensor of a fleet, by its number, that a column is of; None where there is none."""
+        number = self._sensors[fleet].get(column)
+        return None if number is None else self._simulation.world.fleets[fleet].sensors[number]
+
+    def _measure_voltage(self) -> None:
+        first = 0
+        for fleet, state in zip(self._simulation.world.fleets, self._simulation.state.fleets, strict=True):
+            if fleet.battery.drains:
+                with self._simulation.precision_context():
+                    voltage = fleet.battery.voltage(state.battery, fleet.vehicle.load(state.vehicle))
+                self.values[first : first + fleet.size, VOLTAGE] = np.asarray(voltage)
+            first += fleet.size
+
+
+def _leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any, int | None]]:
+    """Yield the column and the leaf of all that is known of the vehicles of a fleet, and whose reading it is."""
+    for column, leaf in _known(fleet, state):
+        yield column, leaf, None
+    taken: set[int] = set()
+    for number, reading in enumerate(state.readings):
+        for column, leaf in list(_of_reading(reading)):
+            if column not in taken:
+                taken.add(column)
+                yield column, leaf, number
+
+
+def _known(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
+    """Yield the column and the leaf of what no sensor reads."""
+    own = state.belief is not None and fleet.controller.feed != "truth"
+    estimate = state.belief.estimate if own else state.estimate
+    yield from _axes(POSITION, estimate.position_ned)
+    yield from _axes(VELOCITY, estimate.velocity_ned)
+    yield from _angles(ATTITUDE, estimate.attitude)
+    if own and state.belief.std is not None:
+        yield from _axes(STD_POSITION, state.belief.std.position_ned)
+        yield from _axes(STD_VELOCITY, state.belief.std.velocity_ned)
+        yield from _angles(STD_ATTITUDE, state.belief.std.attitude)
+    if own and isinstance(state.belief.memory, KalmanState) and state.belief.memory.inner.wind_north is not None:
+        inner = state.belief.memory.inner
+        yield from zip((WIND_NORTH, WIND_EAST), (inner.wind_north, inner.wind_east), strict=True)
+    if fleet.battery.drains:
+        yield CHARGE, state.battery.charge
+
+
+def _of_reading(reading: Any) -> Iterator[tuple[int, Any]]:
+    fix = isinstance(reading, GnssReading)
+    vectors, scalars = (_FIX_VECTORS, _FIX_SCALARS) if fix else (_VECTORS, _SCALARS)
+    for name, value in vars(reading).items():
+        if name in vectors:
+            yield from _axes(vectors[name], value)
+        elif name in scalars and isinstance(value, int):
+            yield scalars[name], value
+
+
+def _axes(column: int, vector: Any) -> Iterator[tuple[int, Any]]:
+    return zip(range(column, column + 3), (vector.x, vector.y, vector.z), strict=True)
+
+
+def _angles(column: int, angles: Any) -> Iterator[tuple[int, Any]]:
+    return zip(range(column, column + 3), (angles.roll, angles.pitch, angles.yaw), strict=True)
+
+
+def _receiver(fleet: Fleet) -> int | None:
+    """Return the number of the GNSS receiver among a fleet's sensors."""
+    return next((number for number, sensor in enumerate(fleet.sensors) if "gnss" in type(sensor).__module__), None)
