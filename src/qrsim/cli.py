@@ -36,6 +36,7 @@ from qrsim.apps.mavlink import Mavlink
 from qrsim.apps.openloop.command import OpenLoop
 from qrsim.apps.plot import Plot
 from qrsim.apps.replay import Replay
+from qrsim.apps.ros2 import Ros2
 from qrsim.apps.run.command import Run
 from qrsim.apps.run.page import completed
 from qrsim.apps.scenario import List, Schema, Show
@@ -127,6 +128,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "discover": Discover,
     "serve": Serve,
     "mavlink": Mavlink,
+    "ros2": Ros2,
     "autopilot": AUTOPILOT,
     "replay": Replay,
     "slam": SlamCommand,

@@ -41,13 +41,16 @@ class Template:
     def putter(self, *paths: str) -> Put:
         """Return a function that puts numbers at paths, one argument for each, and for each element of an array.
 
+        Args:
+            paths: such as "pose.covariance", or "pose.covariance[7]" for one element.
+
         Raises:
             KeyError: the message has no number there.
         """
         runs: list[tuple[int, str]] = []
         end = -1
         for path in paths:
-            offset, code, count = self.places[path]
+            offset, code, count = self._place_of(path)
             gap = offset - end
             if runs and 0 <= gap < 8 and not any(at in self._taken for at in range(end, offset)):
                 runs[-1] = (runs[-1][0], f"{runs[-1][1]}{'x' * gap}{count}{code}")
@@ -55,6 +58,16 @@ class Template:
                 runs.append((offset, f"<{count}{code}"))
             end = offset + count * struct.calcsize(f"<{code}")
         return _put_at(self.cdr, runs)
+
+    def _place_of(self, path: str) -> tuple[int, str, int]:
+        if path in self.places:
+            return self.places[path]
+        array, _, rest = path.partition("[")
+        offset, code, count = self.places[array]
+        number = int(rest.rstrip("]"))
+        if not 0 <= number < count:
+            raise KeyError(path)
+        return offset + number * struct.calcsize(f"<{code}"), code, 1
 
     def _walk(self, prefix: str, name: str, message: Any, at: int) -> int:
         """Find the places of a message that begins at an offset of the body, and return where it ends."""

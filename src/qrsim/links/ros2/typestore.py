@@ -22,16 +22,6 @@ _PRIMITIVES: dict[str, Any] = {
 }  # fmt: skip
 
 
-class Sample:
-    """A message as it is on the wire.
-
-    Attributes:
-        cdr: XCDR1, with its header of 4 bytes.
-    """
-
-    cdr: bytes
-
-
 class Types:
     """The message types of a distribution.
 
@@ -78,14 +68,14 @@ class Types:
         return found
 
     def sample(self, name: str) -> Any:
-        """Return the DDS type of a message: a class whose instances are ``Sample``.
+        """Return the DDS type of a message: a class whose instances have ``cdr``, XCDR1 bytes.
 
         The library would turn a message into an object of its own field by field; qrsim hands it bytes.
         """
         if name not in self._samples:
             made = self._struct(name, alone=True)
-            made.serialize = lambda self, *args, **options: self.cdr
-            made.deserialize = classmethod(_received)
+            made.serialize = _bytes_of
+            made.deserialize = classmethod(packed)
             self._samples[name] = made
         return self._samples[name]
 
@@ -114,12 +104,13 @@ class Types:
         return idl.sequence[self._type(element), count] if count else idl.sequence[self._type(element)]
 
 
-def _received(kind: Any, data: bytes, *args: Any, **options: Any) -> Any:
-    return packed(kind, data)
+def _bytes_of(sample: Any, *args: Any, **options: Any) -> bytes:
+    cdr: bytes = sample.cdr
+    return cdr
 
 
-def packed(kind: Any, cdr: bytes) -> Any:
-    """Return a sample of a DDS type (``Types.sample``)."""
+def packed(kind: Any, cdr: bytes, *args: Any, **options: Any) -> Any:
+    """Return a sample of a DDS type (``Types.sample``), as the library makes one of what it has received."""
     sample = object.__new__(kind)
     sample.cdr = cdr
     return sample

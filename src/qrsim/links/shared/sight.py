@@ -48,6 +48,7 @@ class Sight:
 
     Attributes:
         values: (n, WIDTH) of each vehicle its numbers, by the columns above; NaN where nobody knows them.
+        behind: of each vehicle how old its estimate is [s]: of the last tick where its controller has no estimator.
         codes: where the integers of the packed state say why each vehicle was stopped.
         fresh: of each vehicle whether a fix has arrived at this tick.
         fix_time: of each vehicle when its last fix was true [s].
@@ -61,6 +62,7 @@ class Sight:
         sources, targets, codes, self._receivers = [], [], [], []
         # Of each fleet the number of the sensor that a column is of.
         self._sensors: list[dict[int, int]] = []
+        self.behind: list[float] = []
         first = 0
         for fleet, state in zip(simulation.world.fleets, numbers.fleets, strict=True):
             rows = np.arange(first, first + fleet.size)
@@ -75,6 +77,7 @@ class Sight:
             codes.append(np.arange(code.start, code.stop))
             self._receivers.append(_receiver(fleet))
             self._sensors.append(own)
+            self.behind += [0.0 if _believes(fleet, state) else simulation.world.time_step] * fleet.size
             first += fleet.size
         self._sources, self._targets = np.concatenate(sources), np.concatenate(targets)
         self.codes = np.concatenate(codes)
@@ -82,6 +85,10 @@ class Sight:
         self._plain = placed & ~typed
         self._voltage_at = -math.inf
         self.look()
+
+    def has(self, column: int, row: int) -> bool:
+        """Return whether a vehicle has a number in a column."""
+        return bool(self._has(column)[row])
 
     def _has(self, column: int) -> Array:
         """Return which vehicles (n,) have a number of the packed state in a column."""
@@ -177,9 +184,14 @@ def _leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any, int | None]]:
                 yield column, leaf, number
 
 
+def _believes(fleet: Fleet, state: Any) -> bool:
+    """Return whether the controllers of a fleet fly by an estimator."""
+    return state.belief is not None and fleet.controller.feed != "truth"
+
+
 def _known(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
     """Yield the column and the leaf of what no sensor reads."""
-    own = state.belief is not None and fleet.controller.feed != "truth"
+    own = _believes(fleet, state)
     estimate = state.belief.estimate if own else state.estimate
     yield from _axes(POSITION, estimate.position_ned)
     yield from _axes(VELOCITY, estimate.velocity_ned)

@@ -1,0 +1,29 @@
+"""Messages with nothing in them, and with what stays the same for a vehicle."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+
+from qrsim.links.ros2.typestore import Types
+
+
+def empty(types: Types, name: str) -> Any:
+    """Return a message of a type: numbers 0, texts and sequences empty."""
+    return types[name](**{field: _nothing(types, description) for field, description in types.fields(name)})
+
+
+def _nothing(types: Types, description: Any) -> Any:
+    kind, content = description
+    if kind == Nodetype.NAME:
+        return empty(types, content)
+    if kind == Nodetype.BASE:
+        return {"string": "", "bool": False}.get(content[0], 0.0 if "float" in content[0] else 0)
+    (element, base), count = content
+    if kind == Nodetype.SEQUENCE:
+        count = 0
+    if element != Nodetype.BASE or base[0] == "string":
+        return [_nothing(types, (element, base)) for _ in range(count)]
+    return np.zeros(count, {"char": "uint8", "byte": "uint8"}.get(base[0], base[0]))

@@ -1,0 +1,37 @@
+"""Names in ROS of vehicles, topics and frames."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+MAP = "map"
+
+
+def namespaces(names: Sequence[str]) -> list[str]:
+    """Return a namespace for each vehicle: its name, with _ for what ROS does not allow, and none twice."""
+    found: list[str] = []
+    for name in names:
+        own = re.sub(r"__+", "_", re.sub(r"[^A-Za-z0-9_]", "_", name)) or "vehicle"
+        if not own[0].isalpha():
+            own = f"v{own}" if own[0].isdigit() else f"v{own.lstrip('_') and own}"
+        unique, number = own, 2
+        while unique in found:
+            unique, number = f"{own}_{number}", number + 1
+        found.append(unique)
+    return found
+
+
+def base_link(namespace: str) -> str:
+    """Return the frame of a vehicle: forward, left, up."""
+    return f"{namespace}/base_link"
+
+
+def gnss_link(namespace: str) -> str:
+    """Return the frame of its GNSS receiver."""
+    return f"{namespace}/gnss"
+
+
+def range_link(namespace: str) -> str:
+    """Return the frame of its rangefinder, whose x axis is the beam."""
+    return f"{namespace}/range"

@@ -1,0 +1,196 @@
+"""The server: the world ticks by the wall clock, reads what other nodes ask, and publishes what is new."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.links.pacing import Metronome, PaceReport
+from qrsim.links.ros2 import topics as t
+from qrsim.links.ros2.commands import topics_of, wish_of
+from qrsim.links.ros2.messages import Messages, text_message
+from qrsim.links.ros2.participant import Participant, Reader
+from qrsim.links.ros2.pilots import Pilots
+from qrsim.links.ros2.typestore import Types
+from qrsim.simulation.simulation import Simulation
+
+CONTROLS = ("pause", "resume", "reset", "step")
+MOST_STEPS = 1_000_000
+# While the world stands, others are listened to so often; its status is told so often [s] of the wall clock.
+LISTEN_EVERY_S, STATUS_EVERY_S = 0.01, 1.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a world is served.
+
+    Attributes:
+        domain: as ROS_DOMAIN_ID.
+        factor: simulated seconds per second of the wall clock.
+        truth: whether the truth is published too.
+        reliable: whether lost readings are sent again.
+        hold: silence [s] after which a vehicle holds its place.
+        paused: whether it begins standing.
+    """
+
+    domain: int = 0
+    factor: float = 1.0
+    truth: bool = False
+    reliable: bool = False
+    hold: float = 0.5
+    paused: bool = False
+
+
+class Server:
+    """A world as a node of ROS 2.
+
+    Args:
+        simulation: of the scenario.
+        types: of the distribution.
+        options: how it is served.
+        say: told one line of what happens.
+
+    Raises:
+        UsageError, RunError: see ``Participant``.
+    """
+
+    def __init__(self, simulation: Simulation, types: Types, options: Options, say: Callable[[str], None]):
+        self._types, self._options, self._say = types, options, say
+        self._participant = Participant(types, options.domain, resend=options.reliable)
+        self.simulation = simulation
+        simulation.reset()
+        self._pilots = Pilots(simulation, options.hold, options.factor, say)
+        self._warm()
+        self.messages = Messages(types, simulation, options.truth)
+        self._writers = [self._participant.writer(topic) for topic in self.messages.topics]
+        self._static = self._participant.writer(t.TF_STATIC)
+        self._status = self._participant.writer(t.STATUS)
+        self._control = self._participant.reader(t.CONTROL)
+        self._readers: list[tuple[int, str, Reader]] = []
+        for row, (name, space) in enumerate(zip(simulation.vehicle_names, self.messages.namespaces, strict=True)):
+            for own, topic in topics_of(space, self._pilots.latches.kinds(name)):
+                self._readers.append((row, own, self._participant.reader(topic)))
+        self._participant.announce()
+        self._static.write(self.messages.static)
+        self.paused, self._steps = options.paused, 0
+        self._told_status = -math.inf
+        self._pacer = self._started()
+
+    def _warm(self) -> None:
+        """Compile what is flown."""
+        self.simulation.advance(self._pilots.actions())
+        self.simulation.reset()
+        self._pilots.restart()
+
+    def _started(self) -> Metronome:
+        return Metronome(self._options.factor, self.simulation.time, self.simulation.world.time_step)
+
+    def serve(self, until: float = math.inf) -> None:
+        """Run until it is interrupted, or up to a simulated time [s]."""
+        self._pacer = self._started()
+        self.publish()
+        while self.simulation.time < until:
+            self.listen()
+            if self.paused and not self._steps:
+                self._tell_status()
+                time.sleep(LISTEN_EVERY_S)
+                continue
+            if not self.paused:
+                wait = self._pacer.until_s(self.simulation.time + self.simulation.world.time_step)
+                if wait > 0.0:
+                    time.sleep(wait)
+            self.tick()
+
+    def tick(self) -> None:
+        """Advance by one tick, and publish."""
+        self.simulation.advance(self._pilots.actions())
+        self._steps = max(0, self._steps - 1)
+        self.publish()
+        if not self.paused:
+            self._pacer.ended(self.simulation.time)
+        elif not self._steps:
+            self._told_status = -math.inf
+
+    def publish(self) -> None:
+        """Publish what is new at this tick."""
+        writers = self._writers
+        for topic, message in self.messages.due(self._pilots.modes):
+            writers[topic].write(message)
+        self._tell_status()
+
+    def listen(self) -> None:
+        """Take what others ask."""
+        for message in self._control.take():
+            self._obey(message.data)
+        for row, own, reader in self._readers:
+            for message in reader.take():
+                try:
+                    wish = wish_of(own, message)
+                except UsageError as error:
+                    self._pilots.refuse(row, str(error))
+                else:
+                    self._pilots.ask(row, wish)
+        for name, kind in self._participant.strangers():
+            self._say(f"{name}: another node writes it as {kind}, which is not read")
+
+    def _obey(self, text: str) -> None:
+        """Do what /qrsim/control says."""
+        try:
+            self._control_world(text.split())
+        except UsageError as error:
+            self._say(str(error))
+        self._told_status = -math.inf
+
+    def _control_world(self, words: list[str]) -> None:
+        what, rest = (words[0], words[1:]) if words else ("", [])
+        if what not in CONTROLS:
+            raise UsageError(
+                f"/qrsim/control '{what[:60]}': expected {', '.join(CONTROLS)}{did_you_mean(what[:60], CONTROLS)}"
+            )
+        if what == "reset":
+            self._reset(_integer("reset", rest, self.simulation.seed, 0, 2**63 - 1))
+        elif what == "step":
+            self.paused = True
+            self._steps = _integer("step", rest, 1, 1, MOST_STEPS)
+        else:
+            if rest:
+                raise UsageError(f"/qrsim/control {what}: '{rest[0][:60]}' is too much")
+            self.paused = what == "pause"
+            self._pacer = self._started()
+
+    def _reset(self, seed: int) -> None:
+        self.simulation.reset(seed)
+        self._pilots.restart()
+        self._steps = 0
+        self._pacer = self._started()
+        self.publish()
+
+    def _tell_status(self) -> None:
+        now = time.monotonic()
+        if now - self._told_status < STATUS_EVERY_S:
+            return
+        self._told_status = now
+        report, simulation = self._pacer.report(), self.simulation
+        status: dict[str, Any] = {
+            "time": simulation.time, "tick": simulation.tick, "paused": self.paused, "steps": self._steps,
+            "seed": simulation.seed, "factor": self._options.factor, "late": report.overruns,
+            "lost": sum(writer.lost for writer in self._writers),
+        }  # fmt: skip
+        self._status.write(text_message(self._types, json.dumps(status)))
+
+    def report(self) -> PaceReport:
+        """Return how the pace was kept."""
+        return self._pacer.report()
+
+
+def _integer(what: str, words: list[str], default: int, low: int, high: int) -> int:
+    if not words:
+        return default
+    if len(words) == 1 and words[0].isdecimal() and low <= int(words[0]) <= high:
+        return int(words[0])
+    raise UsageError(f"/qrsim/control {what} '{' '.join(words)[:60]}': expected an integer from {low} to {high}")

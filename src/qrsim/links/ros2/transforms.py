@@ -1,0 +1,104 @@
+"""Transforms between frames: where vehicles believe to be, and where their sensors sit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from qrsim.links.ros2 import numbers as n
+from qrsim.links.ros2.blank import empty
+from qrsim.links.ros2.frames import flu_of
+from qrsim.links.ros2.names import MAP, base_link, gnss_link, range_link
+from qrsim.links.ros2.template import Put, Template
+from qrsim.links.ros2.typestore import Types
+from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
+from qrsim.simulation.simulation import Simulation
+from qrsim.world.state import Fleet
+
+Array = np.ndarray[Any, Any]
+TYPE, ONE = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/TransformStamped"
+_H = 0.5**0.5
+_LEVEL = (0.0, 0.0, 0.0, 1.0)
+# Turns of FLU axes (x, y, z, w) that bring x to where a rangefinder looks.
+_LOOKS = {
+    "forward": _LEVEL, "backward": (0.0, 0.0, 1.0, 0.0), "left": (0.0, 0.0, _H, _H), "right": (0.0, 0.0, -_H, _H),
+    "down": (0.0, _H, 0.0, _H), "up": (0.0, -_H, 0.0, _H),
+}  # fmt: skip
+_COLUMNS = [*range(n.POSITION, n.POSITION + 3), *range(n.ORIENTATION, n.ORIENTATION + 4)]
+_PATHS = (
+    "header.stamp.sec", "header.stamp.nanosec", "transform.translation.x", "transform.translation.y",
+    "transform.translation.z", "transform.rotation.x", "transform.rotation.y", "transform.rotation.z",
+    "transform.rotation.w",
+)  # fmt: skip
+
+
+class Transforms:
+    """Messages of /tf: from the map to each vehicle that knows where it is.
+
+    Args:
+        types: of the distribution.
+        namespaces: of the vehicles.
+    """
+
+    def __init__(self, types: Types, namespaces: Sequence[str]):
+        self._types, self._namespaces = types, namespaces
+        # By which vehicles know.
+        self._templates: dict[bytes, tuple[Template, list[Put]]] = {}
+
+    def message(self, numbers: Array, stamps: Sequence[tuple[int, int]]) -> bytes:
+        """Return the message for numbers (n, WIDTH), with the stamps of the n vehicles."""
+        poses = numbers[:, _COLUMNS]
+        known = np.isfinite(poses).all(axis=1)
+        key = known.tobytes()
+        if key not in self._templates:
+            self._templates[key] = self._template(np.flatnonzero(known).tolist())
+        template, puts = self._templates[key]
+        rows = np.flatnonzero(known).tolist()
+        for put, row, pose in zip(puts, rows, poses[known].tolist(), strict=True):
+            put(*stamps[row], *pose)
+        return bytes(template.cdr)
+
+    def _template(self, rows: list[int]) -> tuple[Template, list[Put]]:
+        parts = [transform(self._types, MAP, base_link(self._namespaces[row])) for row in rows]
+        template = Template(self._types, self._types[TYPE](parts))
+        return template, [template.putter(*(f"transforms.{i}.{path}" for path in _PATHS)) for i in range(len(rows))]
+
+
+def transform(
+    types: Types, parent: str, child: str, place: Sequence[float] = (0.0, 0.0, 0.0), turn: Sequence[float] = _LEVEL
+) -> Any:
+    """Return a transform of a child frame in its parent: place [m] and turn (x, y, z, w)."""
+    found = empty(types, ONE)
+    found.header.frame_id, found.child_frame_id = parent, child
+    found.transform.translation = types["geometry_msgs/msg/Vector3"](*map(float, place))
+    found.transform.rotation = types["geometry_msgs/msg/Quaternion"](*map(float, turn))
+    return found
+
+
+def static_transforms(types: Types, simulation: Simulation, namespaces: Sequence[str]) -> bytes:
+    """Return the message of /tf_static: GNSS receivers and rangefinders of vehicles."""
+    found, rest = [], iter(namespaces)
+    for fleet in simulation.world.fleets:
+        for _ in range(fleet.size):
+            found += _of_vehicle(types, fleet, next(rest))
+    return types.encode(types[TYPE](found))
+
+
+def _of_vehicle(types: Types, fleet: Fleet, name: str) -> list[Any]:
+    found: dict[str, Any] = {}
+    for number, sensor in enumerate(fleet.sensors):
+        turn: Sequence[float] = _LEVEL
+        if isinstance(sensor, Rangefinder | IdealRangefinder):
+            child, turn = range_link(name), _LOOKS[sensor.axis]
+        elif "gnss" in type(sensor).__module__:
+            child = gnss_link(name)
+        else:
+            continue
+        fitting = fleet.fitting(number)
+        place = (0.0, 0.0, 0.0)
+        if fitting is not None and fitting.position_body is not None:
+            place = tuple(flu_of(np.array([float(axis) for axis in fitting.position_body.axes])).tolist())
+        found.setdefault(child, transform(types, base_link(name), child, place, turn))
+    return list(found.values())

@@ -1,0 +1,66 @@
+"""Variances of the white noise of readings, by the numbers that a scenario has for its sensors.
+
+A variance is 0, which means unknown in ROS, where a sensor has none of its own.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.models.sensors.attitude import AttitudeEstimator
+from qrsim.models.sensors.imu import Imu
+from qrsim.models.sensors.inertial import Accelerometer, Gyroscope
+from qrsim.models.sensors.magnetometer import Magnetometer
+from qrsim.models.sensors.pressure import PressureAltimeter
+from qrsim.models.sensors.rangefinder import Rangefinder
+
+_MICRO = 1e-6
+
+
+def of_rates(sensor: object, vehicle: int) -> float:
+    """Return the variance of a rate [rad^2/s^2] of a vehicle of the sensor's fleet."""
+    if isinstance(sensor, Imu):
+        return _white(sensor.gyroscope_noise, sensor.period, vehicle)
+    return own(sensor.white_std, vehicle) ** 2 if isinstance(sensor, Gyroscope) else 0.0
+
+
+def of_force(sensor: object, vehicle: int) -> float:
+    """Return the variance of a specific force [m^2/s^4]."""
+    if isinstance(sensor, Imu):
+        return _white(sensor.accelerometer_noise, sensor.period, vehicle)
+    return own(sensor.white_std, vehicle) ** 2 if isinstance(sensor, Accelerometer) else 0.0
+
+
+def of_field(sensor: object, vehicle: int) -> float:
+    """Return the variance of a component of the magnetic field [T^2]."""
+    return _MICRO**2 * _white(sensor.noise, sensor.period, vehicle) if isinstance(sensor, Magnetometer) else 0.0
+
+
+def of_pressure(sensor: object, vehicle: int) -> float:
+    """Return the variance of a pressure [Pa^2]."""
+    return own(sensor.noise_std, vehicle) ** 2 if isinstance(sensor, PressureAltimeter) else 0.0
+
+
+def of_attitude(sensor: object, vehicle: int) -> float:
+    """Return the variance of an angle [rad^2]."""
+    return own(sensor.std, vehicle) ** 2 if isinstance(sensor, AttitudeEstimator) else 0.0
+
+
+def of_range(sensor: object, vehicle: int) -> tuple[float, float]:
+    """Return the std of a range at distance 0 [m], and its growth with the distance [1]."""
+    if not isinstance(sensor, Rangefinder):
+        return 0.0, 0.0
+    return own(sensor.noise_std, vehicle), own(sensor.noise_per_range, vehicle)
+
+
+def _white(density: Any, period: float, vehicle: int) -> float:
+    """Return the variance of the mean over a period [s] of white noise with a density, such as rad/s^0.5."""
+    return own(density, vehicle) ** 2 / period
+
+
+def own(value: Any, vehicle: int) -> float:
+    """Return the parameter of one vehicle of a fleet."""
+    numbers = np.asarray(value, np.float64)
+    return float(numbers if numbers.ndim == 0 else numbers[vehicle])
