@@ -14,6 +14,7 @@ from qrsim.links.shared.kinds import CONTROL, FIELDS, NAMES, Field, checked, rec
 # Fields of set-points with the names that their axes have in an order; others have one name.
 AXES = {
     **{f"position_ned.{axis}": axis for axis in "xyz"},
+    **{f"begin_ned.{axis}": f"begin_{axis}" for axis in "xyz"},
     "velocity_ned.x": "velocity_north",
     "velocity_ned.y": "velocity_east",
     "velocity_ned.z": "velocity_down",
@@ -33,10 +34,9 @@ def test_each_number_goes_into_the_field_of_its_name_and_unit(kind):
 
 
 def test_every_kind_of_setpoint_can_be_ordered_and_keeps_its_number_in_recordings():
-    # Lines and circles of rovers and fixed wings are not on the wire.
-    assert set(FIELDS) == set(SETPOINTS) - {"track"}
+    assert set(FIELDS) == set(SETPOINTS)
     assert NAMES == (
-        "waypoint", "velocity", "velocity_height", "attitude_height", "attitude", "path", "control",
+        "waypoint", "velocity", "velocity_height", "attitude_height", "attitude", "path", "control", "track",
     )  # fmt: skip
 
 

@@ -33,11 +33,17 @@ FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
         ("acceleration_north", "m/s^2"), ("acceleration_east", "m/s^2"), ("acceleration_down", "m/s^2"),
         ("yaw", "rad"),
     ),
+    "track": (
+        ("begin_x", "m"), ("begin_y", "m"), ("begin_z", "m"), ("x", "m"), ("y", "m"), ("z", "m"),
+        ("radius", "m"), ("speed", "m/s"), ("stops", "1"),
+    ),
 }  # fmt: skip
 # Which of their numbers are a position down, which no vehicle can be sent to below the ground.
 _DOWN = {"velocity_height": 2, "attitude_height": 2}
+# Lines and circles came after recordings had numbers for all others, and are not on the wire.
+TRACK = "track"
 # By number in a recording: 0 is the guidance of the scenario.
-NAMES = (*FIELDS, CONTROL)
+NAMES = (*(kind for kind in FIELDS if kind != TRACK), CONTROL, TRACK)
 
 
 @dataclass(frozen=True)
@@ -84,6 +90,8 @@ def record_of(kind: str, columns: Array, command: type[Any]) -> Any:
         return record(Vec3(*columns[:3]), columns[3])
     if kind == "path":
         return record(Vec3(*columns[:3]), Vec3(*columns[3:6]), Vec3(*columns[6:9]), columns[9])
+    if kind == TRACK:
+        return record(Vec3(*columns[:3]), Vec3(*columns[3:6]), *columns[6:])
     return record(*columns)
 
 

@@ -79,8 +79,11 @@ def _flights(run: Run, simulation: Simulation, beginning: History) -> Iterator[t
             latches.codes[...] = batch.arrays["kind"][begin]
             if latches.codes.max(initial=0) > len(NAMES):
                 raise RunError(f"{run.folder}: its orders are of a kind that this qrsim does not know")
+            # Recordings of before there were lines and circles have fewer numbers.
+            latches.numbers[...] = np.nan
             for i in range(latches.numbers.shape[1]):
-                latches.numbers[:, i] = batch.arrays[f"number_{i}"][begin]
+                if f"number_{i}" in batch.arrays:
+                    latches.numbers[:, i] = batch.arrays[f"number_{i}"][begin]
             if spoken is not None:
                 spoken.read(batch.arrays, begin)
                 spoken.say_again(simulation)
