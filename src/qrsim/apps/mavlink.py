@@ -80,7 +80,7 @@ class Mavlink:
         from qrsim.links.mavlink.fleet import prepared
         from qrsim.links.mavlink.ports import EVERYWHERE, HERE, opened
         from qrsim.links.mavlink.server import Server, Wire
-        from qrsim.links.mavlink.stack.own_guidance import stack_of
+        from qrsim.links.mavlink.stack.stacks import stack_of
         from qrsim.links.mavlink.world import FlownWorld
         from qrsim.links.printing import Log
         from qrsim.scenarios.scenario import load_scenario

@@ -1,4 +1,4 @@
-"""All kinds of vehicles as systems: their types, and missions of rovers, fixed wings by their guidance."""
+"""All kinds of vehicles as systems: their types, and missions of rovers and fixed wings."""
 
 import math
 
@@ -9,7 +9,7 @@ from qrsim.links.mavlink.dialogue import handle
 from qrsim.links.mavlink.fleet import prepared
 from qrsim.links.mavlink.frames import Frame, Reader
 from qrsim.links.mavlink.link import Link
-from qrsim.links.mavlink.stack.own_guidance import stack_of
+from qrsim.links.mavlink.stack.stacks import stack_of
 from qrsim.links.mavlink.streams import Streams
 from qrsim.links.mavlink.world import FlownWorld
 from qrsim.scenarios.scenario import load_scenario
@@ -80,10 +80,9 @@ def test_every_vehicle_is_a_system_of_its_type(team):
     assert [found[number]["HEARTBEAT"].type for number in range(1, 9)] == TYPES
     # MAV_LANDED_STATE: 1 on the ground, 2 in the air.
     assert [found[number]["EXTENDED_SYS_STATE"].landed_state for number in range(1, 9)] == [1, 1, 1, 1, 1, 2, 1, 1]
-    # Who goes by the scenario is armed and in AUTO.MISSION: main mode 4, sub mode 4; the others hold, sub mode 3.
+    # Who is in the air is armed; all hold: main mode 4, sub mode 3.
     assert [found[number]["HEARTBEAT"].base_mode & 128 for number in range(1, 9)] == [0, 0, 0, 0, 0, 128, 0, 0]
-    assert found[WING]["HEARTBEAT"].custom_mode == 4 << 16 | 4 << 24
-    assert found[ROVER]["HEARTBEAT"].custom_mode == 4 << 16 | 3 << 24
+    assert {found[number]["HEARTBEAT"].custom_mode for number in range(1, 9)} == {4 << 16 | 3 << 24}
 
 
 def test_a_wing_goes_by_its_guidance_and_rovers_stand(team):
@@ -161,29 +160,50 @@ def test_what_a_rover_cannot_do_is_answered_with_the_reason(team):
 
 
 def test_what_a_wing_cannot_obey_is_answered_with_the_reason(team):
-    # MAV_RESULT: 0 accepted, 2 denied, 3 unsupported. Return, land, take off, set mode (hold), reposition, disarm.
-    asked = ((20,), (21,), (22,), (176, 1.0, 4.0, 3.0), (192,), (400, 0.0), (300,), (178, 0.0, 3.0), (185, 1.0))
-    for number, *params in asked:
-        found = team.command(WING, number, *params)
+    # MAV_RESULT: 1 temporarily rejected, 2 denied, 3 unsupported.
+    for number in (21, 22):
+        found = team.command(WING, number)
         assert (found["COMMAND_ACK"].command, found["COMMAND_ACK"].result) == (number, 2)
-        assert "denied: goes by its scenario's guidance" in found["STATUSTEXT"]
-    # To arm who is armed, the mode that it is in, where home is.
-    for number, *params in ((400, 1.0), (176, 1.0, 4.0, 4.0), (410,), (179, 1.0)):
+        assert found["STATUSTEXT"].endswith("there is no runway in this version")
+    # Disarm in the air; a mission where there is none.
+    for number, *params in ((400, 0.0), (300,)):
+        assert team.command(WING, number, *params)["COMMAND_ACK"].result == 1
+    for number, *params in ((400, 1.0), (410,)):
         assert team.command(WING, number, *params)["COMMAND_ACK"].result == 0
     # Of cameras nobody knows anything.
     assert team.command(WING, 2000)["COMMAND_ACK"].result == 3
+    found = team.ask(WING, "SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=1, type_mask=0xDF8)
+    assert found["STATUSTEXT"] == "Set-point denied: a fixed wing flies missions and circles"
     assert team.run(5)[WING]["HEARTBEAT"].base_mode & 128
 
 
-def test_a_mission_for_a_vehicle_that_takes_none_is_denied(team):
-    found = team.ask(WING, "MISSION_COUNT", count=1, mission_type=0)
-    assert found["MISSION_REQUEST_INT"].seq == 0
-    found = team.ask(WING, "MISSION_ITEM_INT", seq=0, frame=6, command=16, x=517000000, y=-2000000, mission_type=0)
-    # MAV_MISSION_DENIED.
-    assert found["MISSION_ACK"].type == 14
-    assert found["STATUSTEXT"] == "Mission denied: goes by its scenario's guidance"
-    found = team.ask(WING, "SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=1, type_mask=0xDF8)
-    assert found["STATUSTEXT"] == "Set-point denied: goes by its scenario's guidance"
+def test_a_wing_flies_a_mission_and_circles(team):
+    plan = (
+        {"command": 178, "frame": 2, "param1": 0.0, "param2": 27.0, "param3": -1.0},
+        {"command": 16, "frame": 6, "z": 60.0, **place(team, 0.0, 60.0)},
+        {"command": 19, "frame": 6, "z": 60.0, "param1": 30.0, "param3": 135.0, **place(team, 20.0, 0.0)},
+    )
+    team.ask(WING, "MISSION_COUNT", count=len(plan), mission_type=0)
+    for seq, item in enumerate(plan):
+        found = team.ask(WING, "MISSION_ITEM_INT", seq=seq, **item)
+    assert found["MISSION_ACK"].type == 0
+    assert team.command(WING, 300)["COMMAND_ACK"].result == 0
+    reached, away, heights, speeds = {}, [], [], []
+    for second in range(80):
+        found = team.run(50)[WING]
+        if "MISSION_ITEM_REACHED" in found:
+            reached[found["MISSION_ITEM_REACHED"].seq] = second
+        north, east, down = team.world.simulation.truth.position_ned[WING - 1]
+        away.append(math.hypot(north - 20.0, east))
+        heights.append(-down)
+        speeds.append(found["VFR_HUD"].airspeed)
+    # Round the last place for 30 s from when it is near the circle; then for ever, with the scenario's 145 m.
+    assert 29 <= reached[2] - reached[1] <= 45
+    assert max(abs(each - 145.0) for each in away[-15:]) < 10.0
+    assert sum(heights[-30:]) / 30.0 == pytest.approx(60.0, abs=2.0)
+    assert sum(speeds[-30:]) / 30.0 == pytest.approx(27.0, abs=1.0)
+    assert found["HEARTBEAT"].custom_mode == 4 << 16 | 3 << 24
+    assert team.world.simulation.reasons[WING - 1] == ""
 
 
 def test_the_hexacopter_is_flown(team):
@@ -199,6 +219,6 @@ def test_the_hexacopter_is_flown(team):
 
 def test_numbers_of_modes_of_ardupilot():
     facts = Team("ardupilot")
-    # AUTO of Plane is 10; HOLD of Rover 4; LOITER of Copter 5.
+    # LOITER of Plane is 12; HOLD of Rover 4; LOITER of Copter 5.
     found = facts.run(5)
-    assert [found[number]["HEARTBEAT"].custom_mode for number in (1, WING, ROVER)] == [5, 10, 4]
+    assert [found[number]["HEARTBEAT"].custom_mode for number in (1, WING, ROVER)] == [5, 12, 4]

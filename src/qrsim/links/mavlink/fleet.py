@@ -1,6 +1,6 @@
 """Vehicles of a scenario as a flight stack flies them: on the ground at first, with a controller of paths.
 
-Rovers and fixed wings stay as the scenario has them; fixed wings go by its guidance.
+Rovers and fixed wings stay as the scenario has them; fixed wings go by its guidance until they are asked.
 """
 
 from __future__ import annotations
@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from qrsim.control.cascade import CascadeController
+from qrsim.control.fixed_wing import FixedWingController
 from qrsim.control.rover import RoverController
 from qrsim.control.setpoints import SETPOINTS
+from qrsim.control.tracks import FixedWingGuidance
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER, HEXAROTOR, OCTOROTOR, QUADROTOR
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts
@@ -20,6 +22,7 @@ from qrsim.links.shared.kinds import kinds_of
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane
+from qrsim.models.vehicles.fixed_wing.trim import stall_speed
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 from qrsim.models.vehicles.rover.planar import Drives
 from qrsim.scenarios.catalogue import CONTROLLERS, VEHICLES
@@ -99,7 +102,7 @@ def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
     found: list[tuple[int, Facts]] = []
     row = 0
     for fleet in world.fleets:
-        if flown(fleet) or type_of(fleet.vehicle) in (GROUND_ROVER, FIXED_WING):
+        if flown(fleet) or isinstance(fleet.controller, RoverController | FixedWingController):
             for number in range(fleet.size):
                 found.append((row + number, _facts(world, fleet, number, first + len(found))))
         row += fleet.size
@@ -118,10 +121,13 @@ def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
 
 
 def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
+    area: Any = world.area
+    limited = area.is_box or isinstance(area, PolygonArea)
+    ceiling, floor = (float(area.z_min), float(area.z_max)) if limited else (-np.inf, np.inf)
     common = Facts(
         name=fleet.vehicle_names[number], system=system, time_step=world.time_step, mav_type=type_of(fleet.vehicle),
         kinds=frozenset(kinds_of(fleet)), has_battery=fleet.battery.drains,
-        fence=_fence(world.area),
+        fence=_fence(world.area), z_min=ceiling, z_max=floor,
     )  # fmt: skip
     controller = fleet.controller
 
@@ -130,6 +136,8 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
 
     if isinstance(controller, RoverController):
         return replace(common, speed_limit=own(controller.speed))
+    if isinstance(controller, FixedWingController):
+        return _wing_facts(common, fleet, number)
     handling = fleet.vehicle.handling()
     if handling is None or not flown(fleet):
         return common
@@ -146,6 +154,25 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
         speed_limit=own(speeds[0]),
         climb_limit=own(speeds[1]),
         sink_limit=own(speeds[2]),
+    )
+
+
+def _wing_facts(common: Facts, fleet: Fleet, number: int) -> Facts:
+    """Return the facts with airspeed and circles as guidance and controller have them."""
+    controller: Any = fleet.controller
+    vehicle: Any = fleet.vehicle
+    guidance: Any = fleet.guidance
+
+    def own(value: Any) -> float:
+        return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
+
+    circles = isinstance(guidance, FixedWingGuidance)
+    speeds = ([guidance.airspeed] if circles else []) + [controller.airspeed, vehicle.cruise_airspeed]
+    return replace(
+        common,
+        airspeed=next((own(speed) for speed in speeds if own(speed) > 0.0), 0.0),
+        airspeed_min=stall_speed(vehicle),
+        loiter_radius=abs(own(guidance.radius if circles else controller.loiter_radius)),
     )
 
 

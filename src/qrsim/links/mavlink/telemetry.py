@@ -163,6 +163,9 @@ def _throttle(v: View) -> int:
     """Return the thrust [%] that is asked for, that of hover where a path or a velocity is flown."""
     if v.order is None or not v.stack.armed:
         return 0
+    if v.order.kind == "track":
+        # What an aeroplane's throttle is, its controller knows alone.
+        return 0
     if v.order.kind == "attitude":
         return bounded(v.order.numbers[3], 100.0, 0, 100)
     return bounded(v.stack.parameters["MPC_THR_HOVER"], 100.0, 0, 100)

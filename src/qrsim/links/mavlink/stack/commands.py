@@ -125,7 +125,7 @@ def _reposition(stack: Flight, command: Command) -> Result:
     if not stack.armed:
         craft.say(Severity.CRITICAL, "Reposition rejected: not armed")
         return Result.TEMPORARILY_REJECTED
-    goal = _place(stack, command)
+    goal = place_in(stack, command)
     if goal is None:
         return Result.DENIED
     if not craft.fence.inside(goal[0], goal[1]):
@@ -152,7 +152,7 @@ def _yaw(stack: Flight, value: float) -> float:
     return math.radians(value) if stack.flavour.name == "ardupilot" else value
 
 
-def _place(stack: Flight, command: Command) -> Triple | None:
+def place_in(stack: Flight, command: Command) -> Triple | None:
     """Return the place of a command NED [m]; here for what it leaves out, None where there is no such place."""
     latitude, longitude, altitude = command.params[4:7]
     craft = stack.craft

@@ -51,6 +51,9 @@ class Facts:
         climb_limit, sink_limit: largest vertical speeds up and down, of its controller [m/s].
         has_battery: whether it carries a battery that drains.
         fence: polygon of the scenario's area, corners (north, east) [m]; empty: none.
+        z_min, z_max: ceiling and floor of that area, positions down [m].
+        airspeed, airspeed_min: of a fixed wing, that of its controller and that of its stall [m/s].
+        loiter_radius: of the circles of a fixed wing [m]; 0: no fixed wing.
     """
 
     name: str
@@ -67,6 +70,11 @@ class Facts:
     sink_limit: float = 1.5
     has_battery: bool = False
     fence: tuple[tuple[float, float], ...] = ()
+    z_min: float = -math.inf
+    z_max: float = math.inf
+    airspeed: float = 0.0
+    airspeed_min: float = 0.0
+    loiter_radius: float = 0.0
 
 
 @dataclass(slots=True)

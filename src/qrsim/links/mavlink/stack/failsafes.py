@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
-from qrsim.links.mavlink.stack.codes import Severity
+from qrsim.links.mavlink.stack.codes import FIXED_WING, Severity
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.stack.offboard import Offboard
+from qrsim.links.mavlink.stack.orbits import can_turn
 from qrsim.links.mavlink.stack.path import braking_way
 
 # What a failsafe may ask for, the graver the later; of two the graver counts.
@@ -110,6 +111,8 @@ def _stops_inside(craft: Craft) -> bool:
     """Return whether a vehicle can still come to rest in its area, which it must not leave for a moment."""
     (north, east, _), (vn, ve, _) = craft.seen.position_ned, craft.seen.velocity_ned
     speed = math.hypot(vn, ve)
+    if craft.facts.mav_type == FIXED_WING:
+        return can_turn(craft)
     if speed < 0.5:
         return True
     seconds = REACTS + braking_way(speed, craft.parameters["MPC_ACC_HOR"]) / speed

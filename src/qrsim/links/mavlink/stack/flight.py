@@ -50,7 +50,10 @@ class Flight:
     ):
         self.facts, self.factor = facts, factor
         if parameters is None:
-            parameters = Parameters({"MAV_SYS_ID": facts.system, "MPC_THR_HOVER": facts.hover_throttle})
+            start = {"MAV_SYS_ID": facts.system, "MPC_THR_HOVER": facts.hover_throttle}
+            if facts.loiter_radius:
+                start["NAV_LOITER_RAD"] = facts.loiter_radius
+            parameters = Parameters(start)
         self.parameters, self.flavour = parameters, FLAVOURS[flavour]
         self.craft = Craft(facts, self.parameters, Geodesy(site))
         # ArduPilot keeps home in item 0.

@@ -69,12 +69,15 @@ class Mission:
     def why_not(self, craft: Craft) -> str:
         """Return why the mission cannot be flown, and say it; "" where it can."""
         why = "no mission" if not self.items else ""
-        seq = plan.outside(self.items, craft)
+        seq = self._outside(craft)
         if seq is not None:
             why = f"item {seq} is outside the fence"
         if why and self.items:
             craft.say(Severity.CRITICAL, f"Mission rejected: {why}")
         return why
+
+    def _outside(self, craft: Craft) -> int | None:
+        return plan.outside(self.items, craft)
 
     def status(self, in_mode: bool) -> MissionStatus:
         """Return what MISSION_CURRENT says."""

@@ -80,6 +80,7 @@ TABLE: tuple[Parameter, ...] = (
     _real("MPC_Z_VEL_MAX_UP", 3.0, 0.5, 8.0, "m/s", "largest speed upwards"),
     _real("NAV_ACC_RAD", 2.0, 0.05, 200.0, "m", "distance at which an item that gives none counts as reached"),
     _int("NAV_DLL_ACT", 0, 0, 6, "link to the ground lost: 0 none, 1 hold, 2 return, 3 land, 5 terminate, 6 disarm"),
+    _real("NAV_LOITER_RAD", 80.0, 25.0, 1000.0, "m", "radius of circles of a fixed wing; default: its controller's"),
     _real("RTL_DESCEND_ALT", 10.0, 0.0, 100.0, "m", "height over home from which a return lands slowly"),
     _real("RTL_LAND_DELAY", 0.0, -1.0, 100.0, "s", "time above home before a return lands; below 0: it does not"),
     _real("RTL_MIN_DIST", 10.0, 0.5, 100.0, "m", "distance from home within which a return climbs less"),

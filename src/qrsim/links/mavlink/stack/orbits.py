@@ -1,0 +1,122 @@
+"""Lines and circles of a fixed wing: the orders, how tight a circle may be, and where one fits into the fence."""
+
+from __future__ import annotations
+
+import math
+
+from qrsim.links.contracts import Order
+from qrsim.links.mavlink.stack.contracts import Triple
+from qrsim.links.mavlink.stack.craft import Craft
+from qrsim.links.mavlink.stack.fence import Fence
+
+# Steady bank of a circle, of which a controller has a little more.
+BANK_RAD, GRAVITY = math.radians(40.0), 9.80665
+# A wing rolls into a turn for so long, and is to fly on inside the area for so long after one [s].
+ROLLS, AHEAD_S = 1.0, 6.0
+# A circle is looked at in so many places, and moved towards the middle of the area in so many steps.
+PLACES, STEPS = 16, 10
+# Below a ceiling it keeps so far, and a circle that it chooses from the fence [m].
+BELOW, BESIDE = 5.0, 20.0
+
+
+def airspeed(craft: Craft) -> float:
+    """Return the airspeed that is flown [m/s]."""
+    return craft.facts.airspeed if craft.cruise is None else craft.cruise
+
+
+def tightest(speed: float) -> float:
+    """Return the radius [m] of a circle at a speed [m/s], in calm, with a bank of 40 degrees."""
+    return speed * speed / (GRAVITY * math.tan(BANK_RAD))
+
+
+def usual_radius(craft: Craft) -> float:
+    """Return the radius [m] of circles that say none."""
+    return craft.parameters["NAV_LOITER_RAD"]
+
+
+def circle(craft: Craft, centre: Triple, radius: float) -> Order:
+    """Return the order to go round a place [m]; a radius [m] below 0 is counterclockwise, a tight one is widened."""
+    wide = math.copysign(max(abs(radius), tightest(airspeed(craft))), radius)
+    return Order(craft.facts.name, "track", (*centre, *centre, wide, airspeed(craft), 0.0))
+
+
+def line(craft: Craft, begin: Triple, end: Triple) -> Order:
+    """Return the order to fly along a line [m]."""
+    return Order(craft.facts.name, "track", (*begin, *end, 0.0, airspeed(craft), 0.0))
+
+
+def fits(fence: Fence, centre: Triple, radius: float) -> bool:
+    """Return whether a circle [m] lies inside a fence."""
+    angles = [2.0 * math.pi * number / PLACES for number in range(PLACES)]
+    radius = abs(radius)
+    return all(
+        fence.inside(centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)) for angle in angles
+    )
+
+
+def fitted(craft: Craft, place: Triple, radius: float) -> Triple:
+    """Return the place nearest to another, on the way to the middle of the area, round which a circle [m] fits.
+
+    Where none fits, the middle. The height is below the ceiling.
+    """
+    radius = max(abs(radius), tightest(airspeed(craft)))
+    z = max(place[2], craft.facts.z_min + BELOW)
+    corners = craft.facts.fence
+    if not corners:
+        return place[0], place[1], z
+    north, east = (sum(corner[axis] for corner in corners) / len(corners) for axis in (0, 1))
+    for step in range(STEPS):
+        share = step / STEPS
+        centre = (place[0] + share * (north - place[0]), place[1] + share * (east - place[1]), z)
+        if fits(craft.fence, centre, radius + BESIDE):
+            return centre
+    return north, east, z
+
+
+def here(craft: Craft) -> tuple[Triple, float]:
+    """Return centre and radius [m] of a circle where a wing is: round that place, or beside it where the fence is."""
+    place, usual, (vn, ve, _) = craft.seen.position_ned, usual_radius(craft), craft.seen.velocity_ned
+    if fits(craft.fence, place, usual + BESIDE):
+        return (place[0], place[1], max(place[2], craft.facts.z_min + BELOW)), usual
+    course = math.atan2(ve, vn)
+    tight = tightest(airspeed(craft) + math.hypot(*wind(craft)))
+    found = fitted(craft, place, tight)
+    # The side of the middle first.
+    first = 1.0 if math.sin(math.atan2(found[1] - place[1], found[0] - place[0]) - course) >= 0.0 else -1.0
+    for radius in (max(usual, tight), tight):
+        for side in (first, -first):
+            north, east = place[0] - side * radius * math.sin(course), place[1] + side * radius * math.cos(course)
+            if fits(craft.fence, (north, east, 0.0), radius + BESIDE):
+                return (north, east, found[2]), side * radius
+    return found, first * tight
+
+
+def wind(craft: Craft) -> tuple[float, float]:
+    """Return the wind, north and east [m/s], as it seems: speed over ground less that through the air, straight on."""
+    yaw, fast, (north, east, _) = craft.seen.attitude[2], airspeed(craft), craft.seen.velocity_ned
+    return north - fast * math.cos(yaw), east - fast * math.sin(yaw)
+
+
+def can_turn(craft: Craft) -> bool:
+    """Return whether a wing, straight on or after a turn to the left or right, stays in the area of the scenario."""
+    return craft.area.empty or any(_turns(craft, side) for side in (1.0, -1.0))
+
+
+def _turns(craft: Craft, side: float) -> bool:
+    """Return whether it stays inside on a turn to one side, until a way straight on does so for ``AHEAD_S``."""
+    seen, fast, (blown_north, blown_east) = craft.seen, airspeed(craft), wind(craft)
+    yaw, radius, inside = seen.attitude[2], tightest(fast), craft.area.inside
+    sine, cosine = math.sin(yaw), math.cos(yaw)
+    rolls = ROLLS * min(max(1.0 - side * seen.attitude[0] / BANK_RAD, 0.0), 2.0)
+    for turned in (math.pi * number / 8.0 for number in range(13)):
+        seconds = rolls + radius * turned / fast
+        ahead, beside = fast * rolls + radius * math.sin(turned), side * radius * (1.0 - math.cos(turned))
+        north = seen.position_ned[0] + cosine * ahead - sine * beside + blown_north * seconds
+        east = seen.position_ned[1] + sine * ahead + cosine * beside + blown_east * seconds
+        if not inside(north, east):
+            return False
+        vn = fast * math.cos(yaw + side * turned) + blown_north
+        ve = fast * math.sin(yaw + side * turned) + blown_east
+        if all(inside(north + part * AHEAD_S * vn, east + part * AHEAD_S * ve) for part in (0.25, 0.5, 0.75, 1.0)):
+            return True
+    return False

@@ -1,0 +1,23 @@
+"""Which stack flies or drives which vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER
+from qrsim.links.mavlink.stack.contracts import Facts, FlavourName, Stack
+from qrsim.links.mavlink.stack.flight_stack import FlightStack
+from qrsim.links.mavlink.stack.rover_stack import RoverStack
+from qrsim.links.mavlink.stack.wing_stack import WingStack
+from qrsim.models.site import Site
+
+_KINDS: dict[int, type[FlightStack]] = {GROUND_ROVER: RoverStack, FIXED_WING: WingStack}
+
+
+def stack_of(flavour: FlavourName = "px4") -> Callable[[Facts, Site], Stack]:
+    """Return what makes the stack of a vehicle, by its type."""
+
+    def make(facts: Facts, site: Site) -> Stack:
+        return _KINDS.get(facts.mav_type, FlightStack)(facts, site, flavour=flavour)
+
+    return make

@@ -1,0 +1,250 @@
+"""The flight stack of a fixed wing: in the air from the start, it flies missions, circles, and home; it never lands."""
+
+from __future__ import annotations
+
+import math
+
+from qrsim.links.contracts import Order
+from qrsim.links.mavlink.stack import orbits
+from qrsim.links.mavlink.stack.codes import Landed, Result, Severity
+from qrsim.links.mavlink.stack.commands import place_in
+from qrsim.links.mavlink.stack.contracts import Ack, Command, Facts, FlavourName, Home, Seen, Target, Triple
+from qrsim.links.mavlink.stack.flight_stack import FlightStack
+from qrsim.links.mavlink.stack.modes import FLAVOURS, Flavour, Mode
+from qrsim.links.mavlink.stack.parameters import Parameters
+from qrsim.links.mavlink.stack.plan import place_of
+from qrsim.links.mavlink.stack.tour import NO_RUNWAY, REACH, Tour, why_no_airspeed, why_no_speed
+from qrsim.models.site import Site
+
+# Orders by which a wing is flown.
+FLOWN = frozenset({"track", "control"})
+LAND, TAKE_OFF, TURN, CHANGE_SPEED, REPOSITION = 21, 22, 115, 178, 192
+# ArduPilot Plane: LOITER, AUTO, RTL; GUIDED.
+_ARDUPILOT = {Mode.HOLD: 12, Mode.MISSION: 10, Mode.RTL: 11}
+_GUIDED = 15
+# A set-point that is refused is said once in so long [s].
+SAID_EVERY_S = 5.0
+
+
+class WingFlavour(Flavour):
+    """Numbers of modes as a fixed wing has them."""
+
+    def custom_mode(self, mode: Mode, guided: bool = False) -> int:
+        """Return the custom_mode of HEARTBEAT."""
+        if self.name != "ardupilot":
+            return super().custom_mode(mode, guided)
+        return _GUIDED if guided and mode is Mode.HOLD else _ARDUPILOT[mode]
+
+    def mode_of(self, main: int, sub: int) -> Mode | None:
+        """Return the mode of DO_SET_MODE's numbers, None where there is none."""
+        if self.name != "ardupilot":
+            return super().mode_of(main, sub)
+        if main == _GUIDED:
+            return Mode.GUIDED
+        return next((mode for mode, number in _ARDUPILOT.items() if number == main), None)
+
+
+class WingStack(FlightStack):
+    """See ``contracts.Stack``; the arguments are those of ``FlightStack``.
+
+    It goes by its scenario's guidance, in hold, until a client asks for something else.
+    """
+
+    takes_setpoints = False
+    plan: Tour
+
+    def __init__(
+        self,
+        facts: Facts,
+        site: Site,
+        parameters: Parameters | None = None,
+        flavour: FlavourName = "px4",
+        factor: float = 1.0,
+    ):
+        super().__init__(facts, site, parameters, flavour, factor)
+        base = FLAVOURS[flavour]
+        self.flavour = WingFlavour(base.name, base.autopilot, base.base_mode)
+        self.plan = Tour(1 if flavour == "ardupilot" else 0)
+
+    def reset(self) -> None:
+        """Begin again as after a boot, in the air."""
+        super().reset()
+        self.armed, self.craft.landed = True, Landed.IN_AIR
+        self._own, self._radius = True, math.nan
+        self._glides, self._said_at = False, -SAID_EVERY_S
+
+    # ---- ticks ----
+
+    def tick(self, seen: Seen) -> Order | None:
+        """Advance by one tick; return the order for the vehicle, None where the last one holds."""
+        craft = self.craft
+        craft.look(seen)
+        craft.flies = True
+        self.checks.look(craft)
+        if craft.home is None and seen.valid and seen.fix_type >= 3:
+            self._home_below()
+        if seen.stopped:
+            self._end(seen.stopped)
+            return None
+        if self.armed:
+            asked = self.failsafes.look(craft, self.mode, self.offboard, self.factor)
+            if asked:
+                self._fail_over(asked)
+        if not self.armed:
+            # With the motor off, level wings.
+            glides, self._glides = self._glides, True
+            return None if glides else Order(self.facts.name, "control", (0.0, 0.0, 0.0))
+        self._glides = False
+        return self._fly()[0] if seen.valid else None
+
+    def _end(self, why: str) -> None:
+        craft = self.craft
+        if craft.landed is Landed.ON_GROUND:
+            return
+        craft.say(Severity.EMERGENCY, f"Run has ended: {why}")
+        self.disarm("")
+        craft.landed = Landed.ON_GROUND
+        craft.tell("landed")
+
+    def _fly(self) -> tuple[Order | None, bool]:
+        """Return the order of the mode, None for the scenario's guidance; it never lands."""
+        craft = self.craft
+        if self.mode is Mode.MISSION:
+            order, over = self.plan.fly(craft)
+            if over and self.plan.returns:
+                self.switch(Mode.RTL)
+            elif over:
+                craft.say(Severity.INFO, "Mission finished, loitering")
+                self.switch(Mode.HOLD, goal=self.plan.end)
+            return order, False
+        if self._own:
+            return None, False
+        if self._goal is None:
+            self._goal, self._radius = orbits.here(craft)
+        radius = self._radius if math.isfinite(self._radius) else orbits.usual_radius(craft)
+        order = orbits.circle(craft, self._goal, radius)
+        if self.mode is Mode.RTL:
+            self._come_down(order)
+        return order, False
+
+    def _come_down(self, order: Order) -> None:
+        """At home, circle at the height of a return."""
+        craft, goal = self.craft, self._goal
+        assert goal is not None
+        here = craft.seen.position_ned
+        if math.hypot(here[0] - goal[0], here[1] - goal[1]) < abs(order.numbers[6]) + REACH:
+            self._goal = (goal[0], goal[1], max(self._return_z(), craft.facts.z_min + orbits.BELOW))
+
+    def _return_z(self) -> float:
+        return self.craft.home_z - self.parameters["RTL_RETURN_ALT"]
+
+    def _home_below(self) -> None:
+        """Set home to the ground below."""
+        craft = self.craft
+        north, east, _ = craft.seen.position_ned
+        ground = (north, east, 0.0)
+        craft.set_home(Home(*craft.geodesy.to_geodetic(ground), ground, craft.seen.attitude[2]))
+
+    # ---- arming ----
+
+    def arm(self, force: bool = False) -> Result:
+        """Arm, or say why not; ``force`` leaves the checks out."""
+        home, armed = self.craft.home, self.armed
+        result = super().arm(force)
+        if self.armed and not armed:
+            self.craft.landed = Landed.IN_AIR
+            if home is not None:
+                self.craft.set_home(home)
+        return result
+
+    def disarm(self, why: str) -> None:
+        """Stop the motor, and glide."""
+        super().disarm(why)
+        self.craft.landed = Landed.IN_AIR
+
+    # ---- modes and commands ----
+
+    def request(self, mode: Mode | None) -> Result:
+        """Change the mode as somebody asks, or say why not."""
+        if mode is None or mode in _ARDUPILOT or mode is Mode.GUIDED:
+            if mode is Mode.HOLD and self._own:
+                self.switch(Mode.HOLD)
+            return super().request(mode)
+        self._refuse("Mode", f"a fixed wing has no {mode.value}")
+        return Result.DENIED
+
+    def switch(self, mode: Mode, goal: Triple | None = None) -> None:
+        """Change the mode; what would land a vehicle has a wing return, which it does for ever."""
+        if mode is Mode.LAND:
+            mode = Mode.RTL
+        if mode not in _ARDUPILOT:
+            mode = Mode.HOLD
+        self._own, self._radius = False, math.nan
+        super().switch(mode, self._way_home() if mode is Mode.RTL else goal)
+
+    def _way_home(self) -> Triple | None:
+        """Return round what to circle: home or the nearest rally point, not lower than it is."""
+        craft = self.craft
+        here = craft.seen.position_ned
+        places = [craft.home.position_ned] if craft.home else [here]
+        places += [place_of(item, craft, here) for item in self.rally]
+        place = min(places, key=lambda place: math.hypot(place[0] - here[0], place[1] - here[1]))
+        high = (place[0], place[1], min(here[2], self._return_z()))
+        return orbits.fitted(craft, high, orbits.usual_radius(craft))
+
+    def command(self, command: Command) -> Ack:
+        """Obey or refuse a command."""
+        why = self._why_not(command)
+        if why:
+            self._refuse(f"Command {command.id}", why)
+            return Ack(Result.DENIED)
+        ack = super().command(command)
+        if command.id == REPOSITION and ack.result is Result.ACCEPTED:
+            self._radius = _signed_radius(command)
+        return ack
+
+    def _why_not(self, command: Command) -> str:
+        """Return why a fixed wing cannot obey a command; "" where it can, or where that is found elsewhere."""
+        params = command.params
+        if any(map(math.isinf, params)):
+            return ""
+        if command.id in (LAND, TAKE_OFF):
+            return NO_RUNWAY
+        if command.id == TURN:
+            return "a fixed wing does not turn on the spot"
+        if command.id == CHANGE_SPEED:
+            return why_no_speed(0.0 if math.isnan(params[0]) else params[0], params[1], self.craft)
+        if command.id == REPOSITION:
+            return self._why_not_there(command)
+        return ""
+
+    def _why_not_there(self, command: Command) -> str:
+        """Return why it cannot circle where a DO_REPOSITION says; "" where it can."""
+        craft, speed, radius = self.craft, command.params[0], _signed_radius(command)
+        if speed > 0.0 and why_no_airspeed(speed, craft):
+            return why_no_airspeed(speed, craft)
+        least = orbits.tightest(speed if speed > 0.0 else orbits.airspeed(craft))
+        if abs(radius) < least:
+            return f"a radius of {abs(radius):g} m is too tight, at least {math.ceil(least)} m"
+        place = place_in(self, command) if craft.home else None
+        radius = radius if math.isfinite(radius) else orbits.usual_radius(craft)
+        if place is not None and not orbits.fits(craft.fence, place, max(abs(radius), least)):
+            return f"a circle of {max(abs(radius), least):.0f} m there leaves the fence"
+        return ""
+
+    def setpoint(self, target: Target) -> bool:
+        """Refuse a set-point."""
+        now = self.craft.seen.time
+        if now - self._said_at >= SAID_EVERY_S:
+            self._said_at = now
+            self._refuse("Set-point", "a fixed wing flies missions and circles")
+        return False
+
+    def _refuse(self, what: str, why: str) -> None:
+        self.craft.say(Severity.WARNING, f"{what} denied: {why}")
+
+
+def _signed_radius(command: Command) -> float:
+    """Return the radius [m] of a DO_REPOSITION, below 0 counterclockwise (``param4`` = 1); NaN where it has none."""
+    radius, turns_left = command.params[2], command.params[3] == 1.0
+    return math.copysign(radius, -1.0 if turns_left else 1.0) if radius > 0.0 else math.nan
