@@ -66,7 +66,7 @@ def single() -> SingleTask:
 
 def test_a_batch_restarts_what_has_ended_in_the_same_step() -> None:
     """Environment i of seed s is that of one environment with seed s + i, and so are the episodes that follow."""
-    batch = gymnasium.make_vec(gymnasium_id("keep_spot"), num_envs=4)
+    batch = gymnasium.make_vec(gymnasium_id("keep_spot"), num_envs=4, autoreset_mode="SAME_STEP")
     assert batch.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     seen, infos = batch.reset(seed=11)
     assert infos["position_ned"].shape == (4, 3)
@@ -122,13 +122,13 @@ def test_an_action_that_cannot_be_flown_is_refused(action: Any, message: str) ->
         env.step(action)
 
 
-def test_a_plume_asks_for_samples_and_rewards_those_of_the_last_step() -> None:
+def test_a_plume_rewards_at_the_end_what_was_handed_in_last() -> None:
     """Nothing handed in where the concentration is high costs its square; the truth costs nothing."""
     env = SingleTask("plume_mapping/3A", overrides=["duration=2.0"])
     flight = np.zeros(3, np.float32)
     env.reset(seed=3)
-    with pytest.raises(UsageError, match="samples are missing; a step of this task takes a dict"):
-        env.step({"velocity": flight})
+    assert env.answer_space is not None
+    assert (env.action_space.shape, env.answer_space.shape) == ((3,), (100,))
     play, episode = env.batch.functional.play, env.batch.episodes.episode(0)
     at = episode.memory.locations_ned, episode.state.contents.plume
     sources, std, yaw = at[1].sources, np.asarray(at[1].std.stack())[0], float(at[1].yaw[0])
@@ -137,14 +137,41 @@ def test_a_plume_asks_for_samples_and_rewards_those_of_the_last_step() -> None:
     truth = np.exp(-0.5 * np.sum((offset @ turned.T / std) ** 2, axis=1)).astype(np.float32)
     assert (truth > 1e-3).mean() >= 0.8
     assert (truth.shape, play.task.locations) == ((100,), 100)
-    nothing = np.zeros(100, np.float32)
-    assert env.step({"velocity": flight, "samples": nothing})[1:4] == (0.0, False, False)
-    last = env.step({"velocity": flight, "samples": nothing})
+    env.hand_in(truth)
+    env.hand_in(np.zeros(100))
+    assert env.step(flight)[1:4] == (0.0, False, False)
+    last = env.step(flight)
     assert last[1] == pytest.approx(-np.sum(truth**2), rel=1e-4)
     assert last[3]
+    with pytest.raises(UsageError, match="has ended, or has not begun: hand in before its last step"):
+        env.hand_in(truth)
     env.reset(seed=3)
-    env.step({"velocity": flight, "samples": nothing})
-    assert env.step({"velocity": flight, "samples": truth})[1] == pytest.approx(0.0, abs=1e-8)
+    env.hand_in(truth)
+    env.step(flight)
+    assert env.step(flight)[1] == pytest.approx(0.0, abs=1e-8)
+    # What was handed in in one episode counts for no other.
+    env.reset(seed=3)
+    env.step(flight)
+    assert env.step(flight)[1] == pytest.approx(-np.sum(truth**2), rel=1e-4)
+
+
+def test_what_cannot_be_handed_in_is_refused() -> None:
+    env = SingleTask("plume_mapping/3A", overrides=["duration=2.0"])
+    with pytest.raises(UsageError, match="hand in before its last step"):
+        env.hand_in(np.zeros(100))
+    env.reset(seed=3)
+    for wrong, message in (
+        (np.zeros(7), r"samples: expected shape \(100,\) of each agent, found \(7,\)"),
+        (np.full(100, np.nan), "samples: number 0 is not finite"),
+        ("much", "samples: expected numbers of shape"),
+        ([[1.0], [2.0, 3.0]], "samples: expected numbers of shape"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            env.hand_in(wrong)
+    other = single()
+    other.reset(seed=1)
+    with pytest.raises(UsageError, match="keep_spot: nothing is handed in in this task"):
+        other.hand_in(np.zeros(100))
 
 
 def test_a_task_of_several_vehicles_is_none_of_gymnasium() -> None:

@@ -19,6 +19,8 @@ FloatArray = np.ndarray[Any, Any]
 # An action may be outside [-1, 1] by no more than rounding.
 ROUNDING = 1e-5
 LARGEST_SEED = 2**63
+# Numbers of a vehicle in the state of an episode.
+STATE = 13
 
 
 class Batch:
@@ -52,6 +54,7 @@ class Batch:
             self.episodes = Episodes(self.functional.play, self.size, self.dtype)
         self.seeds = np.zeros(self.size, np.int64)
         self.numbers = np.zeros(self.size, np.int64)
+        self._answers: FloatArray | None = None
         self.seen: Any = None
         self.truth: dict[str, FloatArray] = {}
 
@@ -78,6 +81,8 @@ class Batch:
         self._start(rows)
 
     def _start(self, rows: FloatArray) -> None:
+        if self._answers is not None:
+            self._answers[rows] = 0.0
         with self._precision():
             keys = self.functional.keys(self.seeds[rows], self.numbers[rows])
             begun = self.episodes.start(rows, keys)
@@ -132,20 +137,87 @@ class Batch:
             )
         return array
 
+    @property
+    def vehicles(self) -> int:
+        """How many vehicles there are in all fleets of a world."""
+        return sum(fleet.size for fleet in self.functional.play.world.fleets)
+
+    def state(self, row: int) -> FloatArray:
+        """Return the true state of an episode, (STATE V + 1,) for the V vehicles of all fleets in their order.
+
+        Of each vehicle: position NED [m], roll, pitch and yaw [rad], velocity in body axes [m/s], body rates [rad/s],
+        and 1 if it has stopped; at the end the part of the episode that is over, 0 to 1.
+        """
+        episode, play = self.episodes.episode(row), self.functional.play
+        found = []
+        for model, fleet in zip(play.world.fleets, episode.state.fleets, strict=True):
+            pose = model.vehicle.pose(fleet.vehicle)
+            parts = [pose.position_ned, pose.attitude, pose.velocity_body, pose.rates_body, fleet.violation.code != 0]
+            found.append(np.stack([np.asarray(leaf, self.dtype) for leaf in jax.tree.leaves(parts)], axis=1).ravel())
+        return np.concatenate([*found, np.array([episode.step / play.steps], self.dtype)])
+
+    @property
+    def steps_per_second(self) -> float:
+        """Actions a second."""
+        return 1.0 / self.functional.play.task.period
+
+    @property
+    def answer_shape(self) -> tuple[int, ...]:
+        """Shape of each agent's answer; () for a task in which nothing is handed in."""
+        return tuple(self.functional.play.task.answer_shape(self.functional.play.world))
+
+    def hand_in(self, answers: Any, rows: FloatArray, agents: FloatArray) -> None:
+        """Keep the answers (b, a, ...) of some agents of some episodes, in place of what they handed in before.
+
+        Args:
+            answers: one of each.
+            rows: (b,) numbers of the episodes.
+            agents: (a,) numbers of the agents.
+
+        Raises:
+            UsageError: nothing can be handed in, nothing has started, another shape, or something that is not finite.
+        """
+        if not self.functional.play.task.hands_in:
+            raise UsageError(f"{self.functional.name}: nothing is handed in in this task")
+        if not self.episodes.started:
+            raise UsageError("the environment has not started: call reset() first")
+        checked = self._answer(answers, (len(rows), len(agents)))
+        if self._answers is None:
+            self._answers = np.zeros((self.size, len(self.functional.agents), *self.answer_shape), self.dtype)
+        self._answers[np.ix_(rows, agents)] = checked
+
+    def scores(self, rows: FloatArray) -> FloatArray:
+        """Score what the agents of episodes have handed in, (b, n); zeros count for those who have not."""
+        agents = len(self.functional.agents)
+        if not self.functional.play.task.hands_in:
+            return np.zeros((len(rows), agents))
+        nothing = np.zeros((agents, *self.answer_shape), self.dtype)
+        found = [self.score(int(row), nothing if self._answers is None else self._answers[row]) for row in rows]
+        return np.asarray(found, float).reshape(len(rows), agents)
+
     def score(self, row: int, answer: Any) -> FloatArray:
         """Score the answers (n, ...) of the agents of an episode; (n,).
 
         Raises:
             UsageError: another shape, or something that is not finite.
         """
-        shape = (len(self.functional.agents), *self.functional.play.task.answer_shape(self.functional.play.world))
-        array = np.asarray(answer, self.dtype)
-        if array.shape != shape:
-            raise UsageError(f"samples: expected shape {shape[1:]} of each agent, found {array.shape[1:]}")
-        if not np.isfinite(array).all():
-            raise UsageError(f"samples: number {np.argwhere(~np.isfinite(array))[0][1]} is not finite")
+        array = self._answer(answer, (len(self.functional.agents),))
         with self._precision():
             return score(self.functional.play, self.episodes.episode(row), array)
+
+    def _answer(self, answer: Any, lead: tuple[int, ...]) -> FloatArray:
+        """Check answers and return them as (*lead, ...)."""
+        try:
+            array = np.asarray(answer, self.dtype)
+        except (TypeError, ValueError, OverflowError):
+            raise UsageError(f"samples: expected numbers of shape {self.answer_shape} of each agent") from None
+        if array.shape != (*lead, *self.answer_shape):
+            raise UsageError(
+                f"samples: expected shape {self.answer_shape} of each agent, found {array.shape[len(lead) :]}"
+            )
+        if not np.isfinite(array).all():
+            raise UsageError(f"samples: number {np.argwhere(~np.isfinite(array))[0][len(lead)]} is not finite")
+        return array
 
 
 def _empty(tree: Any, size: int) -> Any:

@@ -11,9 +11,10 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from qrsim.envs.batch import Batch
-from qrsim.envs.single import refuse_drawing, shaped, split_answer
-from qrsim.envs.spaces import action_space, observation_space, split_say
+from qrsim.envs.batch import STATE, Batch
+from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
+from qrsim.envs.single import shaped
+from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
 from qrsim.errors import UsageError, did_you_mean
 
 
@@ -27,10 +28,10 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         scenario, overrides, precision, render_mode: as of ``SingleTask``.
 
     Attributes:
-        observation_axes: as of ``SingleTask``.
+        observation_axes, answer_space: as of ``SingleTask``, each of one agent.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "name": "qrsim"}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
 
     def __init__(
         self,
@@ -39,13 +40,16 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         precision: str = "float32",
         render_mode: str | None = None,
     ):
-        refuse_drawing(render_mode)
-        self.render_mode = None
+        self.render_mode = checked_mode(render_mode)
         self.batch = Batch(scenario, 1, overrides, precision)
-        self.metadata = {**self.metadata, "name": self.batch.functional.name}
+        self.metadata = {
+            **self.metadata, "name": self.batch.functional.name, "render_fps": self.batch.steps_per_second
+        }  # fmt: skip
+        self._drawing = None if render_mode is None else Drawing(self.batch)
         self.possible_agents = list(self.batch.functional.agents)
         self.agents: list[str] = []
         self.batch.reset(np.zeros(1, np.int64))
+        self.answer_space = answer_space(self.batch)
         self.observation_axes = self.batch.functional.observation_axes
         self.action_spaces: dict[str, spaces.Space[Any]] = {
             agent: action_space(self.batch) for agent in self.possible_agents
@@ -74,6 +78,8 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
             self.batch.reset(np.array([first]))
         self._seeded = True
         self.agents = list(self.possible_agents)
+        if self._drawing is not None:
+            self._drawing.begin()
         return self._seen(), self._truth()
 
     def step(
@@ -99,15 +105,13 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
             *(split_say(self.batch, actions[agent], f"action of {agent}") for agent in self.agents), strict=True
         )
         named = list(zip(self.agents, done, strict=True))
-        parts = [split_answer(self.batch, act, f"action of {agent}") for agent, act in named]
-        flown = [
-            shaped(self.batch, flight, f"action of {agent}")
-            for agent, (flight, _) in zip(self.agents, parts, strict=True)
-        ]
+        flown = [shaped(self.batch, act, f"action of {agent}") for agent, act in named]
         rewards, terminated, truncated = self.batch.step(np.stack(flown)[None], np.stack(words)[None])
         totals = rewards[0].astype(float)
-        if parts[0][1] is not None and truncated[0]:
-            totals += self.batch.score(0, np.stack([np.asarray(answer) for _, answer in parts]))
+        if truncated[0]:
+            totals += self.batch.scores(np.zeros(1, int))[0]
+        if self._drawing is not None:
+            self._drawing.moved()
         agents = self.agents
         found = (
             self._seen(),
@@ -119,6 +123,41 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         if terminated[0] or truncated[0]:
             self.agents = []
         return found
+
+    def render(self) -> Any:
+        """Return the episode from above, as ``SingleTask`` does."""
+        return None if self._drawing is None else self._drawing.frame()
+
+    @property
+    def state_space(self) -> spaces.Box:
+        """Space of ``state``."""
+        return spaces.Box(-np.inf, np.inf, (STATE * self.batch.vehicles + 1,), self.batch.dtype.type)
+
+    def state(self) -> np.ndarray[Any, Any]:
+        """Return what is really the case, for a critic that may know it: see ``Batch.state``.
+
+        Raises:
+            UsageError: nothing has begun.
+        """
+        if not self._seeded:
+            raise UsageError("nothing has begun: call reset()")
+        return self.batch.state(0)
+
+    def hand_in(self, samples: dict[str, Any]) -> None:
+        """Hand in answers of agents, by name; see ``SingleTask.hand_in``.
+
+        Raises:
+            UsageError: there is no such agent, and as of ``SingleTask``.
+        """
+        if not self.agents:
+            raise UsageError("the episode has ended, or has not begun: hand in before its last step")
+        for agent, answer in samples.items():
+            if agent not in self.possible_agents:
+                raise UsageError(
+                    f"samples: no agent is called '{agent}'{did_you_mean(str(agent), self.possible_agents)}"
+                )
+            number = np.array([self.possible_agents.index(agent)])
+            self.batch.hand_in([[answer]], np.zeros(1, int), number)
 
     def _seen(self) -> dict[str, Any]:
         return {

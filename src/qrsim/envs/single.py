@@ -11,7 +11,8 @@ import jax
 import numpy as np
 
 from qrsim.envs.batch import Batch
-from qrsim.envs.spaces import SAMPLES, VELOCITY, action_space, observation_space, split_say
+from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
+from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
 from qrsim.errors import UsageError
 
 
@@ -29,16 +30,6 @@ def only_one(batch: Batch) -> None:
         )
 
 
-def refuse_drawing(render_mode: str | None) -> None:
-    """Refuse every render mode but None.
-
-    Raises:
-        UsageError: another one is asked for.
-    """
-    if render_mode is not None:
-        raise UsageError(f"render_mode: {render_mode!r}; allowed: None")
-
-
 def shaped(batch: Batch, flight: Any, who: str, *lead: int) -> np.ndarray[Any, Any]:
     """Check the flight part of actions, and return it as an array (*lead, A).
 
@@ -53,20 +44,6 @@ def shaped(batch: Batch, flight: Any, who: str, *lead: int) -> np.ndarray[Any, A
     return np.asarray(flight)
 
 
-def split_answer(batch: Batch, action: Any, who: str) -> tuple[Any, Any]:
-    """Split an action into its flight part and the answer, None for a task without answers.
-
-    Raises:
-        UsageError: a part is missing.
-    """
-    if not batch.functional.play.task.hands_in:
-        return action, None
-    for part in (VELOCITY, SAMPLES):
-        if not isinstance(action, dict) or part not in action:
-            raise UsageError(f"{who}: {part} are missing; a step of this task takes a dict of {VELOCITY} and {SAMPLES}")
-    return action[VELOCITY], action[SAMPLES]
-
-
 class SingleTask(gymnasium.Env[Any, Any]):
     """A task with one vehicle.
 
@@ -78,13 +55,14 @@ class SingleTask(gymnasium.Env[Any, Any]):
         scenario: as ``qrsim.load`` takes it.
         overrides: assignments such as "world.wind.speed_20ft=7".
         precision: float32 or float64.
-        render_mode: None; nothing is drawn.
+        render_mode: "rgb_array": ``render`` returns a picture from above; None: nothing is drawn.
 
     Attributes:
         observation_axes: name, unit and range of each number of an observation; of a dict, of those that have names.
+        answer_space: of what is handed in by ``hand_in``; None for a task without.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     def __init__(
         self,
@@ -93,11 +71,12 @@ class SingleTask(gymnasium.Env[Any, Any]):
         precision: str = "float32",
         render_mode: str | None = None,
     ):
-        refuse_drawing(render_mode)
-        self.render_mode = None
+        self.render_mode = checked_mode(render_mode)
         self.batch = Batch(scenario, 1, overrides, precision)
         only_one(self.batch)
-        self.action_space = action_space(self.batch)
+        self.metadata = {**self.metadata, "render_fps": self.batch.steps_per_second}
+        self._drawing = None if render_mode is None else Drawing(self.batch)
+        self.action_space, self.answer_space = action_space(self.batch), answer_space(self.batch)
         self.batch.reset(np.zeros(1, np.int64))
         self.observation_axes = self.batch.functional.observation_axes
         self.observation_space = observation_space(self.batch.functional.play, self.batch.seen)
@@ -113,6 +92,8 @@ class SingleTask(gymnasium.Env[Any, Any]):
             first = int(self.np_random.integers(2**31)) if seed is None else seed
             self.batch.reset(np.array([first]))
         self._running = self._seeded = True
+        if self._drawing is not None:
+            self._drawing.begin()
         return self._seen(), self._truth()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -124,14 +105,35 @@ class SingleTask(gymnasium.Env[Any, Any]):
         if not self._running:
             raise UsageError("the episode has ended, or has not begun: call reset()")
         action, words = split_say(self.batch, action, "action")
-        flight, answer = split_answer(self.batch, action, "action")
-        flown = shaped(self.batch, flight, "action")[None, None]
+        flown = shaped(self.batch, action, "action")[None, None]
         reward, terminated, truncated = self.batch.step(flown, words[None, None])
         total = float(reward[0, 0])
-        if answer is not None and truncated[0]:
-            total += float(self.batch.score(0, np.asarray(answer)[None])[0])
+        if truncated[0]:
+            total += float(self.batch.scores(np.zeros(1, int))[0, 0])
+        if self._drawing is not None:
+            self._drawing.moved()
         self._running = not (terminated[0] or truncated[0])
         return self._seen(), total, bool(terminated[0]), bool(truncated[0]), self._truth()
+
+    def render(self) -> Any:
+        """Return the episode from above, (480, 640, 3) uint8; None without a render mode.
+
+        Raises:
+            UsageError: nothing has begun.
+        """
+        return None if self._drawing is None else self._drawing.frame()
+
+    def hand_in(self, samples: Any) -> None:
+        """Hand in the answer of a task that has one (``answer_space``); the last of an episode counts, at its end.
+
+        Whoever hands in nothing is scored as if it were zeros.
+
+        Raises:
+            UsageError: nothing is handed in in this task, no episode runs, another shape, or something not finite.
+        """
+        if not self._running:
+            raise UsageError("the episode has ended, or has not begun: hand in before its last step")
+        self.batch.hand_in([[samples]], np.zeros(1, int), np.zeros(1, int))
 
     def _seen(self) -> Any:
         return jax.tree.map(lambda leaf: leaf[0, 0].copy(), self.batch.seen)

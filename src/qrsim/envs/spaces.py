@@ -12,22 +12,24 @@ from qrsim.errors import UsageError, did_you_mean
 from qrsim.tasks import Play
 from qrsim.tasks.speaking import ACT, AGE, HEARD, MASK, RSSI, SAY, SEE, SENDER
 
-SAMPLES, VELOCITY = "samples", "velocity"
-
 
 def action_space(batch: Batch) -> spaces.Space[Any]:
-    """Return the action space of one agent: numbers in [-1, 1], and the answer for tasks that have one.
+    """Return the action space of one agent: numbers in [-1, 1].
 
     With a radio that is the part ``act`` of a dict, which has a message ``say`` too.
     """
     play = batch.functional.play
     act: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (len(play.axes),), batch.dtype.type)
-    if play.task.hands_in:
-        shape = play.task.answer_shape(play.world)
-        act = spaces.Dict({SAMPLES: spaces.Box(0.0, np.inf, shape, batch.dtype.type), VELOCITY: act})
     if not play.message:
         return act
     return spaces.Dict({ACT: act, SAY: spaces.Box(-np.inf, np.inf, (play.message,), batch.dtype.type)})
+
+
+def answer_space(batch: Batch) -> spaces.Box | None:
+    """Return the space of what one agent hands in, None for a task in which nothing is."""
+    if not batch.functional.play.task.hands_in:
+        return None
+    return spaces.Box(0.0, np.inf, batch.answer_shape, batch.dtype.type)
 
 
 def observation_space(play: Play, seen: Any) -> spaces.Space[Any]:

@@ -12,28 +12,36 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from qrsim.envs.batch import Batch
-from qrsim.envs.single import only_one, refuse_drawing, shaped, split_answer
-from qrsim.envs.spaces import action_space, observation_space, split_say
-from qrsim.errors import UsageError
+from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
+from qrsim.envs.single import only_one, shaped
+from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
+from qrsim.errors import UsageError, did_you_mean
 
 Array = np.ndarray[Any, Any]
 
 
 class VectorTask(VectorEnv[Any, Any, Any]):
-    """Many episodes of a task with one vehicle; an episode that ends is restarted in the same step.
+    """Many episodes of a task with one vehicle.
 
-    Environment i of a seed s is that of ``SingleTask`` with the seed s + i. What was seen last of an episode that has
-    ended, and what was really the case, is in ``infos["final_obs"]`` and ``infos["final_info"]``.
+    Environment i of a seed s is that of ``SingleTask`` with the seed s + i.
 
     Args:
         scenario, overrides, precision, render_mode: as of ``SingleTask``.
         num_envs: how many.
+        autoreset_mode: when an episode that has ended is followed by the next, one of Gymnasium's or its name.
+            ``NEXT_STEP``: the next step begins it; that step's action is not looked at, and its reward is 0.
+            ``SAME_STEP``: the step that ends the old one begins it; what was seen last of the old one, and what was
+            really the case, is in ``infos["final_obs"]`` and ``infos["final_info"]``. ``DISABLED``: a reset by
+            ``options["reset_mask"]`` begins it.
 
     Attributes:
-        observation_axes: as of ``SingleTask``.
+        observation_axes, answer_space: as of ``SingleTask``, each of one environment.
+
+    Raises:
+        UsageError: there is no such mode.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(
         self,
@@ -42,13 +50,17 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         overrides: Iterable[str] = (),
         precision: str = "float32",
         render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ):
-        refuse_drawing(render_mode)
-        self.render_mode = None
+        self.render_mode = checked_mode(render_mode)
+        self._mode = mode_of(autoreset_mode)
         self.batch = Batch(scenario, num_envs, overrides, precision)
         only_one(self.batch)
+        rate = self.batch.steps_per_second
+        self.metadata = {**self.metadata, "autoreset_mode": self._mode, "render_fps": rate}
+        self._drawings = [] if render_mode is None else [Drawing(self.batch, row) for row in range(self.batch.size)]
         self.num_envs = self.batch.size
-        self.single_action_space = action_space(self.batch)
+        self.single_action_space, self.answer_space = action_space(self.batch), answer_space(self.batch)
         self.observation_axes = self.batch.functional.observation_axes
         shapes = jax.eval_shape(self.batch.functional.reset, np.zeros(2, np.uint32))[1]
         self.single_observation_space = observation_space(
@@ -57,6 +69,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         )
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._over = np.zeros(self.num_envs, bool)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -67,43 +80,107 @@ class VectorTask(VectorEnv[Any, Any, Any]):
             seed: one for environment 0, those of the others follow; or one for each. None: the next episodes of the
                 series, at first of a random seed.
             options: see above.
+
+        Raises:
+            UsageError: a seed or the mask is none, or some are to begin before all have.
         """
-        rows = np.arange(self.num_envs)
-        if options and "reset_mask" in options:
-            rows = np.flatnonzero(options["reset_mask"])
+        rows = self._rows((options or {}).get("reset_mask"), "reset_mask")
+        if len(rows) < self.num_envs and not self.batch.episodes.started:
+            raise UsageError("reset_mask: nothing has begun yet; the first reset is of all environments")
         if seed is None and self.batch.episodes.started:
             self.batch.again(rows)
         else:
             first = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
             given = [first + i for i in range(self.num_envs)] if isinstance(first, int | np.integer) else list(first)
-            if len(given) != self.num_envs or any(value is None for value in given):
+            if len(given) != self.num_envs or any(given[row] is None for row in rows):
                 raise UsageError(f"seed: expected one for each of {self.num_envs} environments, found {len(given)}")
-            self.batch.reset(np.array(given)[rows], rows)
+            self.batch.reset(np.array([given[row] for row in rows]), rows)
+        self._over[rows] = False
+        self._begun(rows)
         return self._seen(), self._truth(np.ones(self.num_envs, bool))
 
-    def step(self, actions: Any) -> tuple[Any, Array, Array, Array, dict[str, Any]]:
-        """Advance all episodes, and restart those that have ended.
+    def _rows(self, given: Any, what: str) -> Array:
+        """Return the numbers of the environments of a mask, of all for None.
 
         Raises:
-            UsageError: nothing has started, or actions of another shape, not finite, out of range or incomplete.
+            UsageError: it has another shape or type.
         """
+        mask = np.ones(self.num_envs, bool) if given is None else np.asarray(given)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            raise UsageError(
+                f"{what}: expected shape ({self.num_envs},) of bool, found {mask.shape} of {mask.dtype.name}"
+            )
+        return np.flatnonzero(mask)
+
+    def step(self, actions: Any) -> tuple[Any, Array, Array, Array, dict[str, Any]]:
+        """Advance all episodes, and begin the next of those that have ended, as ``autoreset_mode`` says.
+
+        Raises:
+            UsageError: nothing has started, an episode has ended and nothing has begun its next (``DISABLED``), or
+                actions of another shape, not finite, out of range or incomplete.
+        """
+        waiting = self._over
+        if self._mode is AutoresetMode.DISABLED and waiting.any():
+            raise UsageError(
+                f"the episode of environment {np.flatnonzero(waiting)[0]} has ended: call reset() with a reset_mask"
+            )
         actions, words = split_say(self.batch, actions, "actions", self.num_envs)
-        flight, answers = split_answer(self.batch, actions, "actions")
-        flown = shaped(self.batch, flight, "actions", self.num_envs)
+        flown = shaped(self.batch, actions, "actions", self.num_envs)
+        if waiting.any():
+            # These episodes are over, and what becomes of them is not seen.
+            flown, words = (np.where(waiting[:, None], np.zeros((), each.dtype), each) for each in (flown, words))
         reward, terminated, truncated = self.batch.step(flown[:, None], words[:, None], "actions")
-        rewards = reward[:, 0].astype(np.float64)
-        if answers is not None:
-            for row in np.flatnonzero(truncated):
-                rewards[row] += self.batch.score(int(row), np.asarray(answers)[row][None])[0]
-        ended = terminated | truncated
+        rewards, ended = reward[:, 0].astype(np.float64), (terminated | truncated) & ~waiting
+        last = np.flatnonzero(truncated & ~waiting)
+        rewards[last] += self.batch.scores(last)[:, 0]
+        for drawing in self._drawings:
+            drawing.moved()
         infos: dict[str, Any] = {}
-        if ended.any():
-            infos["final_obs"] = jax.tree.map(lambda leaf: _where(ended, leaf), self._seen())
-            infos["final_info"] = {name: _where(ended, leaf) for name, leaf in self._truth(ended).items()}
-            infos["_final_obs"], infos["_final_info"] = ended.copy(), ended.copy()
-            self.batch.again(np.flatnonzero(ended))
+        if self._mode is AutoresetMode.SAME_STEP:
+            if ended.any():
+                infos = self._final(ended)
+                self.batch.again(np.flatnonzero(ended))
+                self._begun(np.flatnonzero(ended))
+        elif waiting.any():
+            self.batch.again(np.flatnonzero(waiting))
+            self._begun(np.flatnonzero(waiting))
+            rewards[waiting], terminated, truncated = 0.0, terminated & ~waiting, truncated & ~waiting
+        self._over = ended if self._mode is not AutoresetMode.SAME_STEP else np.zeros_like(ended)
         infos |= self._truth(np.ones(self.num_envs, bool))
         return self._seen(), rewards, terminated, truncated, infos
+
+    def hand_in(self, samples: Any, mask: Any = None) -> None:
+        """Hand in the answers of all episodes, or of those of a mask; the last of an episode counts, at its end.
+
+        Args:
+            samples: (num_envs, ...), each of ``answer_space``.
+            mask: (num_envs,) bool, whose count; None: all.
+
+        Raises:
+            UsageError: nothing is handed in in this task, nothing has started, another shape, or something not finite.
+        """
+        rows = self._rows(mask, "mask")
+        array = np.asarray(samples)
+        if array.shape[:1] != (self.num_envs,):
+            raise UsageError(f"samples: expected those of {self.num_envs} environments, found shape {array.shape}")
+        self.batch.hand_in(array[rows][:, None], rows, np.zeros(1, int))
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Return a picture of each environment, as ``SingleTask`` does; None without a render mode."""
+        return tuple(drawing.frame() for drawing in self._drawings) or None
+
+    def _begun(self, rows: Array) -> None:
+        for row in rows if self._drawings else ():
+            self._drawings[row].begin()
+
+    def _final(self, ended: Array) -> dict[str, Any]:
+        """Return what was seen last of the episodes that have ended, and what was really the case."""
+        return {
+            "final_obs": jax.tree.map(lambda leaf: _where(ended, leaf), self._seen()),
+            "final_info": {name: _where(ended, leaf) for name, leaf in self._truth(ended).items()},
+            "_final_obs": ended.copy(),
+            "_final_info": ended.copy(),
+        }
 
     def _seen(self) -> Any:
         return jax.tree.map(lambda leaf: leaf[:, 0].copy(), self.batch.seen)
@@ -111,6 +188,21 @@ class VectorTask(VectorEnv[Any, Any, Any]):
     def _truth(self, there: Array) -> dict[str, Any]:
         values = {name: leaf[:, 0].copy() for name, leaf in self.batch.truth.items()}
         return values | {f"_{name}": there.copy() for name in values}
+
+
+def mode_of(given: AutoresetMode | str) -> AutoresetMode:
+    """Return a mode of Gymnasium by itself, its name or its value.
+
+    Raises:
+        UsageError: there is none such.
+    """
+    named = {mode.name: mode for mode in AutoresetMode} | {mode.value: mode for mode in AutoresetMode}
+    if isinstance(given, AutoresetMode):
+        return given
+    if str(given) not in named:
+        modes = [mode.name for mode in AutoresetMode]
+        raise UsageError(f"autoreset_mode: there is no '{given}'{did_you_mean(str(given).upper(), modes)}")
+    return named[str(given)]
 
 
 def _where(ended: Array, leaf: Array) -> Array:

@@ -75,7 +75,7 @@ def test_several_agents_see_by_name_and_hand_in_answers(client):
     answers = np.random.default_rng(1).uniform(0.0, 0.1, (3, 100)).astype(np.float32)
     flights = np.random.default_rng(2).uniform(-1.0, 1.0, (3, 3)).astype(np.float32)
     names = environment.agents
-    actions = {name: {"velocity": flights[i], "samples": answers[i]} for i, name in enumerate(names)}
+    actions = {name: flights[i] for i, name in enumerate(names)}
     outcome = client.act(flights)
     environment.step(actions)
     for given, said in (
@@ -87,6 +87,7 @@ def test_several_agents_see_by_name_and_hand_in_answers(client):
         with pytest.raises(Refused, match=said):
             client.act(flights, given)
     outcome = client.act(flights, answers)
+    environment.hand_in({name: answers[i] for i, name in enumerate(names)})
     seen, rewards, _, truncations, _ = environment.step(actions)
     assert outcome.truncated
     assert all(truncations.values())
