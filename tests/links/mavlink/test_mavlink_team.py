@@ -146,17 +146,46 @@ def test_a_rover_drives_a_mission_and_stands_at_its_end(team):
 
 
 def test_what_a_rover_cannot_do_is_answered_with_the_reason(team):
-    for number in (21, 22, 192):
+    for number in (21, 22):
         found = team.command(ROVER, number)
         assert (found["COMMAND_ACK"].result, found["STATUSTEXT"]) == (2, f"Command {number} denied: a rover cannot")
-    found = team.command(ROVER, 176, 1.0, 6.0)
-    assert (found["COMMAND_ACK"].result, found["STATUSTEXT"]) == (2, "Mode denied: a rover has no offboard")
+    found = team.command(ROVER, 176, 1.0, 4.0, 6.0)
+    assert (found["COMMAND_ACK"].result, found["STATUSTEXT"]) == (2, "Mode denied: a rover has no land")
     team.ask(ROVER, "MISSION_COUNT", count=1, mission_type=0)
     found = team.ask(ROVER, "MISSION_ITEM_INT", seq=0, frame=6, command=22, z=5.0, **place(team, 0.0, 0.0))
     # MAV_MISSION_UNSUPPORTED: a take-off.
     assert found["MISSION_ACK"].type == 3
-    found = team.ask(ROVER, "SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=1, type_mask=0xDF8)
-    assert found["STATUSTEXT"] == "Set-point denied: a rover drives missions"
+    found = team.ask(ROVER, "SET_ATTITUDE_TARGET", type_mask=0x7, q=(1.0, 0.0, 0.0, 0.0), thrust=0.5)
+    assert found["STATUSTEXT"] == "Set-point refused: a rover has no attitude to fly"
+
+
+def test_a_rover_drives_by_setpoints_and_repositions(team):
+    def send(seconds, **values):
+        for _ in range(round(seconds * 10.0)):
+            team.ask(ROVER, "SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=1, **values)
+            team.on(4)
+
+    state = team.world.simulation
+    send(0.2, type_mask=0xDF8, x=30.0, y=-45.0)
+    assert team.command(ROVER, 176, 1.0, 6.0)["COMMAND_ACK"].result == 0
+    assert team.command(ROVER, 400, 1.0)["COMMAND_ACK"].result == 0
+    send(25.0, type_mask=0xDF8, x=30.0, y=-45.0)
+    assert team.run(5)[ROVER]["HEARTBEAT"].custom_mode == 6 << 16
+    # It stops where it seems to be there, some metres off by its receiver.
+    assert state.truth.position_ned[ROVER - 1, :2] == pytest.approx([30.0, -45.0], abs=4.0)
+    assert math.hypot(*state.truth.velocity_ned[ROVER - 1, :2]) < 0.2
+    # East, at 1.5 m/s.
+    send(10.0, type_mask=0xDC7, vy=1.5)
+    assert state.truth.velocity_ned[ROVER - 1, :2] == pytest.approx([0.0, 1.5], abs=0.4)
+    # Without set-points it holds.
+    assert team.run(150)[ROVER]["HEARTBEAT"].custom_mode == 4 << 16 | 3 << 24
+    assert math.hypot(*state.truth.velocity_ned[ROVER - 1, :2]) < 0.2
+    there = place(team, 20.0, -50.0)
+    found = team.ask(ROVER, "COMMAND_INT", command=192, frame=6, param1=-1.0, param2=1.0, param4=NAN, z=0.0, **there)
+    assert found["COMMAND_ACK"].result == 0
+    team.run(1500)
+    assert state.truth.position_ned[ROVER - 1, :2] == pytest.approx([20.0, -50.0], abs=4.0)
+    assert state.reasons[ROVER - 1] == ""
 
 
 def test_what_a_wing_cannot_obey_is_answered_with_the_reason(team):

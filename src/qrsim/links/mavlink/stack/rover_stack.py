@@ -1,4 +1,4 @@
-"""The flight stack of a rover: it stands, and drives missions and home; it neither takes off nor lands."""
+"""The flight stack of a rover: it stands, and drives missions, set-points and home; it neither takes off nor lands."""
 
 from __future__ import annotations
 
@@ -8,24 +8,22 @@ from collections.abc import Sequence
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack import plan
 from qrsim.links.mavlink.stack.codes import PlanResult, Result, Severity
-from qrsim.links.mavlink.stack.contracts import Ack, Command, Facts, FlavourName, Item, Seen, Target, Triple
+from qrsim.links.mavlink.stack.contracts import Ack, Command, Facts, FlavourName, Item, Seen, Triple
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.flight_stack import FlightStack
+from qrsim.links.mavlink.stack.ground_setpoints import GroundOffboard, stop_at
 from qrsim.links.mavlink.stack.mission import Mission
 from qrsim.links.mavlink.stack.modes import FLAVOURS, Flavour, Mode
 from qrsim.links.mavlink.stack.parameters import Parameters
 from qrsim.models.site import Site
 
-# Orders by which a rover is driven.
-DRIVEN = frozenset({"path", "velocity"})
-# Land, take off, turn on the spot, reposition.
-REFUSED = frozenset((21, 22, 115, 192))
+# Land, take off, turn on the spot.
+REFUSED = frozenset((21, 22, 115))
 # Items that need height, or circles.
 UNSUPPORTED = frozenset((plan.LOITER_TURNS, plan.LAND, plan.TAKEOFF, plan.LOITER_TO_ALTITUDE))
-# ArduPilot Rover.
-_ARDUPILOT = {Mode.HOLD: 4, Mode.MISSION: 10, Mode.RTL: 11}
-# A set-point that is refused is said once in so long [s].
-SAID_EVERY_S = 5.0
+# ArduPilot Rover; GUIDED is where it takes set-points.
+_GUIDED = 15
+_ARDUPILOT = {Mode.HOLD: 4, Mode.MISSION: 10, Mode.RTL: 11, Mode.OFFBOARD: _GUIDED}
 
 
 class RoverFlavour(Flavour):
@@ -33,12 +31,16 @@ class RoverFlavour(Flavour):
 
     def custom_mode(self, mode: Mode, guided: bool = False) -> int:
         """Return the custom_mode of HEARTBEAT."""
-        return _ARDUPILOT[mode] if self.name == "ardupilot" else super().custom_mode(mode, guided)
+        if self.name != "ardupilot":
+            return super().custom_mode(mode, guided)
+        return _GUIDED if guided and mode is Mode.HOLD else _ARDUPILOT[mode]
 
     def mode_of(self, main: int, sub: int) -> Mode | None:
         """Return the mode of DO_SET_MODE's numbers, None where there is none."""
         if self.name != "ardupilot":
             return super().mode_of(main, sub)
+        if main == _GUIDED:
+            return Mode.GUIDED
         return next((mode for mode, number in _ARDUPILOT.items() if number == main), None)
 
 
@@ -73,8 +75,6 @@ class Drive(Mission):
 class RoverStack(FlightStack):
     """See ``contracts.Stack``; the arguments are those of ``FlightStack``."""
 
-    takes_setpoints = False
-
     def __init__(
         self,
         facts: Facts,
@@ -91,7 +91,7 @@ class RoverStack(FlightStack):
     def reset(self) -> None:
         """Begin again as after a boot."""
         super().reset()
-        self._stands, self._said_at = False, -SAID_EVERY_S
+        self._stands, self.offboard = False, GroundOffboard()
 
     def tick(self, seen: Seen) -> Order | None:
         """Advance by one tick; return the order for the vehicle, None where the last one holds."""
@@ -133,11 +133,22 @@ class RoverStack(FlightStack):
                 craft.say(Severity.INFO, "Mission finished, holding")
                 self.switch(Mode.HOLD)
             return order
+        if self.mode is Mode.OFFBOARD:
+            return self.offboard.fly(craft)[0]
+        if self.mode is Mode.HOLD and self._goal is not None:
+            return stop_at(craft, self._goal)
         if self.mode is Mode.RTL and craft.home is not None:
             if away(craft, craft.home.position_ned) >= self.parameters["NAV_ACC_RAD"]:
                 return drive(craft, craft.home.position_ned)
             self.switch(Mode.HOLD)
         return None
+
+    def arm(self, force: bool = False) -> Result:
+        """Arm, or say why not; ``force`` leaves the checks out."""
+        result = super().arm(force)
+        # There is nothing to take off for.
+        self.craft.flies = self.armed
+        return result
 
     def command(self, command: Command) -> Ack:
         """Obey or refuse a command."""
@@ -148,22 +159,17 @@ class RoverStack(FlightStack):
 
     def request(self, mode: Mode | None) -> Result:
         """Change the mode as somebody asks, or say why not."""
-        if mode is None or mode in _ARDUPILOT:
+        if mode is None or mode in _ARDUPILOT or mode is Mode.GUIDED:
             return super().request(mode)
         self._refuse("Mode", f"a rover has no {mode.value}")
         return Result.DENIED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
         """Change the mode; what ends a flight on the ground has a rover stand."""
-        super().switch(mode if mode in _ARDUPILOT else Mode.HOLD)
-
-    def setpoint(self, target: Target) -> bool:
-        """Refuse a set-point."""
-        now = self.craft.seen.time
-        if now - self._said_at >= SAID_EVERY_S:
-            self._said_at = now
-            self._refuse("Set-point", "a rover drives missions")
-        return False
+        if mode in _ARDUPILOT:
+            super().switch(mode, goal)
+        else:
+            super().switch(Mode.HOLD)
 
     def _refuse(self, what: str, why: str) -> None:
         self.craft.say(Severity.WARNING, f"{what} denied: {why}")
