@@ -21,11 +21,12 @@ TRACK_PERIOD_S = 0.2
 
 @dataclass(frozen=True)
 class Export:
-    """Write a recorded run for other programs: csv, geojson, gpx, kml or mcap.
+    """Write a recorded run for other programs: csv, geojson, gpx, kml, mcap or rosbag2.
 
     csv: one table per stream, every column with its unit, full precision. geojson, gpx and kml: the true and the
     GNSS-reported track of every vehicle and the events, on WGS-84. mcap: poses, fixes, sensors, commands, wind, scene
-    and events for Foxglove, east-north-up, and a layout for it in NAME.layout.json.
+    and events for Foxglove, east-north-up, and a layout for it in NAME.layout.json. rosbag2: the topics of 'qrsim
+    ros2', as ROS 2 records them.
 
     Heights are above the WGS-84 ellipsoid, those of kml above the ground unless --heights says otherwise. A run that is
     running, was interrupted or killed is exported up to its last flush; what is damaged is left out with a warning.
@@ -38,18 +39,18 @@ class Export:
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Run folder."""
-    format: Literal["csv", "geojson", "gpx", "kml", "mcap"]
+    format: Literal["csv", "geojson", "gpx", "kml", "mcap", "rosbag2"]
     """What to write."""
     out: Annotated[
         Path | None,
         tyro.conf.arg(metavar="PATH", help_behavior_hint="(default: RUN/export/NAME.FORMAT, csv: RUN/export)"),
     ] = None
-    """File to write; for csv of all streams, the folder of its files."""
+    """File to write; for csv of all streams, the folder of its files; for rosbag2 the folder of the bag."""
     stream: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = None
     """The only stream to write, csv only."""
     every: Annotated[
         int | None,
-        tyro.conf.arg(metavar="N", help_behavior_hint="(default: 1 for csv and mcap, 5 Hz for the others)"),
+        tyro.conf.arg(metavar="N", help_behavior_hint="(default: 1 for csv, mcap and rosbag2, 5 Hz for the others)"),
     ] = None
     """Keep the ticks that N divides; events are all kept."""
     heights: Literal["ground", "ellipsoid"] = "ground"
@@ -74,11 +75,14 @@ class Export:
         if recorded.unfinished:
             print(recorded.unfinished, file=sys.stderr)
         every = self.every or self._usual_every(recorded)
-        written = self._write_tables(recorded, every) if self.format == "csv" else [self._write_file(recorded, every)]
+        if self.format == "csv":
+            written = self._write_tables(recorded, every)
+        else:
+            written = [(self._write_bag if self.format == "rosbag2" else self._write_file)(recorded, every)]
         self._report(written, every)
 
     def _usual_every(self, recorded: Run) -> int:
-        if self.format in ("csv", "mcap"):
+        if self.format in ("csv", "mcap", "rosbag2"):
             return 1
         return max(1, round(TRACK_PERIOD_S / recorded.info.time_step))
 
@@ -97,6 +101,18 @@ class Export:
         for target in targets:
             check_target(target, self.force)
         return [write_stream(recorded, *pair, every) for pair in zip(streams, targets, strict=True)]
+
+    def _write_bag(self, recorded: Run, every: int) -> Written:
+        require("ros2", "a bag of ROS 2")
+        from qrsim.links.ros2 import bag
+        from qrsim.runs.export.output import Written
+
+        folder = self.out or self.run_folder / "export" / f"{self.run_folder.resolve().name}.rosbag2"
+        if folder.exists() and not self.force:
+            raise UsageError(f"{folder} exists; choose another --out, or --force to overwrite it")
+        if folder.exists() and not (folder / bag.METADATA).is_file():
+            raise UsageError(f"{folder} is no bag, and is not overwritten; choose another --out")
+        return Written(folder, bag.write(recorded, folder, every))
 
     def _write_file(self, recorded: Run, every: int) -> Written:
         from qrsim.runs.export import geojson, gpx, kml

@@ -9,8 +9,9 @@ import pytest
 pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
 
-from qrsim.links.ros2.messages import Messages, stamp_of
+from qrsim.links.ros2.messages import Messages
 from qrsim.links.ros2.names import namespaces
+from qrsim.links.ros2.publications import stamp_of
 from qrsim.links.ros2.typestore import Types
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation

@@ -70,10 +70,20 @@ def seen(values: Array) -> Array:
 def true(simulation: Simulation) -> Array:
     """Return the numbers (n, WIDTH) for what is true: motion and wind, with variances 0."""
     truth = simulation.truth
-    found = np.full((simulation.size, WIDTH), np.nan)
-    quaternion = quaternion_of(np.asarray(truth.attitude, np.float64))
-    _put_motion(found, truth.position_ned, quaternion, truth.velocity_ned, truth.rates_body)
-    found[:, WIND : WIND + 3] = enu_of(truth.wind_ned)
+    parts = truth.position_ned, truth.attitude, truth.velocity_ned, truth.rates_body, truth.wind_ned
+    return of_motion(*(np.asarray(part, np.float64) for part in parts))
+
+
+def velocity_ned(attitude: Array, velocity_body: Array) -> Array:
+    """Return velocities NED (R, 3) of those in FRD body axes, for attitudes of Euler angles (R, 3) [rad]."""
+    return enu_of(turned(quaternion_enu_flu(quaternion_of(attitude)), flu_of(velocity_body)))
+
+
+def of_motion(position_ned: Array, attitude: Array, velocity_ned: Array, rates_body: Array, wind_ned: Array) -> Array:
+    """Return the numbers (R, WIDTH) for known motion and wind (R, 3): angles [rad], rates [rad/s], m, m/s."""
+    found = np.full((len(position_ned), WIDTH), np.nan)
+    _put_motion(found, position_ned, quaternion_of(attitude), velocity_ned, rates_body)
+    found[:, WIND : WIND + 3] = enu_of(wind_ned)
     found[:, POSITION_VARIANCE : VELOCITY_VARIANCE + 3] = 0.0
     return found
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,8 @@ from cyclonedds.topic import Topic as DdsTopic
 from cyclonedds.util import duration
 
 from qrsim.errors import RunError, UsageError
-from qrsim.links.ros2.topics import Quality, Topic
+from qrsim.links.ros2.profiles import PROFILES, Profile
+from qrsim.links.ros2.topics import Topic
 from qrsim.links.ros2.typestore import Types, dds_name, packed
 
 # Ports of DDS are 7400 + 250 times the domain, below 65536.
@@ -25,24 +25,6 @@ LAST_DOMAIN = 232
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _DISCOVERY = "ros_discovery_info"
 _MOST_AT_ONCE = 32
-
-
-@dataclass(frozen=True)
-class Profile:
-    """Quality of service: whether lost samples are sent again, kept for late readers, and how many are kept."""
-
-    reliable: bool
-    depth: int
-    latched: bool = False
-
-
-PROFILES: dict[Quality, Profile] = {
-    "sensor": Profile(reliable=False, depth=5),
-    "reliable": Profile(reliable=True, depth=10),
-    "clock": Profile(reliable=False, depth=1),
-    "static": Profile(reliable=True, depth=1, latched=True),
-    "command": Profile(reliable=True, depth=1),
-}
 
 
 def checked_domain(domain: int) -> int:

@@ -14,8 +14,7 @@ from qrsim.links.ros2.names import MAP, base_link, gnss_link, range_link
 from qrsim.links.ros2.template import Put, Template
 from qrsim.links.ros2.typestore import Types
 from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
-from qrsim.simulation.simulation import Simulation
-from qrsim.world.state import Fleet
+from qrsim.world.state import Fleet, World
 
 Array = np.ndarray[Any, Any]
 TYPE, ONE = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/TransformStamped"
@@ -77,13 +76,13 @@ def transform(
     return found
 
 
-def static_transforms(types: Types, simulation: Simulation, namespaces: Sequence[str]) -> bytes:
+def static_transforms(types: Types, world: World, namespaces: Sequence[str]) -> Any:
     """Return the message of /tf_static: GNSS receivers and rangefinders of vehicles."""
     found, rest = [], iter(namespaces)
-    for fleet in simulation.world.fleets:
+    for fleet in world.fleets:
         for _ in range(fleet.size):
             found += _of_vehicle(types, fleet, next(rest))
-    return types.encode(types[TYPE](found))
+    return types[TYPE](found)
 
 
 def _of_vehicle(types: Types, fleet: Fleet, name: str) -> list[Any]:

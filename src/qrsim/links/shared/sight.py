@@ -10,6 +10,7 @@ import numpy as np
 
 from qrsim.control.kalman_state import KalmanState
 from qrsim.models.gnss.receivers import GnssReading
+from qrsim.models.site import Site
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet
 
@@ -26,13 +27,13 @@ HDOP, VDOP = 47, 48
 PLACE, QUATERNION, FIX_PLACE, VOLTAGE = 49, 52, 56, 59
 WIDTH = 60
 # Where the fields of readings go; the first sensor that has a field counts.
-_VECTORS = {"rates_body": RATES, "specific_force": FORCE, "field_body": FIELD}
-_FIX_VECTORS = {"position_ned": FIX_POSITION, "velocity_ned": FIX_VELOCITY}
-_SCALARS = {
+VECTORS = {"rates_body": RATES, "specific_force": FORCE, "field_body": FIELD}
+FIX_VECTORS = {"position_ned": FIX_POSITION, "velocity_ned": FIX_VELOCITY}
+SCALARS = {
     "height": HEIGHT, "pressure": PRESSURE, "temperature": TEMPERATURE, "differential_pressure": DIFFERENTIAL,
     "true_airspeed": AIRSPEED, "range": RANGE,
 }  # fmt: skip
-_FIX_SCALARS = {
+FIX_SCALARS = {
     "satellites": SATELLITES, "fix_type": FIX_TYPE, "horizontal_accuracy": HORIZONTAL, "vertical_accuracy": VERTICAL,
     "speed_accuracy": SPEED, "hdop": HDOP, "vdop": VDOP,
 }  # fmt: skip
@@ -101,29 +102,11 @@ class Sight:
         simulation, values = self._simulation, self.values
         floats, _ = (np.asarray(part) for part in simulation.packed[1])
         values.reshape(-1)[self._targets] = floats[self._sources]
-        self._compute()
+        complete(values, simulation.site, self._plain)
         self._look_for_fixes()
         if simulation.time - self._voltage_at >= _VOLTAGE_EVERY_S or simulation.time < self._voltage_at:
             self._voltage_at = simulation.time
             self._measure_voltage()
-
-    def _compute(self) -> None:
-        values, size = self.values, len(self.values)
-        both = values[:, [0, 1, 2, FIX_POSITION, FIX_POSITION + 1, FIX_POSITION + 2]].reshape(-1, 3)
-        latitude, longitude, height = self._simulation.site.ned_to_geodetic(both)
-        places = np.stack([np.degrees(latitude), np.degrees(longitude), height], axis=1).reshape(size, 6)
-        values[:, PLACE : PLACE + 3], values[:, FIX_PLACE : FIX_PLACE + 3] = places[:, :3], places[:, 3:]
-        half = 0.5 * values[:, ATTITUDE : ATTITUDE + 3].T
-        (sr, sp, sy), (cr, cp, cy) = np.sin(half), np.cos(half)
-        quaternion = values[:, QUATERNION : QUATERNION + 4]
-        quaternion[:, 0] = cr * cp * cy + sr * sp * sy
-        quaternion[:, 1] = sr * cp * cy - cr * sp * sy
-        quaternion[:, 2] = cr * sp * cy + sr * cp * sy
-        quaternion[:, 3] = cr * cp * sy - sr * sp * cy
-        # A receiver that gives no type has a fix in three dimensions, or none.
-        plain = self._plain
-        if plain.any():
-            values[plain, FIX_TYPE] = np.where(np.isfinite(values[plain, FIX_POSITION]), 3.0, 0.0)
 
     def _look_for_fixes(self) -> None:
         """Find whose fix has arrived at this tick, and when it was true."""
@@ -172,6 +155,30 @@ class Sight:
             first += fleet.size
 
 
+def complete(values: Array, site: Site, plain: Array) -> None:
+    """Compute the columns that follow from others: places on the Earth, quaternions, types of fixes.
+
+    Args:
+        values: (R, WIDTH) rows.
+        site: of the world.
+        plain: (R,) bool, whose receivers give positions, but no type of fix.
+    """
+    both = values[:, [0, 1, 2, FIX_POSITION, FIX_POSITION + 1, FIX_POSITION + 2]].reshape(-1, 3)
+    latitude, longitude, height = site.ned_to_geodetic(both)
+    places = np.stack([np.degrees(latitude), np.degrees(longitude), height], axis=1).reshape(len(values), 6)
+    values[:, PLACE : PLACE + 3], values[:, FIX_PLACE : FIX_PLACE + 3] = places[:, :3], places[:, 3:]
+    half = 0.5 * values[:, ATTITUDE : ATTITUDE + 3].T
+    (sr, sp, sy), (cr, cp, cy) = np.sin(half), np.cos(half)
+    quaternion = values[:, QUATERNION : QUATERNION + 4]
+    quaternion[:, 0] = cr * cp * cy + sr * sp * sy
+    quaternion[:, 1] = sr * cp * cy - cr * sp * sy
+    quaternion[:, 2] = cr * sp * cy + sr * cp * sy
+    quaternion[:, 3] = cr * cp * sy - sr * sp * cy
+    # A receiver that gives no type has a fix in three dimensions, or none.
+    if plain.any():
+        values[plain, FIX_TYPE] = np.where(np.isfinite(values[plain, FIX_POSITION]), 3.0, 0.0)
+
+
 def _leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any, int | None]]:
     """Yield the column and the leaf of all that is known of the vehicles of a fleet, and whose reading it is."""
     for column, leaf in _known(fleet, state):
@@ -209,7 +216,7 @@ def _known(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
 
 def _of_reading(reading: Any) -> Iterator[tuple[int, Any]]:
     fix = isinstance(reading, GnssReading)
-    vectors, scalars = (_FIX_VECTORS, _FIX_SCALARS) if fix else (_VECTORS, _SCALARS)
+    vectors, scalars = (FIX_VECTORS, FIX_SCALARS) if fix else (VECTORS, SCALARS)
     for name, value in vars(reading).items():
         if name in vectors:
             yield from _axes(vectors[name], value)

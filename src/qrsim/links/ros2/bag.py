@@ -1,0 +1,96 @@
+"""rosbag2: a recorded run as ROS 2 would have recorded it, MCAP with CDR messages and metadata.yaml."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.errors import WriterError
+
+from qrsim.errors import RunError
+from qrsim.links.ros2 import topics as t
+from qrsim.links.ros2.profiles import PROFILES
+from qrsim.links.ros2.publications import Publications
+from qrsim.links.ros2.recorded import Recorded
+from qrsim.links.ros2.transforms import static_transforms
+from qrsim.links.ros2.typestore import Types
+from qrsim.runs import Run
+
+# rosbag2's format of metadata.yaml since Jazzy.
+VERSION = 9
+METADATA = "metadata.yaml"
+# What rmw takes for never: 2^63 - 1 nanoseconds.
+_ENDLESS = QosTime(9_223_372_036, 854_775_807)
+
+
+def write(run: Run, folder: Path, every: int, distro: str = "jazzy") -> dict[str, int]:
+    """Write a run as a bag, and return what is in it.
+
+    Args:
+        run: with the streams of its sensors, commands or truth.
+        folder: of the bag; replaced where it exists.
+        every: keep the ticks that this divides.
+        distro: whose message types are written.
+
+    Raises:
+        RunError: the run has no tick, or the bag cannot be written.
+        ScenarioError, UsageError: its scenario cannot be built.
+    """
+    types = Types(distro)
+    recorded = Recorded(run, every)
+    temporary = folder.with_name(f".{folder.name}.tmp")
+    try:
+        shutil.rmtree(temporary, ignore_errors=True)
+        temporary.mkdir(parents=True)
+        # The file in it is called as the folder.
+        count = _write(types, recorded, temporary / folder.name)
+        shutil.rmtree(folder, ignore_errors=True)
+        os.replace(temporary / folder.name, folder)
+    except (OSError, WriterError) as error:
+        raise RunError(f"cannot write {folder}: {error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return {"messages": count}
+
+
+def _write(types: Types, recorded: Recorded, folder: Path) -> int:
+    world = recorded.world
+    names = recorded.names
+    publications = Publications(types, world, names, recorded.sensor, [False] * len(names), recorded.has_truth)
+    count = 0
+    with Writer(folder, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections: dict[int, Any] = {}
+
+        def put(number: int, topic: t.Topic, nanoseconds: int, cdr: bytes) -> None:
+            if number not in connections:
+                qos = [_qos(topic.quality)]
+                connections[number] = writer.add_connection(
+                    topic.name, topic.type, typestore=types.store, offered_qos_profiles=qos
+                )
+            writer.write(connections[number], nanoseconds, cdr)
+
+        static = static_transforms(types, world, publications.namespaces)
+        for tick, time, values, news, true in recorded.ticks(publications.columns):
+            nanoseconds = round(time * 1e9)
+            if not count and static.transforms:
+                put(-1, t.TF_STATIC, nanoseconds, types.encode(static))
+                count += 1
+            believed = [max(0.0, time - behind) for behind in recorded.behind]
+            for number, cdr in publications.of_tick(tick, believed, values, news, true):
+                put(number, publications.topics[number], nanoseconds, cdr)
+                count += 1
+    return count
+
+
+def _qos(quality: t.Quality) -> Qos:
+    profile = PROFILES[quality]
+    return Qos(
+        QosHistory.KEEP_LAST, profile.depth,
+        QosReliability.RELIABLE if profile.reliable else QosReliability.BEST_EFFORT,
+        QosDurability.TRANSIENT_LOCAL if profile.latched else QosDurability.VOLATILE,
+        _ENDLESS, _ENDLESS, QosLiveliness.AUTOMATIC, _ENDLESS, False,
+    )  # fmt: skip

@@ -1,0 +1,25 @@
+"""Quality of service: which topics are sent again where they are lost, and how many messages are kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from qrsim.links.ros2.topics import Quality
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Quality of service: whether lost samples are sent again, how many are kept, and whether for late readers."""
+
+    reliable: bool
+    depth: int
+    latched: bool = False
+
+
+PROFILES: dict[Quality, Profile] = {
+    "sensor": Profile(reliable=False, depth=5),
+    "reliable": Profile(reliable=True, depth=10),
+    "clock": Profile(reliable=False, depth=1),
+    "static": Profile(reliable=True, depth=1, latched=True),
+    "command": Profile(reliable=True, depth=1),
+}

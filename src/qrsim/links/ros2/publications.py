@@ -1,0 +1,131 @@
+"""Topics of all vehicles, and their messages for the numbers of a tick, wherever those are from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from qrsim.links.ros2 import numbers as n
+from qrsim.links.ros2 import topics as t
+from qrsim.links.ros2 import variances
+from qrsim.links.ros2.names import namespaces
+from qrsim.links.ros2.transforms import Transforms
+from qrsim.links.ros2.typestore import Types
+from qrsim.links.ros2.vehicle import Publication, Sensors, kinds_of
+from qrsim.links.shared import sight as s
+from qrsim.world.state import World
+
+Array = np.ndarray[Any, Any]
+# Of each vehicle whether a sensor has delivered, and when that was true [s].
+News = tuple[Sequence[bool], Sequence[float]]
+
+
+class Publications:
+    """What vehicles publish of what they know.
+
+    Args:
+        types: of the distribution.
+        world: of the vehicles.
+        names: of them.
+        sensor: finds the sensor of a fleet, by its number, that a column (shared/sight.py) is of, or None.
+        windy: of each vehicle whether its wind is known.
+        truth: whether the true motion and wind are published.
+
+    Attributes:
+        namespaces: of the vehicles.
+        topics: all of them.
+        columns: whose sensors' news are needed.
+    """
+
+    def __init__(
+        self, types: Types, world: World, names: Sequence[str], sensor: Callable[[int, int], Any],
+        windy: Sequence[bool], truth: bool,
+    ):  # fmt: skip
+        self._types, self._truth, self._dt = types, truth, world.time_step
+        self.namespaces = namespaces(names)
+        self.topics: list[t.Topic] = [t.TF]
+        self._transforms = Transforms(types, self.namespaces)
+        self._vehicles: list[list[tuple[int, Publication]]] = []
+        self._true: list[list[tuple[int, Publication]]] = []
+        self._noise = np.zeros((3, len(names)))
+        for number, fleet in enumerate(world.fleets):
+
+            def sensors(column: int, number: int = number) -> Any:
+                return sensor(number, column)
+
+            for vehicle in range(fleet.size):
+                row = len(self._vehicles)
+                kinds = kinds_of(sensors, fleet.battery.drains, windy[row])
+                self._vehicles.append(self._published(kinds, row, sensors, vehicle))
+                self._true.append(self._published(t.TRUE_KINDS, row, sensors, vehicle) if truth else [])
+                distance = variances.of_range(sensors(s.RANGE), vehicle)
+                attitude = max((variances.of_attitude(each, vehicle) for each in fleet.sensors), default=0.0)
+                self._noise[:, row] = (*distance, attitude)
+        self.columns = sorted({own.sensor for each in self._vehicles for _, own in each if own.sensor is not None})
+
+    def add(self, topic: t.Topic) -> int:
+        """Add a topic, and return its number."""
+        self.topics.append(topic)
+        return len(self.topics) - 1
+
+    def _published(
+        self, kinds: Sequence[t.Kind], row: int, sensors: Sensors, vehicle: int
+    ) -> list[tuple[int, Publication]]:
+        made = [Publication(self._types, kind, self.namespaces[row], sensors, vehicle) for kind in kinds]
+        return [(self.add(own.topic), own) for own in made]
+
+    def of_tick(
+        self, tick: int, believed: Sequence[float], values: Array, news: Mapping[int, News], true: Array | None
+    ) -> Iterator[tuple[int, bytes]]:
+        """Yield numbers of topics and messages.
+
+        Args:
+            tick: its number.
+            believed: of each vehicle when its estimate held [s].
+            values: (n, sight.WIDTH) what vehicles know of themselves.
+            news: of sensors by column.
+            true: (n, numbers.WIDTH), with the truth.
+        """
+        numbers, stamps = self._numbers(values), [stamp_of(time) for time in believed]
+        yield 0, self._transforms.message(numbers, stamps)
+        for row, (own, own_numbers) in enumerate(zip(self._vehicles, numbers.tolist(), strict=True)):
+            for topic, publication in own:
+                stamp = stamps[row]
+                if publication.sensor is not None:
+                    fresh, times = news[publication.sensor]
+                    if not fresh[row]:
+                        continue
+                    stamp = stamp_of(times[row])
+                elif not self._is_time(tick, publication.kind.every):
+                    continue
+                message = publication.message(own_numbers, *stamp)
+                if message is not None:
+                    yield topic, message
+        if true is not None:
+            yield from self._truths(true, stamp_of(tick * self._dt))
+
+    def _numbers(self, values: Array) -> Array:
+        found = n.seen(values)
+        still, growth, turn = self._noise
+        found[:, n.RANGE_VARIANCE] = (still + growth * found[:, n.RANGE]) ** 2
+        for first in (n.TURN_VARIANCE, n.IMU_VARIANCE):
+            own = found[:, first : first + 3]
+            own[:] = np.where(own == 0.0, turn[:, None], own)
+        return found
+
+    def _is_time(self, tick: int, every: float) -> bool:
+        return not every or tick % max(1, round(every / self._dt)) == 0
+
+    def _truths(self, true: Array, stamp: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
+        for own, row in zip(self._true, true.tolist(), strict=True):
+            for topic, publication in own:
+                message = publication.message(row, *stamp)
+                if message is not None:
+                    yield topic, message
+
+
+def stamp_of(time: float) -> tuple[int, int]:
+    """Return seconds and nanoseconds of a simulated time [s]."""
+    return divmod(round(time * 1e9), 1_000_000_000)
