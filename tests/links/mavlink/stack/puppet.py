@@ -41,8 +41,11 @@ class Puppet:
         highest, farthest: how high it was [m], and how fast along the ground [m/s].
     """
 
-    def __init__(self, flavour: str = "px4", factor: float = 1.0, fence: tuple = (), settle: float = 2.0):
-        facts = Facts("a", hover_throttle=0.5, has_battery=True, fence=fence)
+    def __init__(
+        self, flavour: str = "px4", factor: float = 1.0, fence: tuple = (), settle: float = 2.0,
+        z_min: float = -math.inf, z_max: float = math.inf,
+    ):  # fmt: skip
+        facts = Facts("a", hover_throttle=0.5, has_battery=True, fence=fence, z_min=z_min, z_max=z_max)
         self.stack = FlightStack(facts, SITE, flavour=flavour, factor=factor)  # type: ignore[arg-type]
         self.seen = Seen(charge=0.8, present=0xF, healthy=0xF, altitude=488.0)
         self.order: Order | None = None

@@ -71,6 +71,9 @@ def _take_off(stack: Flight, command: Command) -> Result:
         else:
             craft.say(Severity.WARNING, f"Takeoff altitude is below me: {asked:.1f} m; using MIS_TAKEOFF_ALT")
         z = here[2] if craft.flies else min(default, here[2] - 0.5)
+    if z < craft.facts.z_min:
+        craft.say(Severity.CRITICAL, "Takeoff rejected: above the ceiling of the area")
+        return Result.DENIED
     craft.turn_to(math.radians(command.params[3]) if math.isfinite(command.params[3]) else craft.seen.attitude[2])
     stack.switch(Mode.TAKEOFF, goal=(here[0], here[1], z))
     return Result.ACCEPTED
@@ -128,9 +131,14 @@ def _reposition(stack: Flight, command: Command) -> Result:
     goal = place_in(stack, command)
     if goal is None:
         return Result.DENIED
-    if not craft.fence.inside(goal[0], goal[1]):
+    if not craft.allows(goal):
         craft.say(Severity.CRITICAL, "Reposition is outside the fence")
         return Result.DENIED
+    if all(map(math.isnan, params[4:7])):
+        # Where it comes to rest: that is how ground stations pause.
+        stack.guided, craft.critical = stack.flavour.name == "ardupilot", False
+        stack.switch(Mode.HOLD)
+        return Result.ACCEPTED
     if _number(params[0]) > 0.0:
         craft.cruise = params[0]
     craft.critical = False
@@ -143,7 +151,7 @@ def _reposition(stack: Flight, command: Command) -> Result:
     if math.isfinite(params[3]):
         craft.turn_to(_yaw(stack, params[3]))
     elif stack.mode is Mode.HOLD:
-        craft.look_to(goal[0], goal[1], 2.0)
+        craft.head_to(goal[0], goal[1], 2.0)
     return Result.ACCEPTED
 
 
@@ -213,6 +221,10 @@ def _reboot(stack: Flight, command: Command) -> Result:
         return Result.DENIED
     if _number(command.params[0]) not in (1.0, 3.0):
         return Result.ACCEPTED if _number(command.params[0]) == 0.0 else Result.UNSUPPORTED
+    if stack.craft.seen.stopped:
+        why = f"flight has ended: {stack.craft.seen.stopped}; start qrsim mavlink again"
+        stack.craft.say(Severity.CRITICAL, f"Reboot denied: {why}")
+        return Result.DENIED
     stack.craft.terminated = False
     stack.craft.tell("reboot")
     return Result.ACCEPTED

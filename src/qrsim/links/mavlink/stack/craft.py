@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from qrsim.links.contracts import Order
-from qrsim.links.mavlink.stack.codes import Landed, Severity
+from qrsim.links.mavlink.stack.codes import GROUND_ROVER, Landed, Severity
 from qrsim.links.mavlink.stack.contracts import Event, Facts, Home, Seen, Text, Triple
 from qrsim.links.mavlink.stack.fence import Fence
 from qrsim.links.mavlink.stack.geodesy import Geodesy
@@ -15,6 +15,12 @@ from qrsim.links.mavlink.stack.path import Path
 
 # A vehicle that has risen so far from where it stood flies [m]; until then it goes straight up.
 RISEN, UPRIGHT_UNTIL = 0.1, 0.5
+# Where the ground seems to be, a place may be so far below the floor of the area [m].
+FLOOR = 0.5
+# MPC_YAW_MODE, of which 0 is the place that it goes to.
+TO_HOME, FROM_HOME, ALONG, TURN_FIRST = 1, 2, 3, 4
+# With less of a speed [m/s] there is no way to look along; a turn is done within this angle [rad], as MIS_YAW_ERR.
+SLOW, TURNED = 0.5, math.radians(12.0)
 ZERO: Triple = (0.0, 0.0, 0.0)
 
 
@@ -120,6 +126,15 @@ class Craft:
         """Return the position down [m], here, of an altitude above mean sea level [m]."""
         return self.seen.position_ned[2] - (altitude - self.seen.altitude)
 
+    def allows(self, place: Triple, lands: bool = False) -> bool:
+        """Return whether a place NED [m] is inside the fence, and between floor and ceiling of the area.
+
+        On the ground heights do not count; ``lands``: the floor does not.
+        """
+        facts = self.facts
+        high = place[2] < facts.z_min or (place[2] > facts.z_max + FLOOR and not lands)
+        return self.fence.inside(place[0], place[1]) and (facts.mav_type == GROUND_ROVER or not high)
+
     # ---- where it goes ----
 
     def speeds(self) -> Triple:
@@ -195,3 +210,21 @@ class Craft:
         dx, dy = north - here[0], east - here[1]
         if dx * dx + dy * dy > farther * farther:
             self.yaw = math.atan2(dy, dx)
+
+    def head_to(self, north: float, east: float, farther: float = 1.0) -> bool:
+        """Turn on the way to a place [m] as ``MPC_YAW_MODE`` says; return whether it is to turn before it moves."""
+        mode, home = int(self.parameters.values["MPC_YAW_MODE"]), self.home
+        if mode in (TO_HOME, FROM_HOME) and home is not None:
+            self.look_to(home.position_ned[0], home.position_ned[1], farther)
+            here = self.seen.position_ned
+            if mode == FROM_HOME and math.dist(here[:2], home.position_ned[:2]) > farther:
+                self.turn_to(self.yaw + math.pi)
+            return False
+        vn, ve, _ = self.path.velocity
+        if mode == ALONG:
+            if math.hypot(vn, ve) > SLOW:
+                self.yaw = math.atan2(ve, vn)
+            return False
+        self.look_to(north, east, farther)
+        off = math.remainder(self.yaw - self.seen.attitude[2], 2.0 * math.pi)
+        return mode == TURN_FIRST and abs(off) > TURNED and math.hypot(vn, ve) < SLOW

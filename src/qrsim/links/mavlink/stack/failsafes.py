@@ -9,7 +9,7 @@ from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.stack.offboard import Offboard
 from qrsim.links.mavlink.stack.orbits import can_turn
-from qrsim.links.mavlink.stack.path import braking_way
+from qrsim.links.mavlink.stack.path import VERTICAL, braking_way
 
 # What a failsafe may ask for, the graver the later; of two the graver counts.
 NOTHING, HOLD, RETURN, LAND, DISARM, TERMINATE = range(6)
@@ -111,6 +111,9 @@ def _stops_inside(craft: Craft) -> bool:
     """Return whether a vehicle can still come to rest in its area, which it must not leave for a moment."""
     (north, east, _), (vn, ve, _) = craft.seen.position_ned, craft.seen.velocity_ned
     speed = math.hypot(vn, ve)
+    climb = -craft.seen.velocity_ned[2]
+    if climb > 0.5 and craft.seen.position_ned[2] - REACTS * climb - braking_way(climb, VERTICAL) < craft.facts.z_min:
+        return False
     if craft.facts.mav_type == FIXED_WING:
         return can_turn(craft)
     if speed < 0.5:

@@ -210,8 +210,9 @@ class Mission:
         radius = radius or craft.parameters["NAV_ACC_RAD"]
         if math.isfinite(item.params[3]) and item.command == plan.WAYPOINT:
             craft.turn_to(math.radians(item.params[3]))
-        elif self._arrived is None:
-            craft.look_to(goal[0], goal[1], radius)
+            turns = False
+        else:
+            turns = self._arrived is None and craft.head_to(goal[0], goal[1], radius)
         away = math.hypot(goal[0] - here[0], goal[1] - here[1])
         level = abs(goal[2] - here[2]) < HEIGHT_RADIUS
         near = away < radius and level
@@ -222,6 +223,9 @@ class Mission:
         if near and self._arrived is None:
             self._arrived = now
         hold = self._hold(item)
+        if turns:
+            _, up, down = craft.speeds()
+            return False, craft.go(goal, (0.0, up, down))
         order = craft.go(goal, beyond=0.0 if hold > 0.0 or self.current + 1 >= len(self.items) else 0.5 * radius)
         return self._arrived is not None and now - self._arrived >= hold, order
 
@@ -265,7 +269,7 @@ class Mission:
         if not self.lands:
             goal = (self._goal[0], self._goal[1], self._goal[2])
             if math.hypot(goal[0] - here[0], goal[1] - here[1]) > max(1.0, 0.5 * craft.parameters["NAV_ACC_RAD"]):
-                craft.look_to(goal[0], goal[1], 2.0)
+                craft.head_to(goal[0], goal[1], 2.0)
                 return False, craft.go(goal)
             self.lands = True
         order, landed = self.descent.fly(craft, self._goal)

@@ -76,6 +76,7 @@ TABLE: tuple[Parameter, ...] = (
     _real("MPC_TKO_SPEED", 1.5, 0.5, 5.0, "m/s", "speed of a take-off"),
     _real("MPC_XY_CRUISE", 5.0, 3.0, 20.0, "m/s", "speed of missions, return and reposition"),
     _real("MPC_XY_VEL_MAX", 12.0, 0.0, 20.0, "m/s", "largest horizontal speed of set-points"),
+    _int("MPC_YAW_MODE", 0, 0, 4, "heading on the way: 0 to the place, 1 to home, 2 from home, 3 along, 4 turn first"),
     _real("MPC_Z_VEL_MAX_DN", 1.5, 0.5, 4.0, "m/s", "largest speed downwards"),
     _real("MPC_Z_VEL_MAX_UP", 3.0, 0.5, 8.0, "m/s", "largest speed upwards"),
     _real("NAV_ACC_RAD", 2.0, 0.05, 200.0, "m", "distance at which an item that gives none counts as reached"),

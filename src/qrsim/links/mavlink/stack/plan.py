@@ -91,17 +91,16 @@ def place_of(item: Item, craft: Craft, otherwise: Triple) -> Triple:
 
 
 def outside(items: Sequence[Item], craft: Craft) -> int | None:
-    """Return the seq of the first item of a mission that lies outside the fence or too far; None where none does."""
-    far, high = craft.parameters["GF_MAX_HOR_DIST"], craft.parameters["GF_MAX_VER_DIST"]
-    if craft.fence.empty and not (far or high):
-        return None
+    """Return the seq of the first item of a mission that lies outside the fence, floor and ceiling of the area, or too
+    far; None where none does."""
     for index, item in enumerate(items):
         if item.command in PLACES and craft.home is not None and _too_far(item, craft, craft.home.position_ned):
             return index
-        if item.command in PLACES and has_place(item):
-            place = place_of(item, craft, (0.0, 0.0, 0.0))
-            if not craft.fence.inside(place[0], place[1]):
-                return index
+        if item.command not in PLACES or not (has_place(item) or math.isfinite(item.z)):
+            continue
+        here = craft.seen.position_ned
+        if not craft.allows(place_of(item, craft, (here[0], here[1], craft.home_z)), item.command == LAND):
+            return index
     return None
 
 

@@ -12,6 +12,8 @@ from qrsim.links.mavlink.stack.plan import place_of
 
 # A climb counts as done within this height, and the way as flown within this distance [m].
 CLIMBED, ABOVE = 0.5, 1.0
+# Below the ceiling of the area it keeps so far [m].
+BELOW = 3.0
 
 
 class Return:
@@ -39,7 +41,8 @@ class Return:
             # Near home it stays in a cone of 45 degrees.
             height = min(height, distance)
         # A rally point is as high as it says; a return lands below it.
-        self._top = min(here[2], craft.home_z - height, self._place[2])
+        high = min(craft.home_z - height, self._place[2])
+        self._top = min(here[2], max(high, craft.facts.z_min + BELOW))
         self._phase, self.lands, self._waits_since = "climb", False, None
         self._descent.begin()
         craft.begin_path()
@@ -57,7 +60,7 @@ class Return:
         if self._phase == "fly":
             if math.hypot(place[0] - here[0], place[1] - here[1]) < ABOVE:
                 self._phase = "descend"
-            craft.look_to(place[0], place[1], 2.0)
+            craft.head_to(place[0], place[1], 2.0)
             return craft.go((place[0], place[1], self._top)), False
         if self._phase == "descend":
             values = craft.parameters.values
