@@ -91,6 +91,9 @@ def _obey(system: System, link: Link, frame: Frame, command: Command) -> None:
     else:
         ack, answer = system.stack.command(command), None
     acknowledge(link, frame, command.id, ack)
+    if ack.result in (Result.DENIED, Result.UNSUPPORTED):
+        # Clients repeat what is refused.
+        system.note_once(f"command {command.id} of system {frame.system}: {ack.result.name.lower()}")
     if answer is not None:
         link.put(*answer)
         link.flush()

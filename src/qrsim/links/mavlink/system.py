@@ -14,6 +14,8 @@ from qrsim.links.mavlink.view import View
 # Without a heartbeat of its client for so long, a link has the streams again that it began with [s, wall clock].
 PEER_TIMEOUT_S = 10.0
 _CHUNK = 50
+# So many different lines are said once; of more, nobody reads any.
+_MOST_TOLD = 4000
 _ATTITUDE = NUMBERS["ATTITUDE"]
 # What clients are told at once when it changes.
 _AT_ONCE = {
@@ -84,7 +86,7 @@ class System:
 
     def text(self, text: Text) -> None:
         """Tell all clients a text, in pieces where it is long."""
-        self._log(f"t = {self.view.seen.time:.10g} s, '{self.name}': {text.text}")
+        self._note(text.text)
         whole = text.text.encode("ascii", "replace")
         pieces = [whole[at : at + _CHUNK] for at in range(0, len(whole), _CHUNK)] or [b""]
         if len(pieces) > 1:
@@ -106,6 +108,15 @@ class System:
         self._broadcast("HEARTBEAT", payload)
         for link in self.links:
             link.flush()
+
+    def _note(self, line: str) -> None:
+        self._log(f"t = {self.view.seen.time:.10g} s, '{self.name}': {line}")
+
+    def note_once(self, line: str) -> None:
+        """Tell the operator, and no client, a line that is said once."""
+        if line not in self.told and len(self.told) < _MOST_TOLD:
+            self.told.add(line)
+            self._note(line)
 
     def tell_once(self, what: str, text: Text) -> None:
         """Tell all clients something that is said once."""

@@ -239,3 +239,51 @@ def test_guided_flies_set_points_at_once_and_holds_without():
     assert puppet.stack.heartbeat().custom_mode == 4
     assert puppet.stack.heartbeat().system_status == 4
     assert abs(puppet.seen.velocity_ned[0]) < 0.05
+
+
+def guided(target) -> Puppet:
+    """Return a puppet in ArduPilot's GUIDED, 5 m up, that has had one set-point."""
+    puppet = Puppet("ardupilot", fence=((-30.0, -30.0), (-30.0, 30.0), (30.0, 30.0), (30.0, -30.0)))
+    puppet.do(400, 1)
+    puppet.do(176, 1, 4)
+    puppet.do(22, NAN, NAN, NAN, NAN, NAN, NAN, 5.0)
+    puppet.run(10.0)
+    assert puppet.stack.setpoint(target)
+    return puppet
+
+
+def test_a_place_is_kept_in_guided_where_it_is_said_once():
+    puppet = guided(position(20.0, 0.0, -6.0))
+    puppet.run(15.0)
+    assert puppet.seen.position_ned == pytest.approx((20.0, 0.0, -6.0), abs=0.1)
+    assert puppet.stack.heartbeat().custom_mode == 4
+    assert not [text for text in puppet.texts if "ailsafe" in text]
+    # A velocity is not, after COM_OF_LOSS_T.
+    back = velocity(-2.0, 0.0, 0.0)
+    puppet.run(2.0, each=keep(back))
+    puppet.run(10.0)
+    assert 12.0 < puppet.seen.position_ned[0] < 16.0
+
+
+def test_a_place_that_is_said_before_a_take_off_is_over_is_flown_to():
+    puppet = Puppet("ardupilot")
+    puppet.do(400, 1)
+    puppet.do(176, 1, 4)
+    puppet.do(22, NAN, NAN, NAN, NAN, NAN, NAN, 10.0)
+    # On the ground it is not.
+    assert puppet.stack.setpoint(position(20.0, 0.0, -12.0))
+    assert puppet.stack.mode is Mode.TAKEOFF
+    assert puppet.run(20.0, lambda now: -now.seen.position_ned[2] > 9.5)
+    assert puppet.stack.mode is Mode.TAKEOFF
+    assert puppet.stack.setpoint(position(20.0, 0.0, -12.0))
+    puppet.run(15.0)
+    assert puppet.seen.position_ned == pytest.approx((20.0, 0.0, -12.0), abs=0.1)
+
+
+def test_the_fence_ends_guided_while_set_points_come():
+    target = velocity(4.0, 0.0, 0.0)
+    puppet = guided(target)
+    puppet.run(20.0, each=keep(target))
+    # LOITER, inside.
+    assert puppet.stack.heartbeat().custom_mode == 5
+    assert 20.0 < puppet.seen.position_ned[0] < 30.0

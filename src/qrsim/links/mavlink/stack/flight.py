@@ -66,6 +66,7 @@ class Flight:
         self.craft.reset()
         self.mode, self.armed, self.guided = Mode.HOLD, False, False
         self.offboard, self.failsafes, self.checks = Offboard(), Failsafes(), ArmingChecks()
+        self.offboard.keeps_places = self.flavour.name == "ardupilot"
         self._return, self._descent = Return(), Descent()
         self._goal: Triple | None = None
         self._armed_at = 0.0
@@ -311,8 +312,8 @@ class Flight:
             self.terminate()
         elif asked == grave.DISARM:
             self.disarm("Disarmed by failsafe")
-        elif self.flavour.name == "ardupilot" and self.guided and self.mode is Mode.OFFBOARD and asked == grave.HOLD:
-            # GUIDED holds without set-points, and is no failsafe.
+        elif asked == grave.HOLD and self.mode is Mode.OFFBOARD and self.guided and not self.fresh():
+            # ArduPilot's GUIDED holds without set-points, and is no failsafe.
             self.switch(Mode.HOLD)
         elif asked > grave.GRAVITY_OF.get(self.mode, grave.NOTHING):
             craft.critical, self.guided = True, False

@@ -67,7 +67,8 @@ class FlightStack(Flight):
     def setpoint(self, target: Target) -> bool:
         """Take a set-point; return whether it can be flown. It is flown in OFFBOARD (GUIDED)."""
         taken = self.offboard.take(target, self.craft)
-        if taken and self.guided and self.mode is Mode.HOLD:
+        # Programs send the first place at 95 % of the height of a take-off.
+        if taken and self.guided and (self.mode is Mode.HOLD or (self.mode is Mode.TAKEOFF and self.craft.flies)):
             self.switch(Mode.OFFBOARD)
         return taken
 

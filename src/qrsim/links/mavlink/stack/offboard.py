@@ -29,9 +29,11 @@ class Offboard:
     Attributes:
         heard: when the last one came [s]; None before the first.
         lands: whether the set-point asks it to come down.
+        keeps_places: a place alone is said once, and holds without another set-point, as in ArduPilot's GUIDED.
     """
 
     def __init__(self) -> None:
+        self.keeps_places = False
         self.heard: float | None = None
         self.lands = False
         self._kind = "none"
@@ -136,9 +138,17 @@ class Offboard:
     # ---- what goes out ----
 
     def fresh(self, craft: Craft, limit: float) -> bool:
-        """Return whether a set-point came in the last ``limit`` seconds."""
+        """Return whether a set-point came in the last ``limit`` seconds, or one that is kept."""
+        if self.keeps_places and self._is_place:
+            return True
         # A small part of a tick is left for the rounding of times.
         return self.heard is not None and craft.seen.time - self.heard < limit + 0.01 * craft.facts.time_step
+
+    @property
+    def _is_place(self) -> bool:
+        return (
+            self._kind == "motion" and all(map(math.isfinite, self._position)) and all(map(math.isnan, self._velocity))
+        )
 
     def begin(self, craft: Craft) -> None:
         """Begin to fly by set-points."""

@@ -92,6 +92,7 @@ class RoverStack(FlightStack):
         """Begin again as after a boot."""
         super().reset()
         self._stands, self.offboard = False, GroundOffboard()
+        self.offboard.keeps_places = self.flavour.name == "ardupilot"
 
     def tick(self, seen: Seen) -> Order | None:
         """Advance by one tick; return the order for the vehicle, None where the last one holds."""
