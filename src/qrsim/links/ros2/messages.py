@@ -11,6 +11,7 @@ import numpy as np
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2 import topics as t
 from qrsim.links.ros2.publications import Publications, stamp_of
+from qrsim.links.ros2.radio import Inboxes, heard_topic
 from qrsim.links.ros2.template import Template
 from qrsim.links.ros2.transforms import static_transforms
 from qrsim.links.ros2.typestore import Types
@@ -45,6 +46,8 @@ class Messages:
         self.namespaces, self.topics = own.namespaces, own.topics
         self._clock_topic = own.add(t.CLOCK)
         self._states = [own.add(t.Topic(f"/{name}/{t.STATE}", t.STATE_TYPE, "reliable")) for name in self.namespaces]
+        self._inboxes = None if world.radio is None else Inboxes(types, simulation, self.namespaces)
+        self._heard = [] if self._inboxes is None else [own.add(heard_topic(name)) for name in self.namespaces]
         self._told: list[tuple[str, float]] = [("", -math.inf)] * simulation.size
         clock = types["rosgraph_msgs/msg/Clock"](types["builtin_interfaces/msg/Time"](0, 0))
         self._clock = Template(types, clock)
@@ -66,6 +69,9 @@ class Messages:
         true = n.true(simulation) if self._truth else None
         yield from self._publications.of_tick(simulation.tick, believed, sight.values, news, true)
         yield from self._state_messages(modes)
+        if self._inboxes is not None:
+            for row, message in self._inboxes.new():
+                yield self._heard[row], message
 
     def _state_messages(self, modes: list[str]) -> Iterator[tuple[int, bytes]]:
         simulation = self._simulation

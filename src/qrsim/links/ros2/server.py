@@ -16,6 +16,7 @@ from qrsim.links.ros2.commands import topics_of, wish_of
 from qrsim.links.ros2.messages import Messages, text_message
 from qrsim.links.ros2.participant import Participant, Reader
 from qrsim.links.ros2.pilots import Pilots
+from qrsim.links.ros2.radio import hand_over, said_topic
 from qrsim.links.ros2.typestore import Types
 from qrsim.simulation.simulation import Simulation
 
@@ -75,6 +76,11 @@ class Server:
         for row, (name, space) in enumerate(zip(simulation.vehicle_names, self.messages.namespaces, strict=True)):
             for own, topic in topics_of(space, self._pilots.latches.kinds(name)):
                 self._readers.append((row, own, self._participant.reader(topic)))
+        self._said: list[tuple[int, Reader]] = []
+        self._not_said = ""
+        if simulation.world.radio is not None:
+            spaces = enumerate(self.messages.namespaces)
+            self._said = [(row, self._participant.reader(said_topic(space))) for row, space in spaces]
         self._participant.announce()
         self._static.write(self.messages.static)
         self.paused, self._steps = options.paused, 0
@@ -135,6 +141,15 @@ class Server:
                     self._pilots.refuse(row, str(error))
                 else:
                     self._pilots.ask(row, wish)
+        for row, reader in self._said:
+            for message in reader.take():
+                try:
+                    hand_over(self.simulation, self.messages.namespaces, [(row, message)])
+                except UsageError as error:
+                    # Once, however often it is repeated.
+                    if str(error) != self._not_said:
+                        self._not_said = str(error)
+                        self._say(self._not_said)
         for name, kind in self._participant.strangers():
             self._say(f"{name}: another node writes it as {kind}, which is not read")
 
