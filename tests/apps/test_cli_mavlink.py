@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import socket
+from types import SimpleNamespace
 
 import pytest
 
 from qrsim import cli
+from qrsim.apps.mavlink import Mavlink
 from qrsim.links.mavlink import ports
 
 BELOW = """
@@ -30,7 +32,7 @@ fleets:
         (["--realtime", "nan"], "--realtime nan"),
         (["--seed", "-1"], "--seed -1: expected an integer from 0 to 2**63 - 1"),
         (["--first-sysid", "241"], "--first-sysid 241: expected 1 to 240"),
-        (["--first-sysid", "238"], "5 vehicles; from system 238 on there are ids for 3 (to 240)"),
+        (["--first-sysid", "238"], "5 vehicles; from system 238 on there are ids for 3 (to 240); give a smaller one"),
         (["--flavour", "px5"], "--flavour px5: expected px4 or ardupilot; did you mean 'px4'?"),
         (["--stream-time", "sym"], "--stream-time sym: expected wall or sim; did you mean 'sim'?"),
         (["--gcs", "192.0.2.1"], "--gcs 192.0.2.1: it is another machine, which could fly"),
@@ -86,3 +88,20 @@ def test_a_block_that_is_taken_is_passed_over():
             assert third.block == first.block + 2
     finally:
         first.close()
+
+
+def test_a_block_that_is_taken_is_said():
+    systems = [SimpleNamespace(number=number) for number in (1, 2)]
+    world = SimpleNamespace(systems=systems, simulation=SimpleNamespace(size=3))
+    third = ports.Ports(2, 14780, 18770, (14740, 14741), 5780, ())
+    lines: list[str] = []
+    Mavlink()._describe(world, third, ports.HERE, lines.append)
+    assert lines == [
+        "UDP 14580 and 18570 on, TCP 5760: taken, by another qrsim mavlink for example; these are ports of block 2",
+        "a ground station that shows the other vehicles too needs other system ids: --first-sysid",
+        "qrsim mavlink: 2 vehicles, systems 1 to 2",
+        "programs: UDP 14740 to 14741, from 14780 to 14781",
+        "ground station: UDP 127.0.0.1:14550, from 18770 to 18771",
+        "TCP: 5780",
+        "1 more of the scenario cannot be flown, and are no systems",
+    ]

@@ -139,12 +139,13 @@ class Mavlink:
         return address
 
     def _describe(self, world: FlownWorld, ports: Ports, ground: str, say: Callable[[str], None]) -> None:
-        from qrsim.links.mavlink.ports import GROUND_PEER
+        from qrsim.links.mavlink.ports import GROUND, GROUND_PEER, ONBOARD, TCP
 
         systems = world.systems
         last = len(systems) - 1
         if ports.block:
-            say(f"ports 14580 and 18570 are taken: these are those of block {ports.block}")
+            first = f"UDP {ONBOARD} and {GROUND} on" + (f", TCP {TCP}" if ports.tcp else "")
+            say(f"{first}: taken, by another qrsim mavlink for example; these are ports of block {ports.block}")
             if self.first_sysid == 1:
                 say("a ground station that shows the other vehicles too needs other system ids: --first-sysid")
         say(f"qrsim mavlink: {len(systems)} vehicles, systems {systems[0].number} to {systems[-1].number}")

@@ -114,8 +114,8 @@ def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
     most = LAST_SYSTEM - first + 1
     if len(found) > most:
         raise UsageError(
-            f"{len(found)} vehicles; from system {first} on there are ids for {most} (to {LAST_SYSTEM}); fly the "
-            "others in a second process"
+            f"{len(found)} vehicles; from system {first} on there are ids for {most} (to {LAST_SYSTEM}); "
+            + ("give a smaller one" if len(found) <= LAST_SYSTEM else "make two scenarios of it, for two processes")
         )
     return found
 
