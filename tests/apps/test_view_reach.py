@@ -204,7 +204,7 @@ def test_a_page_of_another_origin_cannot_connect(replay: Replay, tmp_path: Path,
 
 
 def test_memory_stays_over_a_long_live_run(tmp_path: Path, browser: Browser):
-    """Half an hour at fifty times the wall clock: of the browser's scripts after a collection, and of this process."""
+    """A quarter of an hour at fifty times the wall clock: of the browser's scripts after a collection, and of this process."""
 
     def heap() -> float:
         browser.call("HeapProfiler.collectGarbage")
@@ -213,7 +213,7 @@ def test_memory_stays_over_a_long_live_run(tmp_path: Path, browser: Browser):
     def resident() -> int:
         return int(Path("/proc/self/statm").read_text("utf-8").split()[1]) * resource.getpagesize()
 
-    with flying(tmp_path / "run", 1800.0, Clock(50.0)) as (view, flight):
+    with flying(tmp_path / "run", 900.0, Clock(50.0)) as (view, flight):
         browser.open(f"{view.address}/?fixedDpr=1")
         eventually(lambda: "2 of 2 vehicles fly" in text(browser))
 
@@ -222,9 +222,9 @@ def test_memory_stays_over_a_long_live_run(tmp_path: Path, browser: Browser):
             return 0.0 if frame is None else frame.time
 
         # Paths are as long as they get after a minute, and buffers of the log as large after some flushes.
-        eventually(lambda: flown() > 600.0)
+        eventually(lambda: flown() > 300.0)
         before = heap(), min(resident() for _ in range(20))
-        eventually(lambda: flown() > 1700.0 or not flight.is_alive())
+        eventually(lambda: flown() > 850.0 or not flight.is_alive())
         after = heap(), min(resident() for _ in range(20))
     assert after[0] < 1.25 * before[0]
     assert after[1] < 1.1 * before[1]
