@@ -40,6 +40,7 @@ from qrsim.apps.ros2 import Ros2
 from qrsim.apps.run.command import Run
 from qrsim.apps.run.page import completed
 from qrsim.apps.scenario import List, Schema, Show
+from qrsim.apps.score import Score
 from qrsim.apps.serve import Serve
 from qrsim.apps.slam import SlamCommand
 from qrsim.apps.sweep import Sweep
@@ -126,6 +127,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "validate": Validate,
     "identify": Identify,
     "discover": Discover,
+    "score": Score,
     "serve": Serve,
     "mavlink": Mavlink,
     "ros2": Ros2,

@@ -31,7 +31,6 @@ def test_the_cats_of_a_baseline_chase_the_mouse(
     ("arguments", "message"),
     [
         (["hover", "--policy", "baseline"], "--policy baseline: scenario hover has no task"),
-        (["keep_spot", "--policy", "baseline"], "policy baseline: this task has none"),
         (["cats_and_mouse/1A", "--policy", "baseline", "--policy-ticks", "5"], "is asked once in a step of its task"),
     ],
 )

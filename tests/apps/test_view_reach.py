@@ -204,7 +204,7 @@ def test_a_page_of_another_origin_cannot_connect(replay: Replay, tmp_path: Path,
 
 
 def test_memory_stays_over_a_long_live_run(tmp_path: Path, browser: Browser):
-    """A quarter of an hour at fifty times the wall clock: of the browser's scripts after a collection, and of this process."""
+    """900 s at fifty times the wall clock: of the browser's scripts after a collection, and of this process."""
 
     def heap() -> float:
         browser.call("HeapProfiler.collectGarbage")

@@ -14,7 +14,7 @@ from qrsim.tasks import Play
 from qrsim.tasks.baselines import Chasing, Descending, baseline
 
 
-def play(name: str) -> Play:
+def play(name: str | dict[str, Any]) -> Play:
     scenario = load_scenario(name)
     return Play(scenario.task(), scenario.world(), scenario.steps)
 
@@ -75,5 +75,8 @@ def test_a_searcher_goes_down_where_windows_speak_for_a_person() -> None:
 
 
 def test_a_task_without_a_baseline_says_so() -> None:
-    with pytest.raises(UsageError, match="this task has none; it is for pursuit, search and plume mapping"):
-        baseline(play("keep_spot"))
+    part = {"vehicle": {"type": "multirotor", "model": "x500"}, "controller": {"type": "cascade"}}
+    with pytest.raises(
+        UsageError, match="it gives pitch, roll, throttle, yaw_rate, battery; these vehicles take pitch"
+    ):
+        baseline(play({"name": "x", "extends": "keep_spot", "fleets": {"pelicans": part}}))

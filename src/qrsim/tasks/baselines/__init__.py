@@ -16,14 +16,17 @@ from qrsim.core.noise import Draw, Key
 from qrsim.errors import UsageError
 from qrsim.tasks.baselines.chasing import Chasing
 from qrsim.tasks.baselines.descending import Descending
+from qrsim.tasks.baselines.holding import FLOWN, Holding
 from qrsim.tasks.baselines.mapping import Mapping
 from qrsim.tasks.play import TASK, Play
 from qrsim.tasks.plume_mapping import PlumeMapping
 from qrsim.tasks.pursuit import Pursuit
 from qrsim.tasks.search import Search
+from qrsim.tasks.simple import KeepSpot, KeepVelocity, ReachWaypoint
 
-__all__ = ["Baseline", "BaselinePolicy", "Chasing", "Descending", "Mapping", "baseline"]
-KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Descending, PlumeMapping: Mapping}
+__all__ = ["Baseline", "BaselinePolicy", "Chasing", "Descending", "Holding", "Mapping", "baseline"]
+SIMPLE: dict[type, Any] = dict.fromkeys((KeepSpot, ReachWaypoint, KeepVelocity), Holding)
+KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Descending, PlumeMapping: Mapping, **SIMPLE}
 
 
 class Baseline(Protocol):
@@ -42,7 +45,10 @@ def baseline(play: Play, seed: int = 0) -> Baseline:
     """
     kind = KINDS.get(type(play.task))
     if kind is None:
-        raise UsageError("policy baseline: this task has none; it is for pursuit, search and plume mapping")
+        raise UsageError("policy baseline: this task has none; it is for the tasks of qrsim")
+    if kind is Holding and tuple(axis.name for axis in play.axes) != FLOWN:
+        found = ", ".join(axis.name for axis in play.axes)
+        raise UsageError(f"policy baseline: it gives {', '.join(FLOWN)}; these vehicles take {found}")
     if isinstance(play.task, Pursuit) and play.task.senses:
         raise UsageError("policy baseline: it reads the offsets that the observation lacks with task.senses")
     made: Baseline = kind(play, seed)

@@ -1,0 +1,162 @@
+"""``qrsim score``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from qrsim.errors import UsageError
+
+MOST_SEEDS = 10_000
+
+
+@dataclass(frozen=True)
+class Score:
+    """Fly policies in the same episodes of a task, and say what each returns.
+
+    Of every policy the mean return of an agent with a 95 % bootstrap interval over the episodes, how many were flown to
+    the end, and the paired difference to the first policy. The task's baseline, where it has one, and hovering are
+    beside those that are named.
+
+    POLICY is 'baseline', 'hover', 'random' or MODULE:NAME, where MODULE may be a .py file: a function of what all
+    agents see that returns their actions (n, A) in [-1, 1], or a class that is made for each episode with (play, seed)
+    and has act(seen), and answer() where something is handed in.
+
+    Example:
+      qrsim score search_and_rescue/2A
+      qrsim score keep_spot --policy my_policy.py:fly --seeds 100 --out scores.png
+      qrsim score cats_and_mouse/1C --set world.wind.speed_20ft=5 --json
+    """
+
+    task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TASK")]
+    """Name of a scenario with a task, or a YAML file."""
+    policy: Annotated[
+        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="POLICY", help_behavior_hint="(default: none)")
+    ] = field(default_factory=list)
+    """What flies; can be given several times. The others are compared with the first."""
+    seeds: int = 20
+    """How many episodes."""
+    first_seed: int = 0
+    """Seed of the first episode; the others follow."""
+    set: Annotated[
+        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")
+    ] = field(default_factory=list)
+    """Another value of the scenario; can be given several times."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = None
+    """Picture to write, .png, .pdf or .svg: all returns, and an episode of the first policy."""
+    json: bool = False
+    """Print the result as JSON."""
+
+    def run(self) -> None:
+        """Fly, print, draw."""
+        if not 1 <= self.seeds <= MOST_SEEDS:
+            raise UsageError(f"--seeds {self.seeds}: expected 1 to {MOST_SEEDS}")
+        if not 0 <= self.first_seed < 2**62:
+            raise UsageError(f"--first-seed {self.first_seed}: expected 0 to 2**62 - 1")
+        from qrsim.envs.batch import Batch
+        from qrsim.envs.scoring import score_task
+
+        makers = self._makers(Batch(self.task, 1, self.set).functional.play)
+        batch = Batch(self.task, self.seeds, self.set)
+        with _progress(len(makers), batch.functional.play.steps) as told:
+            found = score_task(batch, makers, self.first_seed, self.out is not None, told)
+        if self.out is not None:
+            from qrsim.envs.score_figure import draw_scores
+            from qrsim.runs.picture import save_picture
+
+            save_picture(lambda: draw_scores(batch.functional.name, found), self.out)
+        self._tell(batch.functional.name, found)
+
+    def _makers(self, play: Any) -> dict[str, Any]:
+        """Return what makes each policy, by the policy's name."""
+        from qrsim.envs.scoring import BASELINE, BUILT_IN, HOVER, maker
+        from qrsim.interface.policies import load_function
+
+        makers: dict[str, Any] = {}
+        for name in self.policy:
+            if name in makers:
+                raise UsageError(f"--policy {name}: given twice")
+            makers[name] = maker(name if name in BUILT_IN else load_function("policy", name, BUILT_IN), play)
+        if BASELINE not in makers and not self.policy_missing(play):
+            makers[BASELINE] = maker(BASELINE, play)
+        return makers if HOVER in makers else {**makers, HOVER: maker(HOVER, play)}
+
+    def policy_missing(self, play: Any) -> bool:
+        """Return whether the task has no baseline."""
+        from qrsim.tasks.baselines import baseline
+
+        try:
+            baseline(play)
+        except UsageError:
+            return True
+        return False
+
+    def _tell(self, task: str, found: list[Any]) -> None:
+        rows = [_row(each, found[0]) for each in found]
+        if self.json:
+            import json
+
+            whole = {"task": task, "seeds": self.seeds, "first_seed": self.first_seed, "policies": rows}
+            print(json.dumps({**whole, "figure": str(self.out) if self.out else None}, indent=2, allow_nan=False))
+            return
+        from rich.console import Console
+        from rich.table import Table
+
+        table = Table(title=f"{task}: {self.seeds} episodes from seed {self.first_seed}", title_justify="left")
+        for column in ("policy", "mean return", "95 % interval", "flown to the end", f"less {found[0].name}"):
+            table.add_column(column, justify="left" if column == "policy" else "right")
+        for row in rows:
+            less = row["difference"]
+            table.add_row(
+                row["policy"], f"{row['mean']:.4g}", _span(row), f"{row['flown_to_the_end']:.3g}",
+                "-" if less is None else f"{less['mean']:.3g} {_span(less)}",
+            )  # fmt: skip
+        Console(width=None if sys.stdout.isatty() else 110).print(table)
+        if self.out is not None:
+            print(f"figure: {self.out}")
+
+
+def _row(each: Any, first: Any) -> dict[str, Any]:
+    less = None if each is first else _told(each.less(first))
+    returns = [float(value) for value in each.returns]
+    flown = float(each.alive.mean())
+    return {"policy": each.name, **_told(each.interval), "flown_to_the_end": flown, "difference": less,
+            "returns": returns}  # fmt: skip
+
+
+def _told(interval: Any) -> dict[str, float | None]:
+    """Return an interval for JSON, which has no NaN."""
+    numbers = {"mean": interval.mean, "low": interval.low, "high": interval.high}
+    return {name: value if value == value else None for name, value in numbers.items()}
+
+
+def _span(row: dict[str, Any]) -> str:
+    return "" if row["low"] is None else f"({row['low']:.4g} to {row['high']:.4g})"
+
+
+@contextmanager
+def _progress(policies: int, steps: int) -> Iterator[Callable[[str, int], None]]:
+    """Show how far the flights are, unless nobody looks."""
+    if not sys.stderr.isatty():
+        yield lambda name, step: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        flown = bar.add_task("", total=policies * steps)
+        names: list[str] = []
+
+        def told(name: str, step: int) -> None:
+            if name not in names:
+                names.append(name)
+            bar.update(flown, description=name, completed=(len(names) - 1) * steps + step)
+
+        yield told

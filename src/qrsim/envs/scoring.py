@@ -1,0 +1,245 @@
+"""What policies score in a task: the same episodes flown by each, with intervals and paired differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import jax
+import numpy as np
+
+from qrsim.envs.batch import Batch
+from qrsim.errors import UsageError
+from qrsim.tasks.agents import Axis
+from qrsim.tasks.baselines import baseline
+from qrsim.tasks.play import Play
+from qrsim.tasks.simple import Commanded
+
+Floats = np.ndarray[Any, Any]
+BASELINE, HOVER, RANDOM = "baseline", "hover", "random"
+BUILT_IN = (BASELINE, HOVER, RANDOM)
+CONFIDENCE, RESAMPLES, RESAMPLE_SEED = 0.95, 2000, 20261123
+
+
+class Policy(Protocol):
+    """Policy of all agents of one episode; see ``Answering`` too."""
+
+    def act(self, seen: Any) -> Floats:
+        """Return the actions (n, A) in [-1, 1], from what the agents see, (n, O) or a dict of arrays (n, ...)."""
+        ...
+
+
+@runtime_checkable
+class Answering(Protocol):
+    """Policy that hands something in at the end of its episode."""
+
+    def answer(self) -> Floats:
+        """Return the answers (n, ...)."""
+        ...
+
+
+class Hover:
+    """Asks for nothing: of a command the neutral value of each number, of a velocity zero; hands in zeros."""
+
+    def __init__(self, play: Play, seed: int = 0):
+        self._still = np.tile([_neutral(play, axis) for axis in play.axes], (len(play.agents), 1))
+
+    def act(self, seen: Any) -> Floats:
+        """Return the same actions (n, A) every time."""
+        return self._still
+
+
+class Uniform:
+    """Draws every number of every action uniformly; hands in zeros."""
+
+    def __init__(self, play: Play, seed: int = 0):
+        self._shape = (len(play.agents), len(play.axes))
+        self._random = np.random.default_rng(seed)
+
+    def act(self, seen: Any) -> Floats:
+        """Return new actions (n, A)."""
+        return self._random.uniform(-1.0, 1.0, self._shape)
+
+
+class _Function:
+    """A function of what is seen, as a policy."""
+
+    def __init__(self, function: Callable[[Any], Any]):
+        self._function = function
+
+    def act(self, seen: Any) -> Floats:
+        return np.asarray(self._function(seen))
+
+
+def _neutral(play: Play, axis: Axis) -> float:
+    """Return the number in [-1, 1] that asks for nothing: the hover throttle, a full battery, else 0."""
+    value = 0.0
+    if axis.name == "throttle" and isinstance(play.task, Commanded):
+        value = float(np.asarray(play.task.effort.hover_throttle))
+    elif axis.name == "battery":
+        value = axis.high
+    return float(np.clip(2.0 * (value - axis.low) / (axis.high - axis.low) - 1.0, -1.0, 1.0))
+
+
+def maker(policy: str | Any, play: Play) -> Callable[[Play, int], Policy]:
+    """Return what makes a policy for an episode, from ``play`` and a seed.
+
+    Args:
+        policy: one of ``BUILT_IN``; a class that is called with both and has ``act(seen)``; or a function of ``seen``.
+        play: the task, for which there has to be a baseline if that is asked for.
+
+    Raises:
+        UsageError: the task has no baseline, or a policy cannot be called.
+    """
+    if policy == BASELINE:
+        baseline(play)
+        return baseline
+    if policy in (HOVER, RANDOM):
+        return Hover if policy == HOVER else Uniform
+    if isinstance(policy, type):
+        return policy
+    if not callable(policy):
+        raise UsageError(f"--policy: {policy!r} is neither a function of what is seen nor a class with act(seen)")
+    return lambda *_: _Function(policy)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean over episodes, and its percentile bootstrap interval at ``CONFIDENCE``; NaN of fewer than two."""
+
+    mean: float
+    low: float
+    high: float
+
+    @staticmethod
+    def of(values: Floats) -> Interval:
+        """Return that of values (S,)."""
+        mean = float(np.mean(values))
+        if len(values) < 2:
+            return Interval(mean, float("nan"), float("nan"))
+        chosen = np.random.default_rng(RESAMPLE_SEED).integers(0, len(values), (RESAMPLES, len(values)))
+        low, high = np.quantile(values[chosen].mean(axis=1), [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
+        return Interval(mean, float(low), float(high))
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What a policy did.
+
+    Attributes:
+        name: of the policy.
+        returns: (S,) of the episodes, mean over the agents.
+        alive: (S,) whether nobody stopped.
+        picture: the first episode from above at its end, (480, 640, 3) uint8; None if none was asked for.
+    """
+
+    name: str
+    returns: Floats
+    alive: Floats
+    picture: Floats | None = None
+
+    @property
+    def interval(self) -> Interval:
+        """The mean return."""
+        return Interval.of(self.returns)
+
+    def less(self, other: Scored) -> Interval:
+        """Return the difference to another policy in the same episodes, this minus that."""
+        return Interval.of(self.returns - other.returns)
+
+
+def play_policy(
+    batch: Batch,
+    name: str,
+    make: Callable[[Play, int], Policy],
+    seeds: Floats,
+    drawn: bool = False,
+    told: Callable[[int], None] = lambda step: None,
+) -> Scored:
+    """Fly a policy in the episodes of seeds.
+
+    Args:
+        batch: as many episodes as there are seeds.
+        name: of the policy.
+        make: see ``maker``.
+        seeds: (S,).
+        drawn: whether the first episode is drawn.
+        told: is called with the number of each step done.
+
+    Raises:
+        UsageError: an action or answer of another shape, not finite or out of range.
+    """
+    play = jax.tree.map(np.asarray, batch.functional.play)
+    batch.reset(seeds)
+    policies = [make(play, int(seed)) for seed in seeds]
+    drawing = _drawing(batch) if drawn else None
+    nothing = np.zeros((len(play.agents), len(play.axes)))
+    total, flies = np.zeros(batch.size), np.ones(batch.size, bool)
+    for step in range(play.steps):
+        seen = [jax.tree.map(lambda leaf, i=i: leaf[i], batch.seen) for i in range(batch.size)]
+        actions = [checked(policies[i].act(seen[i]), nothing, name) if flies[i] else nothing for i in range(batch.size)]
+        reward, terminated, truncated = batch.step(np.stack(actions), who=f"policy {name}")
+        total += np.where(flies, reward.mean(axis=1, dtype=np.float64), 0.0)
+        if drawing is not None and flies[0]:
+            drawing.moved()
+            if terminated[0] or truncated[0]:
+                picture = drawing.frame()
+        flies &= ~terminated
+        told(step + 1)
+        if not flies.any():
+            break
+    for i in np.flatnonzero(flies) if play.task.hands_in else ():
+        policy = policies[i]
+        total[i] += batch.score(int(i), policy.answer() if isinstance(policy, Answering) else _nothing(batch)).mean()
+    return Scored(name, total, flies, picture if drawing is not None else None)
+
+
+def checked(action: Any, like: Floats, name: str) -> Floats:
+    """Return actions (n, A) of a policy.
+
+    Raises:
+        UsageError: they have another shape, or are no numbers.
+    """
+    try:
+        array = np.asarray(action, np.float64)
+    except (TypeError, ValueError):
+        raise UsageError(f"policy {name}: expected actions of shape {like.shape}, found {action!r}") from None
+    if array.shape != like.shape:
+        raise UsageError(f"policy {name}: expected actions of shape {like.shape} (agents, axes), found {array.shape}")
+    return array
+
+
+def score_task(
+    batch: Batch,
+    makers: Mapping[str, Callable[[Play, int], Policy]],
+    first_seed: int = 0,
+    drawn: bool = False,
+    told: Callable[[str, int], None] = lambda name, step: None,
+) -> list[Scored]:
+    """Fly all policies in the same episodes, those of ``first_seed`` and the seeds that follow.
+
+    Args:
+        batch: as many episodes as wanted.
+        makers: policies by name, see ``maker``; of the first the first episode is drawn.
+        first_seed: of the first episode.
+        drawn: whether it is drawn.
+        told: is called with the name of the policy and the number of the step done.
+    """
+    seeds = first_seed + np.arange(batch.size)
+    return [
+        play_policy(batch, name, make, seeds, drawn and number == 0, lambda step, name=name: told(name, step))  # type: ignore[misc]
+        for number, (name, make) in enumerate(makers.items())
+    ]
+
+
+def _nothing(batch: Batch) -> Floats:
+    return np.zeros((len(batch.functional.agents), *batch.answer_shape))
+
+
+def _drawing(batch: Batch) -> Any:
+    from qrsim.envs.drawing import Drawing
+
+    drawing = Drawing(batch)
+    drawing.begin()
+    return drawing

@@ -1,0 +1,56 @@
+"""Baseline of the simple tasks: tilt and throttle by the error of a velocity that leads to the goal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.tasks.play import Play
+from qrsim.tasks.simple import KeepVelocity
+
+Floats = np.ndarray[Any, Any]
+# What the controller takes an action for, as the names of its numbers.
+FLOWN = ("pitch", "roll", "throttle", "yaw_rate", "battery")
+# Velocity for each metre of the way [1/s], and at most [m/s].
+APPROACH, FASTEST = 0.4, 3.0
+# Tilt and throttle for each m/s that is lacking, tilt at most [rad]; yaw rate for each radian [1/s].
+TILT, LARGEST_TILT, THROTTLE, TURN = 0.12, 0.3, 0.1, 0.2
+
+
+class Holding:
+    """Flies a quadrotor to its goal, or along a line at the wanted velocity, heading north.
+
+    Args:
+        play: a simple task, whose action is the command of a quadrotor (``FLOWN``).
+        seed: nothing is drawn.
+    """
+
+    def __init__(self, play: Play, seed: int = 0):
+        self._axes, self._period = play.axes, play.task.period
+        self._by_velocity = isinstance(play.task, KeepVelocity)
+        task: Any = play.task
+        self._hover = float(np.asarray(task.effort.hover_throttle))
+        self._start: Floats | None = None
+        self._steps = 0
+
+    def act(self, seen: Floats) -> Floats:
+        """Return the actions (n, 5), from position, velocity, attitude and what is lacking to the goal, (n, 12)."""
+        position, velocity, yaw, offset = seen[:, :3], seen[:, 3:6], seen[:, 8], seen[:, 9:12]
+        wanted = np.zeros_like(velocity)
+        if self._by_velocity:
+            # Who holds a velocity holds the line too: the error of a velocity alone lets a height drift.
+            wanted = offset + velocity
+            self._start = position.copy() if self._start is None else self._start
+            offset = self._start + wanted * (self._steps * self._period) - position
+        self._steps += 1
+        lacking = np.clip(APPROACH * offset, -FASTEST, FASTEST) + wanted - velocity
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        ahead, right = cos * lacking[:, 0] + sin * lacking[:, 1], cos * lacking[:, 1] - sin * lacking[:, 0]
+        pitch, roll = (np.clip(TILT * part, -LARGEST_TILT, LARGEST_TILT) for part in (-ahead, right))
+        command = (pitch, roll, self._hover - THROTTLE * lacking[:, 2], -TURN * yaw, np.full_like(yaw, np.inf))
+        parts = [
+            np.clip(2.0 * (value - axis.low) / (axis.high - axis.low) - 1.0, -1.0, 1.0)
+            for value, axis in zip(command, self._axes, strict=True)
+        ]
+        return np.stack(parts, axis=1)

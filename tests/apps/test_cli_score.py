@@ -1,0 +1,70 @@
+"""``qrsim score``: table, JSON and picture, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from qrsim import cli
+
+OWN = """
+import numpy as np
+
+def cut(seen):
+    return np.tile([0.0, 0.0, -1.0, 0.0, 1.0], (len(seen), 1))
+"""
+
+
+@pytest.fixture(autouse=True)
+def _there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.py").write_text(OWN, "utf-8")
+
+
+def test_a_table_and_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--policy", "own.py:cut", "--seeds", "3", "--set", "duration=4", "--out", "scores.png"]
+    assert cli.main(["score", "keep_spot", *options]) == 0
+    said = capsys.readouterr().out
+    assert "keep_spot: 3 episodes from seed 0" in said
+    assert "less own.py:cut" in said
+    rows = [line.split("│")[1].strip() for line in said.splitlines() if line.startswith("│")]
+    assert [row for row in rows if row] == ["own.py:cut", "baseline", "hover"]
+    assert Path("scores.png").stat().st_size > 10_000
+
+
+def test_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["score", "keep_spot", "--seeds", "2", "--first-seed", "5", "--set", "duration=3", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["task"], found["seeds"], found["first_seed"], found["figure"]) == ("keep_spot", 2, 5, None)
+    baseline, hover = found["policies"]
+    assert (baseline["policy"], hover["policy"]) == ("baseline", "hover")
+    assert baseline["difference"] is None
+    assert hover["difference"]["mean"] == pytest.approx(hover["mean"] - baseline["mean"])
+    assert hover["flown_to_the_end"] == 1.0
+    # Who holds its place loses less than who drifts.
+    assert hover["mean"] < baseline["mean"] < 0.0
+    assert len(hover["returns"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["keep_spto"], "no scenario is called 'keep_spto'; did you mean 'keep_spot'?"),
+        (["hover"], "scenario hover: it has no task"),
+        (["keep_spot", "--seeds", "0"], "--seeds 0: expected 1 to 10000"),
+        (["keep_spot", "--first-seed", "-1"], "--first-seed -1: expected 0 to 2**62 - 1"),
+        (["keep_spot", "--policy", "basline"], "did you mean 'baseline'?"),
+        (["keep_spot", "--policy", "hover", "--policy", "hover"], "--policy hover: given twice"),
+        (["keep_spot", "--policy", "own.py:cup"], "'cup'"),
+        (["keep_spot", "--seeds", "1", "--set", "duration=1", "--out", "scores.txt"], "cannot draw '.txt'"),
+    ],
+)
+def test_what_cannot_be_scored_is_refused(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["score", *arguments]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert "Traceback" not in said
