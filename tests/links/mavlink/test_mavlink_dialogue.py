@@ -100,6 +100,25 @@ def test_only_what_is_for_this_vehicle_is_answered(wire, target, answers):
     assert wire.system.stack.armed is (answers == 1)
 
 
+def test_the_fence_is_told_at_a_breach_and_when_asked(wire):
+    ack, status = wire.command(512, 162.0)
+    assert (ack.result, status.breach_status, status.breach_count, status.breach_type) == (0, 0, 0, 0)
+    assert [answer.result for answer in wire.command(400, 1.0)] == [0]
+    wire.system.stack.parameters.set("GF_MAX_VER_DIST", 5.0)
+    wire.seen.on_ground, wire.seen.position_ned = False, (0.0, 0.0, -6.0)
+    wire.take()
+    wire.run(20)
+    (status,) = wire.take("FENCE_STATUS")
+    # 2 is FENCE_BREACH_MAXALT; what prevents it is unknown, 0.
+    assert (status.breach_status, status.breach_count, status.breach_type, status.breach_mitigation) == (1, 1, 2, 0)
+    assert 2000 <= status.breach_time <= 2200
+    wire.seen.position_ned = (0.0, 0.0, -4.0)
+    wire.run(20)
+    (status,) = wire.take("FENCE_STATUS")
+    assert (status.breach_status, status.breach_count, status.breach_type) == (0, 1, 2)
+    assert [answer.result for answer in wire.command(511, 162.0, 1e6)] == [0]
+
+
 def test_intervals_of_messages(wire):
     (ack,) = wire.command(511, 105.0, 100_000.0)
     assert ack.result == 2  # no inertial sensor here

@@ -24,10 +24,10 @@ WING, ROVER = 6, 7
 
 
 class Team:
-    """The scenario mixed_team, and what each of its vehicles sends."""
+    """A scenario, and what each of its vehicles sends."""
 
-    def __init__(self, flavour="px4"):
-        self.world = FlownWorld(prepared(load_scenario("mixed_team")), stack_of(flavour), seed=2)
+    def __init__(self, flavour="px4", scenario="mixed_team"):
+        self.world = FlownWorld(prepared(load_scenario(scenario)), stack_of(flavour), seed=2)
         self.sent = {system.number: [] for system in self.world.systems}
         for system in self.world.systems:
             streams = Streams(TOLD, self.world.simulation.world.time_step)
@@ -251,3 +251,23 @@ def test_numbers_of_modes_of_ardupilot():
     # LOITER of Plane is 12; HOLD of Rover 4; LOITER of Copter 5.
     found = facts.run(5)
     assert [found[number]["HEARTBEAT"].custom_mode for number in (1, WING, ROVER)] == [5, 12, 4]
+
+
+def test_an_octocopter_tells_its_type_and_takes_off():
+    fleet = {
+        "vehicle": {"type": "multirotor", "geometry": "octo_x", "arm": 0.4},
+        "controller": {"type": "cascade", "feed": "truth"},
+        "sensors": {"gnss": {"type": "gnss_receiver"}},
+        "vehicles": [{"position_ned": [0.0, 0.0, -1.0]}],
+    }
+    content = {"name": "octo", "duration": 60.0, "fleets": {"a": fleet}}
+    octo = Team(scenario=content)
+    found = octo.run(150)[1]
+    # MAV_TYPE_OCTOROTOR.
+    assert found["HEARTBEAT"].type == 14
+    assert octo.command(1, 400, 1.0)["COMMAND_ACK"].result == 0
+    assert octo.command(1, 22)["COMMAND_ACK"].result == 0
+    octo.run(400)
+    # MIS_TAKEOFF_ALT is 2.5 m.
+    assert octo.world.simulation.truth.position_ned[0, 2] == pytest.approx(-2.5, abs=0.5)
+    assert octo.run(1)[1]["EXTENDED_SYS_STATE"].landed_state == 2

@@ -20,7 +20,7 @@ _ATTITUDE = NUMBERS["ATTITUDE"]
 # What clients are told at once when it changes.
 _AT_ONCE = {
     "mission": "MISSION_CURRENT", "landed": "EXTENDED_SYS_STATE", "mode": "HEARTBEAT", "armed": "HEARTBEAT",
-    "home": "HOME_POSITION",
+    "home": "HOME_POSITION", "fence": "FENCE_STATUS",
 }  # fmt: skip
 
 

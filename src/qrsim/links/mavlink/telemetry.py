@@ -326,6 +326,13 @@ def extended_sys_state(v: View) -> Payload:
     return _STRUCT["EXTENDED_SYS_STATE"](0, int(v.stack.heartbeat().landed))
 
 
+def fence_status(v: View) -> Payload:
+    """FENCE_STATUS; how a breach is prevented is not said."""
+    status = v.stack.fence()
+    milliseconds = int(status.time * 1e3 + 0.5) & 0xFFFFFFFF
+    return _STRUCT["FENCE_STATUS"](milliseconds, min(status.count, _UINT16), status.breached, status.breach, 0)
+
+
 def mission_current(v: View) -> Payload:
     """MISSION_CURRENT."""
     status = v.stack.mission()
@@ -362,7 +369,7 @@ ENCODERS: dict[int, Encoder] = {
         heartbeat, sys_status, system_time, gps_raw_int, attitude, attitude_quaternion, local_position_ned,
         global_position_int, vfr_hud, altitude, highres_imu, scaled_imu, raw_imu, scaled_pressure, distance_sensor,
         odometry, battery_status, estimator_status, wind_cov, home_position, extended_sys_state, mission_current,
-        position_target_local_ned, autopilot_version, hil_state_quaternion, attitude_target,
+        fence_status, position_target_local_ned, autopilot_version, hil_state_quaternion, attitude_target,
         position_target_global_int, gps_global_origin, protocol_version,
     )
 }  # fmt: skip

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from puppet import DT, Puppet, item
 
-from qrsim.links.mavlink.stack.codes import PlanKind
+from qrsim.links.mavlink.stack.codes import Breach, PlanKind
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.stack.offboard import LocalTarget
 from qrsim.links.mavlink.stack.parameters import INT32, REAL32, TABLE, Outcome, Parameters
@@ -118,6 +118,17 @@ def test_a_fence_of_distance_and_height():
     assert puppet.run(10.0, lambda now: now.stack.mode is Mode.HOLD)
     assert puppet.texts[-2] == "Geofence breached: higher than 8 m over home"
     assert -puppet.seen.position_ned[2] == pytest.approx(8.1, abs=0.3)
+    # Said at the breach, by the ceiling, and where it ends.
+    began = puppet.seen.time
+    status = puppet.stack.fence()
+    assert (status.breached, status.count, status.breach) == (True, 1, Breach.CEILING)
+    assert status.time == pytest.approx(began, abs=0.05)
+    assert len(puppet.kinds("fence")) == 1
+    puppet.stack.parameters.set("GF_MAX_VER_DIST", 0.0)
+    puppet.run(0.2)
+    assert len(puppet.kinds("fence")) == 2
+    status = puppet.stack.fence()
+    assert (status.breached, status.count, status.breach) == (False, 1, Breach.CEILING)
     puppet = Puppet()
     puppet.stack.accept(PlanKind.MISSION, [item(0, 16, 60, 0, 6.0)])
     assert puppet.do(300) == 0
@@ -125,6 +136,7 @@ def test_a_fence_of_distance_and_height():
     puppet.stack.parameters.set("GF_MAX_HOR_DIST", 12.0)
     assert puppet.run(30.0, lambda now: now.stack.mode is Mode.HOLD)
     assert "Geofence breached: farther than 12 m from home" in puppet.texts
+    assert puppet.stack.fence().breach is Breach.BOUNDARY
     assert puppet.seen.position_ned[0] == pytest.approx(12.2, abs=0.6)
 
 

@@ -8,7 +8,7 @@ import pytest
 from puppet import DT, NORTH_DEG, Puppet, item
 
 from qrsim.links.mavlink.stack import failsafes
-from qrsim.links.mavlink.stack.codes import PlanKind
+from qrsim.links.mavlink.stack.codes import Breach, PlanKind
 from qrsim.links.mavlink.stack.contracts import NAN, LocalTarget
 from qrsim.links.mavlink.stack.landing import Descent, Touchdown
 from qrsim.links.mavlink.stack.modes import Mode
@@ -190,9 +190,9 @@ def test_the_fence_is_looked_at_ten_times_a_second(monkeypatch):
     puppet.do(400, 1)
     count = [0]
 
-    def looked(craft: Any) -> str:
+    def looked(craft: Any) -> tuple[Breach, str]:
         count[0] += 1
-        return ""
+        return Breach.NONE, ""
 
     monkeypatch.setattr(failsafes, "beyond", looked)
     puppet.run(4.0)

@@ -69,6 +69,15 @@ class Landed(IntEnum):
     LANDING = 4
 
 
+class Breach(IntEnum):
+    """FENCE_BREACH: what of a fence was breached."""
+
+    NONE = 0
+    FLOOR = 1
+    CEILING = 2
+    BOUNDARY = 3
+
+
 class Severity(IntEnum):
     """MAV_SEVERITY of a STATUSTEXT."""
 

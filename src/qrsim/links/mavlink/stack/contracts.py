@@ -15,6 +15,7 @@ from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.codes import (
     QUADROTOR,
     UNSET_INT,
+    Breach,
     Landed,
     MissionState,
     PlanKind,
@@ -238,11 +239,11 @@ class Event:
     Attributes:
         kind: "item_reached" (number: its seq; MISSION_ITEM_REACHED), "mission" (MISSION_CURRENT, see
             ``Stack.mission``), "landed" (EXTENDED_SYS_STATE), "mode" and "armed" (HEARTBEAT), "home" (HOME_POSITION),
-            "plan" (number: PlanKind; it was replaced), "reboot".
+            "fence" (FENCE_STATUS), "plan" (number: PlanKind; it was replaced), "reboot".
         number: what belongs to it.
     """
 
-    kind: Literal["item_reached", "mission", "landed", "mode", "armed", "home", "plan", "reboot"]
+    kind: Literal["item_reached", "mission", "landed", "mode", "armed", "home", "fence", "plan", "reboot"]
     number: int = 0
 
 
@@ -254,6 +255,16 @@ class MissionStatus:
     total: int = 0
     state: MissionState = MissionState.NO_MISSION
     in_mode: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class FenceStatus:
+    """What FENCE_STATUS says: whether the fence is breached, how often it was, by what last, and when [s]."""
+
+    breached: bool = False
+    count: int = 0
+    breach: Breach = Breach.NONE
+    time: float = 0.0
 
 
 @dataclass(slots=True)
@@ -335,6 +346,9 @@ class Stack(Protocol):
 
     def mission(self) -> MissionStatus:
         """Return what MISSION_CURRENT says."""
+
+    def fence(self) -> FenceStatus:
+        """Return what FENCE_STATUS says."""
 
     def texts(self) -> list[Text]:
         """Return what there is to say since the last call."""

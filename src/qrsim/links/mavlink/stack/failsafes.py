@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from qrsim.links.mavlink.stack.codes import FIXED_WING, Severity
+from qrsim.links.mavlink.stack.codes import FIXED_WING, Breach, Severity
+from qrsim.links.mavlink.stack.contracts import FenceStatus
 from qrsim.links.mavlink.stack.craft import Craft
 from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.stack.offboard import Offboard
@@ -43,6 +44,7 @@ class Failsafes:
         self.breached = self.link_lost = False
         self._battery = 0
         self._fence_due = 0.0
+        self._breaches, self._breach, self._breached_at = 0, Breach.NONE, 0.0
         self._ground_heard: float | None = None
 
     def heard_ground(self, craft: Craft) -> None:
@@ -55,6 +57,10 @@ class Failsafes:
     def armed(self) -> None:
         """Begin a flight."""
         self._battery, self.breached, self._fence_due = 0, False, 0.0
+
+    def fence(self) -> FenceStatus:
+        """Return what FENCE_STATUS says."""
+        return FenceStatus(self.breached, self._breaches, self._breach, self._breached_at)
 
     def look(self, craft: Craft, mode: Mode, offboard: Offboard, factor: float) -> int:
         """Return what an armed vehicle is to do now that it did not have to do before; NOTHING mostly."""
@@ -96,43 +102,50 @@ class Failsafes:
     def _look_at_fence(self, craft: Craft) -> int:
         seen, values = craft.seen, craft.parameters.values
         action = int(values["GF_ACTION"])
-        why = beyond(craft) if seen.valid else ""
-        if not why:
+        breach, why = beyond(craft) if seen.valid else (Breach.NONE, "")
+        if not breach:
+            if self.breached:
+                craft.tell("fence")
             self.breached = False
             return NOTHING
         if self.breached or action == 0 or not craft.flies:
             return NOTHING
-        self.breached = True
+        self.breached, self._breaches = True, self._breaches + 1
+        self._breach, self._breached_at = breach, seen.time
+        craft.tell("fence")
         craft.say(Severity.CRITICAL, f"Geofence breached: {why}")
         return _FENCE[action]
 
 
-def _stops_inside(craft: Craft) -> bool:
-    """Return whether a vehicle can still come to rest in its area, which it must not leave for a moment."""
+def _leaves(craft: Craft) -> Breach:
+    """Return by what a vehicle will leave its area before it comes to rest; not even for a moment must it."""
     (north, east, _), (vn, ve, _) = craft.seen.position_ned, craft.seen.velocity_ned
     speed = math.hypot(vn, ve)
     climb = -craft.seen.velocity_ned[2]
     if climb > 0.5 and craft.seen.position_ned[2] - REACTS * climb - braking_way(climb, VERTICAL) < craft.facts.z_min:
-        return False
+        return Breach.CEILING
     if craft.facts.mav_type == FIXED_WING:
-        return can_turn(craft)
+        return Breach.NONE if can_turn(craft) else Breach.BOUNDARY
     if speed < 0.5:
-        return True
+        return Breach.NONE
     seconds = REACTS + braking_way(speed, craft.parameters["MPC_ACC_HOR"]) / speed
-    return craft.area.inside(north + seconds * vn, east + seconds * ve)
+    return Breach.NONE if craft.area.inside(north + seconds * vn, east + seconds * ve) else Breach.BOUNDARY
 
 
-def beyond(craft: Craft) -> str:
-    """Return what of the fence a vehicle is beyond; "" where it is inside."""
+def beyond(craft: Craft) -> tuple[Breach, str]:
+    """Return what of the fence a vehicle is beyond, and in words; NONE and "" where it is inside."""
     here, values = craft.seen.position_ned, craft.parameters.values
     if not craft.fence.inside(here[0], here[1]):
-        return "outside the area"
-    if not _stops_inside(craft):
-        return "about to leave the area of the scenario"
+        return Breach.BOUNDARY, "outside the area"
+    leaves = _leaves(craft)
+    if leaves:
+        return leaves, "about to leave the area of the scenario"
     far, high = values["GF_MAX_HOR_DIST"], values["GF_MAX_VER_DIST"]
     if craft.home is None or not (far or high):
-        return ""
+        return Breach.NONE, ""
     home = craft.home.position_ned
     if far and math.hypot(here[0] - home[0], here[1] - home[1]) > far:
-        return f"farther than {far:g} m from home"
-    return f"higher than {high:g} m over home" if high and home[2] - here[2] > high else ""
+        return Breach.BOUNDARY, f"farther than {far:g} m from home"
+    if high and home[2] - here[2] > high:
+        return Breach.CEILING, f"higher than {high:g} m over home"
+    return Breach.NONE, ""

@@ -11,6 +11,7 @@ from qrsim.links.mavlink.stack.contracts import (
     Command,
     Event,
     Facts,
+    FenceStatus,
     FlavourName,
     Health,
     Heartbeat,
@@ -157,6 +158,10 @@ class FlightStack(Flight):
     def mission(self) -> MissionStatus:
         """Return what MISSION_CURRENT says."""
         return self.plan.status(self.mode is Mode.MISSION)
+
+    def fence(self) -> FenceStatus:
+        """Return what FENCE_STATUS says."""
+        return self.failsafes.fence()
 
     def texts(self) -> list[Text]:
         """Return what there is to say since the last call."""
