@@ -193,6 +193,23 @@ def test_transforms_and_the_clock(flown):
     assert (q.x, q.y, q.z, q.w) == pytest.approx((0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)))
 
 
+def test_no_two_poses_have_the_same_time(flown):
+    messages, found, _ = flown
+    times = []
+    for said, _ in found:
+        stamp = decoded(messages, said, "/uav_0/pose").header.stamp
+        times.append(stamp.sec + 1e-9 * stamp.nanosec)
+    assert times == pytest.approx([0.02 * tick for tick in range(60)])
+
+
+def test_before_the_first_tick_there_is_the_clock_alone(flown):
+    simulation = Simulation(load_scenario(CONTENT).world(), seed=2)
+    simulation.reset()
+    messages = Messages(TYPES, simulation)
+    names = {messages.topics[topic].name for topic, _ in messages.due(["guidance"] * 2)}
+    assert names == {"/clock", "/uav_0/state", "/uav_1/state"}
+
+
 def test_battery_and_state(flown):
     messages, found, _ = flown
     ticks = [i + 1 for i, (said, _) in enumerate(found) if "/uav_0/battery" in said]

@@ -67,7 +67,9 @@ class Messages:
         believed = [max(0.0, simulation.time - behind) for behind in sight.behind]
         news = {column: sight.news(column) for column in self._publications.columns}
         true = n.true(simulation) if self._truth else None
-        yield from self._publications.of_tick(simulation.tick, believed, sight.values, news, true)
+        # Estimates of the tick before begin with the first tick: no two may have the same time.
+        if simulation.tick or not any(sight.behind):
+            yield from self._publications.of_tick(simulation.tick, believed, sight.values, news, true)
         yield from self._state_messages(modes)
         if self._inboxes is not None:
             for row, message in self._inboxes.new():
