@@ -6,7 +6,10 @@ import math
 import random
 from typing import Any
 
+import pytest
 from puppet import Puppet, item
+from test_stack_rover import Cart
+from test_stack_wing import Glider
 
 from qrsim.links.mavlink.stack.codes import PlanKind, Result
 from qrsim.links.mavlink.stack.contracts import NAN, Ack, AttitudeTarget, Command, GlobalTarget, Item, LocalTarget
@@ -45,7 +48,7 @@ def some_item(draw: random.Random, seq: int) -> Item:
     return Item(seq, frame, draw.choice(ITEMS), numbers(draw, 4), x, y, numbers(draw, 1)[0])
 
 
-def disturb(draw: random.Random, puppet: Puppet) -> None:
+def disturb(draw: random.Random, puppet: Any) -> None:
     """Ask a stack something at random."""
     stack, what = puppet.stack, draw.randrange(9)
     if what <= 2:
@@ -88,6 +91,25 @@ def test_nothing_that_is_asked_breaks_a_stack():
                 puppet.stack.arm(force=True)
             # The puppet checks that all orders are finite.
             puppet.run(0.04)
+            puppet.stack.health()
+            puppet.stack.heartbeat()
+            puppet.stack.mission()
+        assert len(puppet.said) < 10_000
+
+
+@pytest.mark.parametrize("kind", [Glider, Cart])
+def test_nothing_that_is_asked_breaks_the_stack_of_a_wing_or_a_rover(kind):
+    for seed in range(8):
+        draw = random.Random(seed)
+        puppet = kind("ardupilot" if seed % 2 else "px4")
+        for _ in range(600):
+            disturb(draw, puppet)
+            if draw.random() < 0.2 and not puppet.stack.armed:
+                puppet.stack.arm(force=True)
+            puppet.run(0.04)
+            if puppet.order is not None:
+                # Places may be on the other side of the Earth.
+                assert all(abs(number) < 2e7 for number in puppet.order.numbers), puppet.order
             puppet.stack.health()
             puppet.stack.heartbeat()
             puppet.stack.mission()

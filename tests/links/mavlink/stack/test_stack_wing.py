@@ -203,8 +203,10 @@ def test_reposition_circles_there_at_a_radius_and_an_airspeed():
         (item(1, 22, 100.0, 0.0, 50.0), PlanResult.UNSUPPORTED, "there is no runway in this version"),
         (item(1, 21, 100.0, 0.0, 0.0), PlanResult.UNSUPPORTED, "there is no runway in this version"),
         (item(1, 18, 100.0, 0.0, 50.0, params=(1, 0, 60, 0)), PlanResult.INVALID_PARAM3, "at least 76 m"),
+        (item(1, 17, 100.0, 0.0, 50.0, params=(0, 0, -20000, 0)), PlanResult.INVALID_PARAM3, "at most 10000 m"),
         (item(1, 31, 100.0, 0.0, 50.0, params=(1, 60, 0, 0)), PlanResult.INVALID_PARAM2, "at least 76 m"),
         (item(1, 178, params=(0, 10, -1, 0)), PlanResult.INVALID_PARAM2, "10 m/s is below the stall at 11.3 m/s"),
+        (item(1, 178, params=(0, 38, -1, 0)), PlanResult.INVALID_PARAM2, "38 m/s is too fast, at most 37.5 m/s"),
         (item(1, 178, params=(2, 3, -1, 0)), PlanResult.INVALID_PARAM2, "changes its airspeed only"),
     ],
 )

@@ -17,11 +17,13 @@ class GroundOffboard(Offboard):
         self, target: LocalTarget | GlobalTarget, position: Triple, velocity: Triple, acceleration: Triple
     ) -> str:
         # On the ground no height is needed.
-        level = (position[0], position[1], 0.0), (velocity[0], velocity[1], 0.0), acceleration
-        why = super()._take_motion(target, *level)
-        if why or any(all(map(math.isfinite, part[:2])) for part in level[:2]):
-            return why
-        return "a rover needs a place or a velocity, of both axes"
+        place, speeds = (position[0], position[1], 0.0), (velocity[0], velocity[1], 0.0)
+        whole = any(all(map(math.isfinite, part)) for part in (place, speeds))
+        # What is too large or missing altogether has a reason of its own.
+        missing = any(all(math.isnan(part[axis]) for part in (place, speeds, acceleration)) for axis in (0, 1))
+        if not whole and not missing:
+            return "a rover needs a place or a velocity, of both axes"
+        return super()._take_motion(target, place, speeds, acceleration)
 
     def _take_attitude(self, target: object, craft: Craft) -> str:
         return "a rover has no attitude to fly"

@@ -11,6 +11,8 @@ from qrsim.links.mavlink.stack.fence import Fence
 
 # Steady bank of a circle, of which a controller has a little more.
 BANK_RAD, GRAVITY = math.radians(40.0), 9.80665
+# Largest radius of a circle that is asked for [m].
+WIDEST = 10000.0
 # A wing rolls into a turn for so long, and is to fly on inside the area for so long after one [s].
 ROLLS, AHEAD_S = 1.0, 6.0
 # A circle is looked at in so many places, and moved towards the middle of the area in so many steps.
@@ -27,6 +29,14 @@ def airspeed(craft: Craft) -> float:
 def tightest(speed: float) -> float:
     """Return the radius [m] of a circle at a speed [m/s], in calm, with a bank of 40 degrees."""
     return speed * speed / (GRAVITY * math.tan(BANK_RAD))
+
+
+def why_no_radius(radius: float, speed: float) -> str:
+    """Return why a circle [m] cannot be flown at a speed [m/s]; "" where it can, and for a radius that is NaN."""
+    least = tightest(speed)
+    if abs(radius) < least:
+        return f"a radius of {abs(radius):g} m is too tight, at least {math.ceil(least)} m"
+    return f"a radius of {abs(radius):g} m is too wide, at most {WIDEST:g} m" if abs(radius) > WIDEST else ""
 
 
 def usual_radius(craft: Craft) -> float:

@@ -17,6 +17,8 @@ NO_RUNWAY = "a fixed wing neither takes off nor lands: there is no runway in thi
 # A line is over so near to its end, that the turn into the next one is not overshot, and a circle begun so near to it;
 # a height counts as reached within the second [m].
 REACH, HEIGHT_REACH = 40.0, 10.0
+# Largest airspeed that may be asked for, over that of cruise.
+FASTEST = 1.5
 
 
 class Tour(Mission):
@@ -121,7 +123,9 @@ def why_no_speed(kind: float, speed: float, craft: Craft) -> str:
 
 def why_no_airspeed(speed: float, craft: Craft) -> str:
     """Return why an airspeed [m/s] cannot be flown; "" where it can."""
-    least = craft.facts.airspeed_min
+    least, most = craft.facts.airspeed_min, FASTEST * craft.facts.airspeed
+    if speed > most:
+        return f"{speed:g} m/s is too fast, at most {most:g} m/s"
     return f"{speed:g} m/s is below the stall at {least:.3g} m/s" if speed < least else ""
 
 
@@ -132,9 +136,8 @@ def _cannot(item: Item, craft: Craft) -> tuple[PlanResult, str]:
     if item.command == plan.CHANGE_SPEED:
         return PlanResult.INVALID_PARAM2, why_no_speed(item.params[0], item.params[1], craft)
     if item.command in CIRCLES:
-        radius, least = abs(radius_of(item, craft)), orbits.tightest(orbits.airspeed(craft))
-        if radius < least:
-            why = f"a radius of {radius:g} m is too tight, at least {math.ceil(least)} m"
+        why = orbits.why_no_radius(radius_of(item, craft), orbits.airspeed(craft))
+        if why:
             to_altitude = item.command == plan.LOITER_TO_ALTITUDE
             return PlanResult.INVALID_PARAM2 if to_altitude else PlanResult.INVALID_PARAM3, why
     return PlanResult.ACCEPTED, ""

@@ -223,9 +223,10 @@ class WingStack(FlightStack):
         craft, speed, radius = self.craft, command.params[0], _signed_radius(command)
         if speed > 0.0 and why_no_airspeed(speed, craft):
             return why_no_airspeed(speed, craft)
-        least = orbits.tightest(speed if speed > 0.0 else orbits.airspeed(craft))
-        if abs(radius) < least:
-            return f"a radius of {abs(radius):g} m is too tight, at least {math.ceil(least)} m"
+        fast = speed if speed > 0.0 else orbits.airspeed(craft)
+        least, why = orbits.tightest(fast), orbits.why_no_radius(radius, fast)
+        if why:
+            return why
         place = place_in(self, command) if craft.home else None
         radius = radius if math.isfinite(radius) else orbits.usual_radius(craft)
         if place is not None and not orbits.fits(craft.fence, place, max(abs(radius), least)):
