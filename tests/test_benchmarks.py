@@ -44,6 +44,7 @@ NUMBERS = {
     "peers": {"vehicles", "processes"},
     "policies": {"worlds", "vehicles", "per_wall_second", "microseconds_a_call"},
     "radio": {"vehicles", "tick_ms", "ratio", "heard"},
+    "ros2": {"vehicles", "topics", "rate_hz", "ticks", "core", "messages_per_second"},
     "sensors": {"worlds", "vehicles", "ns", "over_pair", "compile_seconds"},
     "serve": {"count", "median_us", "p95_us", "per_second"},
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},
@@ -125,6 +126,17 @@ def test_flight_stack():
     assert len(results) == 6
     # 50 vehicles at 50 Hz, of which each tick takes so many microseconds.
     assert all(row["core_percent"] == pytest.approx(0.25 * row["microseconds"], abs=0.02) for row in results)
+
+
+@pytest.mark.long
+def test_ros2():
+    pytest.importorskip("cyclonedds")
+    pytest.importorskip("rosbags")
+    (row,) = rows("ros2")
+    # TF, the clock, and eight topics of each vehicle with its state.
+    assert (row["vehicles"], row["topics"]) == (2, 18)
+    # Most of them at every tick.
+    assert row["messages_per_second"] > 100
 
 
 @pytest.mark.long
