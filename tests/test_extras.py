@@ -63,6 +63,8 @@ def test_flying_plotting_and_exporting_need_no_extra(tmp_path: Path):
         "mcap": ["export", run, "--format", "mcap"],
         "serve": ["serve", "hover_ideal"],
         "view": ["view", run],
+        "ros2": ["ros2", "hover_ideal"],
+        "bag": ["export", run, "--format", "rosbag2"],
         "run view": ["run", "hover_ideal", "--view", "--out", str(tmp_path / "seen")],
         "data": ["data", "fetch", "--folder", fetched],
         "sweep": ["sweep", "swarm_collisions", "--out", str(tmp_path / "study")],
@@ -70,7 +72,10 @@ def test_flying_plotting_and_exporting_need_no_extra(tmp_path: Path):
     said = dict(zip(commands, without_extras(*commands.values()), strict=True))
     for name in ("run", "plot", "csv", "check"):
         assert said[name][0] == 0, said[name][1]
-    extras = {"mcap": "export", "serve": "serve", "view": "view", "run view": "view", "sweep": "sweep"}
+    extras = {
+        "mcap": "export", "serve": "serve", "view": "view", "run view": "view", "sweep": "sweep", "ros2": "ros2",
+        "bag": "ros2",
+    }  # fmt: skip
     for name, extra in extras.items():
         code, text = said[name]
         assert code == 2, (name, text)
