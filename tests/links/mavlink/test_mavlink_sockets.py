@@ -6,7 +6,9 @@ import asyncio
 import collections
 import math
 import os
+import random
 import socket
+import struct
 import threading
 import time
 from contextlib import suppress
@@ -298,6 +300,8 @@ def test_a_mission_outside_the_fence_and_an_arming_outside_it(served):
 def test_who_does_not_read_costs_the_others_nothing(served):
     stalled = socket.socket()
     stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    # Its requests go out one by one.
+    stalled.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     stalled.connect((ports.HERE, served.ports.tcp))
     served.until(lambda: len(served.server.clients) == 1)
     (connection,) = served.server.clients
@@ -312,17 +316,46 @@ def test_who_does_not_read_costs_the_others_nothing(served):
     served.until(lambda: served.world.simulation.tick > tick + 100)
     assert waits() < before + 30_000
     # Who asks on and on and reads no answer is given up.
-    reset = False
-    while not reset:
+    for _ in range(200):
         try:
             stalled.sendall(20 * ask)
             client.answers()
         except OSError:
-            reset = True
+            break
     stalled.close()
     served.until(lambda: not served.server.clients)
     assert served.lines.count("a client by TCP does not read, and is given up") == 1
     assert client.command(520, 1) == ACCEPTED
+
+
+def test_who_speaks_no_mavlink_or_hangs_up_costs_the_others_nothing(served, caplog):
+    nonsense = random.Random(1).randbytes(1 << 14)
+    with socket.create_connection((ports.HERE, served.ports.tcp)) as other:
+        for _ in range(1000):
+            try:
+                other.sendall(nonsense)
+            except OSError:
+                break
+    served.until(lambda: not served.server.clients)
+    assert served.lines.count("a client by TCP sends no MAVLink, and is given up") == 1
+    # A frame now and then is enough.
+    beat = frame(0, LAYOUTS["HEARTBEAT"].payload(type=6), 0, 245, 190)
+    with socket.create_connection((ports.HERE, served.ports.tcp)) as noisy:
+        for _ in range(10):
+            noisy.sendall(nonsense + bytes(300) + beat)
+        served.until(lambda: len(served.server.clients) == 1)
+        (connection,) = served.server.clients
+        served.until(lambda: connection._reader.skipped > 100_000)
+        assert len(served.server.clients) == 1
+    clients = [socket.create_connection((ports.HERE, served.ports.tcp)) for _ in range(20)]
+    served.until(lambda: len(served.server.clients) == 20)
+    for each in clients:
+        # Without a farewell: a reset.
+        each.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        each.close()
+    served.until(lambda: not served.server.clients)
+    assert [record.message for record in caplog.records] == []
+    assert served.client(11).command(520, 1) == ACCEPTED
 
 
 def test_a_client_of_ardupilot():

@@ -23,6 +23,8 @@ Address = tuple[str, int]
 # Bytes that wait for a client by TCP: with more, streams are left out; with far more, it is given up.
 MOST_STALE, MOST_WAITING = 1 << 16, 1 << 22
 MOST_CLIENTS = 32
+# Who sends so many bytes by TCP without a frame among them speaks another language, and is given up.
+MOST_NONSENSE = 1 << 16
 # So many bugs are reported with their traceback.
 MOST_REPORTS = 5
 
@@ -156,6 +158,7 @@ class _Connection(asyncio.Protocol):
         self._reader = Reader()
         self._links: dict[int, Link] = {}
         self._transport: asyncio.Transport | None = None
+        self._nonsense = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -183,18 +186,27 @@ class _Connection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         systems = self._server.systems
+        self._nonsense += len(data)
         for frame in self._reader.feed(data):
+            self._nonsense = 0
             self._server.heard([(systems[number], link) for number, link in self._links.items()], frame)
+
+        if self._nonsense > MOST_NONSENSE:
+            self._give_up("sends no MAVLink")
 
     def _has_room(self) -> bool:
         return self._transport is not None and self._transport.get_write_buffer_size() < MOST_STALE
 
     def _send(self, data: bytes) -> None:
-        if self._transport is None:
+        if self._transport is None or self._transport.is_closing():
             return
         if self._transport.get_write_buffer_size() > MOST_WAITING:
-            self._server.say("a client by TCP does not read, and is given up")
-            self._transport.abort()
-            self._transport = None
+            self._give_up("does not read")
             return
         self._transport.write(data)
+
+    def _give_up(self, why: str) -> None:
+        if self._transport is not None:
+            self._server.say(f"a client by TCP {why}, and is given up")
+            self._transport.abort()
+            self._transport = None
