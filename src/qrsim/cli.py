@@ -25,7 +25,7 @@ import qrsim.starting  # noqa: F401 (before the others)
 import tyro
 
 from qrsim import interruptions
-from qrsim.apps.autopilot import Betaflight
+from qrsim.apps.autopilot import Ardupilot, Betaflight
 from qrsim.apps.check.command import Check
 from qrsim.apps.compare import Compare
 from qrsim.apps.data import Fetch, Where
@@ -110,7 +110,7 @@ AUTOPILOT = Group(
 
 Example:
   qrsim autopilot betaflight""",
-    {"betaflight": Betaflight},
+    {"betaflight": Betaflight, "ardupilot": Ardupilot},
 )
 
 COMMANDS: dict[str, type[Command] | Group] = {

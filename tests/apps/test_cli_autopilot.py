@@ -36,11 +36,40 @@ def test_what_cannot_be_meant_is_refused(words: list[str], said: str, capsys: py
     assert found.strip().count("\n") == 0
 
 
-def test_the_group_names_its_command(capsys: pytest.CaptureFixture[str]):
+def test_the_group_names_its_commands(capsys: pytest.CaptureFixture[str]):
     assert cli.main(["autopilot"]) == 2
-    assert capsys.readouterr().err.strip() == "error: qrsim autopilot: expected a command: betaflight"
+    assert "Expected one of {betaflight, ardupilot}" in capsys.readouterr().err
     assert cli.main(["autopilot", "--help"]) == 0
-    assert "betaflight  Fly " in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "betaflight  Fly " in said
+    assert "ardupilot   Fly " in said
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--port", "80"], "--port 80: expected 1024 to 65000"),
+        (["--wait", "0"], "--wait 0: expected a positive number of seconds"),
+        (["--rate", "50"], "--rate 50: expected 200 to 2000 Hz"),
+        (["mixed_team", "--fleet", "rovers"], "--fleet rovers: "),
+    ],
+)
+def test_what_ardupilot_cannot_do_is_refused(words: list[str], said: str, capsys: pytest.CaptureFixture[str]):
+    assert cli.main(["autopilot", "ardupilot", *words]) == 2
+    found = capsys.readouterr().err
+    assert said in found
+    assert "Traceback" not in found
+
+
+def test_an_ardupilot_that_does_not_come_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    words = ["mavlink_field", "--wait", "0.2", "--duration", "1", "--port", "21002", "--out", "flight"]
+    assert cli.main(["autopilot", "ardupilot", *words]) == 1
+    found = capsys.readouterr().err
+    assert "no ArduPilot has come to UDP port 21002 in 0.2 s; start it with --model JSON:127.0.0.1 and -I" in found
+    assert "Traceback" not in found
 
 
 def absent(name: str) -> None:

@@ -1,9 +1,10 @@
-"""``qrsim autopilot betaflight``."""
+"""``qrsim autopilot betaflight`` and ``qrsim autopilot ardupilot``."""
 
 from __future__ import annotations
 
 import json
 import math
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 MODELS = ("hummingbird", "x500", "crazyflie")
 SLOWEST_HZ, FASTEST_HZ = 200.0, 2000.0
+LAST_PORT = 65_000
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class Betaflight:
 
     def run(self) -> None:
         """Check, start and arm the firmware, fly, summarise."""
-        self._check()
+        _check(self)
         from qrsim.links.autopilot.firmware import binary, configured
         from qrsim.links.autopilot.fleet import prepared
         from qrsim.links.autopilot.flight import Flight
@@ -83,9 +85,7 @@ class Betaflight:
         overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
         scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
         program = binary(self.binary)
-        folder = self.out or _new_folder(scenario.name, self.seed)
-        if folder.exists():
-            raise UsageError(f"run folder {folder} exists and is never overwritten; choose another --out")
+        folder = _folder(self.out, "betaflight", scenario.name, self.seed)
         eeprom = configured(program, self.cli)
         flights: list[Flight] = []
 
@@ -102,49 +102,148 @@ class Betaflight:
         finally:
             for flight in flights:
                 flight.close()
-        self._report(folder, fleets, pace)
-
-    def _check(self) -> None:
-        if not (math.isfinite(self.rate) and SLOWEST_HZ <= self.rate <= FASTEST_HZ):
-            raise UsageError(f"--rate {self.rate:g}: expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz")
-        if not 0 <= self.seed < 2**63:
-            raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
-        if self.duration is not None and not (math.isfinite(self.duration) and self.duration > 0):
-            raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds")
-        if self.every < 1:
-            raise UsageError(f"--every {self.every}: expected an integer from 1")
-        if self.model not in MODELS:
-            raise UsageError(f"--model {self.model}: expected {' or '.join(MODELS)}{did_you_mean(self.model, MODELS)}")
-
-    def _report(self, folder: Path, fleets: tuple[str, ...], pace: Pace) -> None:
-        from qrsim.runs import open_run
-        from qrsim.runs.summary import summarise
-
-        recorded = open_run(folder)
-        stopped = {event.vehicle: event.message for event in recorded.events if event.kind in ("crashed", "collision")}
-        rows: list[dict[str, Any]] = [
-            {
-                "vehicle": row.vehicle, "distance_m": row.distance_m, "tracking_rms_m": row.tracking_error_rms_m,
-                "waypoints": row.waypoints, "stopped": stopped.get(row.vehicle),
-            }
-            for row in summarise(recorded)
-        ]  # fmt: skip
-        if self.json:
-            result = {"run": str(folder), "fleets": fleets, "simulated_s": pace.simulated_s, "wall_s": pace.wall_s}
-            print(json.dumps(result | {"vehicles": rows}, indent=2))
-            return
-        print(f"{recorded.info.scenario}, seed {self.seed}, flown by Betaflight: {', '.join(fleets)}")
-        for row in rows:
-            ends = f"; {row['stopped']}" if row["stopped"] else ""
-            print(
-                f"{row['vehicle']}: {row['distance_m']:.1f} m flown, {row['tracking_rms_m']:.2f} m RMS from its legs, "
-                f"{row['waypoints']} waypoints{ends}"
-            )
-        print(f"{pace.simulated_s:g} s flown in {pace.wall_s:.2f} s ({pace.real_time_factor:.1f} times real time)")
-        print(f"run folder: {folder}")
+        _report(self, "Betaflight", folder, fleets, pace)
 
 
-def _new_folder(name: str, seed: int) -> Path:
+@dataclass(frozen=True)
+class Ardupilot:
+    """Fly the multirotors of a scenario by ArduPilot, one of its own for each, over its JSON interface in lock-step.
+
+    ArduPilot is started by you: for vehicle i, from 0, with --model JSON:127.0.0.1 -I i, and SIM_RATE_HZ as --rate.
+    The vehicles stand on the ground below where the scenario has them, and do what ArduPilot's servos say; it is told
+    what the fleet's IMU and estimator say, noise included. docs/autopilot.md has its parameters. The firmware itself
+    has not been tried with this: a stand-in that follows the description of the interface has.
+
+    Example:
+      qrsim autopilot ardupilot mavlink_field --duration 120
+      sim_vehicle.py -v ArduCopter -f quad --model JSON:127.0.0.1 -I 0
+      qrsim autopilot ardupilot mixed_team --fleet quads --port 9002
+    """
+
+    scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "mavlink_field"
+    """Name (see 'qrsim list') or YAML file."""
+    fleet: Annotated[
+        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all it can)")
+    ] = field(default_factory=list)
+    """Fleet that ArduPilot flies; can be given several times. The others fly as ever."""
+    port: int = 9002
+    """UDP port of the first vehicle on this machine; each other 10 further on, as those of ArduPilot's instances."""
+    wait: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 120.0
+    """How long the first packet of each ArduPilot is waited for."""
+    model: Annotated[str, tyro.conf.arg(metavar="NAME")] = "x500"
+    """What an identified quadrotor becomes: hummingbird, x500 or crazyflie."""
+    rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 400.0
+    """Ticks of the simulation a second, one for each packet; 200 to 2000."""
+    seed: int = 0
+    """Seed of the episode."""
+    duration: Annotated[
+        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the scenario's)")
+    ] = None
+    """Simulated time."""
+    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
+        default_factory=list
+    )
+    """Change one value of the scenario; can be given several times."""
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/ardupilot-SCENARIO-seedSEED-TIME)"),
+    ] = None
+    """Run folder to write; must not exist."""
+    every: Annotated[int, tyro.conf.arg(metavar="N")] = 8
+    """Log only the ticks that N divides; 8 are 50 a second at 400 Hz."""
+    json: bool = False
+    """Print the result as JSON."""
+
+    def run(self) -> None:
+        """Check, open the ports, fly, summarise."""
+        _check(self)
+        if not 1024 <= self.port <= LAST_PORT:
+            raise UsageError(f"--port {self.port}: expected 1024 to {LAST_PORT}")
+        if not (math.isfinite(self.wait) and self.wait > 0):
+            raise UsageError(f"--wait {self.wait:g}: expected a positive number of seconds")
+        from qrsim.links.autopilot.json_flight import JsonFlight, prepared
+        from qrsim.runs.recorder import fly
+        from qrsim.scenarios.scenario import load_scenario
+
+        overrides = [*self.set, *([] if self.duration is None else [f"duration={self.duration!r}"])]
+        scenario, fleets = prepared(load_scenario(self.scenario, overrides), tuple(self.fleet), self.model, self.rate)
+        folder = _folder(self.out, "ardupilot", scenario.name, self.seed)
+        flights: list[JsonFlight] = []
+
+        def flown_by(simulation: Simulation) -> JsonFlight:
+            flight = JsonFlight(simulation, fleets, self.port, self.wait, _say)
+            flights.append(flight)
+            for link in flight.links:
+                _say(f"{link.name} waits for ArduPilot on UDP {link.port}")
+            return flight
+
+        streams = ("truth", "measurements", "commands", "wind") if self.every > 1 else ()
+        try:
+            pace = fly(
+                scenario, folder, seed=self.seed, precision="float32", flown_by=flown_by,
+                every=dict.fromkeys(streams, self.every),
+            )  # fmt: skip
+        finally:
+            for flight in flights:
+                flight.close()
+        for link in flights[0].links:
+            if link.lost or link.foreign or link.repeated:
+                _say(f"{link.name}: {link.lost} packets lost, {link.repeated} repeated, {link.foreign} of others")
+        _report(self, "ArduPilot", folder, fleets, pace)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _check(options: Betaflight | Ardupilot) -> None:
+    if not (math.isfinite(options.rate) and SLOWEST_HZ <= options.rate <= FASTEST_HZ):
+        raise UsageError(f"--rate {options.rate:g}: expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz")
+    if not 0 <= options.seed < 2**63:
+        raise UsageError(f"--seed {options.seed}: expected an integer from 0 to 2**63 - 1")
+    if options.duration is not None and not (math.isfinite(options.duration) and options.duration > 0):
+        raise UsageError(f"--duration {options.duration:g}: expected a positive number of seconds")
+    if options.every < 1:
+        raise UsageError(f"--every {options.every}: expected an integer from 1")
+    if options.model not in MODELS:
+        raise UsageError(
+            f"--model {options.model}: expected {' or '.join(MODELS)}{did_you_mean(options.model, MODELS)}"
+        )
+
+
+def _report(options: Betaflight | Ardupilot, who: str, folder: Path, fleets: tuple[str, ...], pace: Pace) -> None:
+    from qrsim.runs import open_run
+    from qrsim.runs.summary import summarise
+
+    recorded = open_run(folder)
+    stopped = {event.vehicle: event.message for event in recorded.events if event.kind in ("crashed", "collision")}
+    rows: list[dict[str, Any]] = [
+        {
+            "vehicle": row.vehicle, "distance_m": row.distance_m, "tracking_rms_m": row.tracking_error_rms_m,
+            "waypoints": row.waypoints, "stopped": stopped.get(row.vehicle),
+        }
+        for row in summarise(recorded)
+    ]  # fmt: skip
+    if options.json:
+        result = {"run": str(folder), "fleets": fleets, "simulated_s": pace.simulated_s, "wall_s": pace.wall_s}
+        print(json.dumps(result | {"vehicles": rows}, indent=2))
+        return
+    print(f"{recorded.info.scenario}, seed {options.seed}, flown by {who}: {', '.join(fleets)}")
+    for row in rows:
+        ends = f"; {row['stopped']}" if row["stopped"] else ""
+        print(
+            f"{row['vehicle']}: {row['distance_m']:.1f} m flown, {row['tracking_rms_m']:.2f} m RMS from its legs, "
+            f"{row['waypoints']} waypoints{ends}"
+        )
+    print(f"{pace.simulated_s:g} s flown in {pace.wall_s:.2f} s ({pace.real_time_factor:.1f} times real time)")
+    print(f"run folder: {folder}")
+
+
+def _folder(out: Path | None, who: str, name: str, seed: int) -> Path:
+    """Return the run folder to write; raises UsageError if it exists."""
     from datetime import datetime
 
-    return Path("runs") / f"betaflight-{name}-seed{seed}-{datetime.now().strftime('%Y%m%d-%H%M%S')}"
+    folder = out or Path("runs") / f"{who}-{name}-seed{seed}-{datetime.now().strftime('%Y%m%d-%H%M%S')}"
+    if folder.exists():
+        raise UsageError(f"run folder {folder} exists and is never overwritten; choose another --out")
+    return folder

@@ -33,6 +33,22 @@ def prepared(scenario: Scenario, fleets: tuple[str, ...], model: str, rate: floa
     Raises:
         UsageError: an unknown fleet, or one that has no rotors; a scenario that cannot be at this rate.
     """
+    content, flown = refitted(scenario, fleets, model, rate, "Betaflight")
+    try:
+        made = load_scenario(content, quiet=True)
+    except ScenarioError as error:
+        raise UsageError(f"flown at {rate:g} Hz by Betaflight: {error}") from None
+    return made, flown
+
+
+def refitted(
+    scenario: Scenario, fleets: tuple[str, ...], model: str, rate: float, who: str
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return the content of ``prepared``'s scenario for an autopilot called ``who``, and the names of its fleets.
+
+    Raises:
+        UsageError: an unknown fleet, or one that has no rotors.
+    """
     content = scenario.spec.model_dump(mode="json")
     found = content["fleets"]
     for name in fleets:
@@ -40,18 +56,14 @@ def prepared(scenario: Scenario, fleets: tuple[str, ...], model: str, rate: floa
             raise UsageError(f"--fleet {name}: the scenario has {', '.join(found)}{did_you_mean(name, list(found))}")
         if not _has_rotors(found[name]):
             kind = found[name]["vehicle"]["type"]
-            raise UsageError(f"--fleet {name}: a {kind} is flown by no Betaflight; expected a multirotor or quadrotor")
+            raise UsageError(f"--fleet {name}: a {kind} is flown by no {who} here; expected a multirotor or quadrotor")
     flown = fleets or tuple(name for name, fleet in found.items() if _has_rotors(fleet))
     if not flown:
-        raise UsageError("no fleet of the scenario has rotors, and Betaflight flies these only")
+        raise UsageError(f"no fleet of the scenario has rotors, and {who} flies these only here")
     content["time_step"] = 1.0 / rate
     for name in flown:
         _fit(found[name], model, 1.0 / rate)
-    try:
-        made = load_scenario(content, quiet=True)
-    except ScenarioError as error:
-        raise UsageError(f"flown at {rate:g} Hz by Betaflight: {error}") from None
-    return made, flown
+    return content, flown
 
 
 def _has_rotors(fleet: dict[str, Any]) -> bool:

@@ -25,6 +25,18 @@ Override = Callable[[float, list[Sequence[float]]], list[Sequence[float]]]
 STILL_RAD_S = 0.05
 
 
+def flown_history(simulation: Simulation, advance: Callable[[], None], ticks: int) -> History:
+    """Return the states of so many ticks, each flown by ``advance``."""
+    layout, _ = simulation.packed
+    first, rows = simulation.tick, []
+    for _ in range(ticks):
+        advance()
+        rows.append([np.array(part) for part in simulation.packed[1]])
+    stacked: Any = tuple(np.stack(part) for part in zip(*rows, strict=True))
+    numbers = np.arange(first + 1, first + ticks + 1)
+    return History(numbers, simulation.world.time_step, layout.unpack(stacked))
+
+
 class FlownFleet:
     """The vehicles of a fleet and their firmware."""
 
@@ -104,15 +116,7 @@ class Flight:
 
     def record(self, ticks: int, capacity: int = 50) -> History:
         """Fly so many ticks and return their states; ``capacity`` is not needed here."""
-        simulation = self.simulation
-        layout, _ = simulation.packed
-        first, rows = simulation.tick, []
-        for _ in range(ticks):
-            self.advance()
-            rows.append([np.array(part) for part in simulation.packed[1]])
-        stacked: Any = tuple(np.stack(part) for part in zip(*rows, strict=True))
-        numbers = np.arange(first + 1, first + ticks + 1)
-        return History(numbers, self._dt, layout.unpack(stacked))
+        return flown_history(self.simulation, self.advance, ticks)
 
     def _asked(self, asked: list[Sequence[float]]) -> list[Sequence[float]]:
         return asked if self._override is None else self._override(self.simulation.time, asked)

@@ -42,7 +42,7 @@ class FleetSight:
                 places.append(np.arange(layout.slices[leaf].start, layout.slices[leaf].stop))
         for column, what in ((RATES, "gyroscope"), (FORCE, "accelerometer")):
             if column not in self._columns:
-                raise UsageError(f"fleet '{fleet.name}' has no {what}, and Betaflight needs one: add a sensor imu")
+                raise UsageError(f"fleet '{fleet.name}' has no {what}, and an autopilot needs one: add a sensor imu")
         self._places = np.array(places)
         origin = self._site.ned_to_geodetic(np.zeros((1, 3)))
         self._origin = tuple(float(np.ravel(part)[0]) for part in origin)
@@ -63,6 +63,10 @@ class FleetSight:
             asked.append(row[ASKED:ATTITUDE])
             sensed.append(self._sensed(row))
         return asked, sensed
+
+    def positions(self) -> list[list[float]]:
+        """Return where each vehicle takes itself to be, NED [m], as of the last look."""
+        return [row[POSITION : POSITION + 3] for row in self._last]
 
     def _sensed(self, row: list[float]) -> Sensed:
         latitude, longitude, height = self._origin

@@ -18,6 +18,7 @@ from qrsim.control.tracks import FixedWingGuidance
 from qrsim.errors import ScenarioError, UsageError
 from qrsim.links.mavlink.stack.codes import FIXED_WING, GROUND_ROVER, HEXAROTOR, OCTOROTOR, QUADROTOR
 from qrsim.links.mavlink.stack.contracts import NEEDED, Facts
+from qrsim.links.shared.grounding import put_down, standing
 from qrsim.links.shared.kinds import kinds_of
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.vehicles.contracts import Vehicle
@@ -53,30 +54,13 @@ def prepared(scenario: Scenario) -> Scenario:
         if not {SETPOINTS[kind] for kind in NEEDED} <= set(controller.setpoints):
             feed = fleet["controller"].get("feed")
             fleet["controller"] = {"type": "cascade"} | ({"feed": feed} if feed else {})
-        fleet["guidance"] = {"type": "route"}
-        if "ground" not in model.reads:
-            fleet["ground"] = "parked"
-        for vehicle in fleet["vehicles"]:
-            vehicle["waypoints_ned"], vehicle["legs"] = [], []
-            vehicle["velocity_body"] = [0.0, 0.0, 0.0]
+        standing(fleet, "ground" in model.reads)
     try:
-        _put_down(content, load_scenario(content, quiet=True).world())
+        world = load_scenario(content, quiet=True).world()
+        put_down(content, world, {fleet.name for fleet in world.fleets if flown(fleet)})
         return load_scenario(content, quiet=True)
     except ScenarioError as error:
         raise UsageError(f"with vehicles on the ground, and controllers that follow paths: {error}") from None
-
-
-def _put_down(content: dict[str, Any], world: World) -> None:
-    """Give vehicles that a stack can fly the height of the ground below their place, with their feet on it."""
-    for fleet in world.fleets:
-        if not flown(fleet):
-            continue
-        down = np.asarray(world.ground_down(fleet.start.position_ned), np.float64)
-        points = fleet.vehicle.feet if isinstance(fleet.vehicle, Multirotor) else ()
-        feet = max((float(foot[2]) for foot in points), default=0.0)
-        for vehicle, height in zip(content["fleets"][fleet.name]["vehicles"], down, strict=True):
-            north, east, _ = vehicle["position_ned"]
-            vehicle["position_ned"] = [north, east, float(height) - feet]
 
 
 def flown(fleet: Fleet) -> bool:

@@ -1,0 +1,45 @@
+"""Vehicles put on the ground below where their scenario has them, for autopilots that begin there."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+
+from qrsim.models.vehicles.multirotor.vehicle import Multirotor
+from qrsim.world.state import World
+
+
+def put_down(content: dict[str, Any], world: World, fleets: Collection[str]) -> None:
+    """Give vehicles of fleets the height of the ground below their place, with their feet on it.
+
+    Args:
+        content: of a scenario, which is changed.
+        world: made of it.
+        fleets: names.
+    """
+    for fleet in world.fleets:
+        if fleet.name not in fleets:
+            continue
+        down = np.asarray(world.ground_down(fleet.start.position_ned), np.float64)
+        points = fleet.vehicle.feet if isinstance(fleet.vehicle, Multirotor) else ()
+        feet = max((float(foot[2]) for foot in points), default=0.0)
+        for vehicle, height in zip(content["fleets"][fleet.name]["vehicles"], down, strict=True):
+            north, east, _ = vehicle["position_ned"]
+            vehicle["position_ned"] = [north, east, float(height) - feet]
+
+
+def standing(fleet: dict[str, Any], has_ground: bool) -> None:
+    """Take away where the vehicles of a fleet (its content) go by themselves, and let them stand.
+
+    Args:
+        fleet: content, which is changed.
+        has_ground: whether its vehicles have a contact with the ground of their own; others are ``parked``.
+    """
+    fleet["guidance"] = {"type": "route"}
+    if not has_ground:
+        fleet["ground"] = "parked"
+    for vehicle in fleet["vehicles"]:
+        vehicle["waypoints_ned"], vehicle["legs"] = [], []
+        vehicle["velocity_body"] = [0.0, 0.0, 0.0]
