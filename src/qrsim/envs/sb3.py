@@ -1,0 +1,120 @@
+"""One vehicle's task, many times, for learners of Stable-Baselines3: ``PPO("MlpPolicy", VecTask("keep_spot", 64))``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from qrsim.envs.vector import VectorTask
+from qrsim.errors import UsageError
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError:
+    raise UsageError(
+        "qrsim.envs.sb3 needs Stable-Baselines3: python -m pip install stable-baselines3 (with torch, which is large)"
+    ) from None
+
+Array = np.ndarray[Any, Any]
+
+
+class VecTask(VecEnv):  # type: ignore[misc]
+    """Many episodes of a task as a vector environment of Stable-Baselines3, computed as one batch.
+
+    An episode that ends is followed by the next in the same step; ``infos[i]`` of that step has
+    ``terminal_observation``, ``TimeLimit.truncated`` and what was really the case. Other infos are empty.
+
+    Args:
+        scenario, num_envs, overrides, precision, render_mode: as of ``VectorTask``.
+
+    Raises:
+        UsageError: as of ``VectorTask``.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Path | dict[str, Any],
+        num_envs: int = 1,
+        overrides: Iterable[str] = (),
+        precision: str = "float32",
+        render_mode: str | None = None,
+    ):
+        self.tasks = VectorTask(scenario, num_envs, overrides, precision, render_mode, AutoresetMode.SAME_STEP)
+        # SB3 asks every environment for it.
+        self.render_mode = render_mode
+        super().__init__(num_envs, self.tasks.single_observation_space, self.tasks.single_action_space)
+        self._actions: Any = None
+
+    def reset(self) -> Any:
+        """Start all episodes, with the seed that was given last, and return what is seen."""
+        seeds = self._seeds
+        given = None if any(seed is None for seed in seeds) else list(seeds)
+        seen, infos = self.tasks.reset(seed=given)
+        self.reset_infos = [_row(infos, i) for i in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return seen
+
+    def step_async(self, actions: Any) -> None:
+        """Keep actions (num_envs, A) for ``step_wait``."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Any, Array, Array, list[dict[str, Any]]]:
+        """Advance by a step; return what is seen, rewards, ends and infos.
+
+        Raises:
+            UsageError: as of ``VectorTask.step``.
+        """
+        seen, rewards, terminated, truncated, infos = self.tasks.step(self._actions)
+        ended = terminated | truncated
+        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for i in map(int, np.flatnonzero(ended)):
+            last = jax.tree.map(lambda leaf, i=i: leaf[i].copy(), infos["final_obs"])
+            told[i] = _row(infos["final_info"], i) | {
+                "terminal_observation": last, "TimeLimit.truncated": bool(truncated[i] and not terminated[i])
+            }  # fmt: skip
+            self.reset_infos[i] = _row(infos, i)
+        return seen, rewards.astype(np.float32), ended, told
+
+    def get_images(self) -> Sequence[Array | None]:
+        """Return a picture of each environment; None of each without a render mode."""
+        return self.tasks.render() or [None] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute of the batch, which all environments share."""
+        found = getattr(self.tasks, attr_name)
+        return [found for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refuse: all environments are one batch.
+
+        Raises:
+            UsageError: always.
+        """
+        raise UsageError(f"set_attr {attr_name}: all environments are one batch; give the scenario other numbers")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **options: Any) -> list[Any]:
+        """Refuse: there are no single environments.
+
+        Raises:
+            UsageError: always.
+        """
+        raise UsageError(f"env_method {method_name}: all environments are one batch, .tasks")
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Return that none is."""
+        return [False for _ in self._get_indices(indices)]
+
+    def close(self) -> None:
+        """Let go of the batch."""
+        self.tasks.close()
+
+
+def _row(infos: dict[str, Any], i: int) -> dict[str, Any]:
+    """Return what is really the case in an environment."""
+    return {name: leaf[i] for name, leaf in infos.items() if isinstance(leaf, np.ndarray) and name[0] != "_"}
