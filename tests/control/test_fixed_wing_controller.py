@@ -224,8 +224,8 @@ def test_faults_of_a_scenario_are_said_in_a_line() -> None:
     with pytest.raises(ScenarioError) as caught:
         qrsim.load(scenario(wind, guidance={"type": "fixed_wing", "radius": 60.0}, vehicles=slow))
     assert caught.value.problems == [
-        "fleets.planes.vehicles.0.velocity_body: starts at an airspeed of 8 m/s, which is below its stall at 11.3 m/s; "
-        "allowed: above that; without it, it starts at 25 m/s",
+        "fleets.planes.vehicles.0.velocity_body: starts at an airspeed of 8 m/s ahead, which is below its stall at "
+        "11.3 m/s; allowed: above that; without it, it starts at 25 m/s",
         "fleets.planes.guidance.radius: 60 m is tighter than the wind allows: at an airspeed of 25 m/s in 9.43 m/s of "
         "wind a bank of 40 deg flies a circle of 144 m downwind; allowed: at least 145, or less airspeed",
     ]

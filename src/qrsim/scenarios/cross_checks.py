@@ -235,7 +235,13 @@ def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, Any]]:
 def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     """The controller must take what the guidance gives."""
     accepted = known.CONTROLLERS[fleet.controller.type].setpoints  # type: ignore[attr-defined]
-    fitting = [name for name, cls in known.GUIDANCE.items() if cls.gives in accepted]  # type: ignore[attr-defined]
+    # Tracks of both are of one kind, but a rover's end where it stops, and a wing's in a circle.
+    others = {"rover": "fixed_wing", "fixed_wing": "rover"}.get(fleet.controller.type)
+    fitting = [
+        name
+        for name, cls in known.GUIDANCE.items()
+        if cls.gives in accepted and name != others  # type: ignore[attr-defined]
+    ]
     if fleet.guidance.type not in fitting:
         yield (
             f"fleets.{fleet_name}.guidance: '{fleet.guidance.type}' does not fit the controller "

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
 from qrsim.models.vehicles.fixed_wing import FixedWing
 from qrsim.models.vehicles.fixed_wing.trim import stall_speed
 from qrsim.scenarios import catalogue as known
-from qrsim.scenarios.build import component
+from qrsim.scenarios.build import component, ground_if_any
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.wind_limits import mean_wind
 
@@ -40,17 +41,33 @@ def fixed_wing_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
             which = "controller" if part is fleet.controller else "guidance"
             yield f"fleets.{name}.{which}.{key}: {slow[0]:g} m/s {_stalls(stall)}"
     for i, each in enumerate(fleet.vehicles):
-        speed = math.hypot(*each.velocity_body)
-        if 0.0 < speed < stall:
+        # A wind from the side or from behind lifts no wing, so it is the part ahead that counts.
+        if any(each.velocity_body) and each.velocity_body[0] < stall:
             yield (
-                f"fleets.{name}.vehicles.{i}.velocity_body: starts at an airspeed of {speed:.4g} m/s, which "
-                f"{_stalls(stall)}; without it, it starts at {cruise:g} m/s"
+                f"fleets.{name}.vehicles.{i}.velocity_body: starts at an airspeed of {each.velocity_body[0]:.4g} m/s "
+                f"ahead, which {_stalls(stall)}; without it, it starts at {cruise:g} m/s"
             )
+    yield from _on_ground(name, fleet, scenario, float(np.max(np.asarray(vehicle.span))))
     yield from _circles(name, fleet, scenario, cruise)
 
 
 def _stalls(stall: float) -> str:
     return f"is below its stall at {stall:.3g} m/s; allowed: above that"
+
+
+def _on_ground(name: str, fleet: FleetSpec, scenario: ScenarioSpec, span: float) -> Iterator[str]:
+    """It cannot take off: whoever starts lower than half a span has a wing in the ground at the first bank."""
+    ground = ground_if_any(scenario)
+    if ground is None or fleet.placement.type != "given":
+        return
+    places: Any = Vec3(*np.array([each.position_ned for each in fleet.vehicles], np.float32).reshape(-1, 3).T)
+    for i, down in enumerate(np.asarray(ground.down(places)).tolist()):
+        z, least = fleet.vehicles[i].position_ned[2], down - 0.5 * span
+        if z > least:
+            yield (
+                f"fleets.{name}.vehicles.{i}.position_ned: z = {z:g} m, but a 'fixed_wing' starts in flight; allowed: "
+                f"z at most {least:.4g} m, half a span above the ground"
+            )
 
 
 def _inertia(name: str, vehicle: Any) -> Iterator[str]:

@@ -22,7 +22,7 @@ class Longitudinal:
     """Coefficients of lift, drag and pitching moment; angles in rad, rates times half the chord over the airspeed."""
 
     lift_0: Array = _coefficient(0.23, "lift at no angle of attack")
-    lift_alpha: Array = _coefficient(5.61, "lift by angle of attack, below the stall")
+    lift_alpha: Array = parameter(default=5.61, unit="1", doc="lift by angle of attack, below the stall", above=0.0)
     lift_q: Array = _coefficient(7.95, "lift by pitch rate")
     lift_elevator: Array = _coefficient(0.13, "lift by elevator")
     drag_parasitic: Array = _coefficient(0.0, "drag without lift")
@@ -109,7 +109,7 @@ class Aeroplane:
     span: Array = parameter(default=2.8956, unit="m", doc="of the wing", above=0.0)
     chord: Array = parameter(default=0.18994, unit="m", doc="mean chord of the wing", above=0.0)
     density: Array = parameter(default=1.2682, unit="kg/m^3", doc="of the air", above=0.0)
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
     cruise_airspeed: Array = parameter(
         default=25.0, unit="m/s", doc="airspeed that it is trimmed for, and starts at where none is given", above=0.0
     )

@@ -76,7 +76,7 @@ class Rover(Vehicle):
     )  # fmt: skip
     steering_lag: Array = parameter(default=0.1, unit="s", doc="time constant of the steering", minimum=0.02)
     steering_rate_max: Array = parameter(default=4.0, unit="rad/s", doc="largest rate of the steering", above=0.0)
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
 
     presets: ClassVar[dict[str, dict[str, Any]]] = PRESETS
     command_type: ClassVar[type[Any]] = SteeringCommand

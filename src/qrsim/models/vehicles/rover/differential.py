@@ -48,7 +48,7 @@ class DifferentialRover(Vehicle):
     speed_max: Array = parameter(default=3.0, unit="m/s", doc="largest speed of a wheel", above=0.0)
     speed_lag: Array = parameter(default=0.4, unit="s", doc="time constant of a wheel's speed", minimum=0.05)
     acceleration_max: Array = parameter(default=4.0, unit="m/s^2", doc="largest acceleration of a wheel", above=0.0)
-    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", minimum=0.0)
+    gravity: Array = parameter(default=9.81, unit="m/s^2", doc="acceleration of free fall", above=0.0)
 
     command_type: ClassVar[type[Any]] = WheelCommand
     actions: ClassVar[tuple[type[Any], ...]] = (WheelCommand,)
