@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+import yaml
 from wires import TASK, Running, step
 
 import qrsim
@@ -105,6 +106,11 @@ def test_a_step_that_is_written_in_another_way_is_always_parsed():
             ["position_ned.x", "position_ned.y", "position_ned.z", "velocity_ned.x", "velocity_ned.y", "velocity_ned.z",
              "acceleration_ned.x", "acceleration_ned.y", "acceleration_ned.z", "yaw"],
         ),
+        (
+            Step.TRACK, "track", 9,
+            ["begin_ned.x", "begin_ned.y", "begin_ned.z", "position_ned.x", "position_ned.y", "position_ned.z",
+             "radius", "speed", "stops"],
+        ),
     ],
 )  # fmt: skip
 def test_each_number_of_a_setpoint_is_where_its_name_says(kind, name, numbers_of, fields):
@@ -113,6 +119,19 @@ def test_each_number_of_a_setpoint_is_where_its_name_says(kind, name, numbers_of
     assert type(found) is SETPOINTS[name]
     said = {path: leaf.tolist() for path, leaf, _ in walk(found)}
     assert said == {field: [0.5 + i, -0.5 - i] for i, field in enumerate(fields)}
+
+
+@pytest.mark.long
+def test_a_rover_is_driven_along_a_line_and_round_a_circle(serving: Running):
+    rover = {"vehicle": {"type": "rover"}, "controller": {"type": "rover", "feed": "truth"},
+             "vehicles": [{"position_ned": [0.0, 3.0, 0.0]}]}  # fmt: skip
+    scenario = {"name": "cars", "duration": 60.0, "fleets": {"cars": rover}}
+    with Client(port=serving.port) as client:
+        client.open(scenario=yaml.safe_dump(scenario), seed=4)
+        line = client.step_setpoint(12.0, "track", [[0.0, 0.0, 0.0, 20.0, 0.0, 0.0, 0.0, 2.5, 1.0]])
+        assert line.state[0][:2] == pytest.approx([20.0, 0.0], abs=0.6)
+        circle = client.step_setpoint(20.0, "track", [[20.0, 10.0, 0.0, 20.0, 10.0, 0.0, 10.0, 2.5, 0.0]])
+        assert np.hypot(circle.state[0][0] - 20.0, circle.state[0][1] - 10.0) == pytest.approx(10.0, rel=0.05)
 
 
 @pytest.mark.long

@@ -26,6 +26,7 @@ KINDS = {
     "attitude_height": Step.ATT_HEIGHT,  # roll, pitch [rad], z, yaw
     "attitude": Step.ATT,  # roll, pitch, yaw [rad], throttle 0 to 1
     "path": Step.PATH,  # x, y, z, velocity and acceleration NED, yaw
+    "track": Step.TRACK,  # x, y, z of a line's begin, of its end or a circle's centre; radius, speed, stops
     "control": Step.CTRL,  # the vehicle's own command
 }
 MOST_PUSHED = 1000

@@ -65,8 +65,6 @@ def _add_fleet(found: pb.World, spec: Mapping[str, Any], fleet: Fleet, world: Wo
         period = float(sensor.period) or world.time_step
         added.sensor.add(name=name, type=of_sensor["type"], period=period, field=getattr(reading, name).fields)
     for kind, fields in kinds_of(fleet).items():
-        if kind not in TYPES:
-            continue
         command = added.command.add(type=pb.Step.Type.Name(TYPES[kind]), name=kind)
         for field in fields:
             command.field.add(name=field.name, unit=field.unit, low=field.low, high=field.high)

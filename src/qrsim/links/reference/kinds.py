@@ -18,6 +18,7 @@ KINDS: dict[int, str] = {
     Step.ATT_HEIGHT: "attitude_height",
     Step.ATT: "attitude",
     Step.PATH: "path",
+    Step.TRACK: "track",
 }
 # By which a kind goes by its name.
 TYPES: dict[str, int] = {name: number for number, name in KINDS.items() if number != Step.VEL}

@@ -40,7 +40,7 @@ FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
 }  # fmt: skip
 # Which of their numbers are a position down, which no vehicle can be sent to below the ground.
 _DOWN = {"velocity_height": 2, "attitude_height": 2}
-# Lines and circles came after recordings had numbers for all others, and are not on the wire.
+# Lines and circles came after recordings had numbers for all others.
 TRACK = "track"
 # By number in a recording: 0 is the guidance of the scenario.
 NAMES = (*(kind for kind in FIELDS if kind != TRACK), CONTROL, TRACK)

@@ -56,6 +56,7 @@ class Step(_message.Message):
         ATT_HEIGHT: _ClassVar[Step.Type]
         ATT: _ClassVar[Step.Type]
         PATH: _ClassVar[Step.Type]
+        TRACK: _ClassVar[Step.Type]
     WP: Step.Type
     CTRL: Step.Type
     VEL: Step.Type
@@ -64,6 +65,7 @@ class Step(_message.Message):
     ATT_HEIGHT: Step.Type
     ATT: Step.Type
     PATH: Step.Type
+    TRACK: Step.Type
     DT_FIELD_NUMBER: _ClassVar[int]
     TYPE_FIELD_NUMBER: _ClassVar[int]
     CMD_FIELD_NUMBER: _ClassVar[int]
