@@ -261,6 +261,12 @@ def test_a_port_that_is_taken_is_said(port: int) -> None:
         link.close()
 
 
+def test_ports_beyond_the_last_are_refused() -> None:
+    # Five vehicles: 65500 + 4 * 10.
+    with pytest.raises(UsageError, match="--port 65500: the last vehicle would have UDP 65540, at most 65535 is"):
+        flight_of("mavlink_field", 65_500)
+
+
 def test_what_it_cannot_fly_is_refused() -> None:
     with pytest.raises(UsageError, match="a fixed_wing is flown by no ArduPilot here"):
         prepared(load_scenario("mixed_team"), ("planes",), "x500", RATE)

@@ -22,6 +22,7 @@ from qrsim.world.state import Fleet, Piloted
 
 # Arms of a vehicle may stand so far from those of ArduPilot's frame [deg].
 NEAR_DEG = 12.0
+LARGEST_PORT = 65535
 
 
 def prepared(scenario: Scenario, fleets: tuple[str, ...], model: str, rate: float) -> tuple[Scenario, tuple[str, ...]]:
@@ -116,6 +117,11 @@ class JsonFlight:
         self.simulation = simulation
         world = simulation.world
         chosen = [next(fleet for fleet in world.fleets if fleet.name == name) for name in fleets]
+        last = port + PORT_STEP * (sum(fleet.size for fleet in chosen) - 1)
+        if last > LARGEST_PORT:
+            raise UsageError(
+                f"--port {port}: the last vehicle would have UDP {last}, at most {LARGEST_PORT} is allowed"
+            )
         self._dt = world.time_step
         self.links: list[ServoLink] = []
         self._fleets = []

@@ -226,6 +226,40 @@ def test_a_circle_that_leaves_the_fence_is_not_flown():
     assert wing.said[-1] == "Mission rejected: item 1 is outside the fence"
 
 
+def test_the_last_place_is_circled_inside_the_fence():
+    wing = Glider()
+    assert wing.upload(item(0, 16, 880.0, 0.0, 100.0)) == (PlanResult.ACCEPTED, -1)
+    assert wing.do(300) == ACCEPTED
+    wing.run(120.0)
+    assert (wing.stack.mode, wing.said[-1]) == (Mode.HOLD, "Mission finished, loitering")
+    # From 880 m a tenth of the way to the middle of the area: 792 + 150 m and 20 m beside are inside 1000 m.
+    assert wing.order.numbers[3:7] == pytest.approx((792.0, 0.0, -100.0, 150.0), abs=0.6)
+
+
+def test_the_circle_of_a_climb_stays_inside_the_fence():
+    wing = Glider()
+    assert wing.upload(item(0, 16, 880.0, 0.0, 280.0), item(1, 16, 9.0, 0.0, 280.0)) == (PlanResult.ACCEPTED, -1)
+    assert wing.do(300) == ACCEPTED
+    wing.run(37.0)
+    assert wing.reached == []
+    assert wing.order.numbers[3:7] == pytest.approx((792.0, 0.0, -280.0, 150.0), abs=0.6)
+    assert wing.run(120.0, lambda: wing.reached == [0])
+    assert not any("breached" in text for text in wing.said)
+
+
+def test_a_plan_without_places_does_not_end_at_the_place_of_the_one_before():
+    wing = Glider()
+    assert wing.upload(item(0, 16, 700.0, 0.0, 100.0)) == (PlanResult.ACCEPTED, -1)
+    assert wing.do(300) == ACCEPTED
+    wing.run(60.0)
+    assert wing.upload(item(0, 93, params=(1.0, -1, -1, -1))) == (PlanResult.ACCEPTED, -1)
+    assert wing.do(300) == ACCEPTED
+    here = wing.seen.position_ned
+    wing.run(2.0)
+    # Within 50 m of where it was asked, not 150 m away on the circle round the place before.
+    assert math.dist(wing.order.numbers[3:5], here[:2]) < 60.0
+
+
 def test_commands_and_modes_that_it_cannot_obey():
     wing = Glider()
     for number in (21, 22):

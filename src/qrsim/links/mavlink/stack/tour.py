@@ -35,6 +35,7 @@ class Tour(Mission):
     def _forget(self) -> None:
         super()._forget()
         self._begin: Triple = (0.0, 0.0, 0.0)
+        self._centre: Triple | None = None
         self._angle = 0.0
 
     # ---- the plan ----
@@ -47,6 +48,11 @@ class Tour(Mission):
                 craft.say(Severity.WARNING, f"Item {index}: {why}")
                 return result, index
         return super().accept(items, craft)
+
+    def restart(self, craft: Craft) -> None:
+        """Begin the plan again, not started."""
+        self.end = None
+        super().restart(craft)
 
     def _outside(self, craft: Craft) -> int | None:
         """Return the seq of the first item that lies outside the fence, with its circle; None where none does."""
@@ -84,7 +90,10 @@ class Tour(Mission):
             return False, orbits.line(craft, self._begin, goal)
         if abs(goal[2] - here[2]) < HEIGHT_REACH:
             return True, orbits.line(craft, self._begin, goal)
-        return False, orbits.circle(craft, goal, orbits.usual_radius(craft))
+        if self._centre is None:
+            # Beside the fence not round the place itself.
+            self._centre = orbits.fitted(craft, goal, orbits.usual_radius(craft))
+        return False, orbits.circle(craft, self._centre, orbits.usual_radius(craft))
 
     def _loiter(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
         """Go round a place, as long as the item says."""

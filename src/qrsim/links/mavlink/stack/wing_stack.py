@@ -115,7 +115,8 @@ class WingStack(FlightStack):
                 self.switch(Mode.RTL)
             elif over:
                 craft.say(Severity.INFO, "Mission finished, loitering")
-                self.switch(Mode.HOLD, goal=self.plan.end)
+                end, radius = self.plan.end, orbits.usual_radius(craft)
+                self.switch(Mode.HOLD, goal=end and orbits.fitted(craft, end, radius))
             return order, False
         if self._own:
             return None, False
