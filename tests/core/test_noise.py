@@ -187,6 +187,17 @@ class TestStructure:
         given = Key.root(seed, 3)
         assert (int(given.high), int(given.low)) == (int(traced.high), int(traced.low))
 
+    def test_families_are_the_streams_of_each(self):
+        key = Key.roots(np.array([1, 2**40 + 5]), np.array([0, 3]))
+        groups = [["sky"], [], ["gnss", "imu", "sky"]]
+        found = key.families(groups)
+        assert [keys.high.shape for keys in found] == [(2, 1), (2, 0), (2, 3)]
+        for names, keys in zip(groups, found, strict=True):
+            for word, expected in zip(jax.tree.leaves(keys), jax.tree.leaves(key.streams(names)), strict=True):
+                np.testing.assert_array_equal(word, expected)
+        # Of a name, the same whatever stands beside it.
+        np.testing.assert_array_equal(found[0].high[:, 0], found[2].high[:, 2])
+
     def test_each_part_of_the_name_of_a_draw_matters(self):
         ids = jnp.arange(8, dtype=jnp.uint32)
 

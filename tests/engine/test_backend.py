@@ -101,6 +101,10 @@ def test_some_start_again_and_the_others_go_on(compiler: str) -> None:
     expected = [11.0 + number for number in range(35)]
     expected[3], expected[30], expected[7] = 10.5, 11.5, 12.5
     assert x_of(some) == expected
+    # As many, others and fewer again, of the same program: what they were given last time is not taken.
+    once = some.begin_some(np.array([34, 0]), given(4.0, 6.0), lambda state: state["x"])
+    expected[34], expected[0] = 14.0, 16.0
+    assert (once.ravel().tolist(), x_of(some)) == ([14.0, 16.0], expected)
     other = worlds(35)
     other.prepare(given(0.0), given(0.0))
     other.restore(jax.tree.map(np.array, some.get(lambda state: state)))

@@ -125,7 +125,7 @@ def with_float(data: bytes, simulation: Simulation, pick: Any, value: float) -> 
     with np.load(io.BytesIO(data)) as archive:
         floats, integers = archive["floats"], archive["integers"]
     layout = simulation.packed[0]
-    number = pick(layout.numbers())
+    number = pick(layout.numbers)
     buffer = floats if layout.is_float[number] else integers
     buffer[layout.slices[number].start] = value
     return rewritten(data, floats=floats, integers=integers)

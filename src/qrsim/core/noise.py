@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, Protocol
 
 import jax.numpy as jnp
@@ -69,6 +70,13 @@ def _box_muller(words: tuple[Array, Array], dtype: jnp.dtype) -> tuple[Array, Ar
     return radius * cosine / scale, radius * sine / scale
 
 
+@lru_cache(maxsize=1024)
+def _hashes(names: tuple[str, ...]) -> npt.NDArray[np.uint32]:
+    """Return the two words that stand for each name, (K, 2)."""
+    digests = b"".join(hashlib.sha256(name.encode()).digest()[:8] for name in names)
+    return np.frombuffer(digests, "<u4").reshape(-1, 2)
+
+
 @record
 class Key:
     """The 64-bit key of a family of streams."""
@@ -104,13 +112,19 @@ class Key:
 
     def streams(self, names: Sequence[str]) -> StreamKeys:
         """Return the keys of named streams of this world; (B, K) words for the keys of B worlds."""
-        digests = b"".join(hashlib.sha256(name.encode()).digest()[:8] for name in names)
-        hashes = np.frombuffer(digests, "<u4").reshape(-1, 2)
+        hashes = _hashes(tuple(names))
         library: Any = np if isinstance(self.high, np.ndarray | np.generic) else jnp
         shape = (*np.shape(self.high), len(names))
         key = tuple(library.broadcast_to(library.asarray(word)[..., None], shape) for word in (self.high, self.low))
         counter = tuple(library.broadcast_to(library.asarray(hashes[:, i]), shape) for i in (0, 1))
         return StreamKeys(*threefry2x32((key[0], key[1]), (counter[0], counter[1]), 20))
+
+    def families(self, groups: Sequence[Sequence[str]]) -> tuple[StreamKeys, ...]:
+        """Return ``streams`` of each group of names, computed at once."""
+        every = self.streams([name for names in groups for name in names])
+        ends = np.cumsum([len(names) for names in groups]).tolist()
+        parts = [slice(end - len(names), end) for names, end in zip(groups, ends, strict=True)]
+        return tuple(StreamKeys(every.high[..., part], every.low[..., part]) for part in parts)
 
     def stream(self, name: str, ids: Array) -> Stream:
         """Return one named stream for the vehicles (or satellites) ``ids``, uint32 of shape (n,)."""

@@ -35,8 +35,8 @@ class States(Protocol):
     def get(self, select: Callable[[Tree], Tree]) -> Tree:
         """Return a part of the tree of states, each leaf (B, ...)."""
 
-    def put(self, worlds: IntArray, tree: Tree) -> None:
-        """Take the first len(worlds) rows of a tree of states."""
+    def take(self, worlds: IntArray, other: States) -> None:
+        """Take the first len(worlds) of other states."""
 
 
 class Program(Protocol):
@@ -128,7 +128,9 @@ class Specialised:
         # As text too, because to JAX structures of dataclasses that it registers itself are equal whatever their type;
         # text alone would take classes of one name for each other. Compared with
         # the last kind first, because to make a layout takes as long as a tick.
-        kind = structure, repr(structure), [(leaf.shape, leaf.dtype) for leaf in leaves]
+        # How many worlds are given something is no part of it: those that start again are others in every step.
+        own = 0 if self.extent.worlds is None else 1
+        kind = structure, repr(structure), [(leaf.shape[own:], leaf.dtype) for leaf in leaves]
         last = self._last
         if last is not None and last[0] is state and last[1] == kind:
             if leaves:
@@ -234,13 +236,12 @@ class Worlds:
     def _keep(self, program: Program, rows: IntArray, select: Callable[[Tree], Tree]) -> Tree:
         """Start what was given to a program, of which the first worlds are ``rows``."""
         some: States = program.start()
-        tree = some.get(lambda tree: tree)
         if self._states is None:
-            count = self._extent.worlds
+            count, tree = self._extent.worlds, some.get(lambda tree: tree)
             zeros = jax.tree.map(lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), tree)
             self._states = program.hold(zeros)
-        self._states.put(rows, tree)
-        return jax.tree.map(lambda leaf: np.array(leaf[: len(rows)]), select(tree))
+        self._states.take(rows, some)
+        return jax.tree.map(lambda leaf: np.array(leaf[: len(rows)]), some.get(select))
 
     def restore(self, tree: Tree) -> None:
         """Take the states of all of them, each leaf (B, ...), after ``prepare``."""

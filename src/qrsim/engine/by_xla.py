@@ -197,6 +197,10 @@ class Arrays:
         target = np.concatenate([worlds, np.full(rows - len(worlds), count)])
         self.tree = _replace_rows()(self.tree, tree, target)
 
+    def take(self, worlds: Array, other: Any) -> None:
+        """Take the first len(worlds) of other states."""
+        self.put(worlds, other.get(lambda tree: tree))
+
 
 class XlaWorldsProgram:
     """A program of many worlds, their states ``Arrays``; see ``backend.Program``."""

@@ -100,8 +100,9 @@ class Packer:
         """Return the tree with the shape and type of each leaf in its place."""
         return jax.tree.unflatten(self.structure, list(map(struct, self.shapes, self.dtypes)))
 
+    @cached_property
     def numbers(self) -> Any:
-        """Return the tree with the number of each leaf in its place."""
+        """The tree with the number of each leaf in its place."""
         return jax.tree.unflatten(self.structure, range(len(self.slices)))
 
 
@@ -168,7 +169,7 @@ class LazyTree:
 
     Args:
         layout, buffers: of the tree.
-        part: of ``layout.numbers()``.
+        part: of ``layout.numbers``.
         containers: types that are looked into; what is of another type is unpacked as a whole.
     """
 

@@ -32,6 +32,7 @@ class Batch:
 
     Attributes:
         functional: what is played.
+        axes: the numbers of an action of each agent.
         episodes: what computes them.
         seen: what the agents see now, arrays (B, n, ...).
         truth: what is really the case, by name, (B, n, ...).
@@ -48,7 +49,7 @@ class Batch:
             raise UsageError(f"num_envs: {size!r} is not a positive whole number")
         use_compilation_cache()
         self.functional = Functional.of(scenario, overrides, precision)
-        self.size = int(size)
+        self.axes, self.size = self.functional.play.axes, int(size)
         self.dtype = np.dtype(precision)
         with self._precision():
             self.episodes = Episodes(self.functional.play, self.size, self.dtype)
@@ -116,7 +117,7 @@ class Batch:
 
     def checked(self, action: Any, who: str) -> FloatArray:
         """Check actions and return them as (B, n, A)."""
-        axes, agents = self.functional.play.axes, self.functional.agents
+        axes, agents = self.axes, self.functional.agents
         shape = (self.size, len(agents), len(axes))
         try:
             array = np.asarray(action, self.dtype)

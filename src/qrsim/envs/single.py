@@ -36,7 +36,7 @@ def shaped(batch: Batch, flight: Any, who: str, *lead: int) -> np.ndarray[Any, A
     Raises:
         UsageError: it has another shape.
     """
-    axes = batch.functional.play.axes
+    axes = batch.axes
     expected = (*lead, len(axes))
     if np.shape(flight) != expected:
         names = ", ".join(axis.name for axis in axes)

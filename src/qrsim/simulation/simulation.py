@@ -129,7 +129,7 @@ class Simulation(Alone):
         self.__init__(kept["world"], seed=kept["seed"], number=kept["number"])  # type: ignore[misc]
         vars(self).update(kept)
         if self._state is not None and self._layout is not None:
-            self._numbers = self._layout.numbers()
+            self._numbers = self._layout.numbers
             with self.precision_context():
                 self._state = self._ticks.adopt(self._state)
 
@@ -155,7 +155,7 @@ class Simulation(Alone):
             self.seed = checked_seed(seed)
         with self.precision_context():
             self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
-            self._numbers = self._layout.numbers()
+            self._numbers = self._layout.numbers
             self.tick, self._host = 0, None
             placed = LazyTree(self._layout, self._state, self._numbers, (State,)).placed
             refuse_unplaced(self.world, placed)
@@ -365,7 +365,7 @@ class Simulation(Alone):
             buffers = saved.buffers(layout, own)
             saved.check_state(self.world, layout.unpack(buffers), keys)
             self._state = self._ticks.adopt(buffers)
-            self._layout, self._numbers = layout, layout.numbers()
+            self._layout, self._numbers = layout, layout.numbers
             self.tick, self.seed, self.number, self._host = saved.tick, saved.seed, saved.number, None
         return self.reading
 

@@ -86,7 +86,9 @@ class Episodes:
 
     def _all(self, select: Any) -> Any:
         """Return a part of all episodes, copied."""
-        return jax.tree.map(np.array, self._worlds.get(select))
+        # What LLVM's states return is a copy already.
+        found = self._worlds.get(select)
+        return jax.tree.map(lambda leaf: leaf if isinstance(leaf, np.ndarray) else np.array(leaf), found)
 
     @property
     def compiler(self) -> str:

@@ -27,20 +27,28 @@ from qrsim.world.state import (
 
 def keys_of(world: World, key: Key) -> WorldKeys:
     """Return the keys of all streams of a world; on the host if the key is there."""
+    fleets = [_named(fleet, suffix) for suffix in ("", "/start") for fleet in world.fleets]
+    episode, plume, radio = episode_streams(world), world.contents.plume.changes, world.radio is not None
+    sky, start, *rest = key.families(
+        [[SKY], [f"{SKY}/start"], *fleets, episode, [PLUME] if plume else [], STREAMS if radio else []]
+    )
+    count = len(world.fleets)
     return WorldKeys(
-        key.streams([SKY]),
-        key.streams([f"{SKY}/start"]),
-        tuple(stream_keys(fleet, key) for fleet in world.fleets),
-        tuple(stream_keys(fleet, key, "/start") for fleet in world.fleets),
-        key.streams(episode_streams(world)) if episode_streams(world) else None,
-        key.streams([PLUME]) if world.contents.plume.changes else None,
-        None if world.radio is None else key.streams(STREAMS),
+        sky,
+        start,
+        tuple(rest[:count]),
+        tuple(rest[count : 2 * count]),
+        *(keys if used else None for keys, used in zip(rest[2 * count :], (episode, plume, radio), strict=True)),
     )
 
 
-def stream_keys(fleet: Fleet, key: Key, suffix: str = "") -> StreamKeys:
-    """Return the keys of a fleet's streams; with a suffix, those of its first values."""
-    return key.streams([f"{fleet.name}/{name}{suffix}" for name in fleet.stream_names])
+def stream_keys(fleet: Fleet, key: Key) -> StreamKeys:
+    """Return the keys of a fleet's streams."""
+    return key.streams(_named(fleet, ""))
+
+
+def _named(fleet: Fleet, suffix: str) -> list[str]:
+    return [f"{fleet.name}/{name}{suffix}" for name in fleet.stream_names]
 
 
 def _streams(fleet: Fleet, keys: StreamKeys) -> dict[str, Stream]:

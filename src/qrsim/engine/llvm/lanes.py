@@ -78,9 +78,21 @@ class Lanes:
         for number, leaf in enumerate(jax.tree.leaves(tree)):
             self._part(number)[tile, :, lane] = self._stored(leaf)[: len(worlds)]
 
+    def take(self, worlds: Array, other: Any) -> None:
+        """Take the first len(worlds) of other states of the same layout."""
+        if not isinstance(other, Lanes):
+            self.put(worlds, other.get(lambda tree: tree))
+            return
+        there, here = np.divmod(np.arange(len(worlds)), other._lanes), np.divmod(worlds, self._lanes)
+        for number, size in enumerate(self.layout.sizes):
+            source, target = (each._buffers[number][:, : size * each._lanes] for each in (other, self))
+            # Leaf by leaf the same would take as long as a tick of a thousand worlds.
+            numbers = source.reshape(other.tiles, size, other._lanes)[there[0], :, there[1]]
+            target.reshape(self.tiles, size, self._lanes)[here[0], :, here[1]] = numbers
+
     def get(self, select: Callable[[Any], Any]) -> Any:
         """Return a part of the tree, each leaf (B, ...), copied."""
-        return jax.tree.map(self._leaf, select(self.layout.numbers()))
+        return jax.tree.map(self._leaf, select(self.layout.numbers))
 
     def _part(self, number: int) -> Array:
         """Return a leaf's place (tiles, numbers of a world, lanes)."""

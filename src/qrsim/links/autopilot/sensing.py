@@ -33,7 +33,7 @@ class FleetSight:
         fleet = simulation.world.fleets[number]
         self._simulation, self._site = simulation, simulation.site
         layout, _ = simulation.packed
-        state = layout.numbers().fleets[number]
+        state = layout.numbers.fleets[number]
         self._columns: list[int] = []
         places = []
         for column, leaf in _leaves(fleet, state):

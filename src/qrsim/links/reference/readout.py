@@ -229,7 +229,7 @@ class _Posed:
 
     def vectors(self, layout: Packer, buffers: Buffers) -> Array:
         """Return the state vectors (n, 13) of the vehicles of a packed state, the first parts of positions in them."""
-        part = layout.numbers().fleets[self._number].vehicle
+        part = layout.numbers.fleets[self._number].vehicle
         state = jax.tree.map(lambda number: np.asarray(layout.leaf(buffers, number)), part)
         with jax.enable_x64(layout.dtype == np.float64):
             return np.asarray(self._compiled(self._vehicle, state))

@@ -59,7 +59,7 @@ class Sight:
         self._simulation = simulation
         self.values: Array = np.full((simulation.size, WIDTH), math.nan)
         layout, _ = simulation.packed
-        numbers = layout.numbers()
+        numbers = layout.numbers
         sources, targets, codes, self._receivers = [], [], [], []
         # Of each fleet the number of the sensor that a column is of.
         self._sensors: list[dict[int, int]] = []
