@@ -20,7 +20,7 @@ from typing import Any
 import _common
 
 FOLDER = Path(__file__).resolve().parent
-REQUIREMENTS = {"crazyflow": "crazyflow==0.4.0", "rotorpy": "rotorpy==3.0.0"}
+REQUIREMENTS = {"crazyflow": "crazyflow==0.4.0", "rotorpy": "rotorpy==3.0.0", "pyflyt": "PyFlyt==0.29.0"}
 PATIENCE_S = 300.0
 HEADINGS = {
     "simulator": "simulator",
@@ -163,15 +163,28 @@ def _fly_together(peer: Peer, seconds: float) -> list[dict[str, Any]]:
         subprocess.TimeoutExpired: one takes too long.
     """
     share = peer.vehicles // peer.processes
-    script, python = FOLDER / f"_peer_{peer.name}.py", python_of(environment(peer.name))
-    command = [str(python), str(script), peer.kind, str(share), str(seconds)]
-    pinned = peer.processes > 1 and hasattr(os, "sched_setaffinity")
+    return run_together(peer.name, [f"_peer_{peer.name}.py", peer.kind, str(share)], peer.processes, seconds)
+
+
+def run_together(name: str, words: list[str], processes: int, seconds: float) -> list[dict[str, Any]]:
+    """Start a script in a peer's environment several times, and return what each printed; see ``_fly_together``.
+
+    Args:
+        name: key of REQUIREMENTS.
+        words: the script's name and its arguments, after which come the seconds.
+        processes: how many, each on a core of its own where there are several.
+        seconds: of wall time, after all are ready.
+
+    Raises: see ``_fly_together``.
+    """
+    command = [str(python_of(environment(name))), str(FOLDER / words[0]), *words[1:], str(seconds)]
+    pinned = processes > 1 and hasattr(os, "sched_setaffinity")
     # Each process would otherwise see, and use, all cores; this package's own settings are none of its business.
     clean = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "QRSIM", "JAX"))}
     # In a folder of its own, because MuJoCo leaves a log where it runs.
     settings: dict[str, Any] = {"stdin": -1, "stdout": -1, "stderr": -1, "text": True, "env": clean}
-    settings["cwd"] = environment(peer.name)
-    started = [subprocess.Popen(command, **settings) for _ in range(peer.processes)]
+    settings["cwd"] = environment(name)
+    started = [subprocess.Popen(command, **settings) for _ in range(processes)]
     try:
         for core, process in enumerate(started):
             if pinned:
@@ -235,7 +248,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     worlds, count, seconds = (2, 2, 0.01) if chosen.quick else (512, 8, 3.0)
     wanted = peers(worlds * count)
     if chosen.install:
-        for name in REQUIREMENTS:
+        for name in dict.fromkeys(peer.name for peer in wanted):
             if not all(installed(peer) for peer in wanted if peer.name == name and not peer.extra):
                 install(name)
     on = _common.machine()

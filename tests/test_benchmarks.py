@@ -26,6 +26,7 @@ MACHINE = {"cpu", "cores", "load_average", "os", "python", "jax", "jaxlib", "qrs
 NUMBERS = {
     "betaflight": {"vehicles", "rate_hz", "real_time_factor"},
     "bound": {"vehicles", "threads", "per_wall_second", "per_cpu_second", "flying", "of_bound_wall", "of_bound_cpu"},
+    "env_peers": {"num_envs"},
     "envs": {
         "num_envs",
         "per_wall_second",
@@ -252,6 +253,15 @@ def test_peers_that_are_not_there_are_named_with_what_installs_them(tmp_path, mo
             assert (row["per_wall_second"], row["ours_to_theirs_steps"]) == (None, None)
             assert row["note"].startswith("not installed: ")
             assert "--install" in row["note"] or "pip install" in row["note"]
+
+
+def test_environments_of_peers_that_are_not_there_are_named_with_what_installs_them(tmp_path, monkeypatch):
+    monkeypatch.setenv("QRSIM_PEERS", str(tmp_path))
+    own, *others = rows("env_peers")
+    assert own["per_wall_second"] > 0
+    assert {row["simulator"] for row in others} == {"crazyflow==0.4.0", "PyFlyt==0.29.0"}
+    assert all(row["per_wall_second"] is None for row in others)
+    assert all("env_peers.py --install" in row["note"] for row in others)
 
 
 FAKE = """import sys
