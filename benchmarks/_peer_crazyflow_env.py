@@ -1,4 +1,4 @@
-"""Flies crazyflow's environment for env_peers.py; run by the Python of one that has it. Arguments: ENVIRONMENTS SECONDS.
+"""Flies crazyflow's environment for env_peers.py, run by a Python that has it. Arguments: ENVIRONMENTS SECONDS.
 
 ``DroneReachPos-v0`` at 50 actions a second: its own ten steps of the model between two of them, no wind, no sensors.
 """

@@ -1,8 +1,8 @@
-"""Environment steps a second through Gymnasium: keep_spot beside environments of crazyflow and PyFlyt, in the same run.
+"""Environment steps a second through Gymnasium: keep_spot beside those of crazyflow and PyFlyt, in the same run.
 
-keep_spot has gusts and five noisy sensors, which the others lack; a step is 0.02 s, PyFlyt's 0.025 s. Each peer lives in
-an environment of its own, as for peers.py; ``--install`` makes those that are missing. PyFlyt steps its environments one
-after the other, so that more of them take longer and not less: it is measured up to ``MOST`` of them.
+keep_spot has gusts and five noisy sensors, which the others lack; a step is 0.02 s, PyFlyt's 0.025 s. Each peer lives
+in an environment of its own, as for peers.py; ``--install`` makes those that are missing. PyFlyt steps its
+environments one after the other, so that more of them take longer and not less: it is measured up to ``MOST`` of them.
 """
 
 from __future__ import annotations

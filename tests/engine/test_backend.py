@@ -87,6 +87,14 @@ def test_worlds_start_and_advance(compiler: str) -> None:
     assert np.asarray(doubled).ravel().tolist() == [74.5, 95.0]
 
 
+def test_long_flights_of_worlds_in_several_vectors(compiler: str) -> None:
+    """The ticks 0 to 4999 add up to 12 497 500, which single precision holds exactly."""
+    some = worlds(35)
+    some.begin(given(*range(35)))
+    some.advance(0, 5000, ())
+    assert x_of(some) == [10.0 + number + 12_497_500.0 for number in range(35)]
+
+
 def test_some_start_again_and_the_others_go_on(compiler: str) -> None:
     """35 worlds, which with XLA are started two at a time, and side by side in lanes with machine code."""
     some = worlds(35)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -16,6 +16,8 @@ from qrsim.engine.llvm.program import Mode, Program
 Array = np.ndarray[Any, Any]
 # Fewer ticks than this are done before a thread has woken up.
 FEW_TICKS = 8
+# Ticks of a vector of worlds in a call, some hundredths of a second, because nobody can interrupt one.
+AT_ONCE = 4096
 _LINE = 64
 
 
@@ -139,6 +141,7 @@ class LaneProgram:
         # Addresses hold nothing alive, so the state that they are of is kept beside them.
         self._state: Lanes | None = None
         self._addresses: list[list[int]] = []
+        self._tables: list[Array] = []
         self._scratch = 0
 
     def advance(self, state: Lanes, tick: int, count: int) -> None:
@@ -149,13 +152,15 @@ class LaneProgram:
         if tiles == 1:
             self._program(self._addresses[0], self._scratch, tick, count)
             return
-        workers = len(self._scratches)
-        if workers == 1 or count * tiles < FEW_TICKS:
-            self._run(0, self._addresses, tick, count)
+        if len(self._tables) == 1 or count * tiles < FEW_TICKS:
+            for worker in range(len(self._tables)):
+                self._run(worker, tick, count)
             return
-        shares = [self._addresses[worker::workers] for worker in range(workers)]
-        # All are begun before any is waited for.
-        for done in [_pool(workers).submit(self._run, i, share, tick, count) for i, share in enumerate(shares)]:
+        # All others are begun before the first, which is this thread's.
+        pool = _pool(self._workers)
+        others = [pool.submit(self._run, worker, tick, count) for worker in range(1, len(self._tables))]
+        self._run(0, tick, count)
+        for done in others:
             done.result()
 
     def _aim_at(self, state: Lanes) -> None:
@@ -166,12 +171,15 @@ class LaneProgram:
         while len(self._scratches) < min(self._workers, state.tiles):
             self._scratches.append(self._program.scratch())
         self._scratch = self._scratches[0].ctypes.data
+        table, workers = np.array(self._addresses, np.uint64), len(self._scratches)
+        self._tables = [np.ascontiguousarray(table[worker::workers]) for worker in range(workers)]
         self._state = state
 
-    def _run(self, worker: int, tiles: Sequence[list[int]], tick: int, count: int) -> None:
-        scratch = self._scratches[worker].ctypes.data
-        for addresses in tiles:
-            self._program(addresses, scratch, tick, count)
+    def _run(self, worker: int, tick: int, count: int) -> None:
+        table, scratch = self._tables[worker], self._scratches[worker].ctypes.data
+        rows = max(1, AT_ONCE // count)
+        for first in range(0, len(table), rows):
+            self._program.each(table[first : first + rows], scratch, tick, count)
 
 
 _POOLS: dict[int, ThreadPoolExecutor] = {}

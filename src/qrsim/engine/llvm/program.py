@@ -104,6 +104,8 @@ class Program:
         pointers = [ctypes.c_void_p] * (2 * len(self.inputs) + 1)
         prototype = ctypes.CFUNCTYPE(None, *pointers, ctypes.c_int32, ctypes.c_int32)
         self._call = prototype(self._loaded.address("advance"))
+        prototype = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p, *[ctypes.c_int32] * 2)
+        self._call_each = prototype(self._loaded.address("advance_each"))
 
     def scratch(self) -> Any:
         """Return working memory for one thread."""
@@ -123,6 +125,10 @@ class Program:
     def __call__(self, addresses: Sequence[int], scratch: int, tick: int, count: int) -> None:
         """Advance the state by ``count`` ticks, from addresses of the buffers of all inputs in order."""
         self._call(*addresses, scratch, tick, count)
+
+    def each(self, table: Any, scratch: int, tick: int, count: int) -> None:
+        """Do so for each row of a table of addresses, (rows, two for each input) uint64 and contiguous."""
+        self._call_each(table.ctypes.data, len(table), scratch, tick, count)
 
 
 class _Writer:
@@ -276,16 +282,49 @@ class _Writer:
             [
                 *writer.constants,
                 *sorted(writer.declarations),
-                f"define void @advance({', '.join(arguments)}) #0 {{",
+                f"define void @advance({', '.join(arguments)}) noinline #0 {{",
                 "entry:",
                 *writer.entry,
                 *writer.lines,
                 "}",
                 # The stack is aligned for vectors that are spilled to it, and vectors of 512 bits are not cut in two.
+                *_for_each(2 * len(self.inputs)),
                 'attributes #0 = { nounwind "stackrealign" "prefer-vector-width"="512" '
                 '"denormal-fp-math"="preserve-sign,preserve-sign" }',
             ]
         )
+
+
+def _for_each(pointers: int) -> list[str]:
+    """Write the function that advances the worlds of each row of a table of addresses, one row after the other.
+
+    In Python the way from one vector of worlds to the next takes as long as a tick of them does.
+    """
+    arguments = [f"ptr %pointer.{i}" for i in range(pointers)]
+    return [
+        "define void @advance_each(ptr %table, i64 %rows, ptr %scratch, i32 %first, i32 %count) nounwind {",
+        "entry:",
+        "  br label %row",
+        "row:",
+        "  %now = phi i64 [0, %entry], [%next, %row]",
+        f"  %begin = mul i64 %now, {pointers}",
+        "  %place = getelementptr ptr, ptr %table, i64 %begin",
+        *(
+            line
+            for i in range(pointers)
+            for line in (
+                f"  %place.{i} = getelementptr ptr, ptr %place, i64 {i}",
+                f"  %pointer.{i} = load ptr, ptr %place.{i}",
+            )
+        ),
+        f"  call void @advance({', '.join(arguments)}, ptr %scratch, i32 %first, i32 %count)",
+        "  %next = add i64 %now, 1",
+        "  %more = icmp ult i64 %next, %rows",
+        "  br i1 %more, label %row, label %end",
+        "end:",
+        "  ret void",
+        "}",
+    ]
 
 
 def flushing(writer: Writer) -> tuple[list[str], list[str]]:
