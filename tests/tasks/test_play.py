@@ -239,6 +239,22 @@ def test_cats_that_find_no_place_are_an_error_with_numbers() -> None:
         simulation.reset()
 
 
+def test_cats_find_a_place_in_an_episode_that_takes_more_than_a_hundred_tries() -> None:
+    """One of 48 000 that were looked at: a learner flies as many, and must not end there."""
+    from qrsim.envs.batch import Batch
+    from qrsim.errors import RunError
+
+    few, batch = (Batch("cats_and_mouse/1C", 1, given) for given in (["fleets.cats.placement.tries=100"], []))
+    for each in (few, batch):
+        each.seeds[:], each.numbers[:] = 10_000_001, 695
+    with pytest.raises(RunError, match="in 100 tries"):
+        few.again(np.zeros(1, int))
+    batch.again(np.zeros(1, int))
+    cats = batch.state(0).reshape(-1)[:-1].reshape(-1, 13)[:3, :2]
+    apart = np.linalg.norm(cats[:, None] - cats[None], axis=2)[np.triu_indices(3, 1)]
+    assert apart.min() >= 22.0
+
+
 def test_every_episode_draws_the_ranges_anew() -> None:
     """The bearing of the wind, and that of the gusts, which is taken from it."""
     game = play("cats_and_mouse/1C")

@@ -69,7 +69,7 @@ class RingPlaces(Placement):
     nearest: Array = parameter(default=14.0, unit="m", doc="smallest distance from the point", minimum=0.0)
     farthest: Array = parameter(default=20.0, unit="m", doc="largest distance from the point", above=0.0)
     apart: Array = parameter(default=22.0, unit="m", doc="smallest distance between two vehicles", minimum=0.0)
-    tries: int = setting(default=100, unit="1", doc="places tried before giving up", minimum=1, maximum=100_000)
+    tries: int = setting(default=1000, unit="1", doc="places tried before giving up", minimum=1, maximum=100_000)
     random: ClassVar[bool] = True
 
     def place(self, draw: Draw, start: Any, area: Any) -> tuple[Any, Array]:

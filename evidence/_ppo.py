@@ -1,0 +1,132 @@
+"""Learns a task by the PPO of Stable-Baselines3 with its defaults: ``python _ppo.py SETTINGS``, JSON, for training.py.
+
+Every agent of an episode is one environment of the learner, so that agents of a team share a policy. It prints a line
+for every try, and at the end one with the scores.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import Any
+
+import gymnasium
+import jax
+import numpy as np
+
+from evidence.returns import fly
+from qrsim.envs import gymnasium_id
+from qrsim.envs.batch import Batch
+from qrsim.envs.spaces import action_space
+
+# Seeds from here on are of episodes that nothing is learned from; tries have others than the scores.
+NEW, TRIED = 10**6, 2 * 10**6
+# Seeds of the episodes to learn from, far from both.
+LEARNED = 10**7
+
+
+def shared(name: str, episodes: int) -> Any:
+    """Return the agents of many episodes as a vector environment of Stable-Baselines3."""
+    from stable_baselines3.common.vec_env import VecEnv
+
+    class Agents(VecEnv):  # type: ignore[misc]
+        """Each agent of each episode."""
+
+        def __init__(self) -> None:
+            self.batch = Batch(name, episodes)
+            self.agents = len(self.batch.functional.agents)
+            self.batch.reset(LEARNED + np.arange(episodes))
+            self.render_mode = None
+            seen = gymnasium.spaces.Box(-np.inf, np.inf, self.batch.seen.shape[2:], np.float32)
+            super().__init__(episodes * self.agents, seen, action_space(self.batch))
+
+        def reset(self) -> Any:
+            """Begin, once."""
+            return self.seen()
+
+        def seen(self) -> Any:
+            """Return what each sees."""
+            return self.batch.seen.reshape(self.num_envs, -1).copy()
+
+        def step_async(self, actions: Any) -> None:
+            """Keep actions for ``step_wait``."""
+            self.actions = actions.reshape(episodes, self.agents, -1)
+
+        def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
+            """Advance, and begin the next episodes where one has ended."""
+            reward, terminated, truncated = self.batch.step(self.actions)
+            ended, last = np.repeat(terminated | truncated, self.agents), self.seen()
+            told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+            for i in np.flatnonzero(ended):
+                cut = bool(truncated[i // self.agents] and not terminated[i // self.agents])
+                told[i] = {"terminal_observation": last[i], "TimeLimit.truncated": cut}
+            if ended.any():
+                self.batch.again(np.flatnonzero(terminated | truncated))
+            return self.seen(), reward.reshape(-1).astype(np.float32), ended, told
+
+        def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+            """Return what all have in common."""
+            return [getattr(self, attr_name, None) for _ in self._get_indices(indices)]
+
+        def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+            """Do nothing."""
+
+        def env_method(self, method_name: str, *args: Any, indices: Any = None, **options: Any) -> list[Any]:
+            """Do nothing."""
+            return []
+
+        def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+            """Return that none is."""
+            return [False for _ in self._get_indices(indices)]
+
+        def close(self) -> None:
+            """Do nothing."""
+
+    return Agents()
+
+
+def learn(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return how a learner does.
+
+    Args:
+        settings: ``task``; ``episodes`` side by side, 0: the registered environment of Gymnasium, alone; ``seed``; the
+            ``most`` steps of agents, those ``between`` two tries; episodes to ``try`` it in and to score it in,
+            ``trials``; and whether it stops (``until_whole``) once it flies all that it is tried in to the end.
+    """
+    from stable_baselines3 import PPO
+
+    name, episodes = settings["task"], settings["episodes"]
+    world = shared(name, episodes) if episodes else gymnasium.make(gymnasium_id(name))
+    model = PPO("MlpPolicy", world, seed=settings["seed"], device="cpu")
+
+    def act(_: int, seen: Any) -> Any:
+        flat = seen.reshape(-1, seen.shape[-1])
+        return model.predict(flat, deterministic=True)[0].reshape(*seen.shape[:2], -1)
+
+    tried, curve, begun = Batch(name, settings["try"]), {}, time.perf_counter()
+    while model.num_timesteps < settings["most"]:
+        model.learn(settings["between"], reset_num_timesteps=False)
+        total, alive = fly(tried, act, TRIED)
+        curve[f"step_{model.num_timesteps}"] = {"mean": round(total.mean(), 2), "flown_to_the_end": alive.mean()}
+        say({"step": model.num_timesteps, **curve[f"step_{model.num_timesteps}"]})
+        if settings["until_whole"] and alive.all():
+            break
+    took = round(time.perf_counter() - begun, 1)
+    total, alive = fly(Batch(name, settings["trials"]), act, NEW)
+    return {
+        "steps": model.num_timesteps,
+        "seconds": took,
+        "curve": curve,
+        "returns": total.tolist(),
+        "alive": alive.tolist(),
+    }
+
+
+def say(line: dict[str, Any]) -> None:
+    """Print a line."""
+    print(json.dumps(jax.tree.map(float, line) if "step" in line else line), flush=True)
+
+
+if __name__ == "__main__":
+    say(learn(json.loads(sys.argv[1])))
