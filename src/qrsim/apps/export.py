@@ -55,6 +55,8 @@ class Export:
     """Keep the ticks that N divides; events are all kept."""
     heights: Literal["ground", "ellipsoid"] = "ground"
     """Heights of kml: above the ground, or above the WGS-84 ellipsoid."""
+    distro: Annotated[str, tyro.conf.arg(metavar="NAME")] = "jazzy"
+    """Of ROS 2, that is to read the bag: humble, iron, jazzy, kilted or lyrical."""
     force: bool = False
     """Overwrite files that exist."""
     json: bool = False
@@ -71,6 +73,8 @@ class Export:
             raise UsageError(f"--heights {self.heights}: only kml has this choice; {self.format} has the ellipsoid's")
         if self.stream is not None and self.format != "csv":
             raise UsageError(f"--stream chooses among the tables of csv; {self.format} has no such choice")
+        if self.distro != "jazzy" and self.format != "rosbag2":
+            raise UsageError(f"--distro {self.distro}: only rosbag2 is of a distribution of ROS 2, not {self.format}")
         recorded = open_run(self.run_folder, skip_damaged=True)
         if recorded.unfinished:
             print(recorded.unfinished, file=sys.stderr)
@@ -112,7 +116,7 @@ class Export:
             raise UsageError(f"{folder} exists; choose another --out, or --force to overwrite it")
         if folder.exists() and not (folder / bag.METADATA).is_file():
             raise UsageError(f"{folder} is no bag, and is not overwritten; choose another --out")
-        return Written(folder, bag.write(recorded, folder, every))
+        return Written(folder, bag.write(recorded, folder, every, self.distro))
 
     def _write_file(self, recorded: Run, every: int) -> Written:
         from qrsim.runs.export import geojson, gpx, kml

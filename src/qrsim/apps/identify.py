@@ -22,14 +22,15 @@ _Optional = tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: all o
 class Identify:
     """Find the constants of a vehicle from flight logs, and write it as a vehicle for scenarios.
 
-    Logs: PX4 ULog, ArduPilot DataFlash .bin, CSV with names and units ('roll [deg]'), the public recordings. The first
-    part of each is fitted through the simulator's own equations; the rest is held out and scored open loop. A constant
-    that the logs do not show, or that predicts the rest no better, stays at its start, and that is said. Logs that show
-    none (on the ground, not commanded) are refused, and nothing is written.
+    Logs: PX4 ULog, ArduPilot DataFlash .bin, bags of ROS 2, CSV with names and units ('roll [deg]'), the public
+    recordings. The first part of each is fitted through the simulator's own equations; the rest is held out and scored
+    open loop. A constant that the logs do not show, or that predicts the rest no better, stays at its start, and that
+    is said. Logs that show none (on the ground, not commanded) are refused, and nothing is written.
 
     Example:
       qrsim identify flight.ulg --mass 1.9 -o my_vehicle.yaml
       qrsim identify one.bin two.bin --separate --mass 1.9:0.1 -o my_vehicle.yaml
+      qrsim identify my_bag --namespace uav1 --mass 1.9 -o my_vehicle.yaml
       qrsim run hover --set "fleets.uav.vehicle={file: my_vehicle.yaml}"
     """
 
@@ -69,6 +70,8 @@ class Identify:
         math.inf
     )
     """Leave out what comes later in each log."""
+    namespace: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = None
+    """Of the vehicle's topics in a bag of ROS 2."""
     overwrite: bool = False
     """Replace FILE where it exists."""
     quiet: bool = False
@@ -86,7 +89,7 @@ class Identify:
         from qrsim.identify.result import write_text
 
         question = self._question()
-        logs = [part_of(read_log(path), self.begin, self.end) for path in self.logs]
+        logs = [part_of(read_log(path, self.namespace), self.begin, self.end) for path in self.logs]
         for log in logs:
             self._say(f"{log.source} ({log.kind})", *(f"  {note}" for note in log.notes))
             if missing := lacking(log):

@@ -6,19 +6,30 @@ from pathlib import Path
 
 from qrsim.errors import UsageError, did_you_mean_file
 from qrsim.files.user_files import open_file
+from qrsim.flight_logs.rosbag import is_bag, read_bag
 from qrsim.flight_logs.signals import FlightLog
 
 _ULOG_MAGIC = b"ULog"
 _DATAFLASH_HEADER = b"\xa3\x95"
-FORMATS = "PX4 ULog (.ulg), ArduPilot DataFlash (.bin), CSV with names and units, the public recordings"
+FORMATS = "PX4 ULog (.ulg), ArduPilot DataFlash (.bin), a bag of ROS 2, CSV with names and units, the public recordings"
 
 
-def read_log(path: Path) -> FlightLog:
+def read_log(path: Path, namespace: str | None = None) -> FlightLog:
     """Read a flight log; its content decides the format.
 
+    Args:
+        path: of a file, or of the folder of a bag.
+        namespace: of the vehicle in a bag; see ``rosbag.read_bag``.
+
     Raises:
-        UsageError: no such file, empty, no format that is known, or what the reader of the format finds wrong.
+        UsageError: no such file, empty, no format that is known, what the reader of the format finds wrong, or a
+            namespace without a bag.
+        RunError: a bag is damaged.
     """
+    if path.exists() and is_bag(path):
+        return read_bag(path, namespace)
+    if namespace is not None and path.exists():
+        raise UsageError(f"--namespace {namespace}: {path} is no bag of ROS 2, which alone has namespaces")
     try:
         with open_file(path) as stream:
             beginning = stream.read(4096)

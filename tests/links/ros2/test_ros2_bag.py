@@ -60,7 +60,7 @@ def test_topics_are_those_of_a_live_world(messages):
     own = {name.removeprefix("/uav_0/") for name in messages if name.startswith("/uav_0/")}
     assert own == {
         "imu/data", "fix", "baro/height", "battery", "odom", "pose", "velocity", "ground_truth/odom",
-        "ground_truth/wind",
+        "ground_truth/wind", "setpoint_attitude/attitude", "setpoint_attitude/cmd_vel", "setpoint_attitude/thrust",
     }  # fmt: skip
     assert {name for name in messages if not name.startswith("/uav_")} == {"/tf", "/tf_static"}
 
@@ -116,6 +116,47 @@ def test_battery_of_the_bag(exported, messages):
     message = messages["/uav_0/battery"][4][1]
     assert message.percentage == pytest.approx(float(charges[100, 0]))
     assert math.isnan(message.voltage)
+
+
+def test_set_points_of_the_bag_are_the_commands_of_the_run(exported, messages):
+    """A row of the run has the command of the step that ends with it, which was asked for at its beginning."""
+    commands = exported[0]["commands"]
+    aims, rates, thrusts = (messages[f"/uav_0/setpoint_attitude/{name}"] for name in ("attitude", "cmd_vel", "thrust"))
+    for found in (aims, rates, thrusts):
+        assert [time for time, _ in found] == [20_000_000 * tick for tick in range(150)]
+    for tick in (1, 60, 150):
+        pitch, roll, throttle, rate = (
+            float(commands[name][tick, 0]) for name in ("pitch", "roll", "throttle", "yaw_rate")
+        )
+        x, y, z, w = (getattr(aims[tick - 1][1].pose.orientation, axis) for axis in "xyzw")
+        # Of FLU in ENU: roll about the axis ahead as of FRD in NED, pitch about the one to the left, and not the right.
+        assert math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)) == pytest.approx(roll, abs=1e-6)
+        assert -math.asin(2 * (w * y - z * x)) == pytest.approx(pitch, abs=1e-6)
+        assert thrusts[tick - 1][1].data == pytest.approx(throttle)
+        assert rates[tick - 1][1].twist.angular.z == pytest.approx(-rate)
+
+
+@pytest.mark.parametrize("distro", ["humble", "kilted"])
+def test_bags_of_other_distributions(distro, exported, tmp_path):
+    out = tmp_path / distro
+    words = ["--distro", distro, "--out", str(out)]
+    assert cli.main(["export", str(exported[0].folder), "--format", "rosbag2", *words]) == 0
+    assert f"version: {8 if distro == 'humble' else 9}" in (out / "metadata.yaml").read_text()
+    store, count = get_typestore(Stores[f"ROS2_{distro.upper()}"]), 0
+    with Reader(out) as reader:
+        for connection, _, cdr in reader.messages():
+            message = store.deserialize_cdr(cdr, connection.msgtype)
+            assert bytes(store.serialize_cdr(message, connection.msgtype)) == bytes(cdr)
+            count += 1
+    assert count > 2000
+
+
+def test_other_formats_are_of_no_distribution(exported, capsys):
+    folder = str(exported[0].folder)
+    assert cli.main(["export", folder, "--format", "csv", "--distro", "humble"]) == 2
+    assert "--distro humble: only rosbag2 is of a distribution of ROS 2, not csv" in capsys.readouterr().err
+    assert cli.main(["export", folder, "--format", "rosbag2", "--distro", "humbel", "--force"]) == 2
+    assert "did you mean 'humble'?" in capsys.readouterr().err
 
 
 def test_metadata_and_storage(exported):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -14,14 +14,17 @@ from rosbags.rosbag2.errors import WriterError
 from qrsim.errors import RunError
 from qrsim.links.ros2 import topics as t
 from qrsim.links.ros2.profiles import PROFILES
-from qrsim.links.ros2.publications import Publications
+from qrsim.links.ros2.publications import Publications, stamp_of
 from qrsim.links.ros2.recorded import Recorded
 from qrsim.links.ros2.transforms import static_transforms
 from qrsim.links.ros2.typestore import Types
+from qrsim.links.ros2.vehicle import Publication
 from qrsim.runs import Run
 
-# rosbag2's format of metadata.yaml since Jazzy.
-VERSION = 9
+# rosbag2's format of metadata.yaml since Jazzy, and before.
+VERSION: Literal[8, 9] = 9
+BEFORE: Literal[8, 9] = 8
+_BEFORE = ("humble", "iron")
 METADATA = "metadata.yaml"
 # What rmw takes for never: 2^63 - 1 nanoseconds.
 _ENDLESS = QosTime(9_223_372_036, 854_775_807)
@@ -34,11 +37,11 @@ def write(run: Run, folder: Path, every: int, distro: str = "jazzy") -> dict[str
         run: with the streams of its sensors, commands or truth.
         folder: of the bag; replaced where it exists.
         every: keep the ticks that this divides.
-        distro: whose message types are written.
+        distro: whose message types and whose form of metadata.yaml are written.
 
     Raises:
         RunError: the run has no tick, or the bag cannot be written.
-        ScenarioError, UsageError: its scenario cannot be built.
+        ScenarioError, UsageError: its scenario cannot be built, or there is no such distribution.
     """
     types = Types(distro)
     recorded = Recorded(run, every)
@@ -47,7 +50,7 @@ def write(run: Run, folder: Path, every: int, distro: str = "jazzy") -> dict[str
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
         # The file in it is called as the folder.
-        count = _write(types, recorded, temporary / folder.name)
+        count = _write(types, recorded, temporary / folder.name, BEFORE if distro in _BEFORE else VERSION)
         shutil.rmtree(folder, ignore_errors=True)
         os.replace(temporary / folder.name, folder)
     except (OSError, WriterError) as error:
@@ -57,12 +60,19 @@ def write(run: Run, folder: Path, every: int, distro: str = "jazzy") -> dict[str
     return {"messages": count}
 
 
-def _write(types: Types, recorded: Recorded, folder: Path) -> int:
+def _write(types: Types, recorded: Recorded, folder: Path, version: Literal[8, 9]) -> int:
     world = recorded.world
     names = recorded.names
     publications = Publications(types, world, names, recorded.sensor, [False] * len(names), recorded.has_truth)
+    commanded = [
+        [
+            (publications.add(own.topic), own)
+            for own in (Publication(types, kind, namespace, lambda _: None, 0) for kind in t.ASKED_KINDS)
+        ]
+        for namespace in publications.namespaces
+    ]
     count = 0
-    with Writer(folder, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+    with Writer(folder, version=version, storage_plugin=StoragePlugin.MCAP) as writer:
         connections: dict[int, Any] = {}
 
         def put(number: int, topic: t.Topic, nanoseconds: int, cdr: bytes) -> None:
@@ -74,11 +84,19 @@ def _write(types: Types, recorded: Recorded, folder: Path) -> int:
             writer.write(connections[number], nanoseconds, cdr)
 
         static = static_transforms(types, world, publications.namespaces)
-        for tick, time, values, news, true in recorded.ticks(publications.columns):
+        for tick, time, values, news, true, asked in recorded.ticks(publications.columns):
             nanoseconds = round(time * 1e9)
             if not count and static.transforms:
                 put(-1, t.TF_STATIC, nanoseconds, types.encode(static))
                 count += 1
+            # A controller asked for it one tick before what came of it.
+            before = max(0, tick - 1) * world.time_step
+            for own, row in zip(commanded, asked.tolist(), strict=True):
+                for number, publication in own:
+                    message = publication.message(row, *stamp_of(before)) if tick else None
+                    if message is not None:
+                        put(number, publications.topics[number], round(before * 1e9), message)
+                        count += 1
             believed = [max(0.0, time - behind) for behind in recorded.behind]
             for number, cdr in publications.of_tick(tick, believed, values, news, true):
                 put(number, publications.topics[number], nanoseconds, cdr)

@@ -24,7 +24,9 @@ WIND = 45
 POSITION_VARIANCE, TURN_VARIANCE, VELOCITY_VARIANCE = 48, 51, 54
 # Rates for Odometry, 0 where nobody knows them, and their variances, -1 there.
 ODOM_RATES, ODOM_RATES_VARIANCE = 57, 60
-WIDTH = 63
+# What a controller asks a quadrotor for: attitude, throttle, rate about the axis that points up.
+ASKED_ORIENTATION, ASKED_THROTTLE, ASKED_YAW_RATE = 63, 67, 68
+WIDTH = 69
 _MICRO = 1e-6
 # From this type of fix on, it is corrected from the ground (GPS_FIX_TYPE_DGPS).
 _CORRECTED = 4.0
@@ -64,6 +66,22 @@ def seen(values: Array) -> Array:
     unknown = np.isnan(found[:, ORIENTATION])
     found[:, IMU_VARIANCE : IMU_VARIANCE + 3] = turns
     found[unknown, IMU_VARIANCE] = -1.0
+    return found
+
+
+def asked(commands: Array, yaw: Array) -> Array:
+    """Return the numbers (n, WIDTH) for commands (n, 4) of pitch, roll [rad], throttle and yaw rate [rad/s].
+
+    Args:
+        commands: NaN where a vehicle has none.
+        yaw: (n,) headings [rad], because commands have none; 0 where nobody knows them.
+    """
+    found = np.full((len(commands), WIDTH), np.nan)
+    pitch, roll, throttle, rate = commands.T
+    attitude = np.stack([roll, pitch, np.nan_to_num(yaw)], axis=1)
+    orientation = quaternion_enu_flu(quaternion_of(attitude))
+    found[:, ASKED_ORIENTATION : ASKED_ORIENTATION + 4] = orientation
+    found[:, ASKED_THROTTLE], found[:, ASKED_YAW_RATE] = throttle, -rate
     return found
 
 

@@ -107,8 +107,10 @@ class Recorded:
     def _columns(self, stream: str) -> Sequence[str]:
         return self._streams[stream].columns() if stream in self._streams else ()
 
-    def ticks(self, columns: Sequence[int]) -> Iterator[tuple[int, float, Array, dict[int, News], Array | None]]:
-        """Yield number and time [s] of each tick, what vehicles knew, the news of sensors, and the truth.
+    def ticks(self, columns: Sequence[int]) -> Iterator[tuple[int, float, Array, dict[int, News], Array | None, Array]]:
+        """Yield number and time [s] of each tick, what vehicles knew, the news of sensors, the truth, and commands.
+
+        Commands are numbers (n, WIDTH) of ``numbers.asked``, of the step that ends with the tick.
 
         Args:
             columns: whose sensors' news are wanted.
@@ -117,9 +119,10 @@ class Recorded:
         for begin in range(0, len(self._ticks), MOST_AT_ONCE):
             ticks = self._ticks[begin : begin + MOST_AT_ONCE]
             values, true = self._values(ticks), self._true(ticks)
+            asked = self._asked(ticks, values[:, :, s.ATTITUDE + 2])
             for i, tick in enumerate(ticks.tolist()):
                 news = {column: self._news(column, tick, values[i], before) for column in columns}
-                yield tick, tick * self._dt, values[i], news, None if true is None else true[i]
+                yield tick, tick * self._dt, values[i], news, None if true is None else true[i], asked[i]
 
     def _part(self, stream: str, column: str, ticks: Array) -> Array:
         """Return a column (T, n) at ticks."""
@@ -149,6 +152,14 @@ class Recorded:
         plain = np.isnan(flat[:, s.FIX_TYPE]) & np.isfinite(flat[:, s.FIX_POSITION])
         s.complete(flat, self._site, plain)
         return values
+
+    def _asked(self, ticks: Array, yaw: Array) -> Array:
+        """Return the numbers (T, n, WIDTH) of the commands of quadrotors; NaN of others."""
+        names, shape = ("pitch", "roll", "throttle", "yaw_rate"), (len(ticks), len(self.names))
+        found = np.full((*shape, len(names)), np.nan)
+        if set(names) <= set(self._columns("commands")):
+            found = np.stack([self._part("commands", name, ticks) for name in names], axis=-1)
+        return n.asked(found.reshape(-1, len(names)), yaw.reshape(-1)).reshape(*shape, n.WIDTH)
 
     def _true(self, ticks: Array) -> Array | None:
         if not self.has_truth:
