@@ -24,9 +24,10 @@ class Score:
     the end, and the paired difference to the first policy. The task's baseline, where it has one, and hovering are
     beside those that are named.
 
-    POLICY is 'baseline', 'hover', 'random' or MODULE:NAME, where MODULE may be a .py file: a function of what all
-    agents see that returns their actions (n, A) in [-1, 1], or a class that is made for each episode with (play, seed)
-    and has act(seen), and answer() where something is handed in.
+    POLICY is 'baseline', 'hover', 'random', 'oracle' (of a search: it is told where persons lie) or MODULE:NAME, where
+    MODULE may be a .py file: a function of what all agents see that returns their actions (n, A) in [-1, 1], or a class
+    that is made for each episode with (play, seed) and has act(seen), answer() where something is handed in, and
+    know(state) where it is to be told the truth before every act.
 
     Example:
       qrsim score search_and_rescue/2A

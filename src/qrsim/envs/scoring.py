@@ -12,13 +12,13 @@ import numpy as np
 from qrsim.envs.batch import Batch
 from qrsim.errors import UsageError
 from qrsim.tasks.agents import Axis
-from qrsim.tasks.baselines import baseline
+from qrsim.tasks.baselines import baseline, oracle
 from qrsim.tasks.play import Play
 from qrsim.tasks.simple import Commanded
 
 Floats = np.ndarray[Any, Any]
-BASELINE, HOVER, RANDOM = "baseline", "hover", "random"
-BUILT_IN = (BASELINE, HOVER, RANDOM)
+BASELINE, HOVER, RANDOM, ORACLE = "baseline", "hover", "random", "oracle"
+BUILT_IN = (BASELINE, HOVER, RANDOM, ORACLE)
 CONFIDENCE, RESAMPLES, RESAMPLE_SEED = 0.95, 2000, 20261123
 
 
@@ -36,6 +36,15 @@ class Answering(Protocol):
 
     def answer(self) -> Floats:
         """Return the answers (n, ...)."""
+        ...
+
+
+@runtime_checkable
+class Informed(Protocol):
+    """Policy that is told the truth: an oracle, which bounds what others can reach."""
+
+    def know(self, state: Any) -> None:
+        """Take the true ``State`` of the world before each ``act``."""
         ...
 
 
@@ -87,14 +96,17 @@ def maker(policy: str | Any, play: Play) -> Callable[[Play, int], Policy]:
 
     Args:
         policy: one of ``BUILT_IN``; a class that is called with both and has ``act(seen)``; or a function of ``seen``.
-        play: the task, for which there has to be a baseline if that is asked for.
+        play: the task, for which there has to be a baseline or an oracle if that is asked for.
 
     Raises:
-        UsageError: the task has no baseline, or a policy cannot be called.
+        UsageError: the task has no baseline or no oracle, or a policy cannot be called.
     """
     if policy == BASELINE:
         baseline(play)
         return baseline
+    if policy == ORACLE:
+        oracle(play)
+        return oracle
     if policy in (HOVER, RANDOM):
         return Hover if policy == HOVER else Uniform
     if isinstance(policy, type):
@@ -178,6 +190,9 @@ def play_policy(
     total, flies = np.zeros(batch.size), np.ones(batch.size, bool)
     for step in range(play.steps):
         seen = [jax.tree.map(lambda leaf, i=i: leaf[i], batch.seen) for i in range(batch.size)]
+        for row, each in enumerate(policies):
+            if isinstance(each, Informed) and flies[row]:
+                each.know(batch.episodes.episode(row).state)
         actions = [checked(policies[i].act(seen[i]), nothing, name) if flies[i] else nothing for i in range(batch.size)]
         reward, terminated, truncated = batch.step(np.stack(actions), who=f"policy {name}")
         total += np.where(flies, reward.mean(axis=1, dtype=np.float64), 0.0)

@@ -18,14 +18,16 @@ from qrsim.tasks.baselines.chasing import Chasing
 from qrsim.tasks.baselines.descending import Descending
 from qrsim.tasks.baselines.holding import FLOWN, Holding
 from qrsim.tasks.baselines.mapping import Mapping
+from qrsim.tasks.baselines.touring import Touring
 from qrsim.tasks.play import TASK, Play
 from qrsim.tasks.plume_mapping import PlumeMapping
 from qrsim.tasks.pursuit import Pursuit
 from qrsim.tasks.search import Search
 from qrsim.tasks.simple import KeepSpot, KeepVelocity, ReachWaypoint
 
-__all__ = ["Baseline", "BaselinePolicy", "Chasing", "Descending", "Holding", "Mapping", "baseline"]
+__all__ = ["Baseline", "BaselinePolicy", "Chasing", "Descending", "Holding", "Mapping", "Touring", "baseline", "oracle"]
 SIMPLE: dict[type, Any] = dict.fromkeys((KeepSpot, ReachWaypoint, KeepVelocity), Holding)
+ORACLES: dict[type, Any] = {Search: Touring}
 KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Descending, PlumeMapping: Mapping, **SIMPLE}
 
 
@@ -51,6 +53,19 @@ def baseline(play: Play, seed: int = 0) -> Baseline:
         raise UsageError(f"policy baseline: it gives {', '.join(FLOWN)}; these vehicles take {found}")
     if isinstance(play.task, Pursuit) and play.task.senses:
         raise UsageError("policy baseline: it reads the offsets that the observation lacks with task.senses")
+    made: Baseline = kind(play, seed)
+    return made
+
+
+def oracle(play: Play, seed: int = 0) -> Baseline:
+    """Return the policy of a task that is told the truth, by ``know(state)`` before every ``act``.
+
+    Raises:
+        UsageError: the task has none.
+    """
+    kind = ORACLES.get(type(play.task))
+    if kind is None:
+        raise UsageError("policy oracle: this task has none; a search has")
     made: Baseline = kind(play, seed)
     return made
 
