@@ -87,9 +87,9 @@ def _space(seen: Any, axes: Any = None) -> spaces.Space[Any]:
     if isinstance(seen, dict):
         named = axes or {}
         return spaces.Dict({name: _space(part, named.get(name)) for name, part in seen.items()})
-    if np.issubdtype(seen.dtype, np.integer):
-        return spaces.Box(0, np.iinfo(seen.dtype).max, seen.shape[2:], seen.dtype.type)
     if axes is None or len(axes) != np.prod(seen.shape[2:], dtype=int):
+        if np.issubdtype(seen.dtype, np.integer):
+            return spaces.Box(0, np.iinfo(seen.dtype).max, seen.shape[2:], seen.dtype.type)
         return spaces.Box(-np.inf, np.inf, seen.shape[2:], seen.dtype.type)
     low, high = (np.array([getattr(axis, end) for axis in axes], seen.dtype) for end in ("low", "high"))
     return spaces.Box(low.reshape(seen.shape[2:]), high.reshape(seen.shape[2:]), dtype=seen.dtype.type)

@@ -122,7 +122,18 @@ class PlumeMapping(Task):
     def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
         """Describe the named numbers of an observation."""
         more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}
-        return more | {"vehicle": (*BELIEVED, Axis("concentration", "1"))}
+        # Locations are drawn within the area.
+        area: Any = world.area
+        limits = [
+            Axis(name, "m", float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max")))
+            for name, axis in (("north", "x"), ("east", "y"), ("down", "z"))
+        ]
+        asked = tuple(
+            Axis(f"location_{i}_{limit.name}", limit.unit, limit.low, limit.high)
+            for i in range(self.locations)
+            for limit in limits
+        )
+        return more | {"vehicle": (*BELIEVED, Axis("concentration", "1")), "locations": asked}
 
     def answer_shape(self, world: World) -> tuple[int, ...]:
         """Return the shape of an agent's answer: (L,) concentrations, or (L, K) samples for puffs."""

@@ -111,7 +111,9 @@ class Search(Task):
     def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
         """Describe the named numbers of an observation."""
         more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}
-        return more | {"vehicle": BELIEVED}
+        lens = self.lens(world)
+        most = (("rows", lens.most_rows), ("columns", lens.most_columns))
+        return more | {"vehicle": BELIEVED, "grid": tuple(Axis(name, "1", 0.0, float(high)) for name, high in most)}
 
     def lens(self, world: World) -> Camera:
         """Return the camera."""
