@@ -51,7 +51,7 @@ def test_a_vehicle_comes_to_rest_where_a_person_is_found() -> None:
 def test_the_oracle_finds_who_lies_within_its_reach() -> None:
     """In 60 s a vehicle of 3 m/s visits two persons or more, hovering in place none, for -1 in all."""
     batch = Batch("search_and_rescue/2A", 1, ["duration=60"])
-    found = play_policy(batch, "oracle", maker("oracle", batch.functional.play), np.array([3]))
+    found = play_policy(batch, "oracle", maker("oracle", batch.functional.play), np.array([5]))
     assert found.alive.all()
     assert found.returns[0] > 0.9
     people = batch.episodes.episode(0).state.contents.persons
