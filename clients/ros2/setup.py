@@ -11,6 +11,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/rviz", ["rviz/qrsim.rviz"]),
     ],
     install_requires=["setuptools"],
     license="BSD-3-Clause",

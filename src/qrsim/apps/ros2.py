@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.errors import UsageError
+from qrsim.errors import UsageError, did_you_mean
 from qrsim.extras import require
+
+if TYPE_CHECKING:
+    from qrsim.links.ros2.node import Node
+    from qrsim.links.ros2.typestore import Types
+
+# As links/ros2/server.py has them, which takes long to load.
+PACES = ("free", "fast", "barrier")
+TRANSPORTS = ("dds", "zenoh")
 
 
 @dataclass(frozen=True)
@@ -20,13 +29,14 @@ class Ros2:
     setpoint_velocity/cmd_vel or setpoint_attitude/attitude in the namespace of the vehicle's name. docs/ros2.md lists
     the topics.
 
-    It speaks DDS, as the default middleware of ROS 2. Anybody in the network with the same domain can fly.
+    It speaks DDS, as the default middleware of ROS 2, or zenoh. Anybody in the network with the same domain can fly.
 
     Ctrl-C or SIGTERM ends it.
 
     Example:
       qrsim ros2
       qrsim ros2 my_scenario.yaml --domain 7 --realtime 2
+      qrsim ros2 --transport zenoh
       qrsim ros2 outdoor_patrol --truth --set world.wind.speed_20ft=6
     """
 
@@ -36,8 +46,17 @@ class Ros2:
         None
     )
     """Domain of DDS, 0 to 232."""
+    transport: Annotated[str, tyro.conf.arg(metavar="dds|zenoh")] = "dds"
+    """What carries the messages: dds for most middlewares of ROS 2, zenoh for rmw_zenoh."""
+    router: Annotated[str, tyro.conf.arg(metavar="ENDPOINT")] = "tcp/localhost:7447"
+    """With --transport zenoh: where rmw_zenohd listens."""
     realtime: Annotated[float, tyro.conf.arg(metavar="FACTOR")] = 1.0
     """Simulated seconds per second of the wall clock."""
+    pace: Annotated[str, tyro.conf.arg(metavar="free|fast|barrier")] = "free"
+    """free: by the wall clock; fast: as fast as it computes; barrier: each tick waits until every vehicle that a node
+    flies by velocities or attitudes was asked for the next one."""
+    rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 50.0
+    """How often estimates, TF and truth are published at most; sensors have their own rates."""
     seed: int = 0
     """Seed of the episode."""
     set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
@@ -64,6 +83,8 @@ class Ros2:
         self._check()
         domain = self._domain()
         require("ros2", "'qrsim ros2'")
+        if self.transport == "zenoh":
+            require("zenoh", "--transport zenoh")
         from qrsim.links.printing import Log
         from qrsim.links.ros2.participant import checked_domain
         from qrsim.links.ros2.server import Options, Server
@@ -76,12 +97,14 @@ class Ros2:
         scenario = load_scenario(self.scenario, self.set)
         simulation = Simulation(scenario.world(), seed=self.seed, name=scenario.name, site=scenario.site)
         log = Log()
-        options = Options(domain, self.realtime, self.truth, self.reliable, self.hold, self.paused)
+        options = Options(self.realtime, self.truth, self.hold, self.paused, self.rate, self.pace)
         try:
-            server = Server(simulation, types, options, log.say)
+            server = Server(simulation, types, options, log.say, self._node(types, domain))
             spaces = server.messages.namespaces
             log.say(f"qrsim ros2: {len(spaces)} vehicles, {', '.join(spaces[:5])}{', ...' if len(spaces) > 5 else ''}")
-            log.say(f"domain {domain}, {len(server.messages.topics)} topics, {self.distro}; docs/ros2.md")
+            carrier = f"zenoh by {self.router}" if self.transport == "zenoh" else "dds"
+            count = len(server.messages.topics)
+            log.say(f"domain {domain}, {count} topics, {self.distro}, {carrier}; docs/ros2.md")
             try:
                 server.serve(math.inf if self.duration is None else self.duration - 1e-9)
             finally:
@@ -94,9 +117,29 @@ class Ros2:
         finally:
             log.close()
 
+    def _node(self, types: Types, domain: int) -> Node:
+        if self.transport == "zenoh":
+            from qrsim.links.ros2.zenoh_node import ZenohNode
+
+            return ZenohNode(types, domain, resend=self.reliable, router=self.router)
+        from qrsim.links.ros2.participant import Participant
+
+        return Participant(types, domain, resend=self.reliable)
+
     def _check(self) -> None:
         if not (math.isfinite(self.realtime) and 1e-3 <= self.realtime <= 1e3):
             raise UsageError(f"--realtime {self.realtime:g}: expected 0.001 to 1000")
+        if self.transport not in TRANSPORTS:
+            near = did_you_mean(self.transport, TRANSPORTS)
+            raise UsageError(f"--transport {self.transport}: expected {' or '.join(TRANSPORTS)}{near}")
+        if not re.fullmatch(r"(tcp|tls|quic|udp|ws)/\S+:\d{1,5}(#\S*)?", self.router):
+            raise UsageError(f"--router {self.router}: expected an endpoint of zenoh, such as tcp/localhost:7447")
+        if self.pace not in PACES:
+            raise UsageError(f"--pace {self.pace}: expected {', '.join(PACES)}{did_you_mean(self.pace, PACES)}")
+        if self.pace != "free" and self.realtime != 1.0:
+            raise UsageError(f"--realtime {self.realtime:g}: only --pace free goes by the wall clock, not {self.pace}")
+        if not (math.isfinite(self.rate) and 0.1 <= self.rate <= 1000.0):
+            raise UsageError(f"--rate {self.rate:g}: expected 0.1 to 1000 Hz")
         if not 0 <= self.seed < 2**63:
             raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**63 - 1")
         if not (math.isfinite(self.hold) and 0.01 <= self.hold <= 3600.0):

@@ -179,6 +179,31 @@ def test_silence_is_of_the_wall_clock_where_the_world_is_faster(simulation):
     assert air.pilots.modes[0] == "hold"
 
 
+def test_who_flies_by_velocities_is_waited_for_until_he_is_silent(simulation, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    simulation.reset()
+    said = []
+    pilots = Pilots(simulation, 0.5, 1.0, said.append, by_wall=True)
+    assert not pilots.waited_for
+    pilots.ask(0, Motion((1.0, 0.0, 0.0), 0.0, True))
+    assert not pilots.waited_for
+    simulation.advance(pilots.actions())
+    assert pilots.waited_for
+    pilots.ask(0, Motion((1.0, 0.0, 0.0), 0.0, True))
+    assert not pilots.waited_for
+    # However many ticks there are in the meantime.
+    for _ in range(100):
+        simulation.advance(pilots.actions())
+    assert pilots.modes[0] == "velocity"
+    clock[0] += 0.49
+    assert pilots.waited_for
+    clock[0] += 0.02
+    assert not pilots.waited_for
+    simulation.advance(pilots.actions())
+    assert (pilots.modes[0], said[0]) == ("hold", "t = 2.02 s, 'uav_0': nothing is heard for 0.5 s; it holds its place")
+
+
 def test_nonsense_holds_the_vehicle_and_is_said_once(simulation):
     air = Air(simulation)
     air.fly(1.0, 0, Motion((2.0, 0.0, 0.0), 0.0, True))

@@ -75,6 +75,48 @@ def status(reader):
     return json.loads(until(reader.take)[-1].data)
 
 
+def barrier_flight(file, domain, pause):
+    """Return places of a vehicle in 40 ticks, each of which waits for a node that takes so long [s] to ask for it."""
+    code = "import sys; from qrsim.cli import main; sys.exit(main())"
+    words = ["ros2", str(file), "--domain", str(domain), "--pace", "barrier", "--truth", "--paused", "--hold", "5"]
+    process = subprocess.Popen([sys.executable, "-c", code, *words], stdout=subprocess.DEVNULL)
+    try:
+        node = Participant(TYPES, domain, "pilot")
+        writers = [node.writer(Topic(f"/uav_{i}/cmd_vel", "geometry_msgs/msg/Twist", "command")) for i in range(3)]
+        truth = node.reader(Topic("/uav_2/ground_truth/odom", "nav_msgs/msg/Odometry", "reliable"))
+        control, heard = node.writer(CONTROL), node.reader(STATUS)
+        until(lambda: heard.take() or process.poll() is not None, 60.0)
+        time.sleep(1.0)
+        twist, flight = empty(TYPES, "geometry_msgs/msg/Twist"), []
+
+        def ask(i):
+            for row, writer in enumerate(writers):
+                twist.linear.x = 0.5 * (row + 1) + 0.01 * i
+                writer.write(TYPES.encode(twist))
+
+        ask(0)
+        time.sleep(0.3)
+        control.write(TYPES.encode(TYPES["std_msgs/msg/String"]("resume")))
+        for i in range(1, 41):
+            place = until(truth.take)[-1].pose.pose.position
+            flight.append((place.x, place.y, place.z))
+            time.sleep(pause)
+            ask(i)
+        return flight
+    finally:
+        process.terminate()
+        process.wait(20.0)
+
+
+def test_at_a_barrier_each_tick_waits_for_who_is_flown(tmp_path, monkeypatch):
+    """Three vehicles, twice: they fly the same to the last bit, however long the node takes."""
+    monkeypatch.setenv("CYCLONEDDS_URI", ALONE)
+    (tmp_path / "trio.yaml").write_text(SCENARIO)
+    fast, slow = (barrier_flight(tmp_path / "trio.yaml", DOMAIN - 60 + i, pause) for i, pause in ((0, 0.0), (1, 0.003)))
+    assert fast == slow
+    assert fast[-1] != fast[0]
+
+
 def test_topics_are_discovered_by_their_names_types_and_hashes(server):
     participant = Participant(TYPES, DOMAIN, "listener")
     heard = BuiltinDataReader(participant._participant, BuiltinTopicDcpsPublication)

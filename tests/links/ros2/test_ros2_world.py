@@ -193,6 +193,53 @@ def test_transforms_and_the_clock(flown):
     assert (q.x, q.y, q.z, q.w) == pytest.approx((0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)))
 
 
+def test_the_map_is_where_the_site_is_on_the_earth(flown):
+    """Against pymap3d, whose axes are at the origin of the scenario."""
+    import pymap3d
+    from scipy.spatial.transform import Rotation
+
+    on_earth = TYPES.decode(flown[0].static, "tf2_msgs/msg/TFMessage").transforms[0]
+    assert (on_earth.header.frame_id, on_earth.child_frame_id) == ("earth", "map")
+    assert three(on_earth.transform.translation) == pytest.approx(pymap3d.geodetic2ecef(51.7, -0.2, 40.0), abs=1e-6)
+    q = on_earth.transform.rotation
+    expected = np.array(pymap3d.enu2uvw(*np.eye(3), 51.7, -0.2))
+    np.testing.assert_allclose(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), expected, atol=1e-9)
+
+
+def test_estimates_are_published_at_the_rate_that_is_asked(flown):
+    """At 10 Hz of 50 ticks a second; the IMU and the clock at their own pace."""
+    scenario = load_scenario(CONTENT)
+    simulation = Simulation(scenario.world(), seed=2, site=scenario.site)
+    simulation.reset()
+    messages, counts = Messages(TYPES, simulation, truth=True, rate=10.0), {}
+    for _ in range(100):
+        simulation.advance()
+        for topic, _ in messages.due(["guidance"] * 2):
+            name = messages.topics[topic].name
+            counts[name] = counts.get(name, 0) + 1
+    assert counts["/clock"] == counts["/uav_0/imu/data"] == 100
+    names = ("/tf", "/uav_0/odom", "/uav_1/pose", "/uav_0/velocity", "/uav_0/ground_truth/odom")
+    assert [counts[name] for name in names] == [20] * 5
+    # Twice a second.
+    assert counts["/uav_0/battery"] == 4
+
+
+@pytest.mark.parametrize(("height", "expected"), [(-0.2, -math.inf), (-100.0, math.inf)])
+def test_ranges_that_are_not_measured_are_infinite(height, expected):
+    """By REP-117: nearer than range_min, and nothing within range_max."""
+    content = json.loads(json.dumps(CONTENT))
+    content["fleets"]["uav"]["vehicles"] = [{"position_ned": [0, 0, height]}]
+    simulation = Simulation(load_scenario(content).world(), seed=2)
+    simulation.reset()
+    messages = Messages(TYPES, simulation)
+    simulation.advance()
+    said = {messages.topics[i].name: cdr for i, cdr in messages.due(["guidance"])}
+    message = decoded(messages, said, "/uav_0/range")
+    assert message.range == expected
+    # Of a range of nothing.
+    assert message.variance == pytest.approx(0.1**2, rel=1e-6)
+
+
 def test_no_two_poses_have_the_same_time(flown):
     messages, found, _ = flown
     times = []
@@ -200,6 +247,29 @@ def test_no_two_poses_have_the_same_time(flown):
         stamp = decoded(messages, said, "/uav_0/pose").header.stamp
         times.append(stamp.sec + 1e-9 * stamp.nanosec)
     assert times == pytest.approx([0.02 * tick for tick in range(60)])
+
+
+def test_rviz_is_set_up_for_what_is_published():
+    """Every topic of clients/ros2/rviz, by the type of its display, and no more reliable than it is sent."""
+    from pathlib import Path
+
+    import yaml
+
+    file = Path(__file__).parents[3] / "clients" / "ros2" / "rviz" / "qrsim.rviz"
+    manager = yaml.safe_load(file.read_text(encoding="utf-8"))["Visualization Manager"]
+    scenario = load_scenario("outdoor_patrol")
+    simulation = Simulation(scenario.world(), seed=0, site=scenario.site)
+    simulation.reset()
+    known = {topic.name: topic for topic in Messages(TYPES, simulation).topics}
+    shown = [each for each in manager["Displays"] if "Topic" in each]
+    assert [each["Name"] for each in shown] == [f"pelicans_{i}" for i in range(5)]
+    for each in shown:
+        assert each["Class"] == "rviz_default_plugins/Odometry"
+        topic = known[each["Topic"]["Value"]]
+        assert (topic.type, topic.quality) == ("nav_msgs/msg/Odometry", "reliable")
+        assert each["Topic"]["Reliability Policy"] == "Reliable"
+    assert manager["Global Options"]["Fixed Frame"] == "map"
+    assert any(each["Class"] == "rviz_default_plugins/TF" for each in manager["Displays"])
 
 
 def test_before_the_first_tick_there_is_the_clock_alone(flown):

@@ -83,7 +83,7 @@ def _write(types: Types, recorded: Recorded, folder: Path, version: Literal[8, 9
                 )
             writer.write(connections[number], nanoseconds, cdr)
 
-        static = static_transforms(types, world, publications.namespaces)
+        static = static_transforms(types, world, publications.namespaces, recorded.site)
         for tick, time, values, news, true, asked in recorded.ticks(publications.columns):
             nanoseconds = round(time * 1e9)
             if not count and static.transforms:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,7 @@ class Messages:
         types: of the distribution.
         simulation: reset.
         truth: whether the true motion and wind are published.
+        rate: see ``Publications``.
 
     Attributes:
         namespaces: of the vehicles, in their order.
@@ -37,22 +39,22 @@ class Messages:
         static: message of /tf_static.
     """
 
-    def __init__(self, types: Types, simulation: Simulation, truth: bool = False):
+    def __init__(self, types: Types, simulation: Simulation, truth: bool = False, rate: float = math.inf):
         self._types, self._simulation, self._truth = types, simulation, truth
         self._sight = sight = Sight(simulation)
         world, names = simulation.world, simulation.vehicle_names
         windy = [sight.has(s.WIND_NORTH, row) for row in range(simulation.size)]
-        self._publications = own = Publications(types, world, names, sight.sensor, windy, truth)
+        self._publications = own = Publications(types, world, names, sight.sensor, windy, truth, rate)
         self.namespaces, self.topics = own.namespaces, own.topics
         self._clock_topic = own.add(t.CLOCK)
         self._states = [own.add(t.Topic(f"/{name}/{t.STATE}", t.STATE_TYPE, "reliable")) for name in self.namespaces]
         self._inboxes = None if world.radio is None else Inboxes(types, simulation, self.namespaces)
         self._heard = [] if self._inboxes is None else [own.add(heard_topic(name)) for name in self.namespaces]
-        self._told: list[tuple[str, float]] = [("", -math.inf)] * simulation.size
+        self._told: list[tuple[Any, float]] = [(None, -math.inf)] * simulation.size
         clock = types["rosgraph_msgs/msg/Clock"](types["builtin_interfaces/msg/Time"](0, 0))
         self._clock = Template(types, clock)
         self._put_clock = self._clock.putter("clock.sec", "clock.nanosec")
-        self.static = types.encode(static_transforms(types, world, self.namespaces))
+        self.static = types.encode(static_transforms(types, world, self.namespaces, simulation.site))
 
     def due(self, modes: list[str]) -> Iterator[tuple[int, bytes]]:
         """Yield what is published at the present tick: number of its topic, and message.
@@ -80,10 +82,11 @@ class Messages:
         stopped = np.asarray(simulation.packed[1][1])[self._sight.codes] != 0
         reasons = simulation.reasons if stopped.any() else [""] * simulation.size
         for row, topic in enumerate(self._states):
-            text = json.dumps({"valid": not stopped[row].item(), "reason": reasons[row], "mode": modes[row]})
+            now = not stopped[row].item(), reasons[row], modes[row]
             before, at = self._told[row]
-            if text != before or not 0.0 <= simulation.time - at < STATE_EVERY_S - 0.5 * simulation.world.time_step:
-                self._told[row] = text, simulation.time
+            if now != before or not 0.0 <= simulation.time - at < STATE_EVERY_S - 0.5 * simulation.world.time_step:
+                self._told[row] = now, simulation.time
+                text = json.dumps(dict(zip(("valid", "reason", "mode"), now, strict=True)))
                 yield topic, text_message(self._types, text)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-MAP = "map"
+EARTH, MAP = "earth", "map"
 
 
 def namespaces(names: Sequence[str]) -> list[str]:

@@ -28,6 +28,8 @@ ODOM_RATES, ODOM_RATES_VARIANCE = 57, 60
 ASKED_ORIENTATION, ASKED_THROTTLE, ASKED_YAW_RATE = 63, 67, 68
 WIDTH = 69
 _MICRO = 1e-6
+# What the status of a rangefinder says: nearer or farther than it measures.
+_TOO_NEAR, _TOO_FAR = 1.0, 2.0
 # From this type of fix on, it is corrected from the ground (GPS_FIX_TYPE_DGPS).
 _CORRECTED = 4.0
 
@@ -55,6 +57,9 @@ def seen(values: Array) -> Array:
         (PRESSURE, s.PRESSURE), (HEIGHT, s.HEIGHT), (RANGE, s.RANGE), (CHARGE, s.CHARGE), (VOLTAGE, s.VOLTAGE),
     ):  # fmt: skip
         found[:, column] = values[:, source]
+    # By REP-117.
+    status = values[:, s.RANGE_STATUS]
+    found[status == _TOO_NEAR, RANGE], found[status == _TOO_FAR, RANGE] = -np.inf, np.inf
     found[:, WIND], found[:, WIND + 1], found[:, WIND + 2] = values[:, s.WIND_EAST], values[:, s.WIND_NORTH], 0.0
     spreads = enu_of(values[:, s.STD_POSITION : s.STD_POSITION + 3])
     found[:, POSITION_VARIANCE : POSITION_VARIANCE + 3] = np.nan_to_num(spreads) ** 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -22,7 +23,7 @@ class Pilot:
 
     Attributes:
         wish: motion or attitude that each tick makes an order of; None: the latched order stays.
-        tick: at which it was heard.
+        tick, at: of the world and of the wall clock [s], at which it was heard.
         mode: by what the vehicle flies: "guidance", "velocity", "position", "attitude" or "hold".
         yaw: heading that it is to have [rad].
         throttle: of an attitude.
@@ -31,6 +32,7 @@ class Pilot:
 
     wish: Motion | Tilt | None = None
     tick: int = 0
+    at: float = 0.0
     mode: str = "guidance"
     yaw: float | None = None
     throttle: float | None = None
@@ -49,10 +51,13 @@ class Pilots:
         hold: silence [s] after which a vehicle holds its place; of the wall clock where the world runs faster.
         factor: simulated seconds per second of the wall clock.
         say: told one line of what is not flown.
+        by_wall: whether silence is of the wall clock, because the world has no pace.
     """
 
-    def __init__(self, simulation: Simulation, hold: float, factor: float, say: Callable[[str], None]):
-        self._simulation, self._say = simulation, say
+    def __init__(
+        self, simulation: Simulation, hold: float, factor: float, say: Callable[[str], None], by_wall: bool = False
+    ):
+        self._simulation, self._say, self._wall = simulation, say, hold if by_wall else None
         self._limit = math.ceil(hold * max(1.0, factor) / simulation.world.time_step - 1e-9)
         self.latches = Latches(simulation.world.fleets, simulation.dtype)
         self._names = self.latches.names
@@ -73,7 +78,7 @@ class Pilots:
     def ask(self, row: int, wish: Wish) -> None:
         """Take what is asked of a vehicle."""
         pilot = self._pilots[row]
-        pilot.tick = self._simulation.tick
+        pilot.tick, pilot.at = self._simulation.tick, time.monotonic()
         if isinstance(wish, Thrust):
             pilot.throttle = wish.throttle
             return
@@ -97,13 +102,26 @@ class Pilots:
             self._latch(flown)
         return self.latches.actions()
 
+    @property
+    def waited_for(self) -> bool:
+        """Whether a vehicle that is flown by motions or attitudes has not been asked for any at the present tick."""
+        tick = self._simulation.tick
+        return any(
+            pilot.wish is not None and pilot.tick < tick and not self._is_silent(pilot) for pilot in self._pilots
+        )
+
+    def _is_silent(self, pilot: Pilot) -> bool:
+        if self._wall is not None:
+            return time.monotonic() - pilot.at >= self._wall
+        return self._simulation.tick - pilot.tick >= self._limit
+
     def _latch(self, rows: Sequence[int]) -> None:
         believed = believed_of(self._simulation)
         for row in rows:
             pilot = self._pilots[row]
-            silent = self._simulation.tick - pilot.tick
-            if silent >= self._limit:
-                self._hold(row, f"nothing is heard for {silent * self._simulation.world.time_step:.10g} s")
+            if self._is_silent(pilot):
+                silent = (self._simulation.tick - pilot.tick) * self._simulation.world.time_step
+                self._hold(row, f"nothing is heard for {silent if self._wall is None else self._wall:.10g} s")
             elif isinstance(pilot.wish, Motion):
                 self._move(row, pilot, pilot.wish, float(believed[row, 3]))
             elif isinstance(pilot.wish, Tilt) and pilot.throttle is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -32,6 +33,7 @@ class Publications:
         sensor: finds the sensor of a fleet, by its number, that a column (shared/sight.py) is of, or None.
         windy: of each vehicle whether its wind is known.
         truth: whether the true motion and wind are published.
+        rate: how often estimates, TF and truth are published at most [Hz].
 
     Attributes:
         namespaces: of the vehicles.
@@ -41,9 +43,10 @@ class Publications:
 
     def __init__(
         self, types: Types, world: World, names: Sequence[str], sensor: Callable[[int, int], Any],
-        windy: Sequence[bool], truth: bool,
+        windy: Sequence[bool], truth: bool, rate: float = math.inf,
     ):  # fmt: skip
         self._types, self._truth, self._dt = types, truth, world.time_step
+        self._each = max(1, math.ceil(1.0 / (rate * world.time_step) - 1e-6))
         self.namespaces = namespaces(names)
         self.topics: list[t.Topic] = [t.TF]
         self._transforms = Transforms(types, self.namespaces)
@@ -88,8 +91,12 @@ class Publications:
             news: of sensors by column.
             true: (n, numbers.WIDTH), with the truth.
         """
+        due = tick % self._each == 0
+        if not due and not any(any(fresh) for fresh, _ in news.values()):
+            return
         numbers, stamps = self._numbers(values), [stamp_of(time) for time in believed]
-        yield 0, self._transforms.message(numbers, stamps)
+        if due:
+            yield 0, self._transforms.message(numbers, stamps)
         for row, (own, own_numbers) in enumerate(zip(self._vehicles, numbers.tolist(), strict=True)):
             for topic, publication in own:
                 stamp = stamps[row]
@@ -98,25 +105,27 @@ class Publications:
                     if not fresh[row]:
                         continue
                     stamp = stamp_of(times[row])
-                elif not self._is_time(tick, publication.kind.every):
+                elif not (due and self._is_time(tick, publication.kind.every)):
                     continue
                 message = publication.message(own_numbers, *stamp)
                 if message is not None:
                     yield topic, message
-        if true is not None:
+        if due and true is not None:
             yield from self._truths(true, stamp_of(tick * self._dt))
 
     def _numbers(self, values: Array) -> Array:
         found = n.seen(values)
         still, growth, turn = self._noise
-        found[:, n.RANGE_VARIANCE] = (still + growth * found[:, n.RANGE]) ** 2
+        measured = np.where(np.isfinite(found[:, n.RANGE]), found[:, n.RANGE], 0.0)
+        found[:, n.RANGE_VARIANCE] = (still + growth * measured) ** 2
         for first in (n.TURN_VARIANCE, n.IMU_VARIANCE):
             own = found[:, first : first + 3]
             own[:] = np.where(own == 0.0, turn[:, None], own)
         return found
 
     def _is_time(self, tick: int, every: float) -> bool:
-        return not every or tick % max(1, round(every / self._dt)) == 0
+        # Of ticks at which something is published.
+        return not every or tick // self._each % max(1, round(every / (self._dt * self._each))) == 0
 
     def _truths(self, true: Array, stamp: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
         for own, row in zip(self._true, true.tolist(), strict=True):

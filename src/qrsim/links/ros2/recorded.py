@@ -35,6 +35,7 @@ class Recorded:
 
     Attributes:
         world: of its scenario.
+        site: where its map is on the Earth.
         names: of the vehicles.
         behind: of each vehicle how old its estimate is [s].
         has_truth: whether the truth was recorded.
@@ -42,7 +43,7 @@ class Recorded:
 
     def __init__(self, run: Run, every: int):
         scenario = load_scenario(run.scenario, quiet=True)
-        self.world, self._site = scenario.world(run.info.precision), scenario.site
+        self.world, self.site = scenario.world(run.info.precision), scenario.site
         self.names = tuple(run.vehicles)
         if tuple(name for fleet in self.world.fleets for name in fleet.vehicle_names) != self.names:
             raise RunError(f"{run.folder}: its vehicles are not those of its scenario.yaml")
@@ -98,6 +99,8 @@ class Recorded:
             fields = {
                 f"{field}.{axis}": column + i for field, column in vectors.items() for i, axis in enumerate("xyz")
             }
+            if f"{name}.range" in measured:
+                scalars = scalars | {"status": s.RANGE_STATUS}
             for field, column in (fields | scalars).items():
                 if f"{name}.{field}" in measured and column not in found:
                     found[column] = number
@@ -150,7 +153,7 @@ class Recorded:
             self._know(values, ticks)
         flat = values.reshape(-1, s.WIDTH)
         plain = np.isnan(flat[:, s.FIX_TYPE]) & np.isfinite(flat[:, s.FIX_POSITION])
-        s.complete(flat, self._site, plain)
+        s.complete(flat, self.site, plain)
         return values
 
     def _asked(self, ticks: Array, yaw: Array) -> Array:

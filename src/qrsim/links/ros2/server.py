@@ -14,14 +14,17 @@ from qrsim.links.pacing import Metronome, PaceReport
 from qrsim.links.ros2 import topics as t
 from qrsim.links.ros2.commands import topics_of, wish_of
 from qrsim.links.ros2.messages import Messages, text_message
-from qrsim.links.ros2.participant import Participant, Reader
+from qrsim.links.ros2.node import Node, Reader
 from qrsim.links.ros2.pilots import Pilots
 from qrsim.links.ros2.radio import hand_over, said_topic
 from qrsim.links.ros2.typestore import Types
 from qrsim.simulation.simulation import Simulation
 
+# By the wall clock; as fast as it computes; or each tick when all who are flown have been asked for something.
+PACES = ("free", "fast", "barrier")
 CONTROLS = ("pause", "resume", "reset", "step")
 MOST_STEPS = 1_000_000
+BARRIER_EVERY_S = 2e-4
 # While the world stands, others are listened to so often; its status is told so often [s] of the wall clock.
 LISTEN_EVERY_S, STATUS_EVERY_S = 0.01, 1.0
 
@@ -31,20 +34,20 @@ class Options:
     """How a world is served.
 
     Attributes:
-        domain: as ROS_DOMAIN_ID.
         factor: simulated seconds per second of the wall clock.
         truth: whether the truth is published too.
-        reliable: whether lost readings are sent again.
         hold: silence [s] after which a vehicle holds its place.
         paused: whether it begins standing.
+        rate: how often estimates, TF and truth are published at most [Hz].
+        pace: one of PACES.
     """
 
-    domain: int = 0
     factor: float = 1.0
     truth: bool = False
-    reliable: bool = False
     hold: float = 0.5
     paused: bool = False
+    rate: float = 50.0
+    pace: str = "free"
 
 
 class Server:
@@ -55,19 +58,16 @@ class Server:
         types: of the distribution.
         options: how it is served.
         say: told one line of what happens.
-
-    Raises:
-        UsageError, RunError: see ``Participant``.
+        node: that others see.
     """
 
-    def __init__(self, simulation: Simulation, types: Types, options: Options, say: Callable[[str], None]):
-        self._types, self._options, self._say = types, options, say
-        self._participant = Participant(types, options.domain, resend=options.reliable)
+    def __init__(self, simulation: Simulation, types: Types, options: Options, say: Callable[[str], None], node: Node):
+        self._types, self._options, self._say, self._participant = types, options, say, node
         self.simulation = simulation
         simulation.reset()
-        self._pilots = Pilots(simulation, options.hold, options.factor, say)
+        self._pilots = Pilots(simulation, options.hold, options.factor, say, by_wall=options.pace != "free")
         self._warm()
-        self.messages = Messages(types, simulation, options.truth)
+        self.messages = Messages(types, simulation, options.truth, options.rate)
         self._writers = [self._participant.writer(topic) for topic in self.messages.topics]
         self._static = self._participant.writer(t.TF_STATIC)
         self._status = self._participant.writer(t.STATUS)
@@ -106,7 +106,10 @@ class Server:
                 self._tell_status()
                 time.sleep(LISTEN_EVERY_S)
                 continue
-            if not self.paused:
+            if self._options.pace == "barrier" and not self.paused and self._pilots.waited_for:
+                time.sleep(BARRIER_EVERY_S)
+                continue
+            if not self.paused and self._options.pace == "free":
                 wait = self._pacer.until_s(self.simulation.time + self.simulation.world.time_step)
                 if wait > 0.0:
                     time.sleep(wait)
@@ -117,7 +120,7 @@ class Server:
         self.simulation.advance(self._pilots.actions())
         self._steps = max(0, self._steps - 1)
         self.publish()
-        if not self.paused:
+        if not self.paused and self._options.pace == "free":
             self._pacer.ended(self.simulation.time)
         elif not self._steps:
             self._told_status = -math.inf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,10 +11,11 @@ import numpy as np
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2.blank import empty
 from qrsim.links.ros2.frames import flu_of
-from qrsim.links.ros2.names import MAP, base_link, gnss_link, range_link
+from qrsim.links.ros2.names import EARTH, MAP, base_link, gnss_link, range_link
 from qrsim.links.ros2.template import Put, Template
 from qrsim.links.ros2.typestore import Types
 from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
+from qrsim.models.site import Site
 from qrsim.world.state import Fleet, World
 
 Array = np.ndarray[Any, Any]
@@ -76,13 +78,25 @@ def transform(
     return found
 
 
-def static_transforms(types: Types, world: World, namespaces: Sequence[str]) -> Any:
-    """Return the message of /tf_static: GNSS receivers and rangefinders of vehicles."""
-    found, rest = [], iter(namespaces)
+def static_transforms(types: Types, world: World, namespaces: Sequence[str], site: Site) -> Any:
+    """Return the message of /tf_static: the map on the Earth (REP-105), GNSS receivers and rangefinders of vehicles."""
+    found, rest = [on_earth(types, site)], iter(namespaces)
     for fleet in world.fleets:
         for _ in range(fleet.size):
             found += _of_vehicle(types, fleet, next(rest))
     return types[TYPE](found)
+
+
+def on_earth(types: Types, site: Site) -> Any:
+    """Return the transform of the map, east, north, up, in the frame of the Earth: ECEF of WGS-84."""
+    latitude, longitude = site.latitude_rad, site.longitude_rad
+    # About z by the longitude and a quarter turn, which brings x to the east, then about x by the colatitude.
+    about, tilt = 0.5 * (longitude + 0.5 * math.pi), 0.5 * (0.5 * math.pi - latitude)
+    turn = (
+        math.cos(about) * math.sin(tilt), math.sin(about) * math.sin(tilt), math.sin(about) * math.cos(tilt),
+        math.cos(about) * math.cos(tilt),
+    )  # fmt: skip
+    return transform(types, EARTH, MAP, site.origin_ecef().tolist(), turn)
 
 
 def _of_vehicle(types: Types, fleet: Fleet, name: str) -> list[Any]:

@@ -21,11 +21,11 @@ FIX_POSITION, FIX_VELOCITY = 18, 21
 HEIGHT, PRESSURE, TEMPERATURE, DIFFERENTIAL, AIRSPEED, RANGE = 24, 25, 26, 27, 28, 29
 SATELLITES, FIX_TYPE, HORIZONTAL, VERTICAL, SPEED = 30, 31, 32, 33, 34
 CHARGE, WIND_NORTH, WIND_EAST, STD_POSITION, STD_VELOCITY, STD_ATTITUDE = 35, 36, 37, 38, 41, 44
-HDOP, VDOP = 47, 48
+HDOP, VDOP, RANGE_STATUS = 47, 48, 60
 # What follows is computed: latitude, longitude [deg] and height [m] of the estimate, its quaternion, the same place of
 # the fix, and the voltage of the battery [V].
 PLACE, QUATERNION, FIX_PLACE, VOLTAGE = 49, 52, 56, 59
-WIDTH = 60
+WIDTH = 61
 # Where the fields of readings go; the first sensor that has a field counts.
 VECTORS = {"rates_body": RATES, "specific_force": FORCE, "field_body": FIELD}
 FIX_VECTORS = {"position_ned": FIX_POSITION, "velocity_ned": FIX_VELOCITY}
@@ -222,6 +222,9 @@ def _of_reading(reading: Any) -> Iterator[tuple[int, Any]]:
             yield from _axes(vectors[name], value)
         elif name in scalars and isinstance(value, int):
             yield scalars[name], value
+        # Of a rangefinder; others have one that says something else.
+        elif name == "status" and "range" in vars(reading) and isinstance(value, int):
+            yield RANGE_STATUS, value
 
 
 def _axes(column: int, vector: Any) -> Iterator[tuple[int, Any]]:

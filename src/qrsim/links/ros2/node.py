@@ -1,0 +1,41 @@
+"""What a transport has to be: a node of ROS 2 with writers and readers of topics, whatever carries the bytes."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from qrsim.links.ros2.topics import Topic
+
+
+class Writer(Protocol):
+    """Writes messages of a topic."""
+
+    lost: int
+
+    def write(self, cdr: bytes) -> None:
+        """Write a message in CDR; never waits."""
+
+
+class Reader(Protocol):
+    """Reads messages of a topic."""
+
+    topic: Topic
+
+    def take(self) -> list[Any]:
+        """Return what has come, oldest first."""
+
+
+class Node(Protocol):
+    """A node; made by ``participant.Participant`` over DDS, and ``zenoh_node.ZenohNode`` over zenoh."""
+
+    def writer(self, topic: Topic) -> Writer:
+        """Return a new writer of a topic."""
+
+    def reader(self, topic: Topic) -> Reader:
+        """Return a new reader of a topic."""
+
+    def announce(self) -> None:
+        """Tell others which topics are this node's, once all are made."""
+
+    def strangers(self) -> list[tuple[str, str]]:
+        """Return topics that this node reads and others have begun to write as another type, with that type."""

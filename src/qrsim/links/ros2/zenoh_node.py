@@ -1,0 +1,206 @@
+"""A session of zenoh that looks like a node of ROS 2 with rmw_zenoh: the second transport, of the same bytes.
+
+Keys, attachments and liveliness tokens are those of rmw_zenoh_cpp (its design.md, liveliness_utils.cpp and
+attachment_helpers.cpp).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+import time
+from typing import Any
+
+import zenoh
+import zenoh.ext
+
+from qrsim.errors import RunError
+from qrsim.links.ros2.participant import checked_domain
+from qrsim.links.ros2.profiles import PROFILES, Profile
+from qrsim.links.ros2.topics import Topic
+from qrsim.links.ros2.typestore import Types, dds_name
+
+# Of rmw_zenohd, to which nodes of ROS 2 connect.
+ROUTER = "tcp/localhost:7447"
+# What stands in keys of distributions without type hashes.
+_NO_HASH = "TypeHashNotSupported"
+_MOST_AT_ONCE = 32
+# Of rmw_qos_reliability_policy_e and rmw_qos_durability_policy_e; what is empty is the default, reliable and volatile.
+_BEST_EFFORT, _TRANSIENT_LOCAL = 2, 1
+
+
+class ZenohNode:
+    """A node of ROS 2 for others, with its topics; as ``Participant``.
+
+    Args:
+        types: of the distribution.
+        domain: as ROS_DOMAIN_ID.
+        node: its name.
+        resend: whether readings of sensors are told to be reliable.
+        router: where it connects to; it goes on without, and tries again.
+        listen: where it can be connected to.
+
+    Raises:
+        UsageError: there is no such domain.
+        RunError: zenoh does not start.
+    """
+
+    def __init__(
+        self, types: Types, domain: int, node: str = "qrsim", resend: bool = False, router: str = ROUTER,
+        listen: str = "tcp/localhost:0",
+    ):  # fmt: skip
+        self._types, self._node, self._resend, self._domain = types, node, resend, checked_domain(domain)
+        try:
+            self._session = zenoh.open(_config(router, listen))
+        except zenoh.ZError as error:
+            # Its own words are lines of where in the library; the first says what.
+            raise RunError(f"zenoh does not start with the router {router}: {str(error).splitlines()[0]}") from None
+        self._zid = str(self._session.zid())
+        # What nobody holds any more is undeclared.
+        self._kept: list[Any] = []
+        self._entities = 0
+        self._read: dict[str, set[str]] = {}
+        self._others = self._session.liveliness().declare_subscriber(
+            f"@ros2_lv/{domain}/**", zenoh.handlers.FifoChannel(4096), history=True
+        )
+        self._declare("NN", "")
+
+    def writer(self, topic: Topic) -> ZenohWriter:
+        """Return a new writer of a topic."""
+        profile = PROFILES[topic.quality]
+        if topic.quality == "sensor" and self._resend:
+            profile = Profile(reliable=True, depth=profile.depth)
+        key, token = self._key(topic), self._declare("MP", self._told(topic, profile))
+        options: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.DROP}
+        if profile.latched:
+            cache = zenoh.ext.CacheConfig(profile.depth)
+            made: Any = zenoh.ext.declare_advanced_publisher(
+                self._session, key, cache=cache, publisher_detection=True, **options
+            )
+        else:
+            made = self._session.declare_publisher(key, **options)
+        self._kept.append(made)
+        return ZenohWriter(made, hashlib.blake2b(token.encode(), digest_size=16).digest())
+
+    def reader(self, topic: Topic) -> ZenohReader:
+        """Return a new reader of a topic."""
+        self._declare("MS", self._told(topic, PROFILES[topic.quality]))
+        self._read.setdefault(topic.name, set()).add(dds_name(topic.type))
+        channel = zenoh.handlers.RingChannel(_MOST_AT_ONCE)
+        if PROFILES[topic.quality].latched:
+            made: Any = zenoh.ext.declare_advanced_subscriber(
+                self._session, self._key(topic), channel, history=zenoh.ext.HistoryConfig(detect_late_publishers=True)
+            )
+        else:
+            made = self._session.declare_subscriber(self._key(topic), channel)
+        self._kept.append(made)
+        return ZenohReader(self._types, topic, made)
+
+    def announce(self) -> None:
+        """Do nothing: tokens have told of every topic."""
+
+    def strangers(self) -> list[tuple[str, str]]:
+        """Return topics that this node reads and others have begun to write as another type, with that type."""
+        found = []
+        for _ in range(_MOST_AT_ONCE):
+            sample = self._others.try_recv()
+            if sample is None:
+                break
+            parts = str(sample.key_expr).split("/")
+            if sample.kind == zenoh.SampleKind.PUT and len(parts) == 13 and parts[5] == "MP":
+                name, kind = parts[9].replace("%", "/"), parts[10].replace("%", "/")
+                if name in self._read and kind not in self._read[name]:
+                    found.append((name, kind.replace("::dds_::", "::").replace("::", "/").rstrip("_")))
+        return found
+
+    def close(self) -> None:
+        """Leave."""
+        self._session.close()
+
+    def _key(self, topic: Topic) -> str:
+        return f"{self._domain}/{topic.name.strip('/')}/{dds_name(topic.type)}/{self._hash(topic.type)}"
+
+    def _hash(self, name: str) -> str:
+        return self._types.hash(name) or _NO_HASH
+
+    def _told(self, topic: Topic, profile: Profile) -> str:
+        """Return what a token says of a topic: name, type, hash and qualities of service."""
+        reliability = "" if profile.reliable else _BEST_EFFORT
+        durability = _TRANSIENT_LOCAL if profile.latched else ""
+        quality = f"{reliability}:{durability}:,{profile.depth}:,:,:,,"
+        return f"/{_mangled(topic.name)}/{dds_name(topic.type)}/{self._hash(topic.type)}/{quality}"
+
+    def _declare(self, what: str, told: str) -> str:
+        """Declare a token of this node (NN), or of a publisher (MP) or subscriber (MS) of its, and return it."""
+        token = f"@ros2_lv/{self._domain}/{self._zid}/0/{self._entities}/{what}/%/%/{self._node}{told}"
+        self._entities += 1
+        self._kept.append(self._session.liveliness().declare_token(token))
+        return token
+
+
+def _config(router: str, listen: str) -> Any:
+    """Return the settings of a session, as rmw_zenoh's for nodes, except that it goes on without a router."""
+    config = zenoh.Config()
+    for path, value in (
+        ("mode", "peer"), ("connect/endpoints", [router]), ("connect/exit_on_failure", False),
+        ("connect/timeout_ms", 0), ("listen/endpoints", [listen]), ("scouting/multicast/enabled", False),
+        ("timestamping/enabled", True),
+    ):  # fmt: skip
+        config.insert_json5(path, json.dumps(value))
+    return config
+
+
+def _mangled(name: str) -> str:
+    return name.replace("/", "%")
+
+
+class ZenohWriter:
+    """Writes messages as bytes; as ``participant.Writer``.
+
+    Attributes:
+        lost: always 0, because zenoh does not say what it drops.
+    """
+
+    def __init__(self, publisher: Any, gid: bytes):
+        self._publisher, self._gid = publisher, _text("source_gid") + bytes([len(gid)]) + gid
+        self._number, self.lost = 0, 0
+
+    def write(self, cdr: bytes) -> None:
+        """Write a message in CDR; never waits."""
+        self._number += 1
+        self._publisher.put(cdr, attachment=attachment(self._number, time.time_ns()) + self._gid)
+
+
+class ZenohReader:
+    """Reads messages; as ``participant.Reader``.
+
+    Attributes:
+        topic: that it reads.
+    """
+
+    def __init__(self, types: Types, topic: Topic, subscriber: Any):
+        self._types, self.topic, self._subscriber = types, topic, subscriber
+
+    def take(self) -> list[Any]:
+        """Return what has come, oldest first."""
+        found = []
+        for _ in range(_MOST_AT_ONCE):
+            sample = self._subscriber.try_recv()
+            if sample is None:
+                break
+            if sample.kind == zenoh.SampleKind.PUT:
+                found.append(self._types.decode(sample.payload.to_bytes(), self.topic.type))
+        return found
+
+
+def _text(name: str) -> bytes:
+    return bytes([len(name)]) + name.encode()
+
+
+_SEQUENCE, _TIME = _text("sequence_number"), _text("source_timestamp")
+
+
+def attachment(number: int, nanoseconds: int) -> bytes:
+    """Return the first two parts of an attachment, in the serialisation of zenoh: sequence number and time."""
+    return _SEQUENCE + struct.pack("<q", number) + _TIME + struct.pack("<q", nanoseconds)
