@@ -15,9 +15,9 @@ import numpy as np
 from qrsim.core.noise import Draw, Key
 from qrsim.errors import UsageError
 from qrsim.tasks.baselines.chasing import Chasing
-from qrsim.tasks.baselines.descending import Descending
 from qrsim.tasks.baselines.holding import FLOWN, Holding
 from qrsim.tasks.baselines.mapping import Mapping
+from qrsim.tasks.baselines.searching import Searching
 from qrsim.tasks.baselines.touring import Touring
 from qrsim.tasks.play import TASK, Play
 from qrsim.tasks.plume_mapping import PlumeMapping
@@ -25,10 +25,10 @@ from qrsim.tasks.pursuit import Pursuit
 from qrsim.tasks.search import Search
 from qrsim.tasks.simple import KeepSpot, KeepVelocity, ReachWaypoint
 
-__all__ = ["Baseline", "BaselinePolicy", "Chasing", "Descending", "Holding", "Mapping", "Touring", "baseline", "oracle"]
+__all__ = ["Baseline", "BaselinePolicy", "Chasing", "Holding", "Mapping", "Searching", "Touring", "baseline", "oracle"]
 SIMPLE: dict[type, Any] = dict.fromkeys((KeepSpot, ReachWaypoint, KeepVelocity), Holding)
 ORACLES: dict[type, Any] = {Search: Touring}
-KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Descending, PlumeMapping: Mapping, **SIMPLE}
+KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Searching, PlumeMapping: Mapping, **SIMPLE}
 
 
 class Baseline(Protocol):
