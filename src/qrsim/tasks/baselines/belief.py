@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qrsim.errors import UsageError
 from qrsim.models.scene.persons import INNER, Persons
 from qrsim.models.sensors.camera import Camera
 from qrsim.tasks.play import Play
@@ -74,13 +75,17 @@ class Belief:
 
     Args:
         play: a search with lying persons, in a box.
+
+    Raises:
+        UsageError: there are no lying persons.
     """
 
     def __init__(self, play: Play):
         area: Any = play.world.area
         persons = play.world.contents.persons
         assert isinstance(play.task, Search)
-        assert isinstance(persons, Persons)
+        if not isinstance(persons, Persons):
+            raise UsageError("policy baseline: it looks for lying persons; world.persons has none (type: lying)")
         self.camera = play.task.lens(play.world)
         self.low = np.array([float(area.x_min), float(area.y_min)])
         self.extent = np.array([float(area.x_max), float(area.y_max)]) - self.low

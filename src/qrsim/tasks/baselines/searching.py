@@ -40,7 +40,7 @@ class Searching:
         area: Any = play.world.area
         self._belief = Belief(play)
         self._coverage = Coverage(self._belief.low, self._belief.extent, self._belief.camera)
-        self._height = min(SURVEY, -float(area.z_min) - CEILING)
+        self._height = max(HEIGHT, min(SURVEY, -float(area.z_min) - CEILING))
         self._limit = float(play.axes[0].high)
         self._left, self._period = play.steps, play.task.period
         count = len(play.agents)
