@@ -68,7 +68,7 @@ def test_intervals_are_those_of_a_bootstrap() -> None:
     ("policy", "message"),
     [
         (lambda seen: np.zeros(3), r"policy own: expected actions of shape \(1, 5\) \(agents, axes\), found \(3,\)"),
-        (lambda seen: "up", r"policy own: expected actions of shape \(1, 5\), found array\('up'"),
+        (lambda seen: "up", r"policy own: expected actions of shape \(1, 5\) \(agents, axes\), found 'up'"),
         (lambda seen: np.full((1, 5), np.nan), "policy own: pitch of 'pelicans_0' in environment 0 is nan"),
         (
             lambda seen: np.full((1, 5), 2.0),

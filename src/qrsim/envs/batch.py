@@ -11,7 +11,7 @@ import numpy as np
 
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
-from qrsim.errors import UsageError
+from qrsim.errors import UsageError, shortened
 from qrsim.tasks.episodes import Episodes, score
 from qrsim.world.episode import refuse_unplaced
 
@@ -21,6 +21,38 @@ ROUNDING = 1e-5
 LARGEST_SEED = 2**63
 # Numbers of a vehicle in the state of an episode.
 STATE = 13
+
+
+def checked_seed(seed: Any) -> int:
+    """Return a seed.
+
+    Raises:
+        UsageError: it is no integer from 0 to 2**63 - 1.
+    """
+    whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
+    if not (whole and 0 <= int(seed) < LARGEST_SEED):
+        raise UsageError(f"seed: {int(seed) if whole else one_line(seed)} is not an integer from 0 to 2**63 - 1")
+    return int(seed)
+
+
+def numbers(given: Any, what: str, shape: tuple[int, ...]) -> FloatArray:
+    """Return an array of integers, truth values or real numbers, as it is; ``shape`` is for the message.
+
+    Raises:
+        UsageError: it has rows of different lengths, or something else in it, such as text or complex numbers.
+    """
+    try:
+        array = np.asarray(given)
+    except (TypeError, ValueError):
+        array = np.zeros((), str)
+    if array.dtype.kind not in "biufO" or isinstance(given, dict) or given is None:
+        raise UsageError(f"{what}: expected numbers of shape {shape}, found {one_line(given)}")
+    return array
+
+
+def one_line(value: Any) -> str:
+    """Describe a value for a message."""
+    return shortened(" ".join(repr(value).split()), 80)
 
 
 class Batch:
@@ -62,18 +94,16 @@ class Batch:
     def _precision(self) -> Any:
         return jax.enable_x64(self.dtype == np.float64)
 
-    def reset(self, seeds: FloatArray, rows: FloatArray | None = None) -> None:
+    def reset(self, seeds: Iterable[Any], rows: FloatArray | None = None) -> None:
         """Reset the episodes ``rows`` (None: all) with new seeds, one each.
 
         Raises:
             UsageError: a seed is no integer from 0 to 2**63 - 1.
             RunError: a fleet found no place.
         """
-        for seed in seeds:
-            if isinstance(seed, bool) or not 0 <= int(seed) < LARGEST_SEED:
-                raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
+        given = [checked_seed(seed) for seed in seeds]
         which = np.arange(self.size) if rows is None else np.asarray(rows)
-        self.seeds[which], self.numbers[which] = np.asarray(seeds, np.int64), 0
+        self.seeds[which], self.numbers[which] = np.array(given, np.int64), 0
         self._start(which)
 
     def again(self, rows: FloatArray) -> None:
@@ -120,9 +150,9 @@ class Batch:
         axes, agents = self.axes, self.functional.agents
         shape = (self.size, len(agents), len(axes))
         try:
-            array = np.asarray(action, self.dtype)
+            array = np.asarray(numbers(action, who, shape), self.dtype)
         except (TypeError, ValueError, OverflowError):
-            raise UsageError(f"{who}: expected numbers of shape {shape[2:]}, found {action!r}") from None
+            raise UsageError(f"{who}: expected numbers of shape {shape[2:]}, found {one_line(action)}") from None
         if array.shape != shape:
             # Whoever has one environment, or one agent, does not see these axes.
             raise UsageError(

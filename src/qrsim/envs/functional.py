@@ -17,6 +17,7 @@ from qrsim.errors import UsageError
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.tasks import Episode, Play, Step
 from qrsim.tasks.agents import Axis
+from qrsim.tasks.play import EpisodeKeys
 from qrsim.tasks.speaking import ACT, SAY
 
 
@@ -69,8 +70,14 @@ class Functional:
         Args:
             seeds: 0 <= seed < 2**63.
             numbers: which episode of its seed each is, 0 <= number < 2**32.
+
+        Raises:
+            UsageError: a seed is none.
         """
-        seeds = np.atleast_1d(np.asarray(seeds, np.int64))
+        given = np.atleast_1d(np.asarray(seeds))
+        if given.dtype.kind not in "iu" or (given.size and (given.min() < 0 or given.max() >= 2**63)):
+            raise UsageError(f"seed: {' '.join(repr(seeds).split())} is no array of integers from 0 to 2**63 - 1")
+        seeds = given.astype(np.int64)
         return self.play.keys(Key.roots(seeds, np.broadcast_to(np.asarray(numbers, np.int64), seeds.shape)))
 
     def reset(self, seed: Any) -> tuple[Episode, Any]:
@@ -78,8 +85,14 @@ class Functional:
 
         Args:
             seed: () or, for one of 64 bits, its low and high words (2,) uint32; or one of ``keys``.
+
+        Raises:
+            UsageError: a seed is none.
         """
-        if hasattr(seed, "dtype") or isinstance(seed, int):
+        if not isinstance(seed, EpisodeKeys):
+            whole = jnp.issubdtype(seed.dtype, jnp.integer) if hasattr(seed, "dtype") else type(seed) is int
+            if not whole or (isinstance(seed, int) and not 0 <= seed < 2**32):
+                raise UsageError(f"seed: {seed!r} is neither an integer from 0 to 2**32 - 1 nor one of keys()")
             words = jnp.asarray(seed, jnp.uint32)
             key = Key.root(words if words.ndim else jnp.stack([words, jnp.uint32(0)]))
             return self.play.reset(self.play.keys(key))

@@ -70,12 +70,16 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Start an episode; without a seed the next one of the series."""
+        """Start an episode; without a seed the next one of the series.
+
+        Raises:
+            UsageError: a seed is no integer from 0 to 2**63 - 1.
+        """
         if seed is None and self._seeded:
             self.batch.again(np.zeros(1, np.int64))
         else:
             first = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-            self.batch.reset(np.array([first]))
+            self.batch.reset([first])
         self._seeded = True
         self.agents = list(self.possible_agents)
         if self._drawing is not None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import jax
 import numpy as np
 
-from qrsim.envs.batch import Batch
-from qrsim.errors import UsageError
+from qrsim.envs.batch import Batch, numbers, one_line
+from qrsim.errors import QrsimError, RunError, UsageError
 from qrsim.tasks.agents import Axis
 from qrsim.tasks.baselines import baseline, oracle
 from qrsim.tasks.play import Play
@@ -22,6 +23,7 @@ BUILT_IN = (BASELINE, HOVER, RANDOM, ORACLE)
 CONFIDENCE, RESAMPLES, RESAMPLE_SEED = 0.95, 2000, 20261123
 
 
+@runtime_checkable
 class Policy(Protocol):
     """Policy of all agents of one episode; see ``Answering`` too."""
 
@@ -78,7 +80,7 @@ class _Function:
         self._function = function
 
     def act(self, seen: Any) -> Floats:
-        return np.asarray(self._function(seen))
+        return self._function(seen)
 
 
 def _neutral(play: Play, axis: Axis) -> float:
@@ -99,7 +101,7 @@ def maker(policy: str | Any, play: Play) -> Callable[[Play, int], Policy]:
         play: the task, for which there has to be a baseline or an oracle if that is asked for.
 
     Raises:
-        UsageError: the task has no baseline or no oracle, or a policy cannot be called.
+        UsageError: the task has no baseline or no oracle, a policy cannot be called, or a class has no ``act``.
     """
     if policy == BASELINE:
         baseline(play)
@@ -110,6 +112,8 @@ def maker(policy: str | Any, play: Play) -> Callable[[Play, int], Policy]:
     if policy in (HOVER, RANDOM):
         return Hover if policy == HOVER else Uniform
     if isinstance(policy, type):
+        if not issubclass(policy, Policy):
+            raise UsageError(f"--policy: the class {policy.__name__} has no act(seen)")
         return policy
     if not callable(policy):
         raise UsageError(f"--policy: {policy!r} is neither a function of what is seen nor a class with act(seen)")
@@ -181,19 +185,23 @@ def play_policy(
 
     Raises:
         UsageError: an action or answer of another shape, not finite or out of range.
+        RunError: anything that a user's policy raises.
     """
     play = jax.tree.map(np.asarray, batch.functional.play)
     batch.reset(seeds)
-    policies = [make(play, int(seed)) for seed in seeds]
+    with _blamed(name, "making it of (play, seed)"):
+        policies = [make(play, int(seed)) for seed in seeds]
     drawing = _drawing(batch) if drawn else None
     nothing = np.zeros((len(play.agents), len(play.axes)))
     total, flies = np.zeros(batch.size), np.ones(batch.size, bool)
     for step in range(play.steps):
         seen = [jax.tree.map(lambda leaf, i=i: leaf[i], batch.seen) for i in range(batch.size)]
-        for row, each in enumerate(policies):
-            if isinstance(each, Informed) and flies[row]:
-                each.know(batch.episodes.episode(row).state)
-        actions = [checked(policies[i].act(seen[i]), nothing, name) if flies[i] else nothing for i in range(batch.size)]
+        with _blamed(name, f"step {step + 1}"):
+            for row, each in enumerate(policies):
+                if isinstance(each, Informed) and flies[row]:
+                    each.know(batch.episodes.episode(row).state)
+            given = [policies[i].act(seen[i]) if flies[i] else nothing for i in range(batch.size)]
+        actions = [checked(action, nothing, name) for action in given]
         reward, terminated, truncated = batch.step(np.stack(actions), who=f"policy {name}")
         total += np.where(flies, reward.mean(axis=1, dtype=np.float64), 0.0)
         if drawing is not None and flies[0]:
@@ -206,8 +214,27 @@ def play_policy(
             break
     for i in np.flatnonzero(flies) if play.task.hands_in else ():
         policy = policies[i]
-        total[i] += batch.score(int(i), policy.answer() if isinstance(policy, Answering) else _nothing(batch)).mean()
+        with _blamed(name, "answer"):
+            answer = policy.answer() if isinstance(policy, Answering) else _nothing(batch)
+        total[i] += batch.score(int(i), answer).mean()
     return Scored(name, total, flies, picture if drawing is not None else None)
+
+
+@contextmanager
+def _blamed(name: str, where: str) -> Iterator[None]:
+    """Name a user's policy in what it raises.
+
+    Raises:
+        RunError: what it raised, which stays the cause.
+    """
+    try:
+        yield
+    except QrsimError:
+        raise
+    except Exception as error:
+        if name in BUILT_IN:
+            raise
+        raise RunError(f"policy {name}: {where}: {type(error).__name__}: {' '.join(str(error).split())}") from error
 
 
 def checked(action: Any, like: Floats, name: str) -> Floats:
@@ -217,9 +244,10 @@ def checked(action: Any, like: Floats, name: str) -> Floats:
         UsageError: they have another shape, or are no numbers.
     """
     try:
-        array = np.asarray(action, np.float64)
-    except (TypeError, ValueError):
-        raise UsageError(f"policy {name}: expected actions of shape {like.shape}, found {action!r}") from None
+        array = np.asarray(numbers(action, name, like.shape), np.float64)
+    except (TypeError, ValueError, OverflowError):
+        expected = f"expected actions of shape {like.shape} (agents, axes)"
+        raise UsageError(f"policy {name}: {expected}, found {one_line(action)}") from None
     if array.shape != like.shape:
         raise UsageError(f"policy {name}: expected actions of shape {like.shape} (agents, axes), found {array.shape}")
     return array

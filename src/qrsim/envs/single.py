@@ -10,7 +10,7 @@ import gymnasium
 import jax
 import numpy as np
 
-from qrsim.envs.batch import Batch
+from qrsim.envs.batch import Batch, checked_seed, numbers
 from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
 from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
 from qrsim.errors import UsageError
@@ -34,14 +34,15 @@ def shaped(batch: Batch, flight: Any, who: str, *lead: int) -> np.ndarray[Any, A
     """Check the flight part of actions, and return it as an array (*lead, A).
 
     Raises:
-        UsageError: it has another shape.
+        UsageError: it has another shape, or is no numbers.
     """
     axes = batch.axes
     expected = (*lead, len(axes))
-    if np.shape(flight) != expected:
+    array = numbers(flight, who, expected)
+    if array.shape != expected:
         names = ", ".join(axis.name for axis in axes)
-        raise UsageError(f"{who}: expected shape {expected} ({names}), found {np.shape(flight)}")
-    return np.asarray(flight)
+        raise UsageError(f"{who}: expected shape {expected} ({names}), found {array.shape}")
+    return array
 
 
 class SingleTask(gymnasium.Env[Any, Any]):
@@ -84,13 +85,18 @@ class SingleTask(gymnasium.Env[Any, Any]):
         self._seeded = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode; return the observation and the info with the ground truth."""
+        """Start an episode; return the observation and the info with the ground truth.
+
+        Raises:
+            UsageError: a seed is no integer from 0 to 2**63 - 1.
+        """
+        seed = None if seed is None else checked_seed(seed)
         super().reset(seed=seed)
         if seed is None and self._seeded:
             self.batch.again(np.zeros(1, np.int64))
         else:
             first = int(self.np_random.integers(2**31)) if seed is None else seed
-            self.batch.reset(np.array([first]))
+            self.batch.reset([first])
         self._running = self._seeded = True
         if self._drawing is not None:
             self._drawing.begin()

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from qrsim.envs.batch import Batch
+from qrsim.envs.batch import Batch, checked_seed
 from qrsim.envs.drawing import RENDER_MODES, Drawing, checked_mode
 from qrsim.envs.single import only_one, shaped
 from qrsim.envs.spaces import action_space, answer_space, observation_space, split_say
@@ -91,10 +91,11 @@ class VectorTask(VectorEnv[Any, Any, Any]):
             self.batch.again(rows)
         else:
             first = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-            given = [first + i for i in range(self.num_envs)] if isinstance(first, int | np.integer) else list(first)
+            table = np.asarray(first, object)
+            given = list(table) if table.ndim else [checked_seed(first) + i for i in range(self.num_envs)]
             if len(given) != self.num_envs or any(given[row] is None for row in rows):
                 raise UsageError(f"seed: expected one for each of {self.num_envs} environments, found {len(given)}")
-            self.batch.reset(np.array([given[row] for row in rows]), rows)
+            self.batch.reset([given[row] for row in rows], rows)
         self._over[rows] = False
         self._begun(rows)
         return self._seen(), self._truth(np.ones(self.num_envs, bool))
