@@ -141,7 +141,7 @@ def test_topics_are_discovered_by_their_names_types_and_hashes(server):
     # Who reads late is told all the same: of the node, and of transforms that stay.
     info = participant.reader(Topic("/tf_static", "tf2_msgs/msg/TFMessage", "static"))
     names = {each.child_frame_id for each in until(info.take)[0].transforms}
-    assert names == {"uav_0/gnss", "uav_1/gnss", "uav_2/gnss"}
+    assert names == {"map", "uav_0/gnss", "uav_1/gnss", "uav_2/gnss"}
 
 
 def test_samples_off_the_wire_are_what_rosbags_writes(server):

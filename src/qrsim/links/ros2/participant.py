@@ -59,6 +59,8 @@ class Participant:
             ) from None
         self._writers: list[Writer] = []
         self._readers: list[Reader] = []
+        # By the name of each topic that is read, its types.
+        self._read: dict[str, set[str]] = {}
         self._heard = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         self._info: Any = None
 
@@ -78,6 +80,7 @@ class Participant:
         qos = self._qos(PROFILES[topic.quality], topic.type)
         reader = Reader(self._types, topic, DataReader(self._participant, found, qos=qos))
         self._readers.append(reader)
+        self._read.setdefault(f"rt{topic.name}", set()).add(dds_name(topic.type))
         return reader
 
     def announce(self) -> None:
@@ -95,10 +98,7 @@ class Participant:
 
     def strangers(self) -> list[tuple[str, str]]:
         """Return topics that this node reads and others have begun to write as another type, with that type."""
-        known: dict[str, set[str]] = {}
-        for reader in self._readers:
-            known.setdefault(f"rt{reader.topic.name}", set()).add(dds_name(reader.topic.type))
-        found = []
+        known, found = self._read, []
         for each in self._heard.take(_MOST_AT_ONCE):
             name, kind = str(each.topic_name), str(each.type_name)
             if name in known and kind not in known[name]:
