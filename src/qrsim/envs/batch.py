@@ -11,7 +11,7 @@ import numpy as np
 
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
-from qrsim.errors import UsageError, shortened
+from qrsim.errors import RunError, UsageError, shortened
 from qrsim.tasks.episodes import Episodes, score
 from qrsim.world.episode import refuse_unplaced
 
@@ -87,6 +87,8 @@ class Batch:
             self.episodes = Episodes(self.functional.play, self.size, self.dtype)
         self.seeds = np.zeros(self.size, np.int64)
         self.numbers = np.zeros(self.size, np.int64)
+        # Steps done of each episode, and whether it has ended: what comes after has no meaning.
+        self._steps, self._ended = np.zeros(self.size, np.int64), np.zeros(self.size, bool)
         self._answers: FloatArray | None = None
         self.seen: Any = None
         self.truth: dict[str, FloatArray] = {}
@@ -114,6 +116,7 @@ class Batch:
     def _start(self, rows: FloatArray) -> None:
         if self._answers is not None:
             self._answers[rows] = 0.0
+        self._steps[rows], self._ended[rows] = 0, False
         with self._precision():
             keys = self.functional.keys(self.seeds[rows], self.numbers[rows])
             begun = self.episodes.start(rows, keys)
@@ -133,6 +136,7 @@ class Batch:
 
         Raises:
             UsageError: nothing has started, or actions of another shape, not finite or outside [-1, 1].
+            RunError: the task's reward is NaN or infinite.
         """
         if not self.episodes.started:
             raise UsageError("the environment has not started: call reset() first")
@@ -143,7 +147,20 @@ class Batch:
         with self._precision():
             step, self.truth = self.episodes.step(checked)
         self.seen = step.observation
+        self._steps += 1
+        wrong = ~np.isfinite(step.reward) & ~self._ended[:, None]
+        if wrong.any():
+            row, agent = np.argwhere(wrong)[0]
+            raise RunError(f"{self._place(row, agent)}: the reward is {step.reward[row, agent]:g}")
+        self._ended |= step.terminated | step.truncated
         return step.reward, step.terminated, step.truncated  # type: ignore[return-value]
+
+    def _place(self, row: int, agent: int) -> str:
+        """Describe where a task's number comes from: its class, and which agent of which episode at which step."""
+        task = type(self.functional.play.task).__name__
+        series = f"episode {self.numbers[row]} of seed {self.seeds[row]}"
+        agents = self.functional.agents
+        return f"{self.functional.name}: task {task}: step {self._steps[row]}, {series}, '{agents[agent]}'"
 
     def checked(self, action: Any, who: str) -> FloatArray:
         """Check actions and return them as (B, n, A)."""
@@ -231,10 +248,15 @@ class Batch:
 
         Raises:
             UsageError: another shape, or something that is not finite.
+            RunError: the score is NaN or infinite.
         """
         array = self._answer(answer, (len(self.functional.agents),))
         with self._precision():
-            return score(self.functional.play, self.episodes.episode(row), array)
+            found = score(self.functional.play, self.episodes.episode(row), array)
+        if not np.isfinite(found).all():
+            agent = int(np.flatnonzero(~np.isfinite(found))[0])
+            raise RunError(f"{self._place(row, agent)}: the score of what was handed in is {found[agent]:g}")
+        return found
 
     def _answer(self, answer: Any, lead: tuple[int, ...]) -> FloatArray:
         """Check answers and return them as (*lead, ...)."""
