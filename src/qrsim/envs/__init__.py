@@ -38,7 +38,10 @@ SEVERAL = (
     "plume_mapping/3G",
 )
 
-__all__ = ["SEVERAL", "SINGLE", "Functional", "gymnasium_id", "parallel_env", "register"]
+# Of any scenario with a task: gymnasium.make(ANY_TASK, scenario="my_task.yaml").
+ANY_TASK = "qrsim/task-v0"
+
+__all__ = ["ANY_TASK", "SEVERAL", "SINGLE", "Functional", "gymnasium_id", "parallel_env", "register"]
 
 
 def gymnasium_id(scenario: str) -> str:
@@ -52,13 +55,14 @@ def register() -> None:
         import gymnasium
     except ModuleNotFoundError:
         return
-    for scenario in SINGLE:
-        if gymnasium_id(scenario) not in gymnasium.registry:
+    known = {gymnasium_id(scenario): {"scenario": scenario} for scenario in SINGLE}
+    for name, options in {**known, ANY_TASK: {}}.items():
+        if name not in gymnasium.registry:
             gymnasium.register(
-                gymnasium_id(scenario),
+                name,
                 entry_point="qrsim.envs.single:SingleTask",
                 vector_entry_point="qrsim.envs.vector:VectorTask",
-                kwargs={"scenario": scenario},
+                kwargs=options,
             )
 
 

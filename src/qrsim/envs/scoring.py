@@ -11,11 +11,12 @@ import jax
 import numpy as np
 
 from qrsim.envs.batch import Batch, numbers, one_line
-from qrsim.errors import QrsimError, RunError, UsageError
+from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
 from qrsim.tasks.agents import Axis
 from qrsim.tasks.baselines import baseline, oracle
 from qrsim.tasks.play import Play
 from qrsim.tasks.simple import Commanded
+from qrsim.tasks.speaking import ACT, SAY
 
 Floats = np.ndarray[Any, Any]
 BASELINE, HOVER, RANDOM, ORACLE = "baseline", "hover", "random", "oracle"
@@ -28,7 +29,10 @@ class Policy(Protocol):
     """Policy of all agents of one episode; see ``Answering`` too."""
 
     def act(self, seen: Any) -> Floats:
-        """Return the actions (n, A) in [-1, 1], from what the agents see, (n, O) or a dict of arrays (n, ...)."""
+        """Return the actions (n, A) in [-1, 1], from what the agents see, (n, O) or a dict of arrays (n, ...).
+
+        With a radio it may return a dict of ``act``, which is that, and ``say`` (n, D), NaN for who says nothing.
+        """
         ...
 
 
@@ -184,25 +188,27 @@ def play_policy(
         told: is called with the number of each step done.
 
     Raises:
-        UsageError: an action or answer of another shape, not finite or out of range.
-        RunError: anything that a user's policy raises.
+        UsageError: an action, message or answer of another shape, not finite or out of range.
+        RunError: anything that a user's policy raises, or a reward that is not finite.
     """
     play = jax.tree.map(np.asarray, batch.functional.play)
     batch.reset(seeds)
-    with _blamed(name, "making it of (play, seed)"):
+    with _blamed(name, "making it of (play, seed)", play):
         policies = [make(play, int(seed)) for seed in seeds]
     drawing = _drawing(batch) if drawn else None
     nothing = np.zeros((len(play.agents), len(play.axes)))
     total, flies = np.zeros(batch.size), np.ones(batch.size, bool)
     for step in range(play.steps):
         seen = [jax.tree.map(lambda leaf, i=i: leaf[i], batch.seen) for i in range(batch.size)]
-        with _blamed(name, f"step {step + 1}"):
+        with _blamed(name, f"step {step + 1}", play):
             for row, each in enumerate(policies):
                 if isinstance(each, Informed) and flies[row]:
                     each.know(batch.episodes.episode(row).state)
             given = [policies[i].act(seen[i]) if flies[i] else nothing for i in range(batch.size)]
-        actions = [checked(action, nothing, name) for action in given]
-        reward, terminated, truncated = batch.step(np.stack(actions), who=f"policy {name}")
+        parts = [_parted(batch, done, len(nothing), name) for done in given]
+        actions = np.stack([checked(act, nothing, name) for act, _ in parts])
+        words = np.stack([said for _, said in parts])
+        reward, terminated, truncated = batch.step(actions, words, f"policy {name}")
         total += np.where(flies, reward.mean(axis=1, dtype=np.float64), 0.0)
         if drawing is not None and flies[0]:
             drawing.moved()
@@ -214,14 +220,14 @@ def play_policy(
             break
     for i in np.flatnonzero(flies) if play.task.hands_in else ():
         policy = policies[i]
-        with _blamed(name, "answer"):
+        with _blamed(name, "answer", play):
             answer = policy.answer() if isinstance(policy, Answering) else _nothing(batch)
         total[i] += batch.score(int(i), answer).mean()
     return Scored(name, total, flies, picture if drawing is not None else None)
 
 
 @contextmanager
-def _blamed(name: str, where: str) -> Iterator[None]:
+def _blamed(name: str, where: str, play: Play) -> Iterator[None]:
     """Name a user's policy in what it raises.
 
     Raises:
@@ -232,9 +238,34 @@ def _blamed(name: str, where: str) -> Iterator[None]:
     except QrsimError:
         raise
     except Exception as error:
-        if name in BUILT_IN:
+        if name in BUILT_IN and (name != BASELINE or play.task.baseline is None):
             raise
         raise RunError(f"policy {name}: {where}: {type(error).__name__}: {' '.join(str(error).split())}") from error
+
+
+def _parted(batch: Batch, given: Any, agents: int, name: str) -> tuple[Any, Floats]:
+    """Return what a policy does, and what its agents say over the radio, (n, D); NaN for who says nothing.
+
+    Raises:
+        UsageError: a dict without ``act``, with something else than ``act`` and ``say``, or no D numbers to say.
+    """
+    shape = (agents, batch.functional.play.message)
+    if not (shape[1] and isinstance(given, dict)):
+        return given, np.full(shape, np.nan)
+    for part in given:
+        if part not in (ACT, SAY):
+            raise UsageError(f"policy {name}: there is no part '{part}'{did_you_mean(str(part), (ACT, SAY))}")
+    if ACT not in given:
+        raise UsageError(f"policy {name}: expected a dict of {ACT} and {SAY}; {ACT} is missing")
+    said = given.get(SAY)
+    words = np.full(shape, np.nan) if said is None else numbers(said, f"policy {name}: {SAY}", shape)
+    if words.shape != shape:
+        expected = f"expected shape {shape} (agents, world.radio.size)"
+        raise UsageError(f"policy {name}: {SAY}: {expected}, found {words.shape}")
+    try:
+        return given[ACT], words.astype(np.float64)
+    except (TypeError, ValueError):
+        raise UsageError(f"policy {name}: {SAY}: expected numbers of shape {shape}, found {one_line(said)}") from None
 
 
 def checked(action: Any, like: Floats, name: str) -> Floats:

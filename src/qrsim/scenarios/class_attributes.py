@@ -64,6 +64,9 @@ def attribute_type_problems(kind: str, component: type, contract: type | None) -
             yield _wrong(component, name, value, words)
     if kind == "vehicle":
         yield from _command_problems(component)
+    policy = getattr(component, "baseline", None) if kind == "task" else None
+    if policy is not None and not callable(getattr(policy, "act", None)):
+        yield _wrong(component, "baseline", policy, "a class with act(seen), made with (play, seed)")
 
 
 def _command_problems(component: Any) -> Iterator[str]:

@@ -16,7 +16,7 @@ from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.scene.area import REASONS
 from qrsim.models.vehicles.contracts import Load, Pose
 from qrsim.tasks.agents import Axis
-from qrsim.world.state import Start
+from qrsim.world.state import Piloted, Saying, Some, Start
 
 
 def _shape(value: Any) -> str:
@@ -304,9 +304,35 @@ def _agreed(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
 
 
 def _commanded(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
-    count = len(args[1].fleets)
-    if not isinstance(result, tuple) or len(result) != count:
-        yield f"it returned {_name(result)}; expected a tuple of {count}, one action or None for each fleet"
+    fleets = args[1].fleets
+    if not isinstance(result, tuple) or len(result) != len(fleets):
+        yield f"it returned {_name(result)}; expected a tuple of {len(fleets)}, one action or None for each fleet"
+        return
+    for fleet, action in zip(fleets, result, strict=True):
+        for part in _parts(action):
+            yield from _action(fleet, part)
+
+
+def _parts(action: Any) -> list[Any]:
+    """Return the commands and set-points that are in an action."""
+    if isinstance(action, Saying):
+        return _parts(action.action)
+    if isinstance(action, Some):
+        return [part for _, part in action.parts]
+    return [] if action is None or isinstance(action, Piloted) else [action]
+
+
+def _action(fleet: Any, action: Any) -> Iterator[str]:
+    what = f"the action of fleet '{fleet.name}'"
+    taken = (*getattr(type(fleet.controller), "setpoints", ()), *fleet.vehicle.actions)
+    if not isinstance(action, taken):
+        names = ", ".join(dict.fromkeys(each.__name__ for each in taken))
+        yield f"{what} is {_name(action)}; expected one of what its controller and vehicles take: {names}; or None"
+        return
+    for path, leaf in jax.tree_util.tree_leaves_with_path(action):
+        name = f"{type(action).__name__}{jax.tree_util.keystr(path)}"
+        if np.shape(leaf) not in ((), (fleet.size,)):
+            yield f"{what}: {name} has shape {np.shape(leaf)}; expected ({fleet.size},), one number for each vehicle"
 
 
 def _agents(task: Any, world: Any) -> int:

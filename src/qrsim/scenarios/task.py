@@ -67,7 +67,7 @@ def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
         fitting = [name for name, cls in known.CONTROLLERS.items() if asks_for in cls.setpoints]  # type: ignore[attr-defined]
         yield (
             f"fleets.{task.fleet}.controller: '{fleet.controller.type}' does not take what the task '{task.type}' asks "
-            f"for; allowed: {', '.join(fitting)}"
+            f"for, {asks_for.__name__}; " + (f"allowed: {', '.join(fitting)}" if fitting else "no controller does")
         )
     fields = fields_of(known.VEHICLES[fleet.vehicle.type].command_type)  # type: ignore[attr-defined]
     if asks_for is None and not set(COMMANDED) <= set(fields) and not is_outside("task", task.type):

@@ -12,6 +12,7 @@ from jax import Array
 from qrsim.control import Estimate
 from qrsim.core.tree import parameter, setting
 from qrsim.core.vectors import Vec3
+from qrsim.errors import UsageError, did_you_mean
 from qrsim.world.sensing import measured_quantities
 from qrsim.world.state import Action, Fleet, FleetState, State, World
 
@@ -49,8 +50,15 @@ def velocity_axes(limit: float, axes: str) -> tuple[Axis, ...]:
 
 
 def number_of(world: World, name: str) -> int:
-    """Return the index of the named fleet of a world."""
-    return [fleet.name for fleet in world.fleets].index(name)
+    """Return the index of the named fleet of a world.
+
+    Raises:
+        UsageError: there is none of that name.
+    """
+    names = [fleet.name for fleet in world.fleets]
+    if name not in names:
+        raise UsageError(f"no fleet is called '{name}'{did_you_mean(name, names)}")
+    return names.index(name)
 
 
 def fleet_of(world: World, state: State, name: str) -> tuple[Fleet, FleetState]:

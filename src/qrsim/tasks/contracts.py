@@ -28,6 +28,7 @@ class Task(Protocol):
         axes: the numbers of an action, with unit and range, where they do not depend on the world (see ``acts``).
         asks_for: kind of set-points that its fleet's controller must take; None: its actions are commands.
         hands_in: whether an agent hands in an answer at the end, which has a ``score``.
+        baseline: class of a policy for comparison, as ``qrsim score`` takes it; None: the task has none of its own.
     """
 
     fleet: str
@@ -36,6 +37,7 @@ class Task(Protocol):
     axes: ClassVar[tuple[Axis, ...]] = ()
     asks_for: ClassVar[type[Any] | None] = None
     hands_in: ClassVar[bool] = False
+    baseline: ClassVar[type[Any] | None] = None
 
     @property
     def ids(self) -> int:

@@ -105,7 +105,7 @@ class Play:
         like = jnp.zeros((), self.world.fleets[0].start.position_ned.x.dtype)
         ids = jnp.arange(self.task.ids, dtype=jnp.uint32)
         memory = self.task.init(self.world, state, Draw(keys.task.stream(0, ids), jnp.int32(0), like))
-        return Episode(state, memory, jnp.int32(0)), self._observed(memory, state, jnp.int32(0))
+        return Episode(state, memory, jnp.int32(0)), self.observed(memory, state, jnp.int32(0))
 
     def step(self, episode: Episode, action: Array) -> tuple[Episode, Step]:
         """Advance an episode by a step.
@@ -165,7 +165,8 @@ class Play:
         commands = self.task.commands(episode.memory, self.world, self.scaled(flown))
         return spoken(self.world, self.task.fleet, commands, action[:, acts:]) if says else commands
 
-    def _observed(self, memory: Any, state: State, tick: Any) -> Any:
+    def observed(self, memory: Any, state: State, tick: Any) -> Any:
+        """Return what the agents see at a tick () int32 of the episode, with a radio what they have heard too."""
         seen = self.task.observe(memory, self.world, state)
         return overheard(self.world, state, self.task.fleet, seen, tick) if self.message else seen
 
@@ -183,7 +184,7 @@ class Play:
         fly = all_fly(state)
         reward = jnp.where(fly, reward, self._crashed(episode))
         after = Episode(state, memory, number)
-        seen = self._observed(memory, state, number * self.ticks)
+        seen = self.observed(memory, state, number * self.ticks)
         return after, Step(seen, reward, ~fly, fly & (number >= self.steps))
 
     def _crashed(self, episode: Episode) -> Array:

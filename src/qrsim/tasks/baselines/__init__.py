@@ -14,6 +14,7 @@ import numpy as np
 
 from qrsim.core.noise import Draw, Key
 from qrsim.errors import UsageError
+from qrsim.interface.messages import Say
 from qrsim.tasks.baselines.chasing import Chasing
 from qrsim.tasks.baselines.holding import FLOWN, Holding
 from qrsim.tasks.baselines.mapping import Mapping
@@ -24,6 +25,7 @@ from qrsim.tasks.plume_mapping import PlumeMapping
 from qrsim.tasks.pursuit import Pursuit
 from qrsim.tasks.search import Search
 from qrsim.tasks.simple import KeepSpot, KeepVelocity, ReachWaypoint
+from qrsim.tasks.speaking import ACT, SAY
 
 __all__ = ["Baseline", "BaselinePolicy", "Chasing", "Holding", "Mapping", "Searching", "Touring", "baseline", "oracle"]
 SIMPLE: dict[type, Any] = dict.fromkeys((KeepSpot, ReachWaypoint, KeepVelocity), Holding)
@@ -45,9 +47,9 @@ def baseline(play: Play, seed: int = 0) -> Baseline:
     Raises:
         UsageError: the task has none.
     """
-    kind = KINDS.get(type(play.task))
+    kind = KINDS.get(type(play.task), play.task.baseline)
     if kind is None:
-        raise UsageError("policy baseline: this task has none; it is for the tasks of qrsim")
+        raise UsageError("policy baseline: this task has none; a task of your own names a class as its 'baseline'")
     if kind is Holding and tuple(axis.name for axis in play.axes) != FLOWN:
         found = ", ".join(axis.name for axis in play.axes)
         raise UsageError(f"policy baseline: it gives {', '.join(FLOWN)}; these vehicles take {found}")
@@ -89,14 +91,23 @@ class BaselinePolicy:
 
     def __call__(self, reading: Any) -> dict[str, Any]:
         """Return set-points for the agents' fleet."""
-        state = reading.state
+        state, tick = reading.state, round(reading.time / self.play.world.time_step)
         if self._memory is None:
             self._memory = jax.jit(self._init)(state)
-        seen = jax.tree.map(np.asarray, self._observe(self._memory, state))
-        wanted = self.play.scaled(np.asarray(self._baseline.act(seen), self._like.dtype))
+        seen = jax.tree.map(np.asarray, self._observe(self._memory, state, np.int32(tick)))
+        done: Any = self._baseline.act(seen)
+        acts, words = (done[ACT], done.get(SAY)) if isinstance(done, dict) else (done, None)
+        expected = (len(self.play.agents), len(self.play.axes))
+        if np.shape(acts) != expected:
+            raise UsageError(f"policy baseline: expected actions of shape {expected}, found {np.shape(acts)}")
+        wanted = self.play.scaled(np.asarray(acts, self._like.dtype))
         actions = self.play.task.commands(self._memory, self.play.world, jnp.asarray(wanted))
         names = [fleet.name for fleet in self.play.world.fleets]
-        return {name: jax.tree.map(np.asarray, action) for name, action in zip(names, actions, strict=True)}
+        given = {name: jax.tree.map(np.asarray, action) for name, action in zip(names, actions, strict=True)}
+        if words is not None:
+            fleet = self.play.task.fleet
+            given[fleet] = Say(words, given[fleet])
+        return given
 
     @property
     def _like(self) -> np.ndarray[Any, Any]:
@@ -107,5 +118,5 @@ class BaselinePolicy:
         stream = Key.root(self.seed).stream(TASK, ids)
         return self.play.task.init(self.play.world, state, Draw(stream, jnp.int32(0), jnp.asarray(self._like)))
 
-    def _observed(self, memory: Any, state: Any) -> Any:
-        return self.play.task.observe(memory, self.play.world, state)
+    def _observed(self, memory: Any, state: Any, tick: Any) -> Any:
+        return self.play.observed(memory, state, tick)
