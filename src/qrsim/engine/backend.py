@@ -153,6 +153,11 @@ class Specialised:
             self.compiler, self._last = "xla", None
             self._made.clear()
 
+    def share(self, shared: Shared) -> None:
+        """Give all worlds other numbers in common, of the same structure."""
+        self.shared, self._last = shared, None
+        self._made.clear()
+
     def _of(self, given: Tree, state: Packer | None) -> Program:
         own = (self._constant, given)
         layout = Packer(own) if self.extent.worlds is None else layout_of_each(own)
@@ -207,6 +212,10 @@ class Worlds:
             self._start.become_xla()
             self._tick.become_xla()
         return program
+
+    def share_at_starts(self, shared: Tree) -> None:
+        """Have other numbers in common where worlds start; those that are under way go on as they were."""
+        self._start.share(Shared.of(shared))
 
     def begin(self, given: Tree) -> None:
         """Start all of them, by what is given, each leaf (B, ...)."""

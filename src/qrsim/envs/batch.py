@@ -80,7 +80,7 @@ class Batch:
         if isinstance(size, bool) or not isinstance(size, int | np.integer) or size < 1:
             raise UsageError(f"num_envs: {size!r} is not a positive whole number")
         use_compilation_cache()
-        self.functional = Functional.of(scenario, overrides, precision)
+        self.functional = self._full = Functional.of(scenario, overrides, precision)
         self.axes, self.size = self.functional.play.axes, int(size)
         self.dtype = np.dtype(precision)
         with self._precision():
@@ -112,6 +112,21 @@ class Batch:
         """Start the next episode of each of ``rows``, in its seed's series."""
         self.numbers[rows] += 1
         self._start(rows)
+
+    def set_difficulty(self, difficulty: float) -> None:
+        """Draw the ranges of the episodes that begin from here on as ``Functional.at_difficulty`` says.
+
+        Raises:
+            UsageError: as of that.
+        """
+        with self._precision():
+            self.functional = self._full.at_difficulty(difficulty)
+            self.episodes.draw_from(self.functional.play)
+
+    def take_options(self, options: dict[str, Any] | None) -> None:
+        """Set the difficulty if the options of a reset have one (``difficulty``)."""
+        if options and "difficulty" in options:
+            self.set_difficulty(options["difficulty"])
 
     def _start(self, rows: FloatArray) -> None:
         if self._answers is not None:

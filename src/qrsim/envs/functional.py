@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from qrsim.tasks import Episode, Play, Step
 from qrsim.tasks.agents import Axis
 from qrsim.tasks.play import EpisodeKeys
 from qrsim.tasks.speaking import ACT, SAY
+from qrsim.world.state import Range, World
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,23 @@ class Functional:
         seeds = given.astype(np.int64)
         return self.play.keys(Key.roots(seeds, np.broadcast_to(np.asarray(numbers, np.int64), seeds.shape)))
 
+    def at_difficulty(self, difficulty: float) -> Functional:
+        """Return this environment with all its ranges made smaller.
+
+        Args:
+            difficulty: 0: every number of ``ranges`` is what the scenario itself says; 1: it is drawn from low to high;
+                between them both ends lie between, in proportion.
+
+        Raises:
+            UsageError: it is no number from 0 to 1, or the scenario has no ranges.
+        """
+        part = checked_difficulty(difficulty)
+        world = self.play.world
+        if not world.ranges:
+            raise UsageError(f"{self.name}: it has no ranges, and so no difficulty")
+        grown = tuple(_grown(item, _number_at(world, item.paths[0]), part) for item in world.ranges)
+        return replace(self, play=replace(self.play, world=replace(world, ranges=grown)))
+
     def reset(self, seed: Any) -> tuple[Episode, Any]:
         """Start an episode; return it and the observations, (n, O) or a dict of arrays (n, ...).
 
@@ -139,3 +157,30 @@ class Functional:
     def truth(self, episode: Episode) -> dict[str, Array]:
         """Return the ground truth of the agents (n,), which they do not observe."""
         return self.play.truth(episode)
+
+
+def checked_difficulty(given: Any) -> float:
+    """Return a difficulty.
+
+    Raises:
+        UsageError: it is no number from 0 to 1.
+    """
+    number = isinstance(given, int | float | np.integer | np.floating) and not isinstance(given, bool)
+    if not number or not 0.0 <= given <= 1.0:
+        raise UsageError(f"difficulty: {given!r}; allowed: a number from 0 to 1")
+    return float(given)
+
+
+def _number_at(world: World, path: tuple[str | int, ...]) -> Any:
+    """Return the number of a World at a path; of one that every vehicle has, the first one's."""
+    found: Any = world
+    for part in path:
+        found = found[part] if isinstance(part, int) else getattr(found, part)
+    return np.ravel(np.asarray(found))[0]
+
+
+def _grown(item: Range, own: Any, part: float) -> Range:
+    low, high = (
+        np.asarray((1.0 - part) * own + part * np.asarray(end), np.asarray(end).dtype) for end in (item.low, item.high)
+    )
+    return replace(item, low=low, high=high)

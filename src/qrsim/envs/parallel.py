@@ -70,11 +70,12 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Start an episode; without a seed the next one of the series.
+        """Start an episode; without a seed the next one of the series. Options as of ``SingleTask``.
 
         Raises:
-            UsageError: a seed is no integer from 0 to 2**63 - 1.
+            UsageError: a seed is no integer from 0 to 2**63 - 1, or a difficulty is none.
         """
+        self.batch.take_options(options)
         if seed is None and self._seeded:
             self.batch.again(np.zeros(1, np.int64))
         else:
@@ -162,6 +163,14 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
                 )
             number = np.array([self.possible_agents.index(agent)])
             self.batch.hand_in([[answer]], np.zeros(1, int), number)
+
+    def set_difficulty(self, difficulty: float) -> None:
+        """Draw the ranges of later episodes from smaller ones; see ``Functional.at_difficulty``.
+
+        Raises:
+            UsageError: it is no number from 0 to 1, or the scenario has no ranges.
+        """
+        self.batch.set_difficulty(difficulty)
 
     def _seen(self) -> dict[str, Any]:
         return {

@@ -87,11 +87,16 @@ class SingleTask(gymnasium.Env[Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode; return the observation and the info with the ground truth.
 
+        Args:
+            seed: of a new series; None: the next episode of this one.
+            options: ``difficulty`` is that of ``set_difficulty``.
+
         Raises:
-            UsageError: a seed is no integer from 0 to 2**63 - 1.
+            UsageError: a seed is no integer from 0 to 2**63 - 1, or a difficulty is none.
         """
         seed = None if seed is None else checked_seed(seed)
         super().reset(seed=seed)
+        self.batch.take_options(options)
         if seed is None and self._seeded:
             self.batch.again(np.zeros(1, np.int64))
         else:
@@ -140,6 +145,14 @@ class SingleTask(gymnasium.Env[Any, Any]):
         if not self._running:
             raise UsageError("the episode has ended, or has not begun: hand in before its last step")
         self.batch.hand_in([[samples]], np.zeros(1, int), np.zeros(1, int))
+
+    def set_difficulty(self, difficulty: float) -> None:
+        """Draw the ranges of later episodes from smaller ones; see ``Functional.at_difficulty``.
+
+        Raises:
+            UsageError: it is no number from 0 to 1, or the scenario has no ranges.
+        """
+        self.batch.set_difficulty(difficulty)
 
     def _seen(self) -> Any:
         return jax.tree.map(lambda leaf: leaf[0, 0].copy(), self.batch.seen)

@@ -79,7 +79,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         Args:
             seed: one for environment 0, those of the others follow; or one for each. None: the next episodes of the
                 series, at first of a random seed.
-            options: see above.
+            options: see above; ``difficulty`` is that of ``set_difficulty``.
 
         Raises:
             UsageError: a seed or the mask is none, or some are to begin before all have.
@@ -87,6 +87,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         rows = self._rows((options or {}).get("reset_mask"), "reset_mask")
         if len(rows) < self.num_envs and not self.batch.episodes.started:
             raise UsageError("reset_mask: nothing has begun yet; the first reset is of all environments")
+        self.batch.take_options(options)
         if seed is None and self.batch.episodes.started:
             self.batch.again(rows)
         else:
@@ -169,6 +170,14 @@ class VectorTask(VectorEnv[Any, Any, Any]):
     def render(self) -> tuple[Any, ...] | None:
         """Return a picture of each environment, as ``SingleTask`` does; None without a render mode."""
         return tuple(drawing.frame() for drawing in self._drawings) or None
+
+    def set_difficulty(self, difficulty: float) -> None:
+        """Draw the ranges of later episodes from smaller ones; see ``Functional.at_difficulty``.
+
+        Raises:
+            UsageError: it is no number from 0 to 1, or the scenario has no ranges.
+        """
+        self.batch.set_difficulty(difficulty)
 
     def _begun(self, rows: Array) -> None:
         for row in rows if self._drawings else ():

@@ -100,6 +100,11 @@ class Episodes:
         """Whether any episode has started."""
         return self._worlds.started
 
+    def draw_from(self, play: Play) -> None:
+        """Start from here on episodes of a play that differs from this one in its ranges only."""
+        self._play = jax.tree.map(np.asarray, play)
+        self._worlds.share_at_starts(self._play)
+
     def start(self, rows: Array, keys: Any) -> Begun:
         """Start the episodes ``rows`` (b,) by their keys, each leaf (b, ...)."""
         found: Begun = self._worlds.begin_some(rows, keys, _begun)
