@@ -70,7 +70,7 @@ def test_the_pure_functions_have_it_too() -> None:
 
 @pytest.mark.parametrize("wrong", [1.5, -0.1, float("nan"), "hard", True, None])
 def test_another_number_is_refused(wrong: Any) -> None:
-    with pytest.raises(UsageError, match="difficulty: .*; allowed: a number from 0 to 1"):
+    with pytest.raises(UsageError, match=r"difficulty: .*; allowed: a number from 0 to 1"):
         many().set_difficulty(wrong)
 
 
