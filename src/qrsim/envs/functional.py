@@ -180,7 +180,7 @@ def _number_at(world: World, path: tuple[str | int, ...]) -> Any:
 
 
 def _grown(item: Range, own: Any, part: float) -> Range:
-    low, high = (
-        np.asarray((1.0 - part) * own + part * np.asarray(end), np.asarray(end).dtype) for end in (item.low, item.high)
-    )
-    return replace(item, low=low, high=high)
+    def between(end: Any) -> Any:
+        return np.asarray((1.0 - part) * own + part * np.asarray(end), np.asarray(end).dtype)
+
+    return replace(item, low=between(item.low), high=between(item.high))
