@@ -1,4 +1,4 @@
-"""Learns a task by the PPO of Stable-Baselines3 with its defaults: ``python _ppo.py SETTINGS``, JSON, for training.py.
+"""Learns a task by the PPO of Stable-Baselines3 with its defaults: ``python _ppo.py SETTINGS``, JSON, for _learners.py.
 
 Every agent of an episode is one environment of the learner, so that agents of a team share a policy. It prints a line
 for every try, and at the end one with the scores.
@@ -15,18 +15,17 @@ import gymnasium
 import jax
 import numpy as np
 
+from evidence._learners import NEW, TRIED
 from evidence.returns import fly
 from qrsim.envs import gymnasium_id
 from qrsim.envs.batch import Batch
 from qrsim.envs.spaces import action_space
 
-# Seeds from here on are of episodes that nothing is learned from; tries have others than the scores.
-NEW, TRIED = 10**6, 2 * 10**6
-# Seeds of the episodes to learn from, far from both.
+# Seeds of the episodes to learn from where agents share a policy, far from those of the scores.
 LEARNED = 10**7
 
 
-def shared(name: str, episodes: int) -> Any:
+def shared(name: str, episodes: int, seed: int, scale: float) -> Any:
     """Return the agents of many episodes as a vector environment of Stable-Baselines3."""
     from stable_baselines3.common.vec_env import VecEnv
 
@@ -36,7 +35,7 @@ def shared(name: str, episodes: int) -> Any:
         def __init__(self) -> None:
             self.batch = Batch(name, episodes)
             self.agents = len(self.batch.functional.agents)
-            self.batch.reset(LEARNED + np.arange(episodes))
+            self.batch.reset(LEARNED + episodes * seed + np.arange(episodes))
             self.render_mode = None
             seen = gymnasium.spaces.Box(-np.inf, np.inf, self.batch.seen.shape[2:], np.float32)
             super().__init__(episodes * self.agents, seen, action_space(self.batch))
@@ -63,7 +62,7 @@ def shared(name: str, episodes: int) -> Any:
                 told[i] = {"terminal_observation": last[i], "TimeLimit.truncated": cut}
             if ended.any():
                 self.batch.again(np.flatnonzero(terminated | truncated))
-            return self.seen(), reward.reshape(-1).astype(np.float32), ended, told
+            return self.seen(), scale * reward.reshape(-1).astype(np.float32), ended, told
 
         def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
             """Return what all have in common."""
@@ -90,21 +89,22 @@ def learn(settings: dict[str, Any]) -> dict[str, Any]:
     """Return how a learner does.
 
     Args:
-        settings: ``task``; ``episodes`` side by side, 0: the registered environment of Gymnasium, alone; ``seed``; the
-            ``most`` steps of agents, those ``between`` two tries; episodes to ``try`` it in and to score it in,
-            ``trials``; and whether it stops (``until_whole``) once it flies all that it is tried in to the end.
+        settings: the fields of a ``Study``, and the ``seed``.
     """
     from stable_baselines3 import PPO
 
-    name, episodes = settings["task"], settings["episodes"]
-    world = shared(name, episodes) if episodes else gymnasium.make(gymnasium_id(name))
-    model = PPO("MlpPolicy", world, seed=settings["seed"], device="cpu")
+    name, episodes, seed, scale = (settings[each] for each in ("task", "episodes", "seed", "scale"))
+    if episodes:
+        world = shared(name, episodes, seed, scale)
+    else:
+        world = gymnasium.wrappers.TransformReward(gymnasium.make(gymnasium_id(name)), lambda reward: scale * reward)
+    model = PPO("MlpPolicy", world, seed=seed, device="cpu")
 
     def act(_: int, seen: Any) -> Any:
         flat = seen.reshape(-1, seen.shape[-1])
         return model.predict(flat, deterministic=True)[0].reshape(*seen.shape[:2], -1)
 
-    tried, curve, begun = Batch(name, settings["try"]), {}, time.perf_counter()
+    tried, curve, begun = Batch(name, settings["tries"]), {}, time.perf_counter()
     while model.num_timesteps < settings["most"]:
         model.learn(settings["between"], reset_num_timesteps=False)
         total, alive = fly(tried, act, TRIED)

@@ -1,12 +1,11 @@
-"""What can be learned in keep_spot: by examples/keep_spot_ppo.py, and by the PPO of Stable-Baselines3 as it comes.
+"""What can be learned: keep_spot by examples/keep_spot_ppo.py, and three tasks by PPO of Stable-Baselines3 as it comes.
 
 Of the example learners of several seeds fly the same episodes to learn from. All are then tried, by the mean of their
 policy, in the same episodes that are new to them, as the hover command that they begin with and the waypoint controller
-are. Stable-Baselines3 learns with every setting at its default on the registered ``qrsim/keep_spot-v0``, until it flies
-``TRIES`` episodes without a crash; it is then scored in others. Means have Student t intervals.
-
-The part ``sb3`` needs Stable-Baselines3 and its PyTorch, which qrsim does not install:
-``pip install torch==2.13.0 stable-baselines3==2.9.2`` (the build of PyTorch for the CPU is enough).
+are. Stable-Baselines3 learns with every setting at its default on the registered environments, several seeds of each,
+up to a number of steps, or until it flies all the episodes that it is tried in to the end; it is then scored in others,
+beside hovering and the baseline. It is installed in an environment of its own: see _learners.py. Means have Student t
+intervals over the episodes.
 """
 
 from __future__ import annotations
@@ -21,23 +20,17 @@ import jax
 import numpy as np
 from examples import keep_spot_ppo as ppo
 
-from evidence.returns import HOVER, fly
+from evidence._learners import STUDIES, learned
 from evidence.tasks import CONFIDENCE, summary
 from qrsim.core.tree import record, replace
-from qrsim.envs import Functional, gymnasium_id
-from qrsim.envs.batch import Batch
-from qrsim.errors import UsageError
+from qrsim.envs import Functional
 from qrsim.runs.picture import new_figure, save_picture
 from qrsim.tasks import KeepSpot
 
 DOC = "return of policies learned by PPO on keep_spot, against hovering and the waypoint controller"
-PARTS = ("example", "sb3")
-INSTALL = "pip install torch==2.13.0 stable-baselines3==2.9.2"
+PARTS = ("example", *STUDIES)
 # Learners, iterations, episodes of each iteration, episodes to try them in.
 FULL, SMALL = (3, ppo.ITERATIONS, ppo.EPISODES, 1000), (1, 2, 16, 16)
-# Stable-Baselines3: the most steps, those between two tries, episodes to try it in, episodes to score it in.
-SB3_FULL, SB3_SMALL = (3_000_000, 250_000, 100, 1000), (2048, 2048, 4, 4)
-SB3_SEED = 0
 IMAGE = Path(__file__).resolve().parent.parent / "docs" / "images" / "training.png"
 
 
@@ -58,57 +51,10 @@ def watched(env: Functional) -> Functional:
 
 def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
     """Return what each part finds; the small form is of the example only."""
-    found = {}
-    if "sb3" in parts and full:
-        require_sb3()
-    if "example" in parts:
-        found |= example(full)
-    if "sb3" in parts and full:
-        found["sb3"] = sb3(*SB3_FULL)
+    found = example(full) if "example" in parts else {}
+    if full:
+        found |= {name: learned(name) for name in STUDIES if name in parts}
     return found
-
-
-def require_sb3() -> Any:
-    """Return the PPO of Stable-Baselines3.
-
-    Raises:
-        UsageError: it is not installed.
-    """
-    try:
-        from stable_baselines3 import PPO
-    except ModuleNotFoundError as error:
-        raise UsageError(f"training: {error.name} is not installed, which the part 'sb3' needs: {INSTALL}") from None
-    return PPO
-
-
-def sb3(most: int, between: int, tries: int, trials: int) -> dict[str, Any]:
-    """Return how Stable-Baselines3 learns with its defaults, and what its policy scores in new episodes."""
-    import gymnasium
-
-    model = require_sb3()("MlpPolicy", gymnasium.make(gymnasium_id("keep_spot")), seed=SB3_SEED, device="cpu")
-
-    def act(_: int, seen: Any) -> Any:
-        return model.predict(seen[:, 0], deterministic=True)[0][:, None]
-
-    tried, curve, begun = Batch("keep_spot", tries), {}, time.perf_counter()
-    while model.num_timesteps < most:
-        model.learn(between, reset_num_timesteps=False)
-        total, alive = fly(tried, act, 2 * ppo.NEW)
-        curve[f"step_{model.num_timesteps}"] = {"mean": round(total.mean(), 1), "flown_to_the_end": alive.mean()}
-        print(
-            f"training: sb3: {model.num_timesteps} steps: mean {total.mean():.1f}, {alive.mean():.0%} whole", flush=True
-        )
-        if alive.all():
-            break
-    took, scored_in = round(time.perf_counter() - begun, 1), Batch("keep_spot", trials)
-    return {
-        "steps": model.num_timesteps,
-        "seconds": took,
-        "trials": trials,
-        "curve": curve,
-        "hover": summary(*fly(scored_in, HOVER, ppo.NEW)),
-        **summary(*fly(scored_in, act, ppo.NEW)),
-    }
 
 
 def example(full: bool) -> dict[str, Any]:

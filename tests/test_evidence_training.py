@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from evidence import _learners as learners
 from evidence import training as study
 from evidence.__main__ import plain
 from examples import keep_spot_ppo as ppo
 
 from qrsim.envs import Functional
-from qrsim.errors import UsageError
+from qrsim.errors import RunError
 
 pytestmark = pytest.mark.long
 
@@ -35,18 +38,45 @@ def test_the_small_form_learns_from_its_episodes() -> None:
     assert found["hover"]["mean"] < -100.0
 
 
-def test_stable_baselines_learns_in_its_small_form() -> None:
-    pytest.importorskip("stable_baselines3", reason=study.INSTALL)
-    found = plain(study.sb3(*study.SB3_SMALL))
-    assert found["steps"] == 2048
-    assert found["mean"] < 0.0
-    assert found["flown_to_the_end"] < 1.0
+@pytest.mark.parametrize("name", ["keep_spot", "cats_and_mouse"])
+def test_stable_baselines_learns_in_its_small_form(name: str) -> None:
+    pytest.importorskip("stable_baselines3", reason=learners.INSTALL)
+    ppo_of_sb3 = importlib.import_module("evidence._ppo")
+    side_by_side = min(study.STUDIES[name].episodes, 1)
+    small = replace(study.STUDIES[name], episodes=side_by_side, most=1, between=1, tries=1, trials=1)
+    told = ppo_of_sb3.learn(asdict(small) | {"seed": 0})
+    # A rollout of PPO is 2048 steps of each environment: of the registered one, or of three cats.
+    assert told["steps"] == {"keep_spot": 2048, "cats_and_mouse": 3 * 2048}[name]
+    (tried,) = told["curve"].values()
+    assert len(told["returns"]) == len(told["alive"]) == 1
+    # Who has learned for some seconds crashes: -1000, or what is worse than any flight.
+    assert tried["flown_to_the_end"] == 0.0
+    assert tried["mean"] <= -1000.0
 
 
-def test_without_stable_baselines_the_full_form_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    with pytest.raises(UsageError, match=r"part 'sb3' needs: pip install torch==2.13.0 stable-baselines3==2.9.2"):
-        study.run(full=True)
+def test_a_learner_that_ends_with_an_error_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(learners, "LEARNERS", 1)
+    monkeypatch.setattr(learners, "environment", lambda: Path(sys.executable))
+    monkeypatch.setitem(study.STUDIES, "keep_spot", replace(study.STUDIES["keep_spot"], task="nothing"))
+    with pytest.raises(RunError, match="learner 0 of nothing ended with 1"):
+        study.learned("keep_spot")
+
+
+def test_curves_are_drawn_beside_hovering_and_the_baseline() -> None:
+    curve = {"step_100000": {"mean": -900.0, "flown_to_the_end": 0.1}, "step_200000": {"mean": -4.0}}
+    found = {
+        "learners": 1,
+        "tries": 7,
+        "learner_0": {"curve": curve},
+        "hover": {"mean": -80.0},
+        "baseline": {"mean": -9.0},
+    }
+    axes = learners.draw("keep_spot", found).axes[0]
+    of_learner, hover, baseline = axes.lines
+    np.testing.assert_allclose(of_learner.get_xydata(), [[0.1, -900.0], [0.2, -4.0]])
+    assert (hover.get_ydata()[0], baseline.get_ydata()[0]) == (-80.0, -9.0)
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["PPO, seed 0", "hovering", "baseline"]
+    assert axes.get_ylabel() == "mean return of 7 new episodes"
 
 
 def test_advantages_are_those_of_the_definition() -> None:
@@ -94,9 +124,13 @@ def test_every_learner_rises_above_hovering_and_the_controller(full: dict[str, A
         assert learner["flown_to_the_end"] == 1.0
 
 
-def test_stable_baselines_has_learned_to_fly_without_a_crash(full: dict[str, Any]) -> None:
+def test_stable_baselines_has_learned_to_keep_a_spot_without_a_crash(full: dict[str, Any]) -> None:
     """With its defaults, on the registered environment; hovering leaves the area in most of the same episodes."""
-    learned = full["sb3"]
-    assert learned["trials"] == study.SB3_FULL[3] == 1000
-    assert learned["flown_to_the_end"] == 1.0 > 0.5 > learned["hover"]["flown_to_the_end"]
-    assert learned["low"] > -25.0 > learned["hover"]["high"]
+    learned = full["keep_spot"]
+    assert (learned["learners"], learned["most"], learned["tries"], learned["trials"]) == (3, 1_000_000, 100, 200)
+    for seed in range(3):
+        learner = learned[f"learner_{seed}"]
+        # A rollout more than asked at most.
+        assert learner["steps"] <= 1_000_000 + 100_000
+        assert learner["flown_to_the_end"] == 1.0 > 0.5 > learned["hover"]["flown_to_the_end"]
+        assert learner["low"] > -25.0 > learned["hover"]["high"]

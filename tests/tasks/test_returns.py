@@ -138,13 +138,13 @@ def ended(name: str, *overrides: str) -> Any:
     [
         # Whatever was paid before, the return after a crash is the penalty.
         ("keep_spot", ("task.crash=published",), -7.0, -1000.0),
-        ("goto_waypoint", ("task.crash=published",), -5507.0, -1000.0),
+        ("goto_waypoint", ("task.crash=published",), -5007.0, -1000.0),
         ("keep_velocity", ("task.crash=published", "task.penalty=-50"), -7.0, -50.0),
         ("goto_waypoint", ("task.crash=published", "task.stake=0"), -5007.0, -1000.0),
         # Or what costs most, in 60 s: every second the command that costs most, and the farthest corner at the end.
         ("keep_spot", (), -7.0, -(60.0 * HIGHEST_RATE + 600.0)),
         ("keep_spot", ("task.penalty=-9000",), -7.0, -9000.0),
-        ("goto_waypoint", (), -20836.80758, -(60.0 * HIGHEST_RATE + 30400.0)),
+        ("goto_waypoint", (), -5007.0, -(60.0 * HIGHEST_RATE + 30400.0)),
         # From x = -80, -60, ..., 100 the farther end, of +-120, is 200, 180, ..., 120, ..., 220 m away.
         ("keep_spot_10", (), -70.0, -(10 * 60.0 * HIGHEST_RATE + 10 * (10**2 + 30**2) + 298_000.0)),
         # Three components of 15 m/s, the limit of the state: (sqrt(3) 15 + 5)^2 for a wanted velocity of (3, 0, -4).
@@ -165,7 +165,7 @@ def ended(name: str, *overrides: str) -> Any:
 )
 @pytest.mark.long
 def test_the_return_after_a_crash(name: str, overrides: tuple[str, ...], paid: float, after: float) -> None:
-    """In ``paid``: 7 for commands, the squared distance, and of a far goal the stake, half of what a crash costs."""
+    """In ``paid``: 7 for commands, and the squared distance; no stake, for the limits are as far as from the goal."""
     first, last = ended(name, *overrides)
     assert first == pytest.approx(paid, rel=1e-6)
     assert first + last == pytest.approx(after, rel=1e-6)
@@ -186,6 +186,29 @@ def test_half_of_what_a_crash_costs_is_paid_on_the_way_to_the_nearest_limit_and_
         memory, reward = task.judge(memory, world, at(east), jnp.int32(step), scenario.steps)
         rewards.append(float(reward[0]))
     np.testing.assert_allclose(np.cumsum(rewards), [-16 - 148.769, -144 - 929.808, -1 - 9.29808, -4.0], rtol=1e-5)
+
+
+def test_who_has_far_to_go_pays_by_how_near_the_limits_are() -> None:
+    """The goal of goto_waypoint is 10 m above the ground and 20 m from two walls; a crash costs 31659.615.
+
+    Half way down: 25 m^2 and a quarter of the stake. 16 m south and west of the goal at its height, 4 m from two walls:
+    512 m^2 and (1 - 4/10)^2 of the stake twice. At the start, whose walls are farther away: the way alone, 5000 m^2.
+    """
+    scenario = load_scenario("goto_waypoint")
+    task, world = scenario.task(), scenario.world()
+
+    def at(north: float, east: float, down: float) -> Any:
+        place = Vec3(*(jnp.full(1, axis, jnp.float32) for axis in (north, east, down)))
+        vehicle = SimpleNamespace(position_ned=place, thrust=place.x)
+        return SimpleNamespace(fleets=[SimpleNamespace(vehicle=vehicle)], drawn=())
+
+    memory, rewards = task.init(world, at(0.0, 0.0, -10.0), None), []
+    for place in ((0.0, 0.0, -10.0), (-50.0, -50.0, -5.0), (-66.0, -66.0, -10.0), (-50.0, -50.0, -0.1)):
+        memory, reward = task.judge(memory, world, at(*place), jnp.int32(1), scenario.steps)
+        rewards.append(float(reward[0]))
+    stake = 0.5 * 31659.615
+    expected = [-5000.0, -25.0 - 0.25 * stake, -512.0 - 0.72 * stake, -(9.9**2) - 0.9801 * stake]
+    np.testing.assert_allclose(np.cumsum(rewards), expected, rtol=1e-5)
 
 
 def test_a_goal_on_a_limit_has_its_stake_within_a_metre() -> None:

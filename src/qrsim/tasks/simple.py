@@ -38,7 +38,7 @@ from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.state import Action, Fleet, FleetState, State, World
 
 Crash = Literal["worst", "published"]
-# Of a goal at a limit of its area, or beyond it [m].
+# Distance from the limits of a goal that is nearer to them, or beyond [m].
 SHORTEST_REACH = 1.0
 
 
@@ -106,7 +106,6 @@ class SimpleMemory:
 
     start_ned: Vec3 = quantity(unit="m", doc="where each started")
     cost: Array = quantity(doc="integral of what this step costs each")
-    reach: Array = quantity(unit="m^2", doc="squared distance of each from its goal at which its whole stake is paid")
     owed: Array = quantity(doc="squared distance and stake of each that have been paid")
     total: Array = quantity(doc="() rewards so far, the sum over all")
 
@@ -138,11 +137,7 @@ class Commanded(Task):
         _, fleet = fleet_of(world, state, self.fleet)
         start = fleet.vehicle.position_ned
         zero = jnp.zeros_like(start.x)
-        return SimpleMemory(start, zero, self.reach(world, start), zero, jnp.zeros((), zero.dtype))
-
-    def reach(self, world: World, start_ned: Vec3) -> Array:
-        """Return the squared distance (n,) from the goal that costs the whole stake [m^2]."""
-        return jnp.full_like(start_ned.x, math.inf)
+        return SimpleMemory(start, zero, zero, jnp.zeros((), zero.dtype))
 
     def acts(self, world: World) -> tuple[Axis, ...]:
         """Describe the command of the fleet's vehicles."""
@@ -169,13 +164,17 @@ class Commanded(Task):
         """Return each vehicle's extra cost (n,) if the episode ended now."""
         return jnp.zeros_like(memory.owed)
 
+    def danger(self, memory: SimpleMemory, world: World, state: State) -> Array:
+        """Return how near each vehicle (n,) is to a crash, from 0 at its goal to 1."""
+        return jnp.zeros_like(memory.owed)
+
     def judge(
         self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[SimpleMemory, Array]:
         """Return the negative total cost of a step, for each vehicle."""
         distance = self.distance_squared(memory, world, state)
         stake = -self.stake * self.crash_return(memory, world, state, steps) / distance.shape[0]
-        owed = distance + jnp.where(step < steps, stake * jnp.minimum(distance / memory.reach, 1.0), 0.0)
+        owed = distance + jnp.where(step < steps, stake * self.danger(memory, world, state), 0.0)
         reward = -jnp.sum(memory.cost + (owed - memory.owed))
         after = replace(memory, cost=jnp.zeros_like(owed), owed=owed, total=memory.total + reward)
         return after, jnp.broadcast_to(reward, owed.shape)
@@ -215,10 +214,21 @@ class KeepSpot(Commanded):
         goal = tuple(Axis(f"to_{name}", "m") for name in ("north", "east", "down"))
         return (*BELIEVED, *goal, *sensed_axes(world, self.fleet, self.senses))
 
-    def reach(self, world: World, start_ned: Vec3) -> Array:
-        """Return that of the nearest limit of the area from the goal, or that of the start where it is farther away."""
-        goal = self.goal(start_ned, world)
-        return jnp.maximum(jnp.maximum(world.area.margin(goal), SHORTEST_REACH) ** 2, square(start_ned - goal))
+    def danger(self, memory: SimpleMemory, world: World, state: State) -> Array:
+        """Return the squared distance from the goal, over that of the nearest limit of the area from it (n,), up to 1.
+
+        Who starts farther away than that limit has far to go in some directions and not in others: there it is the sum
+        over north, east and down, of how much nearer the limits are at the vehicle than at the goal, each squared.
+        """
+        _, fleet = fleet_of(world, state, self.fleet)
+        here = fleet.vehicle.position_ned
+        goal = self.goal(memory.start_ned, world).map(lambda axis: jnp.broadcast_to(axis, here.x.shape))
+        reach = jnp.maximum(world.area.margin(goal), SHORTEST_REACH)
+        along = (replace(goal, x=here.x), replace(goal, y=here.y), replace(goal, z=here.z))
+        nearer = [jnp.maximum(1.0 - world.area.margin(place) / reach, 0.0) for place in along]
+        by_axis = nearer[0] * nearer[0] + nearer[1] * nearer[1] + nearer[2] * nearer[2]
+        is_near = square(memory.start_ned - goal) <= reach * reach
+        return jnp.minimum(jnp.where(is_near, square(here - goal) / (reach * reach), by_axis), 1.0)
 
     def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
         """Return the squared distance of each vehicle (n,) from its goal [m^2]."""
