@@ -14,6 +14,7 @@ from qrsim.envs.batch import Batch, numbers, one_line
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
 from qrsim.tasks.agents import Axis
 from qrsim.tasks.baselines import baseline, oracle
+from qrsim.tasks.contracts import Answering
 from qrsim.tasks.play import Play
 from qrsim.tasks.simple import Commanded
 from qrsim.tasks.speaking import ACT, SAY
@@ -33,15 +34,6 @@ class Policy(Protocol):
 
         With a radio it may return a dict of ``act``, which is that, and ``say`` (n, D), NaN for who says nothing.
         """
-        ...
-
-
-@runtime_checkable
-class Answering(Protocol):
-    """Policy that hands something in at the end of its episode."""
-
-    def answer(self) -> Floats:
-        """Return the answers (n, ...)."""
         ...
 
 

@@ -27,7 +27,16 @@ from qrsim.runs.picture import (
 )
 from qrsim.runs.plan import Paths, draw_plan, span
 from qrsim.runs.reader import Run
-from qrsim.runs.summary import STREAMS, common_rows, gnss_error, gnss_sensor, stops_of, vectors, waypoints_of
+from qrsim.runs.summary import (
+    STREAMS,
+    common_rows,
+    gnss_error,
+    gnss_sensor,
+    score_text,
+    stops_of,
+    vectors,
+    waypoints_of,
+)
 from qrsim.runs.surroundings import Surroundings, surroundings_of
 
 # Of what interferes with receivers, so many are named.
@@ -110,6 +119,8 @@ def draw_run(run: Run) -> Figure:
     figure.align_ylabels(list(errors))
     title = title_of(run, data.names, len(data.stops), data.span[1]) + binned_text(data.time["truth"])
     task = _task_text(run, data)
+    if task and run.info.score is not None:
+        task = f"{task}; score {score_text(run.info.score)}"
     figure.suptitle(f"{title}\n{task}" if task else title)
     if data.few:
         # In the legend of the plan are other things too.

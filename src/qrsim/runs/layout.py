@@ -107,6 +107,7 @@ class RunInfo:
         message: why the run failed or was interrupted, "" otherwise.
         compiler: what made the program that flew, "llvm" (machine code by qrsim itself) or "xla"; "" where nobody said.
         compiler_refused: why it was XLA although machine code was wanted, "" otherwise.
+        score: what the flight scored in the scenario's task, ``TaskScore.to_json``; None without a task.
     """
 
     scenario: str
@@ -127,6 +128,7 @@ class RunInfo:
     message: str = ""
     compiler: str = ""
     compiler_refused: str = ""
+    score: Mapping[str, Any] | None = None
 
     @classmethod
     def collect(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import gc
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -20,6 +21,7 @@ from qrsim.simulation.simulation import History, Simulation
 
 if TYPE_CHECKING:
     from qrsim.simulation.pilot import Pilot
+    from qrsim.tasks.referee import Referee
 
 CHUNK_TICKS = 50
 REALTIME_CHUNK_S = 0.1
@@ -122,7 +124,7 @@ def fly(
     if view is not None:
         view.begin(simulation, f"{scenario.name}, seed {seed}")
     beginning, finder = simulation.history, EventFinder(simulation)
-    wanted = columns(simulation.world, beginning)
+    wanted, referee = columns(simulation.world, beginning), _referee(scenario, simulation)
     pilot: Flyer | None = None
     if flown_by is not None:
         pilot = flown_by(simulation)
@@ -143,6 +145,8 @@ def fly(
                     writer.append(stream, history.ticks, history.time, arrays[stream])
                 for event in finder.find(history):
                     writer.append_event(**event)
+            if referee is not None and history is not beginning:
+                referee.watch(history)
             if view is not None:
                 view.offer(history)
                 for event in view.changes(simulation):
@@ -152,11 +156,40 @@ def fly(
         keep(first)
         # A page has a clock of its own.
         paced = realtime and view is None
-        pace = _loop(simulation, scenario.ticks, (start_up, first_tick), paced, pilot, keep, progress, view)
+        with _scored(referee, writer, policy):
+            pace = _loop(simulation, scenario.ticks, (start_up, first_tick), paced, pilot, keep, progress, view)
         for event in finder.ending(simulation.history):
             writer.append_event(**event)
         warn_of_overfull(simulation.world, simulation.state)
         return pace
+
+
+def _referee(scenario: Scenario, simulation: Simulation) -> Referee | None:
+    """Return who judges the flight, None for a scenario without a task."""
+    if not scenario.steps:
+        return None
+    # Imported here, because most runs have none.
+    from qrsim.tasks.play import Play
+    from qrsim.tasks.referee import Referee
+
+    play = Play(scenario.task(simulation.precision), simulation.world, scenario.steps)
+    return Referee(play, simulation.seed, simulation.number, simulation.history)
+
+
+@contextmanager
+def _scored(referee: Referee | None, writer: RunWriter, policy: Any) -> Iterator[None]:
+    """Note the score of what is flown meanwhile, also of a flight that is interrupted."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if referee is not None:
+            writer.note_score(referee.finish().to_json())
+        raise
+    if referee is not None:
+        from qrsim.tasks.contracts import Answering
+
+        answer = policy.answer() if referee.asks and isinstance(policy, Answering) else None
+        writer.note_score(referee.finish(answer).to_json())
 
 
 def _pilot(simulation: Simulation, policy: Any, estimator: Any, policy_ticks: int) -> Pilot:

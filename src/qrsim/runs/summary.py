@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import reduce
 from itertools import pairwise
@@ -73,6 +74,36 @@ class VehicleSummary:
             name: None if isinstance(value, float) and not np.isfinite(value) else value
             for name, value in asdict(self).items()
         }
+
+
+# More agents than this are not told one by one.
+MOST_TOLD = 6
+
+
+def score_text(score: Mapping[str, Any]) -> str:
+    """Return what a flight scored in its task (``RunInfo.score``), in words."""
+    returns, steps = dict(score["agents"]), f"step {score['steps']} of {score['of_steps']}"
+    ends = {
+        "flown_to_the_end": "flown to the end",
+        "crashed": f"a vehicle stopped in {steps}, which ended the episode",
+        "unfinished": f"unfinished, {steps}",
+        "not_finite": f"not finite, after {steps}",
+    }
+    words = [ends.get(score["outcome"], str(score["outcome"]))]
+    if score.get("handed_in") is False:
+        words.append("nothing was handed in, which counts as zeros")
+    if score["return"] is None:
+        return f"none, {'; '.join(words)}"
+    told = f"{score['return']:.4g}"
+    if len(returns) > 1:
+        values = [value for value in returns.values() if value is not None]
+        if min(values) == max(values):
+            told += f", the same for all {len(returns)} agents"
+        elif len(returns) <= MOST_TOLD:
+            told += f", mean of {', '.join(f'{name} {value:.4g}' for name, value in returns.items())}"
+        else:
+            told += f", mean of {len(returns)} agents, {min(values):.4g} to {max(values):.4g}"
+    return f"{told} ({'; '.join(words)})"
 
 
 def common_rows(run: Run, *streams: str) -> list[Rows]:

@@ -156,6 +156,11 @@ class RunWriter:
         events.last_time = float(time)
         self._added(1, int(tick))
 
+    def note_score(self, score: Mapping[str, Any]) -> None:
+        """Note what the flight scored in its task; written with the next flush, or at the end."""
+        self._check_open()
+        self._info = replace(self._info, score=dict(score))
+
     @contextlib.contextmanager
     def together(self) -> Iterator[None]:
         """Delay due writes until the block ends, so that all streams reach the same tick on disk.

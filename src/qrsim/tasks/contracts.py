@@ -18,6 +18,15 @@ from qrsim.world.state import Action, State, World
 
 
 @runtime_checkable
+class Answering(Protocol):
+    """Policy that hands something in at the end of its episode."""
+
+    def answer(self) -> Any:
+        """Return the answers (n, ...)."""
+        ...
+
+
+@runtime_checkable
 class Task(Protocol):
     """Goal and reward of an episode; the agents are the n vehicles of one fleet.
 

@@ -102,10 +102,14 @@ class Play:
     def reset(self, keys: EpisodeKeys) -> tuple[Episode, Any]:
         """Start an episode; return it and the observations."""
         state = ticks_of.reset(self.world, keys.world)
+        memory = self.begun(keys, state)
+        return Episode(state, memory, jnp.int32(0)), self.observed(memory, state, jnp.int32(0))
+
+    def begun(self, keys: EpisodeKeys, state: State) -> Any:
+        """Return the task's memory at the start of an episode, from the world's state there."""
         like = jnp.zeros((), self.world.fleets[0].start.position_ned.x.dtype)
         ids = jnp.arange(self.task.ids, dtype=jnp.uint32)
-        memory = self.task.init(self.world, state, Draw(keys.task.stream(0, ids), jnp.int32(0), like))
-        return Episode(state, memory, jnp.int32(0)), self.observed(memory, state, jnp.int32(0))
+        return self.task.init(self.world, state, Draw(keys.task.stream(0, ids), jnp.int32(0), like))
 
     def step(self, episode: Episode, action: Array) -> tuple[Episode, Step]:
         """Advance an episode by a step.
@@ -180,12 +184,16 @@ class Play:
     def _judged(self, episode: Episode) -> tuple[Episode, Step]:
         """Return an episode with one more step done, and what that brings."""
         state, number = episode.state, episode.step + 1
-        memory, reward = self.task.judge(episode.memory, self.world, state, number, self.steps)
-        fly = all_fly(state)
-        reward = jnp.where(fly, reward, self._crashed(episode))
+        memory, reward, fly = self.rewarded(episode)
         after = Episode(state, memory, number)
         seen = self.observed(memory, state, number * self.ticks)
         return after, Step(seen, reward, ~fly, fly & (number >= self.steps))
+
+    def rewarded(self, episode: Episode) -> tuple[Any, Array, Array]:
+        """Return the task's memory after one more step, its reward (n,), and whether all fly ()."""
+        memory, reward = self.task.judge(episode.memory, self.world, episode.state, episode.step + 1, self.steps)
+        fly = all_fly(episode.state)
+        return memory, jnp.where(fly, reward, self._crashed(episode)), fly
 
     def _crashed(self, episode: Episode) -> Array:
         """Return the reward () of a step in which a vehicle has stopped."""

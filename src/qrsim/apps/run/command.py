@@ -36,7 +36,7 @@ class Run:
 
     Writes a run folder (Parquet logs, the resolved scenario, seed and versions, a figure) and prints a table:
     distance flown, tracking error (from the leg being flown), GNSS error (reported minus true, the delay of the fix
-    included), worst wind, waypoints reached, and why a vehicle stopped.
+    included), worst wind, waypoints reached, and why a vehicle stopped; of a task the score, as 'qrsim score' counts.
 
     Example:
       qrsim run
@@ -197,6 +197,10 @@ class Run:
         if recorded.info.every:
             kept = ", ".join(f"{stream} {number}" for stream, number in recorded.info.every.items())
             print(f"logged every Nth tick: {kept}; the table is of these ticks")
+        if recorded.info.score is not None:
+            from qrsim.runs.summary import score_text
+
+            print(f"score:      {score_text(recorded.info.score)}")
         print(f"run folder: {recorded.folder}")
         if figure:
             print(f"figure:     {figure}")
@@ -331,6 +335,7 @@ def _print_json(
         "first_tick_unix_s": round(pace.first_tick_unix_s, 6),
         "real_time_factor": round(pace.real_time_factor, 3),
         "overruns": pace.overruns,
+        "score": recorded.info.score,
         "vehicles": [summary.to_json() for summary in summaries],
         "events": [asdict(event) for event in recorded.events],
     }

@@ -20,6 +20,7 @@ from qrsim.tasks.baselines.holding import FLOWN, Holding
 from qrsim.tasks.baselines.mapping import Mapping
 from qrsim.tasks.baselines.searching import Searching
 from qrsim.tasks.baselines.touring import Touring
+from qrsim.tasks.contracts import Answering
 from qrsim.tasks.play import TASK, Play
 from qrsim.tasks.plume_mapping import PlumeMapping
 from qrsim.tasks.pursuit import Pursuit
@@ -108,6 +109,11 @@ class BaselinePolicy:
             fleet = self.play.task.fleet
             given[fleet] = Say(words, given[fleet])
         return given
+
+    def answer(self) -> np.ndarray[Any, Any] | None:
+        """Return what the baseline hands in at the end, (n, ...); None if it hands in nothing."""
+        policy: Any = self._baseline
+        return np.asarray(policy.answer(), self._like.dtype) if isinstance(policy, Answering) else None
 
     @property
     def _like(self) -> np.ndarray[Any, Any]:

@@ -1,0 +1,203 @@
+"""What a flight scores in its task, whoever flies it: the task's own rewards over the states of all ticks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from qrsim.core.noise import Key
+from qrsim.core.tree import cast
+from qrsim.engine.settings import quick_jit
+from qrsim.errors import UsageError
+from qrsim.tasks.episodes import score
+from qrsim.tasks.play import Episode, Play
+
+Floats = np.ndarray[Any, Any]
+# Ticks that are judged at once.
+CHUNK = 50
+FLOWN, CRASHED, UNFINISHED, SPOILT = "flown_to_the_end", "crashed", "unfinished", "not_finite"
+
+
+class Ticks(Protocol):
+    """States of consecutive ticks, as ``Simulation.record`` returns them: ``ticks`` (T,), leaves (T, ...)."""
+
+    ticks: Floats
+    state: Any
+
+
+@dataclass(frozen=True)
+class TaskScore:
+    """What a flight scored.
+
+    Attributes:
+        returns: return of each agent, by its name; of an unfinished flight so far; None where it is not finite.
+        outcome: "flown_to_the_end"; "crashed": a vehicle stopped, which ended the episode; "unfinished";
+            "not_finite": a reward was NaN or infinite.
+        steps: steps judged.
+        of: steps of an episode.
+        handed_in: whether the policy handed something in; where it did not, zeros were scored. None without answers.
+    """
+
+    returns: dict[str, float | None]
+    outcome: str
+    steps: int
+    of: int
+    handed_in: bool | None = None
+
+    @property
+    def mean(self) -> float | None:
+        """Mean return of an agent; None where one is not finite."""
+        known = [value for value in self.returns.values() if value is not None]
+        return float(np.mean(known)) if known and len(known) == len(self.returns) else None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields by name, for JSON."""
+        return {"return": self.mean, "agents": dict(self.returns), "outcome": self.outcome, "steps": self.steps,
+                "of_steps": self.of, "handed_in": self.handed_in}  # fmt: skip
+
+
+class Referee:
+    """Judges a flight tick by tick.
+
+    The world of a seed is that of the first episode which environments and ``qrsim score`` start with this seed.
+
+    Args:
+        play: the task in its world.
+        seed, number: of the episode.
+        beginning: its state at the start, of one tick.
+    """
+
+    def __init__(self, play: Play, seed: int, number: int, beginning: Ticks):
+        self._dtype = np.asarray(play.world.fleets[0].start.position_ned.x).dtype
+        self._play = jax.tree.map(np.asarray, cast(play, self._dtype))
+        self._names, self._steps = play.agents, play.steps
+        self._rewards: list[Floats] = []
+        self._waiting: list[tuple[Floats, Any]] = []
+        self._over = ""
+        self._last = jax.tree.map(lambda leaf: np.array(leaf[0]), beginning.state)
+        with self._precision():
+            self._memory = _begin()(self._play, Key.root(seed, number), self._last)
+            # Compiled now, so that it does not count as flying.
+            still = jax.tree.map(lambda leaf: np.repeat(leaf[None], CHUNK, axis=0), self._last)
+            _watched()(self._play, self._memory, still, np.int32(1), np.int32(0))
+
+    def _precision(self) -> Any:
+        return jax.enable_x64(self._dtype == np.float64)
+
+    @property
+    def asks(self) -> bool:
+        """Whether the task asks the agents to hand something in at the end."""
+        return self._play.task.hands_in
+
+    def watch(self, history: Ticks) -> None:
+        """Take the states of the next ticks, from the first one after the start on."""
+        if self._over:
+            return
+        self._waiting.append((np.asarray(history.ticks), jax.tree.map(np.array, history.state)))
+        while sum(len(ticks) for ticks, _ in self._waiting) >= CHUNK and not self._over:
+            self._judge()
+
+    def _judge(self) -> None:
+        """Judge the first ``CHUNK`` of the ticks that wait, or all of them."""
+        parts = [states for _, states in self._waiting]
+        ticks = np.concatenate([ticks for ticks, _ in self._waiting])
+        states = parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+        count = min(CHUNK, len(ticks))
+        rest = jax.tree.map(lambda leaf: leaf[count:], states)
+        self._waiting = [(ticks[count:], rest)] if len(ticks) > count else []
+        # Of one length always, so that there is one program.
+        taken = np.minimum(np.arange(CHUNK), count - 1)
+        chosen = states if len(ticks) == CHUNK else jax.tree.map(lambda leaf: leaf[taken], states)
+        with self._precision():
+            self._memory, rewards, flies = jax.tree.map(
+                np.asarray, _watched()(self._play, self._memory, chosen, np.int32(ticks[0]), np.int32(count))
+            )
+        for place in np.flatnonzero(ticks[:count] % self._play.ticks == 0):
+            self._step(rewards[place], bool(flies[place]))
+            if self._over:
+                self._last = jax.tree.map(lambda leaf, place=place: leaf[place], chosen)
+                return
+
+    def _step(self, reward: Floats, flies: bool) -> None:
+        self._rewards.append(reward.astype(np.float64))
+        if not np.isfinite(reward).all():
+            self._over = SPOILT
+        elif not flies:
+            self._over = CRASHED
+        elif len(self._rewards) == self._steps:
+            self._over = FLOWN
+
+    def finish(self, answer: Any = None) -> TaskScore:
+        """Return the score, of a flight that has ended early that of its whole steps.
+
+        Args:
+            answer: what the agents hand in, (n, ...), in a task that asks for it; None: zeros.
+
+        Raises:
+            UsageError: an answer of another shape.
+        """
+        while self._waiting and not self._over:
+            self._judge()
+        total = np.sum(self._rewards, axis=0) if self._rewards else np.zeros(len(self._names))
+        asked, outcome = self.asks, self._over or UNFINISHED
+        if asked and outcome == FLOWN:
+            shape = (len(self._names), *self._play.task.answer_shape(self._play.world))
+            given = np.zeros(shape, self._dtype) if answer is None else np.asarray(answer, self._dtype)
+            if given.shape != shape:
+                raise UsageError(f"answer: expected shape {shape} (agents, ...), found {given.shape}")
+            with self._precision():
+                step: Any = np.int32(self._steps)
+                episode = Episode(self._last, self._memory, step)
+                total = total + score(self._play, episode, given)
+            outcome = outcome if np.isfinite(total).all() else SPOILT
+        returns = {name: float(value) if np.isfinite(value) else None
+                   for name, value in zip(self._names, total, strict=True)}  # fmt: skip
+        handed_in = answer is not None if asked else None
+        return TaskScore(returns, outcome, len(self._rewards), self._steps, handed_in)
+
+
+@lru_cache
+def _begin() -> Any:
+    def begin(play: Play, key: Key, state: Any) -> Any:
+        return play.begun(play.keys(key), state)
+
+    return quick_jit(begin)
+
+
+@lru_cache
+def _watched() -> Any:
+    return quick_jit(_watch)
+
+
+def _watch(play: Play, memory: Any, states: Any, first: Array, count: Array) -> tuple[Any, Array, Array]:
+    """Return the memory after ``count`` ticks from ``first`` on, and of all (T,) the rewards (T, n) and who flies (T,).
+
+    What is returned of ticks that end no step has no meaning.
+    """
+
+    def tick(before: Any, item: tuple[Any, Array]) -> tuple[Any, tuple[Array, Array]]:
+        state, place = item
+        number = first + place
+        memory = play.task.each_tick(before, play.world, state)
+        episode = Episode(state, memory, number // play.ticks - 1)
+
+        def judged() -> tuple[Any, Array, Array]:
+            return play.rewarded(episode)
+
+        def going() -> tuple[Any, Array, Array]:
+            empty = jax.eval_shape(judged)
+            return memory, jnp.zeros(empty[1].shape, empty[1].dtype), jnp.ones((), bool)
+
+        memory, reward, flies = lax.cond(number % play.ticks == 0, judged, going)
+        after = jax.tree.map(lambda new, old: jnp.where(place < count, new, old), memory, before)
+        return after, (reward, flies)
+
+    places = jnp.arange(CHUNK, dtype=jnp.int32)
+    memory, (rewards, flies) = lax.scan(tick, memory, (states, places))
+    return memory, rewards, flies
