@@ -64,8 +64,8 @@ class Study:
 # of thousands, the value that a learner expects would grow to that too slowly.
 STUDIES = {
     "keep_spot": Study("keep_spot"),
-    "goto_waypoint": Study("goto_waypoint", scale=0.01),
-    "cats_and_mouse": Study("cats_and_mouse/1A", scale=0.01, episodes=4),
+    "goto_waypoint": Study("goto_waypoint", scale=0.01, most=600_000),
+    "cats_and_mouse": Study("cats_and_mouse/1A", scale=0.01, episodes=4, most=600_000),
 }
 LEARNERS = 3
 
