@@ -13,6 +13,7 @@ from qrsim.extras import require
 
 if TYPE_CHECKING:
     from qrsim.envs.parallel import ParallelTask
+    from qrsim.envs.vector_parallel import VectorParallelTask
 
 # Scenarios with one vehicle to command, and with several.
 SINGLE = (
@@ -41,7 +42,16 @@ SEVERAL = (
 # Of any scenario with a task: gymnasium.make(ANY_TASK, scenario="my_task.yaml").
 ANY_TASK = "qrsim/task-v0"
 
-__all__ = ["ANY_TASK", "SEVERAL", "SINGLE", "Functional", "gymnasium_id", "parallel_env", "register"]
+__all__ = [
+    "ANY_TASK",
+    "SEVERAL",
+    "SINGLE",
+    "Functional",
+    "gymnasium_id",
+    "parallel_env",
+    "register",
+    "vector_parallel_env",
+]
 
 
 def gymnasium_id(scenario: str) -> str:
@@ -76,6 +86,18 @@ def parallel_env(scenario: Any, **options: Any) -> ParallelTask:
     from qrsim.envs.parallel import ParallelTask
 
     return ParallelTask(scenario, **options)
+
+
+def vector_parallel_env(scenario: Any, num_envs: int = 1, **options: Any) -> VectorParallelTask:
+    """Return many PettingZoo environments of a scenario side by side; see ``VectorParallelTask``.
+
+    Raises:
+        MissingExtraError: Gymnasium is not installed.
+    """
+    require("envs", "environments of PettingZoo")
+    from qrsim.envs.vector_parallel import VectorParallelTask
+
+    return VectorParallelTask(scenario, num_envs, **options)
 
 
 register()
