@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,7 +14,7 @@ from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.plume import Sources
 from qrsim.runs.colours import FOUND, GREY, MISSING, PLUME, STOPPED, VEHICLES, share
 from qrsim.runs.picture import new_figure
-from qrsim.tasks.simple import KeepSpot
+from qrsim.tasks.places import places_of
 from qrsim.world.episode import surroundings
 
 Floats = np.ndarray[Any, Any]
@@ -185,11 +184,14 @@ class _Scene:
             self._plan.pcolormesh(easts, norths, shown, cmap="PuRd", vmin=-3.5, vmax=0.5, zorder=0)
 
     def _goals(self, episode: Any) -> None:
-        """Draw where the vehicles of a simple task are to be."""
-        task = self._play.task
-        if isinstance(task, KeepSpot):
-            goal = jax.tree.map(np.atleast_1d, task.goal(episode.memory.start_ned, self._play.world))
-            self._plan.plot(goal.y, goal.x, "+", ms=14, mew=2, color=share(GREY), ls="none", label="goal")
+        """Draw where the vehicles of a simple task are to be, and where a concentration is asked for."""
+        places = places_of(self._play.task, self._play.world, episode.memory, episode.state.contents)
+        if len(places.goals):
+            look: dict[str, Any] = {"ms": 14, "mew": 2, "color": share(GREY), "ls": "none", "label": "goal"}
+            self._plan.plot(places.goals[:, 1], places.goals[:, 0], "+", **look)
+        if len(places.locations):
+            look = {"ms": 2.5, "mfc": "none", "mec": "dimgray", "mew": 0.7, "ls": "none", "label": "asked for"}
+            self._plan.plot(places.locations[:, 1], places.locations[:, 0], "s", **look)
 
     def _vehicles(self) -> None:
         names = [name for fleet in self._play.world.fleets for name in fleet.vehicle_names]

@@ -71,7 +71,7 @@ def draw_plan(axes: Any, paths: Paths, around: Surroundings) -> None:
     seen = [paths.position, paths.setpoint]
     seen += [paths.reported] if paths.few and paths.reported is not None else []
     flown = np.concatenate([part[..., :2].reshape(-1, 2) for part in seen])
-    low, high = _limits(flown)
+    low, high = _limits(np.concatenate([flown, around.goals[:, :2]]))
     whole = _is_whole(around, low, high)
     if whole:
         low, high = (over([edge, corner], axis=0) for over, edge, corner in (
@@ -154,9 +154,11 @@ def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
     found = np.isfinite(around.found)
     small = {"marker": "s", "ms": 3, "mfc": "none", "mec": "dimgray", "mew": 0.8}
     pin = {"marker": "v", "ms": 8}
+    goal = {"marker": "o", "ms": 13, "mfc": "none", "mec": "black", "mew": 1.6}
     every: list[tuple[str, Floats, dict[str, Any]]] = [
         ("source; its plume, mean", around.sources, {"marker": "*", "ms": 13, "c": share(PLUME), "mec": "k"}),
         ("asked for by the task", around.locations, small),
+        ("goal of the task", around.goals, goal),
         ("person not found", around.persons[~found], {**pin, "mfc": share(MISSING), "mec": "k", "mew": 1.5}),
         ("person found", around.persons[found], {**pin, "c": share(FOUND)}),
     ]  # fmt: skip

@@ -21,6 +21,7 @@ from qrsim.simulation.simulation import History, Simulation
 
 if TYPE_CHECKING:
     from qrsim.simulation.pilot import Pilot
+    from qrsim.tasks.places import Places
     from qrsim.tasks.referee import Referee
 
 CHUNK_TICKS = 50
@@ -56,8 +57,8 @@ class Pace:
 class Watcher(Protocol):
     """Observer of a simulation in flight, which may pace it: a page (see ``qrsim.view.live``)."""
 
-    def begin(self, simulation: Simulation, title: str) -> None:
-        """Receive a simulation at its start."""
+    def begin(self, simulation: Simulation, title: str, places: Places | None = None) -> None:
+        """Receive a simulation at its start, and the places that its task is about."""
 
     def offer(self, history: History) -> None:
         """Receive the states flown since the last call."""
@@ -121,10 +122,11 @@ def fly(
     )  # fmt: skip
     make_parent(folder)
     simulation.reset()
+    referee = _referee(scenario, simulation)
     if view is not None:
-        view.begin(simulation, f"{scenario.name}, seed {seed}")
+        view.begin(simulation, f"{scenario.name}, seed {seed}", None if referee is None else referee.places)
     beginning, finder = simulation.history, EventFinder(simulation)
-    wanted, referee = columns(simulation.world, beginning), _referee(scenario, simulation)
+    wanted = columns(simulation.world, beginning)
     pilot: Flyer | None = None
     if flown_by is not None:
         pilot = flown_by(simulation)

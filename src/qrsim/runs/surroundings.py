@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -16,11 +16,17 @@ from qrsim.errors import QrsimError
 from qrsim.runs.interferers import Interferer, of_scenario
 from qrsim.runs.layout import EVENTS, PERSON_FOUND
 from qrsim.runs.reader import Run
+from qrsim.runs.summary import vectors
+
+if TYPE_CHECKING:
+    from qrsim.tasks.places import Places
 
 Floats = np.ndarray[Any, Any]
 # Of the picture of a plume: cells along north and east, and heights of which the strongest counts.
 CELLS, HEIGHTS = 100, 12
 ABSENT = ("none", "clear")
+# Types of tasks that want vehicles at places.
+WITH_GOALS = ("keep_spot", "reach_waypoint")
 
 
 class Field(NamedTuple):
@@ -47,6 +53,7 @@ class Surroundings:
         found: (P,) time at which each was found [s], infinite where it was not.
         sources: (S, 3) of the plume [m], NED.
         locations: (L, 3) at which the task asks for the concentration [m], NED.
+        goals: (G, 3) where the task wants vehicles [m], NED.
         plume: from above; None without one.
         task: type of the task, "" without one.
         unknown: why persons, plume and places are not known although there are some, "" otherwise.
@@ -60,9 +67,17 @@ class Surroundings:
     found: Floats = field(default_factory=lambda: np.zeros(0))
     sources: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     locations: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    goals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     plume: Field | None = None
     task: str = ""
     unknown: str = ""
+
+    @property
+    def places(self) -> Places:
+        """The places that the task is about."""
+        from qrsim.tasks.places import Places
+
+        return Places(self.goals, self.sources, self.locations)
 
     @property
     def drawn(self) -> bool:
@@ -88,6 +103,10 @@ def surroundings_of(run: Run) -> Surroundings:
     except (KeyError, TypeError, ValueError):  # of another version of qrsim
         known = {}
     known["task"] = "" if kind == "none" else kind
+    try:
+        known |= _goals(run, content) if kind in WITH_GOALS else {}
+    except (QrsimError, OSError) as error:
+        return Surroundings(**known, unknown=f"the recorded scenario cannot be built: {error}")
     parts = [world.get(name) for name in ("plume", "terrain", "persons")]
     if all(not isinstance(part, dict) or part.get("type") in ABSENT for part in parts):
         return Surroundings(**known)
@@ -104,6 +123,21 @@ def _area(area: Any) -> tuple[Floats, tuple[float, float]]:
         return np.asarray(area["corners_ned"], float).reshape(-1, 2), down
     (south, north), (west, east) = ((float(area[f"{axis}_min"]), float(area[f"{axis}_max"])) for axis in "xy")
     return np.array([[south, west], [north, west], [north, east], [south, east]]), down
+
+
+def _goals(run: Run, content: Any) -> dict[str, Floats]:
+    """Return where a simple task wants its vehicles."""
+    from qrsim.core.vectors import Vec3
+    from qrsim.scenarios.scenario import load_scenario
+    from qrsim.tasks.places import goals_of
+
+    if "truth" not in run or not len(run["truth"].time):
+        return {}
+    scenario = load_scenario(content, quiet=True)
+    world, task = scenario.world(run.info.precision), scenario.task(run.info.precision)
+    start = vectors(run["truth"], "position_ned", slice(0, 1))[0]
+    own: Any = start[world.rows_of(task.fleet)].astype(run.info.precision)
+    return {"goals": goals_of(task, world, Vec3(*own.T))} if len(own) else {}
 
 
 def _drawn_again(run: Run, content: Any) -> dict[str, Any]:

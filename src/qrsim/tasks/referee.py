@@ -16,6 +16,7 @@ from qrsim.core.tree import cast
 from qrsim.engine.settings import quick_jit
 from qrsim.errors import UsageError
 from qrsim.tasks.episodes import score
+from qrsim.tasks.places import Places, places_of
 from qrsim.tasks.play import Episode, Play
 
 Floats = np.ndarray[Any, Any]
@@ -83,12 +84,18 @@ class Referee:
         self._last = jax.tree.map(lambda leaf: np.array(leaf[0]), beginning.state)
         with self._precision():
             self._memory = _begin()(self._play, Key.root(seed, number), self._last)
+            self._places = places_of(self._play.task, self._play.world, self._memory, self._last.contents)
             # Compiled now, so that it does not count as flying.
             still = jax.tree.map(lambda leaf: np.repeat(leaf[None], CHUNK, axis=0), self._last)
             _watched()(self._play, self._memory, still, np.int32(1), np.int32(0))
 
     def _precision(self) -> Any:
         return jax.enable_x64(self._dtype == np.float64)
+
+    @property
+    def places(self) -> Places:
+        """The places that the task is about."""
+        return self._places
 
     @property
     def asks(self) -> bool:

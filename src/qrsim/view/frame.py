@@ -13,6 +13,7 @@ from qrsim.models.gnss.receivers import GnssReading
 from qrsim.models.scene.contents import ContentsState
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.models.vehicles.contracts import Outline
+from qrsim.tasks.places import Places
 from qrsim.view.reasons import code_in_words
 from qrsim.world.state import FleetState, State, World, position_of
 
@@ -97,6 +98,7 @@ class Cast:
         start_ned: (n, 3) where they are at first [m].
         around: (K, 3) corners of what is to be seen beside them [m]; None: nothing.
         outlines: looks of the vehicles of each fleet; none: all are quadrotors.
+        places: that a task is about; None: none are known.
     """
 
     names: tuple[str, ...]
@@ -104,6 +106,7 @@ class Cast:
     start_ned: Floats
     around: Floats | None = None
     outlines: tuple[Outline | None, ...] = ()
+    places: Places | None = None
 
     @property
     def kinds(self) -> list[tuple[Outline | None, Floats]]:
@@ -136,7 +139,8 @@ class Cast:
 
     @property
     def _seen(self) -> Floats:
-        return self.start_ned if self.around is None else np.vstack([self.start_ned, self.around])
+        parts = [self.start_ned] if self.around is None else [self.start_ned, self.around]
+        return np.vstack(parts if self.places is None else [*parts, self.places.goals])
 
     @property
     def centre(self) -> Floats:
@@ -145,14 +149,15 @@ class Cast:
         return middle
 
 
-def cast_of(world: World, start_ned: Floats) -> Cast:
-    """Return the cast of a world whose vehicles start at positions (n, 3) [m]."""
+def cast_of(world: World, start_ned: Floats, places: Places | None = None) -> Cast:
+    """Return the cast of a world whose vehicles start at positions (n, 3) [m], with the places of a task."""
     return Cast(
         tuple(name for fleet in world.fleets for name in fleet.vehicle_names),
         np.repeat(np.arange(len(world.fleets)), [fleet.size for fleet in world.fleets]),
         np.nan_to_num(start_ned).astype(np.float64),
         _contents_corners(world),
         tuple(fleet.vehicle.outline() for fleet in world.fleets),
+        places,
     )
 
 

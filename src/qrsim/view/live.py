@@ -14,6 +14,7 @@ import numpy as np
 
 from qrsim.core.tree import walk
 from qrsim.simulation.simulation import History, Simulation
+from qrsim.tasks.places import Places
 from qrsim.view.clock import FRAME_S, SPEEDS, Clock
 from qrsim.view.frame import Frame, cast_of, frame_of
 from qrsim.view.page import PLOT_FRAMES, WIND, Page
@@ -99,11 +100,11 @@ class LiveView:
         if self._page is not None:
             self._page.say(text)
 
-    def begin(self, simulation: Simulation, heading: str) -> None:
-        """Show another world in place of the present one."""
+    def begin(self, simulation: Simulation, heading: str, places: Places | None = None) -> None:
+        """Show another world in place of the present one, with the places of its task."""
         self._clear()
         world = simulation.world
-        page = Page(self._server, cast_of(world, simulation.truth.position_ned), world, heading, self.clock)
+        page = Page(self._server, cast_of(world, simulation.truth.position_ned, places), world, heading, self.clock)
         page.dropped = lambda: self._overtaken
         page.plotted, page.sky = self._plotted, lambda vehicle: self._skies.get(vehicle, [])
         page.add_plots(list(_measured(simulation.state, world, 0)))

@@ -18,6 +18,7 @@ from qrsim.view.interference import INTERFERENCE
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
 from qrsim.view.radio import LINKS
 from qrsim.view.script import run_script
+from qrsim.view.task import GOALS, LOCATIONS, SOURCES
 
 # Where pages look from at first, seen from what is looked at, NED.
 SOUTH = (-0.85, -0.3, -0.45)
@@ -48,6 +49,9 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
     "area": [("thin", [colours.GREY], "flight area")],
     "persons": [("pin", [colours.MISSING], "person not found"), ("pin", [colours.FOUND], "person found")],
     "plume": [("body", [colours.PLUME], "plume")],
+    GOALS: [("thin", [colours.GREY], "cross: goal of the task")],
+    SOURCES: [("body", [colours.PLUME], "octahedron: source of the plume")],
+    LOCATIONS: [("plate", [colours.GREY], "concentration asked for by the task")],
     "camera pictures": [("scale", list(colours.RATIO), "picture: no person to person")],
 }
 

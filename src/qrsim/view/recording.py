@@ -12,6 +12,8 @@ from qrsim.runs import Run
 from qrsim.runs.layout import EVENTS, Event
 from qrsim.runs.radio_columns import links_logged
 from qrsim.runs.summary import NOT_A_STOP
+from qrsim.runs.surroundings import surroundings_of
+from qrsim.tasks.places import Places
 from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Cast, Frame, Links, cast_of
 from qrsim.view.readings import Excerpts, quantities_of
@@ -80,7 +82,7 @@ class Recording:
         start = self._truth.at("position", self.time[0])
         try:
             world = load_scenario(self.run.scenario, quiet=True).world(self.run.info.precision)
-            cast = cast_of(world, start)
+            cast = cast_of(world, start, self._places())
             if cast.names == self.run.vehicles:
                 return world, cast
             why = "its vehicles are others"
@@ -92,6 +94,13 @@ class Recording:
         )
         count = len(self.run.vehicles)
         return None, Cast(self.run.vehicles, np.zeros(count, int), np.nan_to_num(start).astype(np.float64))
+
+    def _places(self) -> Places | None:
+        """Return the places that the run's task is about, None without a task."""
+        scenario: Any = self.run.scenario
+        task = scenario.get("task") if isinstance(scenario, dict) else None
+        known = isinstance(task, dict) and task.get("type", "none") != "none"
+        return surroundings_of(self.run).places if known else None
 
     def frame(self, time: float) -> Frame:
         """Return the frame at a time [s]."""

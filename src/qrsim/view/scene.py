@@ -20,6 +20,7 @@ from qrsim.view.layers import Ghosts, Gusts, Layer, Names, Poles, Stage, Vehicle
 from qrsim.view.overlay import SOUTH, Overlay
 from qrsim.view.paths import EstimatedPaths, Paths
 from qrsim.view.radio import radio_layers
+from qrsim.view.task import task_layers
 from qrsim.world.state import World
 
 Floats = np.ndarray[Any, Any]
@@ -71,6 +72,7 @@ class Scene:
             solid = [Area(self.stage, world), Obstacles(self.stage, world), *contents_layers(self.stage, world)]
             solid += [*camera_layers(self.stage, world), *air_layers(self.stage, world)]
             solid += [*interference_layers(self.stage, world), *radio_layers(self.stage, world)]
+        solid += task_layers(self.stage, cast.places)
         ground = Ground(self.stage, world)
         layers: list[Layer] = [ground, *solid, self.vehicles, *moving]
         self.layers = {layer.title: layer for layer in layers}

@@ -1,0 +1,92 @@
+"""Places that a task is about: a cross at a goal, an octahedron at a source, boxes where something is asked for."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from qrsim.runs.colours import GREY, PLUME, Colour
+from qrsim.tasks.places import Places
+from qrsim.view import shapes
+from qrsim.view.layers import MOST_LABELS, Layer, Stage
+
+Floats = np.ndarray[Any, Any]
+GOALS, SOURCES, LOCATIONS = "goals", "sources", "places asked for"
+
+
+class _Marks(Layer):
+    """Base: one mesh at each place; they stay where they are."""
+
+    every = 1000.0
+    colour: ClassVar[Colour] = GREY
+    # Size in spans of a vehicle.
+    spans: ClassVar[float] = 1.0
+
+    def __init__(self, stage: Stage, places: Floats):
+        self._places = places
+        super().__init__(stage)
+
+    def mesh(self) -> shapes.Mesh:
+        """Return what stands at a place, of size 1."""
+        raise NotImplementedError
+
+    def begin(self) -> None:
+        """Add them."""
+        count, (corners, faces) = len(self._places), self.mesh()
+        self.stage.scene.add_batched_meshes_simple(
+            f"{self.path}/marks", corners.astype(np.float32), faces.astype(np.uint32),
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), batched_positions=self._places,
+            batched_scales=np.full((count, 3), self.spans * self.stage.span, np.float32),
+            batched_colors=shapes.linear(self.colour), lod="off", flat_shading=True, side="double",
+            cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+
+class Goals(_Marks):
+    """Where vehicles are to be."""
+
+    title = GOALS
+    spans = 1.6
+
+    def mesh(self) -> shapes.Mesh:
+        """Return three bars that cross in their middles, one along each axis."""
+        bars = [[0.5 if axis == along else 0.03 for axis in range(3)] for along in range(3)]
+        return shapes.merged(*(shapes.box((-a, -b, -c), (a, b, c)) for a, b, c in bars))
+
+    def begin(self) -> None:
+        """Add them, with words."""
+        super().begin()
+        for number, place in enumerate(self._places[:MOST_LABELS]):
+            above = place - [0.0, 0.0, 1.5 * self.stage.span]
+            self.stage.scene.add_label(f"{self.path}/words{number}", "goal", position=tuple(above))
+
+
+class Sources(_Marks):
+    """Where a plume comes from."""
+
+    title, colour = SOURCES, PLUME
+
+    def mesh(self) -> shapes.Mesh:
+        """Return an octahedron."""
+        corners = 0.5 * np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
+        return corners, np.array([(x, y, z) for x in (0, 1) for y in (2, 3) for z in (4, 5)])
+
+
+class Locations(_Marks):
+    """Where the task asks for the concentration."""
+
+    title = LOCATIONS
+    spans = 0.15
+
+    def mesh(self) -> shapes.Mesh:
+        """Return a box."""
+        return shapes.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
+
+
+def task_layers(stage: Stage, places: Places | None) -> list[Layer]:
+    """Return the layers of what a task has of goals, sources and locations."""
+    if places is None:
+        return []
+    parts = ((Goals, places.goals), (Sources, places.sources), (Locations, places.locations))
+    return [layer(stage, found) for layer, found in parts if len(found)]
