@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from qrsim import cli
+from qrsim.runs.colours import MISSING, VEHICLES
 
 OWN = """
 import numpy as np
@@ -48,6 +51,30 @@ def test_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(hover["returns"]) == 2
 
 
+@pytest.mark.long
+def test_two_agents_with_an_oracle(capsys: pytest.CaptureFixture[str]) -> None:
+    """In JSON first who was named; in the picture both agents, and the persons whom nobody has found."""
+    two = "fleets.helicopters.vehicles=[{position_ned: [0, -20, -25]}, {position_ned: [0, 20, -25]}]"
+    more = ["--policy", "oracle", "--seeds", "2", "--set", "duration=12", "--set", two, "--out", "two.png"]
+    assert cli.main(["score", "search_and_rescue/2C", *more, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["task"], found["figure"]) == ("search_and_rescue_2C", "two.png")
+    assert [row["policy"] for row in found["policies"]] == ["oracle", "baseline", "hover"]
+    oracle, baseline, hover = found["policies"]
+    assert (oracle["difference"], oracle["flown_to_the_end"], len(oracle["returns"])) == (None, 1.0, 2)
+    # Twelve steps without a find cost a twelfth each.
+    assert hover["returns"] == pytest.approx([-1.0, -1.0], abs=1e-6)
+    for row in (baseline, hover):
+        assert row["difference"]["mean"] == pytest.approx(row["mean"] - oracle["mean"])
+    with Image.open("two.png") as picture:
+        shown = np.asarray(picture.convert("RGB")).reshape(-1, 3)
+    # A disc for each agent in the plan and one for its height, triangles of persons.
+    for colour in (VEHICLES[0], VEHICLES[1], MISSING):
+        assert np.all(shown == np.asarray(colour, np.uint8), axis=1).sum() > 40, colour
+    # Nobody flies as a third one.
+    assert np.all(shown == VEHICLES[2], axis=1).sum() == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -58,6 +85,7 @@ def test_json(capsys: pytest.CaptureFixture[str]) -> None:
         (["keep_spot", "--policy", "basline"], "did you mean 'baseline'?"),
         (["keep_spot", "--policy", "hover", "--policy", "hover"], "--policy hover: given twice"),
         (["keep_spot", "--policy", "own.py:cup"], "'cup'"),
+        (["keep_spot", "--policy", "oracle", "--json"], "policy oracle: this task has none; a search has"),
         (["keep_spot", "--seeds", "1", "--set", "duration=1", "--out", "scores.txt"], "cannot draw '.txt'"),
     ],
 )
