@@ -7,6 +7,7 @@ qrsim in this process; an rclpy node would use the same topics.
     python examples/ros2_flight.py            # or: ... DOMAIN
 """
 
+import argparse
 import os
 import sys
 import time
@@ -177,8 +178,11 @@ def until(vehicles: list[Vehicle], done, patience: float = 60.0) -> bool:
 
 def main() -> int:
     """Fly."""
-    domain = int(sys.argv[1]) if len(sys.argv) > 1 else int(os.environ.get("ROS_DOMAIN_ID", "0"))
-    participant = DomainParticipant(domain)
+    asked = argparse.ArgumentParser(description="Fly three vehicles of qrsim ros2 10 m east, then forward.")
+    asked.add_argument(
+        "domain", nargs="?", type=int, default=int(os.environ.get("ROS_DOMAIN_ID", "0")), help="0 to 232"
+    )
+    participant = DomainParticipant(asked.parse_args().domain)
     vehicles = [Vehicle(participant, name) for name in discovered(participant, 3)]
     print("vehicles:", ", ".join(vehicle.name for vehicle in vehicles))
     if len(vehicles) < 3 or not until(vehicles, lambda vehicle: True):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 # As links/ros2/server.py has them, which takes long to load.
 PACES = ("free", "fast", "barrier")
 TRANSPORTS = ("dds", "zenoh")
+# How long a router of zenoh has to answer before it is said that it does not.
+ROUTER_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,7 @@ class Ros2:
         log = Log()
         options = Options(self.realtime, self.truth, self.hold, self.paused, self.rate, self.pace)
         try:
-            server = Server(simulation, types, options, log.say, self._node(types, domain))
+            server = Server(simulation, types, options, log.say, self._node(types, domain, log.say))
             spaces = server.messages.namespaces
             log.say(f"qrsim ros2: {len(spaces)} vehicles, {', '.join(spaces[:5])}{', ...' if len(spaces) > 5 else ''}")
             carrier = f"zenoh by {self.router}" if self.transport == "zenoh" else "dds"
@@ -117,11 +120,16 @@ class Ros2:
         finally:
             log.close()
 
-    def _node(self, types: Types, domain: int) -> Node:
+    def _node(self, types: Types, domain: int, say: Callable[[str], None]) -> Node:
         if self.transport == "zenoh":
             from qrsim.links.ros2.zenoh_node import ZenohNode
 
-            return ZenohNode(types, domain, resend=self.reliable, router=self.router)
+            node = ZenohNode(types, domain, resend=self.reliable, router=self.router)
+            if not node.has_router(ROUTER_S):
+                say(
+                    f"no zenoh router answers at {self.router} (rmw_zenohd); it is tried again, nobody hears until then"
+                )
+            return node
         from qrsim.links.ros2.participant import Participant
 
         return Participant(types, domain, resend=self.reliable)

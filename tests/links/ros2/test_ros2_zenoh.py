@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import pytest
@@ -53,15 +54,21 @@ def port() -> int:
         return int(each.getsockname()[1])
 
 
-@pytest.fixture
-def session(port: int) -> Iterator[Any]:
-    """In the place of rmw_zenohd."""
+@contextmanager
+def router(port: int) -> Iterator[Any]:
+    """Be what rmw_zenohd is."""
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("timestamping/enabled", "true")
     with zenoh.open(config) as opened:
+        yield opened
+
+
+@pytest.fixture
+def session(port: int) -> Iterator[Any]:
+    with router(port) as opened:
         yield opened
 
 
@@ -155,3 +162,14 @@ def test_attachments_are_in_the_serialisation_of_zenoh() -> None:
 def test_what_is_refused(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["ros2", "hover_ideal", *words]) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("running", [True, False])
+def test_a_router_that_does_not_answer_is_told(running: bool, port: int, capfd: pytest.CaptureFixture[str]) -> None:
+    words = ["ros2", "hover_ideal", "--transport", "zenoh", "--router", f"tcp/127.0.0.1:{port}", "--duration", "0.04"]
+    with router(port) if running else nullcontext():
+        assert cli.main([*words, "--domain", "11"]) == 0
+    said = f"no zenoh router answers at tcp/127.0.0.1:{port} (rmw_zenohd); it is tried again, nobody hears until then"
+    told = capfd.readouterr().out
+    assert (said in told) is not running
+    assert f"zenoh by tcp/127.0.0.1:{port}" in told

@@ -66,6 +66,15 @@ class ZenohNode:
         )
         self._declare("NN", "")
 
+    def has_router(self, patience: float) -> bool:
+        """Return whether a router answers within some seconds."""
+        end = time.monotonic() + patience
+        while not self._session.info.routers_zid():
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.02)
+        return True
+
     def writer(self, topic: Topic) -> ZenohWriter:
         """Return a new writer of a topic."""
         profile = PROFILES[topic.quality]
