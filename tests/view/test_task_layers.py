@@ -116,12 +116,15 @@ def test_there_is_a_layer_for_each_kind_of_place(stage: Stage, monkeypatch: pyte
     goals, sources, locations = (added[f"/world/{name}/marks"] for name in ("goals", "sources", "locations"))
     np.testing.assert_array_equal(goals[1]["batched_positions"], [[1.0, 2.0, -3.0]])
     np.testing.assert_array_equal(locations[1]["batched_positions"], PLACES)
-    # Of 1, times 1.6, 1 and 0.15 spans of 2 m.
-    assert [part[1]["batched_scales"][0, 0] for part in (goals, sources, locations)] == pytest.approx([3.2, 2.0, 0.3])
+    # Of 1, times 1.4, 1 and 0.15 spans of 2 m.
+    assert [part[1]["batched_scales"][0, 0] for part in (goals, sources, locations)] == pytest.approx([2.8, 2.0, 0.3])
     for corners, _ in (goals, sources, locations):
         np.testing.assert_allclose(np.ptp(corners, axis=0), 1.0)
     # Over the goal.
     assert words == {"/world/goals/words0": ("goal", (1.0, 2.0, -6.0))}
+    words.clear()
+    task_layers(stage, Places(np.zeros((4, 3))))
+    assert not words
     assert task_layers(stage, None) == task_layers(stage, Places()) == []
 
 

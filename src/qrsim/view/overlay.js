@@ -112,16 +112,17 @@
     const forward = away.clone().negate().normalize(), up = m.camera.up;
     const right = forward.clone().cross(up).normalize(), above = right.clone().cross(forward);
     const eye = middle.clone().add(away), per = box.height / (2 * tangent());
-    let [left, top, r, bottom] = [Infinity, Infinity, -Infinity, -Infinity];
+    let [left, top, r, bottom, near] = [Infinity, Infinity, -Infinity, -Infinity, Infinity];
     for (const point of points) {
       const from = point.clone().sub(eye), depth = Math.max(from.dot(forward), 1e-3);
       const x = box.width / 2 + (per * from.dot(right)) / depth, y = box.height / 2 - (per * from.dot(above)) / depth;
       const wide = (0.5 * place.span * per) / depth;
+      near = Math.min(near, depth);
       left = Math.min(left, x - wide); r = Math.max(r, x + wide);
       // Vehicles are flat.
       top = Math.min(top, y - 0.5 * wide); bottom = Math.max(bottom, y + 0.5 * wide);
     }
-    return { left, top, right: r, bottom, per, axes: [right, above] };
+    return { left, top, right: r, bottom, per, near, axes: [right, above] };
   };
   const share = (found, room) => Math.max((found.right - found.left) / room.width, (found.bottom - found.top) / room.height);
   const all = () => data.names.map((_, vehicle) => three(vehicle));
@@ -143,7 +144,9 @@
       const found = boxOf(points, middle, away.clone().multiplyScalar(far), box);
       const dx = (found.left + found.right) / 2 - (room.left + room.right) / 2;
       const dy = (found.top + found.bottom) / 2 - (room.top + room.bottom) / 2;
-      middle.addScaledVector(found.axes[0], (dx * far) / found.per).addScaledVector(found.axes[1], (-dy * far) / found.per);
+      // As far as the nearest one has to go: with the mean distance a row that leads away from the camera would be overshot.
+      const pixel = Math.min(found.near, far) / found.per;
+      middle.addScaledVector(found.axes[0], dx * pixel).addScaledVector(found.axes[1], -dy * pixel);
       far *= Math.min(2, Math.max(0.5, share(found, room) / SHARE));
     }
     if (state.followed !== null) follow(null);

@@ -9,9 +9,11 @@ import numpy as np
 from qrsim.runs.colours import GREY, PLUME, Colour
 from qrsim.tasks.places import Places
 from qrsim.view import shapes
-from qrsim.view.layers import MOST_LABELS, Layer, Stage
+from qrsim.view.layers import Layer, Stage
 
 Floats = np.ndarray[Any, Any]
+# More goals than these have no words: they would hide each other.
+MOST_NAMED = 3
 GOALS, SOURCES, LOCATIONS = "goals", "sources", "places asked for"
 
 
@@ -47,17 +49,17 @@ class Goals(_Marks):
     """Where vehicles are to be."""
 
     title = GOALS
-    spans = 1.6
+    spans = 1.4
 
     def mesh(self) -> shapes.Mesh:
         """Return three bars that cross in their middles, one along each axis."""
-        bars = [[0.5 if axis == along else 0.03 for axis in range(3)] for along in range(3)]
+        bars = [[0.5 if axis == along else 0.015 for axis in range(3)] for along in range(3)]
         return shapes.merged(*(shapes.box((-a, -b, -c), (a, b, c)) for a, b, c in bars))
 
     def begin(self) -> None:
-        """Add them, with words."""
+        """Add them, few of them with words."""
         super().begin()
-        for number, place in enumerate(self._places[:MOST_LABELS]):
+        for number, place in enumerate(self._places if len(self._places) <= MOST_NAMED else ()):
             above = place - [0.0, 0.0, 1.5 * self.stage.span]
             self.stage.scene.add_label(f"{self.path}/words{number}", "goal", position=tuple(above))
 
