@@ -1,4 +1,4 @@
-"""What the baselines of the tasks score, against hovering and against flying at random.
+"""What the baselines of the tasks score, against hovering and against flying at random; in a search, beside an oracle.
 
 A random policy draws every number of every action uniformly. Most of its vehicles leave the area, which says little of
 the others; an idle one asks for no velocity at all. Where something is handed in, both hand in zeros, or for puffs
@@ -19,8 +19,9 @@ import numpy as np
 from scipy import stats
 
 from qrsim.envs.batch import Batch
-from qrsim.tasks import Play
-from qrsim.tasks.baselines import baseline
+from qrsim.envs.scoring import Informed
+from qrsim.tasks import Play, Search
+from qrsim.tasks.baselines import baseline, oracle
 
 DOC = "mean scores of the baseline of each task, of hovering and of a random policy, over 100 seeds"
 # The baselines were made while seeds from 0 on were looked at.
@@ -66,6 +67,8 @@ class Idle(Random):
 
 
 POLICIES = {"baseline": baseline, "idle": Idle, "random": Random}
+# Of a search, whose oracle knows where persons lie.
+SEARCHED = {**POLICIES, "oracle": oracle}
 
 
 def scores(batch: Batch, policy: Any) -> tuple[Values, Values]:
@@ -79,6 +82,9 @@ def scores(batch: Batch, policy: Any) -> tuple[Values, Values]:
         if not flies.any():
             break
         seen = [jax.tree.map(lambda leaf, i=i: leaf[i], batch.seen) for i in range(batch.size)]
+        for i in np.flatnonzero(flies):
+            if isinstance(policies[i], Informed):
+                policies[i].know(batch.episodes.episode(int(i)).state)
         actions = [policies[i].act(seen[i]) if flies[i] else nothing for i in range(batch.size)]
         reward, terminated, _ = batch.step(np.stack(actions))
         total += np.where(flies, reward.mean(axis=1), 0.0)
@@ -104,7 +110,22 @@ def summary(total: Values, flies: Values) -> dict[str, float]:
 def score(name: str, seeds: int, duration_s: float) -> dict[str, Any]:
     """Return what each policy scores in a scenario; a duration of 0 leaves it its own."""
     batch = Batch(name, seeds, [f"duration={duration_s}"] if duration_s else ())
-    return {kind: summary(*scores(batch, policy)) for kind, policy in POLICIES.items()}
+    if not isinstance(batch.functional.play.task, Search):
+        return {kind: summary(*scores(batch, policy)) for kind, policy in POLICIES.items()}
+    found = {}
+    for kind, policy in SEARCHED.items():
+        total, flies = scores(batch, policy)
+        found[kind] = {**summary(total, flies), "persons_found": persons(total, flies, batch.functional.play.steps)}
+    return found
+
+
+def persons(total: Values, flies: Values, steps: int) -> float:
+    """Return how many persons a flight finds that goes on to the end, the mean; 0 if none does.
+
+    Each is worth 1 in place of the -1 / steps of a step without any.
+    """
+    each = np.floor(total[flies] + 1.0 + 0.5 / steps)
+    return float(each.mean()) if len(each) else 0.0
 
 
 def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
