@@ -16,6 +16,9 @@ from qrsim.envs.scoring import BASELINE, HOVER, maker, play_policy
 from qrsim.runs.recorder import fly
 from qrsim.runs.summary import score_text
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.simulation.simulation import Simulation
+from qrsim.tasks.play import Play
+from qrsim.tasks.referee import Referee
 
 CLIMB = Path(__file__).parents[2] / "examples" / "outside"
 
@@ -107,6 +110,23 @@ def test_a_reward_that_is_not_finite_loses_no_flight(tmp_path: Path, capsys: pyt
     found = flown(tmp_path, str(tmp_path / "climb.yaml"), "--duration", "1")
     assert (found["outcome"], found["return"], found["steps"]) == ("not_finite", None, 3)
     assert "score:      none, not finite, after step 3 of 10\n" in capsys.readouterr().out
+
+
+def test_it_does_not_matter_in_which_pieces_a_flight_comes() -> None:
+    """A step is two ticks; pieces end within steps, and hold one tick, a whole chunk, and more than one."""
+    scenario = load_scenario("keep_spot", ["duration=4", "task.period=0.04"])
+    found = []
+    for pieces in ((50, 50, 50, 50), (1, 50, 7, 50, 92), (200,), (199, 1)):
+        simulation = Simulation(scenario.world(), seed=2)
+        simulation.reset()
+        play = Play(scenario.task(), simulation.world, scenario.steps)
+        referee = Referee(play, 2, 0, simulation.history)
+        for ticks in pieces:
+            referee.watch(simulation.record(ticks))
+        found.append(referee.finish())
+    assert {(score.steps, score.of, score.outcome) for score in found} == {(100, 100, "flown_to_the_end")}
+    assert [score.mean for score in found] == pytest.approx([found[0].mean] * 4, rel=1e-6)
+    assert -5.0 < (found[0].mean or 0.0) < -0.01
 
 
 def test_without_a_task_there_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -104,31 +104,41 @@ class Referee:
 
     def watch(self, history: Ticks) -> None:
         """Take the states of the next ticks, from the first one after the start on."""
-        if self._over:
-            return
-        self._waiting.append((np.asarray(history.ticks), jax.tree.map(np.array, history.state)))
-        while sum(len(ticks) for ticks, _ in self._waiting) >= CHUNK and not self._over:
-            self._judge()
+        if len(history.ticks) == CHUNK:
+            # As a flight without a policy of its own comes: nothing is copied.
+            self._judge_all()
+            if not self._over:
+                self._judge(np.asarray(history.ticks), history.state, CHUNK)
+        elif not self._over:
+            self._waiting.append((np.asarray(history.ticks), jax.tree.map(np.array, history.state)))
+            if sum(len(ticks) for ticks, _ in self._waiting) >= CHUNK:
+                self._judge_all()
 
-    def _judge(self) -> None:
-        """Judge the first ``CHUNK`` of the ticks that wait, or all of them."""
-        parts = [states for _, states in self._waiting]
+    def _judge_all(self) -> None:
+        """Judge the ticks that wait."""
+        if not self._waiting or self._over:
+            return
         ticks = np.concatenate([ticks for ticks, _ in self._waiting])
-        states = parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-        count = min(CHUNK, len(ticks))
-        rest = jax.tree.map(lambda leaf: leaf[count:], states)
-        self._waiting = [(ticks[count:], rest)] if len(ticks) > count else []
-        # Of one length always, so that there is one program.
-        taken = np.minimum(np.arange(CHUNK), count - 1)
-        chosen = states if len(ticks) == CHUNK else jax.tree.map(lambda leaf: leaf[taken], states)
+        states = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(states for _, states in self._waiting))
+        self._waiting = []
+        for first in range(0, len(ticks), CHUNK):
+            # Of one length always, so that there is one program.
+            count = min(CHUNK, len(ticks) - first)
+            rows = first + np.minimum(np.arange(CHUNK), count - 1)
+            self._judge(ticks[rows], jax.tree.map(lambda leaf, rows=rows: leaf[rows], states), count)
+            if self._over:
+                return
+
+    def _judge(self, ticks: Floats, states: Any, count: int) -> None:
+        """Judge the first ``count`` of ``CHUNK`` ticks and their states."""
         with self._precision():
             self._memory, rewards, flies = jax.tree.map(
-                np.asarray, _watched()(self._play, self._memory, chosen, np.int32(ticks[0]), np.int32(count))
+                np.asarray, _watched()(self._play, self._memory, states, np.int32(ticks[0]), np.int32(count))
             )
         for place in np.flatnonzero(ticks[:count] % self._play.ticks == 0):
             self._step(rewards[place], bool(flies[place]))
             if self._over:
-                self._last = jax.tree.map(lambda leaf, place=place: leaf[place], chosen)
+                self._last = jax.tree.map(lambda leaf, place=place: np.array(leaf[place]), states)
                 return
 
     def _step(self, reward: Floats, flies: bool) -> None:
@@ -149,8 +159,7 @@ class Referee:
         Raises:
             UsageError: an answer of another shape.
         """
-        while self._waiting and not self._over:
-            self._judge()
+        self._judge_all()
         total = np.sum(self._rewards, axis=0) if self._rewards else np.zeros(len(self._names))
         asked, outcome = self.asks, self._over or UNFINISHED
         if asked and outcome == FLOWN:
