@@ -68,6 +68,7 @@ class Batch:
         episodes: what computes them.
         seen: what the agents see now, arrays (B, n, ...).
         truth: what is really the case, by name, (B, n, ...).
+        gone: after a step (B, n) which agents have stopped, where these leave (``task.leave``); else None.
     """
 
     def __init__(
@@ -91,6 +92,7 @@ class Batch:
         self._steps, self._ended = np.zeros(self.size, np.int64), np.zeros(self.size, bool)
         self._answers: FloatArray | None = None
         self.seen: Any = None
+        self.gone: FloatArray | None = None
         self.truth: dict[str, FloatArray] = {}
 
     def _precision(self) -> Any:
@@ -161,7 +163,7 @@ class Batch:
             checked = np.concatenate([checked, np.asarray(said, self.dtype)], axis=2)
         with self._precision():
             step, self.truth = self.episodes.step(checked)
-        self.seen = step.observation
+        self.seen, self.gone = step.observation, step.gone
         self._steps += 1
         wrong = ~np.isfinite(step.reward) & ~self._ended[:, None]
         if wrong.any():

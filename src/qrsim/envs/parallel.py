@@ -22,7 +22,8 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
     """A task whose agents are the vehicles of a fleet; other fleets, such as the mouse, are part of the world.
 
     All agents act at once, and their episode ends for all together: terminated when any vehicle of the world has
-    stopped, truncated after the last step.
+    stopped, truncated after the last step. With ``task.leave`` an agent that stops is terminated alone, and leaves
+    ``agents``; the episode ends when all have, or a vehicle has stopped that is no agent.
 
     Args:
         scenario, overrides, precision, render_mode: as of ``SingleTask``.
@@ -98,6 +99,30 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         """
         if not self.agents:
             raise UsageError("the episode has ended, or has not begun: call reset()")
+        flown, said = self._checked(actions)
+        rewards, terminated, truncated = self.batch.step(flown[None], said[None])
+        totals = rewards[0].astype(float)
+        if truncated[0]:
+            totals += self.batch.scores(np.zeros(1, int))[0]
+        if self._drawing is not None:
+            self._drawing.moved()
+        ended, over = bool(terminated[0]), bool(truncated[0])
+        rows = [self.possible_agents.index(agent) for agent in self.agents]
+        left = [ended or (self.batch.gone is not None and bool(self.batch.gone[0, row])) for row in rows]
+        seen, truth = self._seen(), self._truth()
+        found = (
+            {agent: seen[agent] for agent in self.agents},
+            {agent: float(totals[row]) for agent, row in zip(self.agents, rows, strict=True)},
+            dict(zip(self.agents, left, strict=True)),
+            {agent: over and not gone for agent, gone in zip(self.agents, left, strict=True)},
+            {agent: truth[agent] for agent in self.agents},
+        )
+        still = [agent for agent, gone in zip(self.agents, left, strict=True) if not gone]
+        self.agents = [] if ended or over else still
+        return found
+
+    def _checked(self, actions: Any) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+        """Return what all agents do (n, A) and say (n, D); of those that have left nobody looks at it."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
         for agent in actions:
@@ -106,28 +131,14 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         missing = [agent for agent in self.agents if agent not in actions]
         if missing:
             raise UsageError(f"actions: there is none for {', '.join(missing)}")
-        done, words = zip(
-            *(split_say(self.batch, actions[agent], f"action of {agent}") for agent in self.agents), strict=True
-        )
-        named = list(zip(self.agents, done, strict=True))
-        flown = [shaped(self.batch, act, f"action of {agent}") for agent, act in named]
-        rewards, terminated, truncated = self.batch.step(np.stack(flown)[None], np.stack(words)[None])
-        totals = rewards[0].astype(float)
-        if truncated[0]:
-            totals += self.batch.scores(np.zeros(1, int))[0]
-        if self._drawing is not None:
-            self._drawing.moved()
-        agents = self.agents
-        found = (
-            self._seen(),
-            dict(zip(agents, map(float, totals), strict=True)),
-            dict.fromkeys(agents, bool(terminated[0])),
-            dict.fromkeys(agents, bool(truncated[0])),
-            self._truth(),
-        )
-        if terminated[0] or truncated[0]:
-            self.agents = []
-        return found
+        count = len(self.possible_agents)
+        flown: list[Any] = [np.zeros(len(self.batch.axes), self.batch.dtype)] * count
+        said: list[Any] = [np.full(self.batch.functional.play.message, np.nan, self.batch.dtype)] * count
+        for agent in self.agents:
+            who, row = f"action of {agent}", self.possible_agents.index(agent)
+            act, said[row] = split_say(self.batch, actions[agent], who)
+            flown[row] = shaped(self.batch, act, who)
+        return np.stack(flown), np.stack(said)
 
     def render(self) -> Any:
         """Return the episode from above, as ``SingleTask`` does."""

@@ -23,6 +23,7 @@ class Moved:
     Attributes:
         rewards: (E, n).
         terminated, truncated: (E,).
+        gone: (E, n) which agents have stopped, where these leave; else None.
         last: where episodes have ended and others have begun (``SAME_STEP``), what was seen last and what was really
             the case, arrays (E, n, ...) that are zero for the others; None where there are no such.
         ended: (E,) of which these are.
@@ -31,6 +32,7 @@ class Moved:
     rewards: Array
     terminated: Array
     truncated: Array
+    gone: Array | None
     last: tuple[Any, dict[str, Array]] | None
     ended: Array
 
@@ -112,7 +114,9 @@ class Series:
         rewards[at_the_end] += self.batch.scores(at_the_end)
         for drawing in self._drawings:
             drawing.moved()
-        last = None
+        last, gone = None, self.batch.gone
+        if gone is not None:
+            gone = gone & ~waiting[:, None]
         if self.mode is AutoresetMode.SAME_STEP:
             if ended.any():
                 last = jax.tree.map(lambda leaf: _where(ended, leaf), (self.batch.seen, self.batch.truth))
@@ -121,7 +125,7 @@ class Series:
             self._again(np.flatnonzero(waiting))
             rewards[waiting], terminated, truncated = 0.0, terminated & ~waiting, truncated & ~waiting
         self._over = ended if self.mode is not AutoresetMode.SAME_STEP else np.zeros_like(ended)
-        return Moved(rewards, terminated, truncated, last, ended)
+        return Moved(rewards, terminated, truncated, gone, last, ended)
 
     def frames(self) -> tuple[Any, ...] | None:
         """Return a picture of each environment; None without a render mode."""

@@ -26,7 +26,8 @@ class VectorParallelTask:
     """Many episodes of a task of several vehicles, computed as one batch.
 
     What ``ParallelTask`` has of one episode is here an array of all, by the name of the agent. An episode ends for all
-    its agents together. Environment i of a seed s is that of ``ParallelTask`` with the seed s + i.
+    its agents together; with ``task.leave`` an agent that has stopped stays terminated, at no reward, until then.
+    Environment i of a seed s is that of ``ParallelTask`` with the seed s + i.
 
     Args:
         scenario, overrides, precision, render_mode: as of ``SingleTask``.
@@ -109,6 +110,8 @@ class VectorParallelTask:
         flown, words = self._checked(actions)
         moved = self._series.step(flown, words)
         infos = self._of_each(self.batch.truth)
+        stopped = np.zeros(moved.rewards.shape, bool) if moved.gone is None else moved.gone
+        terminated = moved.terminated[:, None] | stopped
         if moved.last is not None:
             last, really = (self._of_each(part) for part in moved.last)
             for agent, info in infos.items():
@@ -117,8 +120,8 @@ class VectorParallelTask:
         return (
             self._of_each(self.batch.seen),
             self._of_each(moved.rewards),
-            {agent: moved.terminated.copy() for agent in self.possible_agents},
-            {agent: moved.truncated.copy() for agent in self.possible_agents},
+            self._of_each(terminated),
+            self._of_each(moved.truncated[:, None] & ~terminated),
             infos,
         )
 

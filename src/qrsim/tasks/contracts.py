@@ -34,6 +34,7 @@ class Task(Protocol):
         fleet: name of that fleet; "": there is no task.
         period: time between two actions [s], a multiple of the time step.
         penalty: reward of the step in which a vehicle stops.
+        leave: whether an agent that stops leaves, and the others fly on until all have stopped; else its episode ends.
         axes: the numbers of an action, with unit and range, where they do not depend on the world (see ``acts``).
         asks_for: kind of set-points that its fleet's controller must take; None: its actions are commands.
         hands_in: whether an agent hands in an answer at the end, which has a ``score``.
@@ -43,6 +44,7 @@ class Task(Protocol):
     fleet: str
     period: float
     penalty: Array
+    leave: bool = False
     axes: ClassVar[tuple[Axis, ...]] = ()
     asks_for: ClassVar[type[Any] | None] = None
     hands_in: ClassVar[bool] = False

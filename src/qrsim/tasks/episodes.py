@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from qrsim.core.noise import Key
@@ -27,13 +28,14 @@ class Begun(NamedTuple):
 @lru_cache
 def _scored() -> Any:
     def score(play: Play, episode: Episode, answer: Any) -> Any:
-        return play.task.score(episode.memory, play.world, episode.state, answer)
+        found = play.task.score(episode.memory, play.world, episode.state, answer)
+        return found if episode.gone is None else jnp.where(episode.gone, 0.0, found)
 
     return quick_jit(score)
 
 
 def score(play: Play, episode: Episode, answer: Array) -> Array:
-    """Score the answers (n, ...) of the agents of an episode; (n,)."""
+    """Score the answers (n, ...) of the agents of an episode; (n,), 0 for who has left."""
     return np.asarray(_scored()(play, episode, answer))
 
 

@@ -28,6 +28,17 @@ class Episode:
     state: State = quantity(doc="of the world")
     memory: Any = quantity(doc="of the task")
     step: Array = quantity(doc="() int32 steps done")
+    gone: Any = quantity(default=None, doc="(n,) bool agents that have stopped, where these leave; else None")
+
+
+@record
+class Judged:
+    """What a step was worth."""
+
+    memory: Any = quantity(doc="of the task, after it")
+    reward: Array = quantity(doc="(n,) of the agents")
+    goes_on: Array = quantity(doc="() bool: nobody has stopped, or where agents leave, not all have")
+    gone: Any = quantity(doc="as of ``Episode``")
 
 
 @record
@@ -38,6 +49,7 @@ class Step:
     reward: Array = quantity(doc="(n,)")
     terminated: Array = quantity(doc="() bool: a vehicle has stopped, and the episode has ended")
     truncated: Array = quantity(doc="() bool: the last step is done")
+    gone: Any = quantity(default=None, doc="as of ``Episode``")
 
 
 @record
@@ -103,7 +115,12 @@ class Play:
         """Start an episode; return it and the observations."""
         state = ticks_of.reset(self.world, keys.world)
         memory = self.begun(keys, state)
-        return Episode(state, memory, jnp.int32(0)), self.observed(memory, state, jnp.int32(0))
+        episode = Episode(state, memory, jnp.int32(0), self.nobody_gone())
+        return episode, self.observed(memory, state, jnp.int32(0))
+
+    def nobody_gone(self) -> Any:
+        """Return who has left at the start, (n,) bool; None where agents do not leave."""
+        return jnp.zeros(len(self.agents), bool) if self.task.leave else None
 
     def begun(self, keys: EpisodeKeys, state: State) -> Any:
         """Return the task's memory at the start of an episode, from the world's state there."""
@@ -127,7 +144,7 @@ class Play:
 
         carry = (episode.state, episode.memory)
         state, memory = tick(0, carry) if self.ticks == 1 else lax.fori_loop(0, self.ticks, tick, carry)
-        return self._judged(Episode(state, memory, episode.step))
+        return self._judged(Episode(state, memory, episode.step, episode.gone))
 
     def tick(self, action: Array, progress: Progress, number: Array) -> Progress:
         """Advance an episode by one of the ``ticks`` of a step; as ``step``, for batches of worlds run tick by tick.
@@ -141,7 +158,7 @@ class Play:
         commands = lax.cond(number == 0, lambda: self._commands(episode, action), lambda: progress.commands)
         begun = episode.step * self.ticks
         state, memory = self._tick(episode.state, episode.memory, commands, begun, number)
-        after = Episode(state, memory, episode.step)
+        after = Episode(state, memory, episode.step, episode.gone)
 
         def judged() -> Progress:
             ended, step = self._judged(after)
@@ -184,16 +201,26 @@ class Play:
     def _judged(self, episode: Episode) -> tuple[Episode, Step]:
         """Return an episode with one more step done, and what that brings."""
         state, number = episode.state, episode.step + 1
-        memory, reward, fly = self.rewarded(episode)
-        after = Episode(state, memory, number)
-        seen = self.observed(memory, state, number * self.ticks)
-        return after, Step(seen, reward, ~fly, fly & (number >= self.steps))
+        found = self.rewarded(episode)
+        after = Episode(state, found.memory, number, found.gone)
+        seen = self.observed(found.memory, state, number * self.ticks)
+        fly = found.goes_on
+        return after, Step(seen, found.reward, ~fly, fly & (number >= self.steps), found.gone)
 
-    def rewarded(self, episode: Episode) -> tuple[Any, Array, Array]:
-        """Return the task's memory after one more step, its reward (n,), and whether all fly ()."""
+    def rewarded(self, episode: Episode) -> Judged:
+        """Judge one more step, whose ticks the episode has behind it."""
         memory, reward = self.task.judge(episode.memory, self.world, episode.state, episode.step + 1, self.steps)
-        fly = all_fly(episode.state)
-        return memory, jnp.where(fly, reward, self._crashed(episode)), fly
+        if not self.task.leave:
+            fly = all_fly(episode.state)
+            return Judged(memory, jnp.where(fly, reward, self._crashed(episode)), fly, None)
+        own = number_of(self.world, self.task.fleet)
+        gone = episode.state.fleets[own].violation.code != 0
+        others = [fleet.violation.code == 0 for i, fleet in enumerate(episode.state.fleets) if i != own]
+        others_fly = jnp.all(jnp.concatenate(others)) if others else jnp.ones((), bool)
+        # Who stops pays once; what the task is worth to the others does not depend on it.
+        left = jnp.where(episode.gone, 0.0, self.task.penalty)
+        reward = jnp.where(gone, left, jnp.where(others_fly, reward, self._crashed(episode)))
+        return Judged(memory, reward, others_fly & ~jnp.all(gone), gone)
 
     def _crashed(self, episode: Episode) -> Array:
         """Return the reward () of a step in which a vehicle has stopped."""

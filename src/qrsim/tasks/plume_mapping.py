@@ -16,7 +16,7 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.scene.plume import PuffPlume
 from qrsim.models.scene.uniform import uniform
 from qrsim.models.sensors.concentration import ConcentrationReading
-from qrsim.tasks.agents import BELIEVED, Axis, action_period, believed, fleet_of, only, penalty, velocity_axes
+from qrsim.tasks.agents import BELIEVED, Axis, action_period, believed, fleet_of, leaving, only, penalty, velocity_axes
 from qrsim.tasks.contracts import Task
 from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.episode import surroundings
@@ -51,6 +51,7 @@ class PlumeMapping(Task):
     )  # fmt: skip
     sample_gap: Array = parameter(default=60.0, unit="s", doc="time between two reference samples of puffs", above=0.0)
     penalty: Array = penalty()
+    leave: bool = leaving()
     locations: int = setting(default=100, unit="1", doc="locations asked for", minimum=1, maximum=10_000)
     anywhere: int = setting(default=20, unit="1", doc="of them, those anywhere in the area", minimum=0, maximum=10_000)
     samples: int = setting(default=500, unit="1", doc="samples for each location of puffs", minimum=2, maximum=100_000)

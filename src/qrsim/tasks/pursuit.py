@@ -11,7 +11,7 @@ from qrsim.control import VelocityHeightSetpoint
 from qrsim.core.noise import Draw
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.tasks.agents import Axis, action_period, estimate_of, fleet_of, only, penalty, velocity_axes
+from qrsim.tasks.agents import Axis, action_period, estimate_of, fleet_of, leaving, only, penalty, velocity_axes
 from qrsim.tasks.contracts import Task
 from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.state import Action, State, World
@@ -34,6 +34,7 @@ class Pursuit(Task):
 
     reach: Array = parameter(default=2.0, unit="1", doc="collision distances that are near enough", minimum=0.0)
     penalty: Array = penalty()
+    leave: bool = leaving()
     fleet: str = setting(default="cats", doc="name of the fleet whose vehicles are the agents")
     prey: str = setting(default="mice", doc="name of the fleet that is caught")
     period: float = action_period(1.0)

@@ -17,7 +17,7 @@ from qrsim.engine.settings import quick_jit
 from qrsim.errors import UsageError
 from qrsim.tasks.episodes import score
 from qrsim.tasks.places import Places, places_of
-from qrsim.tasks.play import Episode, Play
+from qrsim.tasks.play import Episode, Judged, Play
 
 Floats = np.ndarray[Any, Any]
 # Ticks that are judged at once.
@@ -38,8 +38,8 @@ class TaskScore:
 
     Attributes:
         returns: return of each agent, by its name; of an unfinished flight so far; None where it is not finite.
-        outcome: "flown_to_the_end"; "crashed": a vehicle stopped, which ended the episode; "unfinished";
-            "not_finite": a reward was NaN or infinite.
+        outcome: "flown_to_the_end"; "crashed": a vehicle stopped, which ended the episode (where agents leave, the last
+            one); "unfinished"; "not_finite": a reward was NaN or infinite.
         steps: steps judged.
         of: steps of an episode.
         handed_in: whether the policy handed something in; where it did not, zeros were scored. None without answers.
@@ -83,11 +83,12 @@ class Referee:
         self._over = ""
         self._last = jax.tree.map(lambda leaf: np.array(leaf[0]), beginning.state)
         with self._precision():
-            self._memory = _begin()(self._play, Key.root(seed, number), self._last)
-            self._places = places_of(self._play.task, self._play.world, self._memory, self._last.contents)
+            # The task's memory, and who has left.
+            self._carried = _begin()(self._play, Key.root(seed, number), self._last)
+            self._places = places_of(self._play.task, self._play.world, self._carried[0], self._last.contents)
             # Compiled now, so that it does not count as flying.
             still = jax.tree.map(lambda leaf: np.repeat(leaf[None], CHUNK, axis=0), self._last)
-            _watched()(self._play, self._memory, still, np.int32(1), np.int32(0))
+            _watched()(self._play, self._carried, still, np.int32(1), np.int32(0))
 
     def _precision(self) -> Any:
         return jax.enable_x64(self._dtype == np.float64)
@@ -132,8 +133,8 @@ class Referee:
     def _judge(self, ticks: Floats, states: Any, count: int) -> None:
         """Judge the first ``count`` of ``CHUNK`` ticks and their states."""
         with self._precision():
-            self._memory, rewards, flies = jax.tree.map(
-                np.asarray, _watched()(self._play, self._memory, states, np.int32(ticks[0]), np.int32(count))
+            self._carried, rewards, flies = jax.tree.map(
+                np.asarray, _watched()(self._play, self._carried, states, np.int32(ticks[0]), np.int32(count))
             )
         for place in np.flatnonzero(ticks[:count] % self._play.ticks == 0):
             self._step(rewards[place], bool(flies[place]))
@@ -169,7 +170,7 @@ class Referee:
                 raise UsageError(f"answer: expected shape {shape} (agents, ...), found {given.shape}")
             with self._precision():
                 step: Any = np.int32(self._steps)
-                episode = Episode(self._last, self._memory, step)
+                episode = Episode(self._last, self._carried[0], step, self._carried[1])
                 total = total + score(self._play, episode, given)
             outcome = outcome if np.isfinite(total).all() else SPOILT
         returns = {name: float(value) if np.isfinite(value) else None
@@ -181,7 +182,7 @@ class Referee:
 @lru_cache
 def _begin() -> Any:
     def begin(play: Play, key: Key, state: Any) -> Any:
-        return play.begun(play.keys(key), state)
+        return play.begun(play.keys(key), state), play.nobody_gone()
 
     return quick_jit(begin)
 
@@ -191,8 +192,8 @@ def _watched() -> Any:
     return quick_jit(_watch)
 
 
-def _watch(play: Play, memory: Any, states: Any, first: Array, count: Array) -> tuple[Any, Array, Array]:
-    """Return the memory after ``count`` ticks from ``first`` on, and of all (T,) the rewards (T, n) and who flies (T,).
+def _watch(play: Play, carried: Any, states: Any, first: Array, count: Array) -> tuple[Any, Array, Array]:
+    """Return memory and who has left after ``count`` ticks from ``first`` on; of all rewards (T, n), what goes on (T,).
 
     What is returned of ticks that end no step has no meaning.
     """
@@ -200,20 +201,21 @@ def _watch(play: Play, memory: Any, states: Any, first: Array, count: Array) -> 
     def tick(before: Any, item: tuple[Any, Array]) -> tuple[Any, tuple[Array, Array]]:
         state, place = item
         number = first + place
-        memory = play.task.each_tick(before, play.world, state)
-        episode = Episode(state, memory, number // play.ticks - 1)
+        memory = play.task.each_tick(before[0], play.world, state)
+        episode = Episode(state, memory, number // play.ticks - 1, before[1])
 
-        def judged() -> tuple[Any, Array, Array]:
+        def judged() -> Judged:
             return play.rewarded(episode)
 
-        def going() -> tuple[Any, Array, Array]:
-            empty = jax.eval_shape(judged)
-            return memory, jnp.zeros(empty[1].shape, empty[1].dtype), jnp.ones((), bool)
+        def going() -> Judged:
+            empty = jax.eval_shape(judged).reward
+            return Judged(memory, jnp.zeros(empty.shape, empty.dtype), jnp.ones((), bool), before[1])
 
-        memory, reward, flies = lax.cond(number % play.ticks == 0, judged, going)
-        after = jax.tree.map(lambda new, old: jnp.where(place < count, new, old), memory, before)
-        return after, (reward, flies)
+        found = lax.cond(number % play.ticks == 0, judged, going)
+        after = (found.memory, found.gone)
+        after = jax.tree.map(lambda new, old: jnp.where(place < count, new, old), after, before)
+        return after, (found.reward, found.goes_on)
 
     places = jnp.arange(CHUNK, dtype=jnp.int32)
-    memory, (rewards, flies) = lax.scan(tick, memory, (states, places))
-    return memory, rewards, flies
+    carried, (rewards, flies) = lax.scan(tick, carried, (states, places))
+    return carried, rewards, flies

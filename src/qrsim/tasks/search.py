@@ -18,6 +18,7 @@ from qrsim.tasks.agents import (
     action_period,
     believed,
     fleet_of,
+    leaving,
     number_of,
     only,
     penalty,
@@ -45,6 +46,7 @@ class Search(Task):
     """
 
     penalty: Array = penalty()
+    leave: bool = leaving()
     fleet: str = setting(default="helicopters", doc="name of the fleet whose vehicles are the agents")
     camera: str = setting(default="camera", doc="name of their camera")
     period: float = action_period(1.0)
