@@ -46,6 +46,20 @@ class ScenarioError(UsageError):
         return type(self), (self.source, self.problems), self.__dict__
 
 
+class LogError(UsageError):
+    """A flight log is damaged, or does not show what was asked of it. Exit code 1: the command itself was right.
+
+    Attributes:
+        details: what was measured of the log, line by line, beside the message, which is one line.
+    """
+
+    exit_code = 1
+
+    def __init__(self, message: str, details: Iterable[str] = ()):
+        super().__init__(message)
+        self.details = list(details)
+
+
 class RunError(QrsimError):
     """A valid run could not be carried out (disk full, folder not writable, data missing)."""
 

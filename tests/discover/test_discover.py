@@ -182,4 +182,4 @@ def test_wrong_usage(log_file: Path, refused: Callable[..., None], tmp_path: Pat
     refused(["discover", str(log_file), *out, "--delay", "-0.1"], "--delay -0.1: expected 0 to 1 s")
     refused(["discover", str(tmp_path / "none.csv"), *out], "no such file")
     path = write_csv(tmp_path / "log.csv", {k: v for k, v in flown(6.0).items() if k != "roll_rate"})
-    refused(["discover", str(path), "--quiet", *out], "the laws of rotation needs roll_rate")
+    refused(["discover", str(path), "--quiet", *out], "the laws of rotation needs roll_rate", code=1)

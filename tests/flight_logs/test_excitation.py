@@ -99,9 +99,10 @@ def test_a_vehicle_that_does_not_answer(log: FlightLog) -> None:
     assert "does not answer, although pitch_command moves by 0.1" in found.lacking["pitch"]
     assert "times its noise of 0.05): does not answer, although throttle moves by 0.0" in found.lacking["heave"]
     assert {"roll", "roll_rate", "yaw", "velocity_down"} <= set(found.silent)
-    lines = described(log, found)
-    assert lines[0].startswith("log.csv: refused, and nothing is written: on the ground, or not flown")
-    assert any(line.startswith("  roll_rate moves by 0.00") for line in lines)
+    message, details = described([log], [found])
+    assert message.startswith("log.csv: refused, and nothing is written: on the ground, or not flown")
+    assert "\n" not in message
+    assert any(line.startswith("  roll_rate moves by 0.00") for line in details)
 
 
 def test_a_log_that_is_carried_by_hand(log: FlightLog) -> None:

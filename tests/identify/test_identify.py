@@ -100,7 +100,6 @@ def test_the_command_writes_a_vehicle_that_scenarios_fly(
 @pytest.mark.parametrize(
     ("extra", "parts"),
     [
-        (["--fit", "kuv"], ("'kuv' needs velocity_north, velocity_east, velocity_down, throttle", "there: roll")),
         (["--fit", "kpq4"], ("no constant is called 'kpq4'", "kpq")),
         (["--fit", "kq1"], ("'kq1' is of pitch alone; add --separate",)),
         (["--mass", "-1"], ("--mass -1: expected a mass above 0 kg",)),
@@ -117,6 +116,11 @@ def test_wrong_usage(
     refused(["identify", str(log_file), "--quiet", "-o", str(tmp_path / "v.yaml"), *extra], *parts)
 
 
+def test_a_constant_without_its_signals(log_file: Path, refused: Callable[..., None], tmp_path: Path) -> None:
+    said = ("'kuv' needs velocity_north, velocity_east, velocity_down, throttle", "there: roll")
+    refused(["identify", str(log_file), "--quiet", "-o", str(tmp_path / "v.yaml"), "--fit", "kuv"], *said, code=1)
+
+
 def test_a_file_is_not_overwritten(log_file: Path, refused: Callable[..., None], tmp_path: Path) -> None:
     out = tmp_path / "v.yaml"
     out.write_text("mine")
@@ -129,7 +133,7 @@ def test_a_missing_signal_is_named(refused: Callable[..., None], tmp_path: Path)
     path = write_csv(tmp_path / "log.csv", {name: v for name, v in signals.items() if name != "pitch_rate"})
     refused(
         ["identify", str(path), "--quiet", "-o", str(tmp_path / "v.yaml")],
-        "the rotation of a vehicle needs pitch_rate", "there: roll, pitch, yaw",
+        "the rotation of a vehicle needs pitch_rate", "there: roll, pitch, yaw", code=1,
     )  # fmt: skip
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import LogError, RunError, UsageError
 
 if TYPE_CHECKING:
     from qrsim.discover.discovery import Discovery
@@ -63,8 +64,15 @@ class Discover:
         from qrsim.scenarios.reading import dump_yaml
 
         log = read_log(self.log)
-        say = (lambda text: None) if self.quiet or self.json else (lambda text: print(text, flush=True))
-        found = discover(log, self.seed, self.generations, self.population, self.mass, self.train, self.delay, say)
+        say: Callable[[str], None] = (
+            (lambda text: None) if self.quiet or self.json else (lambda text: print(text, flush=True))
+        )
+        try:
+            found = discover(log, self.seed, self.generations, self.population, self.mass, self.train, self.delay, say)
+        except LogError as error:
+            for line in error.details:
+                say(line)
+            raise
         content = dump_yaml({"vehicle": found.vehicle(self.mass), "discovered": _summary(found)})
         head = f"# Discovered by 'qrsim discover' from {self.log.name}, seed {self.seed}.\n"
         try:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import LogError, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from qrsim.identify.fit import Question
@@ -94,7 +94,11 @@ class Identify:
             self._say(f"{log.source} ({log.kind})", *(f"  {note}" for note in log.notes))
             if missing := lacking(log):
                 self._say(f"  thrust: left out, because there is no {' and no '.join(missing)}")
-        found = identify(logs, question, self.horizon, self.train, self._say)
+        try:
+            found = identify(logs, question, self.horizon, self.train, self._say)
+        except LogError as error:
+            self._say(*error.details)
+            raise
         write_text(self.out, found.yaml(self.out))
         folder = self.out.with_name(f"{self.out.stem}_report")
         write_report(found, folder)

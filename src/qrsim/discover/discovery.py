@@ -24,7 +24,7 @@ from qrsim.discover.flight import (
     windows_of,
 )
 from qrsim.discover.proposals import count_constants, monomials, polynomial_tree, rule_of, shown, symbolic
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import LogError, RunError
 from qrsim.flight_logs import FlightLog
 from qrsim.flight_logs.excitation import described, measure, without_frozen, without_ground
 from qrsim.models.vehicles.quadrotor import (
@@ -115,7 +115,7 @@ def discover(
     """Evolve laws on the first share ``train`` of a log and score them on the rest; ``delay`` None is estimated.
 
     Raises:
-        UsageError: signals are missing, the log is too short, or shows no law.
+        LogError: signals are missing, the log is too short, or shows no law.
         RunError: no law explains the rest.
     """
     log = without_frozen(without_ground(log))
@@ -158,7 +158,7 @@ def not_shown(log: FlightLog, train: float) -> dict[str, str]:
     """Return the laws that the first share ``train`` of a log does not excite, with the reason.
 
     Raises:
-        UsageError: it says nothing of any; how much each signal moves.
+        LogError: it says nothing of any; its details are how much each signal moves.
     """
     rows = np.arange(len(log.time)) < round(train * len(log.time))
     excitation = measure(log, rows)
@@ -172,8 +172,8 @@ def not_shown(log: FlightLog, train: float) -> dict[str, str]:
             lacking = [excitation.lacking[each] for each in aspects if each in excitation.lacking]
             held[law] = "; ".join(dict.fromkeys(lacking))
     if len(held) == sum(SHOWN_BY[law] in names for law in LEAVES):
-        lines = [*described(log, excitation), *(f"  {name}: {why}" for name, why in held.items())]
-        raise UsageError("\n".join(lines))
+        message, details = described([log], [excitation])
+        raise LogError(message, details + [f"  {name}: {why}" for name, why in held.items()])
     return held
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.errors import UsageError
+from qrsim.errors import LogError
 from qrsim.flight_logs import FlightLog
 from qrsim.models.vehicles.quadrotor import Quadrotor
 
@@ -73,7 +73,7 @@ def channels_of(log: FlightLog) -> tuple[str, ...]:
     """Return the measured channels of a log.
 
     Raises:
-        UsageError: neither rotation nor thrust is complete.
+        LogError: neither rotation nor thrust is complete.
     """
     names: tuple[str, ...] = ()
     if any(name in log.signals for name in ANGULAR) or "thrust" not in log.signals:
@@ -91,7 +91,7 @@ def windows_of(log: FlightLog, first: float, last: float, steps: int, most: int)
     """Cut windows of ``steps`` steps, at most ``most``, evenly spread over a share of a log's rows.
 
     Raises:
-        UsageError: no window without a gap.
+        LogError: no window without a gap.
     """
     names = channels_of(log)
     needed = [*names, *(name for name in COMMANDS if name in log.signals)]
@@ -103,7 +103,7 @@ def windows_of(log: FlightLog, first: float, last: float, steps: int, most: int)
     whole = runs[starts + steps + 1 + margin] - runs[starts - margin] == steps + 1 + 2 * margin
     starts = starts[whole]
     if not len(starts):
-        raise UsageError(f"{log.source}: too short: no {steps * log.dt:g} s without a gap in rows {begin} to {end}")
+        raise LogError(f"{log.source}: too short: no {steps * log.dt:g} s without a gap in rows {begin} to {end}")
     starts = starts[np.unique(np.linspace(0, len(starts) - 1, min(most, len(starts))).astype(int))]
     rows = starts[None, :] + np.arange(steps)[:, None]
     zero = np.zeros(len(log.time))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from qrsim import extras
-from qrsim.errors import UsageError
+from qrsim.errors import LogError
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Track
 
@@ -45,7 +45,7 @@ def read_dataflash(path: Path) -> FlightLog:
     """Read an ArduPilot .bin log.
 
     Raises:
-        UsageError: no DataFlash log, or none of the messages.
+        LogError: no DataFlash log, or none of the messages.
         RunError: pymavlink is not installed.
     """
     reader = extras.load("identify", "reading a DataFlash log", "pymavlink.DFReader")
@@ -59,9 +59,9 @@ def read_dataflash(path: Path) -> FlightLog:
             while (message := log.recv_match(type=list(MESSAGES))) is not None:
                 _take(message, times, values)
     except Exception as error:  # the library raises whatever its parsing runs into
-        raise UsageError(f"{path}: a DataFlash log that cannot be read: {error or type(error).__name__}") from None
+        raise LogError(f"{path}: a DataFlash log that cannot be read: {error or type(error).__name__}") from None
     if not values:
-        raise UsageError(f"{path}: none of the messages {', '.join(MESSAGES)}")
+        raise LogError(f"{path}: none of the messages {', '.join(MESSAGES)}")
     lines = [line for line in dict.fromkeys(said.getvalue().splitlines()) if line.strip()]
     notes = [f"the reader says: {line}" for line in lines[:MOST_COMPLAINTS]]
     if len(lines) > MOST_COMPLAINTS:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -251,10 +251,16 @@ def told(name: str, movement: Movement) -> str:
     return f"{name} moves by {movement.std:.3g}{unit} ({movement.ratio:.2g} times its noise of {movement.noise:.2g})"
 
 
-def described(log: FlightLog, excitation: Excitation) -> list[str]:
-    """Explain why an unexcited log is refused, with the movement of each signal, line by line."""
-    lines = [f"  {told(name, movement)}" for name, movement in excitation.movements.items()]
-    return [f"{log.source}: refused, and nothing is written: {nature(excitation)}", *lines]
+def described(logs: Sequence[FlightLog], excitations: Sequence[Excitation]) -> tuple[str, list[str]]:
+    """Explain in one line why unexcited logs are refused; also return the movement of each signal, line by line."""
+    natures: dict[str, list[str]] = {}
+    details = []
+    for log, each in zip(logs, excitations, strict=True):
+        natures.setdefault(nature(each), []).append(str(log.source))
+        details += [f"{log.source}, how much its signals move:"]
+        details += [f"  {told(name, movement)}" for name, movement in each.movements.items()]
+    refused = [f"{', '.join(names)}: refused, and nothing is written: {why}" for why, names in natures.items()]
+    return "; ".join(refused), details
 
 
 def nature(excitation: Excitation) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from qrsim.errors import UsageError
+from qrsim.errors import LogError
 from qrsim.flight_logs.signals import ANGLES, SIGNALS, FlightLog, Floats, Track
 
 DT = 0.02
@@ -24,10 +24,10 @@ def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str]
     the log's notes.
 
     Raises:
-        UsageError: nothing usable, no time in common, too short, or a signal whose unit cannot be right.
+        LogError: nothing usable, no time in common, too short, or a signal whose unit cannot be right.
     """
     if not tracks:
-        raise UsageError(f"{path}: no signal of a vehicle in this {kind}; known: {', '.join(SIGNALS)}")
+        raise LogError(f"{path}: no signal of a vehicle in this {kind}; known: {', '.join(SIGNALS)}")
     notes = list(notes)
     clean = {name: _clean(path, name, track, notes) for name, track in tracks.items()}
     for name, track in clean.items():
@@ -36,12 +36,12 @@ def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str]
     last = min(track.time[-1] for track in clean.values())
     if last - first < SHORTEST_S:
         spans = ", ".join(f"{name} {track.time[0]:.3f} to {track.time[-1]:.3f} s" for name, track in clean.items())
-        raise UsageError(
+        raise LogError(
             f"{path}: too short: its signals have {max(0.0, last - first):.2f} s in common, at least {SHORTEST_S:g} s"
             f" are needed; {spans}"
         )
     if last - first > LONGEST_S:
-        raise UsageError(f"{path}: {_jump(clean, first, last)}")
+        raise LogError(f"{path}: {_jump(clean, first, last)}")
     grid = first + dt * np.arange(int((last - first) / dt + 1e-6) + 1)
     signals = {name: _sampled(name, track, grid, notes) for name, track in clean.items()}
     rates = {name: 1.0 / float(np.median(np.diff(track.time))) for name, track in clean.items()}
@@ -87,13 +87,13 @@ def _clean(path: Path, name: str, track: Track, notes: list[str]) -> Track:
         notes.append(f"{name}: {int((~good).sum())} of {len(good)} samples are not finite numbers; left out")
         time, values = time[good], values[good]
     if len(time) < 2:
-        raise UsageError(f"{path}: {name}: {len(time)} usable samples of {len(good)}; at least 2 are needed")
+        raise LogError(f"{path}: {name}: {len(time)} usable samples of {len(good)}; at least 2 are needed")
     backwards = int((np.diff(time) < 0).sum())
     if backwards:
         share = backwards / len(time)
         if share > 0.05:
             where = int(np.argmax(np.diff(time) < 0))
-            raise UsageError(
+            raise LogError(
                 f"{path}: {name}: time goes back {backwards} times in {len(time)} samples, first from"
                 f" {time[where]:.6g} s to {time[where + 1]:.6g} s; expected a time that increases"
             )
@@ -106,7 +106,7 @@ def _clean(path: Path, name: str, track: Track, notes: list[str]) -> Track:
         notes.append(f"{name}: {int((~last).sum())} samples have the time of another; the last of each counts")
         time, values = time[last], values[last]
     if len(time) < 2:
-        raise UsageError(f"{path}: {name}: all samples have the time {time[0]:.6g} s")
+        raise LogError(f"{path}: {name}: all samples have the time {time[0]:.6g} s")
     if name in ANGLES:
         turns = np.round(values[0] / (2.0 * np.pi))
         values = np.unwrap(values) - 2.0 * np.pi * turns
@@ -119,7 +119,7 @@ def _check_unit(path: Path, name: str, values: Floats) -> None:
     size = float(np.quantile(np.abs(values if name != "yaw" else values - values[0]), 0.99))
     guess = {"rad": "degrees", "rad/s": "degrees per second", "1": "per cent", "V": "millivolts", "m/s": "cm/s"}
     if size > signal.largest:
-        raise UsageError(
+        raise LogError(
             f"{path}: {name}: its unit is suspect: 1 % of the values are beyond {size:.4g} {signal.unit}, and"
             f" {signal.largest:g} {signal.unit} is the most that is believed; is it in"
             f" {guess.get(signal.unit, 'another unit')}?"

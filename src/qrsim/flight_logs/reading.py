@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from qrsim.errors import UsageError, did_you_mean_file
+from qrsim.errors import LogError, UsageError, did_you_mean_file
 from qrsim.files.user_files import open_file
 from qrsim.flight_logs.rosbag import is_bag, read_bag
 from qrsim.flight_logs.signals import FlightLog
@@ -22,8 +22,8 @@ def read_log(path: Path, namespace: str | None = None) -> FlightLog:
         namespace: of the vehicle in a bag; see ``rosbag.read_bag``.
 
     Raises:
-        UsageError: no such file, empty, no format that is known, what the reader of the format finds wrong, or a
-            namespace without a bag.
+        UsageError: no such file, or a namespace without a bag.
+        LogError: empty, no format that is known, or what the reader of the format finds wrong.
         RunError: a bag is damaged.
     """
     if path.exists() and is_bag(path):
@@ -38,7 +38,7 @@ def read_log(path: Path, namespace: str | None = None) -> FlightLog:
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
     if not beginning.strip():
-        raise UsageError(f"{path}: the file is empty; expected {FORMATS}")
+        raise LogError(f"{path}: the file is empty; expected {FORMATS}")
     if beginning.startswith(_ULOG_MAGIC):
         from qrsim.flight_logs.ulog import read_ulog
 
@@ -48,7 +48,7 @@ def read_log(path: Path, namespace: str | None = None) -> FlightLog:
 
         return read_dataflash(path)
     if b"\0" in beginning:
-        raise UsageError(f"{path}: neither ULog nor DataFlash nor text; expected {FORMATS}")
+        raise LogError(f"{path}: neither ULog nor DataFlash nor text; expected {FORMATS}")
     first = beginning.decode("utf-8-sig", errors="replace").partition("\n")[0]
     if any(c.isalpha() for c in first.replace("e", "").replace("E", "").replace("nan", "")):
         from qrsim.flight_logs.table import read_table

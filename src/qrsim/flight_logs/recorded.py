@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from qrsim.errors import UsageError
+from qrsim.errors import LogError
 from qrsim.files.user_files import open_text
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Floats, Track
@@ -68,17 +68,17 @@ def read_recording(path: Path) -> FlightLog:
     from its row to the next.
 
     Raises:
-        UsageError: not numbers only, or another number of columns.
+        LogError: not numbers only, or another number of columns.
     """
     try:
         # Not by its name, by which NumPy would unpack it.
         with open_text(path) as stream:
             rows = np.loadtxt(stream, delimiter=",", ndmin=2)
     except ValueError as error:
-        raise UsageError(f"{path}: neither a header with names nor numbers only: {error}") from None
+        raise LogError(f"{path}: neither a header with names nor numbers only: {error}") from None
     if rows.shape[1] not in LAYOUTS:
         known = ", ".join(f"{columns} ({name})" for columns, (name, _) in LAYOUTS.items())
-        raise UsageError(
+        raise LogError(
             f"{path}: numbers without a header, {rows.shape[1]} columns; known without a header: {known};"
             " any other table needs a first line with names and units, such as 'time [s],roll [deg]'"
         )

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from qrsim import extras
-from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.errors import LogError, RunError, UsageError, did_you_mean
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Floats, Track
 
@@ -172,7 +172,7 @@ def _refuse_what_is_no_bag(path: Path) -> None:
         return
     if (path / "run.json").is_file():
         raise UsageError(f"{path}: a run of qrsim; qrsim export {path} --format rosbag2 makes a bag of it")
-    raise UsageError(
+    raise LogError(
         f"{path}: a folder without metadata.yaml is no bag of ROS 2; name its .mcap or .db3 file, or 'ros2 bag reindex'"
         " makes one"
     )
@@ -228,7 +228,7 @@ def _chosen(path: Path, topics: Mapping[str, str], vehicle: str | None) -> str:
     if not whole:
         lacking = min((_lacking(own) for own in there.values()), key=len, default=list(NEEDED))
         shown = _listed([f"{topic} ({kind})" for topic, kind in sorted(topics.items())]) or "none"
-        raise UsageError(f"{path}: no topic of a vehicle's {_needed(lacking)}; there: {shown}")
+        raise LogError(f"{path}: no topic of a vehicle's {_needed(lacking)}; there: {shown}")
     return whole[0]
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.errors import UsageError
+from qrsim.errors import LogError
 
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -87,11 +87,11 @@ class FlightLog:
         """Refuse a log that lacks a signal.
 
         Raises:
-            UsageError: names what is missing and lists what is there.
+            LogError: names what is missing and lists what is there.
         """
         missing = [name for name in names if name not in self.signals]
         if missing:
-            raise UsageError(
+            raise LogError(
                 f"{self.source}: {purpose} needs {', '.join(missing)}, which this log ({self.kind}) has not;"
                 f" there: {', '.join(self.signals)}"
             )

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import LogError, did_you_mean
 from qrsim.files.user_files import open_text
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import SIGNALS, FlightLog, Floats, Track
@@ -42,7 +42,7 @@ def read_table(path: Path) -> FlightLog:
     """Read a CSV whose header names columns as 'roll [deg]'; it notes the columns that it ignores.
 
     Raises:
-        UsageError: no time, a column without a unit or with an unknown one, twice the same, a row of wrong length.
+        LogError: no time, a column without a unit or with an unknown one, twice the same, a row of wrong length.
     """
     with open_text(path, errors="replace") as stream:
         reader = csv.reader(stream)
@@ -51,7 +51,7 @@ def read_table(path: Path) -> FlightLog:
             wanted, ignored = _columns(path, header)
             values = _numbers(path, header, reader, wanted)
         except csv.Error as error:
-            raise UsageError(f"{path}: line {reader.line_num}: not CSV: {error}") from None
+            raise LogError(f"{path}: line {reader.line_num}: not CSV: {error}") from None
     time = values.pop("time")
     notes = [f"columns left out: {', '.join(ignored)}"] if ignored else []
     return prepare(path, "CSV", {name: Track(time, column) for name, column in values.items()}, notes)
@@ -71,18 +71,18 @@ def _columns(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, float]
         unit = "s" if name == "time" else SIGNALS[name].unit
         factors = UNITS[unit] | ({"raw": RAW[name]} if name in RAW else {})
         if match is None:
-            raise UsageError(
+            raise LogError(
                 f"{path}: line 1: '{name}' has no unit; write '{name} [{unit}]', or one of {', '.join(factors)}"
             )
         if match[2] not in factors:
-            raise UsageError(f"{path}: line 1: '{text.strip()}': unknown unit{did_you_mean(match[2], factors)}")
+            raise LogError(f"{path}: line 1: '{text.strip()}': unknown unit{did_you_mean(match[2], factors)}")
         if name in wanted:
-            raise UsageError(f"{path}: line 1: '{name}' is there twice, columns {wanted[name][0] + 1} and {place + 1}")
+            raise LogError(f"{path}: line 1: '{name}' is there twice, columns {wanted[name][0] + 1} and {place + 1}")
         wanted[name] = (place, factors[match[2]])
     if "time" not in wanted:
-        raise UsageError(f"{path}: line 1: no column 'time [s]'; there: {', '.join(text.strip() for text in header)}")
+        raise LogError(f"{path}: line 1: no column 'time [s]'; there: {', '.join(text.strip() for text in header)}")
     if len(wanted) == 1:
-        raise UsageError(
+        raise LogError(
             f"{path}: line 1: no column of a vehicle; there: {', '.join(ignored)}; known: {', '.join(SIGNALS)}"
         )
     return wanted, ignored
@@ -96,13 +96,13 @@ def _numbers(path: Path, header: list[str], reader: Any, wanted: dict[str, tuple
             continue
         line = reader.line_num
         if len(fields) != len(header):
-            raise UsageError(f"{path}: line {line}: {len(fields)} fields, the header has {len(header)}")
+            raise LogError(f"{path}: line {line}: {len(fields)} fields, the header has {len(header)}")
         for name, (place, factor) in wanted.items():
             text = fields[place].strip()
             try:
                 table[name].append(factor * float(text) if text else math.nan)
             except ValueError:
-                raise UsageError(
+                raise LogError(
                     f"{path}: line {line}: column '{header[place].strip()}': '{text[:40]}' is not a number"
                 ) from None
     return {name: np.array(column) for name, column in table.items()}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from qrsim import extras
-from qrsim.errors import UsageError
+from qrsim.errors import LogError
 from qrsim.files.user_files import read_bytes
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Floats, Track
@@ -41,7 +41,7 @@ def read_ulog(path: Path) -> FlightLog:
     """Read a PX4 log; a truncated one is read up to the cut, with a note.
 
     Raises:
-        UsageError: no ULog, or none of the topics.
+        LogError: no ULog, or none of the topics.
         RunError: pyulog is not installed.
     """
     pyulog = extras.load("identify", "reading a ULog", "pyulog")
@@ -55,7 +55,7 @@ def read_ulog(path: Path) -> FlightLog:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             log = pyulog.ULog(io.BytesIO(content[:whole]), list(TOPICS))
     except Exception as error:  # pyulog raises whatever its parsing runs into
-        raise UsageError(f"{path}: a ULog that cannot be read: {error or type(error).__name__}") from None
+        raise LogError(f"{path}: a ULog that cannot be read: {error or type(error).__name__}") from None
     if log.file_corruption:
         notes.append("the file is damaged; what can be read between the damaged parts is used")
     if log.dropouts:
@@ -64,11 +64,11 @@ def read_ulog(path: Path) -> FlightLog:
     # Of several instances of a topic, the first.
     topics = {data.name: data.data for data in reversed(log.data_list) if len(data.data.get("timestamp", ()))}
     if not topics:
-        raise UsageError(f"{path}: no data of the topics {', '.join(TOPICS)}")
+        raise LogError(f"{path}: no data of the topics {', '.join(TOPICS)}")
     try:
         tracks = _tracks(topics, notes)
     except (KeyError, TypeError, ValueError) as error:  # a damaged definition, with other fields or types
-        raise UsageError(f"{path}: a ULog that cannot be read: its topics have no {error}") from None
+        raise LogError(f"{path}: a ULog that cannot be read: its topics have no {error}") from None
     return prepare(path, "PX4 ULog", tracks, notes)
 
 

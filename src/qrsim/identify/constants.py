@@ -62,7 +62,7 @@ def channels_of(log: FlightLog) -> tuple[str, ...]:
     """Return the measured signals of a log that the fit uses.
 
     Raises:
-        UsageError: the log holds neither a rotation nor a thrust that can be simulated.
+        LogError: the log holds neither a rotation nor a thrust that can be simulated.
     """
     there = log.signals
     channels: tuple[str, ...] = ()

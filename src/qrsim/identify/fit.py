@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from qrsim.errors import UsageError
+from qrsim.errors import LogError
 from qrsim.flight_logs.signals import Floats
 from qrsim.identify.constants import NUISANCES, bounds_of, vehicle_of
 from qrsim.identify.intervals import Covariance, covariance
@@ -198,7 +198,7 @@ def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lamb
     """Estimate all constants; the prior holds those the logs do not determine, and widens the others' intervals.
 
     Raises:
-        UsageError: no constant at all shows in the logs.
+        LogError: no constant at all shows in the logs.
     """
     total = _Sum(question, pieces)
     unknowns, noise = total.first(), [_first_noise(piece, question.ignored) for piece in pieces]
@@ -209,7 +209,7 @@ def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lamb
     # Constants whose intervals are wide are told as such; only a log that nothing shows in is refused.
     if not (answer.covariance.information[: len(total.constants)] > 0.0).any():
         reasons = "; ".join(f"{name}: {why}" for name, why in answer.left.items())
-        raise UsageError(f"{pieces[0].log.source}: no constant can be identified; {reasons}")
+        raise LogError(f"{pieces[0].log.source}: no constant can be identified; {reasons}")
     return answer
 
 

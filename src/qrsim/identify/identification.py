@@ -49,7 +49,8 @@ def identify(
         progress: is told what happens.
 
     Raises:
-        UsageError: the logs lack a signal for a constant that was asked for, are too short, or show no constant.
+        LogError: the logs lack a signal for a constant that was asked for, are too short, or show no constant.
+        UsageError: a constant that was asked for is not known.
         RunError: no fit predicts the held-out parts better than the start does.
     """
     begun = time.perf_counter()
@@ -108,7 +109,7 @@ def _flown(log: FlightLog, question: Question, progress: Callable[[str], None]) 
     """Return a log without the rows in which it stands on the ground or a sensor hangs.
 
     Raises:
-        UsageError: it stands there nearly all the time.
+        LogError: it stands there nearly all the time.
     """
     if standing_still(log).mean() >= ON_THE_GROUND:
         excitation = measure(log, np.ones(len(log.time), bool))

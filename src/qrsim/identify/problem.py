@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qrsim.core.tree import cast
-from qrsim.errors import UsageError
+from qrsim.errors import LogError
 from qrsim.flight_logs import FlightLog
 from qrsim.flight_logs.signals import SIGNALS, Floats
 from qrsim.identify.constants import TILT_COMMANDS, channels_of, nuisances_in
@@ -107,7 +107,7 @@ def cut(log: FlightLog, horizon: float, first: float = 0.0, last: float = 1.0, w
         whole: leave out windows that are shorter than the horizon.
 
     Raises:
-        UsageError: no window is left.
+        LogError: no window is left.
     """
     channels = channels_of(log)
     commands, missing = _commands(log)
@@ -127,7 +127,7 @@ def cut(log: FlightLog, horizon: float, first: float = 0.0, last: float = 1.0, w
                 used.append(rows < end)
     if not windows:
         least = min(length, SHORTEST_ROWS) if runs else SHORTEST_ROWS
-        raise UsageError(
+        raise LogError(
             f"{log.source}: too short: no piece of {least * log.dt:g} s without a gap from"
             f" {first * len(good) * log.dt:.2f} to {last * len(good) * log.dt:.2f} s; --train, --from and --to choose"
             f" other parts{''.join(f'; {note}' for note in log.notes)}"

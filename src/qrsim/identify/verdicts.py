@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from qrsim.errors import RunError, UsageError
+from qrsim.errors import LogError, RunError
 from qrsim.flight_logs import FlightLog
 from qrsim.flight_logs.excitation import ASPECTS, Excitation, described
 from qrsim.identify.constants import CONSTANTS, PITCH, aspects_of
@@ -151,16 +151,13 @@ def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation
     """Refuse logs that excite no constant.
 
     Raises:
-        UsageError: says for each log whether it stood on the ground, and how much each of its signals moves.
+        LogError: says for each log whether it stood on the ground; its details are how much each signal moves.
     """
-    lines = []
-    for log, each in zip(logs, excitations, strict=True):
-        lines += described(log, each)
+    message, details = described(logs, excitations)
     reasons: dict[str, list[str]] = {}
     for name, why in held.items():
         reasons.setdefault(why, []).append(name)
-    lines += [f"  {', '.join(names)}: {why}" for why, names in reasons.items()]
-    raise UsageError("\n".join(lines))
+    raise LogError(message, details + [f"  {', '.join(names)}: {why}" for why, names in reasons.items()])
 
 
 def refuse_useless(logs: Sequence[FlightLog], held: Mapping[str, str]) -> None:
@@ -173,5 +170,5 @@ def refuse_useless(logs: Sequence[FlightLog], held: Mapping[str, str]) -> None:
     for name, why in held.items():
         reasons.setdefault(why, []).append(name)
     named = ", ".join(str(log.source) for log in logs)
-    lines = [f"{named}: no constant was identified, and nothing is written"]
-    raise RunError("\n".join(lines + [f"  {', '.join(names)}: {why}" for why, names in reasons.items()]))
+    told = "; ".join(f"{', '.join(names)}: {why}" for why, names in reasons.items())
+    raise RunError(f"{named}: no constant was identified, and nothing is written; {told}")
