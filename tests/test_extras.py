@@ -67,6 +67,7 @@ def test_flying_plotting_and_exporting_need_no_extra(tmp_path: Path):
         "bag": ["export", run, "--format", "rosbag2"],
         "run view": ["run", "hover_ideal", "--view", "--out", str(tmp_path / "seen")],
         "data": ["data", "fetch", "--folder", fetched],
+        "dataset": ["score", "keep_spot", "--dataset", "mine-v0"],
         "sweep": ["sweep", "swarm_collisions", "--out", str(tmp_path / "study")],
     }
     said = dict(zip(commands, without_extras(*commands.values()), strict=True))
@@ -74,7 +75,7 @@ def test_flying_plotting_and_exporting_need_no_extra(tmp_path: Path):
         assert said[name][0] == 0, said[name][1]
     extras = {
         "mcap": "export", "serve": "serve", "view": "view", "run view": "view", "sweep": "sweep", "ros2": "ros2",
-        "bag": "ros2",
+        "bag": "ros2", "dataset": "datasets",
     }  # fmt: skip
     for name, extra in extras.items():
         code, text = said[name]

@@ -17,6 +17,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "validate": ("jinja2",),
     "view": ("viser",),
     "envs": ("gymnasium", "pettingzoo"),
+    "datasets": ("minari", "h5py"),
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
     "wind": ("xarray", "netCDF4"),
     "buildings": ("shapely",),

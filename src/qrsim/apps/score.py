@@ -33,6 +33,7 @@ class Score:
       qrsim score search_and_rescue/2A
       qrsim score keep_spot --policy my_policy.py:fly --seeds 100 --out scores.png
       qrsim score cats_and_mouse/1C --set world.wind.speed_20ft=5 --json
+      qrsim score keep_spot --seeds 100 --dataset keep_spot/baseline-v0
     """
 
     task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TASK")]
@@ -51,6 +52,9 @@ class Score:
     """Another value of the scenario; can be given several times."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = None
     """Picture to write, .png, .pdf or .svg: all returns, and an episode of the first policy."""
+    dataset: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """Also keep all episodes of the first policy as a new dataset of Minari, such as keep_spot/baseline-v0, where it
+    looks for them: in MINARI_DATASETS_PATH, or ~/.minari/datasets. Of tasks with one agent and no radio."""
     json: bool = False
     """Print the result as JSON."""
 
@@ -61,18 +65,25 @@ class Score:
         if not 0 <= self.first_seed < 2**62:
             raise UsageError(f"--first-seed {self.first_seed}: expected 0 to 2**62 - 1")
         from qrsim.envs.batch import Batch
+        from qrsim.envs.dataset import Recording, free_place, write
         from qrsim.envs.scoring import score_task
 
+        if self.dataset is not None:
+            free_place(self.dataset)
         makers = self._makers(Batch(self.task, 1, self.set).functional.play)
         batch = Batch(self.task, self.seeds, self.set)
+        recording = None if self.dataset is None else Recording(batch)
         with _progress(len(makers), batch.functional.play.steps) as told:
-            found = score_task(batch, makers, self.first_seed, self.out is not None, told)
+            found = score_task(batch, makers, self.first_seed, self.out is not None, told, recording)
+        kept = None
+        if self.dataset is not None and recording is not None:
+            kept = write(self.dataset, recording, found[0].name, self.task, self.set)
         if self.out is not None:
             from qrsim.envs.score_figure import draw_scores
             from qrsim.runs.picture import save_picture
 
             save_picture(lambda: draw_scores(batch.functional.name, found), self.out)
-        self._tell(batch.functional.name, found)
+        self._tell(batch.functional.name, found, kept)
 
     def _makers(self, play: Any) -> dict[str, Any]:
         """Return what makes each policy, by the policy's name."""
@@ -98,13 +109,14 @@ class Score:
             return True
         return False
 
-    def _tell(self, task: str, found: list[Any]) -> None:
+    def _tell(self, task: str, found: list[Any], kept: Path | None) -> None:
         rows = [_row(each, found[0]) for each in found]
         if self.json:
             import json
 
             whole = {"task": task, "seeds": self.seeds, "first_seed": self.first_seed, "policies": rows}
-            print(json.dumps({**whole, "figure": str(self.out) if self.out else None}, indent=2, allow_nan=False))
+            written = {"figure": str(self.out) if self.out else None, "dataset": str(kept) if kept else None}
+            print(json.dumps({**whole, **written}, indent=2, allow_nan=False))
             return
         from rich.console import Console
         from rich.table import Table
@@ -121,6 +133,8 @@ class Score:
         Console(width=None if sys.stdout.isatty() else 110).print(table)
         if self.out is not None:
             print(f"figure: {self.out}")
+        if kept is not None:
+            print(f"dataset: {kept}, minari.load_dataset('{self.dataset}')")
 
 
 def _row(each: Any, first: Any) -> dict[str, Any]:

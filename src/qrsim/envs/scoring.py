@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from qrsim.envs.batch import Batch, numbers, one_line
+from qrsim.envs.dataset import Recording
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
 from qrsim.tasks.agents import Axis
 from qrsim.tasks.baselines import baseline, oracle
@@ -168,6 +169,7 @@ def play_policy(
     seeds: Floats,
     drawn: bool = False,
     told: Callable[[int], None] = lambda step: None,
+    recording: Recording | None = None,
 ) -> Scored:
     """Fly a policy in the episodes of seeds.
 
@@ -178,6 +180,7 @@ def play_policy(
         seeds: (S,).
         drawn: whether the first episode is drawn.
         told: is called with the number of each step done.
+        recording: keeps the episodes, of the same batch.
 
     Raises:
         UsageError: an action, message or answer of another shape, not finite or out of range.
@@ -188,6 +191,8 @@ def play_policy(
     with _blamed(name, "making it of (play, seed)", play):
         policies = [make(play, int(seed)) for seed in seeds]
     drawing = _drawing(batch) if drawn else None
+    if recording is not None:
+        recording.begin()
     nothing = np.zeros((len(play.agents), len(play.axes)))
     total, flies = np.zeros(batch.size), np.ones(batch.size, bool)
     for step in range(play.steps):
@@ -202,6 +207,8 @@ def play_policy(
         words = np.stack([said for _, said in parts])
         reward, terminated, truncated = batch.step(actions, words, f"policy {name}")
         total += np.where(flies, reward.mean(axis=1, dtype=np.float64), 0.0)
+        if recording is not None:
+            recording.add(np.flatnonzero(flies), actions, reward, (terminated, truncated))
         if drawing is not None and flies[0]:
             drawing.moved()
             if terminated[0] or truncated[0]:
@@ -214,7 +221,10 @@ def play_policy(
         policy = policies[i]
         with _blamed(name, "answer", play):
             answer = policy.answer() if isinstance(policy, Answering) else _nothing(batch)
-        total[i] += batch.score(int(i), answer).mean()
+        handed_in = float(batch.score(int(i), answer).mean())
+        total[i] += handed_in
+        if recording is not None:
+            recording.score(int(i), handed_in)
     return Scored(name, total, flies, picture if drawing is not None else None)
 
 
@@ -282,6 +292,7 @@ def score_task(
     first_seed: int = 0,
     drawn: bool = False,
     told: Callable[[str, int], None] = lambda name, step: None,
+    recording: Recording | None = None,
 ) -> list[Scored]:
     """Fly all policies in the same episodes, those of ``first_seed`` and the seeds that follow.
 
@@ -291,12 +302,20 @@ def score_task(
         first_seed: of the first episode.
         drawn: whether it is drawn.
         told: is called with the name of the policy and the number of the step done.
+        recording: keeps all episodes of the first policy.
     """
     seeds = first_seed + np.arange(batch.size)
-    return [
-        play_policy(batch, name, make, seeds, drawn and number == 0, lambda step, name=name: told(name, step))  # type: ignore[misc]
-        for number, (name, make) in enumerate(makers.items())
-    ]
+    found: list[Scored] = []
+    for name, make in makers.items():
+        first = not found
+        found.append(
+            play_policy(
+                batch, name, make, seeds, drawn and first,
+                lambda step, name=name: told(name, step),  # type: ignore[misc]
+                recording if first else None,
+            )
+        )  # fmt: skip
+    return found
 
 
 def _nothing(batch: Batch) -> Floats:
