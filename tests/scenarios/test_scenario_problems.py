@@ -212,7 +212,11 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
     ("fleets.alpha", None, "fleets.alpha: expected keys and values, found nothing ("),
     ("fleets.alpha.controller.height", 3, "fleets.alpha.controller.height: expected keys and values, found 3 ("),
     ("fleets.alpha.sensors", [], "fleets.alpha.sensors: expected keys and values, found [] ("),
-    ("fleets.alpha.vehicles", {}, "fleets.alpha.vehicles: expected a list, found keys and values ("),
+    (
+        "fleets.alpha.vehicles",
+        {},
+        "fleets.alpha.vehicles: expected a list, or rows with a count; found keys and values without one",
+    ),
     ("fleets.alpha.vehicles", [], "fleets.alpha.vehicles: expected at least 1, found none ("),
     ("fleets", {}, "fleets: expected at least 1, found none ("),
     (

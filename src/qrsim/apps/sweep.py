@@ -28,7 +28,7 @@ class Sweep:
     that was interrupted or killed goes on where it was when the same command is given again.
 
     Studies that come with qrsim: station_keeping, station_keeping_plain, gnss_errors, swarm_collisions,
-    formation_gusts, search_in_wind.
+    formation_gusts, search_in_wind, team_errors.
 
     Example:
       qrsim sweep station_keeping --seeds 4 --values 5

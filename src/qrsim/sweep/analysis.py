@@ -287,7 +287,7 @@ def sensitivity(results: Results, values: Array) -> Sensitivity | str:
     sampling = results.spec.sampling
     if sampling is None or sampling.type != "saltelli":
         return "they need 'sampling: {type: saltelli, ...}'"
-    sampled = [item.name or path for path, item in results.spec.vary.items() if item.values is None and not item.count]
+    sampled = [item.name or path for path, item in results.spec.vary.items() if item.listed is None and not item.count]
     if len(sampled) < len(results.spec.vary):
         return "not for a study that also has parameters with values"
     if results.episodes < results.planned:

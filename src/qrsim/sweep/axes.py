@@ -10,7 +10,8 @@ import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.scenarios.reading import apply_override
-from qrsim.sweep.study import Content, StudySpec, assignment
+from qrsim.sweep.study import Content, StudySpec
+from qrsim.sweep.varying import Condition, assignment
 
 Array = np.ndarray[Any, Any]
 COUNT = ".vehicles.count"
@@ -21,7 +22,8 @@ class Axis:
     """A parameter that varies.
 
     Attributes:
-        path: in the scenario; ``fleets.NAME.vehicles.count`` means the first so many of the vehicles it has.
+        path: in the scenario; ``fleets.NAME.vehicles.count`` means the first so many of the vehicles it has. Of
+            conditions, what they are called together.
         name: of the dimension or coordinate.
         unit: as the study says, "" where it does not.
         values: what it goes through; None where it is sampled between ``low`` and ``high``.
@@ -51,7 +53,7 @@ class Axis:
         assert self.values is not None
         if all(isinstance(value, int | float) and not isinstance(value, bool) for value in self.values):
             return np.array(self.values, np.float64)
-        texts = [value if isinstance(value, str) else json.dumps(value) for value in self.values]
+        texts = [str(value) if isinstance(value, str) else json.dumps(value) for value in self.values]
         return np.array(texts, dtype=object)
 
     def ends(self) -> tuple[Any, Any]:
@@ -70,8 +72,8 @@ def axes_of(spec: StudySpec) -> tuple[Axis, ...]:
     found = []
     for path, item in spec.vary.items():
         name, unit = item.name or path, item.unit or ""
-        if item.values is not None:
-            found.append(Axis(path, name, unit, tuple(item.values)))
+        if item.listed is not None:
+            found.append(Axis(path, name, unit, tuple(item.listed)))
             continue
         low, high = float(item.low or 0.0), float(item.high or 0.0)
         if item.count is None:
@@ -83,23 +85,28 @@ def axes_of(spec: StudySpec) -> tuple[Axis, ...]:
 
 
 def apply(content: Content, path: str, value: Any) -> None:
-    """Set a value of the content of a scenario, in place."""
-    apply_override(content, override(content, path, value))
+    """Set a value of the content of a scenario, or those of a condition, in place."""
+    for text in overrides(content, path, value):
+        apply_override(content, text)
 
 
-def override(content: Content, path: str, value: Any) -> str:
-    """Return the argument of ``qrsim run --set`` that sets a value.
+def overrides(content: Content, path: str, value: Any) -> list[str]:
+    """Return the arguments of ``qrsim run --set`` that set a value, or those of a condition.
 
     Raises:
         UsageError: a fleet has not so many vehicles.
     """
+    if isinstance(value, Condition):
+        return [text for own, part in value.settings.items() for text in overrides(content, own, part)]
     if not path.endswith(COUNT):
-        return assignment(path, value)
+        return [assignment(path, value)]
     name = path.removeprefix("fleets.").removesuffix(COUNT)
     fleets = content.get("fleets", {})
     if name not in fleets:
         raise UsageError(f"{path}: no fleet is called '{name}'{did_you_mean(name, fleets)}")
     vehicles = fleets[name].get("vehicles", [])
+    if isinstance(vehicles, dict):
+        return [assignment(path, value)]
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= len(vehicles):
         raise UsageError(f"{path}: {value!r}; allowed: 1 to {len(vehicles)}, the vehicles that the scenario has")
-    return assignment(f"fleets.{name}.vehicles", vehicles[:value])
+    return [assignment(f"fleets.{name}.vehicles", vehicles[:value])]

@@ -15,9 +15,9 @@ import numpy as np
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.sweep import analysis
-from qrsim.sweep.axes import COUNT, apply, override
+from qrsim.sweep.axes import COUNT, apply, overrides
 from qrsim.sweep.results import Parameter, Results
-from qrsim.sweep.study import assignment
+from qrsim.sweep.varying import assignment
 
 WORST = 10
 SCENARIO = "scenario.yaml"
@@ -102,7 +102,7 @@ def replay(results: Results, episode: int, folder: Path) -> str:
         values = {path: value for path, value in values.items() if path not in counts}
     words = ["qrsim", "run", source, "--seed", str(int(results.seeds[episode]))]
     settings = [assignment(path, value) for path, value in changes.items()]
-    settings += [override(results.scenario, path, value) for path, value in values.items()]
+    settings += [text for path, value in values.items() for text in overrides(results.scenario, path, value)]
     words += [word for setting in settings for word in ("--set", setting)]
     spec = results.spec
     words += ["--policy", spec.policy] if spec.policy else []

@@ -209,8 +209,8 @@ class Results:
         found: dict[str, Any] = {}
         for path, item in self.spec.vary.items():
             index = int(self._spread_index(item.name or path)[episode])
-            if item.values is not None:
-                found[path] = item.values[index]
+            if item.listed is not None:
+                found[path] = item.listed[index]
             else:
                 found[path] = float(self.dataset[item.name or path].values[index])
         return found

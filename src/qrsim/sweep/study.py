@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.files.user_files import read_text
@@ -26,50 +26,14 @@ from qrsim.scenarios.registry import made
 from qrsim.scenarios.schema import NAME
 from qrsim.sweep.metrics import METRICS, Metric
 from qrsim.sweep.own_metrics import own_metrics
+from qrsim.sweep.varying import Part, VarySpec, assignment
 
 BASELINE = "baseline"
 # What a study calls the metrics of a user's own.
 OWN = "own_metrics"
 # What a store and its tables can hold.
-MOST_VALUES, MOST_POINTS, MOST_EPISODES = 100_000, 2**20, 10**8
+MOST_POINTS, MOST_EPISODES = 2**20, 10**8
 Content = dict[str, Any]
-
-
-class Part(BaseModel):
-    """Base of every part of a study: unknown keys are refused, nothing is coerced."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class VarySpec(Part):
-    """Values of a parameter: a list, a number of steps between two ends, or a sampled range."""
-
-    values: list[Any] | None = Field(
-        None, description="the values, numbers or whatever may stand there", min_length=1, max_length=MOST_VALUES
-    )
-    low: Finite | None = Field(None, description="smallest value")
-    high: Finite | None = Field(None, description="largest value")
-    count: int | None = Field(
-        None, description="values from low to high; without it the sampling chooses", ge=2, le=MOST_VALUES
-    )
-    scale: Literal["linear", "log"] = Field("linear", description="how values lie between low and high")
-    name: str | None = Field(None, description="what to call it; default: its path", pattern=NAME, max_length=100)
-    unit: str | None = Field(None, description="its unit, for tables and pictures; default: that of the scenario")
-
-    @model_validator(mode="after")
-    def _one_way(self) -> VarySpec:
-        ends = self.low is not None or self.high is not None or self.count is not None
-        if (self.values is not None) == ends:
-            raise ValueError("give either values, or low and high")
-        if ends and (self.low is None or self.high is None):
-            raise ValueError("give both low and high")
-        if self.low is not None and self.high is not None and not self.low < self.high:
-            raise ValueError(f"low, {self.low:g}, is not below high, {self.high:g}")
-        if self.scale == "log" and (self.low is None or self.low <= 0.0):
-            raise ValueError("a logarithmic scale needs low and high above 0")
-        if self.values is not None and len({json.dumps(value) for value in self.values}) < len(self.values):
-            raise ValueError("a value is given twice")
-        return self
 
 
 class SamplingSpec(Part):
@@ -150,10 +114,10 @@ class StudySpec(Part):
             raise ValueError(f"policy: '{BASELINE}' has no estimator and no policy_ticks")
         if self.policy == BASELINE and self.own_metrics:
             raise ValueError(f"own_metrics: 'policy: {BASELINE}' has its own; give a policy of another kind, or none")
-        ranges = [path for path, item in self.vary.items() if item.values is None and item.count is None]
+        ranges = [path for path, item in self.vary.items() if item.listed is None and item.count is None]
         kind = self.sampling.type if self.sampling else None
         if kind == "list":
-            lengths = {len(item.values or ()) for item in self.vary.values()}
+            lengths = {len(item.listed or ()) for item in self.vary.values()}
             if len(lengths) != 1 or 0 in lengths:
                 raise ValueError("sampling: a list needs values for every parameter, as many for each")
         elif bool(kind) != bool(ranges):
@@ -162,7 +126,7 @@ class StudySpec(Part):
             )
         episodes = self.seeds * (self.sampling.points or 1 if self.sampling else 1)
         for item in self.vary.values() if kind != "list" else ():
-            episodes *= item.count or len(item.values or (0,))
+            episodes *= item.count or len(item.listed or (0,))
         if episodes > MOST_EPISODES:
             raise ValueError(f"{episodes:.3g} episodes; allowed: at most {MOST_EPISODES:.3g}")
         names = [item.name or path for path, item in self.vary.items()]
@@ -205,6 +169,8 @@ class Study:
             spec.pop("own_metrics")
         for item in spec["vary"].values():
             item.pop("unit")
+            if item["conditions"] is None:
+                item.pop("conditions")
         return {**spec, "scenario": self.content, "code": self.code}
 
     @property
@@ -264,11 +230,6 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
     )  # fmt: skip
 
 
-def assignment(path: str, value: Any) -> str:
-    """Return the argument of ``--set`` that sets a value."""
-    return f"{path}={json.dumps(value)}"
-
-
 def _as_mapping(overrides: Iterable[str]) -> Content:
     pairs = (override.partition("=") for override in overrides)
     return {path.strip(): parse_yaml(text, f"--set {path}") for path, _, text in pairs}
@@ -312,6 +273,8 @@ def _changed(content: Content, changes: Content, values: int) -> Content:
     for item in varied.values() if values and isinstance(varied, dict) else ():
         if isinstance(item, dict) and isinstance(item.get("values"), list):
             item["values"] = _thinned(item["values"], values)
+        elif isinstance(item, dict) and isinstance(item.get("conditions"), dict):
+            item["conditions"] = dict(_thinned(list(item["conditions"].items()), values))
         elif isinstance(item, dict) and isinstance(item.get("count"), int):
             item["count"] = max(2, min(values, item["count"]))
     return content

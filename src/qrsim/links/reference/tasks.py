@@ -12,6 +12,7 @@ import yaml
 from qrsim.control.controllers import OffboardController
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.scenarios.catalogue import CONTROLLERS, VEHICLES
+from qrsim.scenarios.in_rows import count_of
 from qrsim.scenarios.providing import outside_problems
 from qrsim.scenarios.reading import built_in_names, parse_yaml
 from qrsim.scenarios.scenario import Scenario, load_scenario
@@ -177,7 +178,7 @@ def _upload_problems(content: Any) -> Iterator[str]:
     for name, fleet in fleets.items():
         if not isinstance(fleet, Mapping):
             continue
-        vehicles += _count(fleet.get("vehicles"))
+        vehicles += count_of(fleet.get("vehicles"))
         if _count(fleet.get("sensors")) > MOST_SENSORS:
             yield f"fleets.{name}.sensors: {_count(fleet['sensors'])}; allowed: up to {MOST_SENSORS}"
     if vehicles > MOST_VEHICLES:
