@@ -129,6 +129,20 @@ def test_studies_of_flights_outdoors_fly_what_the_default_scenario_flies(name: s
     assert fleet.own_estimator is not None
 
 
+def test_a_search_in_wind_flies_it_too() -> None:
+    """With the camera of the task, and sinking as fast as the task may ask for."""
+    world = load_scenario(load_study("search_in_wind").content, quiet=True).world()
+    [fleet] = world.fleets
+    assert type(world.turbulence).__name__ == "DrydenField"
+    assert (
+        type(world.sky.errors).__name__ == type(load_scenario("outdoor_patrol", quiet=True).world().sky.errors).__name__
+    )
+    assert set(fleet.sensor_names) == {"gnss", "imu", "magnetometer", "barometer", "camera"}
+    assert type(fleet.controller).__name__ == "CascadeController"
+    assert fleet.own_estimator is not None
+    assert float(fleet.controller.sink_limit) == 3.0
+
+
 def test_what_station_keeping_was_is_kept() -> None:
     """The published measurements of sweeps are of it."""
     content = load_study("station_keeping_plain").content

@@ -9,6 +9,8 @@ from qrsim.scenarios.scenario import load_scenario
 from qrsim.tasks import Play
 from qrsim.tasks.baselines.belief import Belief, view
 from qrsim.tasks.baselines.coverage import Coverage
+from qrsim.tasks.baselines.separation import apart
+from qrsim.tasks.baselines.visiting import over_ground
 
 # A camera of 1280 x 960 px and 2280 px focal length at 45 m, level and heading north: 51 x 38 windows of 25 x 25 px
 # from 2 px left and 5 px top of the picture, and the rectangle on the ground that they show.
@@ -85,3 +87,11 @@ def test_a_vehicle_turns_to_what_nobody_has_seen() -> None:
     for _ in range(10):
         coverage.look(north, 25.0)
     assert not coverage.heading(0, np.zeros((1, 2)), np.zeros(2), 20.0, 0.0).any()
+
+
+def test_nobody_is_pushed_into_the_ground() -> None:
+    """At 2.5 m, 7.5 m below another one: 0.45 1/s of the half metre above 2 m is left, of a push of 4.5 m/s down."""
+    place = np.array([[0.0, 0.0, -2.5], [0.0, 0.0, -10.0], [90.0, 0.0, -1.0]])
+    pushed = apart(place, 12.0)
+    np.testing.assert_allclose(pushed[:, 2], [4.5, -4.5, 0.0])
+    np.testing.assert_allclose(over_ground(pushed, place), [[0.0, 0.0, 0.225], [0.0, 0.0, -4.5], [0.0, 0.0, -0.45]])

@@ -10,7 +10,7 @@ from qrsim.tasks.baselines.belief import Belief, view
 from qrsim.tasks.baselines.coverage import Coverage
 from qrsim.tasks.baselines.separation import apart
 from qrsim.tasks.baselines.tours import length, tours
-from qrsim.tasks.baselines.visiting import HEIGHT, NEAR, SEPARATION, SPEED, toward
+from qrsim.tasks.baselines.visiting import HEIGHT, NEAR, SEPARATION, SPEED, over_ground, toward
 from qrsim.tasks.play import Play
 
 Array = np.ndarray[Any, Any]
@@ -63,7 +63,7 @@ class Searching:
         self._assign(place)
         yaw = np.asarray(seen["vehicle"][:, 8], np.float64)
         wanted = np.stack([self._steer(i, place, velocity[i], float(yaw[i])) for i in range(len(place))])
-        return np.clip((wanted + apart(place, SEPARATION)) / self._limit, -1.0, 1.0)
+        return np.clip(over_ground(wanted + apart(place, SEPARATION), place) / self._limit, -1.0, 1.0)
 
     def _look(self, ratio: Array, corners: Array, grid: Array) -> Array:
         """Add a picture to the maps, and return where it was taken."""

@@ -9,7 +9,7 @@ import numpy as np
 from qrsim.tasks.agents import fleet_of
 from qrsim.tasks.baselines.separation import apart
 from qrsim.tasks.baselines.tours import tours
-from qrsim.tasks.baselines.visiting import SEPARATION, toward
+from qrsim.tasks.baselines.visiting import SEPARATION, over_ground, toward
 from qrsim.tasks.play import Play
 
 Array = np.ndarray[Any, Any]
@@ -48,4 +48,4 @@ class Touring:
         for i, order in enumerate(self._tours):
             self._tours[i] = order = [k for k in order if missing[k]]
             wanted[i] = toward(place[i], points[order[0]]) if order else np.zeros(3)
-        return np.clip((wanted + apart(place, SEPARATION)) / self._limit, -1.0, 1.0)
+        return np.clip(over_ground(wanted + apart(place, SEPARATION), place) / self._limit, -1.0, 1.0)

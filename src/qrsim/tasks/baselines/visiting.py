@@ -11,6 +11,8 @@ Array = np.ndarray[Any, Any]
 HEIGHT, NEAR = 3.0, 2.5
 # Velocity for each metre of the way [1/s], at most so fast on each axis [m/s].
 GAIN, SPEED = 0.45, 3.0
+# Nothing leads a vehicle lower than this [m].
+FLOOR = 2.0
 # Vehicles closer than this [m] move apart.
 SEPARATION = 12.0
 
@@ -29,3 +31,12 @@ def toward(here: Array, point: Array, height: float = HEIGHT) -> Array:
     error = height + here[2]
     down = -error if abs(error) > 0.7 else 0.0
     return np.array([*level, np.clip(GAIN * down, -SPEED, SPEED)])
+
+
+def over_ground(velocity: Array, place: Array) -> Array:
+    """Return velocities NED (n, 3) [m/s] that lead no vehicle at (n, 3) [m] into the ground.
+
+    One that others above it push away would go there.
+    """
+    sinking = np.minimum(velocity[:, 2], GAIN * (-place[:, 2] - FLOOR))
+    return np.concatenate([velocity[:, :2], sinking[:, None]], axis=1)
