@@ -160,6 +160,11 @@ def test_the_command_solves_a_run(run: Path, tmp_path: Path, capsys: pytest.Capt
     assert result["states"] == 300
     assert result["converged"] is True
     assert len(result["landmarks_ned"]) == 10
+    assert np.shape(result["position_std_ned_m"]) == (300, 3)
+    # Between what ten ranges of 5 m beside fixes could tell at best and the fixes alone.
+    assert 0.01 < np.median(np.array(result["position_std_ned_m"])[:, :2]) < 1.0
+    for covariance, place in zip(result["landmarks_covariance_m2"], result["landmarks_ned"], strict=True):
+        assert (covariance is None) == (place[0] is None)
     assert (out / "trajectory.png").stat().st_size > 10_000
 
 

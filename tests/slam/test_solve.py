@@ -14,8 +14,9 @@ from tests.slam.problems import exact_flight, exact_ranges
 from qrsim.core.tree import replace
 from qrsim.engine.settings import quick_jit
 from qrsim.slam import graph as graphs
+from qrsim.slam.covariance import marginals
 from qrsim.slam.estimate import estimate
-from qrsim.slam.solve import Damping, Point, landmark_covariance, solve, step
+from qrsim.slam.solve import Damping, solve, step
 
 
 def made(**options: Any) -> tuple[graphs.Graph, Any, Any]:
@@ -100,9 +101,14 @@ def test_a_step_is_that_of_the_full_matrix(small: tuple[graphs.Graph, Any, Any])
     expected = np.linalg.solve(matrix + np.diag(added), -gradient)
     dx, da = step(normal, damping)
     np.testing.assert_allclose(np.concatenate([dx.ravel(), da.ravel()]), expected, rtol=1e-5, atol=1e-8)
-    covariance = landmark_covariance(problem, Point(x, landmarks, 0.0))
-    every = np.linalg.inv(matrix)[x.size :, x.size :]
-    np.testing.assert_allclose(covariance[1], every[3:6, 3:6], rtol=1e-4, atol=1e-4)
+    found = marginals(normal)
+    every = np.linalg.inv(matrix)
+    for i, covariance in enumerate(found.landmarks):
+        rows = slice(x.size + 3 * i, x.size + 3 * i + 3)
+        np.testing.assert_allclose(covariance, every[rows, rows], rtol=1e-4, atol=1e-4)
+    for k, covariance in enumerate(found.positions):
+        rows = slice(k * x.shape[1], k * x.shape[1] + 3)
+        np.testing.assert_allclose(covariance, every[rows, rows], rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("states", ["full", "poses"])

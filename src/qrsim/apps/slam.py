@@ -169,8 +169,12 @@ def _of_run(found: Slam) -> dict[str, Any]:
     """Return the numbers of a run's estimate; None where there is no number."""
     import math
 
+    import numpy as np
+
     places = [[None if math.isnan(axis) else axis for axis in place] for place in found.landmarks_ned.tolist()]
     rmse = found.landmark_rmse_m
+    known = [bool(enough) for enough in ~np.isnan(found.landmarks_ned[:, 0])]
+    spread = zip(found.landmarks_covariance.tolist(), known, strict=True)
     return {
         "run": found.flight.name,
         "graph": found.graph,
@@ -179,7 +183,9 @@ def _of_run(found: Slam) -> dict[str, Any]:
         "converged": found.converged,
         "trajectory_rmse_m": found.trajectory_rmse_m,
         "landmark_rmse_m": None if math.isnan(rmse) else rmse,
+        "position_std_ned_m": np.sqrt(np.einsum("tii->ti", found.position_covariance)).tolist(),
         "landmarks_ned": places,
+        "landmarks_covariance_m2": [rows if enough else None for rows, enough in spread],
         "determined": found.determined.tolist(),
         "ambiguous": found.mirrors.ambiguous.tolist(),
     }

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.errors import RunError, UsageError, did_you_mean, warn_user
 from qrsim.runs import Run, open_run
+from qrsim.slam.covariance import covariance
 from qrsim.slam.flight import SIZE, Flight, Floats
 from qrsim.slam.graph import GRAPHS, POSE, PRIORS, STATES, make_graph
 from qrsim.slam.mirror import Mirrors, mirrors
@@ -26,7 +27,7 @@ from qrsim.slam.ranging import (
     landmarks_of,
     measure_ranges,
 )
-from qrsim.slam.solve import DAMPINGS, Point, Solution, landmark_covariance, solve
+from qrsim.slam.solve import DAMPINGS, Point, Solution, solve
 
 MOST_ITERATIONS = 100
 FIXED_BYTES = 200 * 2**20
@@ -48,6 +49,8 @@ class Slam:
         bias: (T + 1, 2) estimated GNSS error, north and east [m]; None where it is not modelled.
         landmarks_ned: (L, 3) [m]; NaN where a landmark has too few ranges.
         landmarks_std: (L,) [m], the largest standard deviation in any direction.
+        position_covariance: (T + 1, 3, 3) marginal covariance of the positions, north, east and down [m^2].
+        landmarks_covariance: (L, 3, 3) marginal covariance of the landmarks [m^2]; NaN as in landmarks_ned.
         determined: (L,) whether the ranges say where each landmark is.
         mirrors: where each landmark's reflection fits the ranges as well, and how well.
         iterations, converged, costs: how the solution was found.
@@ -65,6 +68,8 @@ class Slam:
     bias: Floats | None
     landmarks_ned: Floats
     landmarks_std: Floats
+    position_covariance: Floats
+    landmarks_covariance: Floats
     determined: npt.NDArray[np.bool_]
     mirrors: Mirrors
     iterations: int
@@ -265,7 +270,8 @@ def _result(
     reflected: Mirrors, problem: Any,
 ) -> Slam:  # fmt: skip
     point = solution.point
-    spread = np.sqrt(np.linalg.eigvalsh(landmark_covariance(problem, point))[:, -1])
+    believed = covariance(problem, point)
+    spread = np.sqrt(np.linalg.eigvalsh(believed.landmarks)[:, -1])
     # Uncertain by half its distance, a landmark is not even known by its direction.
     with np.errstate(invalid="ignore"):
         near = 0.5 * np.nanmedian(np.where(enough[None], ranging.ranges, 0.0), axis=0)
@@ -276,7 +282,9 @@ def _result(
         position_ned=point.x[:, :3], state=point.x[:, :base],
         bias=point.x[:, base:] if point.x.shape[1] > base else None,
         landmarks_ned=np.where(enough[:, None], point.landmarks, np.nan),
-        landmarks_std=np.where(enough, spread, np.inf), determined=determined, mirrors=reflected,
+        landmarks_std=np.where(enough, spread, np.inf), position_covariance=believed.positions,
+        landmarks_covariance=np.where(enough[:, None, None], believed.landmarks, np.nan),
+        determined=determined, mirrors=reflected,
         iterations=solution.iterations, converged=solution.converged, costs=tuple(solution.costs), kept=solution.kept,
     )  # fmt: skip
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
 
 from qrsim.runs.picture import new_figure
 from qrsim.slam import example
@@ -13,6 +14,8 @@ from qrsim.slam.estimate import Slam
 from qrsim.slam.flight import Flight, Floats
 from qrsim.slam.study import ARMS, Study, Sweep, allan, interval
 
+# Of ellipses; in a plan of a trajectory so many of them.
+CONFIDENCE, ELLIPSES = 0.95, 30
 COLOURS = {"white": "tab:blue", "coloured": "tab:red"}
 SHORT = {
     "guess": "initial\nguess", "ten": "10 iterations,\ndiagonal", "ten_metres": "10 iterations,\nmetres",
@@ -26,9 +29,40 @@ def draw_run(solved: Slam) -> Figure:
     axes = figure.subplots()
     known = solved.ranging.true_ned
     _plan(axes, solved.flight, solved.position_ned, solved.landmarks_ned, known, solved.determined)
+    every = max(1, len(solved.time) // ELLIPSES)
+    _ellipses(axes, solved.position_ned[::every], solved.position_covariance[::every], "tab:orange")
+    told = solved.determined
+    label = f"{100 * CONFIDENCE:g} % ellipses of the estimate"
+    _ellipses(axes, solved.landmarks_ned[told], solved.landmarks_covariance[told], "tab:green", label)
     axes.set_title(f"{solved.flight.name}: graph {solved.graph}", fontsize=10)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
     return figure
+
+
+def ellipse_of(covariance: Floats, confidence: float = CONFIDENCE) -> tuple[Floats, float]:
+    """Return the semi-axes (2,) [m], the longer first, and the bearing of the longer one from north [rad].
+
+    Args:
+        covariance: (2, 2) of north and east [m^2].
+        confidence: probability that a normal error lies in the ellipse.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    # Chi-square of two degrees of freedom is exponential.
+    axes = np.sqrt(-2.0 * np.log1p(-confidence) * np.maximum(values[::-1], 0.0))
+    return np.asarray(axes), float(np.arctan2(vectors[1, 1], vectors[0, 1]) % np.pi)
+
+
+def _ellipses(axes: Any, places: Floats, covariances: Floats, colour: str, label: str | None = None) -> None:
+    """Draw the ellipses of places (N, 3) with covariances (N, 3, 3) in a plan view, north up."""
+    for place, covariance in zip(places, covariances, strict=True):
+        half, bearing = ellipse_of(covariance[:2, :2])
+        axes.add_patch(
+            Ellipse(
+                (place[1], place[0]), 2.0 * half[0], 2.0 * half[1], angle=90.0 - np.degrees(bearing), fill=False,
+                color=colour, alpha=0.6, lw=0.7, label=label,
+            )
+        )  # fmt: skip
+        label = None
 
 
 def draw_trajectories(study: Study, index: int = 0) -> Figure:

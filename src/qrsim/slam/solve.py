@@ -191,15 +191,3 @@ def _minimise(
     for number in keep:
         found.kept.setdefault(number, point)
     return found
-
-
-def landmark_covariance(graph: Graph, point: Point) -> Floats:
-    """Return the marginal covariance (L, 3, 3) [m^2] of each landmark; huge for undetermined ones."""
-    with jax.enable_x64(True):
-        normal = linearise(graph, jnp.asarray(point.x), jnp.asarray(point.landmarks))
-        schur, *_ = reduce(normal, Damping.of(normal, "metres", 0.0))
-    values, vectors = np.linalg.eigh(0.5 * (schur + schur.T))
-    every = (vectors / np.maximum(values, 1e-12)) @ vectors.T
-    count = len(point.landmarks)
-    blocks = every.reshape(count, 3, count, 3)
-    return np.stack([blocks[i, :, i] for i in range(count)])
