@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,45 @@ def test_json(capsys: pytest.CaptureFixture[str]) -> None:
     # Who holds its place loses less than who drifts.
     assert hover["mean"] < baseline["mean"] < 0.0
     assert len(hover["returns"]) == 2
+    # Nobody is looked for.
+    assert "persons_found" not in hover
+
+
+# A field of 12 m, 3 m above whose middle somebody hovers who finds within 5 m, so within 4 m of the ground below.
+NARROW = [
+    "world.area={type: box, x_min: -6, x_max: 6, y_min: -6, y_max: 6, z_min: -80, z_max: 0}",
+    "fleets.helicopters.placement={type: given}",
+    "fleets.helicopters.vehicles.0.position_ned=[0, 0, -3]",
+    "duration=4",
+]
+
+
+def test_a_search_tells_who_was_found(capsys: pytest.CaptureFixture[str]) -> None:
+    words = [
+        "score",
+        "search_and_rescue/2A",
+        "--policy",
+        "hover",
+        "--seeds",
+        "4",
+        *(f"--set={item}" for item in NARROW),
+    ]
+    assert cli.main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found) == {"task", "seeds", "first_seed", "policies", "figure", "dataset"}
+    hover, baseline = found["policies"]
+    keys = {"policy", "mean", "low", "high", "flown_to_the_end", "difference", "returns", "persons_found"}
+    assert set(hover) == set(baseline) == keys
+    persons = hover["persons_found"]
+    assert set(persons) == {"mean", "low", "high", "episodes"}
+    # A return is the number found, less a quarter for each of the four steps without a find: -1 without any.
+    episodes = [max(0, math.ceil(value - 1e-6)) for value in hover["returns"]]
+    assert persons["episodes"] == episodes
+    assert 4 < sum(episodes) < 40
+    assert persons["mean"] == pytest.approx(sum(episodes) / 4.0)
+    assert min(episodes) <= persons["low"] < persons["mean"] < persons["high"] <= max(episodes)
+    assert cli.main(words) == 0
+    assert "persons found" in capsys.readouterr().out
 
 
 @pytest.mark.long
@@ -64,6 +104,7 @@ def test_two_agents_with_an_oracle(capsys: pytest.CaptureFixture[str]) -> None:
     assert (oracle["difference"], oracle["flown_to_the_end"], len(oracle["returns"])) == (None, 1.0, 2)
     # Twelve steps without a find cost a twelfth each.
     assert hover["returns"] == pytest.approx([-1.0, -1.0], abs=1e-6)
+    assert hover["persons_found"] == {"mean": 0.0, "low": 0.0, "high": 0.0, "episodes": [0, 0]}
     for row in (baseline, hover):
         assert row["difference"]["mean"] == pytest.approx(row["mean"] - oracle["mean"])
     with Image.open("two.png") as picture:

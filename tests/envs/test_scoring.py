@@ -62,6 +62,12 @@ def test_intervals_are_those_of_a_bootstrap() -> None:
     one, other = Scored("a", values, values > 0.0), Scored("b", values - 3.0, values > 0.0)
     assert one.less(other).low == pytest.approx(3.0)
     assert one.less(other).high == pytest.approx(3.0)
+    assert one.persons_found_interval is None
+    counted = Scored("c", values, values > 0.0, persons_found=np.array([0, 1] * 200))
+    # 1.96 standard errors of 0.025 either way.
+    assert counted.persons_found_interval is not None
+    assert counted.persons_found_interval.low == pytest.approx(0.451, abs=0.008)
+    assert counted.persons_found_interval.high == pytest.approx(0.549, abs=0.008)
 
 
 @pytest.mark.parametrize(

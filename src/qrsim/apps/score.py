@@ -21,8 +21,8 @@ class Score:
     """Fly policies in the same episodes of a task, and say what each returns.
 
     Of every policy the mean return of an agent with a 95 % bootstrap interval over the episodes, how many were flown to
-    the end, and the paired difference to the first policy. The task's baseline, where it has one, and hovering are
-    beside those that are named.
+    the end, in a search the persons found, and the paired difference to the first policy. The task's baseline, where it
+    has one, and hovering are beside those that are named.
 
     POLICY is 'baseline', 'hover', 'random', 'oracle' (of a search: it is told where persons lie) or MODULE:NAME, where
     MODULE may be a .py file: a function of what all agents see that returns their actions (n, A) in [-1, 1], or a class
@@ -122,15 +122,18 @@ class Score:
         from rich.table import Table
 
         table = Table(title=f"{task}: {self.seeds} episodes from seed {self.first_seed}", title_justify="left")
-        for column in ("policy", "mean return", "95 % interval", "flown to the end", f"less {found[0].name}"):
+        search = found[0].persons_found is not None
+        persons = ("persons found",) if search else ()
+        for column in ("policy", "mean return", "95 % interval", "flown to the end", *persons, f"less {found[0].name}"):
             table.add_column(column, justify="left" if column == "policy" else "right")
         for row in rows:
-            less = row["difference"]
+            less, finds = row["difference"], row.get("persons_found")
             table.add_row(
                 row["policy"], f"{row['mean']:.4g}", _span(row), f"{row['flown_to_the_end']:.3g}",
+                *([f"{finds['mean']:.3g} {_span(finds)}"] if finds else []),
                 "-" if less is None else f"{less['mean']:.3g} {_span(less)}",
             )  # fmt: skip
-        Console(width=None if sys.stdout.isatty() else 110).print(table)
+        Console(width=None if sys.stdout.isatty() else 130 if search else 110).print(table)
         if self.out is not None:
             print(f"figure: {self.out}")
         if kept is not None:
@@ -141,8 +144,14 @@ def _row(each: Any, first: Any) -> dict[str, Any]:
     less = None if each is first else _told(each.less(first))
     returns = [float(value) for value in each.returns]
     flown = float(each.alive.mean())
-    return {"policy": each.name, **_told(each.interval), "flown_to_the_end": flown, "difference": less,
-            "returns": returns}  # fmt: skip
+    row = {"policy": each.name, **_told(each.interval), "flown_to_the_end": flown, "difference": less,
+           "returns": returns}  # fmt: skip
+    if each.persons_found is not None:
+        row["persons_found"] = {
+            **_told(each.persons_found_interval),
+            "episodes": each.persons_found.astype(int).tolist(),
+        }
+    return row
 
 
 def _told(interval: Any) -> dict[str, float | None]:

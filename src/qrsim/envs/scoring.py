@@ -144,6 +144,7 @@ class Scored:
         name: of the policy.
         returns: (S,) of the episodes, mean over the agents.
         alive: (S,) whether nobody stopped.
+        persons_found: (S,) by the end of each episode; None in a world without persons.
         picture: the first episode from above at its end, (480, 640, 3) uint8; None if none was asked for.
     """
 
@@ -151,11 +152,17 @@ class Scored:
     returns: Floats
     alive: Floats
     picture: Floats | None = None
+    persons_found: Floats | None = None
 
     @property
     def interval(self) -> Interval:
         """The mean return."""
         return Interval.of(self.returns)
+
+    @property
+    def persons_found_interval(self) -> Interval | None:
+        """The mean number of persons found in an episode; None in a world without persons."""
+        return None if self.persons_found is None else Interval.of(self.persons_found)
 
     def less(self, other: Scored) -> Interval:
         """Return the difference to another policy in the same episodes, this minus that."""
@@ -195,6 +202,7 @@ def play_policy(
         recording.begin()
     nothing = np.zeros((len(play.agents), len(play.axes)))
     total, flies = np.zeros(batch.size), np.ones(batch.size, bool)
+    finds = None if batch.episodes.episode(0).state.contents.persons is None else np.zeros(batch.size)
     for step in range(play.steps):
         seen = [jax.tree.map(lambda leaf, i=i: leaf[i], batch.seen) for i in range(batch.size)]
         with _blamed(name, f"step {step + 1}", play):
@@ -213,6 +221,9 @@ def play_policy(
             drawing.moved()
             if terminated[0] or truncated[0]:
                 picture = drawing.frame()
+        if finds is not None:
+            for over in np.flatnonzero(flies & (terminated | truncated)):
+                finds[over] = _finds(batch, int(over))
         flies &= ~terminated
         told(step + 1)
         if not flies.any():
@@ -225,7 +236,13 @@ def play_policy(
         total[i] += handed_in
         if recording is not None:
             recording.score(int(i), handed_in)
-    return Scored(name, total, flies, picture if drawing is not None else None)
+    return Scored(name, total, flies, picture if drawing is not None else None, finds)
+
+
+def _finds(batch: Batch, row: int) -> int:
+    """Return how many persons of an episode have been found."""
+    persons = batch.episodes.episode(row).state.contents.persons
+    return int(np.sum(np.asarray(persons.found_tick)[np.asarray(persons.there)] >= 0))
 
 
 @contextmanager
