@@ -81,6 +81,7 @@ OTHERS = {
     "magnetometer_allan.png": "make evidence magnetometer",
     "pressure_altimeter.png": "make evidence air_data",
     "radio_delivery.png": "make evidence radio",
+    "team_errors.png": "make evidence team_errors",
     "teams.png": "make evidence teams",
     "turbulence.png": "make evidence turbulence",
     "turbulence_field.png": "make evidence field",

@@ -15,7 +15,7 @@ from qrsim.identify.constants import CONSTANTS, PITCH
 from qrsim.identify.fit import Answer, Question
 from qrsim.identify.intervals import Covariance
 from qrsim.identify.plausible import implausible
-from qrsim.identify.verdicts import objections, verdicts_of, worse
+from qrsim.identify.verdicts import coloured_channels, objections, verdicts_of, worse
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
 
@@ -161,3 +161,20 @@ def test_the_held_out_part_can_reject(
 def test_what_is_held_is_not_judged_again() -> None:
     found = worse(answer(FOUND), question("kpq1"), [shown(*ALL)], [scores(pitch=1.5)])
     assert found == ({}, {})
+
+
+def test_constants_are_effective_where_a_channel_that_they_move_is_coloured() -> None:
+    """Roll and pitch carry the velocities; of yaw nothing else depends."""
+
+    def white(**coloured: float) -> dict[str, dict[str, float]]:
+        channels = ("roll", "pitch", "yaw", "roll_rate", "pitch_rate", "yaw_rate", "velocity_north", "velocity_down")
+        return {name: {"ljung_box_p": coloured.get(name, 0.3)} for name in channels}
+
+    assert coloured_channels("kpq1", False, [white()]) == []
+    assert coloured_channels("kpq1", False, [white(roll_rate=1e-5)]) == []
+    assert coloured_channels("kpq1", False, [white(), white(roll_rate=1e-7)]) == ["roll_rate"]
+    assert coloured_channels("kuv", False, [white(pitch=1e-9, velocity_north=0.0)]) == ["velocity_north", "pitch"]
+    assert coloured_channels("cth1", False, [white(velocity_down=1e-9)]) == ["velocity_down"]
+    assert coloured_channels("kr0", False, [white(roll=1e-9)]) == []
+    assert coloured_channels("kr0", False, [white(yaw=1e-9)]) == ["yaw"]
+    assert coloured_channels("kq0", True, [white(roll=1e-9)]) == []

@@ -194,6 +194,8 @@ def _print(found: Result, out: Path, folder: Path) -> None:
     for verdict, names in found.other_verdicts().items():
         listed = ", ".join(f"{name} {values[name]:.4g}" for name in names)
         print(f"{listed}: {verdict}")
+    for words in found.effective_in_words():
+        print(words)
     for i, (piece, scores) in enumerate(zip(found.pieces, found.held_out, strict=True)):
         _print_signals(found, i)
         print(f"\n{piece.log.source.name}, held-out {scores['rows']} rows, open loop: mean squared error")

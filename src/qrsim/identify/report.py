@@ -121,6 +121,7 @@ def page(result: Result) -> str:
     lines += [
         "",
         *(f"- **{', '.join(names)}** {verdict}." for verdict, names in result.other_verdicts().items()),
+        *(f"- {words[0].upper()}{words[1:]}." for words in result.effective_in_words()),
     ]
     lines += ["", "![constants](constants.png)", ""]
     for i in range(len(result.pieces)):

@@ -14,7 +14,7 @@ from qrsim.flight_logs.signals import SIGNALS
 from qrsim.identify.constants import aspects_of, unit_of
 from qrsim.identify.fit import Answer, Question
 from qrsim.identify.problem import Piece
-from qrsim.identify.verdicts import Verdict, channels_in
+from qrsim.identify.verdicts import Verdict, channels_in, coloured_channels
 from qrsim.scenarios.reading import dump_yaml
 
 
@@ -54,6 +54,26 @@ class Result:
             }  # fmt: skip
         return found
 
+    def effective(self) -> dict[str, list[str]]:
+        """Return the identified constants whose residuals are not white, each with the channels where they are not.
+
+        These have motion that the equations leave out: the constants are those with which the equations come nearest
+        to such flights, and their intervals are of that, not of what the vehicle has.
+        """
+        found = {name: coloured_channels(name, self.question.separate, self.whiteness) for name in self.constants()}
+        return {name: channels for name, channels in found.items() if channels}
+
+    def effective_in_words(self) -> list[str]:
+        """Return a sentence for all effective constants with the same channels."""
+        names: dict[tuple[str, ...], list[str]] = {}
+        for name, channels in self.effective().items():
+            names.setdefault(tuple(channels), []).append(name)
+        return [
+            f"effective constants: {', '.join(each)}: the residual of {', '.join(channels)} is not white, so something "
+            "moves the vehicle that the equations do not have; intervals are of what fits such flights best"
+            for channels, each in names.items()
+        ]
+
     def other_verdicts(self) -> dict[str, list[str]]:
         """Return the constants that were not identified, by verdict."""
         found: dict[str, list[str]] = {}
@@ -68,6 +88,7 @@ class Result:
         """Return everything as plain values."""
         return {
             "constants": self.constants(),
+            "effective": self.effective(),
             "verdicts": {
                 name: {
                     "status": each.status,

@@ -25,6 +25,8 @@ Status = Literal["identified", "fitted", "held"]
 WITHIN_PRIOR = 1.0
 # An aspect may be kept whose held-out channels are predicted better in the mean and none worse by more than this.
 HARDLY_WORSE = 0.01
+# Ljung and Box's probability below which a residual is not white: of noise, ten channels of 10 000 logs pass it.
+NOT_WHITE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,27 @@ class Verdict:
 def channels_in(aspect: str) -> tuple[str, ...]:
     """Return the measured channels that must improve for an aspect to count as identified."""
     return ("yaw", *ASPECTS[aspect].channels) if aspect == "yaw" else ASPECTS[aspect].channels
+
+
+def coloured_channels(
+    constant: str, separate: bool, whiteness: Sequence[Mapping[str, Mapping[str, float]]]
+) -> list[str]:
+    """Return the channels that a constant moves whose residuals are not white, so that it is an effective constant.
+
+    Args:
+        constant: its name.
+        separate: pitch has constants of its own.
+        whiteness: of each log what ``scores.whiteness`` says of each channel.
+    """
+    aspects = aspects_of(constant, separate)
+    # Velocities are simulated from angles that are simulated.
+    more = () if set(aspects) <= {"roll", "pitch", "yaw"} else ("roll", "pitch")
+    channels = dict.fromkeys(channel for aspect in (*aspects, *more) for channel in channels_in(aspect))
+    return [
+        channel
+        for channel in channels
+        if any(channel in each and each[channel]["ljung_box_p"] < NOT_WHITE for each in whiteness)
+    ]
 
 
 def not_shown(names: Sequence[str], separate: bool, excitations: Sequence[Excitation]) -> dict[str, str]:

@@ -117,4 +117,4 @@ def missed_share(passed_east: Array, start_north: Array, start_east: Array) -> A
     before = jnp.concatenate([jnp.broadcast_to(edges, high[..., :1, :].shape), high[..., :-1, :]], axis=-2)
     seen = jnp.sum(jnp.maximum(high - jnp.maximum(low, before), 0.0), axis=-2)
     line = start_north.max(-1) - start_north.min(-1) < 0.01 * spacing
-    return jnp.where(line, 1.0 - seen.mean(-1) / (east - west), jnp.nan)
+    return jnp.where(line, jnp.maximum(1.0 - seen.mean(-1) / (east - west), 0.0), jnp.nan)
