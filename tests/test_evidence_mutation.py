@@ -1,0 +1,15 @@
+"""A sample of the mutation study: what its recorded tests killed once, they kill today."""
+
+from __future__ import annotations
+
+import pytest
+from evidence import mutation
+
+
+@pytest.mark.long
+def test_small_form():
+    found = mutation.run(full=False)
+    assert not found["missed"], "\n".join(found["missed"])
+    assert found["tried"] + len(found["untried"]) == mutation.SMALL
+    if found["untried"]:
+        pytest.skip(f"{found['tried']} killed; not yet tried: " + "; ".join(found["untried"]))
