@@ -103,20 +103,24 @@ class Workshop:
             # With its time, by which byte code is found to be that of the file.
             shutil.copy2(SOURCE / file, self.source / file)
 
-    def run(self, tests: Sequence[str], watched: bool = False, limit_s: int = LIMIT_S) -> Outcome:
+    def run(
+        self, tests: Sequence[str], watched: bool = False, limit_s: int = LIMIT_S, marks: str = "not long"
+    ) -> Outcome:
         """Run tests, files or single ones, until one fails.
 
         Args:
             tests: for pytest, relative to the root of the project.
             watched: whether to find which functions are entered.
             limit_s: seconds of the processor.
+            marks: which tests of files; single ones are run whatever they are.
         """
         told = self.folder / "told.json"
         told.unlink(missing_ok=True)
         began = time.monotonic()
         child = os.fork()
         if child == 0:
-            _in_child(self.source, self.folder, told, tests, watched, limit_s)
+            words = [*([] if all("::" in test for test in tests) else ["-m", marks]), *tests]
+            _in_child(self.source, self.folder, told, words, watched, limit_s)
         status, ended = _waited(child, limit_s * PATIENCE)
         seconds = round(time.monotonic() - began, 1)
         if not ended or (os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL)):
@@ -189,7 +193,7 @@ def _in_child(source: Path, folder: Path, told: Path, tests: Sequence[str], watc
         # Of the copy as it is; what is changed is newer than that, and its own is not kept.
         sys.dont_write_bytecode = watched is False
         watch, entered = _Watch(), _watching(source) if watched else set()
-        options = ["-x", "-q", "-m", "not long", "-p", "no:cacheprovider", "--durations=0", "--no-header"]
+        options = ["-x", "-q", "-p", "no:cacheprovider", "--durations=0", "--no-header"]
         code = int(pytest.main([*options, f"--basetemp={folder / 'basetemp'}", *tests], plugins=[watch]))
         sys.setprofile(None)
         qrsim = sys.modules.get("qrsim")

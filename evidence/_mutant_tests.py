@@ -19,7 +19,9 @@ from evidence._mutant_runs import cache as cache_folder
 from evidence._mutants import ROOT, SOURCE, Literal
 
 TESTS = ("tests/models", "tests/control", "tests/laws")
-LAST = "tests/test_docs_models.py"
+SINGLE = ("tests/test_control.py",)
+# These compare what is declared, without computing with it.
+LAST = ("tests/test_docs_models.py", "tests/laws/test_ranges.py")
 # A function that this share of the files enters is one that importing calls.
 _BY_IMPORT = 0.7
 
@@ -33,7 +35,7 @@ class NotPassingError(Exception):
 def test_files() -> list[str]:
     """Return the files of tests that are run, relative to the root of the project."""
     found = [path for folder in TESTS for path in sorted((ROOT / folder).rglob("test_*.py"))]
-    return [*(str(path.relative_to(ROOT)) for path in found), LAST]
+    return [*(str(path.relative_to(ROOT)) for path in found), *SINGLE, LAST[0]]
 
 
 def measured(shop: Workshop, say: Any = None) -> Map:
@@ -109,9 +111,14 @@ def candidates(literal: Literal, known: Map) -> list[str]:
             if by_owner and literal.kind != "module":
                 break
     chosen = {*by_owner, *(test for test in known if _nearness(test, file) < 2)}
-    chosen.discard(LAST)
+    chosen -= set(LAST)
     ordered = sorted(chosen, key=lambda test: (_nearness(test, file), known[test]["seconds"]))
-    return [*ordered, *([LAST] if LAST in known else [])]
+    return [*ordered, *(test for test in LAST if test in known)]
+
+
+def long_ones(literal: Literal) -> list[str]:
+    """Return the files whose long tests are tried where no short one fails."""
+    return [test for test in test_files() if _nearness(test, literal.file) < 2]
 
 
 def _is_class(name: str) -> bool:

@@ -36,6 +36,8 @@ EXCLUDED = {
     "equivalent": "the mutant computes the same, by the reason that is listed with it",
 }
 _SHAPE_CALLS = {"zeros", "ones", "empty", "eye", "identity", "reshape", "broadcast_to", "range", "arange", "tile"}
+# Of random numbers: more would be drawn and not be used.
+_SHAPE_CALLS |= {"normals", "normal_rows"}
 # Positions from which on arguments of these are axes.
 _AXIS_CALLS = {"concatenate": 1, "stack": 1, "moveaxis": 1, "swapaxes": 1, "expand_dims": 1, "squeeze": 1, "take": 2}
 _AXIS_WORDS = {"axis", "axes", "axis1", "axis2", "ndim", "ndmin", "in_axes", "out_axes", "dimension", "stacklevel"}

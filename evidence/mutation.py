@@ -24,8 +24,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from evidence._mutant_runs import KILLED, NOTHING, SURVIVED, TIMEOUT, Workshop, workshop
-from evidence._mutant_tests import Map, NotPassingError, candidates, measured
+from evidence._mutant_runs import KILLED, LIMIT_S, NOTHING, SURVIVED, TIMEOUT, Workshop, workshop
+from evidence._mutant_tests import Map, NotPassingError, candidates, long_ones, measured
 from evidence._mutants import ROOT, Mutant, all_mutants, left_out, sample
 
 DOC = "numbers of models and controllers, 20 % larger and with the other sign: which does no test miss"
@@ -68,15 +68,16 @@ def tidy(path: Path = RECORD) -> None:
 
 def judge(shop: Workshop, mutant: Mutant, known: Map, recent: Sequence[str]) -> Entry:
     """Try one mutant with all tests that may kill it."""
-    files = candidates(mutant.literal, known)
-    seconds = 0.0
-    result = SURVIVED
+    seconds, result = 0.0, SURVIVED
+    short = [[*recent], *([file] for file in candidates(mutant.literal, known))]
+    runs = [*((tests, "not long") for tests in short), *(([file], "long") for file in long_ones(mutant.literal))]
     with shop.holding(mutant):
-        for tests in ([*recent], *([file] for file in files)):
+        for tests, marks in runs:
             if not tests:
                 continue
-            usual = sum(known[test.partition("::")[0]]["seconds"] for test in tests if test.partition("::")[0] in known)
-            outcome = shop.run(tests, limit_s=int(SLOWER * usual + AT_LEAST_S))
+            usual = sum(known[file]["seconds"] for test in tests if (file := test.partition("::")[0]) in known)
+            limit_s = int(SLOWER * usual + AT_LEAST_S) if marks != "long" else LIMIT_S
+            outcome = shop.run(tests, limit_s=limit_s, marks=marks)
             seconds += outcome.seconds
             if outcome.result == KILLED:
                 return {"key": mutant.key, "result": KILLED, "killer": outcome.killer, "s": round(seconds, 1)}

@@ -153,7 +153,7 @@ def test_tests_that_enter_a_function_come_first() -> None:
         "tests/models/sensors/test_barometer.py": {"seconds": 99.0, "entered": enters},
         "tests/models/radio/test_links.py": {"seconds": 1.0, "entered": set()},
         "tests/control/test_guidance.py": {"seconds": 1.0, "entered": set()},
-        choosing.LAST: {"seconds": 1.0, "entered": set()},
+        choosing.LAST[0]: {"seconds": 1.0, "entered": set()},
     }
     literal = mutants.Literal(barometer, 80, 4, "1.0", "Barometer.step", "function", "")
     assert choosing.candidates(literal, known) == [

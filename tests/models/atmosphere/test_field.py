@@ -15,7 +15,7 @@ from scipy import stats
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.contracts import CONVECTION_HEIGHT
-from qrsim.models.atmosphere.field import VON_KARMAN_SCALE, ResidualState, turns_at, whole_turns
+from qrsim.models.atmosphere.field import VON_KARMAN_ENERGY, VON_KARMAN_SCALE, ResidualState, turns_at, whole_turns
 from qrsim.models.atmosphere.field_modes import modes
 from qrsim.validate import hover_gusts
 
@@ -122,6 +122,8 @@ def test_closed_forms_agree_with_each_other() -> None:
         across = np.trapezoid((e / (2.0 * k) * (1.0 + (0.05 / k) ** 2))[far], k[far])
         assert across == pytest.approx(float(field.spectrum_across(0.05, 20.0, spectrum)), rel=2e-3)
     assert pytest.approx(1.339, abs=1e-4) == VON_KARMAN_SCALE
+    # IEC 61400-1:2005, eq. B.5: E(k) = 1.4528 s^2 l (k l)^4/(1 + (k l)^2)^(17/6).
+    assert pytest.approx(1.4528, abs=1e-4) == VON_KARMAN_ENERGY
 
 
 # What a world draws.
