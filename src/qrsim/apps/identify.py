@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from qrsim.identify.fit import Question
     from qrsim.identify.result import Result
 
+OUT = Path("my_vehicle.yaml")
 _Optional = tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: all of it)")
 
 
@@ -32,16 +33,19 @@ class Identify:
       qrsim identify one.bin two.bin --separate --mass 1.9:0.1 -o my_vehicle.yaml
       qrsim identify my_bag --namespace uav1 --mass 1.9 -o my_vehicle.yaml
       qrsim run hover --set "fleets.uav.vehicle={file: my_vehicle.yaml}"
+      qrsim identify still.ulg --imu -o my_imu.yaml
     """
 
     logs: Annotated[tyro.conf.Positional[list[Path]], tyro.conf.arg(metavar="LOG [LOG ...]")]
     """Flight logs of the same vehicle."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o", "--output"], metavar="FILE")] = Path("my_vehicle.yaml")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o", "--output"], metavar="FILE")] = OUT
     """Vehicle to write; the report goes into a folder beside it, FILE without its ending plus _report."""
     vehicle: Literal["quadrotor"] = "quadrotor"
     """Form of the model."""
     separate: bool = False
     """Pitch has constants of its own."""
+    imu: bool = False
+    """Find the noise of gyroscopes and accelerometers instead, from one log at rest, and write it as a sensor."""
     fit: Annotated[str | None, tyro.conf.arg(metavar="NAME[,NAME...]", help_behavior_hint="(default: all)")] = None
     """Only these constants; the others stay at their start."""
     start: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: published)")] = None
@@ -81,6 +85,14 @@ class Identify:
 
     def run(self) -> None:
         """Check, read, fit, write, print."""
+        if self.imu:
+            from qrsim.apps.identify_imu import checked_imu, identify_imu
+
+            out = checked_imu(self.logs, self.out, OUT, overwrite=self.overwrite)
+            if not self.begin < self.end:
+                raise UsageError(f"--from {self.begin:g} is not before --to {self.end:g}")
+            identify_imu(self.logs[0], out, self.begin, self.end, quiet=self.quiet, as_json=self.json)
+            return
         self._check()
         from qrsim.flight_logs import read_log
         from qrsim.identify.constants import lacking
