@@ -86,7 +86,7 @@ class Identify:
     def run(self) -> None:
         """Check, read, fit, write, print."""
         if self.imu:
-            from qrsim.apps.identify_imu import checked_imu, identify_imu
+            from qrsim.identify.imu_noise import checked_imu, identify_imu
 
             out = checked_imu(self.logs, self.out, OUT, overwrite=self.overwrite)
             if not self.begin < self.end:

@@ -149,5 +149,5 @@ def _even(path: Path, time: Floats, columns: dict[str, Floats]) -> Readings:
         )
     # The mean, because stamps are rounded; a few lost readings do not count.
     kinds = {kind: [f"{kind}_{axis}" for axis in "xyz"] for kind in KINDS if f"{kind}_x" in columns}
-    values = {kind: np.stack([columns[name] for name in names], axis=1) for kind, names in kinds.items()}
-    return Readings(float(np.mean(steps[np.abs(steps - period) <= 0.5 * period])), values)
+    found = {kind: np.stack([columns[name] for name in names], axis=1) for kind, names in kinds.items()}
+    return Readings(float(np.mean(steps[np.abs(steps - period) <= 0.5 * period])), found)

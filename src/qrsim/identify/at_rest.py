@@ -92,8 +92,7 @@ def noise_of(values: Floats, period: float) -> Noise:
     lengths = np.unique(np.round(np.geomspace(FIRST, longest, 40)).astype(int))
     windows, variance = lengths * period, allan_variance(values, lengths)
     mean = variance.mean(axis=1)
-    # Windows of one length that do not overlap, over three axes; the mean of squares of so many differences.
-    freedom = 3.0 * np.maximum(len(values) / lengths - 1.0, 1.0)
+    freedom = 3.0 * _freedom(len(values), lengths)
     basis, weight = shapes(windows), np.sqrt(freedom / 2.0)
 
     def fit(measured: Floats) -> Floats:
@@ -111,6 +110,16 @@ def noise_of(values: Floats, period: float) -> Noise:
     low, high = np.quantile(np.sqrt(drawn), [0.025, 0.975], axis=0)
     found = {name: _term(*row) for name, *row in zip(TERMS, np.sqrt(squares), low, high, strict=True)}
     return Noise(windows, variance, basis @ squares, found, values.mean(axis=0))
+
+
+def _freedom(count: int, lengths: np.ndarray[Any, Any]) -> Floats:
+    """Return the degrees of freedom (K,) of an overlapping variance of a random walk, which has the fewest.
+
+    D. A. Howe, D. W. Allan and J. A. Barnes, Properties of signal sources and measurement methods (1981), table 4.
+    """
+    n, m = float(count), lengths.astype(float)
+    squares = np.square(n - 1.0) - 3.0 * m * (n - 1.0) + 4.0 * np.square(m)
+    return np.asarray((n - 2.0) / m * squares / np.square(n - 3.0))
 
 
 def _term(value: float, low: float, high: float) -> Term:
