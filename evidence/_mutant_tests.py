@@ -113,7 +113,8 @@ def candidates(literal: Literal, known: Map) -> list[str]:
     chosen = {*by_owner, *(test for test in known if _nearness(test, file) < 2)}
     chosen -= set(LAST)
     ordered = sorted(chosen, key=lambda test: (_nearness(test, file), known[test]["seconds"]))
-    return [*ordered, *(test for test in LAST if test in known)]
+    # Whoever computes with a parameter knows nothing of its bounds.
+    return [*LAST, *ordered] if literal.kind == "bound" else [*ordered, *LAST]
 
 
 def long_ones(literal: Literal) -> list[str]:

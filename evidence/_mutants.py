@@ -44,6 +44,7 @@ _AXIS_WORDS = {"axis", "axes", "axis1", "axis2", "ndim", "ndmin", "in_axes", "ou
 _SHAPE_WORDS = {"shape", "size", "length", "num", "num_segments", "total_repeat_length", "unroll", "n_derivatives"}
 _GUARDS = {"maximum", "minimum", "where", "max", "min", "clip"}
 _TOLERANCE = 1e-9
+_BOUNDS = ("minimum", "maximum", "above")
 # Where a node of the syntax tree has an annotation.
 _ANNOTATED = ("annotation", "returns")
 
@@ -56,7 +57,7 @@ class Literal(NamedTuple):
         line, column: from 1 and from 0, in characters.
         text: as it is written, without its sign.
         owner: the innermost function or class round it, qualified by what is round that with dots; "" outside.
-        kind: "function", "class" or "module", what the owner is.
+        kind: "function", "class" or "module", what the owner is; "bound" for what a parameter may be.
         rule: the key of EXCLUDED that leaves it out, "" where it is a mutant.
     """
 
@@ -169,6 +170,9 @@ def literals(text: str, file: str) -> tuple[Literal, ...]:
         column = len(line[: node.col_offset].decode(errors="ignore"))
         written = line[node.col_offset : node.end_col_offset].decode(errors="ignore")
         kind = "module" if not owners else "class" if isinstance(owners[-1], ast.ClassDef) else "function"
+        outer = path[-2] if isinstance(path[-1], ast.UnaryOp) else path[-1]
+        if isinstance(outer, ast.keyword) and outer.arg in _BOUNDS:
+            kind = "bound"
         owner = ".".join(item.name for item in owners)
         found.append(Literal(file, node.lineno, column, written, owner, kind, rule))
     return tuple(sorted(found, key=lambda item: (item.line, item.column)))

@@ -67,6 +67,11 @@ def test_what_a_literal_is_changed_to(text: str, larger: str, sign: str) -> None
     assert mutants.changed(text, "sign") == sign
 
 
+def test_bounds_are_told_from_other_numbers() -> None:
+    text = "x: float = parameter(default=0.5, minimum=0.1, maximum=-2.0, above=3)"
+    assert [item.kind for item in mutants.literals(text, "a.py")] == ["module", "bound", "bound", "bound"]
+
+
 def test_one_place_is_changed() -> None:
     found = {str(item): item for item in mutants.mutants_of(EXAMPLE, "qrsim/models/wing.py")}
     mutant = found["src/qrsim/models/wing.py:15: 2.25 -> (-2.25) in `" + EXAMPLE.splitlines()[14].strip() + "`"]
@@ -153,12 +158,13 @@ def test_tests_that_enter_a_function_come_first() -> None:
         "tests/models/sensors/test_barometer.py": {"seconds": 99.0, "entered": enters},
         "tests/models/radio/test_links.py": {"seconds": 1.0, "entered": set()},
         "tests/control/test_guidance.py": {"seconds": 1.0, "entered": set()},
-        choosing.LAST[0]: {"seconds": 1.0, "entered": set()},
     }
     literal = mutants.Literal(barometer, 80, 4, "1.0", "Barometer.step", "function", "")
-    assert choosing.candidates(literal, known) == [
+    computing = [
         "tests/models/sensors/test_barometer.py",
         "tests/laws/test_resume.py",
         "tests/laws/test_components.py",
-        "tests/test_docs_models.py",
     ]
+    declared = ["tests/test_docs_models.py", "tests/laws/test_ranges.py"]
+    assert choosing.candidates(literal, known) == computing + declared
+    assert choosing.candidates(literal._replace(kind="bound"), known)[:2] == declared

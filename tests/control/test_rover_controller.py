@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
 import qrsim
+from qrsim.control import Estimate, TrackSetpoint, VelocitySetpoint
+from qrsim.control.rover import RoverController
 from qrsim.errors import ScenarioError, UsageError
 
 TRUTH = {"type": "rover", "feed": "truth"}
@@ -128,3 +131,60 @@ def test_faults_of_a_scenario_are_said_in_a_line() -> None:
     with pytest.raises(UsageError, match=r"steering of vehicle 0 .* is 1; allowed: -0.8 to 0.8"):
         simulation.step(np.array([[1.0, 0.0]]))
     assert math.isfinite(simulation.truth.position_ned[0, 0])
+
+
+class Told:
+    """A vehicle that repeats what it is told."""
+
+    def drive(self, speed: Any, curvature: Any) -> Any:
+        return speed, curvature
+
+
+class TestByHand:
+    """One step of a rover that stands at a place and looks north, with the documented constants of (D7) to (D9)."""
+
+    def told(self, setpoint: Any, at: Any = (0.0, 0.0, 0.0), **changes: float) -> list[float]:
+        with jax.enable_x64(True):
+            still = np.zeros((1, 3))
+            estimate = Estimate.of(np.array([at]), still, still)
+            controller = RoverController(nominal=Told(), **changes)  # type: ignore[arg-type]
+            step = jax.jit(lambda seen, wanted: controller.step(controller.init(seen), seen, wanted, 0.02)[1])
+            return [float(number[0]) for number in step(estimate, setpoint)]
+
+    @staticmethod
+    def line(end: float, stops: float = 0.0) -> Any:
+        return TrackSetpoint.line(np.zeros((1, 3)), np.array([[end, 0.0, 0.0]]), stops=stops)
+
+    def test_line(self) -> None:
+        """2 m/s; from 3 m to the right, for a point 0.75 m along it: 2 sin/1.5 m, and sqrt(3 / that)."""
+        assert self.told(self.line(100.0)) == pytest.approx([2.0, 0.0])
+        sine = 3.0 / math.hypot(3.0, 0.75)
+        curvature = 2.0 * sine / 1.5
+        beside = self.told(self.line(100.0), (0.0, 3.0, 0.0))
+        assert beside == pytest.approx([math.sqrt(3.0 / curvature), -curvature])
+
+    def test_stop(self) -> None:
+        """With 1 m/s^2 from sqrt(2) m/s one metre before it, at rest within 0.3 m."""
+        assert self.told(self.line(1.0, 1.0)) == pytest.approx([math.sqrt(2.0), 0.0])
+        assert self.told(self.line(0.31, 1.0)) == pytest.approx([math.sqrt(0.62), 0.0])
+        assert self.told(self.line(0.29, 1.0)) == [0.0, 0.0]
+
+    def test_circle(self) -> None:
+        """On it, the arc through the point 1.5 m ahead is its own: 1/10 m, to the right where it is clockwise."""
+        for side in (1.0, -1.0):
+            orbit = TrackSetpoint.orbit(np.array([[0.0, 10.0 * side, 0.0]]), 10.0 * side)
+            assert self.told(orbit) == pytest.approx([2.0, 0.1 * side])
+
+    def test_velocity(self) -> None:
+        """Eastwards while it looks north: 0.3 of 1.5 m/s, and 2 /s times pi/2 at half a metre per second.
+
+        That is within 0.5 m/s, so 0.2 /s times 0.02 s of it come on top.
+        """
+        assert self.told(VelocitySetpoint.of(np.array([[1.5, 0.0, 0.0]]))) == pytest.approx([1.5, 0.0])
+        assert self.told(VelocitySetpoint.of(np.array([[0.0, 1.5, 0.0]]))) == pytest.approx([0.45 * 1.004, 2.0 * math.pi])
+
+    def test_a_turn_wider_than_a_kilometre_is_one_of_a_kilometre(self) -> None:
+        """So a side acceleration of 0.001 m/s^2 allows 1 m/s straight ahead."""
+        assert self.told(self.line(100.0), side_acceleration=1e-3) == pytest.approx([1.0, 0.0])
+        north = VelocitySetpoint.of(np.array([[1.5, 0.0, 0.0]]))
+        assert self.told(north, side_acceleration=1e-3) == pytest.approx([1.0, 0.0])

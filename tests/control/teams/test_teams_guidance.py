@@ -150,6 +150,23 @@ def test_a_flock_aligns_keeps_apart_and_stays_together() -> None:
     assert least_distance(crowded[150:]) < 3.0
 
 
+def test_what_a_flock_wants_by_hand() -> None:
+    """As documented, with the documented gains: parting 3 (-0.6, -0.8), 0.9 (0.5, 1), and -0.05 (4.5, -2)."""
+    guidance = FlockingGuidance()
+
+    @jax.jit
+    def wanted(points: Any, velocities: Any) -> Any:
+        mates = mates_of(flat(points), flat(velocities), guidance.reach, 2)
+        return guidance.velocity(route_to(np.zeros((3, 2))), flat(points), flat(velocities), mates)
+
+    def first(points: Any, velocities: Any) -> Any:
+        return [float(axis[0]) for axis in wanted(np.array(points, np.float32), np.array(velocities, np.float32))]
+
+    assert first([[0, 0], [3, 4], [-12, 0]], [[0, 0], [1, 0], [0, 2]]) == pytest.approx([-1.575, -1.4], abs=1e-5)
+    # The third is out of reach, nobody is near, and 0.9 of 10 m/s and 0.05 of 20 m are more than 4 m/s.
+    assert first([[0, 0], [20, 0], [101, 0]], [[0, 0], [10, 0], [0, 9]]) == pytest.approx([4.0, 0.0], abs=1e-5)
+
+
 def test_a_flock_migrates_slower_the_nearer_it_is() -> None:
     """A quarter of a metre a second for each metre, up to what is given; nobody else is in reach."""
     places = [[0.0, 0.0], [0.0, 500.0]]
