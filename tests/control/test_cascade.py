@@ -194,6 +194,9 @@ class TestKinds:
         close(found["roll"][0], [0.1, 0.9])
         close(found["pitch"][0], [-0.2, -0.9])
         close(found["throttle"][0], [14.0 / (math.cos(0.3) * math.cos(0.4)) / 20.0] * 2)
+        # Whoever lies on the side, cos 0.07, gets no more than ten times as much.
+        _, found = commands(setpoint, thrust=400.0, turned=[1.5, 0.0, 0.0])
+        close(found["throttle"][0], [2.0 * 140.0 / 400.0] * 2)
 
     def test_a_tilt_and_a_thrust(self) -> None:
         setpoint = AttitudeSetpoint.of(np.array([0.1, 2.0]), np.array([-0.2, -2.0]), 0.0, np.array([0.4, 1.5]))

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
 import qrsim
+from qrsim.control import Estimate, TrackSetpoint
+from qrsim.control.fixed_wing import FixedWingController
 from qrsim.errors import ScenarioError, UsageError
+from qrsim.models.vehicles.fixed_wing import FixedWing
 from qrsim.scenarios.derived import derived_of
 
 BOX = {
@@ -237,3 +242,20 @@ def test_faults_of_a_scenario_are_said_in_a_line() -> None:
         qrsim.load(scenario(battery={"type": "lithium_polymer"}))
     with pytest.raises(UsageError, match=r"a Command is not for the vehicles of fleet 'planes', which take"):
         qrsim.load(scenario()).step(qrsim.Command(*(np.zeros(1) for _ in range(5))))  # type: ignore[arg-type]
+
+
+def test_rolls_to_the_right_by_hand() -> None:
+    """Northwards at 25 m/s: L1 = 12 s 0.75/pi 25 m/s, a = 4 0.75^2 v^2/L1 sin(eta), roll = atan(a/g), at most 45 deg.
+
+    To a line 20 m to the left of it, to one far away, along it, and straight to a place where there is no line.
+    """
+    lengths = 12.0 * 0.75 / math.pi * 25.0
+    begins = np.array([[0.0, -20.0, 0.0], [0.0, 900.0, 0.0], [0.0, 0.0, 0.0], [400.0, 80.0, 0.0]])
+    ends = np.array([[1000.0, -20.0, 0.0], [1000.0, 900.0, 0.0], [1000.0, 0.0, 0.0], [400.0, 80.0, 0.0]])
+    with jax.enable_x64(True):
+        still, north = np.zeros((4, 3)), np.tile([25.0, 0.0, 0.0], (4, 1))
+        controller = FixedWingController().fitted(FixedWing())
+        turn = jax.jit(lambda seen, track: controller.step(controller.init(seen), seen, track, 0.02)[1].roll)
+        found = turn(Estimate.of(still, north, still), TrackSetpoint.line(begins, ends))
+    wanted = [math.atan(4.0 * 0.5625 * 625.0 / lengths * sine / 9.81) for sine in (-20.0 / lengths, 80 / 407.92156)]
+    np.testing.assert_allclose(found, [wanted[0], math.pi / 4, 0.0, wanted[1]], rtol=1e-6, atol=1e-9)

@@ -181,7 +181,9 @@ class TestByHand:
         That is within 0.5 m/s, so 0.2 /s times 0.02 s of it come on top.
         """
         assert self.told(VelocitySetpoint.of(np.array([[1.5, 0.0, 0.0]]))) == pytest.approx([1.5, 0.0])
-        assert self.told(VelocitySetpoint.of(np.array([[0.0, 1.5, 0.0]]))) == pytest.approx([0.45 * 1.004, 2.0 * math.pi])
+        assert self.told(VelocitySetpoint.of(np.array([[0.0, 1.5, 0.0]]))) == pytest.approx(
+            [0.45 * 1.004, 2.0 * math.pi]
+        )
 
     def test_a_turn_wider_than_a_kilometre_is_one_of_a_kilometre(self) -> None:
         """So a side acceleration of 0.001 m/s^2 allows 1 m/s straight ahead."""
