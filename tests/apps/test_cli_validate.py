@@ -20,9 +20,9 @@ from qrsim import cli
 from qrsim.core.allan import exponential_allan_variance
 from qrsim.errors import RunError
 from qrsim.files.recordings import RECORDINGS
-from qrsim.models.gnss.receivers import OrnsteinUhlenbeckErrors
 from qrsim.validate import gnss, outdoor, parts, receiver, report, thrust, translation, turbulence
 from qrsim.validate.parts import PARTS
+from qrsim.validate.published import RangeErrors
 from qrsim.validate.report import Check, Finding, Outcome, Part, Picture, reference_check, share_verdict
 
 PIXEL = bytes.fromhex("89504e470d0a1a0a")
@@ -147,7 +147,7 @@ def test_the_fitted_wind_is_found_again(recordings: Path):
 
 def test_sampled_allan_variance_is_the_continuous_one_for_many_samples():
     """And for windows of one sample it is half the variance of the difference, sigma^2 (1 - rho)."""
-    errors, period = OrnsteinUhlenbeckErrors(2.0, 30.0), 0.05  # type: ignore[arg-type]
+    errors, period = RangeErrors(2.0, 30.0, 0.0), 0.05
     autocovariance = receiver.range_autocovariance(errors, period, 800)
     autocovariance[0] -= 0.002**2
     found = receiver.sampled_allan_variance(autocovariance, 400)

@@ -17,6 +17,7 @@ from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.sensors.attitude import AttitudeEstimator
 from qrsim.models.sensors.barometer import Barometer
+from qrsim.validate.published import ATTITUDE, BAROMETER
 from qrsim.validate.recorded import Table
 from qrsim.validate.report import Check, Outcome, Part, Picture
 from qrsim.validate.statistics import CONFIDENCE, Values, mean_and_error, widest_z
@@ -34,7 +35,7 @@ class Process(NamedTuple):
 
     Attributes:
         title: in words.
-        std, time_constant: of the model [unit, s].
+        std, time_constant: as published [unit, s].
         unit: of std.
         errors: (T, n) once a second.
         squared_steps: (n,) mean square of the change over one period of 0.02 s [unit^2].
@@ -88,26 +89,9 @@ def read(sensor: str, model: Any, title: str, std: float, time_constant: float, 
 
 def processes(vehicles: int) -> dict[str, Process]:
     """Return both sensors with their defaults; the three angles of an attitude count as three vehicles."""
-    barometer, attitude = Barometer(), AttitudeEstimator()
     return {
-        "barometer": read(
-            "barometer",
-            barometer,
-            "barometric height",
-            float(barometer.drift_std),
-            float(barometer.drift_time_constant),
-            "m",
-            vehicles,
-        ),
-        "attitude": read(
-            "attitude",
-            attitude,
-            "attitude estimate",
-            float(attitude.std),
-            float(attitude.time_constant),
-            "rad",
-            vehicles // 2,
-        ),
+        "barometer": read("barometer", Barometer(), "barometric height", *BAROMETER, "m", vehicles),
+        "attitude": read("attitude", AttitudeEstimator(), "attitude estimate", *ATTITUDE, "rad", vehicles // 2),
     }
 
 
@@ -128,7 +112,7 @@ def _checks(name: str, of: Process) -> list[Check]:
     checks = [
         Check(
             f"{of.title}: standard deviation", std, of.std, z * float(error) / (2.0 * of.std), of.unit,
-            reason.format("docs/models.md"),
+            reason.format("the reference"),
         ),
         _time_constant(of, z, reason),
     ]  # fmt: skip
@@ -166,7 +150,7 @@ def _time_constant(of: Process, z: float, reason: str) -> Check:
     relative = math.hypot(float(error) / float(mean), float(error_of_variance))
     return Check(
         f"{of.title}: time constant", found, of.time_constant, z * relative * of.time_constant, "s",
-        reason.format("docs/models.md; from variance and mean square change per period"),
+        reason.format("the reference; from variance and mean square change per period"),
     )  # fmt: skip
 
 

@@ -18,10 +18,10 @@ from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
 from qrsim.engine.settings import quick_jit
-from qrsim.models.gnss.errors import GaussMarkov2
-from qrsim.models.gnss.receivers import GnssReceiver, OrnsteinUhlenbeckErrors, SharedSky
+from qrsim.models.gnss.receivers import GnssReceiver, SharedSky
 from qrsim.models.gnss.sp3 import Sp3Ephemeris
 from qrsim.models.site import Site, gps_seconds_from_utc
+from qrsim.validate.published import MASK_DEG, RANGE_NOISE_STD, RangeErrors
 from qrsim.validate.recorded import Table, read_table
 
 # The day of the recording.
@@ -109,7 +109,7 @@ def dilution(sky: SharedSky) -> Table:
     """Return the variances (3,) of north, east and down per variance of a range, from the geometry at the start."""
     satellites = np.asarray(sky.orbits.positions_ned(jnp.int32(0), jnp.zeros((), LIKE)).stack(), np.float64)
     rays = satellites / np.linalg.norm(satellites, axis=1, keepdims=True)
-    seen = rays[-rays[:, 2] > math.sin(float(GnssReceiver().elevation_mask_rad))]
+    seen = rays[-rays[:, 2] > math.sin(math.radians(MASK_DEG))]
     design = np.column_stack([seen, np.ones(len(seen))])
     return np.asarray(np.diag(np.linalg.inv(design.T @ design))[:3])
 
@@ -125,16 +125,10 @@ def sampled_allan_variance(autocovariance: Table, length: int) -> float:
     return float(0.5 * weights @ linalg.toeplitz(autocovariance[: 2 * length]) @ weights)
 
 
-def range_autocovariance(errors: Any, period: float, count: int) -> Table:
+def range_autocovariance(errors: RangeErrors, period: float, count: int) -> Table:
     """Return the autocovariance (count,) [m^2] of one satellite's range, errors and receiver noise together."""
-    lags = period * np.arange(count)
-    if isinstance(errors, GaussMarkov2):
-        found = errors.autocovariance(lags)
-    else:
-        assert isinstance(errors, OrnsteinUhlenbeckErrors)
-        found = float(errors.std) ** 2 * np.exp(-lags / float(errors.time_constant))
-    found = np.array(found)
-    found[0] += float(GnssReceiver().range_noise_std) ** 2
+    found = np.array(errors.autocovariance(period * np.arange(count)))
+    found[0] += RANGE_NOISE_STD**2
     return found
 
 

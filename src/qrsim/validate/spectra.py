@@ -15,7 +15,8 @@ from scipy import signal
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
-from qrsim.models.atmosphere.dryden import Dryden, DrydenState, dryden_scales
+from qrsim.models.atmosphere.dryden import Dryden, DrydenState
+from qrsim.validate.published import dryden_scales
 from qrsim.validate.statistics import against
 
 DT = 0.02
@@ -71,10 +72,8 @@ def our_series(case: Case, steps: int, seed: int) -> Floats:
 
 
 def scales(case: Case) -> tuple[Floats, Floats]:
-    """Return (3,) lengths [m] and standard deviations [m/s] of u, v, w, in float64."""
-    with jax.enable_x64(True):
-        lengths, sigmas = dryden_scales(jnp.asarray([case.height]), jnp.asarray(case.speed_20ft), SEVERITY)
-        return np.asarray(lengths.stack())[0], np.asarray(sigmas.stack())[0]
+    """Return (3,) lengths [m] and standard deviations [m/s] of u, v, w, as the standard has them."""
+    return dryden_scales(case.height, case.speed_20ft)
 
 
 def closed_form(case: Case, omega: Floats) -> Floats:

@@ -1,0 +1,81 @@
+"""What models should say, as literals with their sources: the only expectations of ``qrsim validate``.
+
+Nothing here is read from a model. Whoever changes a constant of a model makes a check fail.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+Floats = np.ndarray[tuple[int, ...], np.dtype[np.floating]]
+FOOT = 0.3048
+
+
+class Drift(NamedTuple):
+    """A first-order Gauss-Markov process: its standard deviation, and its time constant [s]."""
+
+    std: float
+    time_constant: float
+
+
+# The reference implementation: steps of 0.003 m each 0.02 s, 0.003 sqrt(300/(2 x 0.02)) = 0.260 m.
+BAROMETER = Drift(0.26, 300.0)
+# The reference implementation: 0.0005 rad/sqrt(s), 0.0005 sqrt(100/2) = 0.00354 rad.
+ATTITUDE = Drift(0.00354, 100.0)
+# White noise of each pseudorange [m], and the elevation [deg] above which satellites are used: the reference.
+RANGE_NOISE_STD, MASK_DEG = 0.002, 10.0
+
+
+class RangeErrors(NamedTuple):
+    """Range errors: standard deviation [m] and time constants [s]; a second one of 0 means a process of first order."""
+
+    std: float
+    slow: float
+    quick: float
+
+    def autocovariance(self, lags: Floats) -> Floats:
+        """Return the autocovariance [m^2] at lags [s]: of a first-order process that another one drives."""
+        slow = np.exp(-lags / self.slow)
+        if not self.quick:
+            return np.asarray(self.std**2 * slow)
+        quick = np.exp(-lags / self.quick)
+        return np.asarray(self.std**2 * (self.slow * slow - self.quick * quick) / (self.slow - self.quick))
+
+
+RANGE_ERRORS = {
+    # The reference: y' = y exp(-0.2/4) + 0.003 n, x' = x/1.005 + y each 0.2 s; 0.2/ln 1.005 = 40.1 s.
+    "gauss_markov_2": RangeErrors(0.58878, 40.1, 4.0),
+    # The reference: steps of 0.1746 m each 0.2 s, 0.1746 sqrt(2000/(2 x 0.2)) = 12.35 m.
+    "ou": RangeErrors(12.35, 2000.0, 0.0),
+    # Galileo OS service definition 1.3 (2023), table 33: root mean square of 6.24 m at 5 degrees of elevation and of
+    # 3.17 m at 90; 1100 s: Beard and McLain (2012), section 7.5; 100 s: RTCA DO-253.
+    "consumer": RangeErrors(4.95, 1100.0, 100.0),
+}
+# MIL-F-8785C, figure 7: rms of gusts [ft/s] by height [ft], the curve of severity 3.
+SEVERITY_3 = ((500.0, 1750.0, 3750.0, 7500.0), (6.6, 6.9, 7.4, 6.7))
+
+
+def dryden_scales(height: float, speed_20ft: float) -> tuple[Floats, Floats]:
+    """Return lengths [m] and standard deviations [m/s] (3,) of gusts along, across and down (MIL-F-8785C, 3.7.3).
+
+    Args:
+        height: above the ground [m]; up to 1000 ft the low-altitude model, from 2000 ft on 1750 ft and severity 3,
+            linear between them.
+        speed_20ft: mean wind 20 ft above the ground [m/s].
+    """
+    feet = max(height / FOOT, 10.0)
+    low = min(feet, 1000.0)
+    shape = 0.177 + 0.000823 * low
+    share = min(max(feet / 1000.0 - 1.0, 0.0), 1.0)
+    lengths = FOOT * np.array([low / shape**1.2, low / shape**1.2, low])
+    sigmas = 0.1 * speed_20ft * np.array([shape**-0.4, shape**-0.4, 1.0])
+    high = FOOT * float(np.interp(feet, *SEVERITY_3))
+    return (1.0 - share) * lengths + share * 1750.0 * FOOT, (1.0 - share) * sigmas + share * high
+
+
+def wind_over_20ft(height: float) -> float:
+    """Return the mean wind at a height [m] per that at 20 ft (MIL-F-8785C, 3.7.3.4: z0 = 0.15 ft)."""
+    return math.log(height / FOOT / 0.15) / math.log(20.0 / 0.15)
