@@ -185,7 +185,8 @@ class TestCommand:
         written = json.loads((folder / "validation.json").read_text(encoding="utf-8"))
         assert json.loads(printed.out) == written
         assert printed.err == ""
-        assert sorted(path.name for path in folder.iterdir()) == ["validation.html", "validation.json"]
+        files = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+        assert files == ["figures/thrust_1.pdf", "validation.html", "validation.json", "validation.pdf"]
         assert written["passed"] is True
         assert list(written["parts"]) == ["thrust", "made_up"]
         assert written["recordings"] == {"thrust_rig.csv": RECORDINGS["thrust_rig.csv"].sha256}
@@ -208,8 +209,9 @@ class TestCommand:
             "         One & only.",
             "         does not fit: a fit: 1 %",
         ]
-        assert lines[-2:] == [
-            f"report:  {tmp_path / 'validation.html'}",
+        assert lines[-3:] == [
+            f"report:  {tmp_path / 'validation.html'}, {tmp_path / 'validation.pdf'}",
+            f"figures: {tmp_path / 'figures'}/",
             f"numbers: {tmp_path / 'validation.json'}",
         ]
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from qrsim.validate.parts import Result
     from qrsim.validate.report import Part
 
-PAGE, NUMBERS = "validation.html", "validation.json"
+PAGE, PRINTED, NUMBERS, FIGURES = "validation.html", "validation.pdf", "validation.json", "figures"
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,9 @@ class Validate:
     """Hold every model against recordings, closed forms and an independent simulator, and write a report.
 
     The figures that made the original simulator credible, each with its number, its bound and what it says: thrust,
-    rotation, translation, turbulence, gnss, drifts. One HTML page that needs nothing else, and a JSON of every number.
-    Parts whose recordings are missing are skipped, and named; 'qrsim data fetch' gets the recordings.
+    rotation, translation, turbulence, gnss, drifts. One HTML page that needs nothing else, a PDF of the same with all
+    pictures as vectors, these one by one in figures/, and a JSON of every number. Parts whose recordings are missing
+    are skipped, and named; 'qrsim data fetch' gets the recordings.
 
     Exit code 0: every check passed; 1: one did not. How well a model fits a recording is told, and fails nothing.
 
@@ -65,12 +66,19 @@ class Validate:
     def _write(self, results: list[Result], report: dict[str, Any]) -> None:
         from qrsim.files.atomic import write_atomically
         from qrsim.validate.page import write_page
+        from qrsim.validate.pdf import figures, write_pdf
 
-        for name, text in ((PAGE, write_page(results, report)), (NUMBERS, _dump(report))):
+        texts = {PAGE: write_page(results, report), NUMBERS: _dump(report)}
+        files = {name: text.encode("utf-8") for name, text in texts.items()}
+        files |= {PRINTED: write_pdf(results, report)}
+        files |= {f"{FIGURES}/{name}": content for name, content in figures(results).items()}
+        for name, content in files.items():
+            path = self.out / name
             try:
-                write_atomically(self.out / name, text.encode("utf-8"))
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(path, content)
             except OSError as error:
-                raise RunError(f"cannot write {self.out / name}: {error.strerror or error}") from None
+                raise RunError(f"cannot write {path}: {error.strerror or error}") from None
 
     def _print(self, results: list[Result], report: dict[str, Any]) -> None:
         if self.json:
@@ -78,7 +86,8 @@ class Validate:
             return
         for result in results:
             _print_part(result)
-        print(f"report:  {self.out / PAGE}\nnumbers: {self.out / NUMBERS}")
+        print(f"report:  {self.out / PAGE}, {self.out / PRINTED}")
+        print(f"figures: {self.out / FIGURES}/\nnumbers: {self.out / NUMBERS}")
 
 
 def to_json(results: list[Result]) -> dict[str, Any]:

@@ -16,10 +16,10 @@ DPI = 90
 
 
 def picture(figure: Figure, caption: str) -> Picture:
-    """Render a figure as a PNG for the report."""
+    """Render a figure as a PNG for the report, and keep it for vectors."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=DPI, format="png")
-    return Picture(buffer.getvalue(), caption)
+    return Picture(buffer.getvalue(), caption, figure)
 
 
 def match_figure(match: Match, titles: tuple[str, ...], units: tuple[str, ...]) -> Figure:

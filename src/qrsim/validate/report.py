@@ -6,7 +6,10 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Verdict = Literal["fits", "fits in part", "does not fit", "to note"]
 # Shares of a record's variance that a simulation explains, from which on it fits, and fits in part.
@@ -72,10 +75,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG with its caption."""
+    """A PNG with its caption, and the figure that it shows, for vectors."""
 
     png: bytes
     caption: str
+    figure: Figure | None = None
 
 
 @dataclass(frozen=True)
