@@ -9,12 +9,15 @@ from typing import Any
 
 from qrsim.errors import RunError, UsageError, did_you_mean
 from qrsim.files import recordings
-from qrsim.validate import drifts, gnss, rotation, thrust, translation, turbulence
+from qrsim.validate import drifts, gnss, rotation, thrust, translation, turbulence, wind_field
 from qrsim.validate.report import Outcome, Part
 
 PARTS: dict[str, Part] = {
-    part.name: part for part in (thrust.PART, rotation.PART, translation.PART, turbulence.PART, gnss.PART, drifts.PART)
-}
+    part.name: part
+    for part in (
+        thrust.PART, rotation.PART, translation.PART, turbulence.PART, wind_field.PART, gnss.PART, drifts.PART,
+    )
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
