@@ -79,3 +79,39 @@ def dryden_scales(height: float, speed_20ft: float) -> tuple[Floats, Floats]:
 def wind_over_20ft(height: float) -> float:
     """Return the mean wind at a height [m] per that at 20 ft (MIL-F-8785C, 3.7.3.4: z0 = 0.15 ft)."""
     return math.log(height / FOOT / 0.15) / math.log(20.0 / 0.15)
+
+
+GRAVITY = 9.80665
+
+
+class DataSheet(NamedTuple):
+    """What a data sheet says of a chip, and which one.
+
+    Attributes:
+        source: the data sheet.
+        numbers: by kind and what it is: N of IEEE Std 952 [rad/s^0.5], [m/s^1.5], and bias [rad/s], [m/s^2].
+    """
+
+    source: str
+    numbers: dict[tuple[str, str], float]
+
+
+def _noise(gyroscope_deg_s: float, accelerometer_ug: float | None = None) -> dict[tuple[str, str], float]:
+    """Return N from one-sided densities [deg/s/sqrt(Hz)], [ug/sqrt(Hz)]."""
+    found = {("gyroscope", "noise"): math.radians(gyroscope_deg_s) / math.sqrt(2.0)}
+    if accelerometer_ug is not None:
+        found["accelerometer", "noise"] = accelerometer_ug * 1e-6 * GRAVITY / math.sqrt(2.0)
+    return found
+
+
+DATA_SHEETS = {
+    "mpu6000": DataSheet(
+        "PS-MPU-6000A-00 rev. 3.4, sections 6.1 and 6.2",
+        _noise(0.005, 400.0) | {
+            ("gyroscope", "turn_on_bias"): math.radians(20.0), ("accelerometer", "turn_on_bias"): 0.08 * GRAVITY,
+        },
+    ),
+    "icm42688p": DataSheet("DS-000347 v1.7, first page", _noise(0.0028, 70.0)),
+    # Its angle random walk is given too, 0.34 deg/sqrt(h): 0.00567 deg/sqrt(s).
+    "adis16470": DataSheet("ADIS16470 rev. C, first page", _noise(0.008)),
+}  # fmt: skip
