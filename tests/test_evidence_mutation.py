@@ -11,5 +11,6 @@ def test_small_form():
     found = mutation.run(full=False)
     assert not found["missed"], "\n".join(found["missed"])
     assert found["tried"] + len(found["untried"]) == mutation.SMALL
-    if found["untried"]:
-        pytest.skip(f"{found['tried']} killed; not yet tried: " + "; ".join(found["untried"]))
+    # Of those that no test is known to kill yet, this says nothing.
+    print(f"{found['tried']} killed; not yet tried: " + "; ".join(found["untried"]))
+    assert found["tried"] > 0
