@@ -96,4 +96,4 @@ def run(full: bool) -> dict[str, Any]:
     seeds = range(SEED, SEED + count)
     flights = studies.fly(seeds, duration=seconds, state_period=STATE_PERIOD)
     found = {name: of_case(flights[noise], seeds, states, bias) for name, (noise, bias) in CASES.items()}
-    return {"seeds": count, "duration_s": seconds, "states": states, **found}
+    return {"seeds": count, "flight_s": seconds, **found}

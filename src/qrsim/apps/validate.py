@@ -26,9 +26,9 @@ class Validate:
     """Hold every model against recordings, closed forms and an independent simulator, and write a report.
 
     The figures that made the original simulator credible, each with its number, its bound and what it says: thrust,
-    rotation, translation, turbulence, wind_field, gnss, drifts, imu. One HTML page that needs nothing else, a PDF of
-    the same with all pictures as vectors, these one by one in figures/, and a JSON of every number. Parts whose
-    recordings are missing are skipped, and named; 'qrsim data fetch' gets the recordings.
+    rotation, translation, turbulence, wind_field, gnss, receivers, drifts, imu. One HTML page that needs nothing else,
+    a PDF of the same with all pictures as vectors, these one by one in figures/, and a JSON of every number. Parts
+    whose recordings are missing are skipped, and named; 'qrsim data fetch' gets the recordings.
 
     Exit code 0: every check passed; 1: one did not. How well a model fits a recording is told, and fails nothing.
 

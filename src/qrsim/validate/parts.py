@@ -9,14 +9,14 @@ from typing import Any
 
 from qrsim.errors import RunError, UsageError, did_you_mean
 from qrsim.files import recordings
-from qrsim.validate import drifts, gnss, imu, rotation, thrust, translation, turbulence, wind_field
+from qrsim.validate import drifts, gnss, imu, receivers, rotation, thrust, translation, turbulence, wind_field
 from qrsim.validate.report import Outcome, Part
 
 PARTS: dict[str, Part] = {
     part.name: part
     for part in (
-        thrust.PART, rotation.PART, translation.PART, turbulence.PART, wind_field.PART, gnss.PART, drifts.PART,
-        imu.PART,
+        thrust.PART, rotation.PART, translation.PART, turbulence.PART, wind_field.PART, gnss.PART, receivers.PART,
+        drifts.PART, imu.PART,
     )
 }  # fmt: skip
 

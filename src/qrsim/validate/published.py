@@ -81,6 +81,14 @@ def wind_over_20ft(height: float) -> float:
     return math.log(height / FOOT / 0.15) / math.log(20.0 / 0.15)
 
 
+# GPS Standard Positioning Service Performance Standard, 5th edition (2020), table 3.8-1: PDOP of 6 or less for at least
+# 98 % of places and times, over 5 degrees.
+SPS_PDOP, SPS_PDOP_SHARE, SPS_MASK_DEG = 6.0, 0.98, 5.0
+# Circular error probable [m] of a fix without corrections, and the data sheet.
+RECEIVER_CEP_M = {
+    "m8n": (2.5, "u-blox NEO-M8 data sheet, UBX-15031086"),
+    "f9p_single": (1.5, "u-blox ZED-F9P data sheet, UBX-17051259"),
+}
 GRAVITY = 9.80665
 
 
