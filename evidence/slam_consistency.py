@@ -49,7 +49,7 @@ def judged(values: Any, size: int) -> dict[str, Any]:
     inside = share(values <= stats.chi2.ppf(CONFIDENCE, size))
     return {
         "seeds": len(values), "nees": mean, "median": float(np.median(values)), "band_low": low, "band_high": high,
-        "inside": bool(low <= mean <= high), "coverage": inside,
+        "inside": float(low <= mean <= high), "coverage": inside,
     }  # fmt: skip
 
 
