@@ -12,7 +12,9 @@ import numpy as np
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
 from qrsim.errors import RunError, UsageError, shortened
+from qrsim.tasks.agents import Axis
 from qrsim.tasks.episodes import Episodes, score
+from qrsim.tasks.teams import Side, axes_of_agents, part_of
 from qrsim.world.episode import refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]
@@ -64,9 +66,11 @@ class Batch:
 
     Attributes:
         functional: what is played.
-        axes: the numbers of an action of each agent.
+        sides: the agents by fleet.
+        axes: the numbers of an action of each agent (n,).
+        width: how many numbers an action has in an array of all agents (W), the largest number of axes.
         episodes: what computes them.
-        seen: what the agents see now, arrays (B, n, ...).
+        seen: what the agents see now, arrays (B, n, ...); of several fleets by fleet.
         truth: what is really the case, by name, (B, n, ...).
         gone: after a step (B, n) which agents have stopped, where these leave (``task.leave``); else None.
     """
@@ -82,7 +86,9 @@ class Batch:
             raise UsageError(f"num_envs: {size!r} is not a positive whole number")
         use_compilation_cache()
         self.functional = self._full = Functional.of(scenario, overrides, precision)
-        self.axes, self.size = self.functional.play.axes, int(size)
+        self.sides: tuple[Side, ...] = self.functional.play.sides
+        self.axes: tuple[tuple[Axis, ...], ...] = axes_of_agents(self.sides)
+        self.width, self.size = self.functional.play.width, int(size)
         self.dtype = np.dtype(precision)
         with self._precision():
             self.episodes = Episodes(self.functional.play, self.size, self.dtype)
@@ -144,7 +150,7 @@ class Batch:
             jax.tree.map(lambda old, new: _set(old, rows, new), whole, part)
 
     def step(self, action: Any, words: Any = None, who: str = "action") -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Advance all episodes by actions (B, n, A), and return reward (B, n), terminated (B,) and truncated (B,).
+        """Advance all episodes by actions (B, n, W), and return reward (B, n), terminated (B,) and truncated (B,).
 
         Args:
             action: of each agent.
@@ -180,27 +186,34 @@ class Batch:
         return f"{self.functional.name}: task {task}: step {self._steps[row]}, {series}, '{agents[agent]}'"
 
     def checked(self, action: Any, who: str) -> FloatArray:
-        """Check actions and return them as (B, n, A)."""
-        axes, agents = self.axes, self.functional.agents
-        shape = (self.size, len(agents), len(axes))
+        """Check actions and return them as (B, n, W)."""
+        agents = self.functional.agents
+        shape = (self.size, len(agents), self.width)
         try:
             array = np.asarray(numbers(action, who, shape), self.dtype)
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f"{who}: expected numbers of shape {shape[2:]}, found {one_line(action)}") from None
         if array.shape != shape:
             # Whoever has one environment, or one agent, does not see these axes.
-            raise UsageError(
-                f"{who}: expected shape {shape} (environments, agents; {', '.join(axis.name for axis in axes)}), found "
-                f"{array.shape}"
+            names = (
+                ", ".join(axis.name for axis in self.axes[0]) if len(self.sides) == 1 else "the largest of any agent"
             )
+            raise UsageError(f"{who}: expected shape {shape} (environments, agents; {names}), found {array.shape}")
         wrong = ~(np.abs(array) <= 1.0 + ROUNDING)
         if wrong.any():
             row, agent, axis = np.argwhere(wrong)[0]
-            raise UsageError(
-                f"{who}: {axes[axis].name} of '{agents[agent]}' in environment {row} is {array[row, agent, axis]:g}; "
-                "allowed: -1 to 1"
-            )
+            what = f"{self._named(agent, axis)} of '{agents[agent]}' in environment {row}"
+            raise UsageError(f"{who}: {what} is {array[row, agent, axis]:g}; allowed: -1 to 1")
         return array
+
+    def _named(self, agent: int, axis: int) -> str:
+        """Return what a number of an agent's action is called."""
+        mine = self.axes[agent]
+        return mine[axis].name if axis < len(mine) else f"number {axis}, which is none"
+
+    def of_agent(self, seen: Any, number: int) -> Any:
+        """Return what one agent sees, leaves (B, ...), of what all do (B, n, ...), of several fleets by fleet."""
+        return part_of(self.sides, seen, number)
 
     @property
     def vehicles(self) -> int:

@@ -19,12 +19,15 @@ from qrsim.tasks import Episode, Play, Step
 from qrsim.tasks.agents import Axis
 from qrsim.tasks.play import EpisodeKeys
 from qrsim.tasks.speaking import ACT, SAY
+from qrsim.tasks.teams import by_fleet, together
 from qrsim.world.state import Range, World
 
 
 @dataclass(frozen=True)
 class Functional:
     """A task of n agents, each of whose actions is A numbers in [-1, 1].
+
+    Where agents are of several fleets, actions and observations are dicts by fleet of what is said here of one.
 
     Attributes:
         play: the task and its world.
@@ -61,9 +64,10 @@ class Functional:
         return self.play.agents
 
     @property
-    def observation_axes(self) -> tuple[Axis, ...] | dict[str, tuple[Axis, ...]]:
+    def observation_axes(self) -> tuple[Axis, ...] | dict[str, Any]:
         """Name, unit and range of each number of an observation; of a dict, of those that have names."""
-        return self.play.task.sees(self.play.world)
+        axes: tuple[Axis, ...] | dict[str, Any] = self.play.task.sees(self.play.world)
+        return axes
 
     def keys(self, seeds: Any, numbers: Any = 0) -> Any:
         """Return the keys of episodes, one for each seed (B,), made on the host.
@@ -121,7 +125,8 @@ class Functional:
 
         Args:
             episode: before.
-            action: (n, A); with a radio also a dict of ``act``, which is that, and ``say`` (n, D), a message of each.
+            action: (n, A), of several fleets by fleet (n_f, A_f); with a radio also a dict of ``act``, which is that,
+                and ``say`` (n, D), a message of each.
 
         Raises:
             UsageError: other shapes, or something to say without a radio.
@@ -129,7 +134,10 @@ class Functional:
         return self.play.step(episode, self._together(action))
 
     def _together(self, action: Any) -> Array:
-        """Return actions (n, A), with what is said (n, A + D)."""
+        """Return actions (n, W), with what is said (n, W + D)."""
+        sides = self.play.sides
+        if len(sides) > 1:
+            return self._of_fleets(action)
         n, size = len(self.agents), self.play.message
         said = None
         if isinstance(action, dict):
@@ -142,6 +150,26 @@ class Functional:
                 more = "; there is no world.radio" if what != "action" and not size else ""
                 raise UsageError(f"{what}: expected shape ({n}, {width}), found {jnp.shape(array)}{more}")
         return action if said is None else jnp.concatenate([action, jnp.asarray(said, action.dtype)], axis=1)
+
+    def _of_fleets(self, action: Any) -> Array:
+        sides, size = self.play.sides, self.play.message
+        by_fleet(action, [side.fleet for side in sides], "action")
+        acts, said, speak = {}, [], False
+        for side in sides:
+            given, what = action[side.fleet], f"action of fleet '{side.fleet}'"
+            words: Any = jnp.full((len(side.names), size), jnp.nan)
+            if isinstance(given, dict):
+                if ACT not in given or not set(given) <= {ACT, SAY}:
+                    raise UsageError(f"{what}: expected a dict of {ACT} and {SAY}, found {', '.join(map(str, given))}")
+                given, told = given[ACT], given.get(SAY)
+                if told is not None and (not size or jnp.shape(told) != words.shape):
+                    more = "" if size else "; there is no world.radio"
+                    raise UsageError(f"{what}: {SAY}: expected shape {words.shape}, found {jnp.shape(told)}{more}")
+                speak, words = speak or told is not None, words if told is None else told
+            acts[side.fleet] = jnp.asarray(given)
+            said.append(jnp.asarray(words))
+        flown: Array = together(sides, acts)
+        return jnp.concatenate([flown, jnp.concatenate(said).astype(flown.dtype)], axis=1) if speak else flown
 
     def score(self, episode: Episode, answer: Array) -> Array:
         """Score the agents' answers, (n, L) or (n, L, K), (n,); see the task.

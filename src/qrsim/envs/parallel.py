@@ -19,7 +19,9 @@ from qrsim.errors import UsageError, did_you_mean
 
 
 class ParallelTask(ParallelEnv):  # type: ignore[misc]
-    """A task whose agents are the vehicles of a fleet; other fleets, such as the mouse, are part of the world.
+    """A task whose agents are the vehicles of a fleet, or of several; other fleets are part of the world.
+
+    Agents of several fleets may have actions and observations of their own.
 
     All agents act at once, and their episode ends for all together: terminated when any vehicle of the world has
     stopped, truncated after the last step. With ``task.leave`` an agent that stops is terminated alone, and leaves
@@ -29,7 +31,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         scenario, overrides, precision, render_mode: as of ``SingleTask``.
 
     Attributes:
-        observation_axes, answer_space: as of ``SingleTask``, each of one agent.
+        observation_axes, answer_space: as of ``SingleTask``, each of one agent; the axes of several fleets by fleet.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "name": "qrsim"}  # noqa: RUF012
@@ -53,10 +55,11 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         self.answer_space = answer_space(self.batch)
         self.observation_axes = self.batch.functional.observation_axes
         self.action_spaces: dict[str, spaces.Space[Any]] = {
-            agent: action_space(self.batch) for agent in self.possible_agents
+            agent: action_space(self.batch, i) for i, agent in enumerate(self.possible_agents)
         }
         self.observation_spaces: dict[str, spaces.Space[Any]] = {
-            agent: observation_space(self.batch.functional.play, self.batch.seen) for agent in self.possible_agents
+            agent: observation_space(self.batch.functional.play, self.batch.seen, i)
+            for i, agent in enumerate(self.possible_agents)
         }
         self._seeded = False
 
@@ -122,7 +125,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return found
 
     def _checked(self, actions: Any) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-        """Return what all agents do (n, A) and say (n, D); of those that have left nobody looks at it."""
+        """Return what all agents do (n, W) and say (n, D); of those that have left nobody looks at it."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
         for agent in actions:
@@ -132,12 +135,12 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         if missing:
             raise UsageError(f"actions: there is none for {', '.join(missing)}")
         count = len(self.possible_agents)
-        flown: list[Any] = [np.zeros(len(self.batch.axes), self.batch.dtype)] * count
+        flown: list[Any] = [np.zeros(self.batch.width, self.batch.dtype)] * count
         said: list[Any] = [np.full(self.batch.functional.play.message, np.nan, self.batch.dtype)] * count
         for agent in self.agents:
             who, row = f"action of {agent}", self.possible_agents.index(agent)
             act, said[row] = split_say(self.batch, actions[agent], who)
-            flown[row] = shaped(self.batch, act, who)
+            flown[row] = shaped(self.batch, act, who, agent=row)
         return np.stack(flown), np.stack(said)
 
     def render(self) -> Any:
@@ -185,7 +188,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
 
     def _seen(self) -> dict[str, Any]:
         return {
-            agent: jax.tree.map(lambda leaf, i=i: leaf[0, i].copy(), self.batch.seen)
+            agent: jax.tree.map(lambda leaf: leaf[0], self.batch.of_agent(self.batch.seen, i))
             for i, agent in enumerate(self.possible_agents)
         }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import jax
@@ -19,6 +19,7 @@ from qrsim.tasks.contracts import Answering
 from qrsim.tasks.play import Play
 from qrsim.tasks.simple import Commanded
 from qrsim.tasks.speaking import ACT, SAY
+from qrsim.tasks.teams import apart, axes_of_agents, by_fleet
 
 Floats = np.ndarray[Any, Any]
 BASELINE, HOVER, RANDOM, ORACLE = "baseline", "hover", "random", "oracle"
@@ -33,7 +34,8 @@ class Policy(Protocol):
     def act(self, seen: Any) -> Floats:
         """Return the actions (n, A) in [-1, 1], from what the agents see, (n, O) or a dict of arrays (n, ...).
 
-        With a radio it may return a dict of ``act``, which is that, and ``say`` (n, D), NaN for who says nothing.
+        With a radio it may return a dict of ``act``, which is that, and ``say`` (n, D), NaN for who says nothing. Where
+        agents are of several fleets, it sees and returns a dict by fleet of all that.
         """
         ...
 
@@ -51,9 +53,10 @@ class Hover:
     """Asks for nothing: of a command the neutral value of each number, of a velocity zero; hands in zeros."""
 
     def __init__(self, play: Play, seed: int = 0):
-        self._still = np.tile([_neutral(play, axis) for axis in play.axes], (len(play.agents), 1))
+        rows = [[_neutral(play, axis) for axis in axes] for axes in axes_of_agents(play.sides)]
+        self._still = apart(play.sides, np.array([row + [0.0] * (play.width - len(row)) for row in rows]))
 
-    def act(self, seen: Any) -> Floats:
+    def act(self, seen: Any) -> Any:
         """Return the same actions (n, A) every time."""
         return self._still
 
@@ -62,12 +65,12 @@ class Uniform:
     """Draws every number of every action uniformly; hands in zeros."""
 
     def __init__(self, play: Play, seed: int = 0):
-        self._shape = (len(play.agents), len(play.axes))
+        self._sides, self._shape = play.sides, (len(play.agents), play.width)
         self._random = np.random.default_rng(seed)
 
-    def act(self, seen: Any) -> Floats:
+    def act(self, seen: Any) -> Any:
         """Return new actions (n, A)."""
-        return self._random.uniform(-1.0, 1.0, self._shape)
+        return apart(self._sides, self._random.uniform(-1.0, 1.0, self._shape))
 
 
 class _Function:
@@ -76,7 +79,7 @@ class _Function:
     def __init__(self, function: Callable[[Any], Any]):
         self._function = function
 
-    def act(self, seen: Any) -> Floats:
+    def act(self, seen: Any) -> Any:
         return self._function(seen)
 
 
@@ -142,7 +145,8 @@ class Scored:
 
     Attributes:
         name: of the policy.
-        returns: (S,) of the episodes, mean over the agents.
+        returns: (S,) of the episodes, mean over the agents, of several fleets over those of the first.
+        others: of several fleets those of the others, by fleet.
         alive: (S,) whether nobody stopped.
         persons_found: (S,) by the end of each episode; None in a world without persons.
         picture: the first episode from above at its end, (480, 640, 3) uint8; None if none was asked for.
@@ -153,6 +157,7 @@ class Scored:
     alive: Floats
     picture: Floats | None = None
     persons_found: Floats | None = None
+    others: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def interval(self) -> Interval:
@@ -200,8 +205,8 @@ def play_policy(
     drawing = _drawing(batch) if drawn else None
     if recording is not None:
         recording.begin()
-    nothing = np.zeros((len(play.agents), len(play.axes)))
-    total, flies = np.zeros(batch.size), np.ones(batch.size, bool)
+    nothing = np.zeros((len(play.agents), play.width))
+    total, flies = np.zeros((batch.size, len(play.agents))), np.ones(batch.size, bool)
     finds = None if batch.episodes.episode(0).state.contents.persons is None else np.zeros(batch.size)
     for step in range(play.steps):
         seen = [jax.tree.map(lambda leaf, i=i: leaf[i], batch.seen) for i in range(batch.size)]
@@ -209,12 +214,13 @@ def play_policy(
             for row, each in enumerate(policies):
                 if isinstance(each, Informed) and flies[row]:
                     each.know(batch.episodes.episode(row).state)
-            given = [policies[i].act(seen[i]) if flies[i] else nothing for i in range(batch.size)]
-        parts = [_parted(batch, done, len(nothing), name) for done in given]
-        actions = np.stack([checked(act, nothing, name) for act, _ in parts])
-        words = np.stack([said for _, said in parts])
+            given = [policies[i].act(seen[i]) if flies[i] else None for i in range(batch.size)]
+        silent = np.full((len(nothing), play.message), np.nan)
+        parts = [(nothing, silent) if done is None and not flies[i] else _together(batch, done, name)
+                 for i, done in enumerate(given)]  # fmt: skip
+        actions, words = np.stack([act for act, _ in parts]), np.stack([said for _, said in parts])
         reward, terminated, truncated = batch.step(actions, words, f"policy {name}")
-        total += np.where(flies, reward.mean(axis=1, dtype=np.float64), 0.0)
+        total += np.where(flies[:, None], reward.astype(np.float64), 0.0)
         if recording is not None:
             recording.add(np.flatnonzero(flies), actions, reward, (terminated, truncated))
         if drawing is not None and flies[0]:
@@ -232,11 +238,12 @@ def play_policy(
         policy = policies[i]
         with _blamed(name, "answer", play):
             answer = policy.answer() if isinstance(policy, Answering) else _nothing(batch)
-        handed_in = float(batch.score(int(i), answer).mean())
+        handed_in = batch.score(int(i), answer)
         total[i] += handed_in
         if recording is not None:
-            recording.score(int(i), handed_in)
-    return Scored(name, total, flies, picture if drawing is not None else None, finds)
+            recording.score(int(i), float(handed_in.mean()))
+    first, *others = ((side.fleet, total[:, side.rows].mean(axis=1)) for side in batch.sides)
+    return Scored(name, first[1], flies, picture if drawing is not None else None, finds, dict(others))
 
 
 def _finds(batch: Batch, row: int) -> int:
@@ -260,6 +267,21 @@ def _blamed(name: str, where: str, play: Play) -> Iterator[None]:
         if name in BUILT_IN and (name != BASELINE or play.task.baseline is None):
             raise
         raise RunError(f"policy {name}: {where}: {type(error).__name__}: {' '.join(str(error).split())}") from error
+
+
+def _together(batch: Batch, given: Any, name: str) -> tuple[Floats, Floats]:
+    """Return what the agents of a policy do (n, W), and what they say (n, D); NaN for who says nothing."""
+    if len(batch.sides) > 1:
+        by_fleet(given, [side.fleet for side in batch.sides], f"policy {name}: actions")
+    acts, said = [], []
+    for side in batch.sides:
+        mine = given if len(batch.sides) == 1 else given[side.fleet]
+        who = name if len(batch.sides) == 1 else f"{name}: fleet '{side.fleet}'"
+        act, words = _parted(batch, mine, len(side.names), who)
+        rows = checked(act, np.zeros((len(side.names), len(side.axes))), who)
+        acts.append(np.pad(rows, ((0, 0), (0, batch.width - len(side.axes)))))
+        said.append(words)
+    return np.concatenate(acts), np.concatenate(said)
 
 
 def _parted(batch: Batch, given: Any, agents: int, name: str) -> tuple[Any, Floats]:

@@ -30,19 +30,19 @@ def only_one(batch: Batch) -> None:
         )
 
 
-def shaped(batch: Batch, flight: Any, who: str, *lead: int) -> np.ndarray[Any, Any]:
-    """Check the flight part of actions, and return it as an array (*lead, A).
+def shaped(batch: Batch, flight: Any, who: str, *lead: int, agent: int = 0) -> np.ndarray[Any, Any]:
+    """Check the flight part of an agent's actions, (*lead, A), and return it as an array (*lead, W).
 
     Raises:
         UsageError: it has another shape, or is no numbers.
     """
-    axes = batch.axes
+    axes = batch.axes[agent]
     expected = (*lead, len(axes))
     array = numbers(flight, who, expected)
     if array.shape != expected:
         names = ", ".join(axis.name for axis in axes)
         raise UsageError(f"{who}: expected shape {expected} ({names}), found {array.shape}")
-    return array
+    return np.pad(array, [(0, 0)] * len(lead) + [(0, batch.width - len(axes))]) if len(axes) < batch.width else array
 
 
 class SingleTask(gymnasium.Env[Any, Any]):

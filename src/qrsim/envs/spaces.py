@@ -11,15 +11,16 @@ from qrsim.envs.batch import Batch
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.tasks import Play
 from qrsim.tasks.speaking import ACT, AGE, HEARD, MASK, RSSI, SAY, SEE, SENDER
+from qrsim.tasks.teams import side_of
 
 
-def action_space(batch: Batch) -> spaces.Space[Any]:
-    """Return the action space of one agent: numbers in [-1, 1].
+def action_space(batch: Batch, agent: int = 0) -> spaces.Space[Any]:
+    """Return the action space of one agent, by its number: numbers in [-1, 1].
 
     With a radio that is the part ``act`` of a dict, which has a message ``say`` too.
     """
     play = batch.functional.play
-    act: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (len(play.axes),), batch.dtype.type)
+    act: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (len(batch.axes[agent]),), batch.dtype.type)
     if not play.message:
         return act
     return spaces.Dict({ACT: act, SAY: spaces.Box(-np.inf, np.inf, (play.message,), batch.dtype.type)})
@@ -32,9 +33,12 @@ def answer_space(batch: Batch) -> spaces.Box | None:
     return spaces.Box(0.0, np.inf, batch.answer_shape, batch.dtype.type)
 
 
-def observation_space(play: Play, seen: Any) -> spaces.Space[Any]:
-    """Return the observation space of one agent, from the observations (B, n, ...) of all."""
-    axes = play.task.sees(play.world)
+def observation_space(play: Play, seen: Any, agent: int = 0) -> spaces.Space[Any]:
+    """Return the observation space of one agent, by its number, from the observations (B, n, ...) of all."""
+    axes, sides = play.task.sees(play.world), play.sides
+    if len(sides) > 1:
+        fleet = side_of(sides, agent).fleet
+        axes, seen = axes[fleet], seen[fleet]
     if not play.message:
         return _space(seen, axes)
     vehicles = sum(fleet.size for fleet in play.world.fleets)

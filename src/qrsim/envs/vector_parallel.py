@@ -64,9 +64,9 @@ class VectorParallelTask:
         self.observation_axes, self.answer_space = self.batch.functional.observation_axes, answer_space(self.batch)
         shapes = jax.eval_shape(self.batch.functional.reset, np.zeros(2, np.uint32))[1]
         like = jax.tree.map(lambda leaf: np.broadcast_to(np.zeros((), leaf.dtype), (1, *leaf.shape)), shapes)
-        seen = observation_space(self.batch.functional.play, like)
-        self.observation_spaces: Spaces = dict.fromkeys(self.possible_agents, seen)
-        self.action_spaces: Spaces = dict.fromkeys(self.possible_agents, action_space(self.batch))
+        play, numbered = self.batch.functional.play, list(enumerate(self.possible_agents))
+        self.observation_spaces: Spaces = {agent: observation_space(play, like, i) for i, agent in numbered}
+        self.action_spaces: Spaces = {agent: action_space(self.batch, i) for i, agent in numbered}
 
     @property
     def agents(self) -> list[str]:
@@ -90,7 +90,7 @@ class VectorParallelTask:
             By agent what it sees, (num_envs, ...), and what is really the case, by name (num_envs, ...).
         """
         self._series.reset(seed, options)
-        return self._of_each(self.batch.seen), self._of_each(self.batch.truth)
+        return self._seen_by_each(self.batch.seen), self._of_each(self.batch.truth)
 
     def step(self, actions: dict[str, Any]) -> tuple[dict[str, Any], ...]:
         """Advance all episodes, and begin the next of those that have ended, as ``autoreset_mode`` says.
@@ -113,12 +113,12 @@ class VectorParallelTask:
         stopped = np.zeros(moved.rewards.shape, bool) if moved.gone is None else moved.gone
         terminated = moved.terminated[:, None] | stopped
         if moved.last is not None:
-            last, really = (self._of_each(part) for part in moved.last)
+            last, really = self._seen_by_each(moved.last[0]), self._of_each(moved.last[1])
             for agent, info in infos.items():
                 info |= {"final_obs": last[agent], "final_info": really[agent]}
                 info |= {"_final_obs": moved.ended.copy(), "_final_info": moved.ended.copy()}
         return (
-            self._of_each(self.batch.seen),
+            self._seen_by_each(self.batch.seen),
             self._of_each(moved.rewards),
             self._of_each(terminated),
             self._of_each(moved.truncated[:, None] & ~terminated),
@@ -171,7 +171,7 @@ class VectorParallelTask:
             raise UsageError(f"{what}: no agent is called '{agent}'{did_you_mean(str(agent), self.possible_agents)}")
 
     def _checked(self, actions: Any) -> tuple[Array, Array]:
-        """Return what agents do (num_envs, n, A) and what they say (num_envs, n, D)."""
+        """Return what agents do (num_envs, n, W) and what they say (num_envs, n, D)."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
         for agent in actions:
@@ -180,12 +180,16 @@ class VectorParallelTask:
         if missing:
             raise UsageError(f"actions: there is none for {', '.join(missing)}")
         each = []
-        for agent in self.possible_agents:
+        for number, agent in enumerate(self.possible_agents):
             who = f"actions of {agent}"
             done, words = split_say(self.batch, actions[agent], who, self.num_envs)
-            each.append((shaped(self.batch, done, who, self.num_envs), words))
+            each.append((shaped(self.batch, done, who, self.num_envs, agent=number), words))
         flown, said = zip(*each, strict=True)
         return np.stack(flown, axis=1), np.stack(said, axis=1)
+
+    def _seen_by_each(self, seen: Any) -> dict[str, Any]:
+        """Return what is seen by agent, (num_envs, ...)."""
+        return {agent: self.batch.of_agent(seen, i) for i, agent in enumerate(self.possible_agents)}
 
     def _of_each(self, tree: Any) -> dict[str, Any]:
         """Return arrays (num_envs, n, ...) by agent, (num_envs, ...)."""

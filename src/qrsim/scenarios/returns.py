@@ -13,6 +13,7 @@ import numpy as np
 
 from qrsim.core.tree import field_info
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.errors import did_you_mean
 from qrsim.models.scene.area import REASONS
 from qrsim.models.vehicles.contracts import Load, Pose
 from qrsim.tasks.agents import Axis
@@ -108,6 +109,7 @@ def _tree(value: Any) -> str:
     return "nothing" if value is None else _name(value)
 
 
+RETURNED = "it returned"
 Check = Callable[[Any, tuple[Any, ...], dict[str, Any], Any], Iterator[str]]
 
 
@@ -266,14 +268,33 @@ def _placed(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
 def _judged(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
     yield from _pair(result, "the new memory and the reward")
     yield from unchanged("the memory", args[0], result[0])
-    yield from _array("the reward", result[1], (_agents(self, args[1]),))
+    yield from _for_each_fleet(self, args[1], "the reward", result[1], lambda what, n, part: _array(what, part, (n,)))
 
 
-def _seen(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
-    n = _agents(self, args[1])
+def _for_each_fleet(
+    task: Any, world: Any, what: str, result: Any, check: Callable[[str, int, Any], Iterator[str]]
+) -> Iterator[str]:
+    """Yield what a check of ``what``, number of agents and value finds; of several fleets in the value of each."""
+    sizes = {fleet.name: fleet.size for fleet in world.fleets}
+    for fleet in task.fleets:
+        if fleet not in sizes:
+            yield f"{type(task).__name__}.fleets names '{fleet}'{did_you_mean(fleet, sizes)}; no fleet is called so"
+            return
+    if len(task.fleets) == 1:
+        yield from check(what, sizes[task.fleet], result)
+        return
+    if not isinstance(result, dict) or set(result) != set(task.fleets):
+        found = f"a dict of {', '.join(map(str, result)) or 'nothing'}" if isinstance(result, dict) else _name(result)
+        yield f"{what} is {found}; expected a dict with one for each fleet of agents: {', '.join(task.fleets)}"
+        return
+    for fleet in task.fleets:
+        yield from check(f"{what} of fleet '{fleet}'", sizes[fleet], result[fleet])
+
+
+def _seen(whole: str, n: int, result: Any) -> Iterator[str]:
     parts = result if isinstance(result, dict) else {"": result}
     for name, part in parts.items():
-        what = f"the observation{f' {name!r}' if name else ''}"
+        what = f"{whole}{f' {name!r}' if name else ''}"
         found = tuple(np.shape(part)) if hasattr(part, "shape") else None
         if found is None:
             yield f"{what} is {_name(part)}; expected an array whose first axis has {n} entries, one for each vehicle"
@@ -283,18 +304,33 @@ def _seen(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
 
 def _named(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
     """The names of an observation are axes, as many as it has numbers."""
+    yield from _for_each_fleet(self, args[0], RETURNED, result, _axes)
+
+
+def _axes(what: str, n: int, result: Any) -> Iterator[str]:
+    verb = "" if what == RETURNED else " is"
     for axes in result.values() if isinstance(result, dict) else (result,):
         if not isinstance(axes, tuple | list) or not all(isinstance(axis, Axis) for axis in axes):
-            yield f"it returned {_name(axes)}; expected a tuple of Axis (qrsim.tasks.agents), one for each number"
+            yield f"{what}{verb} {_name(axes)}; expected a tuple of Axis (qrsim.tasks.agents), one for each number"
 
 
 def _agreed(self: Any, args: Any, kwargs: Any, result: Any) -> Iterator[str]:
-    yield from _seen(self, args, kwargs, result)
     names = self.sees(args[1])
+
+    def agreed(what: str, n: int, part: Any) -> Iterator[str]:
+        fleet = next((name for name in self.fleets if part is result.get(name)), "") if len(self.fleets) > 1 else ""
+        yield from _seen(what, n, part)
+        yield from _named_as(self, what, part, names[fleet] if fleet else names)
+
+    yield from _for_each_fleet(self, args[1], "the observation", result, agreed)
+
+
+def _named_as(self: Any, whole: str, result: Any, names: Any) -> Iterator[str]:
+    """Yield where an observation is not what ``sees`` says of it."""
     if isinstance(names, dict) != isinstance(result, dict):
-        yield f"the observation is {_name(result)}, but {type(self).__name__}.sees returns {_name(names)}"
+        yield f"{whole} is {_name(result)}, but {type(self).__name__}.sees returns {_name(names)}"
     for name, axes in names.items() if isinstance(result, dict) else (("", names),):
-        what = f"the observation{f' {name!r}' if name else ''}"
+        what = f"{whole}{f' {name!r}' if name else ''}"
         if name and name not in result:
             yield f"{what} is not there, but {type(self).__name__}.sees names it"
             return
@@ -333,10 +369,6 @@ def _action(fleet: Any, action: Any) -> Iterator[str]:
         name = f"{type(action).__name__}{jax.tree_util.keystr(path)}"
         if np.shape(leaf) not in ((), (fleet.size,)):
             yield f"{what}: {name} has shape {np.shape(leaf)}; expected ({fleet.size},), one number for each vehicle"
-
-
-def _agents(task: Any, world: Any) -> int:
-    return next(fleet.size for fleet in world.fleets if fleet.name == task.fleet)
 
 
 CHECKS: dict[tuple[str, str], Check] = {

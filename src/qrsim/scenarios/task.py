@@ -8,6 +8,7 @@ from typing import Any
 from qrsim.errors import did_you_mean
 from qrsim.models.vehicles.commands import fields_of
 from qrsim.scenarios import catalogue as known
+from qrsim.scenarios.build import build_task
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.timing import is_multiple
@@ -39,8 +40,15 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield f"world.{content}: there is none, and the task '{task.type}' is about it"
     if task.type == "plume_mapping" and task.anywhere > task.locations:
         yield f"task.anywhere: {task.anywhere}; allowed: at most locations, {task.locations}"
-    if task.fleet in scenario.fleets:
-        yield from _fleet_problems(scenario, scenario.fleets[task.fleet])
+    if task.fleet not in scenario.fleets:
+        return
+    built = build_task(scenario, "float32")
+    for name in built.fleets:
+        if name in scenario.fleets:
+            yield from _setpoint_problems(scenario, name, built.asks(name))
+        else:
+            yield f"task.fleets: no fleet is called '{name}'{did_you_mean(name, scenario.fleets)}"
+    yield from _fleet_problems(scenario, scenario.fleets[task.fleet])
 
 
 def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
@@ -60,21 +68,25 @@ def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
             yield f"task.senses: '{name}' is named twice"
 
 
-def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
-    task = scenario.task
-    asks_for = known.TASKS[task.type].asks_for  # type: ignore[attr-defined]
+def _setpoint_problems(scenario: ScenarioSpec, name: str, asks_for: type | None) -> Iterator[str]:
+    """Yield why a fleet of agents does not fly what a task asks of it."""
+    task, fleet = scenario.task, scenario.fleets[name]
     if asks_for is not None and asks_for not in known.CONTROLLERS[fleet.controller.type].setpoints:  # type: ignore[attr-defined]
         fitting = [name for name, cls in known.CONTROLLERS.items() if asks_for in cls.setpoints]  # type: ignore[attr-defined]
         yield (
-            f"fleets.{task.fleet}.controller: '{fleet.controller.type}' does not take what the task '{task.type}' asks "
+            f"fleets.{name}.controller: '{fleet.controller.type}' does not take what the task '{task.type}' asks "
             f"for, {asks_for.__name__}; " + (f"allowed: {', '.join(fitting)}" if fitting else "no controller does")
         )
     fields = fields_of(known.VEHICLES[fleet.vehicle.type].command_type)  # type: ignore[attr-defined]
     if asks_for is None and not set(COMMANDED) <= set(fields) and not is_outside("task", task.type):
         yield (
-            f"task.fleet: '{task.fleet}' has vehicles of type '{fleet.vehicle.type}', and the task '{task.type}' is "
+            f"task.fleet: '{name}' has vehicles of type '{fleet.vehicle.type}', and the task '{task.type}' is "
             f"flown by their {', '.join(COMMANDED)}"
         )
+
+
+def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
+    task = scenario.task
     yield from _senses_problems(task, fleet)
     for field, types in SENSORS.items():
         if field not in vars(task):

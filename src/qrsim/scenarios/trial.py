@@ -143,7 +143,7 @@ def _tick(world: Any, key: Any) -> None:
 def _play(play: Play, key: Any) -> None:
     keys = play.keys(key)
     episode, _ = jax.eval_shape(lambda play, keys: play.reset(keys), play, keys)
-    action = np.zeros((len(play.agents), len(play.axes)), np.float32)
+    action = np.zeros((len(play.agents), play.width), np.float32)
     jax.eval_shape(lambda play, episode, action: play.step(episode, action), play, episode, action)
 
 

@@ -28,10 +28,13 @@ class Answering(Protocol):
 
 @runtime_checkable
 class Task(Protocol):
-    """Goal and reward of an episode; the agents are the n vehicles of one fleet.
+    """Goal and reward of an episode; the agents are the n vehicles of one fleet, or of several (``fleets``).
+
+    Of several fleets all that is said here to be (n, ...) is a dict by fleet of (n_f, ...): actions, rewards,
+    observations; of ``acts`` and ``sees`` too. Memory, answers and scores are not.
 
     Attributes:
-        fleet: name of that fleet; "": there is no task.
+        fleet: name of that fleet, of several the first, whose return is the task's score; "": there is no task.
         period: time between two actions [s], a multiple of the time step.
         penalty: reward of the step in which a vehicle stops.
         leave: whether an agent that stops leaves, and the others fly on until all have stopped; else its episode ends.
@@ -55,7 +58,16 @@ class Task(Protocol):
         """Numbers of what ``init`` draws for."""
         return 0
 
-    def acts(self, world: World) -> tuple[Axis, ...]:
+    @property
+    def fleets(self) -> tuple[str, ...]:
+        """Names of the fleets whose vehicles are the agents, ``fleet`` first."""
+        return (self.fleet,)
+
+    def asks(self, fleet: str) -> type[Any] | None:
+        """Return the kind of set-points that the controller of a fleet of agents must take; see ``asks_for``."""
+        return self.asks_for
+
+    def acts(self, world: World) -> tuple[Axis, ...] | dict[str, tuple[Axis, ...]]:
         """Describe the numbers of an action, with unit and range; an agent gives each in [-1, 1]."""
         return self.axes
 
@@ -64,7 +76,7 @@ class Task(Protocol):
         """Return its memory at the start of an episode; ``draw`` is its own randomness, for ``ids`` ids."""
 
     @abstractmethod
-    def commands(self, memory: Any, world: World, action: Array) -> tuple[Action, ...]:
+    def commands(self, memory: Any, world: World, action: Any) -> tuple[Action, ...]:
         """Convert actions (n, A), in their units, to an action for each fleet."""
 
     def each_tick(self, memory: Any, world: World, state: State) -> Any:
@@ -72,7 +84,7 @@ class Task(Protocol):
         return memory
 
     @abstractmethod
-    def judge(self, memory: Any, world: World, state: State, step: Array, steps: int) -> tuple[Any, Array]:
+    def judge(self, memory: Any, world: World, state: State, step: Array, steps: int) -> tuple[Any, Any]:
         """Return the memory after step ``step`` () of ``steps``, counted from 1, and its reward (n,) while all fly."""
 
     def crashed(self, memory: Any, world: World, state: State, steps: int) -> Array:
@@ -84,7 +96,7 @@ class Task(Protocol):
         """Return each agent's observation, (n, O) or a dict of arrays (n, ...); never the truth."""
 
     @abstractmethod
-    def sees(self, world: World) -> tuple[Axis, ...] | dict[str, tuple[Axis, ...]]:
+    def sees(self, world: World) -> Any:
         """Describe the O numbers of an observation, with their units; for a dict, those that have names."""
 
     def answer_shape(self, world: World) -> tuple[int, ...]:

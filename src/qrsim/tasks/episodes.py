@@ -73,7 +73,7 @@ class Episodes:
         step = Function("step of an episode", _tick, (task,), text)
         self._worlds = Worlds(start, step, self._play, extent)
         keys = play.keys(Key.roots(np.zeros(1, np.int64), np.zeros(1, np.int64)))
-        self._worlds.prepare(keys, np.zeros((1, len(play.agents), len(play.axes) + play.message), dtype))
+        self._worlds.prepare(keys, np.zeros((1, len(play.agents), play.width + play.message), dtype))
 
     def __getstate__(self) -> dict[str, Any]:
         # Programs are in memory of this process, and are loaded or made again in another.
@@ -113,7 +113,7 @@ class Episodes:
         return found
 
     def step(self, action: Array) -> tuple[Step, dict[str, Array]]:
-        """Advance all by actions (B, n, A), with a radio (B, n, A + D), and return the results and the ground truth."""
+        """Advance all by actions (B, n, W), with a radio (B, n, W + D), and return the results and the ground truth."""
         self._worlds.advance(0, self._play.ticks, action)
         found: tuple[Step, dict[str, Array]] = self._all(lambda progress: (progress.last, progress.truth))
         return found

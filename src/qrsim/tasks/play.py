@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from qrsim.control.setpoints import library
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import quantity, record, replace, setting
-from qrsim.tasks.agents import Axis, all_fly, fleet_of, number_of
+from qrsim.tasks.agents import Axis, all_fly, fleet_of
 from qrsim.tasks.contracts import Task
 from qrsim.tasks.speaking import at_first_period, message_size, overheard, spoken
+from qrsim.tasks.teams import Side, apart, in_units, of_all, sides_of, width
 from qrsim.world import tick as ticks_of
 from qrsim.world.draws import keys_of
 from qrsim.world.state import State, World, WorldKeys, period_ticks
@@ -45,7 +45,7 @@ class Judged:
 class Step:
     """Result of a step for the agents (n,)."""
 
-    observation: Any = quantity(doc="what each sees, (n, O) or a dict of arrays (n, ...)")
+    observation: Any = quantity(doc="what each sees, (n, O) or a dict of arrays (n, ...); of several fleets by fleet")
     reward: Array = quantity(doc="(n,)")
     terminated: Array = quantity(doc="() bool: a vehicle has stopped, and the episode has ended")
     truncated: Array = quantity(doc="() bool: the last step is done")
@@ -81,12 +81,22 @@ class Play:
     @property
     def agents(self) -> tuple[str, ...]:
         """Names of the vehicles that are commanded."""
-        return self.world.fleets[number_of(self.world, self.task.fleet)].vehicle_names
+        return tuple(name for side in self.sides for name in side.names)
+
+    @property
+    def sides(self) -> tuple[Side, ...]:
+        """The agents by fleet; more than one where those of several fleets are."""
+        return sides_of(self.task, self.world)
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """The numbers of an action of each agent."""
-        return self.task.acts(self.world)
+        """The numbers of an action of each agent, of several fleets those of the first."""
+        return self.sides[0].axes
+
+    @property
+    def width(self) -> int:
+        """Numbers of an action in an array of all agents (n, W); of one fleet as many as there are axes."""
+        return width(self.sides)
 
     @property
     def message(self) -> int:
@@ -133,7 +143,7 @@ class Play:
 
         Args:
             episode: before; where it has ended, what comes has no meaning.
-            action: (n, A) in [-1, 1], clipped; see ``axes`` of the task. With a radio also (n, A + D), whose
+            action: (n, W) in [-1, 1], clipped; see ``width``. With a radio also (n, W + D), whose
                 last numbers are said to all; NaN: nothing is.
         """
         begun = episode.step * self.ticks
@@ -173,23 +183,29 @@ class Play:
         """Start an episode for ``tick``; its last step holds observations only."""
         episode, seen = self.reset(keys)
         dtype = self.world.fleets[0].start.position_ned.x.dtype
-        action = jnp.zeros((len(self.agents), len(self.axes) + self.message), dtype)
+        action = jnp.zeros((len(self.agents), self.width + self.message), dtype)
         commands = jax.eval_shape(self._commands, episode, action)
         _, step = jax.eval_shape(self._judged, episode)
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), (commands, step))
         return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode))
 
     def _commands(self, episode: Episode, action: Array) -> Any:
-        acts = len(self.axes)
+        acts, sides = self.width, self.sides
         says = self.message > 0 and action.shape[1] > acts
         flown = action[:, :acts] if says else action
-        commands = self.task.commands(episode.memory, self.world, self.scaled(flown))
-        return spoken(self.world, self.task.fleet, commands, action[:, acts:]) if says else commands
+        commands = self.task.commands(episode.memory, self.world, apart(sides, self.scaled(flown)))
+        for side in sides if says else ():
+            commands = spoken(self.world, side.fleet, commands, action[side.rows, acts:])
+        return commands
 
     def observed(self, memory: Any, state: State, tick: Any) -> Any:
         """Return what the agents see at a tick () int32 of the episode, with a radio what they have heard too."""
-        seen = self.task.observe(memory, self.world, state)
-        return overheard(self.world, state, self.task.fleet, seen, tick) if self.message else seen
+        seen, fleets = self.task.observe(memory, self.world, state), self.task.fleets
+        if not self.message:
+            return seen
+        if len(fleets) == 1:
+            return overheard(self.world, state, fleets[0], seen, tick)
+        return {fleet: overheard(self.world, state, fleet, seen[fleet], tick) for fleet in fleets}
 
     def _tick(self, state: State, memory: Any, commands: Any, begun: Array, number: Any) -> tuple[State, Any]:
         # Where all are due together, the number is that of every world and slow sensors are really skipped.
@@ -209,33 +225,38 @@ class Play:
 
     def rewarded(self, episode: Episode) -> Judged:
         """Judge one more step, whose ticks the episode has behind it."""
-        memory, reward = self.task.judge(episode.memory, self.world, episode.state, episode.step + 1, self.steps)
+        memory, worth = self.task.judge(episode.memory, self.world, episode.state, episode.step + 1, self.steps)
+        reward = of_all(self.sides, worth)
         if not self.task.leave:
             fly = all_fly(episode.state)
             return Judged(memory, jnp.where(fly, reward, self._crashed(episode)), fly, None)
-        own = number_of(self.world, self.task.fleet)
-        gone = episode.state.fleets[own].violation.code != 0
-        others = [fleet.violation.code == 0 for i, fleet in enumerate(episode.state.fleets) if i != own]
-        others_fly = jnp.all(jnp.concatenate(others)) if others else jnp.ones((), bool)
+        stopped = {model.name: state.violation.code != 0
+                   for model, state in zip(self.world.fleets, episode.state.fleets, strict=True)}  # fmt: skip
+        own = [stopped.pop(name) for name in self.task.fleets]
+        gone = jnp.concatenate(own)
+        # It ends when no agent of a fleet is left.
+        over = [jnp.all(each) for each in own] + [jnp.any(each) for each in stopped.values()]
+        goes_on = ~jnp.any(jnp.stack(over))
         # Who stops pays once; what the task is worth to the others does not depend on it.
         left = jnp.where(episode.gone, 0.0, self.task.penalty)
-        reward = jnp.where(gone, left, jnp.where(others_fly, reward, self._crashed(episode)))
-        return Judged(memory, reward, others_fly & ~jnp.all(gone), gone)
+        reward = jnp.where(gone, left, jnp.where(goes_on, reward, self._crashed(episode)))
+        return Judged(memory, reward, goes_on, gone)
 
     def _crashed(self, episode: Episode) -> Array:
         """Return the reward () of a step in which a vehicle has stopped."""
         return self.task.crashed(episode.memory, self.world, episode.state, self.steps)
 
     def scaled(self, action: Any) -> Any:
-        """Scale actions (n, A), clipped to [-1, 1], to their units; NumPy or JAX."""
-        lib = library(action)
-        low = lib.asarray([axis.low for axis in self.axes], action.dtype)[None]
-        high = lib.asarray([axis.high for axis in self.axes], action.dtype)[None]
-        return low + 0.5 * (lib.clip(action, -1.0, 1.0) + 1.0) * (high - low)
+        """Scale actions (n, W), clipped to [-1, 1], to their units; NumPy or JAX."""
+        return in_units(self.sides, action)
 
     def truth(self, episode: Episode) -> dict[str, Array]:
         """Return the ground truth of the agents (n,), which they do not observe."""
-        model, fleet = fleet_of(self.world, episode.state, self.task.fleet)
+        each = [self._truth_of(episode, fleet) for fleet in self.task.fleets]
+        return each[0] if len(each) == 1 else {name: jnp.concatenate([one[name] for one in each]) for name in each[0]}
+
+    def _truth_of(self, episode: Episode, name: str) -> dict[str, Array]:
+        model, fleet = fleet_of(self.world, episode.state, name)
         vehicle = model.vehicle.pose(fleet.vehicle)
         return {
             "position_ned": vehicle.position_ned.stack(),

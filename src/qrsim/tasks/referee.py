@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Protocol
 
@@ -43,6 +43,7 @@ class TaskScore:
         steps: steps judged.
         of: steps of an episode.
         handed_in: whether the policy handed something in; where it did not, zeros were scored. None without answers.
+        fleets: names of the agents by fleet, where those of several are agents; else nothing.
     """
 
     returns: dict[str, float | None]
@@ -50,17 +51,23 @@ class TaskScore:
     steps: int
     of: int
     handed_in: bool | None = None
+    fleets: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def mean(self) -> float | None:
-        """Mean return of an agent; None where one is not finite."""
-        known = [value for value in self.returns.values() if value is not None]
-        return float(np.mean(known)) if known and len(known) == len(self.returns) else None
+        """Mean return of an agent, of several fleets of one of the first; None where one is not finite."""
+        return self._mean(next(iter(self.fleets.values()), tuple(self.returns)))
+
+    def _mean(self, agents: tuple[str, ...]) -> float | None:
+        known = [self.returns[agent] for agent in agents]
+        finite = [value for value in known if value is not None]
+        return float(np.mean(finite)) if finite and len(finite) == len(known) else None
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields by name, for JSON."""
-        return {"return": self.mean, "agents": dict(self.returns), "outcome": self.outcome, "steps": self.steps,
-                "of_steps": self.of, "handed_in": self.handed_in}  # fmt: skip
+        """Return the fields by name, for JSON; of several fleets the mean return of each too."""
+        several = {"fleets": {name: self._mean(agents) for name, agents in self.fleets.items()}} if self.fleets else {}
+        return {"return": self.mean, **several, "agents": dict(self.returns), "outcome": self.outcome,
+                "steps": self.steps, "of_steps": self.of, "handed_in": self.handed_in}  # fmt: skip
 
 
 class Referee:
@@ -176,7 +183,9 @@ class Referee:
         returns = {name: float(value) if np.isfinite(value) else None
                    for name, value in zip(self._names, total, strict=True)}  # fmt: skip
         handed_in = answer is not None if asked else None
-        return TaskScore(returns, outcome, len(self._rewards), self._steps, handed_in)
+        sides = self._play.sides
+        fleets = {side.fleet: side.names for side in sides} if len(sides) > 1 else {}
+        return TaskScore(returns, outcome, len(self._rewards), self._steps, handed_in, fleets)
 
 
 @lru_cache

@@ -27,6 +27,7 @@ from qrsim.tasks.pursuit import Pursuit
 from qrsim.tasks.search import Search
 from qrsim.tasks.simple import KeepSpot, KeepVelocity, ReachWaypoint
 from qrsim.tasks.speaking import ACT, SAY
+from qrsim.tasks.teams import apart, by_fleet, together
 
 __all__ = ["Baseline", "BaselinePolicy", "Chasing", "Holding", "Mapping", "Searching", "Touring", "baseline", "oracle"]
 SIMPLE: dict[type, Any] = dict.fromkeys((KeepSpot, ReachWaypoint, KeepVelocity), Holding)
@@ -97,17 +98,20 @@ class BaselinePolicy:
             self._memory = jax.jit(self._init)(state)
         seen = jax.tree.map(np.asarray, self._observe(self._memory, state, np.int32(tick)))
         done: Any = self._baseline.act(seen)
-        acts, words = (done[ACT], done.get(SAY)) if isinstance(done, dict) else (done, None)
-        expected = (len(self.play.agents), len(self.play.axes))
-        if np.shape(acts) != expected:
-            raise UsageError(f"policy baseline: expected actions of shape {expected}, found {np.shape(acts)}")
-        wanted = self.play.scaled(np.asarray(acts, self._like.dtype))
-        actions = self.play.task.commands(self._memory, self.play.world, jnp.asarray(wanted))
+        sides = self.play.sides
+        if len(sides) > 1:
+            by_fleet(done, [side.fleet for side in sides], "policy baseline: actions")
+        each = {side.fleet: done if len(sides) == 1 else done[side.fleet] for side in sides}
+        parts = {name: (part[ACT], part.get(SAY)) if isinstance(part, dict) else (part, None)
+                 for name, part in each.items()}  # fmt: skip
+        acts = {name: np.asarray(act, self._like.dtype) for name, (act, _) in parts.items()}
+        wanted = apart(sides, jnp.asarray(self.play.scaled(together(sides, acts, "policy baseline: actions"))))
+        actions = self.play.task.commands(self._memory, self.play.world, wanted)
         names = [fleet.name for fleet in self.play.world.fleets]
         given = {name: jax.tree.map(np.asarray, action) for name, action in zip(names, actions, strict=True)}
-        if words is not None:
-            fleet = self.play.task.fleet
-            given[fleet] = Say(words, given[fleet])
+        for name, (_, words) in parts.items():
+            if words is not None:
+                given[name] = Say(words, given[name])
         return given
 
     def answer(self) -> np.ndarray[Any, Any] | None:

@@ -1,0 +1,147 @@
+"""Agents of one fleet or of several: who they are, and their numbers in one array or by fleet.
+
+In an array (n, W) of actions the agents are those of all fleets in the order of ``Task.fleets``, and W is the largest
+number of any agent's axes; what an agent has no axis for is 0 and not looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from qrsim.control.setpoints import library
+from qrsim.errors import UsageError, did_you_mean
+from qrsim.tasks.agents import Axis, number_of
+from qrsim.tasks.contracts import Task
+from qrsim.world.state import World
+
+
+@dataclass(frozen=True)
+class Side:
+    """The agents of one fleet.
+
+    Attributes:
+        fleet: its name.
+        names: of its vehicles.
+        rows: where these are among all agents.
+        axes: the numbers of an action of each.
+    """
+
+    fleet: str
+    names: tuple[str, ...]
+    rows: slice
+    axes: tuple[Axis, ...]
+
+
+def sides_of(task: Task, world: World) -> tuple[Side, ...]:
+    """Return the agents of each fleet of a task.
+
+    Raises:
+        UsageError: a fleet is none, or is named twice, or a task of several fleets does not say what each of them does.
+    """
+    found: list[Side] = []
+    first = 0
+    acts: Any = task.acts(world)
+    several = len(task.fleets) > 1
+    for name in task.fleets:
+        fleet = world.fleets[number_of(world, name)]
+        if any(side.fleet == name for side in found):
+            raise UsageError(f"task.fleets: '{name}' is named twice")
+        if several and (not isinstance(acts, Mapping) or name not in acts):
+            raise UsageError(f"task: {type(task).__name__}.acts: expected a dict of axes with one for fleet '{name}'")
+        rows = slice(first, first + fleet.size)
+        found.append(Side(name, fleet.vehicle_names, rows, tuple(acts[name] if several else acts)))
+        first = rows.stop
+    return tuple(found)
+
+
+def width(sides: tuple[Side, ...]) -> int:
+    """Return the largest number of axes of any agent (W)."""
+    return max(len(side.axes) for side in sides)
+
+
+def axes_of_agents(sides: tuple[Side, ...]) -> tuple[tuple[Axis, ...], ...]:
+    """Return the axes of each agent, (n,)."""
+    return tuple(side.axes for side in sides for _ in side.names)
+
+
+def in_units(sides: tuple[Side, ...], action: Any) -> Any:
+    """Scale actions (n, W), clipped to [-1, 1], to the units of their axes; NumPy or JAX."""
+    lib, most = library(action), width(sides)
+    ends = []
+    for end, nothing in (("low", -1.0), ("high", 1.0)):
+        rows = [[getattr(axis, end) for axis in axes] for axes in axes_of_agents(sides)]
+        ends.append(lib.asarray([row + [nothing] * (most - len(row)) for row in rows], action.dtype))
+    low, high = ends
+    return low + 0.5 * (lib.clip(action, -1.0, 1.0) + 1.0) * (high - low)
+
+
+def apart(sides: tuple[Side, ...], action: Any) -> Any:
+    """Return actions (n, W) as a task takes them: as they are, of several fleets a dict by fleet of (n_f, A_f)."""
+    if len(sides) == 1:
+        return action
+    return {side.fleet: action[side.rows, : len(side.axes)] for side in sides}
+
+
+def together(sides: tuple[Side, ...], given: Any, what: str = "action") -> Any:
+    """Return what ``apart`` gives as an array (n, W), NumPy or JAX.
+
+    Args:
+        sides: of several fleets.
+        given: by fleet (n_f, A_f).
+        what: it is, for messages.
+
+    Raises:
+        UsageError: no dict, a fleet is missing or unknown, or another shape.
+    """
+    names, most = [side.fleet for side in sides], width(sides)
+    by_fleet(given, names, what)
+    lib: Any = jnp if any(isinstance(part, jax.Array) for part in given.values()) else np
+    parts = []
+    for side in sides:
+        array, expected = lib.asarray(given[side.fleet]), (len(side.names), len(side.axes))
+        if array.shape != expected:
+            axes = ", ".join(axis.name for axis in side.axes)
+            raise UsageError(f"{what} of fleet '{side.fleet}': expected shape {expected} ({axes}), found {array.shape}")
+        parts.append(lib.pad(array, ((0, 0), (0, most - expected[1]))))
+    return lib.concatenate(parts)
+
+
+def by_fleet(given: Any, names: list[str], what: str) -> None:
+    """Check that something is a dict with one entry for each fleet.
+
+    Raises:
+        UsageError: it is not.
+    """
+    if not isinstance(given, dict):
+        fleets = ", ".join(names)
+        raise UsageError(f"{what}: expected a dict with one for each fleet, {fleets}; found {type(given).__name__}")
+    for name in given:
+        if name not in names:
+            raise UsageError(f"{what}: no fleet of agents is called '{name}'{did_you_mean(str(name), names)}")
+    missing = [name for name in names if name not in given]
+    if missing:
+        raise UsageError(f"{what}: there is none for fleet {', '.join(missing)}")
+
+
+def of_all(sides: tuple[Side, ...], values: Any) -> Array:
+    """Return a task's values (n,): as they are, of several fleets those of a dict by fleet (n_f,)."""
+    return values if len(sides) == 1 else jnp.concatenate([values[side.fleet] for side in sides])
+
+
+def part_of(sides: tuple[Side, ...], seen: Any, number: int) -> Any:
+    """Return what one agent sees, leaves (B, ...), of what all do: leaves (B, n, ...), of several fleets by fleet."""
+    side = side_of(sides, number)
+    mine = seen if len(sides) == 1 else seen[side.fleet]
+    return jax.tree.map(lambda leaf: leaf[:, number - side.rows.start].copy(), mine)
+
+
+def side_of(sides: tuple[Side, ...], number: int) -> Side:
+    """Return the fleet of an agent, by its number among all."""
+    return next(side for side in sides if number < side.rows.stop)
