@@ -124,16 +124,20 @@ class Score:
         table = Table(title=f"{task}: {self.seeds} episodes from seed {self.first_seed}", title_justify="left")
         search = found[0].persons_found is not None
         persons = ("persons found",) if search else ()
-        for column in ("policy", "mean return", "95 % interval", "flown to the end", *persons, f"less {found[0].name}"):
+        others = [f"return of {fleet}" for fleet in found[0].others]
+        for column in (
+            "policy", "mean return", "95 % interval", "flown to the end", *others, *persons, f"less {found[0].name}"
+        ):  # fmt: skip
             table.add_column(column, justify="left" if column == "policy" else "right")
         for row in rows:
             less, finds = row["difference"], row.get("persons_found")
             table.add_row(
                 row["policy"], f"{row['mean']:.4g}", _span(row), f"{row['flown_to_the_end']:.3g}",
+                *(f"{told['mean']:.4g} {_span(told)}" for told in row.get("others", {}).values()),
                 *([f"{finds['mean']:.3g} {_span(finds)}"] if finds else []),
                 "-" if less is None else f"{less['mean']:.3g} {_span(less)}",
             )  # fmt: skip
-        Console(width=None if sys.stdout.isatty() else 130 if search else 110).print(table)
+        Console(width=None if sys.stdout.isatty() else 130 if search or others else 110).print(table)
         if self.out is not None:
             print(f"figure: {self.out}")
         if kept is not None:
@@ -141,11 +145,15 @@ class Score:
 
 
 def _row(each: Any, first: Any) -> dict[str, Any]:
+    from qrsim.envs.scoring import Interval
+
     less = None if each is first else _told(each.less(first))
     returns = [float(value) for value in each.returns]
     flown = float(each.alive.mean())
     row = {"policy": each.name, **_told(each.interval), "flown_to_the_end": flown, "difference": less,
            "returns": returns}  # fmt: skip
+    if each.others:
+        row["others"] = {fleet: _told(Interval.of(returns)) for fleet, returns in each.others.items()}
     if each.persons_found is not None:
         row["persons_found"] = {
             **_told(each.persons_found_interval),

@@ -95,7 +95,12 @@ def score_text(score: Mapping[str, Any]) -> str:
     if score["return"] is None:
         return f"none, {'; '.join(words)}"
     told = f"{score['return']:.4g}"
-    if len(returns) > 1:
+    fleets = score.get("fleets") or {}
+    if fleets:
+        first, *others = fleets
+        means = [f"{fleet} {'none' if fleets[fleet] is None else format(fleets[fleet], '.4g')}" for fleet in others]
+        told += f", mean of {first}; {', '.join(means)}"
+    elif len(returns) > 1:
         values = [value for value in returns.values() if value is not None]
         if min(values) == max(values):
             told += f", the same for all {len(returns)} agents"

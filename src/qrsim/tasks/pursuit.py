@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
@@ -22,6 +22,7 @@ class PursuitMemory:
     """Memory of an episode."""
 
     z: Array = quantity(unit="m", doc="(n,) position down that each cat keeps")
+    mice_z: Any = quantity(default=None, unit="m", doc="(m,) that of each mouse, where these are agents")
 
 
 @record
@@ -30,6 +31,9 @@ class Pursuit(Task):
 
     The reward comes in the last step: minus the sum over all cats of max(0, distance to the nearest mouse - reach)^2,
     reach being ``reach`` collision distances. (The reference sums the first cat only.)
+
+    With ``mouse: agent`` the vehicles of ``prey`` are agents too, each with the opposite reward. A step in which a
+    vehicle stops brings the penalty to both sides, so that nobody gains by a crash.
     """
 
     reach: Array = parameter(default=2.0, unit="1", doc="collision distances that are near enough", minimum=0.0)
@@ -37,6 +41,9 @@ class Pursuit(Task):
     leave: bool = leaving()
     fleet: str = setting(default="cats", doc="name of the fleet whose vehicles are the agents")
     prey: str = setting(default="mice", doc="name of the fleet that is caught")
+    mouse: Literal["scripted", "agent"] = setting(
+        default="scripted", doc="who flies the fleet that is caught: its own guidance, or agents, by velocities as cats"
+    )
     period: float = action_period(1.0)
     senses: tuple[str, ...] = senses()
 
@@ -45,17 +52,34 @@ class Pursuit(Task):
 
     def init(self, world: World, state: State, draw: Draw) -> PursuitMemory:
         """Return the memory at the start."""
-        _, fleet = fleet_of(world, state, self.fleet)
-        return PursuitMemory(fleet.vehicle.position_ned.z)
+        starts = [fleet_of(world, state, name)[1].vehicle.position_ned.z for name in self.fleets]
+        return PursuitMemory(starts[0], starts[1] if self._both else None)
 
-    def commands(self, memory: PursuitMemory, world: World, action: Array) -> tuple[Action, ...]:
+    @property
+    def _both(self) -> bool:
+        """Whether both sides are agents."""
+        return self.mouse == "agent"
+
+    @property
+    def fleets(self) -> tuple[str, ...]:
+        """Names of the fleets whose vehicles are the agents."""
+        return (self.fleet, self.prey) if self._both else (self.fleet,)
+
+    def acts(self, world: World) -> Any:
+        """Describe the numbers of an action: of both sides velocities."""
+        return dict.fromkeys(self.fleets, self.axes) if self._both else self.axes
+
+    def commands(self, memory: PursuitMemory, world: World, action: Any) -> tuple[Action, ...]:
         """Return velocities of numbers (n, 2), at the height of the start and heading north."""
-        zero = jnp.zeros_like(action[:, 0])
-        return only(world, self.fleet, VelocityHeightSetpoint(action[:, 0], action[:, 1], memory.z, zero))
+        if not self._both:
+            return only(world, self.fleet, _at_height(action, memory.z))
+        each = {self.fleet: _at_height(action[self.fleet], memory.z),
+                self.prey: _at_height(action[self.prey], memory.mice_z)}  # fmt: skip
+        return tuple(each.get(fleet.name) for fleet in world.fleets)
 
     def judge(
         self, memory: PursuitMemory, world: World, state: State, step: Array, steps: int
-    ) -> tuple[PursuitMemory, Array]:
+    ) -> tuple[PursuitMemory, Any]:
         """Return the reward of all cats together for each of them; 0 before the last step."""
         _, cats = fleet_of(world, state, self.fleet)
         _, mice = fleet_of(world, state, self.prey)
@@ -63,40 +87,61 @@ class Pursuit(Task):
         nearest = jnp.min(offset.norm(), axis=1)
         missing = jnp.maximum(nearest - self.reach * world.collision_distance, 0.0)
         reward = jnp.where(step >= steps, -jnp.sum(missing * missing), 0.0)
-        return memory, jnp.broadcast_to(reward, nearest.shape)
+        of_cats = jnp.broadcast_to(reward, nearest.shape)
+        if not self._both:
+            return memory, of_cats
+        return memory, {self.fleet: of_cats, self.prey: jnp.broadcast_to(-reward, mice.vehicle.position_ned.x.shape)}
 
-    def observe(self, memory: PursuitMemory, world: World, state: State) -> Array:
+    def observe(self, memory: PursuitMemory, world: World, state: State) -> Any:
         """Return each cat's measured position and velocity, and measured offsets to mice and other cats.
 
         North and east of each: position, velocity, offsets to the m mice, offsets to the n - 1 other cats in the order
         of the fleet, beginning behind the cat itself. With ``senses``, what these sensors say in place of all offsets.
+        A mouse that is an agent sees the same of itself, the n cats and the m - 1 other mice, always by offsets.
         """
-        _, cats = fleet_of(world, state, self.fleet)
-        _, mice = fleet_of(world, state, self.prey)
+        of_cats = self._seen(world, state, self.fleet, self.prey, bool(self.senses))
+        if not self._both:
+            return of_cats
+        return {self.fleet: of_cats, self.prey: self._seen(world, state, self.prey, self.fleet, sensing=False)}
+
+    def _seen(self, world: World, state: State, own_fleet: str, others_fleet: str, sensing: bool) -> Array:
+        """Return what the vehicles of one side see of themselves, of the other side, and of their mates."""
+        _, cats = fleet_of(world, state, own_fleet)
+        _, mice = fleet_of(world, state, others_fleet)
         known = estimate_of(cats)
         own, velocity = known.position_ned, known.velocity_ned
         parts = [jnp.stack([own.x, own.y, velocity.x, velocity.y], axis=-1)]
-        if self.senses:
+        if sensing:
             return jnp.concatenate([*parts, sensed(world, state, self.fleet, self.senses)], axis=-1)
         prey, count = estimate_of(mice), own.x.shape[0]
         to_mice, to_cats = -_between(own, prey.position_ned), -_between(own, own)
-        order = (jnp.arange(count)[:, None] + jnp.arange(1, count)[None]) % count
-        others = [jnp.take_along_axis(axis, order, axis=1) for axis in (to_cats.x, to_cats.y)]
-        for north, east in ((to_mice.x, to_mice.y), others):
+        offsets = [(to_mice.x, to_mice.y)]
+        if count > 1:
+            order = (jnp.arange(count)[:, None] + jnp.arange(1, count)[None]) % count
+            north, east = (jnp.take_along_axis(axis, order, axis=1) for axis in (to_cats.x, to_cats.y))
+            offsets.append((north, east))
+        for north, east in offsets:
             parts.append(jnp.stack([north, east], axis=-1).reshape(count, -1))
         return jnp.concatenate(parts, axis=-1)
 
-    def sees(self, world: World) -> tuple[Axis, ...]:
+    def sees(self, world: World) -> Any:
         """Describe the numbers of an observation."""
-        count, mice = (
-            next(fleet.size for fleet in world.fleets if fleet.name == name) for name in (self.fleet, self.prey)
-        )
-        named = [("position", "m"), ("velocity", "m/s")]
-        if not self.senses:
-            named += [(f"mouse_{i}_offset", "m") for i in range(mice)]
-            named += [(f"cat_{i}_offset", "m") for i in range(1, count)]
-        own = tuple(Axis(f"{name}_{axis}", unit) for name, unit in named for axis in ("north", "east"))
-        return (*own, *sensed_axes(world, self.fleet, self.senses))
+        sizes = {fleet.name: fleet.size for fleet in world.fleets}
+        cats, mice = sizes[self.fleet], sizes[self.prey]
+        of_cats = _named(0 if self.senses else mice, "mouse", 0 if self.senses else cats, "cat")
+        of_cats = (*of_cats, *sensed_axes(world, self.fleet, self.senses))
+        return {self.fleet: of_cats, self.prey: _named(cats, "cat", mice, "mouse")} if self._both else of_cats
+
+
+def _named(others: int, other: str, count: int, mate: str) -> tuple[Axis, ...]:
+    """Describe an observation: itself, so many of the other side, and its mates, ``count`` with itself."""
+    names = [("position", "m"), ("velocity", "m/s"), *((f"{other}_{i}_offset", "m") for i in range(others))]
+    names += [(f"{mate}_{i}_offset", "m") for i in range(1, count)]
+    return tuple(Axis(f"{name}_{axis}", unit) for name, unit in names for axis in ("north", "east"))
+
+
+def _at_height(action: Array, z: Array) -> VelocityHeightSetpoint:
+    return VelocityHeightSetpoint(action[:, 0], action[:, 1], z, jnp.zeros_like(action[:, 0]))
 
 
 def _between(one: Vec3, other: Vec3) -> Vec3:

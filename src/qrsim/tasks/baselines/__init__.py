@@ -16,6 +16,7 @@ from qrsim.core.noise import Draw, Key
 from qrsim.errors import UsageError
 from qrsim.interface.messages import Say
 from qrsim.tasks.baselines.chasing import Chasing
+from qrsim.tasks.baselines.fleeing import Fleeing, Pursuing
 from qrsim.tasks.baselines.holding import FLOWN, Holding
 from qrsim.tasks.baselines.mapping import Mapping
 from qrsim.tasks.baselines.searching import Searching
@@ -29,7 +30,18 @@ from qrsim.tasks.simple import KeepSpot, KeepVelocity, ReachWaypoint
 from qrsim.tasks.speaking import ACT, SAY
 from qrsim.tasks.teams import apart, by_fleet, together
 
-__all__ = ["Baseline", "BaselinePolicy", "Chasing", "Holding", "Mapping", "Searching", "Touring", "baseline", "oracle"]
+__all__ = [
+    "Baseline",
+    "BaselinePolicy",
+    "Chasing",
+    "Fleeing",
+    "Holding",
+    "Mapping",
+    "Searching",
+    "Touring",
+    "baseline",
+    "oracle",
+]
 SIMPLE: dict[type, Any] = dict.fromkeys((KeepSpot, ReachWaypoint, KeepVelocity), Holding)
 ORACLES: dict[type, Any] = {Search: Touring}
 KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Searching, PlumeMapping: Mapping, **SIMPLE}
@@ -38,8 +50,8 @@ KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Searching, PlumeMapping: Map
 class Baseline(Protocol):
     """Policy of the agents of an episode."""
 
-    def act(self, seen: Any) -> np.ndarray[Any, Any]:
-        """Return the actions (n, A) in [-1, 1]."""
+    def act(self, seen: Any) -> Any:
+        """Return the actions (n, A) in [-1, 1]; of several fleets by fleet."""
         ...
 
 
@@ -57,6 +69,8 @@ def baseline(play: Play, seed: int = 0) -> Baseline:
         raise UsageError(f"policy baseline: it gives {', '.join(FLOWN)}; these vehicles take {found}")
     if isinstance(play.task, Pursuit) and play.task.senses:
         raise UsageError("policy baseline: it reads the offsets that the observation lacks with task.senses")
+    if isinstance(play.task, Pursuit) and play.task.mouse == "agent":
+        kind = Pursuing
     made: Baseline = kind(play, seed)
     return made
 

@@ -1,0 +1,46 @@
+"""Mice that run from the cats as their scripted guidance does, and both sides of a pursuit together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.tasks.baselines.chasing import Chasing
+from qrsim.tasks.play import Play
+
+Array = np.ndarray[Any, Any]
+# Speed of a mouse that runs [m/s], as of the guidance ``flee``.
+SPEED = 3.0
+
+
+class Fleeing:
+    """Mice of a pursuit that runs from all cats: along the sum of d/|d|^2, d the offset from a cat to the mouse.
+
+    That is what the guidance ``flee`` does, which looks at every tick; this one does at every step.
+    """
+
+    def __init__(self, play: Play, seed: int = 0):
+        cats, mice = play.sides
+        self._cats, self._limit = len(cats.names), float(mice.axes[0].high)
+
+    def act(self, seen: Any) -> Array:
+        """Return the actions (m, 2), from what the mice see (m, O)."""
+        offsets = np.asarray(seen, np.float64)[:, 4 : 4 + 2 * self._cats].reshape(len(seen), self._cats, 2)
+        square = np.sum(offsets**2, axis=2, keepdims=True)
+        away = -np.sum(np.where(square > 0.0, offsets / np.where(square > 0.0, square, 1.0), 0.0), axis=1)
+        length = np.linalg.norm(away, axis=1, keepdims=True)
+        run = np.where(length > 0.0, SPEED * away / np.where(length > 0.0, length, 1.0), 0.0)
+        return np.clip(run / self._limit, -1.0, 1.0)
+
+
+class Pursuing:
+    """Baselines of both sides of a pursuit, by fleet."""
+
+    def __init__(self, play: Play, seed: int = 0):
+        cats, mice = play.sides
+        self._each = {cats.fleet: Chasing(play, seed), mice.fleet: Fleeing(play, seed)}
+
+    def act(self, seen: Any) -> dict[str, Array]:
+        """Return the actions by fleet (n_f, 2)."""
+        return {fleet: policy.act(seen[fleet]) for fleet, policy in self._each.items()}
