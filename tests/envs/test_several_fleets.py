@@ -64,6 +64,7 @@ def test_pettingzoo_takes_it_in_both_forms() -> None:
     api_test(parallel_to_aec(team()), num_cycles=20)
 
 
+@pytest.mark.long
 def test_all_forms_are_the_same() -> None:
     env, pure, many = team(), Functional.of(MEETING, SHORT), vector_parallel_env(MEETING, 2, overrides=SHORT)
     seen, _ = env.reset(seed=5)
@@ -77,6 +78,41 @@ def test_all_forms_are_the_same() -> None:
     assert np.asarray(step.observation["quadrotors"]) == pytest.approx(np.stack([seen[a] for a in FLIES]), abs=1e-4)
     assert np.asarray(step.reward) == pytest.approx(list(rewards.values()), rel=1e-5)
     assert [rewarded[agent][1] for agent in rewards] == pytest.approx(list(rewards.values()), rel=1e-5)
+
+
+def test_all_that_speak_are_heard_by_the_others() -> None:
+    pure = Functional.of(MEETING, [*SHORT, "world.radio={preset: sik_915, size: 3}"])
+    episode, seen = jax.eval_shape(pure.reset, np.uint32(1))
+    assert {fleet: part["see"].shape for fleet, part in seen.items()} == {"quadrotors": (2, 9), "rover": (1, 4)}
+    assert seen["rover"]["heard"].shape[::2] == (1, 3)
+    said = {"quadrotors": jnp.zeros((2, 2)), "rover": {"act": jnp.zeros((1, 2)), "say": jnp.ones((1, 3))}}
+    _, step = jax.eval_shape(pure.step, episode, said)
+    assert step.observation["quadrotors"]["sender"].shape[0] == 2
+    with pytest.raises(UsageError, match=r"action of fleet 'rover': say: expected shape \(1, 3\), found \(1, 2\)"):
+        pure.step(episode, said | {"rover": {"act": jnp.zeros((1, 2)), "say": jnp.ones((1, 2))}})
+
+
+def test_who_stops_leaves_and_without_a_fleet_it_ends(tmp_path: Path) -> None:
+    code = (EXAMPLES / "meeting.py").read_text()
+    leaves = code.replace(
+        "    rover: str", '    leave: bool = qrsim.setting(True, doc="who stops leaves")\n    rover: str'
+    )
+    (tmp_path / "meeting.py").write_text(leaves)
+    narrow = (EXAMPLES / "meeting.yaml").read_text().replace("y_max: 60.0", "y_max: 12.0")
+    (tmp_path / "meeting.yaml").write_text(narrow)
+    env = parallel_env(str(tmp_path / "meeting.yaml"))
+    env.reset(seed=1)
+    east = np.array([0.0, 1.0], np.float32)
+    acted, ends = [], {}
+    # The first quadrotor flies 6 m east out of the area, at 3 m/s, and the second, from 12 m farther west, later.
+    while env.agents:
+        acted.append(len(env.agents))
+        actions = dict.fromkeys(env.agents, east) | {DRIVES: np.array([0.0, -1.0], np.float32)}
+        _, rewards, terminated, *_ = env.step({agent: actions[agent] for agent in env.agents})
+        ends |= {agent: (len(acted), rewards[agent]) for agent, gone in terminated.items() if gone}
+    assert [ends[agent][1] for agent in FLIES] == [-10.0, -10.0]
+    assert ends[FLIES[0]][0] + 4 <= ends[FLIES[1]][0] == ends[DRIVES][0] < 40
+    assert set(acted) == {3, 2}
 
 
 def test_wrong_actions_are_one_line() -> None:

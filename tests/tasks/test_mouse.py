@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from functools import cache
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +13,13 @@ import pytest
 from pettingzoo.test import api_test, parallel_api_test
 from pettingzoo.utils.conversions import parallel_to_aec
 
+from qrsim import cli
 from qrsim.envs import Functional, parallel_env
 from qrsim.envs.batch import Batch
 from qrsim.envs.parallel import ParallelTask
 from qrsim.envs.scoring import Scored, maker, play_policy
+from qrsim.errors import QrsimError
+from qrsim.runs.summary import score_text
 from qrsim.tasks.baselines import Fleeing
 
 BOTH = "task.mouse=agent"
@@ -100,6 +105,25 @@ def test_with_both_baselines_the_episode_is_that_of_the_script() -> None:
     assert agent.returns == pytest.approx(script.returns, rel=1e-4)
     assert agent.others["mice"] == pytest.approx(-script.returns, rel=1e-4)
     assert script.others == {}
+
+
+def test_run_and_score_tell_both_sides(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    told = ["--policy", "baseline", "--set", "duration=4", "--set", BOTH, "--json"]
+    assert cli.main(["score", "cats_and_mouse/1A", "--first-seed", "3", "--seeds", "1", *told]) == 0
+    scored = json.loads(capsys.readouterr().out)["policies"][0]
+    assert scored["others"]["mice"]["mean"] == pytest.approx(-scored["mean"])
+    assert scored["mean"] < -10.0
+    run = ["run", "cats_and_mouse/1A", "--seed", "3", "--out", str(tmp_path / "kept"), "--no-figure"]
+    assert cli.main([*run, *told]) == 0
+    score = json.loads(capsys.readouterr().out)["score"]
+    assert score["return"] == pytest.approx(scored["mean"], rel=1e-3)
+    assert score["fleets"] == pytest.approx({"cats": score["return"], "mice": -score["return"]})
+    assert f"{score['return']:.4g}, mean of cats; mice {-score['return']:.4g} (" in score_text(score)
+
+
+def test_who_flies_the_mouse_is_one_of_two() -> None:
+    with pytest.raises(QrsimError, match=r"task.mouse: .*scripted.*agent"):
+        Functional.of("cats_and_mouse/1A", ["task.mouse=agents"])
 
 
 def test_functions_take_both_by_fleet() -> None:

@@ -39,7 +39,7 @@ class Pursuing:
 
     def __init__(self, play: Play, seed: int = 0):
         cats, mice = play.sides
-        self._each = {cats.fleet: Chasing(play, seed), mice.fleet: Fleeing(play, seed)}
+        self._each: dict[str, Chasing | Fleeing] = {cats.fleet: Chasing(play, seed), mice.fleet: Fleeing(play, seed)}
 
     def act(self, seen: Any) -> dict[str, Array]:
         """Return the actions by fleet (n_f, 2)."""
