@@ -18,6 +18,7 @@ from qrsim.errors import UsageError
 from qrsim.links.reference.client import Client, Refused
 
 SHORT = "extends: keep_spot\nname: short_keep_spot\nduration: 0.2\n"
+TWO_SIDES = "extends: cats_and_mouse/1A\nname: two_sides\ntask: {mouse: agent}\n"
 SLOW = "extends: keep_spot\nname: slow\nduration: 600.0\ntask: {period: 300.0}\n"
 PLUMES = "extends: plume_mapping/3D\nname: short_plumes\nduration: 2.0\n"
 # Out of its space within a second: full pitch.
@@ -130,6 +131,10 @@ def test_a_vehicle_that_stops_ends_the_episode(client):
         (
             lambda client: client.play(scenario=SLOW),
             "PLAY: a step of this task is 15000 time steps; allowed: up to 10000",
+        ),
+        (
+            lambda client: client.play(scenario=TWO_SIDES),
+            "PLAY: the agents are of several fleets, cats, mice; a session has those of one",
         ),
         (lambda client: client.play("keep_spott"), "did you mean 'keep_spot'"),
         (lambda client: client.play("keep_spot", scenario=SHORT), "give either a task or a scenario"),

@@ -85,16 +85,12 @@ class EpisodeSession:
         """Start the first episode.
 
         Raises:
-            UsageError: its agents are of several fleets.
             RunError: a fleet found no place.
         """
         use_compilation_cache()
         task, world = self.scenario.task(PRECISION.name), self.scenario.world(PRECISION.name)
         # Of every number one array, so that all scenarios of a structure share a program.
         self.play = Play(cast(task, PRECISION), world, self.scenario.steps)
-        if len(self.play.sides) > 1:
-            fleets = ", ".join(side.fleet for side in self.play.sides)
-            raise UsageError(f"scenario {self.scenario.name}: agents of several fleets, {fleets}; a session is of one")
         # Alone, as an environment computes it, so that it is the same episode to the bit.
         self._episodes = Episodes(self.play, 1, PRECISION)
         self.pacer = Pacer(self._options.realtime, 0.0)

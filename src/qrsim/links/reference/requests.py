@@ -341,6 +341,9 @@ def _episode_options(connection: Client, chosen: dict[str, Any]) -> SessionOptio
     if scenario.ticks > MOST_TICKS_OF_ACT * scenario.steps:
         ticks = scenario.ticks // scenario.steps
         raise UsageError(f"PLAY: a step of this task is {ticks} time steps; allowed: up to {MOST_TICKS_OF_ACT}")
+    fleets = scenario.task("float32").fleets
+    if len(fleets) > 1:
+        raise UsageError(f"PLAY: the agents are of several fleets, {', '.join(fleets)}; a session has those of one")
     return session_options
 
 
