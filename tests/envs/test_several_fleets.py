@@ -121,7 +121,7 @@ def test_wrong_actions_are_one_line() -> None:
     with pytest.raises(UsageError, match=r"action of rover_0: expected shape \(2,\) \(steering, speed\), found \(3,\)"):
         env.step(still() | {DRIVES: np.zeros(3)})
     pure = Functional.of(MEETING)
-    episode, _ = pure.reset(0)
+    episode, _ = jax.eval_shape(pure.reset, np.uint32(0))
     flies, drives = jnp.zeros((2, 2)), jnp.zeros((1, 2))
     for action, words in (
         (flies, "expected a dict with one for each fleet, quadrotors, rover; found"),
