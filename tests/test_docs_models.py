@@ -33,6 +33,8 @@ def test_every_component_of_the_catalogue_is_named() -> None:
     kinds = [value for value in vars(catalogue).values() if isinstance(value, dict)]
     names = {name for kind in kinds for name, record in kind.items() if hasattr(record, "__dataclass_fields__")}
     names -= {"none", "given", "still", "calm"}
+    # What other tests of the same process have taken in from files is not built in.
+    names = {name for name in names if ":" not in name}
     assert len(names) > 40
     assert sorted(name for name in names if f"`{name}`" not in text and f": {name}`" not in text) == []
 
