@@ -12,6 +12,7 @@ from qrsim.errors import ScenarioError
 from qrsim.links.reference.tasks import MOST_VEHICLES
 from qrsim.scenarios.in_rows import count_of
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.scenarios.schema import json_schema
 
 
 def loaded(vehicles: Any) -> Any:
@@ -70,6 +71,15 @@ def test_wrong_rows_say_what_and_where(rows: dict[str, Any], message: str) -> No
     """One line, with the fleet's name."""
     with pytest.raises(ScenarioError, match=f"fleets.team.vehicles: .*{message}"):
         loaded(rows)
+
+
+def test_the_json_schema_has_both_forms() -> None:
+    """A list of vehicles as before, or rows with a count."""
+    fleet = json_schema()["$defs"]["FleetSpec"]["properties"]["vehicles"]
+    listed, rows = fleet["anyOf"]
+    assert (listed["type"], listed["minItems"]) == ("array", 1)
+    assert rows["required"] == ["count", "position_ned"]
+    assert "yaw_deg" in rows["properties"]
 
 
 def test_what_a_client_may_ask_for_is_counted() -> None:

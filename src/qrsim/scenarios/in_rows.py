@@ -69,6 +69,12 @@ def one_by_one(value: Any) -> Any:
     return rows.vehicles()
 
 
+def or_in_rows(schema: dict[str, Any]) -> None:
+    """Add rows to the JSON schema of a list of vehicles."""
+    listed = {name: schema.pop(name) for name in ("type", "items", "minItems") if name in schema}
+    schema["anyOf"] = [listed, RowsSpec.model_json_schema()]
+
+
 def count_of(value: Any) -> int:
     """Return how many vehicles the content of a scenario asks for, 0 where that cannot be read."""
     if isinstance(value, dict):

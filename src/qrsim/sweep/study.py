@@ -84,7 +84,7 @@ class StudySpec(Part):
     description: str = Field("", description="one or two sentences")
     scenario: str | dict[str, Any] = Field(description="a built-in name, a .yaml file, or the content of one")
     set: dict[str, Any] = Field({}, description="values of the scenario that are changed at all points, by path")
-    policy: Annotated[str | None, BeforeValidator(_in_one_line, str | dict[str, str] | None)] = Field(
+    policy: Annotated[str | None, BeforeValidator(_in_one_line)] = Field(
         None,
         description="MODULE:NAME or FILE.py:NAME, one for each fleet or vehicle by name, or 'baseline', the task's",
     )
