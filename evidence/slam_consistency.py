@@ -84,7 +84,7 @@ def of_case(flights: list[Any], seeds: range, states: str, bias: float | None) -
         "position_over_time": {
             "nees": float(over_time.mean()),
             "times_inside_percent": 100.0 * float(np.mean((over_time >= low) & (over_time <= high))),
-            "each_second": [round(float(value), 3) for value in over_time[:: round(1.0 / STATE_PERIOD)]],
+            "each_second": {f"s_{i}": float(value) for i, value in enumerate(over_time[:: round(1.0 / STATE_PERIOD)])},
         },
         "landmark": judged(np.array([value for value in landmarks if value is not None]), 3),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from evidence import slam_consistency as study
+from evidence.__main__ import plain
 
 
 def test_nees_is_the_squared_error_in_standard_deviations() -> None:
@@ -22,6 +23,8 @@ def test_the_band_of_fifty_seeds() -> None:
 def test_coloured_errors_taken_for_white_make_it_too_sure_of_itself() -> None:
     """White inside its band; coloured above by far; as a state inside again."""
     found = study.run(full=False)
+    # What a file of evidence can hold.
+    assert plain(found, "") == found
     assert found["white"]["position"]["inside"]
     assert found["coloured"]["position"]["nees"] > 5.0 * found["coloured"]["position"]["band_high"]
     assert found["coloured"]["position"]["coverage"]["high"] < 0.95
