@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import json
@@ -133,6 +134,30 @@ class TestNeverLost:
 
 
 class TestInOrder:
+    def test_one_that_was_taken_dies_of_old_age_and_ends_nothing_else(self) -> None:
+        with pytest.raises(Interruption) as found, heard():
+            press(signal.SIGINT)
+        kept = [found.value]
+        del found
+        done = []
+        with heard():
+            kept.clear()
+            gc.collect()
+            time.sleep(0.1)
+            done.append(1)
+        assert done == [1]
+
+    def test_nothing_comes_after_the_end(self) -> None:
+        """One that was dropped just before is for its own context, and the next one has handlers of its own."""
+        for wait_s in (0.0, 0.018, 0.019, 0.02, 0.021, 0.022):
+            with heard():
+                Dying(signal.SIGINT)
+                with contextlib.suppress(Interruption):
+                    time.sleep(wait_s)
+            time.sleep(0.03)
+        with heard():
+            time.sleep(0.05)
+
     def test_it_does_not_come_again_while_things_are_put_in_order(self) -> None:
         done = []
         with pytest.raises(Interruption), heard():

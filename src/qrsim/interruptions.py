@@ -27,8 +27,9 @@ AGAIN_AFTER_S = 0.02
 FRAGILE = ("llvmlite.", "qrsim.engine.llvm.compiler", "ctypes")
 DELICATE = ("jax.", "jaxlib.")
 PATIENCE_S = 3.0
-# The last signal that came, and whether somebody still waits for it to be taken.
-_state: dict[str, Any] = {"number": None, "listening": False, "since": None, "waiting": False}
+# The last signal that came, the context that hears it (None: nobody does), and whether it is to be sent again.
+_state: dict[str, Any] = {"number": None, "listener": None, "since": None, "waiting": False}
+_sending = threading.Lock()
 
 
 class Interruption(KeyboardInterrupt):
@@ -41,10 +42,12 @@ class Interruption(KeyboardInterrupt):
     def __init__(self, number: int = signal.SIGINT):
         super().__init__()
         self.number = signal.Signals(number)
+        self._listener = _state["listener"]
 
     def __del__(self) -> None:
-        # Nobody holds it any more: if nobody took it either, somebody dropped it.
-        if _state["listening"]:
+        # Nobody holds it any more: if nobody took it either, somebody dropped it. One that an earlier context took
+        # may die of old age during a later one.
+        if self._listener is not None and _state["listener"] is self._listener:
             _send_again(self.number)
 
 
@@ -77,12 +80,15 @@ def heard() -> Iterator[None]:
         if not (dropped.exc_type is not None and issubclass(dropped.exc_type, Interruption)):
             hook(dropped)
 
-    _state.update(number=None, listening=True, since=None, waiting=False)
+    _state.update(number=None, listener=object(), since=None, waiting=False)
     sys.unraisablehook = quiet
     try:
         yield
     finally:
-        _state["listening"] = False
+        _state["listener"] = None
+        # What is being sent comes while these handlers still stand: it is not for those of whoever comes next.
+        with _sending:
+            pass
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -146,6 +152,8 @@ def _installed(handler: Any) -> dict[int, Any]:
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
+    if _state["listener"] is None:
+        return  # its work is done
     _state["number"] = number
     _state["since"] = _state["since"] or time.monotonic()
     names = FRAGILE if time.monotonic() - _state["since"] > PATIENCE_S else (*FRAGILE, *DELICATE)
@@ -175,17 +183,18 @@ def _send_again(number: int) -> None:
     if _state["waiting"]:
         return
     _state["waiting"] = True
-    again = threading.Timer(AGAIN_AFTER_S, _send, (number,))
+    again = threading.Timer(AGAIN_AFTER_S, _send, (number, _state["listener"]))
     again.daemon = True
     again.start()
 
 
-def _send(number: int) -> None:
-    _state["waiting"] = False
-    if not _state["listening"]:
-        return
-    if hasattr(signal, "pthread_kill"):
-        # To the thread that handles it, which may be waiting for something.
-        signal.pthread_kill(threading.main_thread().ident or 0, number)
-    else:
-        signal.raise_signal(number)
+def _send(number: int, listener: object) -> None:
+    with _sending:
+        if _state["listener"] is not listener:
+            return
+        _state["waiting"] = False
+        if hasattr(signal, "pthread_kill"):
+            # To the thread that handles it, which may be waiting for something.
+            signal.pthread_kill(threading.main_thread().ident or 0, number)
+        else:
+            signal.raise_signal(number)

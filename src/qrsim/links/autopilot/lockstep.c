@@ -16,6 +16,7 @@
 #include <dlfcn.h>
 #include <netinet/in.h>
 #include <pthread.h>
+#include <signal.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
@@ -54,6 +55,7 @@ static ssize_t (*real_recvfrom)(int, void *, size_t, int, struct sockaddr *, soc
 static ssize_t (*real_sendto)(int, const void *, size_t, int, const struct sockaddr *, socklen_t);
 static int (*real_bind)(int, const struct sockaddr *, socklen_t);
 static int (*real_listen)(int, int);
+static sighandler_t (*real_signal)(int, sighandler_t);
 
 __attribute__((constructor)) static void begin(void) {
     real_clock_gettime = dlsym(RTLD_NEXT, "clock_gettime");
@@ -63,6 +65,7 @@ __attribute__((constructor)) static void begin(void) {
     real_sendto = dlsym(RTLD_NEXT, "sendto");
     real_bind = dlsym(RTLD_NEXT, "bind");
     real_listen = dlsym(RTLD_NEXT, "listen");
+    real_signal = dlsym(RTLD_NEXT, "signal");
     const char *number = getenv("QRSIM_LOCKSTEP_FD");
     if (number) control = atoi(number);
     stepping = control >= 0 && !getenv("QRSIM_LOCKSTEP_FREE");
@@ -130,8 +133,12 @@ int clock_gettime(clockid_t id, struct timespec *time) {
     return 0;
 }
 
+static int listening, noted;
+
 int nanosleep(const struct timespec *duration, struct timespec *left) {
-    if (!stepping || syscall(SYS_gettid) != getpid()) return real_nanosleep(duration, left);
+    const int main_thread = syscall(SYS_gettid) == getpid();
+    if (main_thread && __atomic_load_n(&listening, __ATOMIC_SEQ_CST)) __atomic_store_n(&noted, 1, __ATOMIC_SEQ_CST);
+    if (!stepping || !main_thread) return real_nanosleep(duration, left);
     uint64_t wake_ns = now_ns + duration->tv_sec * 1000000000ull + duration->tv_nsec;
     if (wake_ns <= BOOT_NS) {
         __atomic_store_n(&now_ns, wake_ns, __ATOMIC_SEQ_CST);
@@ -150,8 +157,6 @@ static struct reader *reader_of(int fd) {
     return fd < 0 ? NULL : fd == state.fd ? &state : fd == sticks.fd ? &sticks : NULL;
 }
 
-static int listening;
-
 int listen(int fd, int backlog) {
     int failed = real_listen(fd, backlog);
     __atomic_store_n(&listening, 1, __ATOMIC_SEQ_CST);
@@ -159,23 +164,18 @@ int listen(int fd, int backlog) {
 }
 
 /* The thread of the command line throws away sockets that do not listen yet, the main thread's new one among them: it
-   is held back until that listens, and a little longer, until that is noted. */
-static void hold_back(void) {
-    const struct timespec moment = {0, 1000000}, longer = {0, 20000000};
-    while (!__atomic_load_n(&listening, __ATOMIC_SEQ_CST)) real_nanosleep(&moment, NULL);
-    real_nanosleep(&longer, NULL);
+   is held back from its beginning, where it says that it ignores SIGPIPE, until that listens and the main thread, which
+   notes it, has come to its next sleep. */
+sighandler_t signal(int number, sighandler_t handler) {
+    const struct timespec moment = {0, 1000000};
+    if (control >= 0 && number == SIGPIPE && syscall(SYS_gettid) != getpid())
+        while (!__atomic_load_n(&noted, __ATOMIC_SEQ_CST)) real_nanosleep(&moment, NULL);
+    return real_signal(number, handler);
 }
 
 int select(int count, fd_set *in, fd_set *out, fd_set *errors, struct timeval *limit) {
     struct reader *reader = stepping && in ? reader_of(count - 1) : NULL;
-    if (!reader || !FD_ISSET(reader->fd, in)) {
-        static __thread int held;
-        if (control >= 0 && !held && !(in && count && (FD_ISSET(count - 1, in) && reader_of(count - 1)))) {
-            held = 1;
-            hold_back();
-        }
-        return real_select(count, in, out, errors, limit);
-    }
+    if (!reader || !FD_ISSET(reader->fd, in)) return real_select(count, in, out, errors, limit);
     pthread_mutex_lock(&lock);
     reader->waiting = 1;
     pthread_cond_broadcast(&changed);
