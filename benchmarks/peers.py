@@ -20,7 +20,12 @@ from typing import Any
 import _common
 
 FOLDER = Path(__file__).resolve().parent
-REQUIREMENTS = {"crazyflow": "crazyflow==0.4.0", "rotorpy": "rotorpy==3.0.0", "pyflyt": "PyFlyt==0.29.0"}
+REQUIREMENTS = {
+    "crazyflow": "crazyflow==0.4.0",
+    "rotorpy": "rotorpy==3.0.0",
+    "pyflyt": "PyFlyt==0.29.0",
+    "gtsam": "gtsam==4.3.0",
+}
 PATIENCE_S = 300.0
 HEADINGS = {
     "simulator": "simulator",

@@ -48,6 +48,7 @@ NUMBERS = {
     "ros2": {"vehicles", "topics", "rate_hz", "ticks", "core", "messages_per_second"},
     "sensors": {"worlds", "vehicles", "ns", "over_pair", "compile_seconds"},
     "serve": {"count", "median_us", "p95_us", "per_second"},
+    "slam_solver": {"states", "ours_cpu_s", "ours_iterations"},
     "startup": {"runs", "wall_s", "wall_max_s", "cpu_s"},
     "throughput": {
         "vehicles",
@@ -262,6 +263,15 @@ def test_environments_of_peers_that_are_not_there_are_named_with_what_installs_t
     assert {row["simulator"] for row in others} == {"crazyflow==0.4.0", "PyFlyt==0.29.0"}
     assert all(row["per_wall_second"] is None for row in others)
     assert all("env_peers.py --install" in row["note"] for row in others)
+
+
+def test_slam_without_gtsam_names_what_installs_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("QRSIM_PEERS", str(tmp_path))
+    results = rows("slam_solver")
+    assert [row["problem"] for row in results] == ["linear, 4 s", "poses, 4 s"]
+    for row in results:
+        assert (row["theirs_cpu_s"], row["ours_to_theirs"], row["apart_m"]) == (None, None, None)
+        assert row["note"] == "not installed: python benchmarks/slam_solver.py --install"
 
 
 FAKE = """import sys

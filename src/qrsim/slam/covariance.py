@@ -63,12 +63,13 @@ def marginals(normal: Normal) -> Covariance:
     Raises:
         LinAlgError: the states are not held in place.
     """
-    schur, _, _, bound = reduce(normal, Damping.of(normal, "metres", 0.0))
-    values, vectors = np.linalg.eigh(0.5 * (schur + schur.T))
+    reduced = reduce(normal, Damping.of(normal, "metres", 0.0))
+    values, vectors = np.linalg.eigh(0.5 * (reduced.schur + reduced.schur.T))
     root = vectors / np.sqrt(np.maximum(values, LEAST_INFORMATION))
     count = len(root) // 3
     of_each = root.reshape(count, 3, -1)
-    through = bound[:, :3] @ root
+    size = normal.gradient.shape[1]
+    through = reduced.back(reduced.border @ root).reshape(-1, size, root.shape[1])[:, :3]
     alone = chain_marginals(np.asarray(normal.diagonal), np.asarray(normal.below), 3)
     return Covariance(alone + through @ through.transpose(0, 2, 1), of_each @ of_each.transpose(0, 2, 1))
 

@@ -12,7 +12,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cholesky_banded
+from scipy.linalg.lapack import dtbtrs
 
 from qrsim.slam.flight import Floats
 from qrsim.slam.graph import Graph, Normal, cost, linearise
@@ -92,38 +93,67 @@ def banded(normal: Normal, damping: Damping) -> Floats:
     return band
 
 
-def reduce(normal: Normal, damping: Damping) -> tuple[Floats, Floats, Floats, Floats]:
-    """Eliminate the states.
+@dataclass(frozen=True)
+class Reduced:
+    """The normal equations with the states eliminated: the chain's matrix is L L'.
 
-    Returns:
-        The landmarks' matrix (3 L, 3 L) and right-hand side (3 L,), and the solutions of the states for the gradient
-        (T + 1, D) and for each column of the border (T + 1, D, 3 L).
+    Attributes:
+        schur: (3 L, 3 L) the landmarks' matrix.
+        right: (3 L,) its right-hand side.
+        factor: (2 D, (T + 1) D) L in LAPACK's lower band form.
+        gradient: ((T + 1) D,) L^-1 times the negative gradient of the states.
+        border: ((T + 1) D, 3 L) L^-1 times the border.
+    """
+
+    schur: Floats
+    right: Floats
+    factor: Floats
+    gradient: Floats
+    border: Floats
+
+    def back(self, right: Floats) -> Floats:
+        """Return L'^-1 times right-hand sides ((T + 1) D,) or ((T + 1) D, N)."""
+        return _triangular(self.factor, right, "T")
+
+
+def _triangular(factor: Floats, right: Floats, trans: str) -> Floats:
+    """Solve with a banded lower triangle (``trans`` "N") or its transpose ("T"); LAPACK's tbtrs."""
+    found, info = dtbtrs(factor, right, uplo="L", trans=trans)
+    if info:
+        raise LinAlgError(f"the matrix is singular at row {info}")
+    return np.asarray(found)
+
+
+def reduce(normal: Normal, damping: Damping) -> Reduced:
+    """Eliminate the states.
 
     Raises:
         LinAlgError: the matrix is not positive definite.
     """
     count, size = normal.gradient.shape
     border = np.asarray(normal.border).reshape(count, 3, -1)
-    right = np.zeros((count, size, 1 + border.shape[2]))
-    right[:, :, 0] = -np.asarray(normal.gradient)
-    right[:, :3, 1:] = border
+    columns = 1 + border.shape[2]
+    # LAPACK's order of the elements, so that nothing is copied.
+    right = np.zeros((count * size, columns), order="F")
+    right[:, 0] = -np.asarray(normal.gradient).ravel()
+    for axis in range(3):
+        right[axis::size, 1:] = border[:, axis]
     factor = cholesky_banded(banded(normal, damping), overwrite_ab=True, lower=True, check_finite=False)
-    flat = right.reshape(count * size, -1)
-    solved = cho_solve_banded((factor, True), flat, overwrite_b=True, check_finite=False)
-    solved = solved.reshape(count, size, -1)
-    schur: Any = -np.tensordot(border, solved[:, :3, 1:], axes=([0, 1], [0, 1]))
+    half = _triangular(factor, right, "N")
+    products: Any = half[:, 1:].T @ half
+    schur: Any = -products[:, 1:]
     for i, block in enumerate(np.asarray(normal.corner)):
         schur[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += block + np.diag(damping.landmarks[i])
-    told = np.tensordot(border, solved[:, :3, 0], axes=([0, 1], [0, 1]))
-    wanted: Any = -np.asarray(normal.gradient_landmarks).ravel() - told
-    return schur, wanted, solved[:, :, 0], solved[:, :, 1:]
+    wanted: Any = -np.asarray(normal.gradient_landmarks).ravel() - products[:, 0]
+    return Reduced(schur, wanted, factor, half[:, 0], half[:, 1:])
 
 
 def step(normal: Normal, damping: Damping) -> tuple[Floats, Floats]:
     """Compute the damped Gauss-Newton step of states (T + 1, D) and landmarks (L, 3); raises LinAlgError."""
-    schur, wanted, free, bound = reduce(normal, damping)
-    landmarks: Any = np.linalg.solve(schur, wanted)
-    return free - bound @ landmarks, landmarks.reshape(-1, 3)
+    reduced = reduce(normal, damping)
+    landmarks: Any = np.linalg.solve(reduced.schur, reduced.right)
+    states = reduced.back(reduced.gradient - reduced.border @ landmarks)
+    return states.reshape(normal.gradient.shape), landmarks.reshape(-1, 3)
 
 
 def _promised(normal: Normal, dx: Floats, da: Floats, damping: Damping) -> float:
