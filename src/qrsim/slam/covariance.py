@@ -11,12 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qrsim.slam.flight import Floats
-from qrsim.slam.graph import Graph, Normal, linearise
-from qrsim.slam.solve import Damping, Point, reduce
+from qrsim.slam.graph import Normal
+from qrsim.slam.solve import Damping, Point, Problem, reduce
 
 # Least information [1/m^2] in a direction of the landmarks, so that undetermined ones have a covariance, a huge one.
 LEAST_INFORMATION = 1e-12
@@ -27,7 +26,7 @@ class Covariance:
     """Marginal covariances about a point, with all correlations between states and landmarks taken into account.
 
     Attributes:
-        positions: (T + 1, 3, 3) of the positions, north, east and down [m^2].
+        positions: (T + 1, 3, 3) of the positions, north, east and down [m^2]; of several vehicles (T + 1, 3 N, 3 N).
         landmarks: (L, 3, 3) of the landmarks [m^2]; huge for undetermined ones.
     """
 
@@ -69,12 +68,12 @@ def marginals(normal: Normal) -> Covariance:
     count = len(root) // 3
     of_each = root.reshape(count, 3, -1)
     size = normal.gradient.shape[1]
-    through = reduced.back(reduced.border @ root).reshape(-1, size, root.shape[1])[:, :3]
-    alone = chain_marginals(np.asarray(normal.diagonal), np.asarray(normal.below), 3)
+    through = reduced.back(reduced.border @ root).reshape(-1, size, root.shape[1])[:, : normal.places]
+    alone = chain_marginals(np.asarray(normal.diagonal), np.asarray(normal.below), normal.places)
     return Covariance(alone + through @ through.transpose(0, 2, 1), of_each @ of_each.transpose(0, 2, 1))
 
 
-def covariance(graph: Graph, point: Point) -> Covariance:
+def covariance(problem: Problem, point: Point) -> Covariance:
     """Return the marginal covariances of positions and landmarks, linearised at a point."""
     with jax.enable_x64(True):
-        return marginals(linearise(graph, jnp.asarray(point.x), jnp.asarray(point.landmarks)))
+        return marginals(problem.linearise(point.x, point.landmarks))

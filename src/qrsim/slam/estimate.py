@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -27,7 +28,7 @@ from qrsim.slam.ranging import (
     landmarks_of,
     measure_ranges,
 )
-from qrsim.slam.solve import DAMPINGS, Point, Solution, solve
+from qrsim.slam.solve import DAMPINGS, Point, Problem, Solution, solve
 
 MOST_ITERATIONS = 100
 FIXED_BYTES = 200 * 2**20
@@ -222,19 +223,9 @@ def estimate(
 ) -> Slam:
     """Estimate a flight; arguments and errors as ``slam``."""
     prior = prior or ("start" if graph == "paper" else "estimate")
-    options = {
-        "graph": (graph, GRAPHS),
-        "states": (states, STATES),
-        "prior": (prior, PRIORS),
-        "damping": (damping, DAMPINGS),
-    }
-    for name, (value, known) in options.items():
-        if value not in known:
-            raise UsageError(f"{name}: '{value}' is not known{did_you_mean(str(value), known)}")
+    check_options(graph, states, prior, damping, iterations)
     if bias_time_constant is not None and graph != "gnss":
         raise UsageError("bias_time_constant: without GNSS fixes there is no error of them; take graph gnss")
-    if isinstance(iterations, bool) or not isinstance(iterations, int | np.integer) or iterations < 1:
-        raise UsageError(f"iterations: {iterations!r} is not a positive whole number")
     std = flight.fix_std if fix_std is None else fix_std
     size = state_size(states, bias_time_constant is not None)
     check_memory(len(flight.truth), size, ranging.ranges.shape[1], available_bytes())
@@ -247,15 +238,53 @@ def estimate(
         bias_time_constant=bias_time_constant,
     )  # fmt: skip
     use_compilation_cache()
+    solution, reflected = solve_reflected(
+        problem, x, ranging, lambda point: point.x[:, :3], iterations=iterations, damping=damping, keep=keep
+    )
+    return _result(problem.base, graph, states, prior, flight, ranging, active > 0, solution, reflected, problem)
+
+
+def solve_reflected(
+    problem: Problem, x: Floats, ranging: Ranging, places: Callable[[Point], Floats], *, iterations: int,
+    damping: str, keep: tuple[int, ...] = (),
+) -> tuple[Solution, Mirrors]:  # fmt: skip
+    """Solve, and again from the reflections of landmarks where they are to be preferred.
+
+    Args:
+        problem: the graph, of one vehicle or of several.
+        x: (T + 1, D) where to begin.
+        ranging: of all positions that ``places`` returns.
+        places: returns the positions (..., 3) of a point from which landmarks were ranged.
+        iterations, damping, keep: see ``qrsim.slam.from_run``.
+    """
+
+    def reflect(point: Point) -> Mirrors:
+        return mirrors(Point(places(point), point.landmarks, point.cost), ranging)
+
     solution = solve(problem, x, ranging.guess_ned, iterations, keep, damping)
-    reflected = mirrors(solution.point, ranging)
+    reflected = reflect(solution.point)
     if solution.converged and reflected.better.any():
-        places = np.where(reflected.better[:, None], reflected.places_ned, solution.point.landmarks)
-        again = solve(problem, solution.point.x, places, iterations, damping=damping)
+        guess = np.where(reflected.better[:, None], reflected.places_ned, solution.point.landmarks)
+        again = solve(problem, solution.point.x, guess, iterations, damping=damping)
         if again.converged and again.point.cost <= solution.point.cost + 0.5 * reflected.tolerance:
             solution = _joined(solution, again)
-            reflected = mirrors(solution.point, ranging)
-    return _result(problem.base, graph, states, prior, flight, ranging, active > 0, solution, reflected, problem)
+            reflected = reflect(solution.point)
+    return solution, reflected
+
+
+def check_options(graph: str, states: str, prior: str, damping: str, iterations: object) -> None:
+    """Refuse unknown options; raises UsageError."""
+    options = {
+        "graph": (graph, GRAPHS),
+        "states": (states, STATES),
+        "prior": (prior, PRIORS),
+        "damping": (damping, DAMPINGS),
+    }
+    for name, (value, known) in options.items():
+        if value not in known:
+            raise UsageError(f"{name}: '{value}' is not known{did_you_mean(str(value), known)}")
+    if isinstance(iterations, bool) or not isinstance(iterations, int | np.integer) or iterations < 1:
+        raise UsageError(f"iterations: {iterations!r} is not a positive whole number")
 
 
 def _joined(first: Solution, again: Solution) -> Solution:
@@ -271,12 +300,7 @@ def _result(
 ) -> Slam:  # fmt: skip
     point = solution.point
     believed = covariance(problem, point)
-    spread = np.sqrt(np.linalg.eigvalsh(believed.landmarks)[:, -1])
-    # Uncertain by half its distance, a landmark is not even known by its direction.
-    with np.errstate(invalid="ignore"):
-        near = 0.5 * np.nanmedian(np.where(enough[None], ranging.ranges, 0.0), axis=0)
-    determined = enough & (spread < near)
-
+    spread, determined = spread_of(believed.landmarks, ranging, enough)
     return Slam(
         graph=graph, states=states, prior=prior, flight=flight, ranging=ranging, time=flight.time,
         position_ned=point.x[:, :3], state=point.x[:, :base],
@@ -287,6 +311,15 @@ def _result(
         determined=determined, mirrors=reflected,
         iterations=solution.iterations, converged=solution.converged, costs=tuple(solution.costs), kept=solution.kept,
     )  # fmt: skip
+
+
+def spread_of(covariances: Floats, ranging: Ranging, enough: Any) -> tuple[Floats, Any]:
+    """Return the largest standard deviation of each landmark (L,) [m], and whether it is determined (L,)."""
+    spread = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+    # Uncertain by half its distance, a landmark is not even known by its direction.
+    with np.errstate(invalid="ignore"):
+        near = 0.5 * np.nanmedian(np.where(enough[None], ranging.ranges, 0.0), axis=0)
+    return spread, enough & (spread < near)
 
 
 def _ranging(

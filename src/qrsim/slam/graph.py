@@ -70,6 +70,14 @@ class Graph:
         """Numbers per state, D."""
         return self.base + 2 * self.bias
 
+    def cost(self, x: Floats, landmarks: Floats) -> float:
+        """Return half the sum of all squared residuals."""
+        return float(cost(self, jnp.asarray(x), jnp.asarray(landmarks)))
+
+    def linearise(self, x: Floats, landmarks: Floats) -> Normal:
+        """Return the normal equations at a point."""
+        return linearise(self, jnp.asarray(x), jnp.asarray(landmarks))
+
 
 @record
 class Normal:
@@ -78,10 +86,15 @@ class Normal:
     cost: Array = quantity(doc="()")
     diagonal: Array = quantity(doc="(T + 1, D, D)")
     below: Array = quantity(doc="(T, D, D) row k + 1, column k")
-    border: Array = quantity(doc="(T + 1, 3, L, 3) positions against landmarks")
+    border: Array = quantity(doc="(T + 1, 3, L, 3) positions against landmarks; of N vehicles (T + 1, 3 N, L, 3)")
     corner: Array = quantity(doc="(L, 3, 3)")
     gradient: Array = quantity(doc="(T + 1, D)")
     gradient_landmarks: Array = quantity(doc="(L, 3)")
+
+    @property
+    def places(self) -> int:
+        """Coordinates of positions, which are the first unknowns of each block."""
+        return int(self.border.shape[1])
 
 
 def predict(graph: Graph, x: Array, commands: Array, air_ned: Array, nominal: Array, normals: Array) -> Array:

@@ -17,7 +17,7 @@ LANDMARKS, SIDE, RANGE_LIMIT, RANGE_STD = 10, 40.0, 25.0, 5.0
 # Three coordinates need three.
 FEWEST_RANGES = 3
 # What each random draw of a seed is for: all are independent, and the same whatever else is drawn.
-WAYPOINTS, PLACES, GUESSES, NOISE = range(4)
+WAYPOINTS, PLACES, GUESSES, NOISE, BETWEEN = range(5)
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class Ranging:
         return self.counts.sum(axis=0).astype(np.int64)
 
 
-def generator(seed: int, purpose: int) -> np.random.Generator:
-    """Return the random generator of a seed for one purpose."""
-    return np.random.default_rng((seed, purpose))
+def generator(seed: int, purpose: int, *numbers: int) -> np.random.Generator:
+    """Return the random generator of a seed for one purpose, and of vehicles by their numbers."""
+    return np.random.default_rng((seed, purpose, *numbers))
 
 
 def draw_landmarks(seed: int, purpose: int, count: int, centre: Floats, side: float) -> Floats:

@@ -7,16 +7,15 @@ are eliminated by their Schur complement. Memory and time are linear in the numb
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 
 from qrsim.slam.flight import Floats
-from qrsim.slam.graph import Graph, Normal, cost, linearise
+from qrsim.slam.graph import Normal
 
 # The iterations end where a step moves no place by more than CONVERGED_M, or promises less than CONVERGED_COST: the
 # cost is half of chi^2, so that is far below anything that noise could tell apart.
@@ -25,6 +24,16 @@ LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e12
 # Which unknowns a step is held back in, and how much in the first one: "metres" the places of vehicle and landmarks,
 # all alike; "diagonal" every unknown in proportion to its own curvature, as general solvers do.
 DAMPINGS = {"metres": 1e-3, "diagonal": 1e-4}
+
+
+class Problem(Protocol):
+    """What is minimised: a chain of blocks of unknowns, positions first in each, and landmarks."""
+
+    def cost(self, x: Floats, landmarks: Floats) -> float:
+        """Return half the sum of all squared residuals at states (T + 1, D) and landmarks (L, 3)."""
+
+    def linearise(self, x: Floats, landmarks: Floats) -> Normal:
+        """Return the normal equations there."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +81,7 @@ class Damping:
     def of(cls, normal: Normal, kind: str, amount: float) -> Damping:
         """Return an amount of damping of a kind in DAMPINGS."""
         states, landmarks = np.zeros(normal.gradient.shape), np.ones(normal.gradient_landmarks.shape)
-        states[:, :3] = 1.0
+        states[:, : normal.places] = 1.0
         if kind == "diagonal":
             states = np.einsum("tii->ti", np.asarray(normal.diagonal))
             landmarks = np.einsum("lii->li", np.asarray(normal.corner))
@@ -131,12 +140,12 @@ def reduce(normal: Normal, damping: Damping) -> Reduced:
         LinAlgError: the matrix is not positive definite.
     """
     count, size = normal.gradient.shape
-    border = np.asarray(normal.border).reshape(count, 3, -1)
+    border = np.asarray(normal.border).reshape(count, normal.places, -1)
     columns = 1 + border.shape[2]
     # LAPACK's order of the elements, so that nothing is copied.
     right = np.zeros((count * size, columns), order="F")
     right[:, 0] = -np.asarray(normal.gradient).ravel()
-    for axis in range(3):
+    for axis in range(normal.places):
         right[axis::size, 1:] = border[:, axis]
     factor = cholesky_banded(banded(normal, damping), overwrite_ab=True, lower=True, check_finite=False)
     half = _triangular(factor, right, "N")
@@ -164,7 +173,7 @@ def _promised(normal: Normal, dx: Floats, da: Floats, damping: Damping) -> float
 
 
 def solve(
-    graph: Graph,
+    problem: Problem,
     x: Floats,
     landmarks: Floats,
     iterations: int,
@@ -174,20 +183,20 @@ def solve(
     """Minimise the cost from states x (T + 1, D) and landmarks (L, 3), in at most ``iterations`` iterations.
 
     Args:
-        graph: the problem.
+        problem: the graph, of one vehicle or of several.
         x, landmarks: where to begin.
         iterations: at most so many linear solutions.
         keep: after which iterations to keep the point.
         damping: a kind in DAMPINGS.
     """
     with jax.enable_x64(True):
-        return _minimise(graph, x, landmarks, iterations, keep, damping)
+        return _minimise(problem, x, landmarks, iterations, keep, damping)
 
 
 def _minimise(
-    graph: Graph, x: Floats, landmarks: Floats, iterations: int, keep: tuple[int, ...], kind: str
+    problem: Problem, x: Floats, landmarks: Floats, iterations: int, keep: tuple[int, ...], kind: str
 ) -> Solution:
-    normal = linearise(graph, jnp.asarray(x), jnp.asarray(landmarks))
+    normal = problem.linearise(x, landmarks)
     point = Point(x, landmarks, float(normal.cost))
     found = Solution(point, 0, False, [point.cost], {0: point} if 0 in keep else {})
     amount, growth = DAMPINGS[kind], 2.0
@@ -197,9 +206,9 @@ def _minimise(
         try:
             dx, da = step(normal, damping)
             tried = Point(point.x + dx, point.landmarks + da, 0.0)
-            reached = float(cost(graph, jnp.asarray(tried.x), jnp.asarray(tried.landmarks)))
+            reached = problem.cost(tried.x, tried.landmarks)
             promised = _promised(normal, dx, da, damping)
-            moved = max(np.abs(dx[:, :3]).max(), np.abs(da).max())
+            moved = max(np.abs(dx[:, : normal.places]).max(), np.abs(da).max())
             found.converged = bool(moved < CONVERGED_M or promised < CONVERGED_COST)
             ratio = (point.cost - reached) / max(promised, CONVERGED_COST)
         except LinAlgError:
@@ -208,7 +217,7 @@ def _minimise(
             if reached <= point.cost:
                 point = Point(tried.x, tried.landmarks, reached)
             if not found.converged:
-                normal = linearise(graph, jnp.asarray(point.x), jnp.asarray(point.landmarks))
+                normal = problem.linearise(point.x, point.landmarks)
             # Nielsen's rule: follow how well the quadratic model foretold the cost.
             amount = max(amount * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), LEAST_DAMPING)
             growth = 2.0
