@@ -79,7 +79,7 @@ class CorrelatedGnss(Sensor):
 
 
 def _record(state: State) -> dict[str, Array]:
-    """Return the arrays of a Flight of the only vehicle."""
+    """Return the arrays (k, n) of a Flight of each vehicle."""
     fleet = state.fleets[0]
     seen = measured_quantities(fleet.readings)
     velocity, attitude = seen["velocity_ned"], seen["attitude"]
@@ -93,7 +93,7 @@ def _record(state: State) -> dict[str, Array]:
         "command": jax.tree.leaves(fleet.command),
         "code": (fleet.violation.code.astype(position.x.dtype),),
     }
-    return {name: jnp.concatenate(parts) for name, parts in rows.items()}
+    return {name: jnp.stack(parts) for name, parts in rows.items()}
 
 
 def base_world(precision: str = "float32", gnss: str | None = None, **overrides: Any) -> World:
@@ -105,10 +105,10 @@ def base_world(precision: str = "float32", gnss: str | None = None, **overrides:
         overrides: assign scenario values, with double underscores for dots.
     """
     assignments = [f"{name.replace('__', '.')}={value}" for name, value in overrides.items()]
-    return load_scenario(SCENARIO if gnss is None else _with_receiver(gnss), assignments).world(precision)
+    return load_scenario(SCENARIO if gnss is None else with_receiver(gnss), assignments).world(precision)
 
 
-def _with_receiver(preset: str) -> dict[str, Any]:
+def with_receiver(preset: str) -> dict[str, Any]:
     """Return the scenario of the example with a receiver of type gnss; a base station is there for those that need it.
 
     Nothing of it is late, as in the example, and carrier phase is fixed.
@@ -121,20 +121,34 @@ def _with_receiver(preset: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def world_of(base: World, seed: int) -> World:
-    """Return the world with the waypoints of a seed; the vehicle starts at the first one."""
-    places = ranging.draw_landmarks(seed, ranging.WAYPOINTS, ROUTE, CENTRE, ranging.SIDE)
+def world_of(base: World, seed: int, vehicles: Sequence[int] = (0,)) -> World:
+    """Return the world with the waypoints of a seed; each vehicle starts at its first one.
+
+    Args:
+        base: with as many vehicles as are given.
+        seed: of the waypoints.
+        vehicles: their numbers; the waypoints and the height of each are its own.
+    """
+    routes = [ranging.draw_landmarks(seed, ranging.WAYPOINTS, ROUTE, CENTRE, ranging.SIDE, i) for i in vehicles]
+    heights = [np.full(ROUTE, -height_of(i)) for i in vehicles]
     fleet = base.fleets[0]
     dtype = fleet.start.position_ned.x.dtype
-    columns: list[Any] = [np.asarray(column, dtype) for column in (places[:, 0], places[:, 1], np.full(ROUTE, -HEIGHT))]
+    north, east = ([route[:, axis] for route in routes] for axis in (0, 1))
+    columns: list[Any] = [np.stack(each, axis=1).astype(dtype) for each in (north, east, heights)]
     route = replace(
         fleet.route,
-        position_ned=Vec3(*(column[:, None] for column in columns)),
-        yaw=np.zeros((ROUTE, 1), dtype),
+        position_ned=Vec3(*columns),
+        yaw=np.zeros((ROUTE, len(vehicles)), dtype),
         count=np.full_like(fleet.route.count, ROUTE),
     )
-    start = replace(fleet.start, position_ned=Vec3(*(column[:1] for column in columns)))
+    start = replace(fleet.start, position_ned=Vec3(*(column[0] for column in columns)))
     return replace(base, fleets=(replace(fleet, route=route, start=start),))
+
+
+def height_of(vehicle: int) -> float:
+    """Return the height [m] of a vehicle's waypoints: 20, 19, 21, 18, 22, ... m, so that no two are on one level."""
+    away = 0.5 * (vehicle + 1) if vehicle % 2 else -0.5 * vehicle
+    return HEIGHT - away
 
 
 def with_correlated(world: World, std: npt.ArrayLike, time_constant: float) -> World:
@@ -153,7 +167,7 @@ def coloured_flights(
 ) -> list[Flight]:
     """Fly each seed with the simulator's own sky and receiver."""
     base = base_world() if base is None else base
-    return _flown("coloured", [world_of(base, seed) for seed in seeds], seeds, duration, state_period)
+    return flown_alone("coloured", [world_of(base, seed) for seed in seeds], seeds, duration, state_period)
 
 
 def correlated_flights(
@@ -172,20 +186,32 @@ def correlated_flights(
     stds = [np.sqrt(np.mean(np.square(flight.fix_error), axis=0)) for flight in coloured]
     worlds = [with_correlated(world_of(base, seed), std, time_constant) for seed, std in zip(seeds, stds, strict=True)]
     name = "white" if time_constant == WHITE else f"{time_constant:g} s"
-    return _flown(name, worlds, seeds, duration, state_period)
+    return flown_alone(name, worlds, seeds, duration, state_period)
 
 
-def _flown(name: str, worlds: list[World], seeds: Sequence[int], duration: float, state_period: float) -> list[Flight]:
+def flown_alone(
+    name: str, worlds: list[World], seeds: Sequence[int], duration: float, state_period: float
+) -> list[Flight]:
+    """Fly worlds of one vehicle each, of as many seeds."""
+    return [flights[0] for flights in flown_together(name, worlds, seeds, duration, state_period)]
+
+
+def flown_together(
+    name: str, worlds: list[World], seeds: Sequence[int], duration: float, state_period: float
+) -> list[list[Flight]]:
+    """Fly worlds of N vehicles each, of as many seeds; raises RunError where a vehicle stops."""
     first = worlds[0]
     ticks = ticks_between(state_period, first.time_step)
     flown = rollout(
         worlds, ticks=ticks_between(duration, first.time_step, "duration"), seeds=list(seeds), record=_record,
         record_every=1,
     )  # fmt: skip
+    found = list(flown.recorded.items())
     return [
-        _flight(
-            name, world, seed, {key: np.asarray(rows[i], np.float64) for key, rows in flown.recorded.items()}, ticks
-        )
+        [
+            _flight(name, world, seed, {key: np.asarray(rows[i, ..., n], np.float64) for key, rows in found}, ticks)
+            for n in range(world.fleets[0].size)
+        ]
         for i, (world, seed) in enumerate(zip(worlds, seeds, strict=True))
     ]
 
@@ -206,7 +232,7 @@ def _flight(name: str, world: World, seed: int, recorded: dict[str, Floats], tic
     return make_flight(f"{name}, seed {seed}", world.time_step, ticks, model, truth, believed, commands, air, fixes)
 
 
-def ranging_of(flight: Flight, seed: int, std: float = ranging.RANGE_STD) -> Ranging:
-    """Measure ranges of a flight to the landmarks of its seed, the same for all flights of the seed."""
+def ranging_of(flight: Flight, seed: int, std: float = ranging.RANGE_STD, vehicle: int = 0) -> Ranging:
+    """Measure ranges of a flight to the landmarks of its seed, the same for all flights of the seed and vehicle."""
     landmarks, guesses = ranging.landmarks_of(seed, CENTRE), ranging.guesses_of(seed, CENTRE)
-    return ranging.measure_ranges(flight.truth[:, :3], landmarks, guesses, seed, std, ranging.RANGE_LIMIT)
+    return ranging.measure_ranges(flight.truth[:, :3], landmarks, guesses, seed, std, ranging.RANGE_LIMIT, vehicle)

@@ -49,9 +49,14 @@ def generator(seed: int, purpose: int, *numbers: int) -> np.random.Generator:
     return np.random.default_rng((seed, purpose, *numbers))
 
 
-def draw_landmarks(seed: int, purpose: int, count: int, centre: Floats, side: float) -> Floats:
+def _own(vehicle: int) -> tuple[int, ...]:
+    """Return what tells a vehicle's draws from those of others; the first one's are those of a flight alone."""
+    return (vehicle,) if vehicle else ()
+
+
+def draw_landmarks(seed: int, purpose: int, count: int, centre: Floats, side: float, vehicle: int = 0) -> Floats:
     """Draw positions (count, 3) on the ground, uniform over a square of ``side`` [m] about a centre (2,)."""
-    horizontal = centre + side * (generator(seed, purpose).random((count, 2)) - 0.5)
+    horizontal = centre + side * (generator(seed, purpose, *_own(vehicle)).random((count, 2)) - 0.5)
     return np.concatenate([horizontal, np.zeros((count, 1))], axis=1)
 
 
@@ -66,9 +71,12 @@ def guesses_of(seed: int, centre: Floats, count: int = LANDMARKS) -> Floats:
 
 
 def measure_ranges(
-    position_ned: Floats, landmarks_ned: Floats, guess_ned: Floats, seed: int, std: float, limit: float
-) -> Ranging:
+    position_ned: Floats, landmarks_ned: Floats, guess_ned: Floats, seed: int, std: float, limit: float,
+    vehicle: int = 0,
+) -> Ranging:  # fmt: skip
     """Measure ranges from positions (T + 1, 3) to landmarks (L, 3) within ``limit`` [m], with white noise.
+
+    The noise is of the seed and of the vehicle's number.
 
     Raises:
         UsageError: no landmark is ever within the limit.
@@ -76,7 +84,7 @@ def measure_ranges(
     distance = np.linalg.norm(position_ned[:, None] - landmarks_ned[None], axis=-1)
     if not (distance <= limit).any():
         raise UsageError(f"no landmark comes within {limit:g} m of the flight; the nearest {distance.min():.1f} m")
-    noise = std * generator(seed, NOISE).standard_normal(distance.shape)
+    noise = std * generator(seed, NOISE, *_own(vehicle)).standard_normal(distance.shape)
     ranges = noisy_ranges(distance, noise, distance <= limit)
     return Ranging(ranges, np.isfinite(ranges).astype(np.float64), std, guess_ned, landmarks_ned)
 
