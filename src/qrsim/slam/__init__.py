@@ -5,15 +5,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from qrsim.slam.cooperative import CooperativeSlam
     from qrsim.slam.estimate import Slam, from_run
+    from qrsim.slam.team_run import cooperative_from_run
 
-__all__ = ["Slam", "from_run"]
+__all__ = ["CooperativeSlam", "Slam", "cooperative_from_run", "from_run"]
+# Where each is.
+_MODULES = {
+    "CooperativeSlam": "cooperative", "Slam": "estimate", "cooperative_from_run": "team_run", "from_run": "estimate",
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     # Imported on first use: the command's help needs none of it.
-    if name in __all__:
-        from qrsim.slam import estimate
+    if name in _MODULES:
+        from importlib import import_module
 
-        return getattr(estimate, name)
+        return getattr(import_module(f"qrsim.slam.{_MODULES[name]}"), name)
     raise AttributeError(f"module 'qrsim.slam' has no attribute '{name}'")

@@ -26,6 +26,7 @@ from qrsim.slam.estimate import (
     solve_reflected,
     spread_of,
     state_size,
+    why_not_determined,
 )
 from qrsim.slam.flight import Flight, Floats
 from qrsim.slam.graph import Graph, make_graph
@@ -113,7 +114,10 @@ class CooperativeSlam:
     @property
     def problems(self) -> list[str]:
         """Problems of the result, one sentence each: landmarks that are not determined, no convergence."""
-        found = [f"landmark {i} is not determined" for i in np.flatnonzero(~self.determined)]
+        counts = np.sum([ranging.per_landmark for ranging in self.rangings], axis=0)
+        found = [
+            why_not_determined(int(i), int(counts[i]), self.landmarks_std[i]) for i in np.flatnonzero(~self.determined)
+        ]
         if not self.converged:
             found.append(f"not converged after {self.iterations} iterations")
         return found

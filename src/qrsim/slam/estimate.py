@@ -24,8 +24,7 @@ from qrsim.slam.ranging import (
     RANGE_STD,
     Ranging,
     given_ranges,
-    guesses_of,
-    landmarks_of,
+    landmarks_given,
     measure_ranges,
 )
 from qrsim.slam.solve import DAMPINGS, Point, Problem, Solution, solve
@@ -83,11 +82,7 @@ class Slam:
         """Problems of the result, one sentence each: landmarks that are not determined, no convergence."""
         found = []
         for i in np.flatnonzero(~self.determined):
-            count = int(self.ranging.per_landmark[i])
-            why = f"{count} range{'s' if count != 1 else ''}, at least {FEWEST_RANGES} needed"
-            if count >= FEWEST_RANGES:
-                why = f"its {count} ranges leave it uncertain by {self.landmarks_std[i]:.0f} m"
-            found.append(f"landmark {i} is not determined: {why}")
+            found.append(why_not_determined(int(i), int(self.ranging.per_landmark[i]), self.landmarks_std[i]))
         if not self.converged:
             found.append(f"not converged after {self.iterations} iterations")
         return found
@@ -127,6 +122,14 @@ class Slam:
                 raise UsageError(f"score: expected an array of shape {truth.shape}, found {array.shape}")
             found[name] = rms_distance(array[rows], truth[rows])
         return found
+
+
+def why_not_determined(landmark: int, ranges: int, std: float) -> str:
+    """Return why a number of ranges, which leave it uncertain by ``std`` [m], do not determine a landmark."""
+    why = f"{ranges} range{'s' if ranges != 1 else ''}, at least {FEWEST_RANGES} needed"
+    if ranges >= FEWEST_RANGES:
+        why = f"its {ranges} ranges leave it uncertain by {std:.0f} m"
+    return f"landmark {landmark} is not determined: {why}"
 
 
 def rms_distance(places: Floats, others: Floats) -> float:
@@ -189,7 +192,7 @@ def from_run(
     """
     from qrsim.slam.recorded import flight_of_run
 
-    _check_numbers(
+    check_numbers(
         range_std=range_std, range_limit=range_limit, fix_std=fix_std, bias_time_constant=bias_time_constant,
         process_noise=process_noise, state_period=state_period,
     )  # fmt: skip
@@ -326,33 +329,15 @@ def _ranging(
     flight: Flight, true_ned: Any, guess_ned: Any, ranges: Any, std: float, limit: float, seed: int
 ) -> Ranging:
     """Return the ranges of a run: given, or simulated to given or drawn landmarks."""
-    north_east = flight.truth[:, :2]
-    centre = 0.5 * (north_east.min(axis=0) + north_east.max(axis=0))
-    known = None if true_ned is None else _places("landmarks_ned", true_ned)
-    guess = None if guess_ned is None else _places("landmarks_guess_ned", guess_ned)
-    if ranges is None and known is None:
-        known = landmarks_of(seed, centre)
-    if known is None and guess is None:
-        raise UsageError("ranges: say how many landmarks there are by landmarks_ned or landmarks_guess_ned, (L, 3)")
-    count = len(known if known is not None else guess)  # type: ignore[arg-type]
-    if guess is None:
-        guess = guesses_of(seed, centre, count)
-    if known is not None and len(guess) != count:
-        raise UsageError(f"landmarks_guess_ned: {len(guess)} places for {count} landmarks")
+    known, guess = landmarks_given(flight.truth[:, :2], true_ned, guess_ned, ranges is not None, seed)
     if ranges is not None:
-        return given_ranges(ranges, flight.time, count, std, guess, known)
+        return given_ranges(ranges, flight.time, len(guess), std, guess, known)
     assert known is not None
     return measure_ranges(flight.truth[:, :3], known, guess, seed, std, limit)
 
 
-def _places(name: str, values: Any) -> Floats:
-    array = np.asarray(values, np.float64)
-    if array.ndim != 2 or array.shape[1:] != (3,) or not len(array) or not np.isfinite(array).all():
-        raise UsageError(f"{name}: expected finite places (L, 3) [m], found shape {array.shape}")
-    return array
-
-
-def _check_numbers(**numbers: float | None) -> None:
+def check_numbers(**numbers: float | None) -> None:
+    """Refuse numbers that are neither None nor positive; raises UsageError."""
     for name, value in numbers.items():
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise UsageError(f"{name}: {value!r} is not a positive number")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -84,6 +84,15 @@ class Believed:
     velocity_ned: Floats
     attitude: Floats
     rates_body: Floats
+
+
+def first_states(flight: Flight, states: int) -> Flight:
+    """Return the first T + 1 states of a flight."""
+    steps, kept = slice(states - 1), slice(states)
+    return replace(
+        flight, commands=flight.commands[steps], air_ned=flight.air_ned[steps], truth=flight.truth[kept],
+        estimate=flight.estimate[kept], fixes=flight.fixes[kept],
+    )  # fmt: skip
 
 
 def ticks_between(period: float, time_step: float, what: str = "state_period") -> int:

@@ -70,19 +70,55 @@ def guesses_of(seed: int, centre: Floats, count: int = LANDMARKS) -> Floats:
     return draw_landmarks(seed, GUESSES, count, centre, SIDE)
 
 
+def landmarks_given(
+    north_east: Floats, true_ned: Any, guess_ned: Any, ranged: bool, seed: int
+) -> tuple[Floats | None, Floats]:
+    """Return landmarks (L, 3), None where nobody knows them, and first guesses of them: given, or drawn for a seed.
+
+    Args:
+        north_east: (T, 2) where was flown.
+        true_ned, guess_ned: (L, 3) as given, or None.
+        ranged: whether there are ranges of a user's own, so that no landmarks are drawn.
+        seed: of what is drawn, about the middle of the flight.
+
+    Raises:
+        UsageError: places that are none, or guesses of more or fewer landmarks than there are.
+    """
+    centre = 0.5 * (north_east.min(axis=0) + north_east.max(axis=0))
+    known = None if true_ned is None else _places("landmarks_ned", true_ned)
+    guess = None if guess_ned is None else _places("landmarks_guess_ned", guess_ned)
+    if not ranged and known is None:
+        known = landmarks_of(seed, centre)
+    if known is None and guess is None:
+        raise UsageError("ranges: say how many landmarks there are by landmarks_ned or landmarks_guess_ned, (L, 3)")
+    count = len(known if known is not None else guess)  # type: ignore[arg-type]
+    if guess is None:
+        guess = guesses_of(seed, centre, count)
+    if known is not None and len(guess) != count:
+        raise UsageError(f"landmarks_guess_ned: {len(guess)} places for {count} landmarks")
+    return known, guess
+
+
+def _places(name: str, values: Any) -> Floats:
+    array = np.asarray(values, np.float64)
+    if array.ndim != 2 or array.shape[1:] != (3,) or not len(array) or not np.isfinite(array).all():
+        raise UsageError(f"{name}: expected finite places (L, 3) [m], found shape {array.shape}")
+    return array
+
+
 def measure_ranges(
     position_ned: Floats, landmarks_ned: Floats, guess_ned: Floats, seed: int, std: float, limit: float,
-    vehicle: int = 0,
+    vehicle: int = 0, alone: bool = True,
 ) -> Ranging:  # fmt: skip
     """Measure ranges from positions (T + 1, 3) to landmarks (L, 3) within ``limit`` [m], with white noise.
 
     The noise is of the seed and of the vehicle's number.
 
     Raises:
-        UsageError: no landmark is ever within the limit.
+        UsageError: no landmark is ever within the limit, of a vehicle that flies ``alone``.
     """
     distance = np.linalg.norm(position_ned[:, None] - landmarks_ned[None], axis=-1)
-    if not (distance <= limit).any():
+    if alone and not (distance <= limit).any():
         raise UsageError(f"no landmark comes within {limit:g} m of the flight; the nearest {distance.min():.1f} m")
     noise = std * generator(seed, NOISE, *_own(vehicle)).standard_normal(distance.shape)
     ranges = noisy_ranges(distance, noise, distance <= limit)

@@ -1,19 +1,24 @@
-"""Reads a Flight from a run folder."""
+"""Reads a Flight, and ranges between vehicles, from a run folder."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from qrsim.core.tree import replace
 from qrsim.errors import RunError, UsageError, did_you_mean, warn_user
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES
 from qrsim.models.gnss.sensor import Gnss
+from qrsim.models.sensors.ranging import IdealRanging
+from qrsim.models.sensors.ranging import Ranging as RangingSensor
 from qrsim.models.vehicles.quadrotor import COMMAND_FIELDS
 from qrsim.runs import Run
 from qrsim.runs.reader import Stream
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.slam.between import BETWEEN_STD, Between, pairs_of
 from qrsim.slam.flight import Believed, Flight, Floats, make_flight, ticks_between
 from qrsim.world.state import Fleet, period_ticks
 
@@ -158,18 +163,94 @@ def _fixes(fleet: Fleet, gnss: str, position: Floats, time_step: float, ticks: i
     Raises:
         UsageError: fixes come between two states, or at times of their own.
     """
-    sensor = dict(zip(fleet.sensor_names, fleet.sensors, strict=True))[gnss]
-    period = period_ticks(sensor.period, time_step)
-    if period % ticks:
-        raise UsageError(
-            f"state_period: fixes every {period * time_step:g} s are not all at states every {ticks * time_step:g} s"
-        )
-    fitting = fleet.fitting(fleet.sensor_names.index(gnss))
-    if fitting is not None and fitting.jitter > 0.0:
-        raise UsageError(f"{gnss}: fixes that are delivered with a jitter cannot be told apart; give it none")
-    delay = sensor.delay * period if fitting is None or not fitting.is_late else round(fitting.delay * period)
-    # Before a fix that is late was made, a receiver reports the one of the start.
-    reported = np.arange(delay, len(position), period)
+    sensor = fleet.sensors[fleet.sensor_names.index(gnss)]
+    reported, delay = _epochs(fleet, gnss, "fixes", sensor.delay, len(position), time_step, ticks)
     places = position[reported, :2]
     known = np.isfinite(places).all(axis=1)
     return reported[known] - delay, places[known]
+
+
+def _epochs(
+    fleet: Fleet, name: str, what: str, late: int, count: int, time_step: float, ticks: int
+) -> tuple[npt.NDArray[np.int64], int]:
+    """Return the ticks (F,) at which a sensor reports, of ``count``, and how many ticks before that it measured.
+
+    Args:
+        fleet, name: of the sensor.
+        what: it measures, for messages.
+        late: periods by which the sensor itself is late.
+        count, time_step, ticks: of the run, and between two states.
+
+    Raises:
+        UsageError: measurements come between two states, or at times of their own.
+    """
+    at = fleet.sensor_names.index(name)
+    period = period_ticks(fleet.sensors[at].period, time_step)
+    if period % ticks:
+        raise UsageError(
+            f"state_period: {what} every {period * time_step:g} s are not all at states every {ticks * time_step:g} s"
+        )
+    fitting = fleet.fitting(at)
+    if fitting is not None and fitting.jitter > 0.0:
+        raise UsageError(f"{name}: {what} that are delivered with a jitter cannot be told apart; give it none")
+    delay = late * period if fitting is None or not fitting.is_late else round(fitting.delay * period)
+    # Before one that is late was measured, the sensor reports that of the start.
+    return np.arange(delay, count, period), delay
+
+
+def between_of_run(run: Run, vehicles: Sequence[str], state_period: float, states: int, std: float | None) -> Between:
+    """Read the ranges that vehicles of a run measured to each other; the means of both where both of a pair did.
+
+    Args:
+        run: the run folder, with measurements of every tick.
+        vehicles: names of N vehicles.
+        state_period: between two states [s].
+        states: T + 1, how many there are.
+        std: white noise of a range [m]; None: that of the sensors.
+
+    Raises:
+        UsageError: no such vehicle, or ranges that come between states.
+        RunError: no vehicle has a sensor ``ranging`` that ranges to vehicles.
+    """
+    world = load_scenario(run.scenario, quiet=True).world("float64")
+    ticks, measured = ticks_between(state_period, run.info.time_step), _whole(run, "measurements")
+    indices = [_index(run, name) for name in vehicles]
+    pairs = pairs_of(len(vehicles))
+    total, counts = np.zeros((states, len(pairs))), np.zeros((states, len(pairs)))
+    noises = []
+    for one, index in enumerate(indices):
+        fleet, number = _fleet(world.fleets, index)
+        for name, sensor in zip(fleet.sensor_names, fleet.sensors, strict=True):
+            if not isinstance(sensor, RangingSensor | IdealRanging):
+                continue
+            if isinstance(sensor, RangingSensor):
+                noises.append(float(_of(sensor.noise_std, number)))
+            reported, delay = _epochs(fleet, name, "ranges", 0, measured, run.info.time_step, ticks)
+            at = (reported - delay) // ticks
+            for other, column in _partners(sensor, fleet.size, number, index, indices):
+                row = _columns(run, "measurements", (f"{name}.vehicle_range.{column}",), index, measured)[reported, 0]
+                known = np.isfinite(row) & (at < states)
+                pair = np.flatnonzero((pairs == sorted((one, other))).all(axis=1))[0]
+                total[at[known], pair] += row[known]
+                counts[at[known], pair] += 1.0
+    if not counts.any():
+        names = ", ".join(vehicles)
+        raise RunError(f"{run.folder}: no ranges between {names}; give them a sensor {{type: ranging, vehicles: all}}")
+    ranges = np.where(counts > 0.0, total / np.maximum(counts, 1.0), np.nan)
+    noise = max(noises, default=BETWEEN_STD) if std is None else std
+    return Between(pairs, ranges, counts, noise)
+
+
+def _partners(sensor: Any, size: int, number: int, index: int, indices: list[int]) -> list[tuple[int, int]]:
+    """Return whom a vehicle ranges to, of ``indices`` in the world: the place there, and the number of its column.
+
+    Args:
+        sensor: of type ranging or ideal_ranging.
+        size, number: of the vehicle's fleet, and its place there.
+        index: of the vehicle in the world.
+        indices: of all that count.
+    """
+    if sensor.vehicles == "none":
+        return []
+    first, end = (index - number, index - number + size) if sensor.vehicles == "fleet" else (0, max(indices) + 1)
+    return [(i, other - first) for i, other in enumerate(indices) if other != index and first <= other < end]
