@@ -36,6 +36,7 @@ class SlamCommand:
       qrsim slam --seeds 10 --out slam
       qrsim slam --graph paper --noise both --seeds 50 --out slam_paper
       qrsim slam --run runs/first --out slam_first
+      qrsim slam --vehicles 5 --states poses --duration 60 --out slam_team
     """
 
     graph: Literal["paper", "gnss"] = "gnss"
@@ -60,6 +61,8 @@ class SlamCommand:
     """Take this recorded run in place of new flights."""
     vehicle: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = None
     """Vehicle of the run."""
+    vehicles: int = 1
+    """How many fly over the same landmarks, range to each other and are solved together; of a run, its first ones."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: no figures)")] = None
     """New or empty folder for figures and result.json."""
     json: bool = False
@@ -70,6 +73,8 @@ class SlamCommand:
         self._check()
         if self.run_folder is not None:
             self._solve_run(self.run_folder)
+        elif self.vehicles > 1:
+            self._team()
         else:
             self._study()
 
@@ -89,6 +94,10 @@ class SlamCommand:
             raise UsageError(f"--first-seed {self.first_seed}: expected an integer from 0 to 2**63 - 1 - --seeds")
         if not 0.0 < self.duration <= 1e7:
             raise UsageError(f"--duration {self.duration:g}: expected a positive number of seconds, at most 10 000 000")
+        from qrsim.slam.team_report import check_together
+
+        single = [name for name in ("noise", "sweep", "vehicle") if getattr(self, name) != getattr(SlamCommand, name)]
+        check_together(self.vehicles, self.graph, self.run_folder is not None, single)
         if self.vehicle is not None and self.run_folder is None:
             raise UsageError("--vehicle: only with --run")
         if self.run_folder is not None:
@@ -106,6 +115,9 @@ class SlamCommand:
         from qrsim.slam.figures import draw_run
 
         self._make_out()
+        if self.vehicles > 1:
+            self._solve_together(folder)
+            return
         found = from_run(folder, graph=self.graph, states=self.states, vehicle=self.vehicle)
         result = _of_run(found)
         if self.out is not None:
@@ -120,6 +132,47 @@ class SlamCommand:
         print(f"landmark RMSE   {_metres(result['landmark_rmse_m'])} m, {determined}")
         if self.out is not None:
             print(f"\nfigure and numbers: {self.out}")
+
+    def _solve_together(self, folder: Path) -> None:
+        from qrsim.slam.team_report import solve_run_together, text_of_run
+
+        found, result = solve_run_together(folder, self.vehicles, self.states)
+        if self.out is not None:
+            from qrsim.runs.picture import save_picture
+            from qrsim.slam.team_figures import draw_together
+
+            save_picture(lambda: draw_together(found, str(folder)), self.out / "trajectory.png")
+        self._report(result, text_of_run(found, result))
+
+    def _team(self) -> None:
+        from qrsim.slam.team_report import text_of_study
+        from qrsim.slam.team_study import CASES, compare
+
+        self._make_out()
+        seeds = range(self.first_seed, self.first_seed + self.seeds)
+        with _progress(len(seeds) * len(CASES)) as progress:
+            found = compare(seeds, self.vehicles, self.duration, states=self.states, gnss=self.gnss, progress=progress)
+        flown = {"first_seed": self.first_seed, "duration_s": self.duration, "gnss": self.gnss}
+        result = {**flown, **found.numbers()}
+        if self.out is not None:
+            from qrsim.runs.picture import save_picture
+            from qrsim.slam.team_figures import draw_gain, draw_together
+
+            title = f"seed {self.first_seed}, errors of each vehicle's own, as states"
+            save_picture(lambda: draw_together(found.together["own_as_own_states"][0], title), self.out / "team.png")
+            save_picture(lambda: draw_gain(found), self.out / "gain.png")
+        self._report(result, text_of_study(result))
+
+    def _report(self, result: dict[str, Any], text: str) -> None:
+        """Write the numbers beside the figures, and print them."""
+        if self.out is not None:
+            _write(self.out / "result.json", result)
+        if self.json:
+            _print_json(result)
+            return
+        print(text)
+        if self.out is not None:
+            print(f"\nfigures and numbers: {self.out}")
 
     def _study(self) -> None:
         from qrsim.slam import example
