@@ -62,6 +62,7 @@ FIGURE, FIGURE_RUN = "outdoor_patrol", "outdoor_patrol --seed 1"
 OTHERS = {
     "slam_trajectories.png": "qrsim slam --seeds 8",
     "slam_allan.png": "qrsim slam --seeds 8",
+    "slam_gain.png": "qrsim slam --vehicles 5 --seeds 8 --duration 60 --states poses",
     "task_cats_and_mouse.png": "make pictures",
     "task_plume_mapping.png": "make pictures",
     "task_search_and_rescue.png": "make pictures",

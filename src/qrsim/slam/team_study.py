@@ -14,8 +14,8 @@ import numpy as np
 from qrsim.slam import team
 from qrsim.slam.cooperative import CooperativeSlam, estimate_together
 from qrsim.slam.estimate import BIAS_TIME_CONSTANT, available_bytes, check_memory, state_size
-from qrsim.slam.example import MEMORY, STATE_PERIOD
-from qrsim.slam.flight import Flight
+from qrsim.slam.example import MEMORY, STATE_PERIOD, base_world
+from qrsim.slam.flight import Flight, ticks_between
 from qrsim.slam.ranging import LANDMARKS
 from qrsim.slam.study import BYTES_PER_TICK, interval, paired
 
@@ -75,11 +75,11 @@ def compare(
         progress: called after each seed of each case.
 
     Raises:
-        UsageError: too many vehicles, or none.
+        UsageError: too many vehicles, or none, or a duration that is no whole number of ticks.
         RunError: it does not fit into memory.
     """
     team.check_vehicles(vehicles)
-    ticks = 5 * round(duration / state_period)
+    ticks = ticks_between(duration, base_world().time_step, "duration")
     smaller = "take a shorter --duration, --states poses, fewer --vehicles or fewer --seeds"
     size = vehicles * state_size(states, bias=True)
     flown = 3 * BYTES_PER_TICK * ticks * len(seeds) * vehicles
