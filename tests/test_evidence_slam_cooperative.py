@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from evidence import slam_cooperative as study
 from evidence.__main__ import plain
+
+REPORT = Path(__file__).parents[1] / "docs" / "evidence" / "slam_cooperative.json"
 
 
 class Fixes:
@@ -46,3 +50,22 @@ def test_cooperation_averages_what_each_vehicle_has_of_its_own_and_not_what_they
     one = found["shared_as_one_state"]["vehicles_3"]
     assert one["position"]["inside"]
     assert one["relative_m"]["mean"] < shared["relative_m"]["mean"]
+
+
+def test_the_full_study_shows_what_is_averaged_and_what_is_not() -> None:
+    """Own errors gain by four more vehicles, shared ones by less than a quarter of that."""
+    if not REPORT.is_file():
+        pytest.skip("docs/evidence/slam_cooperative.json is not recorded yet: make evidence slam_cooperative")
+    found = json.loads(REPORT.read_text(encoding="utf-8"))["results"]
+    assert found["seeds"] == study.FULL.seeds == 50
+    gain = {name: found[name]["vehicles_5"]["gain_m"] for name in study.CASES}
+    assert gain["own_as_own_states"]["low"] > 0.0
+    assert gain["own_as_own_states"]["p"] < 0.01
+    for name in ("shared_as_white", "shared_as_own_states", "receiver_as_own_states"):
+        assert gain[name]["mean"] < 0.25 * gain["own_as_own_states"]["mean"]
+    assert found["white"]["vehicles_5"]["position"]["inside"]
+    one = found["shared_as_one_state"]["vehicles_5"]["position"]
+    assert one["nees"] < one["band_high"]
+    sure = found["shared_as_own_states"]["vehicles_5"]["position"]
+    assert sure["nees"] > sure["band_high"]
+    assert found["fixes"]["receiver"]["common_share"] > 0.9
