@@ -117,6 +117,13 @@ def candidates(literal: Literal, known: Map) -> list[str]:
     return [*LAST, *ordered] if literal.kind == "bound" else [*ordered, *LAST]
 
 
+def near_ones(literal: Literal) -> list[str]:
+    """Return the files of tests beside a literal's module, the likeliest and shortest first, and those of defaults."""
+    near = [test for test in test_files() if _nearness(test, literal.file) < 2 and test not in LAST]
+    near.sort(key=lambda test: (_nearness(test, literal.file), len(_text(ROOT / test))))
+    return [*LAST, *near] if literal.kind in ("bound", "class") else [*near, *LAST]
+
+
 def long_ones(literal: Literal) -> list[str]:
     """Return the files whose long tests are tried where no short one fails."""
     return [test for test in test_files() if _nearness(test, literal.file) < 2]

@@ -254,14 +254,16 @@ def _start(separate: bool) -> dict[str, float]:
 def recordings(folder: Path, full: bool) -> dict[str, Any]:
     """Return the errors on the held-out 40 % of each recording, published and identified constants."""
     rotation = read_log(folder / "rotation_rig.csv")
-    cases: dict[str, tuple[FlightLog, Question]] = {"rotation": (rotation, Question((), _start(True), True))}
+    default, separate = Question((), _start(False)), Question((), _start(True), True)
+    cases: dict[str, tuple[FlightLog, Question]] = {"rotation": (rotation, default)}
     if full:
         outdoor, thrust = read_log(folder / "outdoor_flight.csv"), read_log(folder / "thrust_rig.csv")
         cases |= {
-            "rotation_no_delay": (rotation, Question((), _start(True), True, delay=0.0)),
-            "thrust": (thrust, Question((), _start(False))),
+            "rotation_separate": (rotation, separate),
+            "rotation_no_delay": (rotation, Question((), _start(False), delay=0.0)),
+            "thrust": (thrust, default),
             "thrust_no_delay": (thrust, Question((), _start(False), delay=0.0)),
-            "outdoor": (outdoor, Question((), _start(True), True)),
+            "outdoor": (outdoor, default),
         }
     return {name: _recording(log, question) for name, (log, question) in cases.items()}
 

@@ -7,6 +7,7 @@ left (a survivor). What has been tried is kept in docs/evidence/mutation.jsonl, 
     python -m evidence.mutation --shard 1/4         a quarter of it, for four processes or machines
     python -m evidence.mutation --sample 60         sixty of all, drawn by the seed
     python -m evidence.mutation --file barometer    those of files whose path has this in it
+    python -m evidence.mutation --near              only the tests beside each: quick, and what escapes is not yet judged
     python -m evidence.mutation --survivors         recorded survivors and timeouts again, after new tests
     python -m evidence.mutation --list              counts and survivors, nothing is run
 """
@@ -25,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from evidence._mutant_runs import KILLED, LIMIT_S, NOTHING, SURVIVED, TIMEOUT, Workshop, workshop
-from evidence._mutant_tests import Map, NotPassingError, candidates, long_ones, measured
+from evidence._mutant_tests import Map, NotPassingError, candidates, long_ones, measured, near_ones
 from evidence._mutants import ROOT, Mutant, all_mutants, left_out, sample
 
 DOC = "numbers of models and controllers, 20 % larger and with the other sign: which does no test miss"
@@ -36,6 +37,9 @@ RECORD = ROOT / "docs" / "evidence" / "mutation.jsonl"
 RECENT = 3
 # Patience with a file of tests: a mutant that takes so many times as long, and these seconds, runs away.
 SLOWER, AT_LEAST_S = 10, 60
+
+# What the tests beside it let live, while nobody has asked all others.
+ESCAPED, NEAR_LIMIT_S = "escaped", 60
 
 Key = tuple[str, str, int, int, str]
 Entry = dict[str, Any]
@@ -86,6 +90,19 @@ def judge(shop: Workshop, mutant: Mutant, known: Map, recent: Sequence[str]) -> 
     return {"key": mutant.key, "result": result, "killer": "", "s": round(seconds, 1)}
 
 
+def judge_nearby(shop: Workshop, mutant: Mutant, recent: Sequence[str]) -> Entry:
+    """Try one mutant with the tests beside it alone, for which nothing need be measured."""
+    seconds = 0.0
+    with shop.holding(mutant):
+        for tests in [[*recent], *([file] for file in near_ones(mutant.literal))]:
+            if tests:
+                outcome = shop.run(tests, limit_s=NEAR_LIMIT_S)
+                seconds += outcome.seconds
+                if outcome.result == KILLED:
+                    return {"key": mutant.key, "result": KILLED, "killer": outcome.killer, "s": round(seconds, 1)}
+    return {"key": mutant.key, "result": ESCAPED, "killer": "", "s": round(seconds, 1)}
+
+
 def nearby(mutant: Mutant, done: dict[Key, Entry]) -> list[str]:
     """Return the tests that last killed mutants of the same file, the nearest first."""
     same = [entry for key, entry in done.items() if key[0] == mutant.key[0] and entry["result"] == KILLED]
@@ -95,16 +112,19 @@ def nearby(mutant: Mutant, done: dict[Key, Entry]) -> list[str]:
     return list(dict.fromkeys(entry["killer"] for entry in same if "::" in entry["killer"]))[:RECENT]
 
 
-def study(mutants: Sequence[Mutant], say: Callable[[str], None], path: Path = RECORD, again: bool = False) -> None:
+def study(
+    mutants: Sequence[Mutant], say: Callable[[str], None], path: Path = RECORD, again: bool = False, near: bool = False
+) -> None:
     """Try mutants and record what becomes of them; those that are recorded only where they are to be tried again."""
     done = recorded(path)
-    left = [mutant for mutant in mutants if again or mutant.key not in done]
+    left = [m for m in mutants if again or m.key not in done or (done[m.key]["result"] == ESCAPED and not near)]
     if not left:
         return
     with workshop() as shop:
-        known = measured(shop, say)
+        known = {} if near else measured(shop, say)
         for number, mutant in enumerate(left, 1):
-            entry = judge(shop, mutant, known, nearby(mutant, done))
+            recent = nearby(mutant, done)
+            entry = judge_nearby(shop, mutant, recent) if near else judge(shop, mutant, known, recent)
             _append(path, entry)
             done.pop(mutant.key, None)
             done[mutant.key] = entry
@@ -138,22 +158,23 @@ def counted(path: Path = RECORD) -> dict[str, Any]:
     """Return the counts of the study, of the mutants that there are now."""
     mutants, done = all_mutants(), recorded(path)
     results = Counter(done[mutant.key]["result"] for mutant in mutants if mutant.key in done)
-    tried = results.total()
+    tried = results.total() - results[ESCAPED]
     return {
         "mutants": len(mutants),
         "tried": tried,
         "killed": results[KILLED],
         "survivors": results[SURVIVED],
         "timeouts": results[TIMEOUT],
+        "escaped": results[ESCAPED],
         "killed_percent": round(100.0 * results[KILLED] / max(tried, 1), 1),
         "left_out": left_out(),
     }
 
 
 def survivors(path: Path = RECORD) -> list[Mutant]:
-    """Return the mutants that no test kills, or that run away."""
+    """Return the mutants that no test kills, that run away, or that the tests beside them let live."""
     done = recorded(path)
-    return [m for m in all_mutants() if done.get(m.key, {}).get("result") in (SURVIVED, TIMEOUT, NOTHING)]
+    return [m for m in all_mutants() if done.get(m.key, {}).get("result") in (SURVIVED, TIMEOUT, NOTHING, ESCAPED)]
 
 
 def run(full: bool) -> dict[str, Any]:
@@ -194,6 +215,7 @@ def _parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--sample", type=int, metavar="N", help="N of all mutants, drawn by the seed")
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the sample (default {SEED})")
     parser.add_argument("--file", metavar="TEXT", default="", help="only files whose path has this in it")
+    parser.add_argument("--near", action="store_true", help="only the tests beside each mutant; the rest stays to do")
     parser.add_argument("--survivors", action="store_true", help="try recorded survivors and timeouts again")
     parser.add_argument("--list", action="store_true", help="print counts and survivors, run nothing")
     parser.add_argument("--recorded", type=Path, metavar="FILE", help="only with recorded killers; write what came out")
@@ -214,13 +236,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         if not asked.list:
-            study(mutants, lambda text: print(text, flush=True), again=asked.survivors)
+            study(mutants, lambda text: print(text, flush=True), again=asked.survivors, near=asked.near)
     except NotPassingError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     print(json.dumps(counted()))
     for mutant in survivors():
-        print(f"survivor: {mutant}")
+        print(f"survivor: {mutant}", flush=True)
     return 0
 
 
