@@ -159,6 +159,8 @@ def _environment(source: Path) -> None:
         "JAX_COMPILATION_CACHE_DIR": str(cache() / "xla"),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+        # Most of what a test takes is compiling.
+        "XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true",
         "OPENBLAS_NUM_THREADS": "1",
         "MPLBACKEND": "agg",
     }

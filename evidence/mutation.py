@@ -90,8 +90,18 @@ def judge(shop: Workshop, mutant: Mutant, known: Map, recent: Sequence[str]) -> 
     return {"key": mutant.key, "result": result, "killer": "", "s": round(seconds, 1)}
 
 
-def judge_nearby(shop: Workshop, mutant: Mutant, recent: Sequence[str]) -> Entry:
-    """Try one mutant with the tests beside it alone, for which nothing need be measured."""
+def judge_nearby(shop: Workshop, mutant: Mutant, recent: Sequence[str], sound: set[str]) -> Entry:
+    """Try one mutant with the tests beside it alone, for which nothing need be measured.
+
+    Args:
+        shop: where tests are run.
+        mutant: what is tried.
+        recent: tests that are tried first.
+        sound: killers that have been seen to pass without a mutant; it grows.
+
+    Raises:
+        NotPassingError: a killer fails without any mutant.
+    """
     seconds = 0.0
     with shop.holding(mutant):
         for tests in [[*recent], *([file] for file in near_ones(mutant.literal))]:
@@ -99,8 +109,13 @@ def judge_nearby(shop: Workshop, mutant: Mutant, recent: Sequence[str]) -> Entry
                 outcome = shop.run(tests, limit_s=NEAR_LIMIT_S)
                 seconds += outcome.seconds
                 if outcome.result == KILLED:
-                    return {"key": mutant.key, "result": KILLED, "killer": outcome.killer, "s": round(seconds, 1)}
-    return {"key": mutant.key, "result": ESCAPED, "killer": "", "s": round(seconds, 1)}
+                    break
+        else:
+            return {"key": mutant.key, "result": ESCAPED, "killer": "", "s": round(seconds, 1)}
+    if outcome.killer not in sound and shop.run([outcome.killer]).result != SURVIVED:
+        raise NotPassingError(f"{outcome.killer} fails without a mutant")
+    sound.add(outcome.killer)
+    return {"key": mutant.key, "result": KILLED, "killer": outcome.killer, "s": round(seconds, 1)}
 
 
 def nearby(mutant: Mutant, done: dict[Key, Entry]) -> list[str]:
@@ -121,10 +136,10 @@ def study(
     if not left:
         return
     with workshop() as shop:
-        known = {} if near else measured(shop, say)
+        known, sound = {} if near else measured(shop, say), set[str]()
         for number, mutant in enumerate(left, 1):
             recent = nearby(mutant, done)
-            entry = judge_nearby(shop, mutant, recent) if near else judge(shop, mutant, known, recent)
+            entry = judge_nearby(shop, mutant, recent, sound) if near else judge(shop, mutant, known, recent)
             _append(path, entry)
             done.pop(mutant.key, None)
             done[mutant.key] = entry
