@@ -7,7 +7,7 @@ left (a survivor). What has been tried is kept in docs/evidence/mutation.jsonl, 
     python -m evidence.mutation --shard 1/4         a quarter of it, for four processes or machines
     python -m evidence.mutation --sample 60         sixty of all, drawn by the seed
     python -m evidence.mutation --file barometer    those of files whose path has this in it
-    python -m evidence.mutation --near              only the tests beside each: quick, and what escapes is not yet judged
+    python -m evidence.mutation --near              only the tests beside each; what escapes is not yet judged
     python -m evidence.mutation --survivors         recorded survivors and timeouts again, after new tests
     python -m evidence.mutation --list              counts and survivors, nothing is run
 """
