@@ -37,6 +37,7 @@ WARM = (
     "pydantic",
     "yaml",
     "xarray",
+    "hypothesis",
 )
 KILLED, SURVIVED, TIMEOUT, NOTHING = "killed", "survivor", "timeout", "no tests"
 # What a run may take: seconds of the processor and bytes; of the clock, this many times as long, for a busy machine.
@@ -163,6 +164,8 @@ def _environment(source: Path) -> None:
         "XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true",
         "OPENBLAS_NUM_THREADS": "1",
         "MPLBACKEND": "agg",
+        # Loading what others bring for pytest takes as long as a test.
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
     }
 
 
