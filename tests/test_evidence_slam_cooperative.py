@@ -54,8 +54,6 @@ def test_cooperation_averages_what_each_vehicle_has_of_its_own_and_not_what_they
 
 def test_the_full_study_shows_what_is_averaged_and_what_is_not() -> None:
     """Own errors gain by four more vehicles, shared ones by less than a quarter of that."""
-    if not REPORT.is_file():
-        pytest.skip("docs/evidence/slam_cooperative.json is not recorded yet: make evidence slam_cooperative")
     found = json.loads(REPORT.read_text(encoding="utf-8"))["results"]
     assert found["seeds"] == study.FULL.seeds == 50
     gain = {name: found[name]["vehicles_5"]["gain_m"] for name in study.CASES}
