@@ -48,11 +48,13 @@ class Case:
         flights: kind of the flights.
         time_constant: of the error as a state [s]; None: taken for white.
         common: part of its variance that is one state for all vehicles; "measured": as of the flights' own fixes.
+        own: whether the rest has a time constant of its own, as of the flights' own fixes.
     """
 
     flights: str
     time_constant: float | None = None
     common: float | str = 0.0
+    own: bool = False
 
 
 CASES = {
@@ -64,6 +66,7 @@ CASES = {
     "shared_as_one_state": Case("shared", BIAS_TIME_CONSTANT, 1.0),
     "receiver_as_own_states": Case("receiver", MEMORY[RECEIVER]),
     "receiver_as_common_and_own_states": Case("receiver", MEMORY[RECEIVER], "measured"),
+    "receiver_as_common_and_own_memory": Case("receiver", MEMORY[RECEIVER], "measured", own=True),
 }
 IN_SMALL = ("white", "own_as_own_states", "shared_as_own_states", "shared_as_one_state")
 
@@ -75,6 +78,16 @@ def common_share(flown: list[list[Flight]]) -> float:
     of_sum = np.mean(np.square(errors.sum(axis=1)))
     own = vehicles * np.mean(np.square(errors))
     return float((of_sum - own) / (own * (vehicles - 1)))
+
+
+def own_time_constant(flown: list[list[Flight]]) -> float:
+    """Return when the correlation of what is not the vehicles' mean falls to 1/e [s]; the last lag if it does not."""
+    errors = np.array([[flight.fix_error for flight in flights] for flights in flown])
+    own = errors - errors.mean(axis=1, keepdims=True)
+    lags = range(1, own.shape[2] - 1)
+    correlation = np.array([np.mean(own[:, :, lag:] * own[:, :, :-lag]) for lag in lags]) / np.mean(np.square(own))
+    below = np.flatnonzero(correlation < np.exp(-1.0))
+    return STATE_PERIOD * (lags[below[0]] if below.size else lags[-1])
 
 
 def fly(kinds: set[str], seeds: range, size: Size) -> dict[str, list[list[Flight]]]:
@@ -90,23 +103,26 @@ def fly(kinds: set[str], seeds: range, size: Size) -> dict[str, list[list[Flight
     return {kind: make() for kind, make in made.items() if kind in kinds}
 
 
-def solve(flights: list[Flight], seed: int, vehicles: int, states: str, case: Case, share: float) -> CooperativeSlam:
+def solve(
+    flights: list[Flight], seed: int, vehicles: int, states: str, case: Case, share: float, own: float | None = None
+) -> CooperativeSlam:
     """Solve the first of the vehicles of a seed together."""
     rangings, between = team.rangings_of(flights, seed), team.between_of(flights, seed)
     return estimate_together(
         flights[:vehicles], rangings[:vehicles], part_of(between, vehicles), states=states,
-        bias_time_constant=case.time_constant, common_share=share,
+        bias_time_constant=case.time_constant, common_share=share, own_time_constant=own,
     )  # fmt: skip
 
 
 def of_case(flown: list[list[Flight]], seeds: range, size: Size, case: Case) -> dict[str, Any]:
     """Return errors, NEES and coverage by number of vehicles."""
     share = float(np.clip(common_share(flown), 0.0, 1.0)) if case.common == "measured" else float(case.common)
+    own = own_time_constant(flown) if case.own else None
     found: dict[str, Any] = {}
     alone = None
     for vehicles in size.vehicles:
         pairs = zip(flown, seeds, strict=True)
-        solved = [solve(flights, seed, vehicles, size.states, case, share) for flights, seed in pairs]
+        solved = [solve(flights, seed, vehicles, size.states, case, share, own) for flights, seed in pairs]
         errors = np.array([each.trajectory_rmse_m[0] for each in solved])
         alone = errors if alone is None else alone
         over_time = np.mean([of_first(each) for each in solved], axis=0)
@@ -149,6 +165,7 @@ def run(full: bool) -> dict[str, Any]:
         kind: {
             "rms_m": float(np.sqrt(np.mean([np.square(flight.fix_error) for each in flights for flight in each]))),
             "common_share": common_share(flights),
+            "own_time_constant_s": own_time_constant(flights),
         }
         for kind, flights in flown.items()
     }

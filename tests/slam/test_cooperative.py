@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace as other_than
 from typing import Any
 
@@ -13,7 +14,7 @@ from tests.slam.problems import LANDMARKS, STATES, exact_flight, exact_ranges
 from qrsim.core.tree import replace
 from qrsim.errors import RunError, UsageError
 from qrsim.slam.between import Between, distances, measure_between, no_ranges, pairs_of
-from qrsim.slam.cooperative import estimate_together
+from qrsim.slam.cooperative import estimate_together, graph_of
 from qrsim.slam.covariance import marginals
 from qrsim.slam.estimate import estimate
 from qrsim.slam.flight import Flight
@@ -83,6 +84,31 @@ def test_vehicles_that_share_nothing_are_as_if_each_were_alone() -> None:
     np.testing.assert_allclose(together.position_covariance[:, 0, :, 1, :], 0.0, atol=1e-12)
     added = together.covariance_of(0) + together.covariance_of(1)
     np.testing.assert_allclose(together.relative_covariance(0, 1), added, atol=1e-12)
+
+
+def test_each_part_of_the_error_has_its_time_constant() -> None:
+    """Of 0.5 m, 3/4 of the variance is common with 100 s, and 1/4 of each vehicle with 5 s: states are 0.1 s apart."""
+    flights, rangings = two()
+    graph, x = graph_of(flights[0], rangings[0], np.ones(LANDMARKS), 0.5, 100.0, 0.75, 5.0, "poses", "estimate")
+    assert x.shape == (STATES, 6)
+    np.testing.assert_allclose(float(graph.bias_decay), math.exp(-0.1 / 5.0))
+    np.testing.assert_allclose(np.asarray(graph.prior_weight)[4:], 1.0 / 0.25)
+    own = 0.25**2 * (1.0 - math.exp(-2.0 * 0.1 / 5.0))
+    np.testing.assert_allclose(np.asarray(graph.whiten)[7, 4:, 4:], np.eye(2) / math.sqrt(own), atol=1e-9)
+    common = 0.75 * 0.5**2 * (1.0 - math.exp(-2.0 * 0.1 / 100.0))
+    # Every second state has a fix.
+    weights = np.tile([1.0 / math.sqrt(own + common), 0.0], STATES // 2)
+    np.testing.assert_allclose(np.asarray(graph.fix_weight), weights)
+
+
+def test_parts_with_one_time_constant_need_not_say_so() -> None:
+    flights, rangings = two()
+    how: dict[str, Any] = {"states": "poses", "bias_time_constant": 20.0, "common_share": 0.5}
+    one = estimate_together(flights, rangings, exact_between(flights), **how)
+    both = estimate_together(flights, rangings, exact_between(flights), own_time_constant=20.0, **how)
+    np.testing.assert_allclose(one.position_ned, both.position_ned, atol=1e-9)
+    other = estimate_together(flights, rangings, exact_between(flights), own_time_constant=2.0, **how)
+    assert np.abs(one.position_ned - other.position_ned).max() > 1e-3
 
 
 def short(share: float) -> tuple[JointGraph, Any, Any]:
@@ -296,6 +322,8 @@ def test_what_does_not_fit_together_is_refused() -> None:
     for options, reason in (
         ({"common_share": 0.5}, "no error as a state without bias_time_constant"),
         ({"common_share": 1.5, "bias_time_constant": 10.0}, "1.5 is not a number from 0 to 1"),
+        ({"own_time_constant": 5.0}, "own_time_constant: there is no error as a state"),
+        ({"own_time_constant": 0.0, "bias_time_constant": 10.0}, "own_time_constant: 0.0 is not a positive number"),
         ({"states": "pose"}, "did you mean 'poses'"),
     ):
         with pytest.raises(UsageError, match=reason):

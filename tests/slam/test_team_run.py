@@ -71,6 +71,7 @@ def test_what_a_run_does_not_have_is_named(run: Path, tmp_path: Path) -> None:
         ({"between": "measure"}, "between: 'measure' is not known"),
         ({"between_std": -1.0}, "between_std: -1.0 is not a positive number"),
         ({"common_share": 2.0, "bias_time_constant": 9.0}, "common_share: 2.0"),
+        ({"own_time_constant": -3.0, "bias_time_constant": 9.0}, "own_time_constant: -3.0 is not a positive number"),
         ({"seed": -1}, "seed: -1 is negative"),
         ({"ranges": [[[0.0, 0.0, 20.0]]], "landmarks_guess_ned": [[0.0, 0.0, 0.0]]}, "tables of 1 vehicles for 3"),
     ]

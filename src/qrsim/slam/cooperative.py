@@ -21,6 +21,7 @@ from qrsim.slam.estimate import (
     MOST_ITERATIONS,
     available_bytes,
     check_memory,
+    check_numbers,
     check_options,
     rms_distance,
     solve_reflected,
@@ -133,6 +134,7 @@ def estimate_together(
     fix_std: float | None = None,
     bias_time_constant: float | None = None,
     common_share: float = 0.0,
+    own_time_constant: float | None = None,
     iterations: int = MOST_ITERATIONS,
     damping: str = "metres",
 ) -> CooperativeSlam:
@@ -146,13 +148,14 @@ def estimate_together(
         fix_std: standard deviation of a fix per axis [m]; None: measured against the truth, of each vehicle.
         common_share: part of the variance of the fixes' error, 0 to 1, that is the same for all vehicles: of the
             errors as states one is then common to all. 0: each has its own only.
+        own_time_constant: of the part that is each vehicle's own [s]; None: ``bias_time_constant``.
 
     Raises:
         UsageError: an unknown option, flights that do not fit together, or no landmark in range.
         RunError: no vehicle has a fix, or the problem does not fit into memory.
     """
     check_options("gnss", states, prior, damping, iterations)
-    _check_share(common_share, bias_time_constant)
+    _check_share(common_share, bias_time_constant, own_time_constant)
     _check_flights(flights, rangings)
     vehicles, count = len(flights), len(flights[0].truth)
     checked_between(between, vehicles, count)
@@ -166,7 +169,7 @@ def estimate_together(
         raise UsageError(f"landmarks: none has {FEWEST_RANGES} ranges; ranges to each: {ranging.per_landmark.tolist()}")
     stds = _deviations(flights, fix_std)
     made = [
-        _graph_of(flight, own, active, std, bias_time_constant, common_share, states, prior)
+        graph_of(flight, own, active, std, bias_time_constant, common_share, own_time_constant, states, prior)
         for flight, own, std in zip(flights, rangings, stds, strict=True)
     ]
     common = None
@@ -188,24 +191,25 @@ def joined_ranging(rangings: Sequence[Ranging]) -> Ranging:
     return Ranging(ranges, counts * weights[:, None], first.std, first.guess_ned, first.true_ned)
 
 
-def _graph_of(
+def graph_of(
     flight: Flight, ranging: Ranging, active: Floats, fix_std: float, bias_time_constant: float | None, share: float,
-    states: str, prior: str,
+    own_time_constant: float | None, states: str, prior: str,
 ) -> tuple[Graph, Floats]:  # fmt: skip
     """Return the graph of one vehicle alone, with its own part of the error as a state, and where to begin."""
     how: dict[str, Any] = {"graph": "gnss", "states": states, "prior": prior}
-    if bias_time_constant is not None and share >= 1.0:
-        # No error of its own but what the common one moves by within an interval.
-        moved = -math.expm1(-2.0 * flight.ticks * flight.time_step / bias_time_constant)
-        return make_graph(flight, ranging, active, fix_std=fix_std * math.sqrt(moved), bias_time_constant=None, **how)
-    graph, x = make_graph(flight, ranging, active, fix_std=fix_std, bias_time_constant=bias_time_constant, **how)
-    if share > 0.0:
-        larger, base = 1.0 / math.sqrt(1.0 - share), graph.base
-        with jax.enable_x64(True):
-            whiten = graph.whiten.at[:, base:, base:].multiply(larger)
-            weight = jnp.asarray(graph.prior_weight).at[base:].multiply(larger)
-            graph = replace(graph, whiten=whiten, prior_weight=weight)
-    return graph, x
+    if bias_time_constant is None:
+        return make_graph(flight, ranging, active, fix_std=fix_std, bias_time_constant=None, **how)
+    own = own_time_constant or bias_time_constant
+    # What is left of a fix beside both parts: what they move by within an interval.
+    twice = -2.0 * flight.ticks * flight.time_step
+    moved = -share * math.expm1(twice / bias_time_constant) - (1.0 - share) * math.expm1(twice / own)
+    white = fix_std * math.sqrt(moved)
+    if share >= 1.0:
+        return make_graph(flight, ranging, active, fix_std=white, bias_time_constant=None, **how)
+    how["fix_std"] = fix_std * math.sqrt(1.0 - share)
+    graph, x = make_graph(flight, ranging, active, bias_time_constant=own, **how)
+    with jax.enable_x64(True):
+        return replace(graph, fix_weight=jnp.where(graph.fix_weight > 0.0, 1.0 / white, 0.0)), x
 
 
 def _solved(
@@ -246,11 +250,16 @@ def _deviations(flights: Sequence[Flight], fix_std: float | None) -> list[float]
     return [flight.fix_std if len(flight.fix_error) else others for flight in flights]
 
 
-def _check_share(share: float, bias_time_constant: float | None) -> None:
+def _check_share(share: float, bias_time_constant: float | None, own_time_constant: float | None) -> None:
     if not 0.0 <= share <= 1.0:
         raise UsageError(f"common_share: {share!r} is not a number from 0 to 1")
     if share > 0.0 and bias_time_constant is None:
         raise UsageError("common_share: there is no error as a state without bias_time_constant")
+    if own_time_constant is None:
+        return
+    if bias_time_constant is None:
+        raise UsageError("own_time_constant: there is no error as a state without bias_time_constant")
+    check_numbers(own_time_constant=own_time_constant)
 
 
 def _check_flights(flights: Sequence[Flight], rangings: Sequence[Ranging]) -> None:

@@ -37,6 +37,7 @@ def cooperative_from_run(
     fix_std: float | None = None,
     bias_time_constant: float | None = None,
     common_share: float = 0.0,
+    own_time_constant: float | None = None,
     process_noise: float | None = None,
     iterations: int = MOST_ITERATIONS,
     damping: Literal["metres", "diagonal"] = "metres",
@@ -58,6 +59,7 @@ def cooperative_from_run(
         seed: of simulated landmarks, guesses and ranges; None: the run's.
         bias_time_constant: model the fixes' errors as Ornstein-Uhlenbeck states of this time constant [s].
         common_share: part of their variance, 0 to 1, that is one state for all vehicles; the rest are states of each.
+        own_time_constant: of these rests [s]; None: ``bias_time_constant``.
 
     Raises:
         UsageError: an unknown option or vehicle, measurements that come between states, or no landmark in range.
@@ -66,6 +68,7 @@ def cooperative_from_run(
     check_numbers(
         range_std=range_std, range_limit=range_limit, fix_std=fix_std, bias_time_constant=bias_time_constant,
         process_noise=process_noise, state_period=state_period, between_std=between_std,
+        own_time_constant=own_time_constant,
     )  # fmt: skip
     if between not in ("measured", "simulated", "none"):
         raise UsageError(f"between: '{between}' is not known; choose from measured, simulated, none")
@@ -82,7 +85,7 @@ def cooperative_from_run(
     found = estimate_together(
         flights, rangings, _between(opened, names, flights, between, between_std, state_period, number), states=states,
         prior=prior, fix_std=fix_std, bias_time_constant=bias_time_constant, common_share=common_share,
-        iterations=iterations, damping=damping,
+        own_time_constant=own_time_constant, iterations=iterations, damping=damping,
     )  # fmt: skip
     for problem in found.problems:
         warn_user(problem)
