@@ -67,3 +67,7 @@ def test_the_full_study_shows_what_is_averaged_and_what_is_not() -> None:
     sure = found["shared_as_own_states"]["vehicles_5"]["position"]
     assert sure["nees"] > sure["band_high"]
     assert found["fixes"]["receiver"]["common_share"] > 0.9
+    assert 5.0 < found["fixes"]["receiver"]["own_time_constant_s"] < 30.0
+    ones, twos = (found[f"receiver_as_common_and_own_{name}"]["vehicles_5"] for name in ("states", "memory"))
+    assert twos["relative_position"]["nees"] < 0.1 * ones["relative_position"]["nees"]
+    assert twos["relative_m"]["mean"] < 0.5 * ones["relative_m"]["mean"]
