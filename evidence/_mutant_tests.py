@@ -24,6 +24,8 @@ SINGLE = ("tests/test_control.py",)
 LAST = ("tests/test_docs_models.py", "tests/laws/test_ranges.py")
 # A function that this share of the files enters is one that importing calls.
 _BY_IMPORT = 0.7
+# So many files are near at most: a module that all import is named in most of them.
+_NEAREST = 6
 
 Map = dict[str, dict[str, Any]]
 
@@ -121,6 +123,7 @@ def near_ones(literal: Literal) -> list[str]:
     """Return the files of tests beside a literal's module, the likeliest and shortest first, and those of defaults."""
     near = [test for test in test_files() if _nearness(test, literal.file) < 2 and test not in LAST]
     near.sort(key=lambda test: (_nearness(test, literal.file), len(_text(ROOT / test))))
+    near = near[:_NEAREST]
     return [*LAST, *near] if literal.kind in ("bound", "class") else [*near, *LAST]
 
 
