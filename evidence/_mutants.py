@@ -33,6 +33,7 @@ EXCLUDED = {
     "exponent": "a whole exponent is the form of an equation (a square, a cube), not a number of it",
     "cache": "how much is remembered changes no result",
     "tolerance": "a guard against division by nought, 1e-9 and below: 20 % of it are below what arithmetic resolves",
+    "stand-in": "the same condition throws it away, as in where(c, a / where(c, b, 1.0), 0.0): no result depends on it",
     "equivalent": "the mutant computes the same, by the reason that is listed with it",
 }
 _SHAPE_CALLS = {"zeros", "ones", "empty", "eye", "identity", "reshape", "broadcast_to", "range", "arange", "tile"}
@@ -124,12 +125,35 @@ def _rule_of_call(call: ast.Call, child: ast.AST, value: float) -> str:
     return "cache" if name == "lru_cache" else ""
 
 
+def _stands_in(path: list[ast.AST], node: ast.Constant) -> bool:
+    """Return whether a literal is a branch of where(c, ...) inside the other branch of another one of the same c."""
+    literal: ast.AST = node
+    child: ast.AST = node
+    condition, branch = "", 0
+    for parent in reversed(path):
+        if isinstance(parent, ast.UnaryOp) and child is literal:
+            literal = parent
+        elif isinstance(parent, ast.Call) and _name(parent.func) == "where" and child in parent.args[1:]:
+            place = parent.args.index(child)  # type: ignore[arg-type]
+            words = ast.unparse(parent.args[0])
+            if child is literal:
+                condition, branch = words, place
+            elif words == condition and place != branch:
+                return True
+        elif isinstance(parent, ast.stmt) or child is literal:
+            return False
+        child = parent
+    return False
+
+
 def _rule(path: list[ast.AST], node: ast.Constant) -> str:
     """Return the rule that leaves out a literal, whose ancestors are given, outermost first; "" for a mutant."""
     if node.value == 0:
         return "zero"
     if any(child is getattr(parent, word, None) for parent, child in pairwise(path) for word in _ANNOTATED):
         return "annotation"
+    if _stands_in(path, node):
+        return "stand-in"
     # Whether all between the literal and the present ancestor only groups it or computes with it.
     child: ast.AST = node
     direct = True

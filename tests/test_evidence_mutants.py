@@ -55,6 +55,21 @@ def test_a_number_in_a_formatted_text_is_no_mutant() -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "left_out"),
+    [
+        ("where(c > 0, a / where(c > 0, b, 1.5), 2.5)", ["1.5"]),
+        ("where(c > 0, 2.5, sqrt(where(c > 0, -1.5, b)))", ["1.5"]),
+        ("where(c > 0, a / where(d > 0, b, 1.5), 2.5)", []),
+        ("where(c > 0, where(c > 0, 1.5, b), 2.5)", []),
+        ("where(c > 0, a / where(c > 0, b, 1.5 + d), 2.5)", []),
+        ("where(c > 0, a / maximum(b, 1.5), 2.5)", []),
+    ],
+)
+def test_a_value_that_its_own_condition_throws_away_is_no_mutant(text: str, left_out: list[str]) -> None:
+    assert [item.text for item in mutants.literals(text, "a.py") if item.rule == "stand-in"] == left_out
+
+
+@pytest.mark.parametrize(
     ("text", "larger", "sign"),
     [
         ("0.5", "0.6", "(-0.5)"),
