@@ -1,4 +1,4 @@
-"""What scenarios may say: defaults and bounds of all parameters, as published in scenario_ranges.csv.
+"""What scenarios and programs may say: defaults and bounds of all parameters, as published in scenario_ranges.csv.
 
 Files of users rely on them. Who changes one changes the format: a row of the table, and a line of the changelog.
 """
@@ -11,10 +11,36 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from qrsim.control import paths
 from qrsim.core.tree import field_info
+from qrsim.models.gnss import interference
+from qrsim.models.gnss.base_station import BaseStation
+from qrsim.models.gnss.receivers import SharedSky
+from qrsim.models.gnss.slots import Slots
+from qrsim.models.radio.network import Network
+from qrsim.models.radio.parameters import Delay, InboxSize, Mac, Packet, PathLoss
+from qrsim.models.scene.area import StateLimits
+from qrsim.models.scene.prisms import Prisms
+from qrsim.models.scene.traffic import Traffic
+from qrsim.models.sensors.fitting import Fitting
+from qrsim.models.site import Site
+from qrsim.models.vehicles import quadrotor
+from qrsim.models.vehicles.carried_point import CarriedPoint
+from qrsim.models.vehicles.contracts import Outline
+from qrsim.models.vehicles.fixed_wing import commands as fixed_wing
+from qrsim.models.vehicles.multirotor import commands as multirotor
+from qrsim.models.vehicles.rover import commands as rover
 from qrsim.scenarios import catalogue
 
 TABLE = Path(__file__).with_name("scenario_ranges.csv")
+# Records with numbers of users' that are parts of a scenario or arguments of calls, and no components of the catalogue.
+PARTS = (
+    *(BaseStation, SharedSky, Slots, Network, PathLoss, Packet, Mac, Delay, InboxSize, StateLimits, Prisms, Traffic),
+    *(Fitting, Site, CarriedPoint, Outline, paths.Limits, paths.Leg, quadrotor.Command),
+    *(fixed_wing.AttitudeCommand, fixed_wing.SurfaceCommand, multirotor.AttitudeCommand, multirotor.RateCommand),
+    *(multirotor.MotorCommand.of_count(4), rover.SteeringCommand, rover.WheelCommand),
+    *(getattr(interference, name) for name in ("Jammer", "Disc", "Spoofer", "Outage", "IonoStorm")),
+)
 COLUMNS = ("component", "parameter", "unit", "default", "minimum", "maximum", "above")
 
 
@@ -35,7 +61,7 @@ def _rows(component: str, record: Any, prefix: str = "") -> Iterator[tuple[str, 
 
 
 def found() -> list[tuple[str, ...]]:
-    """Return the rows of all built-in components."""
+    """Return the rows of all built-in components, and of the parts beside them."""
     rows = []
     for kind, group in sorted(vars(catalogue).items()):
         if kind.isupper() and isinstance(group, dict):
@@ -43,6 +69,8 @@ def found() -> list[tuple[str, ...]]:
                 # What other tests have taken in from files is not built in.
                 if ":" not in name and dataclasses.is_dataclass(component):
                     rows += list(_rows(f"{kind.lower()}/{name}", component))
+    for part in PARTS:
+        rows += list(_rows(f"{part.__module__.removeprefix('qrsim.')}.{part.__name__}", part))
     return rows
 
 
