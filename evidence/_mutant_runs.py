@@ -126,7 +126,7 @@ class Workshop:
         if child == 0:
             words = [*([] if all("::" in test for test in tests) else ["-m", marks]), *tests]
             _in_child(self.source, self.folder, told, words, watched, limit_s)
-        status, ended = _waited(child, limit_s * PATIENCE)
+        status, ended = waited(child, limit_s * PATIENCE)
         seconds = round(time.monotonic() - began, 1)
         if not ended or (os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL)):
             return Outcome(TIMEOUT, tests[0], seconds)
@@ -173,7 +173,7 @@ def _environment(source: Path) -> None:
     }
 
 
-def _waited(child: int, patience_s: float) -> tuple[int, bool]:
+def waited(child: int, patience_s: float) -> tuple[int, bool]:
     """Wait for a child; end it, with what it started, when patience is over."""
     end = time.monotonic() + patience_s
     while time.monotonic() < end:

@@ -25,8 +25,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from evidence._mutant_forks import Collected, collected, measure, short_files
 from evidence._mutant_runs import KILLED, LIMIT_S, NOTHING, SURVIVED, TIMEOUT, Workshop, workshop
-from evidence._mutant_tests import Map, NotPassingError, candidates, long_ones, measured, near_ones
+from evidence._mutant_tests import (
+    LAST,
+    Map,
+    NotPassingError,
+    batches,
+    candidates,
+    long_ones,
+    near_ones,
+    read_map,
+)
 from evidence._mutants import ROOT, Mutant, all_mutants, left_out, sample
 
 DOC = "numbers of models and controllers, 20 % larger and with the other sign: which does no test miss"
@@ -43,6 +53,7 @@ ESCAPED, NEAR_LIMIT_S = "escaped", 60
 
 Key = tuple[str, str, int, int, str]
 Entry = dict[str, Any]
+Say = Callable[[str], None]
 
 
 def recorded(path: Path = RECORD) -> dict[Key, Entry]:
@@ -71,15 +82,20 @@ def tidy(path: Path = RECORD) -> None:
 
 
 def judge(shop: Workshop, mutant: Mutant, known: Map, recent: Sequence[str]) -> Entry:
-    """Try one mutant with all tests that may kill it."""
+    """Try one mutant with all tests that may kill it: short ones, what compares declarations, long ones."""
     seconds, result = 0.0, SURVIVED
-    short = [[*recent], *([file] for file in candidates(mutant.literal, known))]
-    runs = [*((tests, "not long") for tests in short), *(([file], "long") for file in long_ones(mutant.literal))]
+    short = batches([test for test in candidates(mutant.literal, known) if test not in recent], known)
+    declared = [[file] for file in LAST]
+    ordered = [*short, *declared] if mutant.literal.kind == "function" else [*declared, *short]
+    runs = [
+        *((tests, "not long") for tests in [[*recent], *ordered]),
+        *(([f], "long") for f in long_ones(mutant.literal)),
+    ]
     with shop.holding(mutant):
         for tests, marks in runs:
             if not tests:
                 continue
-            usual = sum(known[file]["seconds"] for test in tests if (file := test.partition("::")[0]) in known)
+            usual = sum(known[test].seconds for test in tests if test in known)
             limit_s = int(SLOWER * usual + AT_LEAST_S) if marks != "long" else LIMIT_S
             outcome = shop.run(tests, limit_s=limit_s, marks=marks)
             seconds += outcome.seconds
@@ -127,16 +143,43 @@ def nearby(mutant: Mutant, done: dict[Key, Entry]) -> list[str]:
     return list(dict.fromkeys(entry["killer"] for entry in same if "::" in entry["killer"]))[:RECENT]
 
 
-def study(
-    mutants: Sequence[Mutant], say: Callable[[str], None], path: Path = RECORD, again: bool = False, near: bool = False
-) -> None:
+def in_forks(process: Collected, mutants: Sequence[Mutant], say: Say, path: Path) -> None:
+    """Try mutants of bodies in forks of a process that has collected the tests; record those that are killed alone."""
+    known = {test: item for test, item in read_map().items() if test in process.items}
+    recent: dict[str, list[str]] = {}
+    for number, mutant in enumerate(mutants, 1):
+        if not process.is_for_this(mutant):
+            continue
+        place = f"{mutant.literal.file} {mutant.literal.owner}"
+        entering = [test for test, item in known.items() if (mutant.literal.file, mutant.literal.owner) in item.entered]
+        tests = [test for test in candidates(mutant.literal, known) if test in entering]
+        tests = list(dict.fromkeys([*recent.get(place, []), *tests]))
+        if not tests:
+            continue
+        usual = sum(known[test].seconds for test in tests)
+        outcome = process.run(tests, int(SLOWER * min(usual, 30.0) + AT_LEAST_S), mutant)
+        say(f"{number}/{len(mutants)} {outcome.result} in {outcome.seconds} s: {mutant} {outcome.killer}")
+        if outcome.result == KILLED and outcome.killer in known:
+            entry = {"key": mutant.key, "result": KILLED, "killer": outcome.killer, "s": round(outcome.seconds, 1)}
+            _append(path, entry)
+            recent[place] = list(dict.fromkeys([outcome.killer, *recent.get(place, [])]))[:RECENT]
+
+
+def study(mutants: Sequence[Mutant], say: Say, path: Path = RECORD, again: bool = False, near: bool = False) -> None:
     """Try mutants and record what becomes of them; those that are recorded only where they are to be tried again."""
+
     done = recorded(path)
     left = [m for m in mutants if again or m.key not in done or (done[m.key]["result"] == ESCAPED and not near)]
     if not left:
         return
     with workshop() as shop:
-        known, sound = {} if near else measured(shop, say), set[str]()
+        known, sound = Map(), set[str]()
+        if not near:
+            measure(shop, say)
+            collected(shop, short_files(), lambda process: in_forks(process, left, say, path))
+            known, before = read_map(), done
+            done = recorded(path)
+            left = [m for m in left if done.get(m.key) == before.get(m.key)]
         for number, mutant in enumerate(left, 1):
             recent = nearby(mutant, done)
             entry = judge_nearby(shop, mutant, recent, sound) if near else judge(shop, mutant, known, recent)

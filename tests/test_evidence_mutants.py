@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import json
+import subprocess
+import sys
 
 import pytest
+from evidence import _mutant_names as naming
 from evidence import _mutant_tests as choosing
 from evidence import _mutants as mutants
 from evidence import mutation
@@ -219,20 +222,69 @@ def test_wrong_shards_are_refused(capsys) -> None:
 def test_tests_that_enter_a_function_come_first() -> None:
     """Those with the module's name before all, the quick before the slow, and who never enters it is left out."""
     barometer = "qrsim/models/sensors/barometer.py"
-    enters = {(barometer, "Barometer.step")}
+    enters = frozenset({(barometer, "Barometer.step")})
     known = {
-        "tests/laws/test_components.py": {"seconds": 90.0, "entered": enters},
-        "tests/laws/test_resume.py": {"seconds": 9.0, "entered": enters},
-        "tests/models/sensors/test_barometer.py": {"seconds": 99.0, "entered": enters},
-        "tests/models/radio/test_links.py": {"seconds": 1.0, "entered": set()},
-        "tests/control/test_guidance.py": {"seconds": 1.0, "entered": set()},
+        "tests/laws/test_components.py::test_a": choosing.Measured(90.0, enters),
+        "tests/laws/test_resume.py::test_b": choosing.Measured(9.0, enters),
+        "tests/models/sensors/test_barometer.py::test_c": choosing.Measured(99.0, enters),
+        "tests/models/radio/test_links.py::test_d": choosing.Measured(1.0, frozenset()),
+        "tests/control/test_guidance.py::test_e": choosing.Measured(1.0, frozenset({(barometer, "Barometer.init")})),
     }
-    literal = mutants.Literal(barometer, 80, 4, "1.0", "Barometer.step", "function", "")
-    computing = [
-        "tests/models/sensors/test_barometer.py",
-        "tests/laws/test_resume.py",
-        "tests/laws/test_components.py",
+    literal = mutants.Literal(barometer, 1, 4, "1.0", "Barometer.step", "function", "")
+    ordered = choosing.candidates(literal, known)
+    assert ordered == [
+        "tests/models/sensors/test_barometer.py::test_c",
+        "tests/laws/test_resume.py::test_b",
+        "tests/laws/test_components.py::test_a",
     ]
-    declared = ["tests/test_docs_models.py", "tests/laws/test_ranges.py"]
-    assert choosing.candidates(literal, known) == computing + declared
-    assert choosing.candidates(literal._replace(kind="bound"), known)[:2] == declared
+    assert choosing.batches(ordered, known) == [[test] for test in ordered]
+    quick = {test: item._replace(seconds=1.0) for test, item in known.items()}
+    assert choosing.batches(ordered, quick) == [ordered]
+
+
+def test_who_computes_with_a_constant() -> None:
+    """Functions that mention its name, or that of what is made of it, in its module and those that import that."""
+    file = "qrsim/models/vehicles/quadrotor.py"
+    found = next(item for item in mutants.all_mutants() if (item.literal.file, item.literal.text) == (file, "0.025"))
+    assert "PITCH_ROLL_RAD_PER_RAW" in naming.defined(found.literal)
+    assert any(place == file for place, _ in naming.computing(found.literal))
+    inside = next(
+        item for item in mutants.all_mutants() if item.literal.file == file and item.literal.kind == "function"
+    )
+    assert (file, inside.literal.owner) in naming.computing(inside.literal)
+
+
+IN_FORKS = """
+from evidence._mutant_forks import collected
+from evidence._mutant_runs import workshop
+from evidence._mutants import all_mutants
+
+TEST = "tests/models/atmosphere/test_gust.py"
+
+def work(process):
+    tests = list(process.items)
+    plain = process.run(tests[:3], 60, watched=True)
+    found = {True: [], False: []}
+    for mutant in all_mutants():
+        if mutant.literal.file == "qrsim/models/atmosphere/gust.py":
+            found[process.is_for_this(mutant)].append(mutant)
+    results = [process.run(tests, 60, mutant) for mutant in found[True][:2]]
+    entered = ("qrsim/models/atmosphere/gust.py", "DiscreteGust.velocity_ned") in plain.entered
+    after = process.run(tests[:3], 60)
+    kinds = sorted({mutant.literal.kind for mutant in found[False]})
+    print("told:", plain.result, entered, [item.result for item in results], results[0].killer, after.result, kinds)
+
+with workshop() as shop:
+    collected(shop, [TEST], work)
+"""
+
+
+@pytest.mark.long
+def test_a_fork_computes_with_the_mutant_and_the_next_one_does_not() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", IN_FORKS], cwd=mutants.ROOT, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    told = next(line for line in done.stdout.splitlines() if "told:" in line)
+    assert "told: survivor True ['killed', 'killed'] tests/models/atmosphere/test_gust.py::" in told, told
+    assert told.endswith(" survivor ['bound', 'class']"), told

@@ -22,13 +22,13 @@ from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
 
-ONE = jnp.ones(1)
+ONE = np.ones(1, np.float32)
 START = Estimate(Vec3(3.0 * ONE, -2.0 * ONE, -20.0 * ONE), Vec3(4.0 * ONE, 1.0 * ONE, -0.5 * ONE),
                  Euler(0.2 * ONE, -0.1 * ONE, 2.0 * ONE))  # fmt: skip
 
 
 def vec(*axes: float) -> Vec3:
-    return Vec3(*(jnp.array([axis]) for axis in axes))
+    return Vec3(*(np.array([axis], np.float32) for axis in axes))  # type: ignore[arg-type]
 
 
 def reading(**fields: Any) -> Any:

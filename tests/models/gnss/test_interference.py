@@ -18,7 +18,7 @@ from qrsim.models.gnss.sight import CommonErrors
 from qrsim.scenarios.scenario import load_scenario
 
 HERE, NEVER = np.zeros(3), 1e9
-PLACES = jnp.zeros(1, jnp.int32)
+PLACES = np.zeros(1, np.int32)
 # At 45 dB-Hz without jammers, where weakness is 1.
 CLEAR = 1.0
 

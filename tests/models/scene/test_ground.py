@@ -24,7 +24,7 @@ from qrsim.world.episode import surroundings
 from qrsim.world.tick import reset
 
 POINTS = Vec3(*np.array([[0.0, 3.0], [0.0, -4.0], [-12.5, 6.0]]))  # type: ignore[arg-type]
-LEVEL = Euler(jnp.zeros(2), jnp.zeros(2), jnp.zeros(2))
+LEVEL = Euler(*np.zeros((3, 2), np.float32))  # type: ignore[arg-type]
 AREA = {"type": "box", "x_min": -50, "x_max": 50, "y_min": -40, "y_max": 40}
 BOX = (-50.0, 50.0, -40.0, 40.0)
 SITE = Site()

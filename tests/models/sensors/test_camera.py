@@ -28,7 +28,7 @@ def lying(places: list[tuple[float, float]], found_tick: int = -1) -> PersonsSta
     north, east = np.array(places, np.float32).reshape(-1, 2).T
     count = len(places)
     return PersonsState(
-        jnp.asarray(north), jnp.asarray(east), jnp.ones(count, bool), jnp.full(count, found_tick, jnp.int32)
+        north, east, np.ones(count, bool), np.full(count, found_tick, np.int32)  # type: ignore[arg-type]
     )
 
 

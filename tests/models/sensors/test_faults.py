@@ -14,8 +14,8 @@ from qrsim.models.sensors.barometer import BarometerReading
 from qrsim.models.sensors.faults import Fault
 from qrsim.scenarios.scenario import load_scenario
 
-NOW = BarometerReading(jnp.array([1.0, 2.0]), jnp.array([0.1, 0.2]))
-BEFORE = BarometerReading(jnp.array([9.0, 9.0]), jnp.array([0.9, 0.9]))
+NOW = BarometerReading(np.array([1.0, 2.0]), np.array([0.1, 0.2]))  # type: ignore[arg-type]
+BEFORE = BarometerReading(np.array([9.0, 9.0]), np.array([0.9, 0.9]))  # type: ignore[arg-type]
 
 
 def fault(kind: Any, field: str = "", bias: float = 0.0) -> Fault:

@@ -22,10 +22,10 @@ QUIET = {"noise_rate": 0.0, "gyroscope_noise": 0.0}
 
 def seen(
     sensor: Any, velocity: Any = (0.0, 0.0, 0.0), rates: Any = (0.0, 0.0, 0.0), height: float = 10.0,
-    pose: Any = None, normals: Any = (0.0,) * 5, obstacles: Any = None,
+    roll: float = 0.0, normals: Any = (0.0,) * 5, obstacles: Any = None,
 ) -> dict[str, Any]:  # fmt: skip
     draw = Drawn(tuple(jnp.array([value], jnp.float32) for value in normals))
-    scene = (pose or attitude(), vector(*velocity), vector(*rates), obstacles or solids(), FlatGround())
+    scene = (attitude(roll), vector(*velocity), vector(*rates), obstacles or solids(), FlatGround())
     _, found = sensor.init(draw, vector(0.0, 0.0, -height), *scene)
     turned = np.ravel(found.delta_angle.stack())
     return {"flow": (float(found.flow_x[0]), float(found.flow_y[0])), "turned": turned,
@@ -41,7 +41,7 @@ def test_signs_and_angles(sensor: Any) -> None:
     assert found["flow"] == pytest.approx((0.01, -0.004), abs=1e-7)
     np.testing.assert_allclose(found["turned"], [0.01, -0.004, 0.018], rtol=1e-5)
     # Tilted by 0.4 rad the ground is 10 m/cos 0.4 away.
-    assert seen(sensor, (3.0, 0.0, 0.0), pose=attitude(roll=0.4))["flow"][1] == pytest.approx(
+    assert seen(sensor, (3.0, 0.0, 0.0), roll=0.4)["flow"][1] == pytest.approx(
         0.006 * math.cos(0.4), rel=1e-5
     )
     # A roof 4 m high is nearer.
@@ -80,7 +80,7 @@ def test_quality_and_noise() -> None:
         # 1/(1 + (46/15)^2) is below 0.1.
         ({"height": 46.0}, 3),
         ({"height": 51.0}, 2),
-        ({"pose": attitude(roll=math.pi)}, 2),
+        ({"roll": math.pi}, 2),
         ({"velocity": (73.0, 0.0, 0.0)}, 0),
         ({"velocity": (75.0, 0.0, 0.0)}, 4),
         ({"rates": (0.0, 7.5, 0.0)}, 4),
