@@ -8,6 +8,7 @@ left (a survivor). What has been tried is kept in docs/evidence/mutation.jsonl, 
     python -m evidence.mutation --sample 60         sixty of all, drawn by the seed
     python -m evidence.mutation --file barometer    those of files whose path has this in it
     python -m evidence.mutation --near              only the tests beside each; what escapes is not yet judged
+    python -m evidence.mutation --tests FILE        only with the tests of a file, what is not killed yet
     python -m evidence.mutation --survivors         recorded survivors and timeouts again, after new tests
     python -m evidence.mutation --list              counts and survivors, nothing is run
 """
@@ -143,31 +144,60 @@ def nearby(mutant: Mutant, done: dict[Key, Entry]) -> list[str]:
     return list(dict.fromkeys(entry["killer"] for entry in same if "::" in entry["killer"]))[:RECENT]
 
 
-def in_forks(process: Collected, mutants: Sequence[Mutant], say: Say, path: Path) -> None:
-    """Try mutants of bodies in forks of a process that has collected the tests; record those that are killed alone."""
+def in_forks(process: Collected, mutants: Sequence[Mutant], say: Say, path: Path, every: bool = False) -> None:
+    """Try mutants of bodies in forks of a process that has collected tests; record what becomes of them.
+
+    Args:
+        process: what has collected them.
+        mutants: those of them that are not in a body are left to others.
+        say: told of each.
+        path: the record.
+        every: whether all tests are run, in their order, in the place of those that are known to enter the function.
+    """
     known = {test: item for test, item in read_map().items() if test in process.items}
     recent: dict[str, list[str]] = {}
     for number, mutant in enumerate(mutants, 1):
         if not process.is_for_this(mutant):
             continue
-        place = f"{mutant.literal.file} {mutant.literal.owner}"
-        entering = [test for test, item in known.items() if (mutant.literal.file, mutant.literal.owner) in item.entered]
-        tests = [test for test in candidates(mutant.literal, known) if test in entering]
-        tests = list(dict.fromkeys([*recent.get(place, []), *tests]))
+        function = (mutant.literal.file, mutant.literal.owner)
+        tests = [*process.items]
+        if not every:
+            tests = [test for test in candidates(mutant.literal, known) if function in known[test].entered]
+        tests = list(dict.fromkeys([*recent.get(str(function), []), *tests]))
         if not tests:
             continue
-        usual = sum(known[test].seconds for test in tests)
+        usual = sum(known[test].seconds for test in tests if test in known)
         outcome = process.run(tests, int(SLOWER * min(usual, 30.0) + AT_LEAST_S), mutant)
         say(f"{number}/{len(mutants)} {outcome.result} in {outcome.seconds} s: {mutant} {outcome.killer}")
-        if outcome.result == KILLED and outcome.killer in known:
-            entry = {"key": mutant.key, "result": KILLED, "killer": outcome.killer, "s": round(outcome.seconds, 1)}
-            _append(path, entry)
-            recent[place] = list(dict.fromkeys([outcome.killer, *recent.get(place, [])]))[:RECENT]
+        result = KILLED if outcome.result == KILLED and outcome.killer else ESCAPED
+        _append(path, {"key": mutant.key, "result": result, "killer": outcome.killer, "s": round(outcome.seconds, 1)})
+        if result == KILLED:
+            recent[str(function)] = list(dict.fromkeys([outcome.killer, *recent.get(str(function), [])]))[:RECENT]
+
+
+def try_tests(mutants: Sequence[Mutant], tests: Sequence[str], say: Say, path: Path = RECORD) -> None:
+    """Try mutants with nothing but some files of tests, as after writing them; record those that are killed alone.
+
+    Raises:
+        NotPassingError: the tests fail without any mutant.
+    """
+    done = recorded(path)
+    left = [mutant for mutant in mutants if done.get(mutant.key, {}).get("result") != KILLED]
+    with workshop() as shop:
+        if shop.run(tests).result != SURVIVED:
+            raise NotPassingError(f"{' '.join(tests)}: not all tests pass without a mutant")
+        collected(shop, tests, lambda process: in_forks(process, left, say, path, every=True))
+        now = recorded(path)
+        for mutant in [mutant for mutant in left if now.get(mutant.key) == done.get(mutant.key)]:
+            with shop.holding(mutant):
+                outcome = shop.run(tests, limit_s=NEAR_LIMIT_S)
+            say(f"{outcome.result} in {outcome.seconds} s: {mutant} {outcome.killer}")
+            if outcome.result == KILLED:
+                _append(path, {"key": mutant.key, "result": KILLED, "killer": outcome.killer, "s": outcome.seconds})
 
 
 def study(mutants: Sequence[Mutant], say: Say, path: Path = RECORD, again: bool = False, near: bool = False) -> None:
     """Try mutants and record what becomes of them; those that are recorded only where they are to be tried again."""
-
     done = recorded(path)
     left = [m for m in mutants if again or m.key not in done or (done[m.key]["result"] == ESCAPED and not near)]
     if not left:
@@ -177,9 +207,8 @@ def study(mutants: Sequence[Mutant], say: Say, path: Path = RECORD, again: bool 
         if not near:
             measure(shop, say)
             collected(shop, short_files(), lambda process: in_forks(process, left, say, path))
-            known, before = read_map(), done
-            done = recorded(path)
-            left = [m for m in left if done.get(m.key) == before.get(m.key)]
+            known, done = read_map(), recorded(path)
+            left = [mutant for mutant in left if done.get(mutant.key, {}).get("result") != KILLED]
         for number, mutant in enumerate(left, 1):
             recent = nearby(mutant, done)
             entry = judge_nearby(shop, mutant, recent, sound) if near else judge(shop, mutant, known, recent)
@@ -274,6 +303,9 @@ def _parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the sample (default {SEED})")
     parser.add_argument("--file", metavar="TEXT", default="", help="only files whose path has this in it")
     parser.add_argument("--near", action="store_true", help="only the tests beside each mutant; the rest stays to do")
+    parser.add_argument(
+        "--tests", nargs="+", metavar="FILE", help="only with these files of tests; record what they kill"
+    )
     parser.add_argument("--survivors", action="store_true", help="try recorded survivors and timeouts again")
     parser.add_argument("--list", action="store_true", help="print counts and survivors, run nothing")
     parser.add_argument("--recorded", type=Path, metavar="FILE", help="only with recorded killers; write what came out")
@@ -293,7 +325,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         asked.recorded.write_text(json.dumps(again(mutants)), "utf-8")
         return 0
     try:
-        if not asked.list:
+        if asked.tests:
+            try_tests(mutants, asked.tests, lambda text: print(text, flush=True))
+        elif not asked.list:
             study(mutants, lambda text: print(text, flush=True), again=asked.survivors, near=asked.near)
     except NotPassingError as error:
         print(f"error: {error}", file=sys.stderr)
