@@ -29,6 +29,8 @@ from evidence._mutants import ROOT, SOURCE, Mutant, mutated
 
 # Seconds of the processor that a test is measured for; of the clock, this many times as long, for a busy machine.
 MEASURE_S, PATIENCE = 60, 2.0
+# After so many tests it is looked what other processes have measured.
+_LOOK = 50
 
 # File below src/ and qualified name without <locals>.
 Function = tuple[str, str]
@@ -178,24 +180,33 @@ def short_files() -> list[str]:
     return [file for file in test_files() if file not in LAST]
 
 
-def measure(shop: Workshop, say: Callable[[str], None], shard: tuple[int, int] = (1, 1)) -> None:
-    """Find what each test enters that has not been measured since its file changed; a part of them, of several.
+def measure(shop: Workshop, say: Callable[[str], None], part: float = 0.0) -> None:
+    """Find what each test enters that has not been measured since its file changed.
+
+    Args:
+        shop: where tests are run.
+        say: told how far it is.
+        part: from 0 to 1, where among the tests this process begins; several take what the others have left.
 
     Raises:
         NotPassingError: tests cannot be collected.
     """
-    known, (k, n) = read_map(), shard
 
     def work(process: Collected) -> None:
-        left = [test for test in process.items if test not in known][k - 1 :: n]
-        for number, test in enumerate(left, 1):
+        known = read_map()
+        left = [test for test in process.items if test not in known]
+        begin = int(part * len(left))
+        for number, test in enumerate(left[begin:] + left[:begin], 1):
+            if number % _LOOK == 0:
+                known = read_map()
+                say(f"{number}/{len(left)} tests measured")
+            if test in known:
+                continue
             outcome = process.run([test], MEASURE_S, watched=True)
             if outcome.result == SURVIVED:
                 add_to_map(test, outcome.seconds, outcome.entered)
             else:
                 say(f"left out, {outcome.result} without a mutant: {test}")
-            if number % 50 == 0:
-                say(f"{number}/{len(left)} tests measured")
 
     collected(shop, short_files(), work)
 

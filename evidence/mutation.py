@@ -196,7 +196,9 @@ def try_tests(mutants: Sequence[Mutant], tests: Sequence[str], say: Say, path: P
                 _append(path, {"key": mutant.key, "result": KILLED, "killer": outcome.killer, "s": outcome.seconds})
 
 
-def study(mutants: Sequence[Mutant], say: Say, path: Path = RECORD, again: bool = False, near: bool = False) -> None:
+def study(
+    mutants: Sequence[Mutant], say: Say, path: Path = RECORD, again: bool = False, near: bool = False, part: float = 0.0
+) -> None:
     """Try mutants and record what becomes of them; those that are recorded only where they are to be tried again."""
     done = recorded(path)
     left = [m for m in mutants if again or m.key not in done or (done[m.key]["result"] == ESCAPED and not near)]
@@ -205,7 +207,7 @@ def study(mutants: Sequence[Mutant], say: Say, path: Path = RECORD, again: bool 
     with workshop() as shop:
         known, sound = Map(), set[str]()
         if not near:
-            measure(shop, say)
+            measure(shop, say, part)
             collected(shop, short_files(), lambda process: in_forks(process, left, say, path))
             known, done = read_map(), recorded(path)
             left = [mutant for mutant in left if done.get(mutant.key, {}).get("result") != KILLED]
@@ -328,7 +330,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if asked.tests:
             try_tests(mutants, asked.tests, lambda text: print(text, flush=True))
         elif not asked.list:
-            study(mutants, lambda text: print(text, flush=True), again=asked.survivors, near=asked.near)
+            study(
+                mutants, lambda text: print(text, flush=True), again=asked.survivors, near=asked.near, part=(k - 1) / n
+            )
     except NotPassingError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
