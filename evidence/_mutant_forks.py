@@ -1,13 +1,14 @@
 """Try mutants of functions in forks of a process that has collected all tests, at the cost of those that enter them.
 
 A mutant in the body of a function needs no new import: a fork gives the function the code of the changed source, and
-runs the tests that enter it, the nearest and quickest first. Which those are is measured once, each test in a fork of
-its own, so that nothing that an earlier one keeps hides what it enters. What importing calls, or what stands outside of
-bodies (defaults, constants of modules), is not for this.
+runs the tests that enter it, the nearest and quickest first. Nor does a constant of a module that nothing computes with
+while it is imported. Which tests enter what is measured once, each in a fork of its own, so that nothing that an
+earlier one keeps hides it. Defaults, and what importing calls, are not for this.
 """
 
 from __future__ import annotations
 
+import ast
 import cProfile
 import gc
 import json
@@ -18,11 +19,12 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import pytest
 
+from evidence._mutant_names import computing, constants
 from evidence._mutant_runs import KILLED, LIMIT_BYTES, SURVIVED, TIMEOUT, Outcome, Workshop, waited
 from evidence._mutant_tests import LAST, NotPassingError, add_to_map, read_map, test_files
 from evidence._mutants import ROOT, SOURCE, Mutant, mutated
@@ -82,23 +84,45 @@ class Collected:
         return True
 
     def patch(self, mutant: Mutant) -> bool:
-        """Give the functions of this process the mutant's code; False where no body changes."""
-        file = mutant.literal.file
-        text = (SOURCE / file).read_text("utf-8")
-        path = str(self.source / file)
+        """Give this process the mutant's code, or its constants; False where nothing changes."""
+        literal = mutant.literal
+        if literal.kind == "module":
+            return self._set_constants(mutant)
+        text = (SOURCE / literal.file).read_text("utf-8")
+        path = str(self.source / literal.file)
         before, after = codes(text, path), codes(mutated(text, mutant), path)
         changed = {key for key, code in after.items() if code != before[key]}
         done = False
-        for function in self.functions.get(file, []):
+        for function in self.functions.get(literal.file, []):
             key = (function.__code__.co_qualname, function.__code__.co_firstlineno)
             if key in changed:
                 function.__code__ = after[key]
                 done = True
         return done
 
+    def _set_constants(self, mutant: Mutant) -> bool:
+        """Compute the constants anew that the mutant's statement leads to, and put them wherever they were imported."""
+        file = mutant.literal.file
+        module = sys.modules[file.removesuffix(".py").replace("/", ".").removesuffix(".__init__")]
+        tree = ast.parse(mutated((SOURCE / file).read_text("utf-8"), mutant))
+        lines = {item.first for item in constants(mutant.literal) or ()}
+        tree.body = [node for node in tree.body if node.lineno in lines]
+        fresh = dict(vars(module))
+        exec(compile(tree, str(self.source / file), "exec", dont_inherit=True), fresh)
+        names = {name for item in constants(mutant.literal) or () for name in item.names if name in vars(module)}
+        for other in [item for item in sys.modules.values() if isinstance(item, ModuleType)]:
+            for name in names & vars(other).keys():
+                if other is not module and vars(other)[name] is vars(module)[name]:
+                    setattr(other, name, fresh[name])
+        for name in names:
+            setattr(module, name, fresh[name])
+        return True
+
     def is_for_this(self, mutant: Mutant) -> bool:
-        """Return whether the mutant is in the body of a function that importing does not call."""
+        """Return whether a fork can have the mutant, because importing does not compute with it."""
         literal = mutant.literal
+        if literal.kind == "module":
+            return constants(literal) is not None and not computing(literal) & self.by_import
         if literal.kind != "function" or (literal.file, literal.owner) in self.by_import:
             return False
         text, path = (SOURCE / literal.file).read_text("utf-8"), str(self.source / literal.file)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import re
 from collections import defaultdict
-from collections.abc import Iterator
 from functools import cache
 from typing import NamedTuple
 
@@ -15,12 +14,20 @@ Function = tuple[str, str]
 
 
 class Definition(NamedTuple):
-    """A statement outside of functions: its first and last line, what it names, and what it mentions."""
+    """A statement outside of the bodies of functions.
+
+    Attributes:
+        first, last: its lines.
+        names: what it defines.
+        mentions: names that importing it looks up.
+        node: of the syntax tree, where it assigns at the level of the module; else None.
+    """
 
     first: int
     last: int
     names: frozenset[str]
     mentions: frozenset[str]
+    node: ast.stmt | None = None
 
 
 @cache
@@ -48,30 +55,35 @@ def users(file: str) -> tuple[str, ...]:
     return (file, *(other for other in sources() if pattern.search(_text(other))))
 
 
-def _names(node: ast.AST) -> Iterator[str]:
-    for item in ast.walk(node):
-        if isinstance(item, ast.Name):
-            yield item.id
+def _names(*nodes: ast.AST | None) -> frozenset[str]:
+    """Return the names of variables and attributes in nodes."""
+    found = (item for node in nodes if node is not None for item in ast.walk(node))
+    names = (item.id if isinstance(item, ast.Name) else getattr(item, "attr", "") for item in found)
+    return frozenset(name for name in names if name)
 
 
 @cache
 def definitions(file: str) -> tuple[Definition, ...]:
-    """Return the statements of a module's body and of its classes that define something."""
+    """Return the statements of a module's body and of its classes."""
     found = []
-    left: list[ast.stmt] = [*_tree(file).body]
+    left: list[tuple[ast.stmt, bool]] = [(node, True) for node in _tree(file).body]
     while left:
-        node = left.pop()
-        if isinstance(node, ast.ClassDef | ast.FunctionDef):
-            names = {node.name}
-            left += node.body if isinstance(node, ast.ClassDef) else []
-        elif isinstance(node, ast.Assign):
-            names = {name for target in node.targets for name in _names(target)}
-        elif isinstance(node, ast.AnnAssign | ast.AugAssign):
-            names = {*_names(node.target)}
-        else:
+        node, outer = left.pop()
+        names: frozenset[str] = frozenset()
+        mentions, kept = _names(node), None
+        if isinstance(node, ast.ClassDef):
+            left += [(inner, False) for inner in node.body]
+            names = frozenset({node.name})
+            mentions = _names(*node.bases, *node.decorator_list, *(word.value for word in node.keywords))
+        elif isinstance(node, ast.FunctionDef):
+            names = frozenset({node.name})
+            mentions = _names(*node.decorator_list, *node.args.defaults, *node.args.kw_defaults)
+        elif isinstance(node, ast.Assign | ast.AnnAssign | ast.AugAssign):
+            names = _names(*(node.targets if isinstance(node, ast.Assign) else [node.target]))
+            kept = node if outer else None
+        elif isinstance(node, ast.Import | ast.ImportFrom):
             continue
-        mentions = frozenset() if isinstance(node, ast.FunctionDef) else frozenset(_names(node))
-        found.append(Definition(node.lineno, node.end_lineno or node.lineno, frozenset(names), mentions))
+        found.append(Definition(node.lineno, node.end_lineno or node.lineno, names, mentions, kept))
     return tuple(found)
 
 
@@ -116,3 +128,22 @@ def computing(literal: Literal) -> set[Function]:
         for name in names:
             found |= _mentioned(file).get(name, frozenset())
     return found
+
+
+def constants(literal: Literal) -> list[Definition] | None:
+    """Return the assignments of a module, in their order, by which a literal reaches functions; None if by others too.
+
+    Whoever has them anew has all that importing the changed module would change: no class, default or other module
+    computes with them while it is imported.
+    """
+    if literal.kind != "module":
+        return None
+    names = defined(literal)
+    for file in users(literal.file):
+        if any(f"{name} as " in _text(file) for name in names):
+            return None
+        for item in definitions(file):
+            if item.mentions & names and (item.node is None or file != literal.file):
+                return None
+    found = [item for item in definitions(literal.file) if item.names & names]
+    return sorted(found) if all(item.node is not None for item in found) else None

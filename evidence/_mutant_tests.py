@@ -22,8 +22,6 @@ TESTS = ("tests/models", "tests/control", "tests/laws")
 SINGLE = ("tests/test_control.py",)
 # These compare what is declared, without computing with it.
 LAST = ("tests/laws/test_ranges.py", "tests/test_docs_models.py")
-# So many files are near at most: a module that all import is named in most of them.
-_NEAREST = 6
 # Tests of so many files and seconds are run at once.
 _FILES, _SECONDS = 3, 12.0
 
@@ -125,15 +123,6 @@ def batches(tests: Iterable[str], known: Map) -> list[list[str]]:
             seconds, files = known[test].seconds, {file_of(test)}
         found[-1].append(test)
     return found
-
-
-def near_ones(literal: Literal) -> list[str]:
-    """Return the files of tests beside a literal's module, the likeliest and shortest first, and those of defaults."""
-    near = long_ones(literal)
-    near = [test for test in near if test not in LAST]
-    near.sort(key=lambda test: (nearness(test, literal.file), len(_text(ROOT / test))))
-    near = near[:_NEAREST]
-    return [*near, *LAST] if literal.kind == "function" else [*LAST, *near]
 
 
 def long_ones(literal: Literal) -> list[str]:

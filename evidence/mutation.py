@@ -7,7 +7,6 @@ left (a survivor). What has been tried is kept in docs/evidence/mutation.jsonl, 
     python -m evidence.mutation --shard 1/4         a quarter of it, for four processes or machines
     python -m evidence.mutation --sample 60         sixty of all, drawn by the seed
     python -m evidence.mutation --file barometer    those of files whose path has this in it
-    python -m evidence.mutation --near              only the tests beside each; what escapes is not yet judged
     python -m evidence.mutation --tests FILE        only with the tests of a file, what is not killed yet
     python -m evidence.mutation --survivors         recorded survivors and timeouts again, after new tests
     python -m evidence.mutation --list              counts and survivors, nothing is run
@@ -27,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from evidence._mutant_forks import Collected, collected, measure, short_files
+from evidence._mutant_names import computing
 from evidence._mutant_runs import KILLED, LIMIT_S, NOTHING, SURVIVED, TIMEOUT, Workshop, workshop
 from evidence._mutant_tests import (
     LAST,
@@ -35,7 +35,6 @@ from evidence._mutant_tests import (
     batches,
     candidates,
     long_ones,
-    near_ones,
     read_map,
 )
 from evidence._mutants import ROOT, Mutant, all_mutants, left_out, sample
@@ -48,9 +47,11 @@ RECORD = ROOT / "docs" / "evidence" / "mutation.jsonl"
 RECENT = 3
 # Patience with a file of tests: a mutant that takes so many times as long, and these seconds, runs away.
 SLOWER, AT_LEAST_S = 10, 60
+# Less in forks: whoever is given up there is tried again.
+FORK_SLOWER, FORK_LEAST_S, FORK_MOST_S = 3, 20, 90
 
-# What the tests beside it let live, while nobody has asked all others.
-ESCAPED, NEAR_LIMIT_S = "escaped", 60
+# What some tests let live, while nobody has asked all others.
+ESCAPED, TRY_LIMIT_S = "escaped", 60
 
 Key = tuple[str, str, int, int, str]
 Entry = dict[str, Any]
@@ -107,34 +108,6 @@ def judge(shop: Workshop, mutant: Mutant, known: Map, recent: Sequence[str]) -> 
     return {"key": mutant.key, "result": result, "killer": "", "s": round(seconds, 1)}
 
 
-def judge_nearby(shop: Workshop, mutant: Mutant, recent: Sequence[str], sound: set[str]) -> Entry:
-    """Try one mutant with the tests beside it alone, for which nothing need be measured.
-
-    Args:
-        shop: where tests are run.
-        mutant: what is tried.
-        recent: tests that are tried first.
-        sound: killers that have been seen to pass without a mutant; it grows.
-
-    Raises:
-        NotPassingError: a killer fails without any mutant.
-    """
-    seconds = 0.0
-    with shop.holding(mutant):
-        for tests in [[*recent], *([file] for file in near_ones(mutant.literal))]:
-            if tests:
-                outcome = shop.run(tests, limit_s=NEAR_LIMIT_S)
-                seconds += outcome.seconds
-                if outcome.result == KILLED:
-                    break
-        else:
-            return {"key": mutant.key, "result": ESCAPED, "killer": "", "s": round(seconds, 1)}
-    if outcome.killer not in sound and shop.run([outcome.killer]).result != SURVIVED:
-        raise NotPassingError(f"{outcome.killer} fails without a mutant")
-    sound.add(outcome.killer)
-    return {"key": mutant.key, "result": KILLED, "killer": outcome.killer, "s": round(seconds, 1)}
-
-
 def nearby(mutant: Mutant, done: dict[Key, Entry]) -> list[str]:
     """Return the tests that last killed mutants of the same file, the nearest first."""
     same = [entry for key, entry in done.items() if key[0] == mutant.key[0] and entry["result"] == KILLED]
@@ -162,12 +135,13 @@ def in_forks(process: Collected, mutants: Sequence[Mutant], say: Say, path: Path
         function = (mutant.literal.file, mutant.literal.owner)
         tests = [*process.items]
         if not every:
-            tests = [test for test in candidates(mutant.literal, known) if function in known[test].entered]
+            functions = {function} if mutant.literal.kind == "function" else computing(mutant.literal)
+            tests = [test for test in candidates(mutant.literal, known) if functions & known[test].entered]
         tests = list(dict.fromkeys([*recent.get(str(function), []), *tests]))
         if not tests:
             continue
         usual = sum(known[test].seconds for test in tests if test in known)
-        outcome = process.run(tests, int(SLOWER * min(usual, 30.0) + AT_LEAST_S), mutant)
+        outcome = process.run(tests, int(min(FORK_SLOWER * usual, FORK_MOST_S) + FORK_LEAST_S), mutant)
         say(f"{number}/{len(mutants)} {outcome.result} in {outcome.seconds} s: {mutant} {outcome.killer}")
         result = KILLED if outcome.result == KILLED and outcome.killer else ESCAPED
         _append(path, {"key": mutant.key, "result": result, "killer": outcome.killer, "s": round(outcome.seconds, 1)})
@@ -190,30 +164,36 @@ def try_tests(mutants: Sequence[Mutant], tests: Sequence[str], say: Say, path: P
         now = recorded(path)
         for mutant in [mutant for mutant in left if now.get(mutant.key) == done.get(mutant.key)]:
             with shop.holding(mutant):
-                outcome = shop.run(tests, limit_s=NEAR_LIMIT_S)
+                outcome = shop.run(tests, limit_s=TRY_LIMIT_S)
             say(f"{outcome.result} in {outcome.seconds} s: {mutant} {outcome.killer}")
             if outcome.result == KILLED:
                 _append(path, {"key": mutant.key, "result": KILLED, "killer": outcome.killer, "s": outcome.seconds})
 
 
-def study(
-    mutants: Sequence[Mutant], say: Say, path: Path = RECORD, again: bool = False, near: bool = False, part: float = 0.0
-) -> None:
-    """Try mutants and record what becomes of them; those that are recorded only where they are to be tried again."""
+def study(mutants: Sequence[Mutant], say: Say, path: Path = RECORD, again: bool = False, part: float = 0.0) -> None:
+    """Try mutants and record what becomes of them; those that are recorded only where they are to be tried again.
+
+    Args:
+        mutants: what is tried.
+        say: told of each.
+        path: the record.
+        again: whether to try those that are recorded, too.
+        part: from 0 to 1, where among the tests this process begins to measure what several share.
+
+    Raises:
+        NotPassingError: tests cannot be collected.
+    """
     done = recorded(path)
-    left = [m for m in mutants if again or m.key not in done or (done[m.key]["result"] == ESCAPED and not near)]
+    left = [m for m in mutants if again or done.get(m.key, {}).get("result", ESCAPED) == ESCAPED]
     if not left:
         return
     with workshop() as shop:
-        known, sound = Map(), set[str]()
-        if not near:
-            measure(shop, say, part)
-            collected(shop, short_files(), lambda process: in_forks(process, left, say, path))
-            known, done = read_map(), recorded(path)
-            left = [mutant for mutant in left if done.get(mutant.key, {}).get("result") != KILLED]
+        measure(shop, say, part)
+        collected(shop, short_files(), lambda process: in_forks(process, left, say, path))
+        known, done = read_map(), recorded(path)
+        left = [mutant for mutant in left if done.get(mutant.key, {}).get("result") != KILLED]
         for number, mutant in enumerate(left, 1):
-            recent = nearby(mutant, done)
-            entry = judge_nearby(shop, mutant, recent, sound) if near else judge(shop, mutant, known, recent)
+            entry = judge(shop, mutant, known, nearby(mutant, done))
             _append(path, entry)
             done.pop(mutant.key, None)
             done[mutant.key] = entry
@@ -261,7 +241,7 @@ def counted(path: Path = RECORD) -> dict[str, Any]:
 
 
 def survivors(path: Path = RECORD) -> list[Mutant]:
-    """Return the mutants that no test kills, that run away, or that the tests beside them let live."""
+    """Return the mutants that no test kills, that run away, or that some tests let live."""
     done = recorded(path)
     return [m for m in all_mutants() if done.get(m.key, {}).get("result") in (SURVIVED, TIMEOUT, NOTHING, ESCAPED)]
 
@@ -304,7 +284,6 @@ def _parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--sample", type=int, metavar="N", help="N of all mutants, drawn by the seed")
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the sample (default {SEED})")
     parser.add_argument("--file", metavar="TEXT", default="", help="only files whose path has this in it")
-    parser.add_argument("--near", action="store_true", help="only the tests beside each mutant; the rest stays to do")
     parser.add_argument(
         "--tests", nargs="+", metavar="FILE", help="only with these files of tests; record what they kill"
     )
@@ -330,9 +309,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if asked.tests:
             try_tests(mutants, asked.tests, lambda text: print(text, flush=True))
         elif not asked.list:
-            study(
-                mutants, lambda text: print(text, flush=True), again=asked.survivors, near=asked.near, part=(k - 1) / n
-            )
+            study(mutants, lambda text: print(text, flush=True), again=asked.survivors, part=(k - 1) / n)
     except NotPassingError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

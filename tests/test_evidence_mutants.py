@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import subprocess
 import sys
@@ -12,7 +11,6 @@ from evidence import _mutant_names as naming
 from evidence import _mutant_tests as choosing
 from evidence import _mutants as mutants
 from evidence import mutation
-from evidence._mutant_runs import Outcome
 
 EXAMPLE = '''"""A module of 3 numbers."""
 GRAVITY = 9.81
@@ -160,48 +158,6 @@ def test_record_is_resumed(tmp_path, monkeypatch) -> None:
     mutation.study([first, second], pytest.fail, path)
 
 
-class _Shop:
-    """Runs nothing: tests that are in ``failing`` fail, with a mutant in the package or always."""
-
-    def __init__(self, failing: str, always: bool = False) -> None:
-        self.failing, self.always, self.mutant, self.runs = failing, always, None, []
-
-    @contextlib.contextmanager
-    def holding(self, mutant):
-        self.mutant = mutant
-        yield
-        self.mutant = None
-
-    def run(self, tests, limit_s=0, marks=""):
-        self.runs.append(list(tests))
-        if self.failing in tests and (self.mutant is not None or self.always):
-            return Outcome("killed", self.failing, 1.0)
-        return Outcome("survivor", "", 1.0)
-
-
-def test_near_asks_the_tests_beside_a_module_and_those_alone() -> None:
-    gust = next(item for item in mutants.all_mutants() if item.literal.file == "qrsim/models/atmosphere/gust.py")
-    shop = _Shop("tests/models/atmosphere/test_gust.py")
-    sound: set[str] = set()
-    entry = mutation.judge_nearby(shop, gust, [], sound)
-    assert (entry["result"], entry["killer"]) == ("killed", "tests/models/atmosphere/test_gust.py")
-    assert sound == {"tests/models/atmosphere/test_gust.py"}
-    assert shop.mutant is None
-    assert shop.runs[-1] == ["tests/models/atmosphere/test_gust.py"]  # the killer, seen to pass without the mutant
-
-    shop = _Shop("tests/models/gnss/test_orbits.py")
-    entry = mutation.judge_nearby(shop, gust, [], set())
-    assert (entry["result"], entry["killer"]) == ("escaped", "")
-    assert ["tests/models/gnss/test_orbits.py"] not in shop.runs
-
-
-def test_a_killer_that_fails_without_a_mutant_ends_the_study() -> None:
-    gust = next(item for item in mutants.all_mutants() if item.literal.file == "qrsim/models/atmosphere/gust.py")
-    shop = _Shop("tests/models/atmosphere/test_gust.py", always=True)
-    with pytest.raises(choosing.NotPassingError, match=r"test_gust\.py fails without a mutant"):
-        mutation.judge_nearby(shop, gust, [], set())
-
-
 def test_what_escaped_is_no_verdict(tmp_path) -> None:
     path = tmp_path / "mutation.jsonl"
     first = mutants.all_mutants()[0]
@@ -252,6 +208,18 @@ def test_who_computes_with_a_constant() -> None:
         item for item in mutants.all_mutants() if item.literal.file == file and item.literal.kind == "function"
     )
     assert (file, inside.literal.owner) in naming.computing(inside.literal)
+
+
+def test_constants_that_importing_does_not_compute_with() -> None:
+    """By hand: 0.1 m is used in a function alone; the defaults of a class hold what its presets said."""
+    found = {item.key[:2]: item.literal for item in mutants.all_mutants()}
+    clear = naming.constants(found["qrsim/models/sensors/neighbours.py", "_CLEAR = 0.1"])
+    assert clear is not None
+    assert [sorted(item.names) for item in clear] == [["_CLEAR"]]
+    preset = next(
+        item.literal for item in mutants.all_mutants() if item.literal.file == "qrsim/models/sensors/imu_presets.py"
+    )
+    assert naming.constants(preset._replace(kind="module")) is None
 
 
 IN_FORKS = """

@@ -1,6 +1,7 @@
 """What scenarios and programs may say: defaults and bounds of all parameters, as published in scenario_ranges.csv.
 
-Files of users rely on them. Who changes one changes the format: a row of the table, and a line of the changelog.
+Files of users rely on them, and on what presets stand for (scenario_presets.csv; data sheets are named where presets are
+defined). Who changes one changes the format: a row of the table, and a line of the changelog.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ PARTS = (
     *(multirotor.MotorCommand.of_count(4), rover.SteeringCommand, rover.WheelCommand),
     *(getattr(interference, name) for name in ("Jammer", "Disc", "Spoofer", "Outage", "IonoStorm")),
 )
+PRESETS = Path(__file__).with_name("scenario_presets.csv")
 COLUMNS = ("component", "parameter", "unit", "default", "minimum", "maximum", "above")
 
 
@@ -82,3 +84,38 @@ def test_defaults_and_bounds_are_the_published_ones() -> None:
     now = found()
     assert sorted(set(now) - set(published)) == [], "no such row in scenario_ranges.csv"
     assert sorted(set(published) - set(now)) == [], "a row of scenario_ranges.csv that holds no longer"
+
+
+def _numbers(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    """Yield the numbers of a preset's value, with a name each."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _numbers(f"{name}.{key}", item)
+    elif isinstance(value, tuple | list):
+        for place, item in enumerate(value):
+            yield from _numbers(f"{name}[{place}]", item)
+    elif _text(value):
+        # Of a quotient, the last digits are the machine's.
+        yield name, f"{value:.12g}"
+
+
+def presets() -> list[tuple[str, ...]]:
+    """Return component, preset, parameter and value of the numbers that presets of built-in components stand for."""
+    rows = []
+    for kind, group in sorted(vars(catalogue).items()):
+        if kind.isupper() and isinstance(group, dict):
+            for name, component in sorted(group.items()):
+                for preset, values in getattr(component, "presets", {}).items() if ":" not in name else ():
+                    for parameter, value in values.items():
+                        rows += [(f"{kind.lower()}/{name}", preset, *item) for item in _numbers(parameter, value)]
+    return rows
+
+
+def test_presets_are_the_published_ones() -> None:
+    with PRESETS.open(encoding="utf-8", newline="") as file:
+        header, *published = (tuple(row) for row in csv.reader(file))
+    assert header == ("component", "preset", "parameter", "value")
+    assert len(published) > 300
+    now = presets()
+    assert sorted(set(now) - set(published)) == [], "no such row in scenario_presets.csv"
+    assert sorted(set(published) - set(now)) == [], "a row of scenario_presets.csv that holds no longer"
