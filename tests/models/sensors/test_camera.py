@@ -28,7 +28,10 @@ def lying(places: list[tuple[float, float]], found_tick: int = -1) -> PersonsSta
     north, east = np.array(places, np.float32).reshape(-1, 2).T
     count = len(places)
     return PersonsState(
-        north, east, np.ones(count, bool), np.full(count, found_tick, np.int32)  # type: ignore[arg-type]
+        north,
+        east,
+        np.ones(count, bool),
+        np.full(count, found_tick, np.int32),  # type: ignore[arg-type]
     )
 
 

@@ -41,9 +41,7 @@ def test_signs_and_angles(sensor: Any) -> None:
     assert found["flow"] == pytest.approx((0.01, -0.004), abs=1e-7)
     np.testing.assert_allclose(found["turned"], [0.01, -0.004, 0.018], rtol=1e-5)
     # Tilted by 0.4 rad the ground is 10 m/cos 0.4 away.
-    assert seen(sensor, (3.0, 0.0, 0.0), roll=0.4)["flow"][1] == pytest.approx(
-        0.006 * math.cos(0.4), rel=1e-5
-    )
+    assert seen(sensor, (3.0, 0.0, 0.0), roll=0.4)["flow"][1] == pytest.approx(0.006 * math.cos(0.4), rel=1e-5)
     # A roof 4 m high is nearer.
     roof = solids((-5.0, 5.0, -5.0, 5.0, -4.0, 0.0))
     assert seen(sensor, (3.0, 0.0, 0.0), obstacles=roof)["flow"][1] == pytest.approx(0.01, rel=1e-5)
