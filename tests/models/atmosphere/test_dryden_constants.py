@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import decimal
 from decimal import Decimal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +23,8 @@ from qrsim.models.atmosphere.dryden import (
 )
 
 FOOT = 0.3048
-# MIL-F-8785C, figure 7, as JSBSim (FGWinds.cpp) and the documentation of Simulink's Dryden block tabulate its curves:
-# heights [ft], and sigma [ft/s] of the curves 1 (light) to 7.
+# MIL-F-8785C, figure 7, as JSBSim tabulates its curves (FGWinds.cpp): heights [ft], and sigma [ft/s] of the curves 1
+# (light) to 7.
 FEET = (500.0, 1750.0, 3750.0, 7500.0, 15000.0, 25000.0, 35000.0, 45000.0, 55000.0, 65000.0, 75000.0, 80000.0)
 FIGURE_7 = {
     1: (3.2, 2.2, 1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
@@ -42,6 +43,13 @@ def test_figure_7_is_as_printed_and_linear_between_its_heights(severity: int) ->
     expected = np.interp(feet, FEET, FIGURE_7[severity]) * FOOT
     found = severity_sigma(jnp.asarray(feet * FOOT, jnp.float32), severity)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+
+
+@jax.jit
+def last_factor(x: Any, ratio: Any) -> Any:
+    """Return l33 (n,) of steps and ratios (n,)."""
+    of = exponential_decay(x)
+    return third_row(x, ratio, of, exponential_decay(x * ratio), second_order(x, of)).l33
 
 
 def moment(rate: Decimal, power: int, x: Decimal) -> Decimal:
@@ -73,19 +81,15 @@ RATIOS = (33 / 32, 3 / 4, 1 / 2, 1 / 16, 2.0, 4.0, 16.0)
 def test_last_noise_of_the_angular_gust_has_all_digits_of_double_precision() -> None:
     """A fifth of the smallest term of the eighth order would change it by 7e-14; the terms left out have 3e-14."""
     with jax.enable_x64(True):
-        x, ratio = jnp.asarray(np.array(STEPS)), jnp.asarray(np.array(RATIOS))
-        of = exponential_decay(x)
-        found = np.asarray(third_row(x, ratio, of, exponential_decay(x * ratio), second_order(x, of)).l33)
+        found = np.asarray(last_factor(np.array(STEPS), np.array(RATIOS)))
     exact = np.array([last_noise(*pair) for pair in zip(STEPS, RATIOS, strict=True)])
     np.testing.assert_allclose(found / exact - 1.0, 0.0, rtol=0.0, atol=3.5e-14)
 
 
 def test_last_noise_does_not_vanish_at_the_smallest_steps() -> None:
     """A variance of x^5/360 16 = 4e-37 in units of the gust's is replaced by 1e-24, whose root has a slope."""
-    x = jnp.full((1,), 1e-7, jnp.float32)
-    of = exponential_decay(x)
-    row = third_row(x, jnp.ones(1, jnp.float32), of, of, second_order(x, of))
-    assert float(row.l33[0]) == pytest.approx(1e-12, rel=1e-5)
+    found = last_factor(np.full(7, 1e-7, np.float32), np.ones(7, np.float32))
+    np.testing.assert_allclose(found, 1e-12, rtol=1e-5)
 
 
 def test_a_normal_for_each_number_of_the_state() -> None:
