@@ -59,7 +59,7 @@ Say = Callable[[str], None]
 
 
 def recorded(path: Path = RECORD) -> dict[Key, Entry]:
-    """Return what has been tried; the last line of a mutant counts, and half a line none."""
+    """Return what has been tried; the last verdict on a mutant counts, and half a line not at all."""
     found: dict[Key, Entry] = {}
     for line in path.read_text("utf-8").splitlines() if path.is_file() else ():
         try:
@@ -67,7 +67,11 @@ def recorded(path: Path = RECORD) -> dict[Key, Entry]:
             file, text, ordinal, column, mutation = entry["key"]
         except (ValueError, KeyError, TypeError):
             continue  # of a process that was ended while it wrote
-        found[file, text, ordinal, column, mutation] = entry
+        key = (file, text, ordinal, column, mutation)
+        # That some tests let it live takes back no kill by others.
+        if entry["result"] != ESCAPED or found.get(key, entry)["result"] != KILLED:
+            found.pop(key, None)
+            found[key] = entry
     return found
 
 

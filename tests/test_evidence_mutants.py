@@ -165,6 +165,11 @@ def test_what_escaped_is_no_verdict(tmp_path) -> None:
     counts = mutation.counted(path)
     assert (counts["tried"], counts["escaped"], counts["survivors"]) == (0, 1, 0)
     assert mutation.survivors(path) == [first]
+    # Nor does it take back what another process has found meanwhile; a survivor does.
+    for result, killed in (("killed", 1), ("escaped", 1), ("survivor", 0)):
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"key": first.key, "result": result, "killer": "tests/a.py::test"}) + "\n")
+        assert mutation.counted(path)["killed"] == killed
 
 
 def test_wrong_shards_are_refused(capsys) -> None:
