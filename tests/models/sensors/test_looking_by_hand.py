@@ -26,7 +26,9 @@ class Normals:
     """Draws of which the r-th row of normals is (r + 1) times a step, and every chance is the same."""
 
     def __init__(self, vehicles: int, step: float = 0.0, chance: float = 0.5) -> None:
-        self.vehicles, self.step, self.asked = vehicles, step, []  # type: ignore[var-annotated]
+        self.vehicles, self.step = vehicles, step
+        self.asked: list[tuple[int, int]] = []
+        self.pairs: list[int] = []
         # Uniform numbers of variance 1 are within the root of 3.
         self.spread = (2.0 * chance - 1.0) * math.sqrt(3.0)
 
@@ -36,6 +38,7 @@ class Normals:
         return jnp.asarray(np.repeat(rising[:, None], self.vehicles, axis=1), jnp.float32)
 
     def uniform_pairs(self, pairs: Any) -> Any:
+        self.pairs.append(len(pairs))
         return (jnp.full((len(pairs), self.vehicles), self.spread, jnp.float32),) * 2
 
 
@@ -105,6 +108,8 @@ def test_noise_of_a_reading_by_hand() -> None:
     own = both.position_ned.map(lambda axis: axis[:1])
     found, _ = sensor.look(draw, own, level(1), solids(), DEEP, both)  # type: ignore[arg-type]
     assert draw.asked == [(12, 0)]
+    # A chance for each slot to be missed, and four for a false alarm: whether, and where.
+    assert draw.pairs == [3]
     # Spread 1 + 0.1 d; normals 0.1 and 0.2 for the two.
     assert [float(item[0]) for item in found.distance] == pytest.approx([10.0 + 2.0 * 0.1, 20.0 + 3.0 * 0.2])
     # Normals 0.7 to 1.2 times 2 m/s: the first of each pair for the nearer one.
@@ -172,8 +177,12 @@ def measured(given: dict[str, Any], chance: float, box: tuple[float, ...] = (), 
     both = traffic([[0.0, 0.0, -20.0], [10.0, 0.0, -20.0]])
     sensor = Ranging(**{**SURE, **given})
     draw = Normals(2, step, chance)
-    _, found = sensor.init(draw, both.position_ned, solids(box), DEEP, both)  # type: ignore[arg-type]
-    assert all(first in (0, 3) for _, first in draw.asked)
+    state, found = sensor.init(draw, both.position_ned, solids(box), DEEP, both)  # type: ignore[arg-type]
+    # After those of the ranges to both and one more, two for each path.
+    assert draw.asked == ([(4, 3), (2, 0)] if box else [(2, 0)])
+    draw.asked.clear()
+    sensor.step(state, draw, both.position_ned, solids(box), DEEP, both)  # type: ignore[arg-type]
+    assert draw.asked == ([(4, 3), (2, 0)] if box else [(2, 0)])
     return float(found.vehicle_range[1][0])
 
 
@@ -183,7 +192,7 @@ WALL = (4.0, 6.0, -1.0, 1.0, -30.0, 0.0)
 @pytest.mark.parametrize(
     ("given", "share", "box"),
     [({"dropouts": 0.3}, 0.7, ()), ({"dropouts": 0.1, "nlos_dropouts": 0.5}, 0.45, WALL),
-     ({"dropouts": 0.1, "nlos_dropouts": 0.5}, 0.9, ()),
+     ({"dropouts": 0.1, "nlos_dropouts": 0.5}, 0.9, (4.0, 6.0, 5.0, 7.0, -30.0, 0.0)),
      # 1 / (1 + e^x): half at the largest range, 1 / (1 + 1 / e) one metre before it, none beyond.
      ({"range_max": 10.0}, 0.5, ()), ({"range_max": 11.0}, 0.731059, ()), ({"range_max": 9.0}, 0.268941, ())],
 )  # fmt: skip

@@ -8,14 +8,15 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_imu import CLEAN, chip, vector, zeros
+from test_imu import chip, steps, vector, zeros
 from test_optical_flow import seen
 from test_rangefinder import read
 
 from qrsim.core.noise import Drawn
-from qrsim.core.vectors import Vec3
+from qrsim.core.tree import cast
+from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.sensors import optical_flow, rangefinder
-from qrsim.models.sensors.airspeed import Airspeed
+from qrsim.models.sensors.airspeed import Airspeed, IdealAirspeed
 from qrsim.models.sensors.attitude import AttitudeEstimator
 from qrsim.models.sensors.barometer import Barometer
 from qrsim.models.sensors.concentration import ConcentrationSensor
@@ -99,10 +100,14 @@ class TestImu:
 
     def test_normals_of_a_start_by_their_place(self) -> None:
         """The 52nd is a tenth of the phase, the next six are white noise over the root of the period."""
-        chips = chip(gyroscope_noise=0.3, accelerometer_noise=0.5, vibration="rotors", period=0.04)
         draw = self.normals(58, n51=0.07, n52=1.0, n57=-2.0)
-        state, found = chips.init(draw, vector(0, 0, 0), vector(0, 0, 0), Load(np.zeros(1), np.ones(1)))  # type: ignore[arg-type]
+        state, _ = chip(vibration="rotors").init(draw, vector(0, 0, 0), vector(0, 0, 0), LOAD)
+        assert float(state.phase[0]) != 0.0
+        weightless = Load(np.zeros(1), np.ones(1))  # type: ignore[arg-type]
+        state, _ = chip(vibration="rotors").init(draw, vector(0, 0, 0), vector(0, 0, 0), weightless)
         assert float(state.phase[0]) == pytest.approx(-0.3, abs=1e-6)
+        chips = chip(gyroscope_noise=0.3, accelerometer_noise=0.5, period=0.04)
+        _, found = chips.init(draw, vector(0, 0, 0), vector(0, 0, 0), LOAD)
         assert float(found.rates_body.x[0]) == pytest.approx(0.3 / 0.2, rel=1e-5)
         assert float(found.specific_force.z[0]) == pytest.approx(-2.0 * 0.5 / 0.2, rel=1e-5)
 
@@ -136,7 +141,50 @@ class TestImu:
 
     def test_steps_of_a_chip_that_samples_more_slowly_than_it_is_read(self) -> None:
         """They are those of a sample, not larger ones; of 4 samples a reading, a quarter."""
-        for rate, step in ((10.0, 0.1), (80.0, 0.025)):
-            given = {**CLEAN, "gyroscope_resolution": 0.1, "sample_rate": rate, "period": 0.05}
-            _, found = Imu(**given).init(zeros(58), vector(0.0301, 0, 0), vector(0, 0, 0), LOAD)  # type: ignore[arg-type]
-            assert float(found.rates_body.x[0]) == pytest.approx(round(0.0301 / step) * step, abs=1e-6)
+        for rate, read_as in ((10.0, 0.1), (80.0, 0.125)):
+            given = {"gyroscope_resolution": 0.1, "sample_rate": rate, "period": 0.05}
+            _, found = chip(**given).init(zeros(58), vector(0.13, 0, 0), vector(0, 0, 0), LOAD)
+            assert float(found.rates_body.x[0]) == pytest.approx(read_as, abs=1e-6)
+
+    def test_coning_with_the_step_before(self) -> None:
+        """A sixth of the last step, (0.1, 0, 0), crossed with half of (0.05, 0.1, 0): 1/1200 rad about z."""
+        rates = [(1.0, 0.0, 0.0), (0.0, 2.0, 0.0)]
+        (found,) = steps(chip(period=0.1), rates, [(0.0, 0.0, 0.0)] * 2)
+        np.testing.assert_allclose(found[6:9], [0.05, 0.1, 1.0 / 1200.0], rtol=1e-5)
+
+
+def test_an_ideal_airspeed_has_the_dynamic_pressure() -> None:
+    """Half of 1.225 kg/m^3 times the square of 20 m/s at sea level: 245 Pa."""
+    level = Euler(*(np.zeros(1, np.float32),) * 3)  # type: ignore[arg-type]
+    _, found = IdealAirspeed().init(zeros(0), vector(0, 0, 0), level, vector(20, 0, 0), vector(0, 0, 0))
+    assert float(found.differential_pressure[0]) == pytest.approx(245.0, rel=1e-4)
+
+
+def test_below_the_ground_rotors_press_no_harder_than_on_it() -> None:
+    sensor = PressureAltimeter(rotor_wash=1.0, ground_effect=2.0, rotor_diameter=0.5)  # type: ignore[arg-type]
+    found = [float(sensor._by_rotors(jnp.array(height))) for height in (-1.0, 0.0, 0.25, 1.0)]
+    assert found == pytest.approx([3.0, 3.0, 1.5, 1.0])
+
+
+class TestMagnetometer:
+    def compass(self, **given: float) -> Magnetometer:
+        quiet = dict.fromkeys(("hard_iron", "soft_iron", "scale", "misalignment", "drift_std", "noise"), 0.0)
+        found: Magnetometer = cast(
+            Magnetometer(**{**quiet, "resolution": 0.0, "interference": 0.0, **given}), np.float32
+        )
+        return found
+
+    def test_interference_too_small_to_have_a_direction(self) -> None:
+        """It has all of its strength down to a direction of a millionth."""
+        draw = Drawn(tuple(np.full(1, 1.1e-6 if place == 18 else 0.0, np.float32) for place in range(27)))  # type: ignore[misc]
+        level = Euler(*(np.zeros(1, np.float32),) * 3)  # type: ignore[arg-type]
+        state, _ = self.compass(interference=3.0).init(draw, vector(0, 0, 0), level, LOAD)
+        assert float(state.current.x[0]) == pytest.approx(3.0, rel=1e-5)
+
+    def test_steps_of_slow_samples(self) -> None:
+        """Of half a sample a reading they are whole, 7 uT of a field of 19.4; of 4 samples a quarter."""
+        level = Euler(*(np.zeros(1, np.float32),) * 3)  # type: ignore[arg-type]
+        for rate, read_as in ((5.0, 21.0), (40.0, 19.25)):
+            sensor = self.compass(resolution=7.0, sample_rate=rate, period=0.1)
+            _, found = sensor.init(zeros(27), vector(0, 0, 0), level, LOAD)
+            assert float(found.field_body.x[0]) == pytest.approx(read_as, abs=1e-5)
