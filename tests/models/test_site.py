@@ -129,6 +129,9 @@ def test_geodetic_arguments_broadcast() -> None:
     [
         ((51.7, 0.0, 0.0), r"site\.latitude_rad: 51\.7 .*from_degrees"),
         ((0.5, -170.0, 0.0), r"site\.longitude_rad: -170"),
+        # Just beyond the pole, and beyond a turn.
+        ((1.571, 0.0, 0.0), r"site\.latitude_rad: 1\.571"),
+        ((0.5, -6.284, 0.0), r"site\.longitude_rad: -6\.284"),
         ((math.nan, 0.0, 0.0), "latitude_rad: nan"),
         ((0.5, 0.0, math.inf), "height: inf"),
     ],

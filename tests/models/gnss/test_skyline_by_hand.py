@@ -116,6 +116,16 @@ def test_detours_from_behind(away: float, detour: int) -> None:
     assert found[3] == (round(ceiling) if detour else 0)
 
 
+@pytest.mark.parametrize(("ends", "opposite"), [([[10, -400], [10, 400]], 32), ([[-400, 10], [400, 10]], 48)])
+def test_a_wall_along_an_axis_mirrors_to_every_direction_before_it(ends: Any, opposite: int) -> None:
+    """10 m to the north, or to the east: 20 m times the cosine of the angle to its normal, from the south or west."""
+    found = table_of(ends, 60.0, (0.0, 0.0))[0, 0, 0, :, 2]
+    steps = np.arange(-15, 16)
+    expected = np.zeros(64)
+    expected[(opposite + steps) % 64] = np.round(20.0 * np.cos(np.radians(5.625 * steps)))
+    np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize(("away", "horizon"), [(0.0005, 0), (0.0009, 0), (0.0011, 255), (0.01, 255)])
 def test_a_wall_nearer_than_a_millimetre_is_stood_on(away: float, horizon: int) -> None:
     assert table_of([[away, -9.0], [away, 9.0]], 20.0, (0.0, 0.0))[0, 0, 0, 0, 0] == horizon

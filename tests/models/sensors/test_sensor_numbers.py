@@ -153,6 +153,14 @@ class TestImu:
         np.testing.assert_allclose(found[6:9], [0.05, 0.1, 1.0 / 1200.0], rtol=1e-5)
 
 
+def test_noise_of_a_flow_in_the_dark_that_counts_all_the_same() -> None:
+    """At quality 0 it is that of a good picture, 0.3 rad/s for 0.02 s."""
+    dark: Any = {"noise_rate": 0.3, "gyroscope_noise": 0.0, "quality_min": 0.0, "illuminance": 0.0}
+    found = seen(OpticalFlow(**dark), height=10.0, normals=(1.0, 0.0, 0.0, 0.0, 0.0))
+    assert (found["quality"], found["status"]) == (0.0, 0)
+    assert found["flow"][0] == pytest.approx(0.006, rel=1e-5)
+
+
 def test_an_ideal_airspeed_has_the_dynamic_pressure() -> None:
     """Half of 1.225 kg/m^3 times the square of 20 m/s at sea level: 245 Pa."""
     level = Euler(*(np.zeros(1, np.float32),) * 3)  # type: ignore[arg-type]
