@@ -258,3 +258,7 @@ class TestAvoidance:
     def test_a_tenth_of_a_metre_a_second_less_outside_is_better(self) -> None:
         """10.07 m/s are asked for: the wish of 2.89 m/s is outside by 7.18, full speed by 7.07 m/s."""
         np.testing.assert_allclose(nearest([[10.07, 0.0]], [[1.0, 0.0]], 2.89, 3.0), [3.0, 0.0], atol=1e-5)
+
+    def test_a_centimetre_a_second_less_outside_is_better_in_single_precision(self) -> None:
+        """10 m/s are asked for: a wish of 2.99 m/s is outside by 7.01, full speed by 7 m/s."""
+        np.testing.assert_allclose(nearest([[10.0, 0.0]], [[1.0, 0.0]], 2.99, 3.0), [3.0, 0.0], atol=1e-5)

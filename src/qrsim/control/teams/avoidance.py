@@ -104,9 +104,10 @@ def nearest_velocity(planes: HalfPlanes, north: Array, east: Array, speed: Array
     outside = jnp.max(planes.depth(tried_north, tried_east), axis=1)
     allowed = finite & (tried_north**2 + tried_east**2 <= (speed + _EDGE) ** 2)
     distance = (tried_north - north[None]) ** 2 + (tried_east - east[None]) ** 2
-    inside = allowed & (outside <= _EDGE)
-    # In two ranks: whatever is allowed comes before what is not.
-    rank = jnp.where(inside, distance, jnp.where(allowed, 1e6 + jnp.maximum(outside, 0.0), jnp.inf))
+    inside = jnp.where(allowed & (outside <= _EDGE), distance, jnp.inf)
+    # Whatever is allowed comes before what is not.
+    nothing = jnp.min(inside, axis=0) == jnp.inf
+    rank = jnp.where(nothing[None], jnp.where(allowed, jnp.maximum(outside, 0.0), jnp.inf), inside)
     best = jnp.min(rank, axis=0)
     count = tried_north.shape[0]
     number = jnp.arange(count, dtype=jnp.int32)[:, None]

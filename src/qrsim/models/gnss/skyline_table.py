@@ -25,6 +25,8 @@ LEVELS, GROWTH = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0), 1.45
 BLOCK = 16
 # A wall nearer than this [m] is the one that the receiver stands on.
 _TOUCHING = 1e-3
+# Of a bin's width: more than rounding moves a ray.
+_EDGE = 1e-6
 _NONE = np.iinfo(np.uint32).max
 
 
@@ -188,7 +190,8 @@ def _block(
         along = np.arctan2(edge[wall, 1], edge[wall, 0]) - step * azimuth
         detour = 2.0 * distance * np.sin(along) ** 2
         # The mirrored direction of a ray at azimuth a, by a wall along b, is 2 b - a.
-        back = cell * count + np.floor((2.0 * along + step * azimuth) / step).astype(np.int64) % count
+        # Of walls along an axis it is the edge of a bin, on one side of which all rays have to end, or bins stay empty.
+        back = cell * count + np.floor((2.0 * along + step * azimuth) / step + _EDGE).astype(np.int64) % count
         index = np.arange(len(place))
         for level, height in enumerate(frame.levels):
             over = top[wall] - height
