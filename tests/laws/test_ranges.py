@@ -1,7 +1,7 @@
 """What scenarios and programs may say: defaults and bounds of all parameters, as published in scenario_ranges.csv.
 
-Files of users rely on them, and on what presets stand for (scenario_presets.csv; data sheets are named where presets are
-defined). Who changes one changes the format: a row of the table, and a line of the changelog.
+Files of users rely on them, and on what presets stand for (scenario_presets.csv; data sheets are named where presets
+are defined). Who changes one changes the format: a row of the table, and a line of the changelog.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from qrsim.models.scene.traffic import Traffic
 from qrsim.models.sensors import neighbours, ranging
 from qrsim.models.sensors.neighbours import IdealNeighbours, NeighbourSensor
 from qrsim.models.sensors.ranging import Ranging
+from qrsim.models.sensors.scan import spheres_met
 
 Array = np.ndarray[Any, Any]
 DEEP: Any = FlatGround(height=np.float32(-100.0))  # type: ignore[arg-type]
@@ -206,3 +208,16 @@ def test_bias_behind_something() -> None:
     """Half the sum of the squares of the normals of rows 5 and 7, times the mean: 0.5 (0.25 + 0.49) 2 = 0.74 m."""
     assert measured({"nlos_bias": 2.0, "nlos_dropouts": 0.0}, 0.1, WALL, 0.1) == pytest.approx(10.74, rel=1e-5)
     assert measured({"nlos_bias": 2.0, "nlos_dropouts": 0.0}, 0.1, (), 0.1) == pytest.approx(10.0)
+
+
+def test_a_ray_that_meets_nobody_has_slopes() -> None:
+    """Of one that looks north past another in the east: no distance, and none that changes."""
+
+    def met(north: Any) -> Any:
+        both = traffic([[0.0, 0.0, -20.0], [0.0, 50.0, -20.0]])
+        own = Vec3(north, jnp.zeros(1), jnp.full(1, -20.0))
+        ahead = Vec3(*(jnp.full((1, 1), axis) for axis in (1.0, 0.0, 0.0)))
+        distance = spheres_met(both, own, ahead)
+        return jnp.sum(jnp.where(jnp.isfinite(distance), distance, 0.0))
+
+    assert np.asarray(jax.jit(jax.grad(met))(jnp.zeros(1))).tolist() == [0.0]

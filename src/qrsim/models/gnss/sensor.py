@@ -113,9 +113,12 @@ class Gnss(Sensor):
     smoothing_time: Array = _number("smoothing_time", "s", "time constant of the second lag", positive=True)
     acquisition: Array = _number("acquisition", "s", "time until a satellite that comes into view is used")
     entry: Array = _number("entry", "s", "time in which its weight grows to the full one", positive=True)
-    reacquisition: Array = _number("reacquisition", "s", "time until one that was hidden or jammed is used again")
+    # Longer ones would be ages that geometry.py takes for those of satellites that are not seen.
+    reacquisition: Array = _number(
+        "reacquisition", "s", "time until one that was hidden or jammed is used again", most=500.0
+    )
     reacquisition_long: Array = _number(
-        "reacquisition_long", "s", "the same, of one that was so for more than a minute"
+        "reacquisition_long", "s", "the same, of one that was so for more than a minute", most=500.0
     )
     coast: Array = _number("coast", "s", "time for which it goes on without enough satellites")
     float_time: Array = _number(
