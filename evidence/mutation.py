@@ -232,6 +232,7 @@ def counted(path: Path = RECORD) -> dict[str, Any]:
     mutants, done = all_mutants(), recorded(path)
     results = Counter(done[mutant.key]["result"] for mutant in mutants if mutant.key in done)
     tried = results.total() - results[ESCAPED]
+    seconds = sum(done[mutant.key].get("s", 0.0) for mutant in mutants if mutant.key in done)
     return {
         "mutants": len(mutants),
         "tried": tried,
@@ -240,7 +241,7 @@ def counted(path: Path = RECORD) -> dict[str, Any]:
         "timeouts": results[TIMEOUT],
         "escaped": results[ESCAPED],
         "killed_percent": round(100.0 * results[KILLED] / max(tried, 1), 1),
-        "hours_of_runs": round(sum(done[mutant.key].get("s", 0.0) for mutant in mutants if mutant.key in done) / 3600.0, 1),
+        "hours_of_runs": round(seconds / 3600.0, 1),
         "left_out": left_out(),
     }
 
