@@ -27,7 +27,7 @@ NARROWEST = 1.0
 SIDES = 16
 LARGEST = 256 * 2**20
 # Of the table's making: another one makes other files. Small tables are not worth one.
-VERSION, LEAST_KEPT = 1, 2**20
+VERSION, LEAST_KEPT = 2, 2**20
 
 
 class _Plan(NamedTuple):
