@@ -20,7 +20,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytest
 from platformdirs import user_cache_path
@@ -108,14 +108,11 @@ class Workshop:
             # With its time, by which byte code is found to be that of the file.
             shutil.copy2(SOURCE / file, self.source / file)
 
-    def run(
-        self, tests: Sequence[str], watched: bool = False, limit_s: int = LIMIT_S, marks: str = "not long"
-    ) -> Outcome:
+    def run(self, tests: Sequence[str], limit_s: int = LIMIT_S, marks: str = "not long") -> Outcome:
         """Run tests, files or single ones, until one fails.
 
         Args:
             tests: for pytest, relative to the root of the project.
-            watched: whether to find which functions are entered.
             limit_s: seconds of the processor.
             marks: which tests of files; single ones are run whatever they are.
         """
@@ -125,7 +122,7 @@ class Workshop:
         child = os.fork()
         if child == 0:
             words = [*([] if all("::" in test for test in tests) else ["-m", marks]), *tests]
-            _in_child(self.source, self.folder, told, words, watched, limit_s)
+            _in_child(self.source, self.folder, told, words, limit_s)
         status, ended = waited(child, limit_s * PATIENCE)
         seconds = round(time.monotonic() - began, 1)
         if not ended or (os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL)):
@@ -134,12 +131,11 @@ class Workshop:
             return Outcome(KILLED, tests[0], seconds)  # the process fell over
         report = json.loads(told.read_text("utf-8"))
         code = report["code"]
-        entered = tuple((file, name) for file, name in report["entered"])
         if code == _PASSED:
-            return Outcome(SURVIVED, "", seconds, entered)
+            return Outcome(SURVIVED, "", seconds)
         if code in (_NO_TESTS, _USAGE):  # of usage: there is no such test any more
-            return Outcome(NOTHING, "", seconds, entered)
-        return Outcome(KILLED, report["killer"] or tests[0], seconds, entered)
+            return Outcome(NOTHING, "", seconds)
+        return Outcome(KILLED, report["killer"] or tests[0], seconds)
 
 
 def cache() -> Path:
@@ -186,7 +182,7 @@ def waited(child: int, patience_s: float) -> tuple[int, bool]:
     return os.waitpid(child, 0)[1], False
 
 
-def _in_child(source: Path, folder: Path, told: Path, tests: Sequence[str], watched: bool, limit_s: int) -> None:
+def _in_child(source: Path, folder: Path, told: Path, tests: Sequence[str], limit_s: int) -> None:
     """Run the tests and end the process."""
     code: int = _INTERNAL
     try:
@@ -199,33 +195,14 @@ def _in_child(source: Path, folder: Path, told: Path, tests: Sequence[str], watc
         os.dup2(output, 2)
         os.chdir(ROOT)
         sys.path.insert(0, str(source))
-        # Of the copy as it is; what is changed is newer than that, and its own is not kept.
-        sys.dont_write_bytecode = watched is False
-        watch, entered = _Watch(), _watching(source) if watched else set()
+        # What is changed is not kept.
+        sys.dont_write_bytecode = True
+        watch = _Watch()
         options = ["-x", "-q", "-p", "no:cacheprovider", "--durations=0", "--no-header"]
         code = int(pytest.main([*options, f"--basetemp={folder / 'basetemp'}", *tests], plugins=[watch]))
-        sys.setprofile(None)
         qrsim = sys.modules.get("qrsim")
         assert qrsim is None or str(qrsim.__file__).startswith(str(source)), qrsim
-        report: dict[str, Any] = {"code": code, "killer": watch.killer, "entered": sorted(entered)}
-        told.write_text(json.dumps(report), "utf-8")
+        told.write_text(json.dumps({"code": code, "killer": watch.killer}), "utf-8")
         sys.stdout.flush()
     finally:
         os._exit(code)
-
-
-def _watching(source: Path) -> set[tuple[str, str]]:
-    """Note every function of the package that is entered from now on."""
-    entered: set[tuple[str, str]] = set()
-    seen: set[Any] = set()
-    prefix = str(source) + os.sep
-
-    def note(frame: Any, event: str, _: Any) -> None:
-        if event == "call" and frame.f_code not in seen:
-            seen.add(frame.f_code)
-            if frame.f_code.co_filename.startswith(prefix):
-                name = frame.f_code.co_qualname.replace(".<locals>", "")
-                entered.add((frame.f_code.co_filename.removeprefix(prefix), name))
-
-    sys.setprofile(note)
-    return entered

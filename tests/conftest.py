@@ -37,6 +37,13 @@ def resident_bytes() -> int:
     return int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if status.is_file() else 0
 
 
+@pytest.fixture
+def double_precision() -> Iterator[None]:
+    """Compute in double precision: ``pytestmark = pytest.mark.usefixtures("double_precision")``."""
+    with jax.enable_x64(True):
+        yield
+
+
 @pytest.fixture(scope="session")
 def recordings() -> Path:
     """The folder of recordings; skips where it is absent."""

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.models.by_hand import Given, words
 
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.contracts import Wind as MeanWind
@@ -30,31 +31,6 @@ from qrsim.models.scene.plume import (
 from qrsim.models.scene.terrain import PatchyGround, TerrainState
 
 AREA = BoxArea(0.0, 100.0, 200.0, 300.0, -50.0, 0.0)  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True)
-class Given:
-    """A draw and its stream of words (K, n) that are given by the number of the draw, at the ends those there."""
-
-    table: Any
-    tick: int = 0
-
-    @property
-    def like(self) -> Any:
-        return np.zeros((), np.float32)
-
-    @property
-    def stream(self) -> Given:
-        return self
-
-    def words(self, tick: Any, index: Any) -> tuple[Any, Any]:
-        word = jnp.asarray(self.table)[min(max(index, 0), self.table.shape[0] - 1)]
-        return word, word
-
-
-def words(parts: Any) -> Any:
-    """Return the words (32 bits) of parts of 1."""
-    return (np.asarray(parts) * 2.0**32).astype(np.uint32)
 
 
 def test_the_inner_part_of_a_box_has_its_middle() -> None:

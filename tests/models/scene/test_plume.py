@@ -50,10 +50,7 @@ def at(along: Array, across: Array, height: Array, towards_rad: float = 0.6) -> 
     return Vec3(north.ravel(), east.ravel(), -height.ravel())  # type: ignore[arg-type]
 
 
-@pytest.fixture(autouse=True)
-def _double() -> Any:
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 NOW = np.float64(0.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import jax
@@ -25,10 +24,7 @@ from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
 TILT, YAW = -4.363323129985824e-04, -2.1721547642e-03
 
 
-@pytest.fixture(autouse=True)
-def _double() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def vector(*values: float) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.models.by_hand import many
 
 from qrsim.core.noise import Drawn
 from qrsim.core.tree import cast, record
@@ -27,15 +27,7 @@ from qrsim.models.vehicles.process_noise import white_accelerations
 from qrsim.models.vehicles.recorded_path import PathFile, RecordedPath
 from qrsim.models.vehicles.wake import Wake, jet_velocity
 
-
-@pytest.fixture(autouse=True)
-def _double() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
-
-
-def many(*values: float) -> Any:
-    return jnp.asarray(values, float)
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 @pytest.mark.parametrize(

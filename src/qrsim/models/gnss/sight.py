@@ -69,7 +69,7 @@ def sight_of(satellites_ned: Vec3) -> Sight:
     cosine = jnp.sqrt(jnp.maximum(1.0 - sine * sine, 0.0))
     low = (EARTH_KM / SHELL_KM) * cosine
     shell_sine = jnp.sqrt(1.0 - low * low)
-    # Along the ray to the shell, and over the ground: an angle at the Earth's centre of 0.2 rad at most.
+    # Along the ray to the shell, and over the ground: an angle at the Earth's centre of 0.28 rad at most.
     across = (SHELL_KM * shell_sine - EARTH_KM * sine) * cosine * (1.0 / SHELL_KM)
     square = across * across
     angle = across * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))

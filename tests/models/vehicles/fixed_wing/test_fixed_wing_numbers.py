@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.models.by_hand import many
 
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import cast
@@ -23,15 +23,7 @@ from qrsim.models.vehicles.fixed_wing.stabiliser import moved, wanted_surfaces
 from qrsim.models.vehicles.fixed_wing.state import Motion, Stabiliser, Surfaces
 from qrsim.models.vehicles.fixed_wing.trim import cruise, stall_speed, throttle_for
 
-
-@pytest.fixture(autouse=True)
-def _double() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
-
-
-def many(*values: float) -> Any:
-    return jnp.asarray(values, float)
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def vector(*values: float) -> Any:

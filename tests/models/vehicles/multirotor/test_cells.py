@@ -22,10 +22,7 @@ from qrsim.runs.streams import loads
 PACK = cast(LithiumCells(), np.float64)
 
 
-@pytest.fixture(autouse=True)
-def _double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def hover() -> Load:

@@ -6,10 +6,8 @@ The equations have the numbers of docs/models/vehicle.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 
@@ -27,10 +25,7 @@ from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 DOWN = np.array([0.0, 0.0, 1.0])
 
 
-@pytest.fixture(autouse=True)
-def _double() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def vec(*axes: Any, count: int = 4) -> Vec3:

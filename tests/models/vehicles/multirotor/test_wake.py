@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,11 +12,7 @@ from qrsim.core.vectors import Vec3
 from qrsim.models.vehicles.multirotor.aerodynamics import near_ground
 from qrsim.models.vehicles.wake import Wake, jet_velocity
 
-
-@pytest.fixture(autouse=True)
-def _double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def below(thrust: float, radius: float, count: int, beside: float, z: float, wind: float = 0.0) -> Vec3:

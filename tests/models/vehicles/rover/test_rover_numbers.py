@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.models.by_hand import many
 
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3
@@ -24,14 +24,7 @@ DT = 1e-7
 MOST, STIFFNESS = 0.7 * 0.5 * 4.0 * 9.81, 10.0 / 0.7
 
 
-@pytest.fixture(autouse=True)
-def _double() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
-
-
-def many(*values: float) -> Any:
-    return jnp.asarray(values, float)
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def still(count: int) -> Vec3:
