@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ DType = np.dtype[Any]
 _SCALAR = {"float32": "float", "float64": "double", "int32": "i32", "uint32": "i32", "int64": "i64", "uint64": "i64"}
 
 
+@cache
 def scalar_type(dtype: DType) -> str:
     """Return LLVM's name of one element in a register.
 
