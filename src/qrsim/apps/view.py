@@ -107,7 +107,6 @@ class View:
 
     def _photograph(self, recording: Recording, path: Path, time: float) -> None:
         from qrsim.files.atomic import write_atomically
-        from qrsim.view.browser import require_browser
         from qrsim.view.picture import photograph
         from qrsim.view.replay import remember_paths
         from qrsim.view.scene import Scene
@@ -124,7 +123,6 @@ class View:
                 shown = {title: layer.root.visible for title, layer in scene.layers.items()}
                 for title, visible in parsed_layers(self.layers, shown).items():
                     scene.show(title, visible)
-            require_browser()
             frame = recording.frame(time)
             remember_paths(scene, recording, frame.time)
             scene.draw(frame, everything=True)

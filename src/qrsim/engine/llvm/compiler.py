@@ -50,9 +50,8 @@ def machine_code(text: str) -> bytes:
         module = llvm.parse_assembly(text)
         # A text that LLVM would misread ends here, as an error that XLA takes over, and not as a wrong program.
         module.verify()
-        # Without LLVM's passes over the module: what is written is in registers, without repetition, in vectors where
-        # they are wanted. Its passes took a third of the time to compile and made no tick measurably faster.
-        # Object code and not a running engine, because that can be kept in a file.
+        # Without LLVM's passes over the module, which took a third of the time to compile and made no tick measurably
+        # faster. Object code and not a running engine, because that can be kept in a file.
         code: bytes = machine.emit_object(module)
         return code
 
