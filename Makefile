@@ -12,7 +12,7 @@ CODE := src tests $(wildcard benchmarks) $(wildcard evidence) $(wildcard example
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: install tools run test test-long lint bench evidence pictures proto clean help
+.PHONY: install tools run test test-long test-nightly lint bench evidence pictures proto clean help
 
 # 'make evidence NAME ...': the words after it are names, not targets.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
@@ -53,11 +53,15 @@ run: $(STAMP)  ## run the default scenario (ARGS='...' is handed to 'qrsim run')
 
 test: lint  ## all checks, then all tests but the long ones
 	@echo "== pytest"
-	@$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long" $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long and not nightly" $(ARGS)
 
-test-long: $(TOOLS)  ## the long tests: real clients, fuzzing, browsers, long statistics, newest dependencies
+test-long: $(TOOLS)  ## the long tests: real clients, browsers, small forms of the studies
 	@echo "== pytest (long)"
-	@$(BIN)/python -m pytest -n 2 --dist loadfile -m long $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile -m "long and not nightly" $(ARGS)
+
+test-nightly: $(TOOLS)  ## tests of minutes each: random programs, fuzzing, other versions of Python and dependencies, mutation
+	@echo "== pytest (nightly)"
+	@$(BIN)/python -m pytest -n 2 --dist loadfile -m nightly $(ARGS)
 
 lint: $(TOOLS)  ## formatting, lint, types, layers of imports
 	@echo "== ruff check"
@@ -90,4 +94,4 @@ clean:  ## remove caches and build output (.venv stays)
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*  ## (.*)/\1|\2/' | \
-		while IFS='|' read -r target text; do printf '  make %-9s %s\n' "$$target" "$$text"; done
+		while IFS='|' read -r target text; do printf '  make %-12s %s\n' "$$target" "$$text"; done
