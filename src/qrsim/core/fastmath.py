@@ -11,11 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from qrsim.core.primitives import primitive_of
+from qrsim.core.primitives import Kernel, primitive_of
 
 # pi/2 in three parts whose products with small integers are exact in single precision (Cody and Waite).
 _PIO2_HIGH, _PIO2_MID, _PIO2_LOW = 1.5703125, 4.837512969970703125e-4, 7.54978995489188e-8
@@ -83,10 +82,20 @@ def sincos_ratio(x: Array, rounding: Rounding = freely) -> tuple[Array, Array, A
     return sin_part, cos_part, 1.0 + square
 
 
-def sincos(x: Array) -> tuple[Array, Array]:
-    """Return (sin x, cos x), any shape, x in rad; float32 error below 2e-7 for |x| < 1e4."""
+def _sincos(x: Array) -> tuple[Array, Array]:
     sine, cosine, scale = sincos_ratio(x)
     return sine / scale, cosine / scale
+
+
+_SINCOS = Kernel("sincos", ("float32",), ("float32",) * 2, _sincos)
+
+
+def sincos(x: Array) -> tuple[Array, Array]:
+    """Return (sin x, cos x), any shape, x in rad; float32 error below 2e-7 for |x| < 1e4."""
+    if x.dtype != jnp.float32:
+        return jnp.sin(x), jnp.cos(x)
+    sine, cosine = _SINCOS(x)
+    return sine, cosine
 
 
 def sincos_turns(turns: Array) -> tuple[Array, Array]:
@@ -95,15 +104,25 @@ def sincos_turns(turns: Array) -> tuple[Array, Array]:
     From sine and cosine of half the angle, which need neither quadrants nor choices. XLA on a CPU repeats it in each
     consumer, see ``sincos_ratio``.
     """
-    part = turns - jnp.round(turns)
     if turns.dtype != jnp.float32:
+        part = turns - jnp.round(turns)
         return jnp.sin(2.0 * math.pi * part), jnp.cos(2.0 * math.pi * part)
+    double, cosine, whole_cosine = _SINCOS_TURNS(turns)
+    return double * cosine, whole_cosine
+
+
+def _sincos_turns(turns: Array) -> tuple[Array, Array, Array]:
+    """Return (a, b, cosine) with a b the sine; the product is left to the caller, where a sum may round it once."""
+    part = turns - jnp.round(turns)
     z = part * part
     # Fits of sin(pi p)/p and cos(pi p) in z = p^2 on [0, 1/4], errors of sine and cosine below 4e-9 and 5e-8.
     sine = part * _polynomial(z, (0.07722007, -0.59804514, 2.55003137, -5.16770688, 3.14159258))
     cosine = _polynomial(z, (0.2196968, -1.33188018, 4.05841192, -4.93479286, 0.99999995))
     double = sine + sine
-    return double * cosine, 1.0 - double * sine
+    return double, cosine, 1.0 - double * sine
+
+
+_SINCOS_TURNS = Kernel("sincos_turns", ("float32",), ("float32",) * 3, _sincos_turns)
 
 
 def log_f32(x: Array, rounding: Rounding = freely) -> Array:
@@ -134,18 +153,18 @@ def log_f32(x: Array, rounding: Rounding = freely) -> Array:
     return (f + ((rounding(f * z * tail) + rounding(e * _LN2_LOW)) - 0.5 * z)) + e * _LN2_HIGH
 
 
-@jax.custom_jvp
+_LOG = Kernel(
+    "log", ("float32",), ("float32",), lambda x: (log_f32(x),), lambda x, tangent, found: (tangent[0] / x[0],)
+)
+
+
 def log(x: Array) -> Array:
     """Return the natural logarithm of positive, normal x of any shape."""
-    return log_f32(x) if x.dtype == jnp.float32 else jnp.log(x)
+    return _LOG(x)[0] if x.dtype == jnp.float32 else jnp.log(x)
 
 
-@log.defjvp
-def _log_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    return log(*primals), tangents[0] / primals[0]
-
-
-def _exp_f32(x: Array) -> Array:
+def _exp(x: Array) -> tuple[Array, Array]:
+    """Return two factors of e**x; the product is left to the caller, where a sum may round it once."""
     x = jnp.clip(x, -87.0, 88.0)
     shifted = lax.stop_gradient(x * (1.0 / math.log(2.0)) + _SHIFT)
     k = rounded(shifted) - _SHIFT
@@ -154,33 +173,40 @@ def _exp_f32(x: Array) -> Array:
         r, (1.9875691500e-4, 1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1)
     )
     scale = lax.bitcast_convert_type((lax.bitcast_convert_type(shifted, jnp.int32) + 127) << 23, jnp.float32)
-    return (1.0 + (r + r * r * tail)) * scale
+    return 1.0 + (r + r * r * tail), scale
+
+
+_EXP = Kernel("exp", ("float32",), ("float32",) * 2, _exp)
 
 
 def exp(x: Array) -> Array:
     """Return e**x, any shape; in float32 the argument is limited to [-87, 88], the range of normal results."""
-    return _exp_f32(x) if x.dtype == jnp.float32 else jnp.exp(x)
+    if x.dtype != jnp.float32:
+        return jnp.exp(x)
+    mantissa, scale = _EXP(x)
+    return mantissa * scale
 
 
-@jax.custom_jvp
+def _reciprocal_root(x: Array) -> tuple[Array]:
+    guess = lax.bitcast_convert_type(0x5F375A86 - (lax.bitcast_convert_type(x, jnp.int32) >> 1), jnp.float32)
+    # With 1 - d = x guess^2, |d| < 0.07: one over the root of 1 - d, error below 8e-7.
+    d = 1.0 - (x * guess) * guess
+    return (guess * _polynomial(d, (0.31303353, 0.37628168, 0.50000048, 0.99999925)),)
+
+
+_RECIPROCAL_ROOT = Kernel(
+    "reciprocal_root", ("float32",), ("float32",), _reciprocal_root,
+    lambda x, tangent, found: (-0.5 * tangent[0] * found[0] * (found[0] * found[0]),),
+)  # fmt: skip
+
+
 def reciprocal_root(x: Array) -> Array:
     """Return one over the root of positive, normal x of any shape; float32 relative error below 1e-6.
 
     A guess by halving the exponent, within 3.5 %, times a fit of one over the root of what is left; far cheaper than a
     root and a division.
     """
-    if x.dtype != jnp.float32:
-        return 1.0 / jnp.sqrt(x)
-    guess = lax.bitcast_convert_type(0x5F375A86 - (lax.bitcast_convert_type(x, jnp.int32) >> 1), jnp.float32)
-    # With 1 - d = x guess^2, |d| < 0.07: one over the root of 1 - d, error below 8e-7.
-    d = 1.0 - (x * guess) * guess
-    return guess * _polynomial(d, (0.31303353, 0.37628168, 0.50000048, 0.99999925))
-
-
-@reciprocal_root.defjvp
-def _reciprocal_root_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    root = reciprocal_root(*primals)
-    return root, -0.5 * tangents[0] * root * (root * root)
+    return _RECIPROCAL_ROOT(x)[0] if x.dtype == jnp.float32 else 1.0 / jnp.sqrt(x)
 
 
 def power(x: Array, exponent: float) -> Array:
@@ -188,10 +214,7 @@ def power(x: Array, exponent: float) -> Array:
     return exp(exponent * log(x))
 
 
-def arctan2(y: Array, x: Array) -> Array:
-    """Return the angle [rad] of points (x, y) of any shape, in [-pi, pi]; float32 error below 3e-7, zero at (0, 0)."""
-    if x.dtype != jnp.float32:
-        return jnp.arctan2(y, x)
+def _arctan2(y: Array, x: Array) -> tuple[Array]:
     over, beside = jnp.abs(y), jnp.abs(x)
     steep = over > beside
     t = jnp.minimum(over, beside) / jnp.maximum(jnp.maximum(over, beside), 1e-37)
@@ -203,7 +226,15 @@ def arctan2(y: Array, x: Array) -> Array:
     angle = angle + jnp.where(wide, math.pi / 4.0, 0.0)
     angle = jnp.where(steep, math.pi / 2.0 - angle, angle)
     angle = jnp.where(x < 0.0, math.pi - angle, angle)
-    return jnp.where(y < 0.0, -angle, angle)
+    return (jnp.where(y < 0.0, -angle, angle),)
+
+
+_ARCTAN2 = Kernel("arctan2", ("float32",) * 2, ("float32",), _arctan2)
+
+
+def arctan2(y: Array, x: Array) -> Array:
+    """Return the angle [rad] of points (x, y) of any shape, in [-pi, pi]; float32 error below 3e-7, zero at (0, 0)."""
+    return _ARCTAN2(y, x)[0] if x.dtype == jnp.float32 else jnp.arctan2(y, x)
 
 
 def wrap_angle(x: Array) -> Array:

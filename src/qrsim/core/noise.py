@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Protocol
 
 import jax.numpy as jnp
@@ -22,6 +22,7 @@ import numpy.typing as npt
 from jax import Array, lax
 
 from qrsim.core.fastmath import exp, log, log_f32, rounded, sincos_ratio
+from qrsim.core.primitives import Kernel
 from qrsim.core.tree import quantity, record, setting
 
 ROUNDS = 13
@@ -39,6 +40,16 @@ def threefry2x32(key: tuple[Array, Array], counter: tuple[Array, Array], rounds:
         counter: two uint32 arrays of a common shape.
         rounds: 13 in the simulator; 20 is the generator's conservative form.
     """
+    words = (*key, *counter)
+    # On the host, words that are known before a program runs are not worth compiling.
+    if rounds not in _THREEFRY or all(isinstance(word, np.ndarray | np.generic) for word in words):
+        return _threefry(*words, rounds=rounds)
+    first, second = _THREEFRY[rounds](*(jnp.asarray(word) for word in words))
+    return first, second
+
+
+def _threefry(*words: Array, rounds: int) -> tuple[Array, Array]:
+    key, counter = words[:2], words[2:]
     schedule = (key[0], key[1], key[0] ^ key[1] ^ np.uint32(_PARITY))
     x0, x1 = counter[0] + schedule[0], counter[1] + schedule[1]
     for i in range(rounds):
@@ -52,12 +63,25 @@ def threefry2x32(key: tuple[Array, Array], counter: tuple[Array, Array], rounds:
     return x0, x1
 
 
+_THREEFRY = {
+    rounds: Kernel(f"threefry_{rounds}", ("uint32",) * 4, ("uint32",) * 2, partial(_threefry, rounds=rounds))
+    for rounds in (ROUNDS, 20)
+}
+
+
 def _box_muller(words: tuple[Array, Array], dtype: jnp.dtype) -> tuple[Array, Array]:
     """Return two independent standard normals, of magnitude 6.66 at most, from two words.
 
     In single precision every operation is rounded on its own, so the result is the same in whatever program it is
     computed.
     """
+    if dtype != jnp.float32:
+        return _normals(*words, dtype=dtype)
+    cosine, sine = _NORMALS(*words)
+    return cosine, sine
+
+
+def _normals(*words: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
     # Shifted to 31 bits because signed conversion is one vector instruction everywhere.
     uniform = ((words[0] >> 1).astype(jnp.int32).astype(dtype) + 0.5) * 2.0**-31
     # The angle lies in [-pi, pi): all 32 bits, read as a signed number.
@@ -68,6 +92,9 @@ def _box_muller(words: tuple[Array, Array], dtype: jnp.dtype) -> tuple[Array, Ar
     # Divisions last, because XLA on a CPU repeats anything cheaper inside every consumer of the result: with
     # multiplications a step would compute its words some thirty times over.
     return radius * cosine / scale, radius * sine / scale
+
+
+_NORMALS = Kernel("normals", ("uint32",) * 2, ("float32",) * 2, partial(_normals, dtype=jnp.dtype(jnp.float32)))
 
 
 @lru_cache(maxsize=1024)

@@ -7,9 +7,13 @@ one function, and our own code generator (``qrsim.engine.llvm``) recognises the 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -39,3 +43,71 @@ def primitive_of(name: str, function: Callable[..., Any], elementwise: bool = Fa
     batching.primitive_batchers[primitive] = batched
     ad.primitive_jvps[primitive] = differentiated
     return primitive
+
+
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """An elementwise function that a traced program contains as one operation.
+
+    JAX traces one equation for each call, and the code generator compiles the body once for each program.
+
+    Attributes:
+        name: of the primitive.
+        takes, gives: types of the arguments and of the results.
+        body: function of arrays, one element of each result from one element of each argument; returns a tuple.
+        jvp: ``jvp(primals, tangents, results)`` returns the tangents of the results; None: JAX differentiates the body.
+    """
+
+    name: str
+    takes: tuple[str, ...]
+    gives: tuple[str, ...]
+    body: Callable[..., tuple[Array, ...]]
+    jvp: Callable[..., tuple[Array, ...]] | None = None
+    primitive: Any = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        primitive: Any = Primitive(f"kernel_{self.name}")
+        primitive.multiple_results = True
+        primitive.def_impl(jax.jit(self.body))
+        primitive.def_abstract_eval(self._results)
+        mlir.register_lowering(primitive, mlir.lower_fun(self.body, multiple_results=True))
+        batching.primitive_batchers[primitive] = self._batched
+        ad.primitive_jvps[primitive] = self._differentiated
+        object.__setattr__(self, "primitive", primitive)
+        KERNELS[self.name] = self
+
+    def __call__(self, *arguments: Array) -> tuple[Array, ...]:
+        """Apply the kernel to arrays of one shape, or to such arrays and scalars."""
+        if len({argument.shape for argument in arguments} - {()}) > 1:
+            arguments = tuple(jnp.broadcast_arrays(*arguments))
+        found: tuple[Array, ...] = tuple(self.primitive.bind(*arguments))
+        return found
+
+    def _results(self, *avals: Any) -> list[Any]:
+        assert self.takes == tuple(aval.dtype.name for aval in avals)
+        shape = max((aval.shape for aval in avals), key=len)
+        return [avals[0].update(shape=shape, dtype=np.dtype(dtype), weak_type=False) for dtype in self.gives]
+
+    def _batched(self, arguments: Any, axes: Any) -> tuple[Any, list[int]]:
+        rank = max(jnp.ndim(argument) - (axis is not None) for argument, axis in zip(arguments, axes, strict=True))
+        moved = []
+        for argument, axis in zip(arguments, axes, strict=True):
+            if axis is not None:
+                batch = jnp.moveaxis(argument, axis, 0)
+                # A scalar of each element of the batch stays a scalar there.
+                argument = batch.reshape(batch.shape[0], *(1,) * (rank + 1 - batch.ndim), *batch.shape[1:])
+            moved.append(argument)
+        shape = np.broadcast_shapes(*(argument.shape for argument in moved))
+        spread = [each if each.shape == () else jnp.broadcast_to(each, shape) for each in moved]
+        return self.primitive.bind(*spread), [0] * len(self.gives)
+
+    def _differentiated(self, primals: Any, tangents: Any) -> tuple[Any, Any]:
+        given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)  # type: ignore[no-untyped-call]
+        found = self.primitive.bind(*primals)
+        if self.jvp is None:
+            return found, jax.jvp(self.body, tuple(primals), given)[1]
+        return found, self.jvp(primals, given, found)
+
+
+# Every kernel, by its name.
+KERNELS: dict[str, Kernel] = {}

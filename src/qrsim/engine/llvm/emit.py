@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.engine.llvm.graph import Node
+from qrsim.engine.llvm.kernel_types import result_type, symbol
 from qrsim.engine.llvm.loops import Loops, shared_axis
 from qrsim.engine.llvm.neighbours import Neighbours
 from qrsim.engine.llvm.refusal import UnsupportedError
@@ -53,7 +54,20 @@ class Emitter(Loops):
         if node.op == "pick":
             return self._pick(node, lanes)
         values = [self.widened(self.value(access), access.node.dtype, lanes) for access in node.args]
+        if node.op == "kernel":
+            return self._kernel(node, values, lanes)
         return self.operations.compute(node, values, lanes)
+
+    def _kernel(self, node: Node, values: list[str], lanes: int) -> str:
+        """Return one result of a kernel, which is called once for all of its results."""
+        name, place = node.attributes
+        key = (name, lanes, *values)
+        if key not in self.scope.offsets:
+            self.kernels.add((name, lanes))
+            types = [vector(scalar_type(access.node.dtype), lanes) for access in node.args]
+            arguments = ", ".join(f"{of} {value}" for of, value in zip(types, values, strict=True))
+            self.scope.offsets[key] = self.emit(f"call {result_type(name, lanes)} {symbol(name, lanes)}({arguments})")
+        return self.emit(f"extractvalue {result_type(name, lanes)} {self.scope.offsets[key]}, {place}")
 
     def _straight(self, step: Step) -> None:
         self.scope = Scope((), [], None, {}, {})

@@ -15,6 +15,7 @@ from qrsim.engine.llvm.compiler import Loaded, machine_code, machine_triple
 from qrsim.engine.llvm.emit import Emitter
 from qrsim.engine.llvm.graph import Graph, Node, Shape, View, squeezed
 from qrsim.engine.llvm.in_state import InState
+from qrsim.engine.llvm.kernels import kernel_text
 from qrsim.engine.llvm.refusal import UnsupportedError, refusing
 from qrsim.engine.llvm.schedule import ALONE, NESTED, Arena, Scheduler, all_nodes, in_place, materialised, readers
 from qrsim.engine.llvm.simplify import live_nodes
@@ -278,10 +279,12 @@ class _Writer:
         for line in after_all:
             writer.do(line)
         writer.do("ret void")
+        kernels = [kernel_text(name, lanes) for name, lanes in sorted(writer.kernels)]
         return "\n".join(
             [
                 *writer.constants,
-                *sorted(writer.declarations),
+                *sorted(writer.declarations.union(*(declared for _, declared in kernels))),
+                *(line for lines, _ in kernels for line in lines),
                 f"define void @advance({', '.join(arguments)}) noinline #0 {{",
                 "entry:",
                 *writer.entry,

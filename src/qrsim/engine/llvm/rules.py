@@ -13,8 +13,10 @@ import jax
 import jax.extend.core.primitives as jex
 from jax import lax
 
+from qrsim.core import noise as _noise  # noqa: F401  its kernels are in the table
 from qrsim.core.fastmath import rounded_p
 from qrsim.core.nearest import nearest_squared_p
+from qrsim.core.primitives import KERNELS
 from qrsim.engine.llvm.refusal import UnsupportedError
 
 Understood = Callable[[Any], bool]
@@ -130,6 +132,7 @@ def _known() -> dict[Any, Rule]:
                 found[primitive] = rule
     found[rounded_p] = Rule("transparent", "", {})
     found[nearest_squared_p] = Rule("nearest", "", {})
+    found |= {kernel.primitive: Rule("kernel", name, {}) for name, kernel in KERNELS.items()}
     return found
 
 

@@ -13,6 +13,7 @@ from jax.extend import core as jex
 from jax.extend import source_info_util
 
 from qrsim.core.nearest import by_all_pairs
+from qrsim.core.primitives import KERNELS
 from qrsim.engine.llvm.graph import Access, Graph, Region, Shape, View, squeezed
 from qrsim.engine.llvm.indexing import Indexing
 from qrsim.engine.llvm.nodes import Like
@@ -118,6 +119,13 @@ class Tracer(Indexing):
             raise UnsupportedError("a selection among several")
         attributes = (int(parameters[_ATTRIBUTES[op]]),) if op in _ATTRIBUTES else ()
         return self.apply(op, shape, out.dtype, *inputs, attributes=attributes)
+
+    def kernel(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
+        """Return the results of an elementwise function whose body is compiled as a function."""
+        return [
+            self.apply("kernel", tuple(out.shape), np.dtype(dtype), *inputs, attributes=(op, i))
+            for i, dtype in enumerate(KERNELS[op].gives)
+        ]
 
     def transparent(self, op: str, inputs: list[View], out: Any, parameters: Any) -> list[View]:
         """Pass the arguments on."""

@@ -67,6 +67,8 @@ class Writer:
         self.entry: list[str] = []
         self.declarations: set[str] = set()
         self.constants: list[str] = []
+        # Kernels that are called, each with its lanes.
+        self.kernels: set[tuple[str, int]] = set()
         self.count = 0
         self.block = "entry"
         self.scalars: dict[int, tuple[str, int]] = {}
