@@ -13,6 +13,7 @@ from jax import lax
 
 from qrsim.core.fastmath import rounded
 from qrsim.core.nearest import nearest_squared
+from qrsim.core.primitives import KERNELS
 
 SIZES = (1, 2, 3, 5, 8, 16, 17, 21)
 _MODES = ("clip", "fill", "drop", "promise_in_bounds")
@@ -378,6 +379,24 @@ def _neighbours(draw: Draw) -> None:
     draw.put(lax.min(nearest_squared(x, y, z, reach), reach * reach))
 
 
+def _kernels(draw: Draw) -> None:
+    words = draw.some("u", (draw.size,))
+    for kernel in KERNELS.values():
+        if "float32" in kernel.takes and draw.floats != np.float32:
+            continue
+        # Scalars among the arguments are spread.
+        arguments = [
+            draw.like(words, "u" if kind == "uint32" else "f")
+            if i % 2
+            else draw.some("u" if kind == "uint32" else "f", ())
+            for i, kind in enumerate(kernel.takes)
+        ]
+        for result in kernel(*arguments):
+            draw.put(
+                draw.tame(result) if np.dtype(result.dtype).kind == "f" and draw.floats == result.dtype else result
+            )
+
+
 def _derivatives(draw: Draw) -> None:
     x = draw.some("f", (draw.size,))
     y = draw.like(x)
@@ -420,7 +439,7 @@ MAKERS: tuple[Maker, ...] = (
     _arithmetic, _sums_of_products, _unary, _unsigned, _steps, _library, _powers, _divisions, _integers, _logic,
     _comparisons, _choices, _clamps, _conversions, _bits, _reductions, _places_of_extremes, _running, _shapes, _joining,
     _counting, _parts_from_anywhere, _gathers, _scatters, _segments, _branches, _loops, _counted_loops,
-    _nested_loops, _neighbours, _derivatives,
+    _nested_loops, _neighbours, _kernels, _derivatives,
 )  # fmt: skip
 HANDED_OVER: Maker = _handed_over
 

@@ -6,11 +6,13 @@ import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from jax.extend import core as jex
 
 from evidence import _bounds as bounds
 from evidence._bounds import Array, Value, compared, given, settled, whole
+from qrsim.core.primitives import KERNELS
 
 _COMPARISONS: dict[str, Callable[..., Any]] = {
     "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
@@ -69,6 +71,9 @@ def _applied(equation: Any, inputs: list[Value]) -> list[Value]:
     if name in _CALLS:
         closed = parameters[_CALLS[name]]
         return _run(getattr(closed, "jaxpr", closed), [given(c) for c in getattr(closed, "consts", ())], inputs)
+    if name.startswith("kernel_"):
+        closed = jax.make_jaxpr(KERNELS[name.removeprefix("kernel_")].body)(*(v.aval for v in equation.invars))
+        return _run(closed.jaxpr, [given(constant) for constant in closed.consts], inputs)
     rule = _RULES.get(name)
     if rule is not None:
         found = rule(inputs, parameters, equation.outvars[0].aval)

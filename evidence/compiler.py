@@ -28,7 +28,7 @@ PROGRAMS, PART = 20_000, 50
 OUTCOMES = ("equal", "within", "ambiguous", "handed over")
 
 
-def fly(program: Program, mode: Mode, ticks: int) -> list[dict[str, Any]]:
+def fly(program: Program, mode: Mode, ticks: int, tier: str = "quick") -> list[dict[str, Any]]:
     """Return the states of a program's worlds after some ticks by machine code.
 
     Raises:
@@ -36,7 +36,7 @@ def fly(program: Program, mode: Mode, ticks: int) -> list[dict[str, Any]]:
     """
     layouts = Packer(program.shared), Packer(program.worlds[0])
     inputs = [Input(layouts[0], own=False), Input(layouts[1], own=True)]
-    compiled = Compiled(build(program.closed, inputs, mode), inputs, mode)
+    compiled = Compiled(build(program.closed, inputs, mode, tier), inputs, mode)
     common = compiled.buffers(0)
     for mine, values in zip(common, layouts[0].pack(program.shared), strict=True):
         mine[...] = values
@@ -128,6 +128,9 @@ def tried(number: int, featured: Any = None, longest: int = 11) -> tuple[str, Pr
             mine = fly(program, mode, ticks)
         except UnsupportedError as error:
             return ("handed over" if "code generator itself" not in str(error) else str(error)), program
+        better = fly(program, mode, ticks, "better")
+        if any(a.tobytes() != b.tobytes() for a, b in zip(*map(jax.tree.leaves, (mine, better)), strict=True)):
+            return "quick and better code differ", program
         try:
             return judged(mine, expected(program, ticks)), program
         except AmbiguousError:

@@ -10,6 +10,8 @@ from pathlib import Path
 import jax
 import pytest
 
+# Tests fly for seconds at most, which is too short to compile better code; the tiers have tests of their own.
+os.environ.setdefault("QRSIM_TIER", "quick")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 

@@ -14,7 +14,7 @@ from qrsim.engine.functions import Extent, Function
 from qrsim.engine.layout import Buffers, Packer, Shared, aligned, aligned_copy
 from qrsim.engine.llvm import Binary, Input, LaneProgram, Lanes, Mode, Program, Start, build, build_start, trace_of
 from qrsim.engine.programs import compiled
-from qrsim.engine.settings import threads
+from qrsim.engine.settings import threads, tier
 
 # What was traced last, because how large a state is, is asked before its start is compiled.
 _TRACED: dict[Any, tuple[Any, Any]] = {}
@@ -53,8 +53,9 @@ def make(function: Function, shared: Shared, own: Packer, state: Packer | None, 
 
     def made() -> Start | Binary:
         if state is not None:
-            return build(function.call, inputs, mode)
-        return build_start(_traced(function, shared.layout, own), inputs, mode)
+            return build(function.call, inputs, mode, tier())
+        traced = _traced(function, shared.layout, own)
+        return build_start(traced, inputs, mode, "better" if tier() == "better" else "quick")
 
     def load(found: Start | Binary) -> tuple[Packer, Program]:
         layout, binary = (found.layout, found.binary) if isinstance(found, Start) else (layouts[-1], found)

@@ -22,6 +22,7 @@ _QUICK_TO_COMPILE = {"xla_cpu_use_fusion_emitters": False}
 # The axis that is cut among devices.
 WORLDS = "worlds"
 COMPILERS = ("llvm", "xla")
+CODE_TIERS = ("auto", "quick", "better")
 _chosen: dict[str, Any] = {"compiler": None, "threads": None}
 
 
@@ -77,6 +78,20 @@ def uses_llvm() -> bool:
 def chosen_compiler() -> str:
     """Return which compiler is tried first, "llvm" or "xla"; raises UsageError as ``uses_llvm`` does."""
     return "llvm" if uses_llvm() else "xla"
+
+
+def tier() -> str:
+    """Return which machine code ticks are compiled to: "auto", "quick" or "better", as QRSIM_TIER says.
+
+    "auto" runs quick code until better code is ready, which another process compiles.
+
+    Raises:
+        UsageError: the environment variable has another value.
+    """
+    named = os.environ.get("QRSIM_TIER") or "auto"
+    if named not in CODE_TIERS:
+        raise UsageError(f"QRSIM_TIER: '{named}' is not known; expected one of {', '.join(CODE_TIERS)}")
+    return named
 
 
 def device_mesh() -> Mesh | None:

@@ -5,8 +5,9 @@ loops over vectors, written as LLVM's text and compiled by it. What a program do
 ``UnsupportedError``, and then XLA compiles it as before.
 """
 
+from qrsim.engine.llvm.calling import Program
 from qrsim.engine.llvm.lanes import LaneProgram, Lanes
-from qrsim.engine.llvm.program import Binary, Input, Mode, Program, build
+from qrsim.engine.llvm.program import Binary, Input, Mode, build
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.start import Start, build_start, trace_of
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.engine.llvm import kernels
 from qrsim.engine.llvm.graph import Node
-from qrsim.engine.llvm.kernel_types import result_type, symbol
 from qrsim.engine.llvm.loops import Loops, shared_axis
 from qrsim.engine.llvm.neighbours import Neighbours
 from qrsim.engine.llvm.refusal import UnsupportedError
@@ -54,26 +54,33 @@ class Emitter(Loops):
         if node.op == "pick":
             return self._pick(node, lanes)
         values = [self.widened(self.value(access), access.node.dtype, lanes) for access in node.args]
-        if node.op == "kernel":
-            return self._kernel(node, values, lanes)
         return self.operations.compute(node, values, lanes)
 
-    def _kernel(self, node: Node, values: list[str], lanes: int) -> str:
-        """Return one result of a kernel, which is called once for all of its results."""
+    def _kernel(self, node: Node, scopes: list[Scope], lanes: int) -> list[str]:
+        """Return a result of a kernel in each scope; its other results there are kept for their nodes."""
         name, place = node.attributes
-        key = (name, lanes, *values)
-        if key not in self.scope.offsets:
-            self.kernels.add((name, lanes))
-            types = [vector(scalar_type(access.node.dtype), lanes) for access in node.args]
-            arguments = ", ".join(f"{of} {value}" for of, value in zip(types, values, strict=True))
-            self.scope.offsets[key] = self.emit(f"call {result_type(name, lanes)} {symbol(name, lanes)}({arguments})")
-        return self.emit(f"extractvalue {result_type(name, lanes)} {self.scope.offsets[key]}, {place}")
+        keys = []
+        for scope in scopes:
+            self.scope = scope
+            values = [self.widened(self.value(access), access.node.dtype, lanes) for access in node.args]
+            keys.append((name, lanes, *values))
+        if keys[-1] not in scopes[-1].offsets:
+            turns = [list(key[2:]) for key in keys]
+            if self.kernels_inside:
+                found = kernels.body(name).write(self.operations, turns, lanes)
+            else:
+                self.kernels.add((name, lanes))
+                found = [kernels.call(self.emit, name, turn, lanes) for turn in turns]
+            for scope, key, results in zip(scopes, keys, found, strict=True):
+                scope.offsets[key] = results
+        return [scope.offsets[key][place] for scope, key in zip(scopes, keys, strict=True)]
 
     def _straight(self, step: Step) -> None:
         self.scope = Scope((), [], None, {}, {})
         for node in step.nodes:
             lanes = self._lanes_of(node)
-            self.scalars[node.number] = self._compute(node, lanes), lanes
+            value = self._kernel(node, [self.scope], lanes)[0] if node.op == "kernel" else self._compute(node, lanes)
+            self.scalars[node.number] = value, lanes
 
     def _iota(self, node: Node, lanes: int) -> str:
         axis = node.attributes[0]
@@ -160,6 +167,10 @@ class Emitter(Loops):
     ) -> None:
         """Write one turn of a loop, or several at once, operation by operation."""
         for node in step.nodes:
+            if node.op == "kernel":
+                for scope, value in zip(scopes, self._kernel(node, scopes, self._width(node)), strict=True):
+                    scope.values[node.number] = value
+                continue
             for scope in scopes:
                 self.scope = scope
                 if node.op == "reduce":
@@ -381,6 +392,11 @@ def _together(step: Step, axis: int | None) -> int:
     One turn of a body of some hundred operations that wait for each other fills what the processor looks ahead, and
     few of them run at once. A shorter body needs no help, and a longer one no more of it than its registers hold.
     """
-    if axis is None or not 60 <= len(step.nodes) <= 200 or (len(step.nodes) < 100 and not step.reduced):
+    if axis is None:
+        return 1
+    # The results of a kernel share its operations.
+    called = {(node.attributes[0], node.args) for node in step.nodes if node.op == "kernel"}
+    size = sum(node.op != "kernel" for node in step.nodes) + sum(len(kernels.body(name).nodes) for name, _ in called)
+    if not 60 <= size <= 200 or (size < 100 and not step.reduced):
         return 1
     return next((turns for turns in (4, 2) if step.domain[axis] % turns == 0), 1)

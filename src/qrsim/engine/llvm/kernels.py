@@ -1,50 +1,104 @@
-"""The bodies of kernels as functions of the module, one for each width of vectors."""
+"""Kernels in LLVM's text: as functions of the module, or written out where they are used."""
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any
+from functools import cache
 
 import numpy as np
 
 from qrsim.core.primitives import KERNELS
 from qrsim.engine.layout import struct
-from qrsim.engine.llvm.emit import Emitter
-from qrsim.engine.llvm.graph import Graph, Node, View
-from qrsim.engine.llvm.kernel_types import result_type, symbol, types
-from qrsim.engine.llvm.schedule import Step
+from qrsim.engine.llvm.graph import Access, Graph, View
+from qrsim.engine.llvm.operations import Emit, Operations
 from qrsim.engine.llvm.simplify import live_nodes
+from qrsim.engine.llvm.text import literal, scalar_type, splat, vector
 from qrsim.engine.llvm.tracing import Tracer, trace
 
 
+class Body:
+    """The operations of a kernel.
+
+    Args:
+        name: of the kernel.
+    """
+
+    def __init__(self, name: str):
+        kernel, graph = KERNELS[name], Graph()
+        dtypes = [np.dtype(dtype) for dtype in kernel.takes]
+        inputs = [
+            graph.node("input", (), (), dtype, (i,), invariant=False, uniform=False) for i, dtype in enumerate(dtypes)
+        ]
+        closed = trace(kernel.body, *(struct((), dtype) for dtype in dtypes))
+        found = Tracer(graph, False).run(closed.jaxpr, closed.consts, [View.whole(node, ()) for node in inputs])
+        self.results = [view.access() for view in found]
+        live = live_nodes(graph.region, self.results)
+        self.inputs = [node.number for node in inputs]
+        self.nodes = [
+            node for node in graph.region.nodes if node.number in live and node.op not in ("input", "constant")
+        ]
+
+    def write(self, operations: Operations, turns: list[list[str]], lanes: int) -> list[list[str]]:
+        """Write the operations for several sets of arguments, in turn, and return the results of each set.
+
+        Every operation needs the one before it. Those of two sets do not wait for each other.
+        """
+        known = [dict(zip(self.inputs, arguments, strict=True)) for arguments in turns]
+        for node in self.nodes:
+            for values in known:
+                arguments = [_value(access, values, lanes) for access in node.args]
+                values[node.number] = operations.compute(node, arguments, lanes)
+        return [[_value(access, values, lanes) for access in self.results] for values in known]
+
+
+def _value(access: Access, values: dict[int, str], lanes: int) -> str:
+    node = access.node
+    if node.op != "constant":
+        return values[node.number]
+    number = np.frombuffer(node.attributes[0], node.dtype)[0]
+    return splat(literal(number, node.dtype), scalar_type(node.dtype), lanes)
+
+
 # A body depends on nothing but the package, and every program has some of them.
-@lru_cache(maxsize=64)
-def kernel_text(name: str, lanes: int) -> tuple[tuple[str, ...], frozenset[str]]:
+body = cache(Body)
+
+
+def types(names: tuple[str, ...], lanes: int) -> list[str]:
+    """Return LLVM's types of vectors."""
+    return [vector(scalar_type(np.dtype(name)), lanes) for name in names]
+
+
+def call(emit: Emit, name: str, arguments: list[str], lanes: int) -> list[str]:
+    """Write a call of the function of a kernel, and return its results."""
+    of = _result_type(name, lanes)
+    given = ", ".join(
+        f"{kind} {value}" for kind, value in zip(types(KERNELS[name].takes, lanes), arguments, strict=True)
+    )
+    found = emit(f"call {of} {_symbol(name, lanes)}({given})")
+    return [emit(f"extractvalue {of} {found}, {i}") for i in range(len(KERNELS[name].gives))]
+
+
+@cache
+def function(name: str, lanes: int) -> tuple[tuple[str, ...], frozenset[str]]:
     """Return the lines of the function of a kernel, and what it declares."""
-    kernel, graph = KERNELS[name], Graph()
-    inputs = [_argument(graph, i, dtype) for i, dtype in enumerate(kernel.takes)]
-    closed = trace(kernel.body, *(struct((), np.dtype(dtype)) for dtype in kernel.takes))
-    views = [View.whole(node, ()) for node in inputs]
-    results = [view.access() for view in Tracer(graph, False).run(closed.jaxpr, closed.consts, views)]
-    live = live_nodes(graph.region, results)
-    nodes = [node for node in graph.region.nodes if node.number in live and node.op not in ("input", "constant")]
-    # As worlds side by side, each element of a vector by itself.
-    writer = Emitter({}, lanes, True, _no_memory, _no_memory)
-    for i, node in enumerate(inputs):
-        writer.scalars[node.number] = f"%a{i}", lanes
-    writer.steps([Step("loop", (), nodes)], set())
-    of, found = result_type(name, lanes), "poison"
-    for i, (access, element) in enumerate(zip(results, types(kernel.gives, lanes), strict=True)):
-        value = writer.widened(writer.value(access), access.node.dtype, lanes)
-        found = writer.emit(f"insertvalue {of} {found}, {element} {value}, {i}")
-    arguments = ", ".join(f"{each} %a{i}" for i, each in enumerate(types(kernel.takes, lanes)))
-    head = f"define internal {of} {symbol(name, lanes)}({arguments}) #0 {{"
-    return (head, "entry:", *writer.lines, f"  ret {of} {found}", "}"), frozenset(writer.declarations)
+    kernel, lines, declarations = KERNELS[name], list[str](), set[str]()
+
+    def emit(instruction: str) -> str:
+        lines.append(f"  %v{len(lines)} = {instruction}")
+        return f"%v{len(lines) - 1}"
+
+    arguments = [f"%a{i}" for i in range(len(kernel.takes))]
+    (results,) = body(name).write(Operations(emit, declarations), [arguments], lanes)
+    of, found = _result_type(name, lanes), "poison"
+    for i, (value, kind) in enumerate(zip(results, types(kernel.gives, lanes), strict=True)):
+        found = emit(f"insertvalue {of} {found}, {kind} {value}, {i}")
+    given = ", ".join(f"{kind} {each}" for kind, each in zip(types(kernel.takes, lanes), arguments, strict=True))
+    head = f"define internal {of} {_symbol(name, lanes)}({given}) #0 {{"
+    return (head, "entry:", *lines, f"  ret {of} {found}", "}"), frozenset(declarations)
 
 
-def _argument(graph: Graph, place: int, dtype: str) -> Node:
-    return graph.node("input", (), (), np.dtype(dtype), ("argument", place), invariant=False, uniform=False)
+def _symbol(name: str, lanes: int) -> str:
+    return f"@kernel.{name}.{lanes}"
 
 
-def _no_memory(*given: Any) -> Any:
-    raise AssertionError("a kernel computes single elements")
+def _result_type(name: str, lanes: int) -> str:
+    return "{ " + ", ".join(types(KERNELS[name].gives, lanes)) + " }"

@@ -11,7 +11,8 @@ import jax
 import numpy as np
 
 from qrsim.engine.layout import Buffers, Packer, aligned
-from qrsim.engine.llvm.program import Mode, Program
+from qrsim.engine.llvm.calling import Program
+from qrsim.engine.llvm.program import Mode
 
 Array = np.ndarray[Any, Any]
 # Fewer ticks than this are done before a thread has woken up.

@@ -1,8 +1,7 @@
-"""A compiled tick: the text put together, compiled, and called."""
+"""A compiled tick: the text put together and compiled."""
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,12 +9,13 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from qrsim.engine.layout import SPARE, Buffers, Packer, aligned, struct
-from qrsim.engine.llvm.compiler import Loaded, machine_code, machine_triple
+from qrsim.engine.layout import SPARE, Packer, struct
+from qrsim.engine.llvm import kernels
+from qrsim.engine.llvm.background import packed
+from qrsim.engine.llvm.compiler import machine_code, machine_triple
 from qrsim.engine.llvm.emit import Emitter
 from qrsim.engine.llvm.graph import Graph, Node, Shape, View, squeezed
 from qrsim.engine.llvm.in_state import InState
-from qrsim.engine.llvm.kernels import kernel_text
 from qrsim.engine.llvm.refusal import UnsupportedError, refusing
 from qrsim.engine.llvm.schedule import ALONE, NESTED, Arena, Scheduler, all_nodes, in_place, materialised, readers
 from qrsim.engine.llvm.simplify import live_nodes
@@ -60,13 +60,22 @@ class Mode:
 
 @dataclass(frozen=True)
 class Binary:
-    """A program as it is kept: machine code, and the bytes of working memory that it takes."""
+    """A program as it is kept.
+
+    Attributes:
+        code: machine code.
+        scratch_bytes: of working memory.
+        text: of better code, by ``background.packed``; empty where there is none, or where ``code`` is it.
+    """
 
     code: bytes
     scratch_bytes: int
+    text: bytes = b""
 
 
-def build(function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode) -> Binary:
+def build(
+    function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode, tier: str = "auto"
+) -> Binary:
     """Compile a function from a state to the next one.
 
     Args:
@@ -74,6 +83,7 @@ def build(function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], m
             Or what was traced of one that needs neither the last tree nor the tick.
         inputs: the trees; the last one is the state.
         mode: how vectors are used.
+        tier: of the code, "quick" or "better"; "auto": quick code with the text of better code.
 
     Raises:
         UnsupportedError: the function does what this code generator cannot do.
@@ -85,51 +95,12 @@ def build(function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], m
     with refusing():
         # One text for all ticks of a call: the loop over ticks is inside, so that the state stays in the cache.
         writer = _Writer(closed, tuple(inputs), mode.lanes, mode.side_by_side)
-        text = writer.text()
-        return Binary(machine_code(text), writer.arena.size + SPARE * 8)
-
-
-class Program:
-    """A compiled tick that can be called.
-
-    Args:
-        binary: what ``build`` returned.
-        inputs, mode: what it was built for.
-    """
-
-    def __init__(self, binary: Binary, inputs: Sequence[Input], mode: Mode):
-        self.inputs, self.mode, self.scratch_bytes = tuple(inputs), mode, binary.scratch_bytes
-        # Kept, because the address below is valid as long as the code is in memory.
-        self._loaded = Loaded(binary.code)
-        # Called without the lock of Python, so threads run their worlds at the same time.
-        pointers = [ctypes.c_void_p] * (2 * len(self.inputs) + 1)
-        prototype = ctypes.CFUNCTYPE(None, *pointers, ctypes.c_int32, ctypes.c_int32)
-        self._call = prototype(self._loaded.address("advance"))
-        prototype = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p, *[ctypes.c_int32] * 2)
-        self._call_each = prototype(self._loaded.address("advance_each"))
-
-    def scratch(self) -> Any:
-        """Return working memory for one thread."""
-        return aligned(self.scratch_bytes, np.dtype(np.uint8))
-
-    def buffers(self, which: int) -> Buffers:
-        """Return empty buffers of an input: of its floats and of its integers, for all lanes where it is own."""
-        layout = self.inputs[which].layout
-        # What all share is read once and spread over the lanes.
-        width = self.mode.worlds if self.inputs[which].own else 1
-        floats, integers = (
-            aligned(size * width, np.dtype(dtype))
-            for size, dtype in zip(layout.sizes, (layout.dtype, np.int32), strict=True)
-        )
-        return floats, integers
-
-    def __call__(self, addresses: Sequence[int], scratch: int, tick: int, count: int) -> None:
-        """Advance the state by ``count`` ticks, from addresses of the buffers of all inputs in order."""
-        self._call(*addresses, scratch, tick, count)
-
-    def each(self, table: Any, scratch: int, tick: int, count: int) -> None:
-        """Do so for each row of a table of addresses, (rows, two for each input) uint64 and contiguous."""
-        self._call_each(table.ctypes.data, len(table), scratch, tick, count)
+        if tier == "better":
+            code, text = machine_code(writer.text(kernels_inside=True)), b""
+        else:
+            code = machine_code(writer.text(), "quick")
+            text = packed(writer.text(kernels_inside=True)) if tier == "auto" else b""
+        return Binary(code, writer.arena.size + SPARE * 8, text)
 
 
 class _Writer:
@@ -251,9 +222,10 @@ class _Writer:
         """Return the shape of what is in memory of a node at one time."""
         return (*node.shape[:-1], 1) if node.number in self.short else node.shape
 
-    def text(self) -> str:
-        """Return the module."""
+    def text(self, kernels_inside: bool = False) -> str:
+        """Return the module, with functions of kernels, or with kernels written out where they are used."""
         writer = Emitter(self.places, self.lanes, self.side_by_side, self._spare, self._spare_bytes)
+        writer.kernels_inside = kernels_inside
         # No two buffers overlap, which lets LLVM keep loads in registers across stores.
         arguments = [f"ptr noalias %{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
         arguments += ["ptr noalias %scratch", "i32 %first", "i32 %count"]
@@ -279,12 +251,12 @@ class _Writer:
         for line in after_all:
             writer.do(line)
         writer.do("ret void")
-        kernels = [kernel_text(name, lanes) for name, lanes in sorted(writer.kernels)]
+        functions = [kernels.function(name, lanes) for name, lanes in sorted(writer.kernels)]
         return "\n".join(
             [
                 *writer.constants,
-                *sorted(writer.declarations.union(*(declared for _, declared in kernels))),
-                *(line for lines, _ in kernels for line in lines),
+                *sorted(writer.declarations.union(*(declared for _, declared in functions))),
+                *(line for lines, _ in functions for line in lines),
                 f"define void @advance({', '.join(arguments)}) noinline #0 {{",
                 "entry:",
                 *writer.entry,

@@ -38,13 +38,14 @@ def trace_of(function: Callable[..., Any], inputs: Sequence[Input]) -> tuple[Any
     return found
 
 
-def build_start(traced: tuple[Any, Any], inputs: Sequence[Input], mode: Mode) -> Start:
+def build_start(traced: tuple[Any, Any], inputs: Sequence[Input], mode: Mode, tier: str = "quick") -> Start:
     """Compile a start.
 
     Args:
         traced: by ``trace_of``: a function of the trees of one world that returns its first state.
         inputs: the trees.
         mode: how vectors are used.
+        tier: of the code; a start runs once, so quick code is enough.
 
     Raises:
         UnsupportedError: the function does what this code generator cannot do.
@@ -55,4 +56,4 @@ def build_start(traced: tuple[Any, Any], inputs: Sequence[Input], mode: Mode) ->
         template = jax.tree.map(lambda leaf: struct(leaf.shape, np.dtype(leaf.dtype)), shape)
         layout = Packer(template)
     # The state is an input like the others, so that a start is a program like a tick, which fills it.
-    return Start(build(closed, [*inputs, Input(layout, own=True)], mode), template)
+    return Start(build(closed, [*inputs, Input(layout, own=True)], mode, tier), template)

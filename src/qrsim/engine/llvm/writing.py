@@ -67,8 +67,9 @@ class Writer:
         self.entry: list[str] = []
         self.declarations: set[str] = set()
         self.constants: list[str] = []
-        # Kernels that are called, each with its lanes.
+        # Kernels that are called, each with its lanes; none where they are written out.
         self.kernels: set[tuple[str, int]] = set()
+        self.kernels_inside = False
         self.count = 0
         self.block = "entry"
         self.scalars: dict[int, tuple[str, int]] = {}

@@ -1,0 +1,103 @@
+"""A compiled tick that can be called, on quick code at first and on better code later."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+from collections.abc import Callable, Sequence
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from qrsim.engine.layout import Buffers, aligned
+from qrsim.engine.llvm.background import compile_later
+from qrsim.engine.llvm.compiler import Loaded
+from qrsim.engine.llvm.program import Binary, Input, Mode
+from qrsim.engine.llvm.refusal import UnsupportedError, refusing
+
+# How long quick code runs before better code is made: a tenth of what that takes.
+PATIENCE_S = 0.3
+TICKS_AT_ONCE = 1000
+
+
+class Program:
+    """A compiled tick that can be called.
+
+    Args:
+        binary: what ``build`` returned.
+        inputs, mode: what it was built for.
+        keep: takes the better code of a program, where it is made while the program runs.
+    """
+
+    def __init__(
+        self, binary: Binary, inputs: Sequence[Input], mode: Mode, keep: Callable[[Binary], None] | None = None
+    ):
+        self.inputs, self.mode, self.scratch_bytes = tuple(inputs), mode, binary.scratch_bytes
+        self._keep = keep
+        # Text of better code, until that is asked for, and the seconds until then.
+        self._text, self._patience_s = binary.text, PATIENCE_S
+        self._quick = bool(binary.text)
+        # Every one that was loaded, because an address is valid as long as its code is in memory, and a thread may be
+        # in the code that is replaced.
+        self._loaded: list[Loaded] = []
+        self._use(binary.code)
+
+    def _use(self, code: bytes) -> None:
+        loaded = Loaded(code)
+        self._loaded.append(loaded)
+        # Called without the lock of Python, so threads run their worlds at the same time.
+        pointers = [ctypes.c_void_p] * (2 * len(self.inputs) + 1)
+        prototype = ctypes.CFUNCTYPE(None, *pointers, ctypes.c_int32, ctypes.c_int32)
+        self._call = prototype(loaded.address("advance"))
+        prototype = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p, *[ctypes.c_int32] * 2)
+        self._call_each = prototype(loaded.address("advance_each"))
+
+    def _better(self, code: bytes) -> None:
+        """Use better code from the next call on, and have it kept."""
+        # Code that cannot be loaded is not needed: the quick code goes on.
+        with contextlib.suppress(UnsupportedError), refusing():
+            self._use(code)
+            self._quick = False
+            if self._keep is not None:
+                self._keep(Binary(code, self.scratch_bytes))
+
+    def _ran(self, seconds: float) -> None:
+        """Ask for better code once the program has run for long enough to pay for it."""
+        self._patience_s -= seconds
+        if self._patience_s <= 0.0 and self._text:
+            text, self._text = self._text, b""
+            compile_later(text, self._better)
+
+    def scratch(self) -> Any:
+        """Return working memory for one thread."""
+        return aligned(self.scratch_bytes, np.dtype(np.uint8))
+
+    def buffers(self, which: int) -> Buffers:
+        """Return empty buffers of an input: of its floats and of its integers, for all lanes where it is own."""
+        layout = self.inputs[which].layout
+        # What all share is read once and spread over the lanes.
+        width = self.mode.worlds if self.inputs[which].own else 1
+        floats, integers = (
+            aligned(size * width, np.dtype(dtype))
+            for size, dtype in zip(layout.sizes, (layout.dtype, np.int32), strict=True)
+        )
+        return floats, integers
+
+    def __call__(self, addresses: Sequence[int], scratch: int, tick: int, count: int) -> None:
+        """Advance the state by ``count`` ticks, from addresses of the buffers of all inputs in order."""
+        while self._quick and count > 0:
+            # Few enough that better code is used from the middle of a long call on.
+            ticks, begin = min(count, TICKS_AT_ONCE), perf_counter()
+            self._call(*addresses, scratch, tick, ticks)
+            self._ran(perf_counter() - begin)
+            tick, count = tick + ticks, count - ticks
+        if count > 0:
+            self._call(*addresses, scratch, tick, count)
+
+    def each(self, table: Any, scratch: int, tick: int, count: int) -> None:
+        """Do so for each row of a table of addresses, (rows, two for each input) uint64 and contiguous."""
+        begin = perf_counter()
+        self._call_each(table.ctypes.data, len(table), scratch, tick, count)
+        if self._quick:
+            self._ran(perf_counter() - begin)
