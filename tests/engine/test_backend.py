@@ -165,7 +165,7 @@ def test_both_functions_are_of_one_compiler_where_they_are_prepared() -> None:
 
 
 def test_a_fault_of_the_code_generator_goes_to_xla_with_one_warning(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(text: str) -> bytes:
+    def fails(text: str, tier: str) -> bytes:
         raise RuntimeError("a fault for a test")
 
     monkeypatch.setattr(code_generator, "machine_code", fails)

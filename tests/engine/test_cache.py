@@ -13,17 +13,23 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend.core import jaxprs_in_params
 
 import qrsim
+from qrsim.core.noise import Key
 from qrsim.core.structure import from_plain, to_plain
 from qrsim.core.tree import quantity, record, setting
 from qrsim.core.vectors import Vec3
-from qrsim.engine import cache, folders
+from qrsim.engine import by_llvm, cache, folders, programs
 from qrsim.engine.layout import Packer, struct
-from qrsim.engine.llvm import Binary, Start
+from qrsim.engine.llvm import Binary
+from qrsim.interface.actions import ActionChecker
+from qrsim.world import tick as ticks_of
+from qrsim.world.draws import keys_of
 
 HEAD = len(cache.MAGIC) + 32
 
@@ -89,22 +95,17 @@ class TestKept:
         [
             {"key": "0" * 64},
             {"origin": {"jax": "0.1"}},
-            {"code_bytes": 3},
+            {"bytes": 3},
+            {"text_bytes": -1},
+            {"text_bytes": 99},
+            {"program": 5},
+            {"program": "0" * 64},
             {"scratch_bytes": -1},
             {"scratch_bytes": True},
             {"scratch_bytes": 2**60},
             {"scratch_bytes": "64"},
-            {"state": {"structure": ["tuple"], "leaves": [], "identity": ""}},
-            {
-                "state": {
-                    "structure": {"record": "os:system", "parts": {}, "settings": {}},
-                    "leaves": [],
-                    "identity": "",
-                }
-            },
-            {"state": 5},
             {"number": "5"},
-            {"state": []},
+            {"more": 1},
         ],
     )
     def test_what_is_of_another_program_or_makes_no_sense_is_made_anew(
@@ -116,6 +117,28 @@ class TestKept:
         path.write_bytes(signed(header | changes, code))
         assert cache.kept(("a",), lambda: binary(b"new")).code == b"new"
 
+    @pytest.mark.parametrize(
+        "state",
+        [
+            {"structure": ["tuple"], "leaves": [], "identity": ""},
+            {"structure": {"record": "os:system", "parts": {}, "settings": {}}, "leaves": [], "identity": ""},
+            5,
+            [],
+        ],
+    )
+    def test_a_state_that_makes_no_sense(self, place: Path, state: Any) -> None:
+        known = cache.Known("0" * 64, Packer((struct((2,), np.dtype(np.float32)),)))
+        assert cache.kept(("a",), lambda: known) == known
+        (path,) = place.iterdir()
+        header, code = opened(path)
+        path.write_bytes(signed(header | {"state": state}, code))
+        assert cache.look_up(("a",)) is None
+
+    def test_better_code_as_text_comes_back(self, place: Path) -> None:
+        both = Binary(b"code", 64, b"text of better code")
+        cache.keep(("a",), both)
+        assert cache.look_up(("a",)) == both
+
     def test_the_file_of_another_program_under_this_ones_name(self, place: Path) -> None:
         cache.kept(("a",), binary)
         (first,) = place.iterdir()
@@ -126,7 +149,7 @@ class TestKept:
 
     def test_of_another_version_of_a_library(self, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         cache.kept(("a",), binary)
-        monkeypatch.setattr(cache, "_origin", lambda: {"jax": "9"})
+        monkeypatch.setattr(cache, "_origin", lambda rooms: {"jax": "9"})
         assert cache.kept(("a",), lambda: binary(b"new")).code == b"new"
 
     def test_files_that_are_none(self, place: Path) -> None:
@@ -269,18 +292,19 @@ class TestStructure:
 
     def test_a_start_comes_back_as_it_was(self, place: Path) -> None:
         template = (None, [Vec3(*[struct((2,), np.dtype(np.float32))] * 3)], Theirs(struct((), np.dtype(bool))))
-        start = cache.kept(("a",), lambda: Start(binary(), template))
-        found = cache.kept(("a",), lambda: Start(binary(b"new"), template))
-        assert found.binary == binary()
-        assert found.layout == start.layout
-        assert found.template[2].kind == ("a", 0.1)
+        layout = Packer(template)
+        cache.keep(("a",), cache.Known("0" * 64, layout))
+        found = cache.look_up(("a",))
+        assert found.program == "0" * 64
+        assert found.state == layout
+        assert found.state.template()[2].kind == ("a", 0.1)
 
     def test_what_has_no_name_is_not_kept(self, place: Path) -> None:
         @record
         class Local:
             value: Any = quantity(doc="something")
 
-        cache.kept(("a",), lambda: Start(binary(), Local(struct((), np.dtype(bool)))))
+        cache.keep(("a",), cache.Known("0" * 64, Packer(Local(struct((), np.dtype(bool))))))
         assert not list(place.iterdir())
 
     def test_code_of_others_is_not_kept(self, place: Path) -> None:
@@ -317,9 +341,95 @@ def test_a_simulation_of_a_damaged_cache_flies(place: Path) -> None:
 
     first = flown()
     files = sorted(place.iterdir())
-    assert len(files) == 2
+    # The start and the tick: where their structures lead, and their code.
+    assert len(files) == 4
     contents = [path.read_bytes() for path in files]
-    files[0].write_bytes(contents[1])
-    files[1].write_bytes(contents[1][:-9] + b"123456789")
+    for i, path in enumerate(files):
+        path.write_bytes([contents[(i + 1) % 4], contents[i][:-9] + b"123456789"][i % 2])
     assert flown() == first
     assert [path.read_bytes() for path in files] == contents
+
+
+class TestTwoKeys:
+    """Machine code is found by the structure of its inputs, or else by the program that is traced."""
+
+    @pytest.fixture
+    def built(self, place: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+        """What was compiled."""
+        names: list[str] = []
+
+        def build(*arguments: Any) -> Binary:
+            names.append("code")
+            return by_llvm_build(*arguments)
+
+        by_llvm_build = by_llvm.build
+        monkeypatch.setattr(by_llvm, "build", build)
+        return names
+
+    @staticmethod
+    def flown(gain: float) -> Any:
+        """Fly a policy of a user, which nothing but tracing can tell from another one."""
+        programs.forget()
+        found = qrsim.rollout("hover_ideal", lambda reading: jnp.full((1, 5), gain), worlds=1, ticks=5, seed=3)
+        return np.asarray(found.metrics["distance_m"])
+
+    def test_users_code_is_compiled_once_and_again_when_it_changes(self, built: list[str]) -> None:
+        first = self.flown(0.25)
+        once = len(built)
+        assert once == 2
+        np.testing.assert_array_equal(self.flown(0.25), first)
+        assert len(built) == once
+        assert (self.flown(0.5) != first).any()
+        # The start does not ask the policy.
+        assert len(built) == once + 1
+
+    def test_an_edit_of_what_is_traced_costs_no_compilation(self, built: list[str], monkeypatch: Any) -> None:
+        def reset() -> bytes:
+            programs.forget()
+            simulation = qrsim.load("hover_ideal", seed=2)
+            simulation.reset()
+            return simulation.save()
+
+        first, sources = reset(), cache._sources
+        assert len(built) == 1
+        cache._origin.cache_clear()
+        monkeypatch.setattr(cache, "_sources", lambda rooms: "edited" if "models" in rooms else sources(rooms))
+        try:
+            assert reset() == first
+            assert len(built) == 1
+            # The code generator itself is another matter.
+            cache._origin.cache_clear()
+            monkeypatch.setattr(cache, "_sources", lambda rooms: "edited generator")
+            assert reset() == first
+            assert len(built) == 2
+        finally:
+            monkeypatch.undo()
+            cache._origin.cache_clear()
+
+
+@pytest.mark.long
+def test_all_that_is_traced_lies_in_the_rooms_that_the_first_key_digests() -> None:
+    root = Path(qrsim.__file__).parent
+    seen = set()
+    for name in ("mixed_team", "street_canyon", "formation_radio", "plume_mapping/3F"):
+        world = qrsim.load_scenario(name).world()
+        keys, checker = keys_of(world, Key.root(0, 0)), ActionChecker(world, np.dtype(np.float32))
+        start, state = jax.make_jaxpr(ticks_of.reset, return_shape=True)(world, keys)
+        given = checker.actions(None, lambda: None), checker.estimates(None)
+        tick = jax.make_jaxpr(ticks_of.step)(world, state, jnp.int32(0), *given)
+        seen |= files_of(start.jaxpr) | files_of(tick.jaxpr)
+    rooms = {path.relative_to(root).parts[0] for path in seen if path.is_relative_to(root)}
+    assert {"models", "world", "control"} <= rooms <= set(cache.TRACED)
+
+
+def files_of(jaxpr: Any) -> set[Path]:
+    """The files of all lines that led to an equation, those of inner programs included."""
+    found: set[Path] = set()
+    for equation in jaxpr.eqns:
+        traceback = equation.source_info.traceback
+        if traceback is not None:
+            # From the traced function inwards; outside of it is whoever traces.
+            found |= {Path(frame.file_name) for frame in traceback.frames}
+        for inner in jaxprs_in_params(equation.params):
+            found |= files_of(inner)
+    return found

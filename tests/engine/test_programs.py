@@ -23,9 +23,9 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 def program(made: list[int], number: int) -> Any:
     def make() -> int:
         made.append(number)
-        return 10 * number
+        return 10 * number + 1
 
-    return programs.compiled(("test", number), None, make, lambda binary: binary + 1)
+    return programs.compiled(("test", number), make)
 
 
 def test_it_is_made_once(made: list[int]):
@@ -49,7 +49,7 @@ def test_what_cannot_be_made_is_tried_once(made: list[int]):
         raise UnsupportedError("a test of what cannot be made")
 
     with pytest.warns(CompilerWarning, match="a test of what cannot be made"), pytest.raises(UnsupportedError):
-        programs.compiled(("test", 0), None, fails, int)
+        programs.compiled(("test", 0), fails)
     with pytest.raises(UnsupportedError, match="a test of what cannot be made"):
-        programs.compiled(("test", 0), None, fails, int)
+        programs.compiled(("test", 0), fails)
     assert made == [0]

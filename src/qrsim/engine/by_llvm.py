@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -9,10 +10,23 @@ from typing import Any
 import jax
 import numpy as np
 
-from qrsim.engine.cache import identity, kept
+from qrsim.engine.cache import GENERATOR, Known, identity, keep, kept, look_up
 from qrsim.engine.functions import Extent, Function
 from qrsim.engine.layout import Buffers, Packer, Shared, aligned, aligned_copy
-from qrsim.engine.llvm import Binary, Input, LaneProgram, Lanes, Mode, Program, Start, build, build_start, trace_of
+from qrsim.engine.llvm import (
+    Binary,
+    Input,
+    LaneProgram,
+    Lanes,
+    Mode,
+    Program,
+    build,
+    digest,
+    state_of,
+    trace_of,
+    trace_tick,
+)
+from qrsim.engine.llvm.refusal import refusing
 from qrsim.engine.programs import compiled
 from qrsim.engine.settings import threads, tier
 
@@ -46,25 +60,73 @@ def make(function: Function, shared: Shared, own: Packer, state: Packer | None, 
     """
     mode = mode_of_many(extent.worlds or 1, extent.vehicles, extent.dtype)
     layouts = [shared.layout, own] if state is None else [shared.layout, own, state]
-    inputs = tuple(Input(layout, own=i > 0) for i, layout in enumerate(layouts))
-    text = None
-    if function.text is not None:
-        text = (function.name, *function.text, *map(identity, layouts), mode)
-
-    def made() -> Start | Binary:
-        if state is not None:
-            return build(function.call, inputs, mode, tier())
-        traced = _traced(function, shared.layout, own)
-        return build_start(traced, inputs, mode, "better" if tier() == "better" else "quick")
-
-    def load(found: Start | Binary) -> tuple[Packer, Program]:
-        layout, binary = (found.layout, found.binary) if isinstance(found, Start) else (layouts[-1], found)
-        # The layout of a first state is known once its start has been traced.
-        every = inputs if state is not None else (*inputs, Input(layout, own=True))
-        return layout, Program(binary, every, mode)
-
-    layout, program = compiled((function.name, function.of, *layouts, mode), text, made, load)
+    layout, program = compiled(
+        (function.name, function.of, *layouts, mode), lambda: _loaded(function, shared.layout, own, state, mode)
+    )
     return LlvmProgram(program, shared, own, layout, extent)
+
+
+def _loaded(
+    function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode
+) -> tuple[Packer, Program]:
+    """Return the layout of the state and a program, from the user's cache or made."""
+    before = [shared, own] if state is None else [shared, own, state]
+    what = None if function.text is None else (function.name, *function.text, *map(identity, before), mode)
+    # A start runs once, so quick code is enough.
+    wanted = "quick" if state is None and tier() == "auto" else tier()
+    known: Known | None = None if what is None else look_up(what)
+    binary = None if known is None else _kept_code(known.program, wanted)
+    if known is None or binary is None:
+        known, binary = _made(function, shared, own, state, mode, wanted)
+        if what is not None and known.program:
+            keep(what, known)
+    layout, program = known.state or state, known.program
+    assert layout is not None
+
+    def keep_better(better: Binary) -> None:
+        if program:
+            keep(("code", program, "better"), better, GENERATOR)
+
+    with refusing():
+        # Code from the cache may not load on this machine after all, and then XLA has it too.
+        return layout, Program(binary, _inputs(shared, own, layout), mode, keep_better)
+
+
+def _made(
+    function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode, wanted: str
+) -> tuple[Known, Binary]:
+    """Trace a function and compile it, unless its code is kept."""
+    # What goes wrong in the function itself is its author's to know.
+    if state is None:
+        closed, shape = _traced(function, shared, own)
+        layout = state_of(shape)
+    else:
+        closed, layout = trace_tick(function.call, _inputs(shared, own, state)), state
+    inputs, program = _inputs(shared, own, layout), digest(closed)
+    # How the leaves lie in the buffers; of their structure the code knows nothing.
+    lying = [(each.layout.shapes, each.layout.dtypes, each.own) for each in inputs]
+    key = "" if program is None else hashlib.sha256(repr((program, lying, mode)).encode()).hexdigest()
+    binary = _kept_code(key, wanted)
+    if binary is None:
+        binary = build(closed, inputs, mode, wanted)
+        if key:
+            keep(("code", key, wanted), binary, GENERATOR)
+    return Known(key, layout if state is None else None), binary
+
+
+def _inputs(shared: Packer, own: Packer, state: Packer) -> tuple[Input, ...]:
+    return Input(shared, own=False), Input(own, own=True), Input(state, own=True)
+
+
+def _kept_code(program: str, wanted: str) -> Binary | None:
+    """Return kept code of a tier, or of one that serves as well; of a program without a key none is kept."""
+    if not program:
+        return None
+    for each in {"auto": ("better", "auto"), "quick": ("quick", "auto"), "better": ("better",)}[wanted]:
+        found: Binary | None = look_up(("code", program, each), GENERATOR)
+        if found is not None:
+            return found
+    return None
 
 
 def _traced(function: Function, shared: Packer, own: Packer) -> tuple[Any, Any]:

@@ -1,7 +1,12 @@
 """Machine code in the user's cache, so that the next process neither traces nor compiles.
 
+Two keys lead to it. The first is the structure of a program's inputs with a digest of the sources that are traced: it
+finds the second one without tracing. The second is a digest of the program itself, as it was traced, with the sources
+of the code generator: it finds the machine code. So an edit of a comment costs a trace, and worlds with a user's own
+code, which only tracing can tell from each other, are compiled once.
+
 A file is a digest, a header in JSON and the object code. Its name and its header say all that the code depends on:
-what was cut short or altered, or is of another program, version or machine, is made anew. A digest is no signature,
+what was cut short or altered, or is of another program, version or machine, is made again. A digest is no signature,
 and what is in the folder is run: so only a folder is used that belongs to this user alone, see engine/folders.py.
 """
 
@@ -13,6 +18,7 @@ import json
 import os
 import stat
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -21,48 +27,66 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.structure import from_plain, kinds, name_of, to_plain
-from qrsim.engine.folders import private, temporary, tidy
+from qrsim.engine.folders import cache_folder, private, temporary, tidy
 from qrsim.engine.layout import Packer, struct
 from qrsim.engine.llvm.compiler import machine_name
 from qrsim.engine.llvm.program import Binary
-from qrsim.engine.llvm.start import Start
 
 # To be counted up where the form of a file changes.
-MAGIC = b"qrsim program 1\n"
+MAGIC = b"qrsim program 2\n"
+SUFFIX = ".bin"
 _DIGEST_BYTES = 32
 _LENGTH_BYTES = 4
 # What claims to be larger is none of ours, and is not read into memory.
-_LARGEST_FILE = 2**28
+LARGEST_FILE = 2**28
 _LARGEST_SCRATCH = 2**40
 _FOREIGN = "not of this package: "
+# Rooms whose code makes a program: all that is traced, with the code generator; and of those the generator alone.
+TRACED = ("control", "core", "engine", "interface", "models", "simulation", "tasks", "world")
+GENERATOR = ("core", "engine")
+_HEADER = {"key", "origin", "bytes", "scratch_bytes", "text_bytes", "program", "state", "number"}
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the first key leads to.
+
+    Attributes:
+        program: the second key.
+        state: layout of the state that a start makes; None of any other program.
+    """
+
+    program: str
+    state: Packer | None = None
+
+
+Kept = Binary | Known | int
 
 
 def folder() -> Path | None:
     """Return where code is kept, None where QRSIM_COMPILATION_CACHE is off."""
     if os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
         return None
-    from platformdirs import user_cache_path
-
-    return user_cache_path("qrsim") / "native"
+    return cache_folder() / "native"
 
 
-@lru_cache(maxsize=1)
-def _sources() -> str:
-    """Return a digest of this package as it is installed: any edit of it makes other programs."""
-    # Sizes and times of files, because to read all of them would make every start slower.
+@lru_cache(maxsize=4)
+def _sources(rooms: tuple[str, ...]) -> str:
+    """Return a digest of the contents of rooms of this package, wherever it is installed."""
     digest = hashlib.sha256()
     root = Path(__file__).parents[1]
-    for path in sorted(root.rglob("*.py")):
-        found = path.stat()
-        digest.update(f"{path.relative_to(root)} {found.st_size} {found.st_mtime_ns}\n".encode())
+    for room in rooms:
+        for path in sorted((root / room).rglob("*.py")):
+            content = path.read_bytes()
+            digest.update(f"{path.relative_to(root).as_posix()} {len(content)}\n".encode() + content)
     return digest.hexdigest()
 
 
-@lru_cache(maxsize=1)
-def _origin() -> dict[str, str]:
-    """List the versions, processor and sources that all programs of this process depend on."""
+@lru_cache(maxsize=4)
+def _origin(rooms: tuple[str, ...]) -> dict[str, str]:
+    """List the versions, processor and sources that programs of this process depend on."""
     versions = {name: version(name) for name in ("jax", "numpy", "llvmlite")}
-    return {"sources": _sources(), "machine": machine_name(), **versions}
+    return {"sources": _sources(rooms), "machine": machine_name(), **versions}
 
 
 def identity(layout: Packer) -> str:
@@ -75,26 +99,43 @@ def identity(layout: Packer) -> str:
 
 
 def kept(what: tuple[Any, ...], make: Callable[[], Any]) -> Any:
-    """Take the result of ``make`` from the cache, or make and keep it.
-
-    Args:
-        what: all that it depends on beside this package and the machine; its repr is the key.
-        make: called where the cache has nothing; returns a Binary, a Start or a whole number.
-    """
-    place = folder()
-    if place is None or any(isinstance(part, str) and part.startswith(_FOREIGN) for part in what):
-        return make()
-    if not private(place):
-        return make()
-    _tidied(place, os.getpid())
-    # The origin is part of the name too, so that two versions of the package keep their programs side by side.
-    key = hashlib.sha256(repr((what, sorted(_origin().items()))).encode()).hexdigest()
-    path = place / f"{key}.bin"
-    found = _read(path, key)
+    """Take the result of ``make`` from the cache, or make and keep it; see ``look_up`` and ``keep``."""
+    found = look_up(what)
     if found is None:
         found = make()
-        _write(path, key, found)
+        keep(what, found)
     return found
+
+
+def look_up(what: tuple[Any, ...], rooms: tuple[str, ...] = TRACED) -> Any:
+    """Return what the cache has, a Binary, a Known or a whole number, or None.
+
+    Args:
+        what: all that it depends on apart from this package and the machine; its repr is the key.
+        rooms: of this package, on which it depends.
+    """
+    place = _place(what, rooms)
+    return None if place is None else _read(*place)
+
+
+def keep(what: tuple[Any, ...], value: Kept, rooms: tuple[str, ...] = TRACED) -> None:
+    """Put something into the cache; where it cannot be written, that costs time, nothing else."""
+    place = _place(what, rooms)
+    if place is not None:
+        _write(*place, value)
+
+
+def _place(what: tuple[Any, ...], rooms: tuple[str, ...]) -> tuple[Path, str, tuple[str, ...]] | None:
+    """Return the file of something, its key, and the rooms; None where nothing is kept of it."""
+    place = folder()
+    if place is None or any(isinstance(part, str) and part.startswith(_FOREIGN) for part in what):
+        return None
+    if not private(place):
+        return None
+    _tidied(place, os.getpid())
+    # The origin is part of the name too, so that two versions of the package keep their programs side by side.
+    key = hashlib.sha256(repr((what, sorted(_origin(rooms).items()))).encode()).hexdigest()
+    return place / f"{key}{SUFFIX}", key, rooms
 
 
 @lru_cache(maxsize=4)
@@ -102,91 +143,117 @@ def _tidied(place: Path, process: int) -> None:
     tidy(place)
 
 
-def _read(path: Path, key: str) -> Binary | Start | int | None:
+def _read(path: Path, key: str, rooms: tuple[str, ...]) -> Kept | None:
     try:
-        data = _bytes(path)
+        data = file_bytes(path)
         if data is None:
             return None
-        begin = len(MAGIC) + _DIGEST_BYTES
-        content = data[begin:]
-        # Before anything of it is parsed.
-        if data[: len(MAGIC)] != MAGIC or hashlib.sha256(content).digest() != data[len(MAGIC) : begin]:
-            return None
-        end = _LENGTH_BYTES + int.from_bytes(content[:_LENGTH_BYTES], "little")
-        return _parsed(json.loads(content[_LENGTH_BYTES:end]), content[end:], key)
-    # Whatever is wrong with it, the program is made anew.
+        header, code = opened(data)
+        with contextlib.suppress(OSError):
+            # The time of its last use: what was not used for longest is deleted first.
+            os.utime(path)
+        return _parsed(header, code, key, _origin(rooms))
+    # Whatever is wrong with it, the program is made again.
     except (OSError, ValueError, TypeError, LookupError, RecursionError, AttributeError):
         return None
 
 
-def _bytes(path: Path) -> bytes | None:
-    """Read a file of this user's own; None where it is anything else."""
-    # A link could lead to a file that somebody else can change, and a pipe would be waited for.
+def file_bytes(path: Path) -> bytes | None:
+    """Return the content of a file of this user, None where it is no such file or too large."""
+    # A pipe would wait for somebody to write into it.
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     with open(os.open(path, flags), "rb") as file:
         found = os.fstat(file.fileno())
         own = not hasattr(os, "geteuid") or found.st_uid == os.geteuid()
-        if not stat.S_ISREG(found.st_mode) or not own or found.st_size > _LARGEST_FILE:
+        if not stat.S_ISREG(found.st_mode) or not own or found.st_size > LARGEST_FILE:
             return None
-        data = file.read(_LARGEST_FILE)
-    with contextlib.suppress(OSError):
-        # The time of its last use: what was not used for longest is deleted first.
-        os.utime(path)
-    return data
+        return file.read(LARGEST_FILE)
 
 
-def _parsed(header: dict[str, Any], code: bytes, key: str) -> Binary | Start | int | None:
-    expected = {"key": key, "origin": _origin(), "code_bytes": len(code)}
+def opened(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """Return the header and the code of a file.
+
+    Raises:
+        ValueError: it is none of ours, or was altered.
+    """
+    begin = len(MAGIC) + _DIGEST_BYTES
+    content = data[begin:]
+    # Before anything of it is parsed.
+    if data[: len(MAGIC)] != MAGIC or hashlib.sha256(content).digest() != data[len(MAGIC) : begin]:
+        raise ValueError("not a program, or not whole")
+    end = _LENGTH_BYTES + int.from_bytes(content[:_LENGTH_BYTES], "little")
+    header = json.loads(content[_LENGTH_BYTES:end])
+    if not isinstance(header, dict) or header.keys() != _HEADER:
+        raise ValueError("not a header")
+    return header, content[end:]
+
+
+def _parsed(header: dict[str, Any], code: bytes, key: str, origin: dict[str, str]) -> Kept | None:
+    expected = {"key": key, "origin": origin, "bytes": len(code)}
     if any(header[name] != value for name, value in expected.items()):
         return None
     if header["number"] is not None:
         return header["number"] if type(header["number"]) is int and not code else None
-    scratch = header["scratch_bytes"]
-    if type(scratch) is not int or not 0 <= scratch < _LARGEST_SCRATCH or not code:
+    if header["program"] is not None:
+        if type(header["program"]) is not str or code:
+            return None
+        return Known(header["program"], _state_of(header["state"]))
+    scratch, text = header["scratch_bytes"], header["text_bytes"]
+    if type(scratch) is not int or not 0 <= scratch < _LARGEST_SCRATCH:
         return None
-    binary, state = Binary(code, scratch), header["state"]
+    if type(text) is not int or not 0 <= text < len(code):
+        return None
+    return Binary(code[: len(code) - text], scratch, code[len(code) - text :])
+
+
+def _state_of(state: dict[str, Any] | None) -> Packer | None:
     if state is None:
-        return binary
+        return None
     leaves = iter([struct(tuple(shape), np.dtype(dtype)) for shape, dtype in state["leaves"]])
-    start = Start(binary, from_plain(state["structure"], leaves))
+    found = Packer(from_plain(state["structure"], leaves))
     # A structure that was read back as another one would put numbers into the wrong fields.
-    return start if identity(start.layout) == state["identity"] else None
+    if identity(found) != state["identity"]:
+        raise ValueError("another structure")
+    return found
 
 
-def _write(path: Path, key: str, made: Binary | Start | int) -> None:
-    # A state with something in it that is no plain data is made anew in every process.
+def _write(path: Path, key: str, rooms: tuple[str, ...], value: Kept) -> None:
+    # A state with something in it that is no plain data is traced in every process.
     try:
-        state = _state(made) if isinstance(made, Start) else None
+        state = _plain_state(value.state) if isinstance(value, Known) and value.state is not None else None
     except TypeError:
         return
-    number = made if isinstance(made, int) else None
-    # A number has no code.
-    binary = Binary(b"", 0) if isinstance(made, int) else made.binary if isinstance(made, Start) else made
+    binary = value if isinstance(value, Binary) else Binary(b"", 0)
+    body = binary.code + binary.text
     header = json.dumps(
         {
             "key": key,
-            "origin": _origin(),
+            "origin": _origin(rooms),
+            "bytes": len(body),
             "scratch_bytes": binary.scratch_bytes,
-            "code_bytes": len(binary.code),
+            "text_bytes": len(binary.text),
+            "program": value.program if isinstance(value, Known) else None,
             "state": state,
-            "number": number,
+            "number": value if isinstance(value, int) else None,
         }
     ).encode()
-    content = len(header).to_bytes(_LENGTH_BYTES, "little") + header + binary.code
+    content = len(header).to_bytes(_LENGTH_BYTES, "little") + header + body
+    write_file(path, MAGIC + hashlib.sha256(content).digest() + content)
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Write a file so that another process sees the whole of it or nothing; an error costs time, nothing else."""
     part = temporary(path)
-    # A cache that cannot be written costs time, nothing else.
     with contextlib.suppress(OSError):
         try:
             with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-                file.write(MAGIC + hashlib.sha256(content).digest() + content)
-            # In one step, so that another process sees the whole file or none.
+                file.write(data)
             os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)
 
 
-def _state(start: Start) -> dict[str, Any]:
+def _plain_state(layout: Packer) -> dict[str, Any]:
     """Return how the state of a start looks, in plain data."""
-    layout = start.layout
     leaves = [[list(shape), str(dtype)] for shape, dtype in zip(layout.shapes, layout.dtypes, strict=True)]
     return {"structure": to_plain(layout.structure), "leaves": leaves, "identity": identity(layout)}

@@ -18,6 +18,16 @@ STALE_S = 3600.0
 _NOBODY = 65534
 
 
+def cache_folder() -> Path:
+    """Return the folder of all that is compiled: QRSIM_CACHE_DIR, or one in the user's cache."""
+    named = os.environ.get("QRSIM_CACHE_DIR")
+    if named:
+        return Path(named).expanduser().absolute()
+    from platformdirs import user_cache_path
+
+    return user_cache_path("qrsim")
+
+
 def private(path: Path) -> bool:
     """Return whether a folder is this user's alone; it is made where it is missing, and closed where it can be read.
 
@@ -65,7 +75,7 @@ def _warn(path: str, why: str) -> None:
     """Warn once of each folder."""
     warn_user(
         f"compiled programs are neither read from {path} nor kept there: {why}. Every start compiles anew; "
-        "XDG_CACHE_HOME names another place, QRSIM_COMPILATION_CACHE=off does without"
+        "QRSIM_CACHE_DIR names another place, QRSIM_COMPILATION_CACHE=off does without"
     )
 
 

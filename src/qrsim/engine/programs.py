@@ -8,8 +8,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
-from qrsim.engine.cache import kept
-from qrsim.engine.llvm.refusal import UnsupportedError, refusing
+from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.errors import CompilerWarning
 
 log = logging.getLogger(__name__)
@@ -23,16 +22,12 @@ _KEEPING = threading.Lock()
 _TOLD: set[str] = set()
 
 
-def compiled(
-    key: tuple[Any, ...], what: tuple[Any, ...] | None, make: Callable[[], Any], load: Callable[[Any], Any]
-) -> Any:
-    """Return a program of this process; loaded from the user's cache, or made, where there is none yet.
+def compiled(key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+    """Return a program of this process, made where there is none yet.
 
     Args:
         key: all that it depends on; its first part says what it is.
-        what: the same as text, for the user's cache; None where another process could not tell it by text.
-        make: returns what the cache keeps.
-        load: returns a program from that.
+        make: returns the program.
 
     Raises:
         UnsupportedError: it cannot be made.
@@ -40,11 +35,7 @@ def compiled(
     found = _MADE.get(key)
     if found is None:
         try:
-            # What a user's function raises while it is traced is not caught here: it is theirs.
-            binary = make() if what is None else kept(what, make)
-            # Code from the cache may not load on this machine after all, and then XLA has it too.
-            with refusing():
-                found = load(binary)
+            found = make()
         except UnsupportedError as why:
             _tell(key[0], why)
             found = why

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from qrsim.engine.folders import private, tidy
+from qrsim.engine.folders import cache_folder, private, tidy
 from qrsim.errors import UsageError
 
 # The older code generator of XLA:CPU compiles a tick in half the time of the newer one. It runs a few vehicles as fast,
@@ -141,9 +141,7 @@ def use_compilation_cache() -> None:
     config: Any = jax.config
     if config.jax_compilation_cache_dir or os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
         return
-    from platformdirs import user_cache_path
-
-    place = user_cache_path("qrsim") / "compiled"
+    place = cache_folder() / "compiled"
     if not private(place):
         return
     tidy(place)

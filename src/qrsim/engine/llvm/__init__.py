@@ -6,10 +6,11 @@ loops over vectors, written as LLVM's text and compiled by it. What a program do
 """
 
 from qrsim.engine.llvm.calling import Program
+from qrsim.engine.llvm.digest import digest
 from qrsim.engine.llvm.lanes import LaneProgram, Lanes
-from qrsim.engine.llvm.program import Binary, Input, Mode, build
+from qrsim.engine.llvm.program import Binary, Input, Mode, build, trace_tick
 from qrsim.engine.llvm.refusal import UnsupportedError
-from qrsim.engine.llvm.start import Start, build_start, trace_of
+from qrsim.engine.llvm.start import state_of, trace_of
 
 __all__ = [
     "Binary",
@@ -18,9 +19,10 @@ __all__ = [
     "Lanes",
     "Mode",
     "Program",
-    "Start",
     "UnsupportedError",
     "build",
-    "build_start",
+    "digest",
+    "state_of",
     "trace_of",
+    "trace_tick",
 ]

@@ -73,14 +73,24 @@ class Binary:
     text: bytes = b""
 
 
+def trace_tick(function: Callable[..., Any], inputs: Sequence[Input]) -> ClosedJaxpr:
+    """Trace a function of trees and the number of the tick, which returns a tree like the last one.
+
+    Args:
+        function: called as function(*trees, tick) of one world.
+        inputs: the trees; the last one is the state.
+    """
+    closed: ClosedJaxpr = trace(function, *(each.layout.template() for each in inputs), struct((), np.dtype(np.int32)))
+    return closed
+
+
 def build(
-    function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode, tier: str = "auto"
+    function: Callable[..., Any] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode, tier: str = "quick"
 ) -> Binary:
     """Compile a function from a state to the next one.
 
     Args:
-        function: called as function(*trees, tick) of one world; returns a tree like the last one, which it advances.
-            Or what was traced of one that needs neither the last tree nor the tick.
+        function: see ``trace_tick``, or the same traced, which then may read fewer of the trees and no tick.
         inputs: the trees; the last one is the state.
         mode: how vectors are used.
         tier: of the code, "quick" or "better"; "auto": quick code with the text of better code.
@@ -88,10 +98,7 @@ def build(
     Raises:
         UnsupportedError: the function does what this code generator cannot do.
     """
-    closed = function
-    if not isinstance(closed, ClosedJaxpr):
-        # What goes wrong in the function itself is its author's to know.
-        closed = trace(closed, *(each.layout.template() for each in inputs), struct((), np.dtype(np.int32)))
+    closed = function if isinstance(function, ClosedJaxpr) else trace_tick(function, inputs)
     with refusing():
         # One text for all ticks of a call: the loop over ticks is inside, so that the state stays in the cache.
         writer = _Writer(closed, tuple(inputs), mode.lanes, mode.side_by_side)

@@ -1,0 +1,112 @@
+"""A digest of a traced program: equal for two traces of the same operations, in this process or in another."""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend import core as jex
+
+from qrsim.engine.llvm.rules import RULES
+
+
+class UnknownError(Exception):
+    """A program with a part that another process could not tell from another one."""
+
+
+def digest(closed: Any) -> str | None:
+    """Return the digest of a closed jaxpr, None where it has a part that no digest tells.
+
+    Names, source lines and rules of differentiation are no part of it: they change nothing that is computed.
+    """
+    try:
+        return _Walk().closed(closed)
+    except UnknownError:
+        return None
+
+
+class _Walk:
+    """Digests a program and the programs inside it, each of them once."""
+
+    def __init__(self) -> None:
+        # With the program itself, so that no other one gets its address.
+        self._found: dict[int, tuple[Any, str]] = {}
+
+    def closed(self, closed: Any) -> str:
+        """Return the digest of a closed jaxpr, or of one without constants."""
+        known = self._found.get(id(closed))
+        if known is None:
+            jaxpr = closed.jaxpr if hasattr(closed, "jaxpr") else closed
+            known = closed, self._jaxpr(jaxpr, getattr(closed, "consts", ()))
+            self._found[id(closed)] = known
+        return known[1]
+
+    def _jaxpr(self, jaxpr: Any, constants: Any) -> str:
+        result, numbers = hashlib.sha256(), dict[Any, int]()
+
+        def add(*parts: Any) -> None:
+            result.update(repr(parts).encode())
+
+        def define(variables: Any) -> list[Any]:
+            found = []
+            for variable in variables:
+                numbers[variable] = len(numbers)
+                found.append((variable.aval.shape, variable.aval.dtype.name))
+            return found
+
+        def read(atom: Any) -> Any:
+            if isinstance(atom, jex.Literal):
+                return _array(np.asarray(atom.val, atom.aval.dtype))  # type: ignore[attr-defined]
+            return numbers[atom]
+
+        add(define(jaxpr.constvars), [self._value(constant) for constant in constants], define(jaxpr.invars))
+        for equation in jaxpr.eqns:
+            rule = RULES.get(equation.primitive)
+            # One of somebody else may have the name of a known one.
+            if rule is None:
+                raise UnknownError
+            # Of a call only what is called: the rest is there for JAX's own compiler and for derivatives.
+            params = [rule.op] if rule.method == "call" else sorted(equation.params)
+            add(
+                equation.primitive.name,
+                [read(atom) for atom in equation.invars],
+                [(name, self._value(equation.params[name])) for name in params],
+                define(equation.outvars),
+            )
+        add([read(atom) for atom in jaxpr.outvars])
+        return result.hexdigest()
+
+    def _value(self, value: Any) -> Any:
+        """Return a parameter as something with a text that says all of it."""
+        for kinds, text in self._TEXTS:
+            if isinstance(value, kinds):
+                return text(self, value)
+        if hasattr(value, "eqns") or hasattr(value, "jaxpr"):
+            return self.closed(value)
+        raise UnknownError
+
+    def _several(self, values: Any) -> Any:
+        named = type(values).__name__, getattr(values, "_fields", ())
+        return *named, [self._value(value) for value in values]
+
+    _TEXTS: tuple[tuple[Any, Callable[[Any, Any], Any]], ...] = (
+        ((bool, int, str, bytes, type(None)), lambda walk, value: (type(value).__name__, repr(value))),
+        (float, lambda walk, value: ("float", value.hex())),
+        (enum.Enum, lambda walk, value: (type(value).__name__, value.name)),
+        (np.dtype, lambda walk, value: ("dtype", value.name)),
+        ((np.ndarray, np.generic, jax.Array), lambda walk, value: _array(np.asarray(value))),
+        ((tuple, list), _several),
+        (type, lambda walk, value: ("dtype", np.dtype(value).name) if issubclass(value, np.generic) else _unknown()),
+    )
+
+
+def _array(array: np.ndarray[Any, Any]) -> Any:
+    return array.shape, array.dtype.name, hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
+
+
+def _unknown() -> Any:
+    raise UnknownError
