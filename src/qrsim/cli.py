@@ -26,6 +26,7 @@ import tyro
 
 from qrsim import interruptions
 from qrsim.apps.autopilot import Ardupilot, Betaflight
+from qrsim.apps.cache import Clear, Info, Pack, Unpack
 from qrsim.apps.check.command import Check
 from qrsim.apps.compare import Compare
 from qrsim.apps.data import Fetch, Where
@@ -105,6 +106,15 @@ Example:
     {"fetch": Fetch, "where": Where},
 )
 
+CACHE = Group(
+    """Show, empty or carry the cache of compiled programs.
+
+Example:
+  qrsim cache info
+  qrsim cache pack programs.tar.gz""",
+    {"info": Info, "clear": Clear, "pack": Pack, "unpack": Unpack},
+)
+
 AUTOPILOT = Group(
     """Fly vehicles by the firmware of an autopilot.
 
@@ -137,6 +147,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "sweep": Sweep,
     "sweep-report": SweepReport,
     "data": DATA,
+    "cache": CACHE,
     "version": Version,
 }
 

@@ -41,9 +41,9 @@ _LENGTH_BYTES = 4
 LARGEST_FILE = 2**28
 _LARGEST_SCRATCH = 2**40
 _FOREIGN = "not of this package: "
-# Rooms whose code makes a program: all that is traced, with the code generator; and of those the generator alone.
-TRACED = ("control", "core", "engine", "interface", "models", "simulation", "tasks", "world")
-GENERATOR = ("core", "engine")
+# Sources that make a program: the code generator, and all that is traced.
+GENERATOR = ("core", "engine/layout.py", "engine/llvm")
+TRACED = (*GENERATOR, "control", "interface", "models", "simulation", "tasks", "world")
 _HEADER = {"key", "origin", "bytes", "scratch_bytes", "text_bytes", "program", "state", "number"}
 
 
@@ -72,11 +72,11 @@ def folder() -> Path | None:
 
 @lru_cache(maxsize=4)
 def _sources(rooms: tuple[str, ...]) -> str:
-    """Return a digest of the contents of rooms of this package, wherever it is installed."""
+    """Return a digest of the contents of rooms and files of this package, wherever it is installed."""
     digest = hashlib.sha256()
     root = Path(__file__).parents[1]
     for room in rooms:
-        for path in sorted((root / room).rglob("*.py")):
+        for path in sorted((root / room).rglob("*.py")) if (root / room).is_dir() else [root / room]:
             content = path.read_bytes()
             digest.update(f"{path.relative_to(root).as_posix()} {len(content)}\n".encode() + content)
     return digest.hexdigest()

@@ -1,0 +1,222 @@
+"""The cache of compiled programs as a whole: its contents, and archives that carry it to another machine."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import tarfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from qrsim.engine import cache
+from qrsim.engine.folders import LARGEST_BYTES, cache_folder, private
+from qrsim.engine.llvm.compiler import machine_name
+from qrsim.errors import RunError, UsageError, did_you_mean_file
+
+# Folders of the cache: programs of the package's own code generator, and those that XLA compiled.
+KINDS = ("native", "compiled")
+FORMAT = "qrsim cache 1"
+MANIFEST = "manifest.json"
+_NAME = re.compile(r"[0-9a-f]{64}\.bin")
+_LARGEST_MANIFEST = 10_000
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Files of one kind.
+
+    Attributes:
+        folder: where they are.
+        files: how many.
+        size_bytes: of all together.
+    """
+
+    folder: Path
+    files: int
+    size_bytes: int
+
+
+def processor() -> str:
+    """Return the processor with its features, and the compiler, on which programs depend."""
+    return machine_name()
+
+
+def contents() -> dict[str, Contents]:
+    """Return what the cache holds, by kind; nothing where QRSIM_COMPILATION_CACHE is off."""
+    found = {}
+    for kind in KINDS if cache.folder() is not None else ():
+        sizes = [path.stat().st_size for path in _files(kind)]
+        found[kind] = Contents(cache_folder() / kind, len(sizes), sum(sizes))
+    return found
+
+
+def clear() -> dict[str, Contents]:
+    """Delete every file of the cache, and return what was deleted, by kind.
+
+    Raises:
+        RunError: a file cannot be deleted.
+    """
+    before = contents()
+    for kind in before:
+        for path in _files(kind):
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise RunError(f"{path}: {error.strerror}") from None
+    return before
+
+
+def _files(kind: str) -> list[Path]:
+    folder = cache_folder() / kind
+    if not folder.is_dir() or folder.is_symlink():
+        return []
+    return sorted(path for path in folder.iterdir() if path.is_file() and not path.is_symlink())
+
+
+def pack(path: Path) -> int:
+    """Write the programs for this processor to a tar archive, compressed if its name ends in ``.gz`` or ``.tgz``.
+
+    Returns:
+        The number of programs.
+
+    Raises:
+        UsageError: the cache is switched off, or has no program for this processor.
+        RunError: the archive cannot be written.
+    """
+    _place()
+    entries = {}
+    for file in _files("native"):
+        data = _whole(file)
+        if data is not None and data[0]["origin"]["machine"] == machine_name():
+            entries[file.name] = data[1]
+    if not entries:
+        raise UsageError(f"{cache_folder()}: there is no compiled program for this processor; fly a scenario first")
+    manifest = json.dumps({"format": FORMAT, "machine": machine_name(), "programs": len(entries)}, indent=2).encode()
+    try:
+        with tarfile.open(path, "w:gz" if path.suffix in (".gz", ".tgz") else "w") as archive:
+            for name, content in {MANIFEST: manifest, **entries}.items():
+                member = tarfile.TarInfo(name)
+                member.size, member.mode = len(content), 0o600
+                archive.addfile(member, io.BytesIO(content))
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror or error}") from None
+    return len(entries)
+
+
+def _whole(path: Path) -> tuple[dict[str, Any], bytes] | None:
+    """Return the header and the content of a file of the cache, None where it is damaged or none of ours."""
+    try:
+        content = cache.file_bytes(path)
+        return None if content is None else (_checked(path.name, content), content)
+    except (OSError, ValueError):
+        return None
+
+
+def _checked(name: str, content: bytes) -> dict[str, Any]:
+    """Return the header of a file.
+
+    Raises:
+        ValueError: it is damaged, or has another name than its own.
+    """
+    header = cache.opened(content)[0]
+    origin = header["origin"]
+    if name != f"{header['key']}{cache.SUFFIX}" or not isinstance(origin, dict) or "machine" not in origin:
+        raise ValueError("another program's name")
+    return header
+
+
+def unpack(path: Path) -> int:
+    """Put the programs of an archive into the cache, once all of them have been checked.
+
+    Returns:
+        The number of programs.
+
+    Raises:
+        UsageError: it is no archive of a cache, is damaged, or is for another processor.
+    """
+    place = _place()
+    try:
+        with tarfile.open(path, "r:*") as archive:
+            entries = _entries(path, archive)
+    except FileNotFoundError:
+        raise UsageError(f"{path}: there is no such file{did_you_mean_file(path)}") from None
+    except (OSError, EOFError, zlib.error, tarfile.TarError):
+        raise UsageError(f"{path}: not an archive of 'qrsim cache pack', or cut short") from None
+    for name, content in entries.items():
+        cache.write_file(place / name, content)
+    missing = [name for name in entries if not (place / name).is_file()]
+    if missing:
+        raise RunError(f"{place}: {len(missing)} of {len(entries)} programs could not be written")
+    return len(entries)
+
+
+def _entries(path: Path, archive: tarfile.TarFile) -> dict[str, bytes]:
+    """Return the files of an archive by name."""
+    first = archive.next()
+    manifest = _manifest(path, archive, first)
+    if manifest["machine"] != machine_name():
+        raise UsageError(
+            f"{path}: packed on another processor or with another compiler.\n"
+            f"  packed on:    {_processor(str(manifest['machine']))}\n"
+            f"  this machine: {_processor(machine_name())}"
+        )
+    entries: dict[str, bytes] = {}
+    left = LARGEST_BYTES
+    while (member := archive.next()) is not None:
+        # Names of its own only: nothing of an archive may lie anywhere else.
+        if not member.isreg() or not _NAME.fullmatch(member.name):
+            raise UsageError(f"{path}: has a member '{member.name[:100]}' that no cache has; nothing was unpacked")
+        left -= member.size
+        if member.size > cache.LARGEST_FILE or left < 0:
+            raise UsageError(f"{path}: is larger than a cache may be ({LARGEST_BYTES // 2**20} MiB)")
+        content = _read(archive, member)
+        try:
+            machine = _checked(member.name, content)["origin"]["machine"]
+        except ValueError:
+            machine = None
+        if machine != manifest["machine"]:
+            raise UsageError(f"{path}: {member.name} is damaged or not the program it claims to be")
+        entries[member.name] = content
+    if len(entries) != manifest.get("programs"):
+        raise UsageError(f"{path}: has {len(entries)} of {manifest.get('programs')} programs; it was cut short")
+    return entries
+
+
+def _manifest(path: Path, archive: tarfile.TarFile, member: tarfile.TarInfo | None) -> dict[str, Any]:
+    found = None
+    if member is not None and member.isreg() and member.name == MANIFEST and member.size <= _LARGEST_MANIFEST:
+        try:
+            found = json.loads(_read(archive, member))
+        except (ValueError, RecursionError):
+            found = None
+    if not isinstance(found, dict) or found.get("format") != FORMAT or "machine" not in found:
+        raise UsageError(f"{path}: not an archive of 'qrsim cache pack': its first member is no {MANIFEST} of one")
+    return found
+
+
+def _read(archive: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
+    file = archive.extractfile(member)
+    return b"" if file is None else file.read()
+
+
+def _processor(machine: str) -> str:
+    """Return the name of a processor and the version of LLVM, without the list of features between them."""
+    words = machine.split()
+    return " ".join([*words[:1], *words[-2:]])[:200]
+
+
+def _place() -> Path:
+    """Return the folder of programs.
+
+    Raises:
+        UsageError: nothing is kept, or the folder may not be used.
+    """
+    place = cache.folder()
+    if place is None:
+        raise UsageError("QRSIM_COMPILATION_CACHE is off, so there is no cache")
+    if not private(place):
+        raise UsageError(f"{place}: not a folder that is this user's alone")
+    return place
