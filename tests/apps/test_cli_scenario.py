@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from typing import Any
@@ -180,3 +181,18 @@ def test_nothing_but_ascii_on_a_terminal_that_knows_no_more():
 def test_options_that_do_not_exist(words, capsys):
     assert cli.main(words) == 2
     assert f"qrsim {words[0]} --help" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- show --program
+
+
+def test_the_forms_of_a_program(capsys, refused):
+    graph = printed(["show", "hover_ideal", "--program", "graph"], capsys)
+    # An operation with what it reads: of a vehicle on its own, numbers without an axis.
+    assert re.search(r"^%\d+: float32\[\] = mul\(%\d+, %\d+\)$", graph, re.MULTILINE)
+    steps = printed(["show", "hover_ideal", "--program", "steps"], capsys)
+    assert steps.index("before the first tick:") < steps.index("every tick:") < steps.index("working memory:")
+    assert re.search(r"^  \d+\. loop over scalars: .*\d+ mul", steps, re.MULTILINE)
+    text = printed(["show", "hover_ideal", "--program", "llvm"], capsys)
+    assert text.count("define void @advance(") == 1
+    refused(["show", "hover_ideal", "--program", "step"], "'step' is no form of a program", "did you mean 'steps'?")

@@ -71,6 +71,7 @@ class Show:
     Example:
       qrsim show outdoor_patrol > mine.yaml
       qrsim show my_scenario.yaml --set world.wind.speed_20ft=7
+      qrsim show hover --program steps
     """
 
     scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "outdoor_patrol"
@@ -83,6 +84,9 @@ class Show:
     """Print JSON instead; without what follows, unless --derived asks for it."""
     derived: bool = False
     """Print only what follows from the parameters of each fleet's vehicles."""
+    program: Annotated[str | None, tyro.conf.arg(metavar="FORM", help_behavior_hint="(default: none)")] = None
+    """Print the compiled program of a tick instead: its graph of operations ('graph'), the loops that compute them in
+    their order ('steps'), or the text that LLVM compiles ('llvm')."""
 
     def run(self) -> None:
         """Print the resolved scenario, and what follows from the parameters of its vehicles."""
@@ -93,6 +97,11 @@ class Show:
         from qrsim.scenarios.wind_limits import envelope_lines
 
         scenario = load_scenario(self.scenario, self.set)
+        if self.program is not None:
+            from qrsim.simulation.showing import program_text
+
+            print(program_text(scenario.world(), self.program))
+            return
         derived = derived_of(scenario)
         if self.json:
             print(json.dumps(derived, indent=2) if self.derived else scenario.spec.model_dump_json(indent=2))

@@ -20,10 +20,22 @@ from qrsim.engine import by_llvm, by_xla
 from qrsim.engine.by_llvm import state_bytes
 from qrsim.engine.functions import Extent, Function
 from qrsim.engine.layout import Buffers, Packer, Shared, layout_of_each
-from qrsim.engine.llvm import UnsupportedError
+from qrsim.engine.llvm import FORMS, UnsupportedError
 from qrsim.engine.settings import chosen_compiler
+from qrsim.errors import UsageError
 
-__all__ = ["Extent", "Function", "Program", "Specialised", "States", "Worlds", "compile", "state_bytes"]
+__all__ = [
+    "FORMS",
+    "Extent",
+    "Function",
+    "Program",
+    "Specialised",
+    "States",
+    "Worlds",
+    "compile",
+    "form_of",
+    "state_bytes",
+]
 
 Tree = Any
 IntArray = np.ndarray[Any, np.dtype[np.int_]]
@@ -99,6 +111,34 @@ def compile(
         except UnsupportedError as why:
             refused = str(why)
     return by_xla.make(function, shared, own, state, extent, refused)
+
+
+def form_of(
+    function: Function, world: Tree, own: Tree, extent: Extent, form: str, start: Function | None = None
+) -> str:
+    """Return the program of a function of one world as text.
+
+    Args:
+        function: of one world.
+        world: what all worlds have in common.
+        own: what one has for itself; with ``start`` a pair, what the start is given and what the function is.
+        extent: how many worlds.
+        form: one of FORMS: "graph" of operations, "steps" in their order, or "llvm", the text that LLVM compiles.
+        start: makes the state that the function advances; None: the function makes a first state itself.
+
+    Raises:
+        UsageError: XLA has been chosen, or the code generator does not take the function.
+    """
+    shared = Shared.of(world).layout
+    if chosen_compiler() != "llvm":
+        raise UsageError(f"the form '{form}' is one of qrsim's own compiler, and XLA is chosen")
+    try:
+        if start is None:
+            return by_llvm.form_of(function, shared, Packer(own), None, extent, form)
+        state = by_llvm.state_layout(start, shared, Packer(own[0]))
+        return by_llvm.form_of(function, shared, Packer(own[1]), state, extent, form)
+    except UnsupportedError as why:
+        raise UsageError(f"{function.name}: qrsim's own compiler does not take {why}") from None
 
 
 class Specialised:

@@ -22,6 +22,7 @@ from qrsim.engine.llvm import (
     Program,
     build,
     digest,
+    printed,
     state_of,
     trace_of,
     trace_tick,
@@ -66,6 +67,22 @@ def make(function: Function, shared: Shared, own: Packer, state: Packer | None, 
     return LlvmProgram(program, shared, own, layout, extent)
 
 
+def form_of(function: Function, shared: Packer, own: Packer, state: Packer | None, extent: Extent, form: str) -> str:
+    """Return a form of a program as text, one of FORMS; see ``qrsim.engine.llvm.printed``.
+
+    Raises:
+        UnsupportedError: the code generator does not take the function.
+    """
+    closed, layout = _traced_with_state(function, shared, own, state)
+    mode = mode_of_many(extent.worlds or 1, extent.vehicles, extent.dtype)
+    return printed(closed, _inputs(shared, own, layout), mode, form)
+
+
+def state_layout(start: Function, shared: Packer, own: Packer) -> Packer:
+    """Return the layout of the state that a function starts with."""
+    return _traced_with_state(start, shared, own, None)[1]
+
+
 def _loaded(
     function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode
 ) -> tuple[Packer, Program]:
@@ -96,12 +113,7 @@ def _made(
     function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode, wanted: str
 ) -> tuple[Known, Binary]:
     """Trace a function and compile it, unless its code is kept."""
-    # What goes wrong in the function itself is its author's to know.
-    if state is None:
-        closed, shape = _traced(function, shared, own)
-        layout = state_of(shape)
-    else:
-        closed, layout = trace_tick(function.call, _inputs(shared, own, state)), state
+    closed, layout = _traced_with_state(function, shared, own, state)
     inputs, program = _inputs(shared, own, layout), digest(closed)
     # How the leaves lie in the buffers; of their structure the code knows nothing.
     lying = [(each.layout.shapes, each.layout.dtypes, each.own) for each in inputs]
@@ -112,6 +124,14 @@ def _made(
         if key:
             keep(("code", key, wanted), binary, GENERATOR)
     return Known(key, layout if state is None else None), binary
+
+
+def _traced_with_state(function: Function, shared: Packer, own: Packer, state: Packer | None) -> tuple[Any, Packer]:
+    """Return a traced function and the layout of the state; errors of the function itself are raised as they are."""
+    if state is not None:
+        return trace_tick(function.call, _inputs(shared, own, state)), state
+    closed, shape = _traced(function, shared, own)
+    return closed, state_of(shape)
 
 
 def _inputs(shared: Packer, own: Packer, state: Packer) -> tuple[Input, ...]:

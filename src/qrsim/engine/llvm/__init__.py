@@ -8,11 +8,13 @@ loops over vectors, written as LLVM's text and compiled by it. What a program do
 from qrsim.engine.llvm.calling import Program
 from qrsim.engine.llvm.digest import digest
 from qrsim.engine.llvm.lanes import LaneProgram, Lanes
+from qrsim.engine.llvm.printing import FORMS, printed
 from qrsim.engine.llvm.program import Binary, Input, Mode, build, trace_tick
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.start import state_of, trace_of
 
 __all__ = [
+    "FORMS",
     "Binary",
     "Input",
     "LaneProgram",
@@ -22,6 +24,7 @@ __all__ = [
     "UnsupportedError",
     "build",
     "digest",
+    "printed",
     "state_of",
     "trace_of",
     "trace_tick",

@@ -101,20 +101,28 @@ def build(
     closed = function if isinstance(function, ClosedJaxpr) else trace_tick(function, inputs)
     with refusing():
         # One text for all ticks of a call: the loop over ticks is inside, so that the state stays in the cache.
-        writer = _Writer(closed, tuple(inputs), mode.lanes, mode.side_by_side)
+        draft = Draft(closed, inputs, mode)
         if tier == "better":
-            code, text = machine_code(writer.text(kernels_inside=True)), b""
+            code, text = machine_code(draft.text(kernels_inside=True)), b""
         else:
-            code = machine_code(writer.text(), "quick")
-            text = packed(writer.text(kernels_inside=True)) if tier == "auto" else b""
-        return Binary(code, writer.arena.size + SPARE * 8, text)
+            code = machine_code(draft.text(), "quick")
+            text = packed(draft.text(kernels_inside=True)) if tier == "auto" else b""
+        return Binary(code, draft.arena.size + SPARE * 8, text)
 
 
-class _Writer:
-    """Traces, schedules and writes."""
+class Draft:
+    """A program on its way from a traced function to LLVM's text.
 
-    def __init__(self, closed: ClosedJaxpr, inputs: tuple[Input, ...], lanes: int, side_by_side: bool):
-        self.inputs, self.lanes, self.side_by_side = inputs, lanes, side_by_side
+    Args:
+        closed, inputs, mode: see ``build``.
+
+    Attributes:
+        graph: the operations.
+        prologue, body: steps before the first tick, and those of every tick.
+    """
+
+    def __init__(self, closed: ClosedJaxpr, inputs: Sequence[Input], mode: Mode):
+        self.inputs, self.lanes, self.side_by_side = tuple(inputs), mode.lanes, mode.side_by_side
         self.graph = Graph()
         self.arena = Arena()
         self.places: dict[int, Place] = {}

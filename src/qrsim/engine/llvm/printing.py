@@ -1,0 +1,82 @@
+"""The forms of a program, for people: its graph, its steps, and LLVM's text."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr
+
+from qrsim.engine.llvm.graph import Access, Node, Region
+from qrsim.engine.llvm.program import Draft, Input, Mode
+from qrsim.engine.llvm.refusal import refusing
+from qrsim.engine.llvm.schedule import Step
+
+FORMS = ("graph", "steps", "llvm")
+
+
+def printed(closed: ClosedJaxpr, inputs: Sequence[Input], mode: Mode, form: str) -> str:
+    """Return a form of a program as text.
+
+    Args:
+        closed, inputs, mode: see ``program.build``.
+        form: one of FORMS.
+
+    Raises:
+        UnsupportedError: the code generator does not take the program.
+    """
+    with refusing():
+        draft = Draft(closed, inputs, mode)
+        if form == "llvm":
+            return draft.text(kernels_inside=True)
+        lines = _region(draft.graph.region, "") if form == "graph" else _steps(draft)
+        return "\n".join(lines)
+
+
+def _region(region: Region, indent: str) -> Iterator[str]:
+    for node in region.nodes:
+        yield f"{indent}{_node(node)}"
+        for i, inner in enumerate(node.regions):
+            yield f"{indent}  region {i}:"
+            yield from _region(inner, f"{indent}    ")
+            yield f"{indent}    -> {', '.join(map(_access, inner.results))}"
+
+
+def _node(node: Node) -> str:
+    """Write a node: number, type, operation, and what it reads; invariant ones are computed before the first tick."""
+    shape = ",".join(map(str, node.shape))
+    arguments = [_access(access) for access in node.args]
+    if node.op == "constant":
+        arguments = [str(np.frombuffer(node.attributes[0], node.dtype).tolist())]
+    elif not node.regions:
+        arguments += [str(value) for value in node.attributes]
+    note = " ; invariant" if node.invariant and node.op not in ("input", "constant") else ""
+    return f"%{node.number}: {node.dtype.name}[{shape}] = {node.op}({', '.join(arguments)}){note}"
+
+
+def _access(access: Access) -> str:
+    """Write the node that is read, and at which place of it: an axis of the loop plus an offset."""
+    places = [("" if axis is None else f"i{axis}") + (f"+{offset}" if offset else "") for axis, offset in access.index]
+    return f"%{access.node.number}" + (f"[{','.join(place or '0' for place in places)}]" if places else "")
+
+
+def _steps(draft: Draft) -> Iterator[str]:
+    for name, steps in (("before the first tick", draft.prologue), ("every tick", draft.body)):
+        yield f"{name}:"
+        for i, step in enumerate(steps):
+            yield from _step(step, f"  {i}. ", "  ")
+    yield f"working memory: {draft.arena.size} B"
+
+
+def _step(step: Step, label: str, indent: str) -> Iterator[str]:
+    operations = ", ".join(f"{count} {op}" for op, count in Counter(node.op for node in step.nodes).most_common())
+    shape = " x ".join(map(str, step.domain)) or "scalars"
+    reduced = f", reduced along {step.reduced}" if step.reduced else ""
+    yield f"{label}{step.kind} over {shape}{reduced}: {operations}"
+    for i, part in enumerate(step.parts):
+        yield from _step(part, f"{indent}    part {i}: ", f"{indent}    ")
+    for i, branch in enumerate(step.branches):
+        yield f"{indent}    branch {i}:"
+        for j, inner in enumerate(branch):
+            yield from _step(inner, f"{indent}      {j}. ", f"{indent}      ")
