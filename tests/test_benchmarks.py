@@ -122,7 +122,7 @@ def test_radio():
     assert 15.0 < row["heard"] < 24.0
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_flight_stack():
     results = rows("flight_stack")
     assert len(results) == 6
@@ -130,7 +130,7 @@ def test_flight_stack():
     assert all(row["core_percent"] == pytest.approx(0.25 * row["microseconds"], abs=0.02) for row in results)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_ros2():
     pytest.importorskip("cyclonedds")
     pytest.importorskip("rosbags")
@@ -166,7 +166,7 @@ def test_serve():
     assert twice["target"] > 0
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_pace():
     [row] = rows("pace")
     assert (row["controllers"], row["overruns_target"], row["latency_target"]) == (2, 1.0, 25.0)
@@ -181,7 +181,7 @@ def test_betaflight():
     assert (alone["target"], hovering["target"], hovering["rate_hz"]) == ("-", "at least 10", 400.0)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_mavlink():
     [row] = rows("mavlink")
     assert (row["vehicles"], row["late_target"]) == (2, 1.0)

@@ -9,7 +9,10 @@ from evidence import missions as study
 pytestmark = pytest.mark.long
 
 
-@pytest.mark.parametrize("name", study.vehicles())
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name == "hexa4_ekf" else pytest.mark.nightly) for name in study.vehicles()],
+)
 def test_take_off_mission_landing_and_a_second_take_off_in_wind(name: str) -> None:
     found = study.take_offs(name, study.SMALL)
     assert (found["lost"], found["finished"], found["late_legs"]) == (0, study.SMALL, 0)

@@ -26,6 +26,7 @@ pytestmark = pytest.mark.long
 REPORT = Path(__file__).parents[1] / "docs" / "evidence" / "training.json"
 
 
+@pytest.mark.nightly
 def test_the_small_form_learns_from_its_episodes() -> None:
     # The example is written as users write JAX, who do not forbid what the package forbids itself.
     with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):

@@ -92,6 +92,7 @@ def qrsim(python: str, folder: Path, *words: str, **variables: str) -> str:
     return done.stdout
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["laser", "point_mass", "climb"])
 def test_components_of_ones_own(python: str, tmp_path: Path, name: str):
     """The examples of docs/extending.md, copied to where a user has them."""
@@ -117,8 +118,10 @@ def test_it_is_small(python: str, tmp_path: Path):
     "words",
     [
         ["run", "patrol_plain", "--duration", "2"],
-        ["run", "plume_mapping/3A", "--duration", "2", "--policy", "baseline"],
-        ["run", "search_and_rescue/2D", "--duration", "2", "--policy", "baseline"],
+        pytest.param(["run", "plume_mapping/3A", "--duration", "2", "--policy", "baseline"], marks=pytest.mark.nightly),
+        pytest.param(
+            ["run", "search_and_rescue/2D", "--duration", "2", "--policy", "baseline"], marks=pytest.mark.nightly
+        ),
         ["slam", "--seeds", "1", "--duration", "10"],
     ],
     ids=lambda words: words[1],
@@ -128,6 +131,7 @@ def test_it_flies(python: str, tmp_path: Path, words: list[str]):
     assert (tmp_path / "run").is_dir()
 
 
+@pytest.mark.nightly
 def test_it_flies_by_xla(python: str, tmp_path: Path):
     qrsim(
         python,
@@ -151,6 +155,7 @@ def test_it_plots(python: str, tmp_path: Path):
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.nightly
 def test_it_flies_and_plots_with_the_oldest_dependencies(oldest: str, tmp_path: Path):
     assert qrsim(oldest, tmp_path, "-c", "import jax; print(jax.__version__)").startswith("0.8.")
     qrsim(oldest, tmp_path, "-m", "qrsim.cli", "run", "patrol_plain", "--duration", "1", "--out", "run")

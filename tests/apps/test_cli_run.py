@@ -302,16 +302,16 @@ def test_the_run_folder_says_which_compiler_flew(flown):
 def test_the_run_folder_says_why_it_was_xla(fly, monkeypatch):
     """Where machine code fails, and where XLA was asked for."""
 
-    def fails(text):
+    def fails(text, tier):
         raise RuntimeError("a fault for a test")
 
     monkeypatch.setenv("QRSIM_COMPILATION_CACHE", "off")
     monkeypatch.setattr(program, "machine_code", fails)
     programs.forget()
-    refused = fly("hover", "--duration", "0.02", "--no-figure")
+    refused = fly("hover_ideal", "--duration", "0.02", "--no-figure")
     assert refused.complaints.count("a fault for a test") == 1
     monkeypatch.setenv("QRSIM_COMPILER", "xla")
-    wanted = fly("hover", "--duration", "0.02", "--no-figure")
+    wanted = fly("hover_ideal", "--duration", "0.02", "--no-figure")
     programs.forget()
     written = [json.loads((flight.folder / "run.json").read_text()) for flight in (refused, wanted)]
     assert [run["compiler"] for run in written] == ["xla", "xla"]

@@ -203,6 +203,7 @@ def test_a_page_of_another_origin_cannot_connect(replay: Replay, tmp_path: Path,
         assert answer("", protocol) == "refused"
 
 
+@pytest.mark.nightly
 def test_memory_stays_over_a_long_live_run(tmp_path: Path, browser: Browser):
     """900 s at fifty times the wall clock: of the browser's scripts after a collection, and of this process."""
 

@@ -85,6 +85,7 @@ def test_pictures_are_those_that_were_taken(search: Recording, time: float):
     assert np.nanstd(wanted.ratio) > 1.0
 
 
+@pytest.mark.nightly
 def test_puffs_are_where_they_were_at_any_time(tmp_path: Path):
     recording = recorded(PUFFS, tmp_path / "run")
     for time in (2.0, 6.0, 4.5):

@@ -172,7 +172,16 @@ BROKEN: dict[str, Callable[[Signals], Signals]] = {
 }  # fmt: skip
 
 
+# One of each kind; the others differ in which signal is broken, or by how much.
+LONG = (
+    "cut to 5 s", "roll frozen", "no command moves", "command of the wrong sign", "on the ground", "noise", "at 2 Hz",
+    "holed", "velocities of something else", "quiet where it is fitted",
+)  # fmt: skip
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("name", BROKEN)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in LONG else pytest.mark.nightly) for name in BROKEN]
+)
 def test_broken_logs(name: str, signals: Signals, tmp_path: Path) -> None:
     judge(write_csv(tmp_path / "broken.csv", BROKEN[name](signals)))

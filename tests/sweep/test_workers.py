@@ -28,6 +28,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return opened(flown(tmp_path_factory.mktemp("whole"), **MANY))
 
 
+@pytest.mark.nightly
 def test_a_process_that_is_killed_goes_on_where_it_was(tmp_path: Path, whole: Any) -> None:
     store = tmp_path / "killed.zarr"
     assert 5 <= kill_process(store, [str(write(tmp_path, **MANY))], 5) < BATCHES

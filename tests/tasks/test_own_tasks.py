@@ -60,7 +60,7 @@ class TestForms:
             slot = seen[agent]["sender"].tolist().index(0)
             np.testing.assert_allclose(seen[agent]["heard"][slot, :3], [0.0, 0.0, -30.0], atol=3.0)
 
-    @pytest.mark.long
+    @pytest.mark.nightly
     def test_and_pure_functions(self) -> None:
         env = Functional.of(SCENARIO, [*ONE, "world.turbulence=still"])
         episodes, seen = jax.jit(jax.vmap(env.reset))(jnp.arange(2, dtype=jnp.uint32))
@@ -112,7 +112,7 @@ class TestCommands:
         assert min(flown[0][1:]) > 25.0
         assert max(flown[1][1:]) < 12.0
 
-    @pytest.mark.long
+    @pytest.mark.nightly
     def test_check_and_sweep(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert cli.main(["check", SCENARIO, "--seeds", "2", "--duration", "1"]) == 0
         study = tmp_path / "spacing.yaml"

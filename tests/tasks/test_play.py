@@ -149,7 +149,7 @@ def test_an_episode_is_the_same_alone_and_in_a_batch() -> None:
         np.testing.assert_allclose(one, other, rtol=2e-4, atol=2e-4)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_noise_of_worlds_at_different_ticks_is_the_same_bits_alone_and_in_a_batch_of_1024() -> None:
     fleet = play("keep_spot").world.fleets[0]
 

@@ -64,8 +64,13 @@ def branching(seed: int) -> Callable[..., Any]:
 
 @pytest.mark.parametrize(
     ("mode", "programs"),
-    [pytest.param(mode, count, id=f"{name}-{count}", marks=() if mode.lanes == 16 and count == 1 else pytest.mark.long)
-     for mode, name in zip(MODES, IDS, strict=True) for count in (1, 60)],
+    [
+        pytest.param(
+            mode, count, id=f"{name}-{count}",
+            marks=pytest.mark.nightly if count == 60 else pytest.mark.long if mode.lanes != 16 or count > 1 else (),
+        )
+        for mode, name in zip(MODES, IDS, strict=True) for count in (1, 12, 60)
+    ],
 )  # fmt: skip
 def test_branches_read_the_state_before_it_is_changed(mode: Mode, programs: int) -> None:
     for seed in range(programs):

@@ -31,6 +31,8 @@ from qrsim.tasks import KeepSpot
 from qrsim.tasks.episodes import Episodes
 
 COUNTS = (1, 2, 7, 16, 17, 144, 1000)
+# Of those, the ones for which whole worlds are compiled in the long tier: within a vector, and beyond one.
+LONG_COUNTS = [pytest.param(n, marks=() if n in (7, 17) else pytest.mark.nightly) for n in COUNTS]
 
 
 @pytest.fixture(autouse=True)
@@ -246,7 +248,7 @@ def by_both(monkeypatch: pytest.MonkeyPatch, fly: Any) -> list[Any]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("count", LONG_COUNTS)
 def test_policies_of_real_worlds_by_both_compilers(count, monkeypatch):
     """The chosen vehicles climb; after 5 ticks both have every vehicle where the other has it, and nobody is warned."""
 
@@ -288,7 +290,14 @@ class Wake(Wind):
         return Vec3(north, east, jnp.broadcast_to(down, north.shape))
 
 
-@pytest.mark.parametrize("count", [1, *(pytest.param(n, marks=pytest.mark.long) for n in COUNTS if n > 1)])
+@pytest.mark.parametrize(
+    "count",
+    [
+        1,
+        pytest.param(17, marks=pytest.mark.long),
+        *(pytest.param(n, marks=pytest.mark.nightly) for n in (2, 7, 16, 144, 1000)),
+    ],
+)
 def test_components_of_users_by_both_compilers(count, monkeypatch):
     scenario = qrsim.load_scenario(vehicles("patrol_published", count)) if count > 1 else bare_pair()
     world = replace(scenario.world(), wind=Wake(strength=jnp.float32(4.0)))
@@ -321,7 +330,7 @@ class Race(KeepSpot):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("count", LONG_COUNTS)
 def test_tasks_of_users_by_both_compilers(count, monkeypatch):
     play = Functional.of(vehicles("keep_spot_10", count)).play
     play = replace(play, task=Race(**vars(play.task)))

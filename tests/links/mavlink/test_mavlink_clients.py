@@ -55,6 +55,7 @@ def test_pymavlink_by_tcp(field):
     check_log(field.end())
 
 
+@pytest.mark.nightly
 def test_mavsdk_3(field):
     python = environment("mavsdk3")
     assert fly(python, "mavsdk_flight.py", f"udpin://127.0.0.1:{field.port}", "50069") == list(STEPS)
@@ -67,6 +68,7 @@ def test_mavsdk_4(field):
     check_log(field.end())
 
 
+@pytest.mark.nightly
 def test_mavproxy(field, tmp_path):
     """MAVProxy reads the parameters, arms, takes off, flies a mission from a file, and comes back."""
     python = environment("mavproxy")

@@ -199,6 +199,7 @@ def tour_line(what: str, simulation: qrsim.Simulation) -> str:
     return f"{what} t {simulation.time:.17g} vehicles 1/1 reasons 0 {numbers}"
 
 
+@pytest.mark.nightly
 def test_the_examples_fly(build, served):
     """The one beside the header, and those of its README and of docs/serve.md, which are written for port 10000."""
     done = subprocess.run(
