@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from qrsim.core.noise import Draw, Drawn, Key, Stream
 from qrsim.engine.settings import quick_jit
@@ -102,7 +102,7 @@ def compared(
     expected = expected_variance(lengths)
     # Degrees of freedom no larger than those of windows that do not overlap.
     freedom = len(series) * np.maximum(count / lengths - 1.0, 1.0)
-    low, high = (stats.chi2.ppf(0.5 * (1.0 + side * confidence), freedom) / freedom for side in (-1, 1))
+    low, high = (scipy.stats.chi2.ppf(0.5 * (1.0 + side * confidence), freedom) / freedom for side in (-1, 1))
     ratio = variance / expected
     inside = float(np.mean((low <= ratio) & (ratio <= high)))
     return Compared(seconds, variance, expected, inside, float(np.exp(np.max(np.abs(np.log(np.sqrt(ratio)))))))

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 CONFIDENCE = 0.95
 RESAMPLES, SEED = 2000, 20261122
@@ -55,5 +55,5 @@ def quantile(values: Values, part: float) -> Interval:
 
 def share(true: Values) -> Interval:
     """Return how many of (W,) are true, with the exact interval of Clopper and Pearson (1934)."""
-    found = stats.binomtest(int(np.sum(true)), len(true)).proportion_ci(CONFIDENCE, method="exact")
+    found = scipy.stats.binomtest(int(np.sum(true)), len(true)).proportion_ci(CONFIDENCE, method="exact")
     return {"value": float(np.mean(true)), "low": float(found.low), "high": float(found.high)}

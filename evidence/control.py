@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
+import scipy
 
 import qrsim
 from evidence._plain_sensors import PLAIN
@@ -215,7 +215,7 @@ def errors_in_wind(fleets: Sequence[str], seeds: int, left_out: float, duration:
 
 def band(values: Values) -> dict[str, float]:
     """Return mean with its Student t interval at CONFIDENCE, and the 5 and 95 % quantiles of single runs."""
-    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * values.std(ddof=1) / math.sqrt(len(values)))
+    half = float(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * values.std(ddof=1) / math.sqrt(len(values)))
     mean = float(values.mean())
     low, high = (float(q) for q in np.quantile(values, [0.05, 0.95]))
     return {"mean": mean, "low": mean - half, "high": mean + half, "run_5_percent": low, "run_95_percent": high}

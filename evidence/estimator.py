@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
-from scipy.spatial.transform import Rotation as Turn
+import scipy
 
 from qrsim.control.covariance import matrix
 from qrsim.control.ekf import ErrorStateKalmanFilter
@@ -105,6 +104,7 @@ def flown(ticks: int, count: int, random: np.random.Generator) -> Flown:
             found += size * np.sin(speed * times + random.uniform(0.0, 2.0 * np.pi, (count, 3)))
         return found
 
+    Turn = scipy.spatial.transform.Rotation
     acceleration = sines(0.8, 0.05, 0.5)
     angles = sines(0.12, 0.05, 0.6)
     angles[..., 2] = angles[..., 2] * 4.0 + random.uniform(-3.0, 3.0, count) + 0.1 * times[..., 0]
@@ -190,6 +190,7 @@ def filtered(
     wrong[:, :2] = float(kalman.tilt_std) * random.standard_normal((count, 2))
     if "yaw" not in given:
         wrong[:, 2] = float(kalman.yaw_std) * random.standard_normal(count)
+    Turn = scipy.spatial.transform.Rotation
     begun = (Turn.from_rotvec(wrong) * Turn.from_matrix(truth.turned[0])).as_euler("ZYX")[:, ::-1]
     angles = Euler(*(jnp.asarray(begun[:, axis], jnp.float32) for axis in range(3)))
     state, _ = kalman.init(readings(0), Estimate(vec(truth.position[0]), vec(truth.velocity[0]), angles))
@@ -253,6 +254,7 @@ def errors(states: KalmanState, truth: Flown, biases: dict[str, Floats], k: int)
     def of(vector: Vec3) -> Floats:
         return np.stack([array(axis) for axis in vector.axes], axis=-1)
 
+    Turn = scipy.spatial.transform.Rotation
     q, inner = states.attitude, states.inner
     estimated = Turn.from_quat(np.stack([array(axis) for axis in (q.x, q.y, q.z, q.w)], axis=-1))
     parts = [
@@ -300,7 +302,7 @@ def normalised(kalman: ErrorStateKalmanFilter, truth: Flown, ticks: list[int], l
 
 def band(count: int, vehicles: int) -> tuple[float, float]:
     """Return the 95 % band of the mean over vehicles of so many squared errors, at one time."""
-    low, high = stats.chi2.ppf([0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], count * vehicles) / vehicles
+    low, high = scipy.stats.chi2.ppf([0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], count * vehicles) / vehicles
     return float(low), float(high)
 
 
@@ -341,7 +343,7 @@ def _summary(found: Floats, later: Floats, size: int) -> dict[str, Any]:
     low, high = band(size, found.shape[1])
     # Of the mean over the flight of each vehicle, which are independent: errors of one flight last long.
     flights = found[later, :, 0].mean(axis=0)
-    half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(flights) - 1) * flights.std(ddof=1) / len(flights) ** 0.5
+    half = scipy.stats.t.ppf(0.5 + CONFIDENCE / 2, len(flights) - 1) * flights.std(ddof=1) / len(flights) ** 0.5
     return {
         "errors": size,
         "band_low": round(low, 1),
@@ -352,7 +354,7 @@ def _summary(found: Floats, later: Floats, size: int) -> dict[str, Any]:
         "inside_percent": round(100.0 * float(np.mean((means > low) & (means < high)))),
         "place_nees": round(float(found[later, :, 1].mean()), 2),
         "place_within_percent": round(
-            100.0 * float((found[later, :, 1] < stats.chi2.ppf(CONFIDENCE, 3)).mean()), 1
+            100.0 * float((found[later, :, 1] < scipy.stats.chi2.ppf(CONFIDENCE, 3)).mean()), 1
         ),
     }  # fmt: skip
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from evidence import _field as of
 from qrsim.validate.statistics import against, judge, mean_and_error
@@ -193,8 +193,8 @@ def normality(worlds: int) -> dict[str, Any]:
     gust, _ = of.sampled(of.component(), worlds, places(200), seed=7)
     return {
         name: {
-            "skewness": float(stats.skew(gust[:, :, i].ravel())),
-            "kurtosis": float(stats.kurtosis(gust[:, :, i].ravel(), fisher=False)),
+            "skewness": float(scipy.stats.skew(gust[:, :, i].ravel())),
+            "kurtosis": float(scipy.stats.kurtosis(gust[:, :, i].ravel(), fisher=False)),
         }
         for i, name in enumerate(AXES)
     }

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 import qrsim
 from evidence.recordings import data_folder
@@ -211,7 +211,7 @@ def _coverage(
         spans = np.array([r.covariance.interval(name) for _, r in found])
         inside = int(((spans[:, 0] <= truth) & (truth <= spans[:, 1])).sum())
         relative = (estimate - truth) / np.abs(truth)
-        band = stats.binom.interval(0.95, len(found), 0.95)
+        band = scipy.stats.binom.interval(0.95, len(found), 0.95)
         error = float(np.std(relative, ddof=1)) / math.sqrt(len(found)) if len(found) > 1 else 0.0
         constants[name] = {
             "identified": len(found), "covered": inside, "coverage_percent": 100.0 * inside / len(found),

@@ -15,7 +15,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, signal
+import scipy
 
 from evidence._at_rest import compared, readings_at_rest
 from qrsim.core.tree import cast, replace
@@ -74,7 +74,7 @@ def expected_variance(sensor: Imu, kind: str, lengths: npt.NDArray[np.int64]) ->
             place = (np.arange(2 * length) + phase) // HELD
             sign = np.where(np.arange(2 * length) < length, -1.0, 1.0) / length
             np.add.at(weights, place, sign)
-            together = signal.correlate(weights, weights, method="fft")[len(weights) - 1 :]
+            together = scipy.signal.correlate(weights, weights, method="fft")[len(weights) - 1 :]
             lags = np.arange(len(weights))
             doubled = np.where(lags == 0, 1.0, 2.0) * together
             flicker = sum(float(np.sum(doubled * np.exp(-lags * span / time))) for time in TIMES)
@@ -95,7 +95,7 @@ def fitted(windows: Floats, variance: Floats) -> dict[str, float]:
     noise = math.exp(0.5 * float(np.mean(np.log(variance[short] * windows[short]))))
     weight = 1.0 / variance[long]
     terms = np.stack([np.full(long.sum(), 2.0 * math.log(2.0) / math.pi), windows[long] / 3.0], axis=1)
-    (b, k), _ = optimize.nnls(terms * weight[:, None], (variance[long] - noise**2 / windows[long]) * weight)
+    (b, k), _ = scipy.optimize.nnls(terms * weight[:, None], (variance[long] - noise**2 / windows[long]) * weight)
     return {"noise": noise, "bias_instability": float(np.sqrt(b)), "random_walk": float(np.sqrt(k))}
 
 
@@ -144,7 +144,7 @@ def spectrum_of_the_recording() -> dict[str, Any]:
 
 def _band_rms(series: Floats) -> Floats:
     """Return the rms (bands, 3) of series (N, chips, 3), the mean square over chips."""
-    frequency, density = signal.welch(series, RATE, nperseg=500, axis=0)
+    frequency, density = scipy.signal.welch(series, RATE, nperseg=500, axis=0)
     step = frequency[1]
     rows = [np.sum(density[(frequency >= low) & (frequency < high)], axis=0) * step for low, high in BANDS[:-1]]
     rows.append(np.sum(density[frequency >= BANDS[-1][0]], axis=0) * step)

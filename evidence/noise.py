@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
+import scipy
 
 from qrsim.core.noise import Key, Stream, ou_decay, ou_step
 from qrsim.validate.statistics import CONFIDENCE, Statistic, Values, against, judge, p_values  # noqa: F401 (tests use p_values)
@@ -60,11 +60,11 @@ def moments(x: Values) -> dict[str, Statistic]:
 
 def kolmogorov_smirnov(x: Values) -> Statistic:
     """Return the largest distance of the empirical distribution from N(0, 1), with its asymptotic p-value."""
-    cdf = special.ndtr(np.sort(x.reshape(-1)).astype(np.float64))
+    cdf = scipy.special.ndtr(np.sort(x.reshape(-1)).astype(np.float64))
     n = cdf.size
     steps = np.arange(n + 1) / n
     distance = max(np.max(steps[1:] - cdf), np.max(cdf - steps[:-1]))
-    return {"value": float(distance), "p": float(special.kolmogorov(distance * math.sqrt(n)))}
+    return {"value": float(distance), "p": float(scipy.special.kolmogorov(distance * math.sqrt(n)))}
 
 
 def correlation(x: Values, y: Values) -> dict[str, Statistic]:

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
+import scipy
 
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast, replace
@@ -145,7 +145,7 @@ def counted(radio: Network, where: Values, packets: int, law: Values, above: flo
     )
     lost = 1.0 - np.asarray(counts.heard).sum(axis=1) / packets
     each = 1.0 - (1.0 - CONFIDENCE) / len(where)
-    low, high = stats.binom.interval(each, packets, law)
+    low, high = scipy.stats.binom.interval(each, packets, law)
     return {
         "distance": _by_level(where),
         "loss": _by_level(lost),

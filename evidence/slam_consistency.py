@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from evidence._intervals import share
 from qrsim.slam import example
@@ -38,7 +38,7 @@ def nees(errors: Any, covariances: Any) -> Any:
 
 def band(seeds: int, size: int) -> tuple[float, float]:
     """Return where the mean over seeds of a consistent NEES of ``size`` numbers is with CONFIDENCE."""
-    low, high = stats.chi2.ppf([0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE], size * seeds) / seeds
+    low, high = scipy.stats.chi2.ppf([0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE], size * seeds) / seeds
     return float(low), float(high)
 
 
@@ -46,7 +46,7 @@ def judged(values: Any, size: int) -> dict[str, Any]:
     """Return mean NEES with its band and coverage of the stated 95 % regions, of one value (S,) a seed."""
     low, high = band(len(values), size)
     mean = float(values.mean())
-    inside = share(values <= stats.chi2.ppf(CONFIDENCE, size))
+    inside = share(values <= scipy.stats.chi2.ppf(CONFIDENCE, size))
     return {
         "seeds": len(values), "nees": mean, "median": float(np.median(values)), "band_low": low, "band_high": high,
         "inside": float(low <= mean <= high), "coverage": inside,

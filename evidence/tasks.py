@@ -16,7 +16,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy import stats
+import scipy
 
 from qrsim.envs.batch import Batch
 from qrsim.envs.scoring import Informed
@@ -97,7 +97,7 @@ def scores(batch: Batch, policy: Any) -> tuple[Values, Values]:
 
 def summary(total: Values, flies: Values) -> dict[str, float]:
     """Return mean, interval, median, and the part of the episodes in which nobody stopped."""
-    half = stats.t.ppf(0.5 + CONFIDENCE / 2.0, len(total) - 1) * total.std(ddof=1) / math.sqrt(len(total))
+    half = scipy.stats.t.ppf(0.5 + CONFIDENCE / 2.0, len(total) - 1) * total.std(ddof=1) / math.sqrt(len(total))
     return {
         "mean": total.mean(),
         "low": total.mean() - half,

@@ -10,11 +10,10 @@ import pytest
 from evidence import team_errors as study
 from evidence._team_pictures import draw
 
-xr = pytest.importorskip("xarray", reason="needs xarray: pip install 'qrsim[sweep]'")
-
 
 def dataset() -> Any:
     """Return a study of 8 seeds, in which receivers of their own alone bring a team of two conditions together."""
+    xr = pytest.importorskip("xarray", reason="needs xarray: pip install 'qrsim[sweep]'")
     shape = (1, 2, 3, 2, 8)
     near = np.full(shape, 4.0)
     near[:, :, 0] = 1.0

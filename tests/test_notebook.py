@@ -8,9 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import nbformat
 import pytest
-from nbclient import NotebookClient
 
 pytestmark = pytest.mark.long
 
@@ -32,10 +30,14 @@ def printed(cell: Any) -> str:
 
 @pytest.fixture(scope="module")
 def stored() -> Any:
+    import nbformat
+
     return nbformat.read(NOTEBOOK, as_version=4)
 
 
 def test_what_is_stored(stored):
+    import nbformat
+
     nbformat.validate(stored)
     assert NOTEBOOK.stat().st_size < LARGEST_BYTES
     cells = code_cells(stored)
@@ -49,6 +51,9 @@ def test_what_is_stored(stored):
 
 def test_it_runs(stored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """In an empty folder, with the pictures and the printed lines where they are stored."""
+    import nbformat
+    from nbclient import NotebookClient
+
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     fresh = nbformat.from_dict(stored)
     for cell in code_cells(fresh):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scipy.stats import beta
+import scipy
 from tests.small_worlds import bare_pair
 
 from qrsim import cli
@@ -79,8 +79,8 @@ class TestResult:
         for outcome in found["outcomes"]:
             runs = outcome["runs"]
             assert outcome["fraction"] == runs / RUNS
-            low = beta.ppf(0.025, runs, RUNS - runs + 1) if runs else 0.0
-            high = beta.ppf(0.975, runs + 1, RUNS - runs) if runs < RUNS else 1.0
+            low = scipy.stats.beta.ppf(0.025, runs, RUNS - runs + 1) if runs else 0.0
+            high = scipy.stats.beta.ppf(0.975, runs + 1, RUNS - runs) if runs < RUNS else 1.0
             assert (outcome["low"], outcome["high"]) == pytest.approx((low, high), abs=1e-9)
             assert len(outcome["seeds"]) == runs
             assert set(outcome["seeds"]) <= set(range(FIRST, FIRST + RUNS))
@@ -181,7 +181,7 @@ class TestTable:
         assert cli.main(["check", str(file), "--seeds", "3", "--duration", "1"]) == 0
         printed = capsys.readouterr().out
         row = next(line for line in printed.splitlines() if "any of these" in line)
-        assert re.search(rf" 0 +0.0 % +0.0 to +{100 * beta.ppf(0.975, 1, 3):.1f} %", row)
+        assert re.search(rf" 0 +0.0 % +0.0 to +{100 * scipy.stats.beta.ppf(0.975, 1, 3):.1f} %", row)
         assert "to look at" not in printed
 
 

@@ -15,8 +15,8 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pymap3d
 import pytest
+import scipy
 from mcap.reader import make_reader
-from scipy.spatial.transform import Rotation
 
 from qrsim import cli
 from qrsim.runs import Column, RunInfo, RunWriter, open_run
@@ -414,9 +414,9 @@ def test_mcap_poses_are_east_north_up(recorded, tmp_path):
     assert content["frame_id"] == "map"
     assert [pose["position"][axis] for axis in "xyz"] == pytest.approx([east, north, -down])
     # An independent rotation: body axes forward, right, down in north, east, down, by the angles that were recorded.
-    ned = Rotation.from_euler("ZYX", [0.3, 0.2, 0.1]).as_matrix()
+    ned = scipy.spatial.transform.Rotation.from_euler("ZYX", [0.3, 0.2, 0.1]).as_matrix()
     enu_of_ned, frd_of_flu = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]]), np.diag([1, -1, -1])
-    found = Rotation.from_quat([pose["orientation"][axis] for axis in "xyzw"]).as_matrix()
+    found = scipy.spatial.transform.Rotation.from_quat([pose["orientation"][axis] for axis in "xyzw"]).as_matrix()
     assert np.allclose(found, enu_of_ned @ ned @ frd_of_flu, atol=1e-12)
     frame = [item for _, item in messages["/tf"] if item["child_frame_id"] == "plain"][3]
     assert frame["parent_frame_id"] == "map"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,19 @@ from qrsim.world.episode import develop, picture
 pytestmark = pytest.mark.long
 
 SEED = 3
-SEARCH = load_scenario(
-    "search_and_rescue/2D",
-    ["duration=4", "world.persons.found_distance=200", "world.persons.found_speed=50", "world.persons.period=2.0"],
-)
-PUFFS = load_scenario("plume_mapping/3E", ["duration=6", "world.plume.gap=1.0", "world.plume.puffs=600"])
+
+
+@cache
+def searched() -> Scenario:
+    """Return a search whose persons are found from afar."""
+    persons = ("found_distance=200", "found_speed=50", "period=2.0")
+    return load_scenario("search_and_rescue/2D", ["duration=4", *(f"world.persons.{each}" for each in persons)])
+
+
+@cache
+def puffing() -> Scenario:
+    """Return a mapping of puffs that come every second."""
+    return load_scenario("plume_mapping/3E", ["duration=6", "world.plume.gap=1.0", "world.plume.puffs=600"])
 
 
 def recorded(scenario: Scenario, folder: Path) -> Recording:
@@ -52,7 +61,7 @@ def same(found: Any, wanted: Any) -> None:
 
 @pytest.fixture(scope="module")
 def search(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    return recorded(SEARCH, tmp_path_factory.mktemp("search") / "run")
+    return recorded(searched(), tmp_path_factory.mktemp("search") / "run")
 
 
 def test_ground_and_persons_are_there_and_found_when_they_were(search: Recording):
@@ -60,7 +69,7 @@ def test_ground_and_persons_are_there_and_found_when_they_were(search: Recording
     for time in (1.9, 2.0, 3.0, 0.5):
         beside = search.frame(time).beside
         assert beside is not None
-        same(beside.contents, simulated(SEARCH, time).state.contents)
+        same(beside.contents, simulated(searched(), time).state.contents)
         found.append(int((np.asarray(beside.contents.persons.found_tick) >= 0).sum()))
     assert found[0] == found[3] == 0
     assert 0 < found[1] == found[2], "nobody was found: the test shows nothing"
@@ -71,7 +80,7 @@ def test_ground_and_persons_are_there_and_found_when_they_were(search: Recording
 
 @pytest.mark.parametrize("time", [0.0, 2.5])
 def test_pictures_are_those_that_were_taken(search: Recording, time: float):
-    beside, simulation = search.frame(time).beside, simulated(SEARCH, time)
+    beside, simulation = search.frame(time).beside, simulated(searched(), time)
     assert beside is not None
     wanted = jax.jit(lambda world, state: picture(world, state, 0, "camera"))(simulation.world, simulation.state)
     (number, index), reading = next(iter(beside.cameras.items()))
@@ -87,11 +96,11 @@ def test_pictures_are_those_that_were_taken(search: Recording, time: float):
 
 @pytest.mark.nightly
 def test_puffs_are_where_they_were_at_any_time(tmp_path: Path):
-    recording = recorded(PUFFS, tmp_path / "run")
+    recording = recorded(puffing(), tmp_path / "run")
     for time in (2.0, 6.0, 4.5):
         beside = recording.frame(time).beside
         assert beside is not None
-        same(beside.contents, simulated(PUFFS, time).state.contents)
+        same(beside.contents, simulated(puffing(), time).state.contents)
     assert np.asarray(beside.contents.plume.released).sum() > 0
 
 
@@ -99,7 +108,7 @@ def test_a_plume_goes_with_the_wind_that_was_asked_for(tmp_path: Path):
     view = LiveView(0, Clock(float("inf")))
     try:
         view._wished = Wind(7.0, 90.0)
-        fly(PUFFS, tmp_path / "run", seed=SEED, precision="float32", view=view)
+        fly(puffing(), tmp_path / "run", seed=SEED, precision="float32", view=view)
     finally:
         view.close()
     recording = Recording(open_run(tmp_path / "run"))

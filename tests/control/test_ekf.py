@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy
 from evidence.estimator import DT, Fix, Heading, Height, Inertial, errors, filtered, flown
-from scipy import stats
 
 from qrsim.control.covariance import Covariance, corrected, forgotten, matrix, propagated, variances
 from qrsim.control.ekf import ErrorStateKalmanFilter
@@ -122,7 +122,7 @@ def test_errors_are_as_large_as_stated(ticks: int, count: int, late: int):
     kalman = replace(ErrorStateKalmanFilter(), ages=(("gnss", late),) if late else ())
     truth = flown(ticks, count, np.random.default_rng(1))
     states, biases = filtered(kalman, truth, 2, late)
-    low, high = stats.chi2.ppf([0.0005, 0.9995], SIZE * count)
+    low, high = scipy.stats.chi2.ppf([0.0005, 0.9995], SIZE * count)
     for k in np.linspace(ticks // 5, ticks, 5).astype(int):
         found, stated = errors(states, truth, biases, k)
         nees = np.einsum("ni,nij,nj->", found, np.linalg.inv(stated), found)

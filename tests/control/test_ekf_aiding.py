@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy
 from evidence.estimator import EARTH_FIELD, Magnetic, errors, filtered, flown, with_all
-from scipy import stats
 
 from qrsim.control.consistency import Truth, normalised
 from qrsim.control.covariance import matrix, variances
@@ -186,7 +186,7 @@ def test_all_errors_are_as_large_as_stated():
         kalman = replace(with_all(), ages=(("gnss", late),) if late else ())
         truth = flown(600, 100, np.random.default_rng(1))
         states, biases = filtered(kalman, truth, 2, late)
-        low, high = stats.chi2.ppf([0.0005, 0.9995], 24 * 100)
+        low, high = scipy.stats.chi2.ppf([0.0005, 0.9995], 24 * 100)
         for k in np.linspace(120, 600, 5).astype(int):
             found, stated = errors(states, truth, biases, k)
             nees = np.einsum("ni,nij,nj->", found, np.linalg.inv(stated), found)

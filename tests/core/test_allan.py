@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import allantools
 import numpy as np
 import pytest
-from scipy import integrate
+import scipy
 
 from qrsim.core.allan import exponential_allan_variance, overlapping_allan_deviation
 from qrsim.errors import UsageError
@@ -18,6 +17,8 @@ LENGTHS = np.array([1, 2, 3, 7, 10, 64, 100, 333, 499])
 
 @pytest.mark.parametrize("kind", ["white", "random walk", "drift", "offset"])
 def test_against_allantools(kind: str) -> None:
+    import allantools
+
     white = np.random.default_rng(11).standard_normal(1000)
     values = {
         "white": white,
@@ -86,7 +87,7 @@ def test_closed_form_against_integrals_of_the_autocovariance(ratio: float) -> No
             return (1.0 - abs(t) / m) / m * math.exp(-abs(t + shift) / tau)
 
         halves = ((-m, 0.0), (0.0, m))
-        return sum(integrate.quad(integrand, *half, epsabs=1e-14, epsrel=1e-12, limit=500)[0] for half in halves)
+        return sum(scipy.integrate.quad(integrand, *half, epsabs=1e-14, epsrel=1e-12, limit=500)[0] for half in halves)
 
     expected = covariance_of_averages(0.0) - covariance_of_averages(m)
     assert float(exponential_allan_variance(m, tau)) == pytest.approx(expected, rel=1e-9, abs=1e-13)

@@ -16,8 +16,8 @@ from qrsim.core.noise import Draw, Key, Stream, ou_decay, ou_step, threefry2x32
 
 F32 = jnp.dtype(jnp.float32)
 # Low and high word, as a program is given a seed that it is not compiled for.
-SEED = jnp.asarray([20140914, 3], jnp.uint32)
-TICK, STREAM = jnp.uint32(77), "process"
+SEED = np.array([20140914, 3], np.uint32)
+TICK, STREAM = np.uint32(77), "process"
 # Sizes around vector widths, where compiled loops change form.
 SIZES = (1, 3, 8, 17, 1000)
 

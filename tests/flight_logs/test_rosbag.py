@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from log_writing import Floats, flown
 
 from qrsim.errors import RunError, UsageError
@@ -14,16 +16,9 @@ from qrsim.flight_logs.reading import read_log
 
 pytest.importorskip("rosbags", reason="python -m pip install 'qrsim[ros2]'")
 
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from scipy.spatial.transform import Rotation
-
-STORE = get_typestore(Stores.ROS2_JAZZY)
 TARGET = "mavros_msgs/msg/AttitudeTarget"
 # As mavros has it, constants included.
-STORE.register(
-    get_types_from_msg(
-        """std_msgs/Header header
+FIELDS = """std_msgs/Header header
 uint8 type_mask
 uint8 IGNORE_ROLL_RATE = 1
 uint8 IGNORE_PITCH_RATE = 2
@@ -33,14 +28,21 @@ uint8 IGNORE_ATTITUDE = 128
 geometry_msgs/Quaternion orientation
 geometry_msgs/Vector3 body_rate
 float32 thrust
-""",
-        TARGET,
-    )
-)
+"""
 NED_OF_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD_OF_FLU = np.diag([1.0, -1.0, -1.0])
 # A run of qrsim stamps from zero, another robot from 1970.
 EPOCH_S = 1_700_000_000.0
+
+
+@cache
+def store() -> Any:
+    """The messages of ROS 2 and of mavros, which take a while to import."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    found = get_typestore(Stores.ROS2_JAZZY)
+    found.register(get_types_from_msg(FIELDS, TARGET))
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +51,7 @@ def signals() -> dict[str, Floats]:
 
 
 def make(name: str, *values: Any, **fields: Any) -> Any:
-    return STORE.types[name](*values, **fields)
+    return store().types[name](*values, **fields)
 
 
 def header(time: float) -> Any:
@@ -62,14 +64,14 @@ def vector(values: Any) -> Any:
 
 
 def quaternion(matrix: Any) -> Any:
-    x, y, z, w = Rotation.from_matrix(NED_OF_ENU.T @ matrix @ FRD_OF_FLU).as_quat()
+    x, y, z, w = scipy.spatial.transform.Rotation.from_matrix(NED_OF_ENU.T @ matrix @ FRD_OF_FLU).as_quat()
     return make("geometry_msgs/msg/Quaternion", x, y, z, w)
 
 
 def attitudes(signals: dict[str, Floats], suffix: str = "") -> Any:
     yaw = signals["yaw"]
     angles = np.stack([yaw, signals[f"pitch{suffix}"], signals[f"roll{suffix}"]], axis=1)
-    return Rotation.from_euler("ZYX", angles).as_matrix()
+    return scipy.spatial.transform.Rotation.from_euler("ZYX", angles).as_matrix()
 
 
 def odometry(signals: dict[str, Floats], i: int, time: float, matrix: Any) -> Any:
@@ -98,28 +100,30 @@ def write_bag(
     folder: Path,
     signals: dict[str, Floats],
     namespaces: tuple[str, ...] = ("uav1/mavros",),
-    storage: StoragePlugin = StoragePlugin.MCAP,
+    storage: str = "MCAP",
     commanded: bool = True,
 ) -> Path:
     """Write odometry and targets of vehicles that fly the same, as mavros calls them."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
     measured, asked = attitudes(signals), attitudes(signals, "_command")
-    with Writer(folder, version=9, storage_plugin=storage) as writer:
+    with Writer(folder, version=9, storage_plugin=StoragePlugin[storage]) as writer:
         for name in namespaces:
-            odom = writer.add_connection(f"/{name}/local_position/odom", "nav_msgs/msg/Odometry", typestore=STORE)
+            odom = writer.add_connection(f"/{name}/local_position/odom", "nav_msgs/msg/Odometry", typestore=store())
             topic = f"/{name}/setpoint_raw/target_attitude"
-            aim = writer.add_connection(topic, TARGET, typestore=STORE) if commanded else None
+            aim = writer.add_connection(topic, TARGET, typestore=store()) if commanded else None
             for i, time in enumerate((EPOCH_S + signals["time"]).tolist()):
                 nanoseconds = round(time * 1e9)
-                cdr = STORE.serialize_cdr(odometry(signals, i, time, measured[i]), "nav_msgs/msg/Odometry")
+                cdr = store().serialize_cdr(odometry(signals, i, time, measured[i]), "nav_msgs/msg/Odometry")
                 writer.write(odom, nanoseconds, cdr)
                 if aim is not None:
-                    cdr = STORE.serialize_cdr(target(signals, i, time, asked[i]), TARGET)
+                    cdr = store().serialize_cdr(target(signals, i, time, asked[i]), TARGET)
                     writer.write(aim, nanoseconds, cdr)
     return folder
 
 
-@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_bag_of_mavros_is_read(storage: StoragePlugin, signals: dict[str, Floats], tmp_path: Path) -> None:
+@pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
+def test_a_bag_of_mavros_is_read(storage: str, signals: dict[str, Floats], tmp_path: Path) -> None:
     log = read_log(write_bag(tmp_path / "bag", signals, storage=storage))
     assert (log.kind, log.dt, len(log.time)) == ("bag of ROS 2", 0.02, 300)
     assert set(log.signals) == set(signals) - {"time", "battery"}

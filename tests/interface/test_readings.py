@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+import scipy
 
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Euler, Vec3
@@ -75,7 +75,8 @@ def test_a_reading_that_is_missing_says_why() -> None:
 def test_quaternion_is_that_of_the_euler_angles() -> None:
     angles = np.random.default_rng(3).uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (50, 3))
     found = quaternion_of(angles)
-    expected = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat(canonical=True)[:, [3, 0, 1, 2]]
+    turns = scipy.spatial.transform.Rotation.from_euler("ZYX", angles[:, ::-1])
+    expected = turns.as_quat(canonical=True)[:, [3, 0, 1, 2]]
     np.testing.assert_allclose(found, expected, atol=1e-12)
     reading = SensorReading("attitude", AttitudeReading(Euler(*angles.T)), SITE)  # type: ignore[arg-type]
     np.testing.assert_array_equal(reading.quaternion, found)

@@ -15,7 +15,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import xarray
 from jax import Array
 
 from qrsim.control import (
@@ -138,6 +137,8 @@ def elevation_file(frame: str = "local") -> str:
 @cache
 def wind_grid_file() -> str:
     """Write a wind that differs from place to place, 2.4 km wide and 150 m high, and return its path."""
+    import xarray
+
     path = Path(_FOLDER.name) / "wind.nc"
     x = y = np.linspace(-1200.0, 1200.0, 7)
     z, time = np.array([2.0, 10.0, 40.0, 150.0]), np.array([0.0, 20.0, 300.0])

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy
 from component_cases import GROUPS
-from scipy import stats
 
 from qrsim import Simulation
 from qrsim.core.noise import Drawn, Key
@@ -189,7 +189,7 @@ class TestDelivery:
         assert late.std() == pytest.approx(jitter, rel=0.025)
         shape = (0.1 / jitter) ** 2
         # Wilson and Hilferty's approximation is good to 0.01 in probability for shapes from 1 on.
-        assert stats.kstest(late, stats.gamma(shape, scale=0.1 / shape).cdf).statistic < 0.01 + 1.95 / 200.0
+        assert scipy.stats.kstest(late, scipy.stats.gamma(shape, scale=0.1 / shape).cdf).statistic < 0.01 + 1.95 / 200.0
         assert late.min() >= 0.0
         assert late.max() <= 0.1 + 6.0 * jitter + 1e-6
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import optimize, sparse
+import scipy
 from tests.slam.problems import exact_flight, exact_ranges
 
 from qrsim.core.tree import replace
@@ -142,8 +142,9 @@ def test_scipy_finds_the_same_optimum(small: tuple[graphs.Graph, Any, Any]) -> N
     problem, x, landmarks = small
     ours = solve(problem, x, landmarks, 300)
     residuals, jacobian = functions(problem, x, landmarks)
-    theirs = optimize.least_squares(
-        residuals, np.concatenate([x.ravel(), landmarks.ravel()]), lambda values: sparse.csr_array(jacobian(values)),
+    theirs = scipy.optimize.least_squares(
+        residuals, np.concatenate([x.ravel(), landmarks.ravel()]),
+        lambda values: scipy.sparse.csr_array(jacobian(values)),
         x_scale="jac", tr_solver="lsmr", tr_options={"maxiter": 3000, "atol": 1e-14, "btol": 1e-14},
         ftol=1e-14, xtol=1e-14, gtol=1e-10, max_nfev=300,
     )  # fmt: skip

@@ -8,8 +8,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy
 from evidence import _receivers as receivers
-from scipy import stats
 
 from qrsim.core.noise import Draw, Key
 from qrsim.core.vectors import Vec3
@@ -88,8 +88,8 @@ def test_paired_counts_differences_of_pairs() -> None:
     found = studies.paired(one, other)
     left = np.delete(other - one, 3)
     assert found["pairs"] == 39
-    assert found["p"] == pytest.approx(stats.wilcoxon(left).pvalue)
-    low, high = stats.t.interval(0.95, 38, left.mean(), stats.sem(left))
+    assert found["p"] == pytest.approx(scipy.stats.wilcoxon(left).pvalue)
+    low, high = scipy.stats.t.interval(0.95, 38, left.mean(), scipy.stats.sem(left))
     assert (found["low"], found["high"]) == pytest.approx((low, high))
 
 

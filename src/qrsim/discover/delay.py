@@ -7,7 +7,7 @@ import math
 from collections.abc import Collection, Mapping
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from qrsim.discover.choosing import FIT_S, Choice, left_by, long_windows, refined
 from qrsim.discover.evolution import REFINEMENTS, Proposal, errors_of, fitted, slopes
@@ -105,7 +105,9 @@ def refined_delay(
         return float(np.mean(np.square(left_by(choice, late, mass) / noise)))
 
     bounds = max(0.0, first - REACH * log.dt), first + REACH * log.dt
-    found = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": TOLERANCE * log.dt})
+    found = scipy.optimize.minimize_scalar(
+        misfit, bounds=bounds, method="bounded", options={"xatol": TOLERANCE * log.dt}
+    )
     # A bounded search never ends at a bound itself, and no delay is the likeliest of all.
     at_bound = misfit(bounds[0])
     return float(bounds[0] if at_bound <= found.fun else found.x)

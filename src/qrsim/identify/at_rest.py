@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from qrsim.errors import LogError
 from qrsim.flight_logs.inertial import Readings
@@ -97,7 +97,7 @@ def noise_of(values: Floats, period: float) -> Noise:
 
     def fit(measured: Floats) -> Floats:
         scale = weight / measured
-        found, _ = optimize.nnls(basis * scale[:, None], measured * scale)
+        found, _ = scipy.optimize.nnls(basis * scale[:, None], measured * scale)
         return np.asarray(found)
 
     squares = fit(mean)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from qrsim.errors import LogError
 from qrsim.flight_logs.signals import Floats
@@ -279,7 +279,7 @@ def _least_squares(total: _Sum, first: Floats, noise: list[dict[str, float]], to
         return last["found"]
 
     margin = 1e-6 * (bounds[1] - bounds[0])
-    return least_squares(
+    return scipy.optimize.least_squares(
         lambda unknowns: both(unknowns)[0],
         np.clip(first, bounds[0] + margin, bounds[1] - margin),
         jac=lambda unknowns: both(unknowns)[1],

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from qrsim.flight_logs.signals import Floats
 from qrsim.identify.problem import Misfit, weights
@@ -67,7 +67,7 @@ class Covariance:
     @property
     def quantile(self) -> Floats:
         """Half-width of the 95 % interval in standard errors, (K,)."""
-        return np.asarray(stats.t.ppf(0.5 + CONFIDENCE / 2.0, self.freedom))
+        return np.asarray(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2.0, self.freedom))
 
     def interval(self, name: str) -> tuple[float, float]:
         """Return the 95 % interval of one component."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from qrsim.errors import UsageError
 from qrsim.flight_logs import FlightLog
@@ -119,7 +119,7 @@ def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
         result[name] = {
             "lag_1": float(correlations[1]) if len(correlations) > 1 else 0.0,
             "correlated_s": float(below[0] if len(below) else len(correlations)) * piece.log.dt,
-            "ljung_box_p": float(stats.chi2.sf(box, max(len(lags), 1))),
+            "ljung_box_p": float(scipy.stats.chi2.sf(box, max(len(lags), 1))),
             "input": largest,
         }
     return result

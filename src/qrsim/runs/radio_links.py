@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from qrsim.errors import RunError, UsageError
 from qrsim.models.radio.links import Outcome
@@ -148,5 +148,5 @@ def components_of(packets: Packets, radios: Array) -> tuple[int, float]:
         return 0, float("nan")
     _, heard, _ = packets.counts()
     both = (heard > 0) & (heard.T > 0)
-    count, group = connected_components(both[np.ix_(there, there)], directed=False)
+    count, group = scipy.sparse.csgraph.connected_components(both[np.ix_(there, there)], directed=False)
     return int(count), float(np.bincount(group).max() / len(there))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from qrsim.core.allan import overlapping_allan_deviation
 from qrsim.errors import UsageError, did_you_mean
@@ -227,7 +227,7 @@ def interval(values: Floats) -> dict[str, float]:
         return {}
     found = {"mean": float(known.mean()), "median": float(np.median(known))}
     if len(known) > 1:
-        half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(known) - 1) * known.std(ddof=1) / math.sqrt(len(known))
+        half = scipy.stats.t.ppf(0.5 + CONFIDENCE / 2, len(known) - 1) * known.std(ddof=1) / math.sqrt(len(known))
         found |= {"low": found["mean"] - float(half), "high": found["mean"] + float(half)}
     return found
 
@@ -239,7 +239,7 @@ def paired(one: Floats, other: Floats) -> dict[str, float]:
     found = interval(difference)
     found["pairs"] = int(both.sum())
     found["larger"] = int(np.sum(difference > 0.0))
-    found["p"] = float(stats.wilcoxon(difference).pvalue) if np.any(difference != 0.0) else 1.0
+    found["p"] = float(scipy.stats.wilcoxon(difference).pvalue) if np.any(difference != 0.0) else 1.0
     return found
 
 

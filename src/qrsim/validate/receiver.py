@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import linalg
+import scipy
 
 from qrsim.core.allan import overlapping_allan_deviation
 from qrsim.core.clock import split_time
@@ -122,7 +122,7 @@ def sampled_allan_variance(autocovariance: Table, length: int) -> float:
         length: of a window, in samples.
     """
     weights = np.repeat([-1.0 / length, 1.0 / length], length)
-    return float(0.5 * weights @ linalg.toeplitz(autocovariance[: 2 * length]) @ weights)
+    return float(0.5 * weights @ scipy.linalg.toeplitz(autocovariance[: 2 * length]) @ weights)
 
 
 def range_autocovariance(errors: RangeErrors, period: float, count: int) -> Table:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import signal
+import scipy
 
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
@@ -100,7 +100,9 @@ def sampled_closed_form(case: Case, omega: Floats) -> Floats:
 
 def welch(series: Floats) -> tuple[Floats, Floats]:
     """Estimate two-sided densities (5, k) of series (5, ..., steps), and their frequencies [rad/s]; no zero bin."""
-    frequency, density = signal.welch(series, 1.0 / DT, nperseg=min(SEGMENT, series.shape[-1]), detrend=False, axis=-1)
+    frequency, density = scipy.signal.welch(
+        series, 1.0 / DT, nperseg=min(SEGMENT, series.shape[-1]), detrend=False, axis=-1
+    )
     density = density.reshape(len(COMPONENTS), -1, frequency.size).mean(axis=1) / 2.0
     return 2.0 * math.pi * frequency[1:-1], density[:, 1:-1]
 

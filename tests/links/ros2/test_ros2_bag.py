@@ -2,6 +2,7 @@
 
 import json
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -9,13 +10,9 @@ import pytest
 pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
 
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
-
 from qrsim import cli
 from qrsim.runs import open_run
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 SCENARIO = """
 name: pair
 duration: 3
@@ -28,6 +25,20 @@ fleets:
     sensors: {imu: {type: imu, period: 0.04}, gnss: {type: gnss}, late: {type: barometer, delay: 1.0, period: 0.1}}
     vehicles: [{position_ned: [0, 0, -20], waypoints_ned: [[60, 30, -20]]}, {position_ned: [5, 40, -20]}]
 """
+
+
+@cache
+def store(distro: str = "jazzy"):
+    """The messages of a distribution, which take a while to import."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores[f"ROS2_{distro.upper()}"])
+
+
+def reader_of(bag):
+    from rosbags.rosbag2 import Reader
+
+    return Reader(bag)
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +55,10 @@ def exported(tmp_path_factory):
 def messages(exported):
     """By topic, times [ns] and messages."""
     found = {}
-    with Reader(exported[1]) as reader:
+    with reader_of(exported[1]) as reader:
         for connection, time, cdr in reader.messages():
-            message = STORE.deserialize_cdr(cdr, connection.msgtype)
-            assert bytes(STORE.serialize_cdr(message, connection.msgtype)) == bytes(cdr)
+            message = store().deserialize_cdr(cdr, connection.msgtype)
+            assert bytes(store().serialize_cdr(message, connection.msgtype)) == bytes(cdr)
             found.setdefault(connection.topic, []).append((time, message))
     return found
 
@@ -142,11 +153,11 @@ def test_bags_of_other_distributions(distro, exported, tmp_path):
     words = ["--distro", distro, "--out", str(out)]
     assert cli.main(["export", str(exported[0].folder), "--format", "rosbag2", *words]) == 0
     assert f"version: {8 if distro == 'humble' else 9}" in (out / "metadata.yaml").read_text()
-    store, count = get_typestore(Stores[f"ROS2_{distro.upper()}"]), 0
-    with Reader(out) as reader:
+    types, count = store(distro), 0
+    with reader_of(out) as reader:
         for connection, _, cdr in reader.messages():
-            message = store.deserialize_cdr(cdr, connection.msgtype)
-            assert bytes(store.serialize_cdr(message, connection.msgtype)) == bytes(cdr)
+            message = types.deserialize_cdr(cdr, connection.msgtype)
+            assert bytes(types.serialize_cdr(message, connection.msgtype)) == bytes(cdr)
             count += 1
     assert count > 2000
 
@@ -166,7 +177,7 @@ def test_metadata_and_storage(exported):
     assert {path.name for path in folder.iterdir()} == {"metadata.yaml", "run.rosbag2.mcap"}
     text = (folder / "metadata.yaml").read_text()
     assert "version: 9" in text
-    assert STORE.hash_rihs01("sensor_msgs/msg/Imu") in text
+    assert store().hash_rihs01("sensor_msgs/msg/Imu") in text
     with (folder / "run.rosbag2.mcap").open("rb") as file:
         reader = make_reader(file)
         assert reader.get_header().profile == "ros2"
@@ -197,7 +208,7 @@ def test_what_is_there_is_not_overwritten(exported, tmp_path, capsys):
     assert cli.main(["export", folder, "--format", "rosbag2", "--every", "50", "--out", out]) == 0
     assert "messages" in capsys.readouterr().out
     assert cli.main(["export", folder, "--format", "rosbag2", "--every", "50", "--out", out, "--force"]) == 0
-    with Reader(tmp_path / "few") as reader:
+    with reader_of(tmp_path / "few") as reader:
         counts = {connection.topic: connection.msgcount for connection in reader.connections}
     assert counts["/uav_0/odom"] == 4
     assert counts["/uav_0/imu/data"] == 4

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from functools import cache
 from typing import Any
 
 import pytest
@@ -16,15 +17,11 @@ pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
 pytest.importorskip("zenoh", reason="python -m pip install 'qrsim[zenoh]'")
 
-import zenoh
-from rosbags.typesys import Stores, get_typestore
-
 from qrsim import cli
 from qrsim.links.ros2.topics import Topic
 from qrsim.links.ros2.typestore import Types
 from qrsim.links.ros2.zenoh_node import ZenohNode, attachment
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 SCENARIO = """
 name: pair
 duration: 600
@@ -35,6 +32,14 @@ fleets:
     vehicles: [{position_ned: [0, 0, -20]}, {position_ned: [20, 0, -20]}]
 """
 IMU = "sensor_msgs::msg::dds_::Imu_"
+
+
+@cache
+def store() -> Any:
+    """The messages of ROS 2, which take a while to import."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
 
 
 def until(done: Any, patience: float = 20.0) -> Any:
@@ -57,6 +62,8 @@ def port() -> int:
 @contextmanager
 def router(port: int) -> Iterator[Any]:
     """Be what rmw_zenohd is."""
+    import zenoh
+
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')
@@ -86,9 +93,9 @@ def test_a_process_with_zenoh_alone_sees_the_topics_and_flies(session: Any, port
     words += ["--router", f"tcp/127.0.0.1:{port}"]
     process = subprocess.Popen([sys.executable, "-c", code, *words], stdout=subprocess.PIPE, text=True)
     try:
-        key = f"7/uav_0/imu/data/{IMU}/{STORE.hash_rihs01('sensor_msgs/msg/Imu')}"
+        key = f"7/uav_0/imu/data/{IMU}/{store().hash_rihs01('sensor_msgs/msg/Imu')}"
         sample = until(lambda: seen.get(key), 60.0)
-        message = STORE.deserialize_cdr(sample.payload.to_bytes(), "sensor_msgs/msg/Imu")
+        message = store().deserialize_cdr(sample.payload.to_bytes(), "sensor_msgs/msg/Imu")
         # At rest, but for the noise of the sensor and the first moves.
         assert message.linear_acceleration.z == pytest.approx(9.81, abs=3.0)
         assert message.header.frame_id == "uav_0/base_link"
@@ -104,20 +111,20 @@ def test_a_process_with_zenoh_alone_sees_the_topics_and_flies(session: Any, port
         # The node, its publishers and its subscribers.
         assert any(token.split("/")[5:] == ["NN", "%", "%", "qrsim"] for token in tokens)
         told = {token.split("/")[9]: token.split("/")[10:] for token in tokens if token.split("/")[5] == "MP"}
-        assert told["%uav_0%imu%data"] == [IMU, STORE.hash_rihs01("sensor_msgs/msg/Imu"), "2::,5:,:,:,,"]
+        assert told["%uav_0%imu%data"] == [IMU, store().hash_rihs01("sensor_msgs/msg/Imu"), "2::,5:,:,:,,"]
         assert told["%tf_static"][-1] == ":1:,1:,:,:,,"
         assert told["%uav_1%odom"][-1] == "::,10:,:,:,,"
         heard = {token.split("/")[9] for token in tokens if token.split("/")[5] == "MS"}
         assert {"%uav_0%cmd_vel", "%qrsim%control"} <= heard
-        twist = STORE.types["geometry_msgs/msg/Twist"]
-        vector = STORE.types["geometry_msgs/msg/Vector3"]
-        asked = STORE.serialize_cdr(twist(vector(2.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)), "geometry_msgs/msg/Twist")
-        kind = f"geometry_msgs::msg::dds_::Twist_/{STORE.hash_rihs01('geometry_msgs/msg/Twist')}"
+        twist = store().types["geometry_msgs/msg/Twist"]
+        vector = store().types["geometry_msgs/msg/Vector3"]
+        asked = store().serialize_cdr(twist(vector(2.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)), "geometry_msgs/msg/Twist")
+        kind = f"geometry_msgs::msg::dds_::Twist_/{store().hash_rihs01('geometry_msgs/msg/Twist')}"
         odom = next(each for each in seen if each.startswith("7/uav_1/ground_truth/odom/"))
 
         def fast() -> bool:
             session.put(f"7/uav_1/cmd_vel/{kind}", bytes(asked))
-            found = STORE.deserialize_cdr(seen[odom].payload.to_bytes(), "nav_msgs/msg/Odometry")
+            found = store().deserialize_cdr(seen[odom].payload.to_bytes(), "nav_msgs/msg/Odometry")
             return bool(found.twist.twist.linear.x > 1.7)
 
         until(fast)
@@ -145,6 +152,8 @@ def test_latched_topics_reach_who_comes_late_and_other_types_are_told(session: A
 
 
 def test_attachments_are_in_the_serialisation_of_zenoh() -> None:
+    import zenoh
+
     parts: list[Any] = ["sequence_number", zenoh.ext.Int64(5), "source_timestamp", zenoh.ext.Int64(-7)]
     assert attachment(5, -7) == b"".join(zenoh.ext.z_serialize(part).to_bytes() for part in parts)
 

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import integrate, linalg, signal, stats
+import scipy
 
 from qrsim.core.noise import Draw, Drawn, Key
 from qrsim.core.tree import cast, replace
@@ -168,7 +168,7 @@ def exact_matrices() -> tuple[Array, Array]:
     block = np.zeros((X_GRID.size, 6, 6))
     block[:, :3, :3], block[:, 3:, 3:] = -a, a.transpose(0, 2, 1)
     block[:, :3, 3:] = b[:, :, None] * b[:, None, :]
-    block = linalg.expm(block * (X_GRID * 0.5**halvings)[:, None, None])
+    block = scipy.linalg.expm(block * (X_GRID * 0.5**halvings)[:, None, None])
     step = block[:, 3:, 3:].transpose(0, 2, 1)
     covariance = step @ block[:, :3, 3:]
     for done in range(int(halvings.max())):
@@ -178,7 +178,7 @@ def exact_matrices() -> tuple[Array, Array]:
     # expm(A x) - I without cancellation: A times the integral of expm, from an augmented matrix.
     augmented = np.zeros((X_GRID.size, 6, 6))
     augmented[:, :3, :3], augmented[:, :3, 3:] = a, np.eye(3)
-    integral = linalg.expm(augmented * X_GRID[:, None, None])[:, :3, 3:]
+    integral = scipy.linalg.expm(augmented * X_GRID[:, None, None])[:, :3, 3:]
     return np.asarray(a @ integral), covariance
 
 
@@ -250,7 +250,7 @@ def test_lyapunov_variance_is_sigma_squared(dt: float) -> None:
     for height in HEIGHTS:
         for airspeed in AIRSPEEDS:
             of = system(TURBULENCE, height, airspeed, dt)
-            stationary = linalg.solve_discrete_lyapunov(of.transition, of.noise @ of.noise.T)
+            stationary = scipy.linalg.solve_discrete_lyapunov(of.transition, of.noise @ of.noise.T)
             variance = np.diag(of.output @ stationary @ of.output.T)
             expected = np.square([*scales(height).sigma, scales(height).sigma_p])
             np.testing.assert_allclose(variance[:4], expected, rtol=1e-6)
@@ -265,7 +265,7 @@ def test_single_precision_settles_at_sigma_squared(dt: float) -> None:
             x = np.array([dt * airspeed / length for airspeed in AIRSPEEDS])
             changes, factors = filter_matrices(x, length * math.pi / (4.0 * 0.6) * np.ones(3), "float32")
             for change, factor in zip(changes, factors, strict=True):
-                settled = linalg.solve_discrete_lyapunov(np.eye(3) + change, factor @ factor.T)
+                settled = scipy.linalg.solve_discrete_lyapunov(np.eye(3) + change, factor @ factor.T)
                 assert settled[0, 0] == pytest.approx(1.0, abs=1e-6)
                 assert weights @ settled @ weights == pytest.approx(1.0, abs=1e-6)
                 np.testing.assert_allclose(settled, np.eye(3), rtol=0.0, atol=5e-6)
@@ -332,7 +332,7 @@ def test_roll_gust_has_the_standard_deviation_of_its_filter() -> None:
     sigma_w, span, length, airspeed = 1.3, 0.6, 20.0, 7.0
     gain = sigma_w * math.sqrt(0.8 / airspeed) * (math.pi / (4.0 * span)) ** (1.0 / 6.0) / length ** (1.0 / 3.0)
     lag = 4.0 * span / (math.pi * airspeed)
-    variance, _ = integrate.quad(lambda w: gain**2 / (1.0 + (lag * w) ** 2), 0.0, np.inf)
+    variance, _ = scipy.integrate.quad(lambda w: gain**2 / (1.0 + (lag * w) ** 2), 0.0, np.inf)
     by_hand = sigma_w / (span**2 * length) ** (1.0 / 3.0)
     assert math.sqrt(variance) == pytest.approx(dryden.ROLL_FACTOR * by_hand, rel=1e-9)
     assert pytest.approx(0.954, abs=5e-4) == dryden.ROLL_FACTOR
@@ -411,7 +411,7 @@ def test_monte_carlo_variance() -> None:
     """Chi-squared over 2048 independent vehicles, in a band of 99 % confidence over all 15 x 6 variances."""
     vehicles, cases = 2048, list(itertools.product(HEIGHTS, AIRSPEEDS))
     tail = 0.005 / (6 * len(cases))
-    low, high = stats.chi2.ppf([tail, 1.0 - tail], vehicles) / vehicles
+    low, high = scipy.stats.chi2.ppf([tail, 1.0 - tail], vehicles) / vehicles
     height, airspeed = np.repeat(np.array(cases, np.float32), vehicles, axis=0).T
     found = np.asarray(simulate(cast(TURBULENCE, np.float32), height, airspeed, 0.02, 40, 1), np.float64)[0]
     for case, part in zip(cases, np.split(found, len(cases), axis=1), strict=True):
@@ -429,7 +429,9 @@ def test_monte_carlo_spectrum() -> None:
     height, airspeed, dt, segment = 15.0, 10.0, 0.02, 1024
     shape = np.ones(256, np.float32)
     found = simulate(cast(TURBULENCE, np.float32), height * shape, airspeed * shape, dt, 4096, 4096)
-    frequency, density = signal.welch(np.asarray(found, np.float64), 1.0 / dt, nperseg=segment, detrend=False, axis=0)
+    frequency, density = scipy.signal.welch(
+        np.asarray(found, np.float64), 1.0 / dt, nperseg=segment, detrend=False, axis=0
+    )
     omega, estimate = 2.0 * math.pi * frequency, np.mean(density, axis=-1).T / 2.0
     bands = 2.0 * math.pi * np.array([0.2 * 10.0 ** (0.1 * k) for k in range(21)])
     expected = aliased(height, airspeed, omega[1:], dt)

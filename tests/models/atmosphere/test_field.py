@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy
 from evidence import _field as field
-from scipy import stats
 
 from qrsim.core.tree import replace
 from qrsim.core.vectors import Vec3
@@ -135,14 +135,14 @@ def test_a_world_turns_mirrors_dilates_and_shifts_the_waves_at_random() -> None:
     np.testing.assert_allclose(turned @ turned.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (400, 3, 3)), atol=1e-6)
     np.testing.assert_allclose(np.linalg.det(turned), drawn.handedness, atol=1e-6)
     # Each test at 99.99 %: coins, cosines of a uniform direction, phases and the logarithm of the dilation.
-    assert stats.binomtest(int(np.sum(np.asarray(drawn.handedness) > 0.0)), 400).pvalue > 1e-4
+    assert scipy.stats.binomtest(int(np.sum(np.asarray(drawn.handedness) > 0.0)), 400).pvalue > 1e-4
     for entry in np.abs(turned).reshape(400, 9).T:
-        assert stats.kstest(entry, "uniform").pvalue > 1e-4
+        assert scipy.stats.kstest(entry, "uniform").pvalue > 1e-4
     phases = np.asarray(drawn.phase) / 2.0**32
-    assert stats.kstest(phases.ravel(), "uniform").pvalue > 1e-4
+    assert scipy.stats.kstest(phases.ravel(), "uniform").pvalue > 1e-4
     assert np.abs(np.corrcoef(phases.T) - np.eye(32)).max() < 0.25
     dilation = np.asarray(drawn.dilation, float)
-    assert stats.kstest(16.0 * np.log2(dilation), "uniform").pvalue > 1e-4
+    assert scipy.stats.kstest(16.0 * np.log2(dilation), "uniform").pvalue > 1e-4
 
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.long)])
@@ -174,7 +174,7 @@ def test_sweep_moves_each_chain_by_a_normal_speed() -> None:
     drawn = field.draws(swept)
     k = modes(16, 12).first.ravel() * np.asarray(drawn.dilation, float)[:, None]
     speeds = 2.0 * math.pi * np.asarray(drawn.frequency) / k
-    assert stats.kstest(speeds.ravel() / 2.0, "norm").pvalue > 1e-4
+    assert scipy.stats.kstest(speeds.ravel() / 2.0, "norm").pvalue > 1e-4
 
 
 def test_whole_turns_are_exact_where_single_precision_can_be() -> None:

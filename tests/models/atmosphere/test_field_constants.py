@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy
 from evidence import _field as field
-from scipy.spatial.transform import Rotation
 
 from qrsim.core.noise import Draw, Drawn, Key, threefry2x32
 from qrsim.core.vectors import Vec3
@@ -158,6 +158,7 @@ def test_each_draw_of_a_world_has_numbers_of_its_own() -> None:
         assert float(found.handedness) == sign
         w, x, y, z = cosines[2, 0], cosines[3, 0], sines[2, 0], sines[3, 0]
         rows = np.array([[float(part) for part in (row.x, row.y, row.z)] for row in found.turned])
-        np.testing.assert_allclose(rows, sign * Rotation.from_quat([x, y, z, w]).as_matrix(), rtol=0.0, atol=2e-6)
+        expected = sign * scipy.spatial.transform.Rotation.from_quat([x, y, z, w]).as_matrix()
+        np.testing.assert_allclose(rows, expected, rtol=0.0, atol=2e-6)
         mirrored.add(sign)
     assert mirrored == {1.0, -1.0}

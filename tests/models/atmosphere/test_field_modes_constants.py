@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+import scipy
 
 from qrsim.models.atmosphere.field_modes import _anisotropy, modes, rotation_of
 
@@ -115,7 +115,7 @@ def shoemake(u: float, v: float, w: float) -> Floats:
     """
     low, high, a, b = math.sqrt(1.0 - u), math.sqrt(u), 2.0 * math.pi * v, 2.0 * math.pi * w
     vector = [low * math.cos(a), high * math.sin(b), high * math.cos(b)]
-    return np.asarray(Rotation.from_quat([*vector, low * math.sin(a)]).as_matrix())
+    return np.asarray(scipy.spatial.transform.Rotation.from_quat([*vector, low * math.sin(a)]).as_matrix())
 
 
 def test_a_quaternion_about_down_turns_north_to_east() -> None:

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 
 from qrsim.core.noise import Draw, Drawn, Key
 from qrsim.core.tree import cast, field_info, replace
@@ -42,7 +42,7 @@ def assert_variances(samples: Array, expected: Any) -> None:
     """Check variances of (n, ...) samples of known mean zero by chi-squared, 99.9 % over all of them."""
     n, count = samples.shape[0], samples[0].size
     ratio = np.sum(np.square(samples, dtype=np.float64), axis=0) / expected
-    low, high = stats.chi2.ppf([0.0005 / count, 1.0 - 0.0005 / count], n)
+    low, high = scipy.stats.chi2.ppf([0.0005 / count, 1.0 - 0.0005 / count], n)
     assert np.all((ratio > low) & (ratio < high)), f"{ratio / n} outside [{low / n}, {high / n}]"
 
 

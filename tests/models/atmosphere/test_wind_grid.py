@@ -16,9 +16,7 @@ from qrsim.errors import UsageError
 from qrsim.models.atmosphere.wind import mean_wind_at
 from qrsim.models.atmosphere.wind_grid import WindGridFile
 
-xarray = pytest.importorskip("xarray", reason="python -m pip install 'qrsim[wind]'")
-netcdf = pytest.importorskip("netCDF4", reason="python -m pip install 'qrsim[wind]'")
-
+INSTALL = "python -m pip install 'qrsim[wind]'"
 X, Y = np.arange(-300.0, 301.0, 100.0), np.arange(-200.0, 201.0, 80.0)
 Z, T = np.array([2.0, 5.0, 20.0, 60.0, 130.0]), np.array([0.0, 40.0, 100.0])
 NAMES = {"u": "eastward_wind", "v": "northward_wind", "w": "upward_air_velocity"}
@@ -38,6 +36,7 @@ def up(t: Any, z: Any, y: Any, x: Any) -> Any:
 
 def dataset(**changes: Any) -> Any:
     """A wind that is linear along each axis, as a file has it."""
+    xarray = pytest.importorskip("xarray", reason=INSTALL)
     t, z, y, x = np.meshgrid(T, Z, Y, X, indexing="ij")
     functions = {"u": east, "v": north, "w": up}
     variables = {
@@ -49,6 +48,7 @@ def dataset(**changes: Any) -> Any:
 
 
 def written(folder: Path, content: Any, **how: Any) -> str:
+    pytest.importorskip("netCDF4", reason=INSTALL)
     path = folder / "wind.nc"
     content.to_netcdf(path, **how)
     return str(path)
@@ -205,6 +205,7 @@ def test_air_inside_of_buildings_stands_still(tmp_path):
 def test_no_more_than_so_many_points_are_kept_or_read(tmp_path, whole):
     """Eight million in the area, thirty million in the file, a hundred thousand along an axis."""
     wind = WindGridFile(whole).at(100.0)
+    netcdf = pytest.importorskip("netCDF4", reason=INSTALL)
     large = np.broadcast_to(np.float32(1.0), (3, 5, 1000, 534))
     with pytest.raises(UsageError, match=r"8010000 points in world\.area; allowed: 8000000"):
         replace(wind, air_ned=Vec3(large, large, large)).within(None, None)

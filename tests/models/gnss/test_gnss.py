@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import optimize, stats
+import scipy
 
 from qrsim.core.noise import Draw, Key, Stream
 from qrsim.core.tree import cast, quantity, record, replace
@@ -46,7 +46,7 @@ def z_limit(statistics: int) -> float:
 def chi_squared_band(n: int, statistics: int = 1) -> tuple[float, float]:
     """Range of a variance of n standard normals of known mean, 99.9 % over so many statistics (Bonferroni)."""
     tails = [0.0005 / statistics, 1.0 - 0.0005 / statistics]
-    low, high = stats.chi2.ppf(tails, n) / n
+    low, high = scipy.stats.chi2.ppf(tails, n) / n
     return float(low), float(high)
 
 
@@ -118,7 +118,7 @@ def nonlinear_fix(satellites: Array, pseudorange: Array, guess: Array) -> Array:
         ray = x[:3] - satellites
         return np.column_stack([ray / np.linalg.norm(ray, axis=-1, keepdims=True), np.ones(len(ray))])
 
-    x = optimize.least_squares(residual, np.append(guess, 0.0), jacobian, method="lm").x
+    x = scipy.optimize.least_squares(residual, np.append(guess, 0.0), jacobian, method="lm").x
     for _ in range(2):  # the library stops at 1e-5 m
         x = x - np.linalg.lstsq(jacobian(x), residual(x))[0]
     # At the optimum the gradient is zero but for the rounding of the ranges, 4e-9 m each.
@@ -608,7 +608,7 @@ class TestHandList:
     def test_each_number_and_each_satellite_is_equally_likely(self, listed):
         kept, counts, _ = listed
         # Pearson's chi-squared, 99.9 %.
-        assert stats.chisquare(np.unique(counts[0], return_counts=True)[1]).pvalue > 0.001
+        assert scipy.stats.chisquare(np.unique(counts[0], return_counts=True)[1]).pvalue > 0.001
         # Each satellite is kept in 11.5/13 of the cases: 99.9 % over the 13.
         share = np.mean(kept[0][np.any(kept[0], axis=1)], axis=1)
         p = 11.5 / 13.0

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+import scipy
 
 from qrsim.core.clock import split_time
 from qrsim.errors import UsageError
@@ -158,7 +158,7 @@ def test_secular_rates_against_integrated_motion() -> None:
     axis, tilt = 26559710.0, math.radians(55.0)
     speed = math.sqrt(mu / axis)
     start = [axis, 0.0, 0.0, 0.0, speed * math.cos(tilt), speed * math.sin(tilt)]
-    path = solve_ivp(
+    path = scipy.integrate.solve_ivp(
         slope, (0.0, 4.2 * 43077.0), start, method="DOP853", rtol=1e-12, atol=1e-6, dense_output=True,
         events=height_above_equator,
     )  # fmt: skip

@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import optimize
+import scipy
 from tests.models.gnss.sp3_writing import FIRST, NOMINAL, edit, line_of, names_of, sp3_text
 
 import qrsim
@@ -407,7 +407,7 @@ def nonlinear_fix(satellites: Array, pseudorange: Array, guess: Array) -> Array:
         ray = x[:3] - satellites
         return np.column_stack([ray / np.linalg.norm(ray, axis=-1, keepdims=True), np.ones(len(ray))])
 
-    x = optimize.least_squares(residual, np.append(guess, 0.0), jacobian, method="lm").x
+    x = scipy.optimize.least_squares(residual, np.append(guess, 0.0), jacobian, method="lm").x
     for _ in range(2):  # the library stops at 1e-5 m
         x = x - np.linalg.lstsq(jacobian(x), residual(x))[0]
     return x[:3]

@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import georinex
 import numpy as np
 import pytest
 from tests.models.gnss.sp3_writing import FIRST, NOMINAL, edit, line_of, names_of, sp3_text
@@ -42,6 +41,8 @@ def recorded(recordings: Path) -> Sp3Ephemeris:
 
 def georinex_numbers(path: str) -> tuple[list[str], Array, Array, Array]:
     """Names, GPS seconds, positions [m], clocks [s] as georinex reads them; it leaves a missing letter missing."""
+    import georinex
+
     found = georinex.load(path)
     times = (found.time.values - np.datetime64(GPS_EPOCH.replace(tzinfo=None))) / np.timedelta64(1, "s")
     names = [str(name) if str(name)[0].isalpha() else f"G{int(name):02}" for name in found.sv.values]

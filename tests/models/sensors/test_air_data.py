@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from evidence import air_data as study
-from scipy.spatial.transform import Rotation
 
 from qrsim import Simulation, make_scenario
 from qrsim.core.noise import Drawn
@@ -38,7 +38,7 @@ def scene(height: float, thrust: float = 1.0, **given: Any) -> dict[str, Any]:
     """What a sensor sees of a vehicle over flat ground; ``velocity`` is in body axes, ``angles`` roll, pitch, yaw."""
     state = {**STILL, **given}
     roll, pitch, yaw = state["angles"]
-    ned = Rotation.from_euler("ZYX", [yaw, pitch, roll]).apply(state["velocity"])
+    ned = scipy.spatial.transform.Rotation.from_euler("ZYX", [yaw, pitch, roll]).apply(state["velocity"])
     return {
         "position_ned": vector(0.0, 0.0, -height), "velocity_ned": vector(*ned),
         "attitude": Euler(*(np.array([angle], np.float32) for angle in (roll, pitch, yaw))),  # type: ignore[arg-type]
@@ -204,7 +204,8 @@ class TestAirspeed:
 
     def test_it_is_the_air_from_ahead(self) -> None:
         """Over ground 8 m/s to the east, against 4 m/s of wind, 0.3 rad of pitch: 12 cos 0.3."""
-        velocity = Rotation.from_euler("ZYX", [math.pi / 2, 0.3, 0.0]).inv().apply([0.0, 8.0, 0.0])
+        turn = scipy.spatial.transform.Rotation.from_euler("ZYX", [math.pi / 2, 0.3, 0.0])
+        velocity = turn.inv().apply([0.0, 8.0, 0.0])
         where = scene(0.0, velocity=tuple(velocity), wind=(0.0, -4.0, 0.0), angles=(0.0, 0.3, math.pi / 2))
         assert at(self.pitot(), where).true_airspeed == pytest.approx(12.0 * math.cos(0.3), abs=1e-3)
 

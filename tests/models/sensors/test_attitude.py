@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 
 from qrsim.core.noise import Draw, Drawn, Key, Stream
 from qrsim.core.tree import cast
@@ -33,7 +33,7 @@ def z_limit(statistics: int) -> float:
 
 def chi_squared_band(n: int, statistics: int = 1) -> tuple[float, float]:
     """Range of a variance of n standard normals of known mean, 99.9 % over so many statistics (Bonferroni)."""
-    low, high = stats.chi2.ppf([0.0005 / statistics, 1.0 - 0.0005 / statistics], n) / n
+    low, high = scipy.stats.chi2.ppf([0.0005 / statistics, 1.0 - 0.0005 / statistics], n) / n
     return float(low), float(high)
 
 

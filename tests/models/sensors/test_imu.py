@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from evidence import imu as study
-from scipy import signal, stats
-from scipy.spatial.transform import Rotation
 
 from qrsim import make_scenario
 from qrsim.core.noise import Drawn
@@ -91,7 +90,7 @@ class TestAllan:
             ratio = variance / study.expected_variance(sensor, kind, lengths)
             freedom = 48 * (18_000 / lengths - 1.0)
             edges = 0.0005 / len(lengths)
-            low, high = (stats.chi2.ppf(p, freedom) / freedom for p in (edges, 1.0 - edges))
+            low, high = (scipy.stats.chi2.ppf(p, freedom) / freedom for p in (edges, 1.0 - edges))
             assert np.all((low < ratio) & (ratio < high)), (kind, ratio)
             fit = study.fitted(0.2 * lengths, variance)
             assert fit["noise"] == pytest.approx(0.01, rel=0.1)
@@ -186,11 +185,11 @@ class TestSignal:
         rates = [[1.0, 0.5, 0.0]] + [[1.0, -0.5, 0.0]] * 2 + [[3.0, 0.0, 0.0]] * 9
         found = np.array(steps(sensor, rates, [[0.0, 0.0, -9.81]] * 12))
         mean = np.array([[0.5 * (a[i] + b[i]) for i in range(3)] for a, b in itertools.pairwise(rates)])
-        b, a = signal.butter(2, 8.0, fs=50.0)
+        b, a = scipy.signal.butter(2, 8.0, fs=50.0)
         for axis in range(3):
-            start = signal.lfilter_zi(b, a) * rates[0][axis]
+            start = scipy.signal.lfilter_zi(b, a) * rates[0][axis]
             # The first reading, at the start, has gone through it too.
-            whole, _ = signal.lfilter(b, a, np.concatenate([[rates[0][axis]], mean[:, axis]]), zi=start)
+            whole, _ = scipy.signal.lfilter(b, a, np.concatenate([[rates[0][axis]], mean[:, axis]]), zi=start)
             np.testing.assert_allclose(found[:, axis], whole[1:], atol=1e-6)
         np.testing.assert_allclose(found[:, 5], -9.81, rtol=1e-6)
 
@@ -200,11 +199,11 @@ class TestSignal:
         rates = [[1.0, 0.0, 0.2], [1.0, 0.0, 0.2], [0.0, 1.0, 0.2]]
         sensor = chip(subsamples=parts, period=0.2)
         found = steps(sensor, rates, [[0.0, 0.0, 0.0]] * 3)[1][6:9]
-        turned, many = Rotation.identity(), 2000
+        turned, many = scipy.spatial.transform.Rotation.identity(), 2000
         for i in range(many):
             share = (i + 0.5) / many
             rate = (1 - share) * np.array(rates[1]) + share * np.array(rates[2])
-            turned = turned * Rotation.from_rotvec(rate * 0.2 / many)
+            turned = turned * scipy.spatial.transform.Rotation.from_rotvec(rate * 0.2 / many)
         expected = turned.as_rotvec()
         plain = 0.1 * (np.array(rates[1]) + np.array(rates[2]))
         assert np.abs(plain - expected).max() > 3e-3

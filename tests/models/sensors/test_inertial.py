@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 
 from qrsim.core.noise import Draw, Drawn, Key, Stream
 from qrsim.core.tree import cast
@@ -70,7 +70,7 @@ class TestWhiteNoise:
         """Each axis over all readings, and the first reading alone."""
         for samples in (errors, errors[:1]):
             n = samples[:, 0].size
-            low, high = stats.chi2.ppf([0.0005 / 6, 1.0 - 0.0005 / 6], n) / n
+            low, high = scipy.stats.chi2.ppf([0.0005 / 6, 1.0 - 0.0005 / 6], n) / n
             variances = np.mean(samples**2, axis=(0, 2))
             assert np.all((low < variances) & (variances < high)), variances
 
@@ -79,7 +79,7 @@ class TestWhiteNoise:
 
     def test_is_normal(self, errors):
         # Kolmogorov and Smirnov, 99.9 %.
-        assert stats.kstest(errors.ravel(), "norm").pvalue > 0.001
+        assert scipy.stats.kstest(errors.ravel(), "norm").pvalue > 0.001
 
     def test_axes_readings_and_vehicles_are_independent(self, errors):
         found = [np.mean(errors[:, a] * errors[:, b]) for a, b in itertools.combinations(range(3), 2)]

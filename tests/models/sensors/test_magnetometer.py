@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from evidence import magnetometer as study
-from scipy.spatial.transform import Rotation
 
 import qrsim
 from qrsim import make_scenario
@@ -131,7 +131,7 @@ class TestCompass:
     @pytest.mark.parametrize("angles", [(0.0, 0.0, 2.0), (0.4, -0.3, -1.0), (-1.2, 0.9, 3.1), (3.0, 0.2, 0.5)])
     def test_heading_of_a_tilted_compass(self, angles: tuple[float, float, float]) -> None:
         roll, pitch, yaw = angles
-        field = Rotation.from_euler("ZYX", [yaw, pitch, roll]).inv().apply(FIELD)
+        field = scipy.spatial.transform.Rotation.from_euler("ZYX", [yaw, pitch, roll]).inv().apply(FIELD)
         body = vector(*field)
         east_of_north = math.atan2(FIELD[1], FIELD[0])
         found = float(qrsim.compass_heading(body, roll, pitch, east_of_north)[0])
@@ -143,7 +143,7 @@ class TestCompass:
 class TestErrors:
     def test_a_clean_chip_says_the_field_in_body_axes(self) -> None:
         found = measured(chip(), attitude=euler(0.3, -0.2, 1.0))
-        expected = Rotation.from_euler("ZYX", [1.0, -0.2, 0.3]).inv().apply(FIELD)
+        expected = scipy.spatial.transform.Rotation.from_euler("ZYX", [1.0, -0.2, 0.3]).inv().apply(FIELD)
         np.testing.assert_allclose(found, expected, atol=2e-5)
 
     def test_errors_act_as_the_equation_says(self) -> None:
@@ -213,7 +213,8 @@ class TestErrors:
         scene = {"attitude": euler(*body), "position_ned": vector(0.0, 0.0, 0.0), "rates_body": vector(0.0, 0.0, 0.0)}
         fitting = Fitting(attitude=Euler(*turn))  # type: ignore[arg-type]
         found = mounted(fitting, scene, ("position_ned", "attitude"), None, 0.02)
-        expected = Rotation.from_euler("ZYX", body[::-1]) * Rotation.from_euler("ZYX", turn[::-1])
+        turned = scipy.spatial.transform.Rotation.from_euler
+        expected = turned("ZYX", body[::-1]) * turned("ZYX", turn[::-1])
         reading = measured(chip(), attitude=found["attitude"])
         np.testing.assert_allclose(reading, expected.inv().apply(FIELD), atol=5e-5)
 

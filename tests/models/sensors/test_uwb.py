@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 from test_rangefinder import WALL, hills, solids
 
 from qrsim import Simulation, make_scenario
@@ -146,7 +146,7 @@ class TestErrors:
             got = ranges[np.isfinite(ranges)] - away
             assert len(got) / 20_000 == pytest.approx(0.8 if hidden else 1.0, abs=0.0094)
             if hidden:
-                assert stats.kstest(got, stats.expon(scale=0.5).cdf).statistic < 1.95 / math.sqrt(len(got))
+                assert scipy.stats.kstest(got, scipy.stats.expon(scale=0.5).cdf).statistic < 1.95 / math.sqrt(len(got))
             else:
                 np.testing.assert_allclose(got, 0.0, atol=1e-5)
 

@@ -11,8 +11,7 @@ import warnings
 from typing import Any, cast
 
 import numpy as np
-from scipy.cluster.vq import kmeans2
-from scipy.optimize import least_squares
+import scipy
 
 from qrsim.models.scene.plume import INNER
 from qrsim.tasks.play import Play
@@ -74,7 +73,9 @@ class Ellipsoids:
             np.broadcast_to(self._high, self._prior.shape).ravel(),
         )
         starts = self._best, self._guesses[self._random.integers(len(self._guesses))]
-        fits = [least_squares(error, start.ravel(), bounds=bounds, max_nfev=MOST_STEPS) for start in starts]
+        fits = [
+            scipy.optimize.least_squares(error, start.ravel(), bounds=bounds, max_nfev=MOST_STEPS) for start in starts
+        ]
         best = min(fits, key=lambda fit: float(fit.cost))
         self._best = best.x.reshape(self._prior.shape)
         self._guesses = self._like(self._best, np.linalg.inv(best.jac.T @ best.jac))
@@ -106,7 +107,9 @@ class Ellipsoids:
         with warnings.catch_warnings():
             # A cluster may be empty; it says nothing then.
             warnings.simplefilter("ignore", UserWarning)
-            _, nearest = kmeans2(locations, self._random.choice(locations, count, replace=False), minit="matrix")
+            _, nearest = scipy.cluster.vq.kmeans2(
+                locations, self._random.choice(locations, count, replace=False), minit="matrix"
+            )
         volume = 0.0
         for k in range(count):
             own = locations[nearest == k]
