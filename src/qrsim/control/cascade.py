@@ -28,7 +28,7 @@ from qrsim.core.fastmath import sincos
 from qrsim.core.tree import derived, parameter, quantity, record, replace, select, setting
 from qrsim.core.vectors import Euler, Vec3, rotation
 from qrsim.errors import UsageError
-from qrsim.models.vehicles.contracts import Handling, Vehicle
+from qrsim.models.vehicles.contracts import Handling, Vehicle, handling_of
 
 
 @record
@@ -93,7 +93,7 @@ class CascadeController(Controller):
         Raises:
             UsageError: the vehicle takes no tilt and throttle.
         """
-        if vehicle.handling() is None:
+        if handling_of(vehicle) is None:
             raise UsageError(
                 f"a cascade commands tilt and throttle, and {type(vehicle).__name__} says of none how it answers "
                 "(handling); give the fleet another controller, as waypoint for an identified quadrotor"

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.files.atomic import write_atomically
+from qrsim.runs.arrow import column, numbers, strings
 from qrsim.runs.layout import (
     EVENTS,
     INDEX,
@@ -62,7 +63,7 @@ class VehicleRows(Buffer):
     def __init__(self, stream: str, folder: Path, schema: pa.Schema, vehicles: Sequence[str], every: int):
         super().__init__(folder, schema)
         self.stream, self.every = stream, every
-        self.vehicles = pa.array(vehicles, pa.string())
+        self.vehicles = strings(vehicles)
         index = {column.name for column in INDEX}
         self.dtypes = {f.name: numpy_dtype(f.type) for f in schema if f.name not in index}
 
@@ -90,15 +91,15 @@ class VehicleRows(Buffer):
         count = len(self.vehicles)
         ticks = np.concatenate([chunk[0] for chunk in self.pending] or [np.zeros(0, np.int64)])
         times = np.concatenate([chunk[1] for chunk in self.pending] or [np.zeros(0)])
-        codes = pa.array(np.tile(np.arange(count, dtype=np.int32), len(ticks)))
+        codes = column(np.tile(np.arange(count, dtype=np.int32), len(ticks)))
         arrays = [
-            pa.array(np.repeat(times, count)),
-            pa.array(np.repeat(ticks, count)),
+            column(np.repeat(times, count)),
+            column(np.repeat(ticks, count)),
             pa.DictionaryArray.from_arrays(codes, self.vehicles),
         ]
         for i, dtype in enumerate(self.dtypes.values()):
             chunks = [chunk[2][i] for chunk in self.pending]
-            arrays.append(pa.array(np.concatenate(chunks).reshape(-1) if chunks else np.zeros(0, dtype)))
+            arrays.append(column(np.concatenate(chunks).reshape(-1) if chunks else np.zeros(0, dtype)))
         return pa.Table.from_arrays(arrays, schema=self.schema)
 
     def _copy(
@@ -132,9 +133,9 @@ class EventRows(Buffer):
         arrays = []
         for item, values in zip(self.schema, columns, strict=True):
             if item.type == NAME:
-                arrays.append(pa.array(values, pa.string()).dictionary_encode())
+                arrays.append(strings(values).dictionary_encode())
             else:
-                arrays.append(pa.array(values, item.type))
+                arrays.append(strings(values) if item.type == pa.string() else numbers(values, item.type))
         return pa.Table.from_arrays(arrays, schema=self.schema)
 
 

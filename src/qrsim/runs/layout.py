@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
+import re
 import shlex
 import sys
 from collections.abc import Collection, Mapping, Sequence
@@ -258,6 +259,10 @@ def column_of(item: pa.Field) -> Column:
 
 
 def numpy_dtype(kind: pa.DataType) -> np.dtype[Any]:
-    """Return NumPy's name for an Arrow type of numbers (Arrow's own conversion needs pandas in some versions)."""
+    """Return the NumPy type of an Arrow type of numbers."""
+    # By name where names agree, because Arrow's own conversion imports pandas where that is installed.
+    name = {"float": "float32", "double": "float64"}.get(str(kind), str(kind))
+    if name in ("float32", "float64", "bool") or re.fullmatch(r"u?int(8|16|32|64)", name):
+        return np.dtype(name)
     found: np.dtype[Any] = pa.array([], kind).to_numpy(zero_copy_only=False).dtype
     return found

@@ -18,6 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 from qrsim.errors import RunError, ScenarioError, UsageError, did_you_mean, shortened
 from qrsim.files.user_files import LARGEST_DATA, read_text
 from qrsim.files.yaml_text import parse_yaml
+from qrsim.runs.arrow import to_numpy
 from qrsim.runs.episodes import EPISODES_FILE, episode_folders, holds_episodes, which_one
 from qrsim.runs.layout import EVENTS, FORMAT, INDEX, RUN_FILE, SCENARIO_FILE, Column, Event, RunInfo
 from qrsim.runs.parts import StreamParts
@@ -208,8 +209,8 @@ class Stream:
         """Return (T,) times and ticks of some rows, after the same check."""
         count = len(self.vehicles)
         order = _codes(table["vehicle"], self.vehicles)
-        times: npt.NDArray[np.float64] = table["time"].to_numpy()
-        ticks: npt.NDArray[np.int64] = table["tick"].to_numpy()
+        times: npt.NDArray[np.float64] = to_numpy(table["time"])
+        ticks: npt.NDArray[np.int64] = to_numpy(table["tick"])
         steps = ticks[::count]
         in_order = np.array_equal(order, np.tile(np.arange(count), len(steps)))
         if in_order and np.array_equal(ticks, np.repeat(steps, count)):
@@ -251,7 +252,7 @@ class Stream:
         names = self._known(names)
         shape = (len(self.time), len(self.vehicles))
         table = self._parts.table(names)
-        return {name: table[name].to_numpy().reshape(shape) for name in names}
+        return {name: to_numpy(table[name]).reshape(shape) for name in names}
 
     def batches(
         self, names: Sequence[str] | None = None, *, start: float = -math.inf, end: float = math.inf
@@ -270,7 +271,7 @@ class Stream:
                 continue
             time, tick = self._steps(table)
             shape = (len(time), len(self.vehicles))
-            yield Batch(time, tick, {name: table[name].to_numpy().reshape(shape) for name in names})
+            yield Batch(time, tick, {name: to_numpy(table[name]).reshape(shape) for name in names})
 
     def _known(self, names: Sequence[str] | None) -> Sequence[str]:
         if names is None:
@@ -297,7 +298,7 @@ def _codes(vehicle: pa.ChunkedArray, vehicles: Sequence[str]) -> npt.NDArray[np.
     for chunk in coded.chunks:
         # The last entry stands for an absent name, which the index -1 finds.
         lookup = np.array([*(index.get(name, -1) for name in chunk.dictionary.to_pylist()), -1])
-        chunks.append(lookup[chunk.indices.fill_null(-1).to_numpy()])
+        chunks.append(lookup[to_numpy(chunk.indices.fill_null(-1))])
     return np.concatenate(chunks)
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from qrsim.tasks.referee import Referee
 
 CHUNK_TICKS = 50
+LONG_CHUNK_TICKS = 500
 REALTIME_CHUNK_S = 0.1
 
 
@@ -202,7 +203,8 @@ def _pilot(simulation: Simulation, policy: Any, estimator: Any, policy_ticks: in
 
 
 def _record(simulation: Simulation, ticks: int, pilot: Flyer | None) -> History:
-    return pilot.record(ticks, CHUNK_TICKS) if pilot else simulation.record(ticks, capacity=CHUNK_TICKS)
+    capacity = max(ticks, CHUNK_TICKS)
+    return pilot.record(ticks, capacity) if pilot else simulation.record(ticks, capacity=capacity)
 
 
 def make_parent(folder: Path) -> None:
@@ -231,7 +233,12 @@ def _loop(
     progress: Callable[[float, float], None],
     view: Watcher | None = None,
 ) -> Pace:
-    chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step))) if realtime else CHUNK_TICKS
+    chunk = CHUNK_TICKS
+    if realtime:
+        chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step)))
+    elif pilot is None and view is None and simulation.compiled_by[0] == "llvm":
+        # What is done once a chunk takes longer than its ticks; XLA compiles by the length of a chunk.
+        chunk = LONG_CHUNK_TICKS
     start = time.perf_counter()
     first = simulation.time
     overruns = 0

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import jax
 import numpy as np
 
+from qrsim.core.host import on_host
 from qrsim.core.tree import walk
 from qrsim.interface.crowds import crowds_of
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading
@@ -25,54 +27,36 @@ STREAMS = ("truth", "measurements", "commands", "wind")
 OF_RADIO = "measurements"
 
 
+# Of vehicles (n,) at T ticks (T, n), by NumPy: it is asked for at every part of a flight.
+_poses = on_host(lambda vehicle, states: jax.vmap(vehicle.pose)(states))
+
+
+_UNITS = {
+    "specific_force.": "m/s^2", "mean_ned.": "m/s", "gust_ned.": "m/s", "gust_rates_ned.": "rad/s",
+    "estimate.position_ned.": "m", "estimate.velocity_ned.": "m/s", "estimate.attitude.": "rad",
+    "estimate_std.position_ned.": "m", "estimate_std.velocity_ned.": "m/s", "estimate_std.attitude.": "rad",
+}  # fmt: skip
+
+
 def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, str, str]]:
     """Return (column, array (T, n), unit, doc) of one fleet's part of a stream."""
-    roots: dict[str, list[tuple[str, Any]]] = {
-        "truth": [
-            ("", fleet.vehicle.pose(state.vehicle)),
-            ("", state.vehicle),
-            ("specific_force.", state.specific_force),
-        ],
-        "measurements": [
-            (f"{name}.", reading) for name, reading in zip(fleet.sensor_names, state.readings, strict=True)
-        ],
-        "commands": [("", state.command), ("setpoint.", state.setpoint)],
-        "wind": [("mean_ned.", state.mean_wind_ned), ("gust_ned.", state.gust_ned)],
-    }
-    if state.belief is not None and stream == "commands":
-        # Without an estimator of its own a controller is fed with the readings, which are logged. A fleet's estimator
-        # is logged as it is at this tick, a controller's own as it fed the command of this tick.
-        parts = ("position_ned", "velocity_ned", "attitude")
-        fed = state.estimate if fleet.estimator is None else state.belief.estimate
-        roots["commands"] += [(f"estimate.{part}.", getattr(fed, part)) for part in parts]
-        if state.belief.std is not None:
-            roots["commands"] += [(f"estimate_std.{part}.", getattr(state.belief.std, part)) for part in parts]
-        estimator = fleet.own_estimator
-        inner = None if estimator is None else estimator.inner(state.belief.memory)
-        if inner is not None:
-            roots["commands"] += [("estimate.", inner[0]), ("estimate_std.", inner[1])]
-        innovations = None if estimator is None else estimator.innovations(state.belief.memory)
-        if innovations is not None:
-            roots["commands"].append(("innovation.", innovations))
-    if state.gust_rates_ned is not None:
-        roots["wind"].append(("gust_rates_ned.", state.gust_rates_ned))
-    if fleet.battery.drains:
-        roots["truth"].append(("battery.", state.battery))
-    units = {
-        "specific_force.": "m/s^2",
-        "mean_ned.": "m/s",
-        "gust_ned.": "m/s",
-        "gust_rates_ned.": "rad/s",
-        "estimate.position_ned.": "m",
-        "estimate.velocity_ned.": "m/s",
-        "estimate.attitude.": "rad",
-        "estimate_std.position_ned.": "m",
-        "estimate_std.velocity_ned.": "m/s",
-        "estimate_std.attitude.": "rad",
-    }
+    roots: list[tuple[str, Any]]
+    if stream == "truth":
+        poses = _poses(fleet.vehicle, state.vehicle)
+        roots = [("", poses), ("", state.vehicle), ("specific_force.", state.specific_force)]
+        if fleet.battery.drains:
+            roots.append(("battery.", state.battery))
+    elif stream == "measurements":
+        roots = [(f"{name}.", reading) for name, reading in zip(fleet.sensor_names, state.readings, strict=True)]
+    elif stream == "commands":
+        roots = [("", state.command), ("setpoint.", state.setpoint), *_believed(fleet, state)]
+    else:
+        roots = [("mean_ned.", state.mean_wind_ned), ("gust_ned.", state.gust_ned)]
+        if state.gust_rates_ned is not None:
+            roots.append(("gust_rates_ned.", state.gust_rates_ned))
     items = [
-        (name, leaf, info.unit or units.get(prefix, ""), info.doc)
-        for prefix, root in roots[stream]
+        (name, leaf, info.unit or _UNITS.get(prefix, ""), info.doc)
+        for prefix, root in roots
         for name, leaf, info in walk(root, prefix)
     ]
     # A state may have what its pose has, under the same name.
@@ -90,6 +74,28 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
         items.append(("clipped", state.command_clipped, "", "the command was outside its range and was clipped"))
         items.append(("waypoint", state.guidance.index, "", "index of the waypoint flown to"))
     return items
+
+
+def _believed(fleet: Fleet, state: FleetState) -> list[tuple[str, Any]]:
+    """Return what a fleet's estimator, or a controller's own, estimates, with its std and innovations."""
+    belief = state.belief
+    if belief is None:
+        return []
+    # Without an estimator of its own a controller is fed with the readings, which are logged. A fleet's estimator
+    # is logged as it is at this tick, a controller's own as it fed the command of this tick.
+    parts = ("position_ned", "velocity_ned", "attitude")
+    fed = state.estimate if fleet.estimator is None else belief.estimate
+    roots = [(f"estimate.{part}.", getattr(fed, part)) for part in parts]
+    if belief.std is not None:
+        roots += [(f"estimate_std.{part}.", getattr(belief.std, part)) for part in parts]
+    estimator = fleet.own_estimator
+    inner = None if estimator is None else estimator.inner(belief.memory)
+    if inner is not None:
+        roots += [("estimate.", inner[0]), ("estimate_std.", inner[1])]
+    innovations = None if estimator is None else estimator.innovations(belief.memory)
+    if innovations is not None:
+        roots.append(("innovation.", innovations))
+    return roots
 
 
 def loads(fleet: Fleet, state: FleetState, has: set[str]) -> list[tuple[str, Any, str, str]]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-import jax
 import numpy as np
 
+from qrsim.core.host import on_host
 from qrsim.errors import UsageError
 from qrsim.models.atmosphere.contracts import CONVECTION_HEIGHT
 from qrsim.models.atmosphere.field_modes import GROUPS
@@ -56,6 +56,9 @@ def air_warnings(scenario: ScenarioSpec) -> Iterator[str]:
         )
 
 
+_mean = on_host(lambda wind, height: wind.mean_velocity_ned(height))
+
+
 def convection_speed(scenario: ScenarioSpec) -> float:
     """Return the speed [m/s] of what carries turbulence and gusts; infinite where the wind's file cannot be read."""
     turbulence = vars(scenario.world.turbulence)
@@ -67,8 +70,7 @@ def convection_speed(scenario: ScenarioSpec) -> float:
     except UsageError:
         return math.inf
     height = np.full(1, turbulence.get("convection_height", CONVECTION_HEIGHT), np.float32)
-    # As one program: primitive by primitive it takes most of a second at every start.
-    mean = jax.jit(lambda wind, height: wind.mean_velocity_ned(height))(wind, height)
+    mean = _mean(wind, height)
     return math.hypot(float(mean.x[0]), float(mean.y[0]))
 
 

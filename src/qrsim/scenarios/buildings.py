@@ -10,6 +10,7 @@ import numpy as np
 
 from qrsim.core.vectors import Vec3
 from qrsim.errors import ScenarioError, UsageError, warn_user
+from qrsim.models.scene.contracts import down_at
 from qrsim.models.scene.fence import polygon_problems
 from qrsim.models.site import Site
 from qrsim.scenarios.build import ground_if_any
@@ -91,7 +92,7 @@ def _prism(building: Building, height: float, ground: Any) -> Any:
     if ground is not None and not ground.at_zero:
         north, east = np.array(outline, np.float32).T
         places: Any = Vec3(north, east, np.zeros_like(north))
-        down = float(np.max(np.asarray(ground.down(places))))
+        down = float(np.max(down_at(ground, places)))
     return PrismModel(
         type="prism", corners_ned=outline, holes_ned=holes, z_min=down - height, z_max=down - building.base,
         name=building.name,

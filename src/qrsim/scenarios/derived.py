@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.models.sensors.earth_field import declination, inclination
+from qrsim.models.vehicles.contracts import handling_of
 from qrsim.models.vehicles.fixed_wing import FixedWing
 from qrsim.models.vehicles.fixed_wing.trim import cruise, stall_speed
 from qrsim.models.vehicles.multirotor import Multirotor
@@ -28,7 +29,7 @@ def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
             found[name] = derived(vehicle)
         elif isinstance(vehicle, FixedWing):
             found[name] = _level_flight(vehicle)
-        elif (handling := vehicle.handling()) is not None:
+        elif (handling := handling_of(vehicle)) is not None:
             mass, gravity, most = (
                 float(np.ravel(value)[0]) for value in (handling.mass, handling.gravity, handling.thrust_max)
             )

@@ -10,6 +10,7 @@ import numpy as np
 
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
+from qrsim.models.scene.contracts import down_at
 from qrsim.models.vehicles.fixed_wing import FixedWing
 from qrsim.models.vehicles.fixed_wing.trim import stall_speed
 from qrsim.scenarios import catalogue as known
@@ -61,7 +62,7 @@ def _on_ground(name: str, fleet: FleetSpec, scenario: ScenarioSpec, span: float)
     if ground is None or fleet.placement.type != "given":
         return
     places: Any = Vec3(*np.array([each.position_ned for each in fleet.vehicles], np.float32).reshape(-1, 3).T)
-    for i, down in enumerate(np.asarray(ground.down(places)).tolist()):
+    for i, down in enumerate(down_at(ground, places).tolist()):
         z, least = fleet.vehicles[i].position_ned[2], down - 0.5 * span
         if z > least:
             yield (

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.vectors import Vec3
-from qrsim.models.scene.contracts import Ground
-from qrsim.models.vehicles.contracts import Vehicle
+from qrsim.models.scene.contracts import Ground, down_at
+from qrsim.models.vehicles.contracts import Vehicle, handling_of
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
@@ -54,7 +54,7 @@ def riding_problems(name: str, fleet: FleetSpec, ground: Ground) -> Iterator[str
             points[f"{path}.position_ned"] = vehicle.position_ned
         points |= {f"{path}.{place}": point for place, point in vehicle.places_ned.items()}
     places: Any = Vec3(*np.array(list(points.values()), np.float32).reshape(-1, 3).T)
-    for (path, point), down in zip(points.items(), np.asarray(ground.down(places)).tolist(), strict=True):
+    for (path, point), down in zip(points.items(), down_at(ground, places).tolist(), strict=True):
         if abs(point[2] - down) > NEAR_IT:
             more = ", or on_ground: true" if path.endswith("position_ned") else ""
             yield (
@@ -73,7 +73,7 @@ def put_on_ground(scenario: ScenarioSpec, ground: Ground) -> ScenarioSpec:
                 north, east, _ = vehicle.position_ned
                 place: Any = Vec3(*np.array([[north], [east], [0.0]], np.float32))
                 # Added to zero, because a ground at z = 0 may be at -0.
-                down = float(np.asarray(ground.down(place))[0]) + 0.0
+                down = float(down_at(ground, place)[0]) + 0.0
                 vehicle = vehicle.model_copy(update={"position_ned": [north, east, down], "on_ground": False})
             vehicles.append(vehicle)
         fleets[name] = fleet.model_copy(update={"vehicles": vehicles})
@@ -93,7 +93,7 @@ def below_ground(scenario: ScenarioSpec, ground: Ground) -> Iterator[str]:
     if not points:
         return
     places: Any = Vec3(*np.array(list(points.values()), np.float32).T)
-    for (path, point), down in zip(points.items(), np.asarray(ground.down(places)).tolist(), strict=True):
+    for (path, point), down in zip(points.items(), down_at(ground, places).tolist(), strict=True):
         if point[2] > down + ON_IT:
             yield below(path, point[2], down)
 
@@ -113,7 +113,7 @@ def standing_problems(name: str, kind: str, vehicle: Vehicle) -> Iterator[str]:
             f"fleets.{name}.ground: 'parked' is for vehicles without a contact of their own, and '{kind}' stands on "
             "the ground by itself; leave it out"
         )
-    elif vehicle.handling() is None:
+    elif handling_of(vehicle) is None:
         yield (
             f"fleets.{name}.ground: 'parked' needs to know when the thrust exceeds the weight, which '{kind}' does not "
             "say (Vehicle.handling); allowed: stop"

@@ -11,6 +11,7 @@ import numpy as np
 
 from qrsim.errors import UsageError
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT
+from qrsim.models.vehicles.contracts import handling_of
 from qrsim.models.vehicles.envelope import Envelope, envelope
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.scenarios import catalogue as known
@@ -62,7 +63,7 @@ def limits_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Limits | None:
     size = len(fleet.vehicles)
     try:
         vehicle = component(fleet.vehicle, known.VEHICLES, scenario)
-        handling = vehicle.handling()
+        handling = handling_of(vehicle)
     except UsageError:
         return None
     if handling is None or not np.all(np.asarray(handling.gravity) > 0.0):

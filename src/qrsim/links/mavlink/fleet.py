@@ -21,7 +21,7 @@ from qrsim.links.mavlink.stack.contracts import NEEDED, Facts
 from qrsim.links.shared.grounding import put_down, standing
 from qrsim.links.shared.kinds import kinds_of
 from qrsim.models.scene.fence import PolygonArea
-from qrsim.models.vehicles.contracts import Vehicle
+from qrsim.models.vehicles.contracts import Vehicle, handling_of
 from qrsim.models.vehicles.fixed_wing.parameters import Aeroplane
 from qrsim.models.vehicles.fixed_wing.trim import stall_speed
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
@@ -65,7 +65,7 @@ def prepared(scenario: Scenario) -> Scenario:
 
 def flown(fleet: Fleet) -> bool:
     """Return whether a stack can fly the vehicles of a fleet."""
-    return set(kinds_of(fleet)) >= NEEDED and fleet.vehicle.handling() is not None
+    return set(kinds_of(fleet)) >= NEEDED and handling_of(fleet.vehicle) is not None
 
 
 def type_of(vehicle: Vehicle) -> int:
@@ -122,7 +122,7 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
         return replace(common, speed_limit=own(controller.speed))
     if isinstance(controller, FixedWingController):
         return _wing_facts(common, fleet, number)
-    handling = fleet.vehicle.handling()
+    handling = handling_of(fleet.vehicle)
     if handling is None or not flown(fleet):
         return common
     speeds: tuple[Any, ...] = (8.0, 3.0, 1.5)

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.core.host import on_host
 from qrsim.core.noise import Draw
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError
@@ -248,3 +249,7 @@ class Placement(Protocol):
     def unplaced(self, size: int) -> str:
         """Say, for an error, that no place was found for this many vehicles."""
         return f"no place for {size} vehicles; take another seed or fewer vehicles"
+
+
+# The down coordinate [m] of a ground below positions of any shape, by NumPy.
+down_at = on_host(lambda ground, position_ned: ground.down(position_ned))

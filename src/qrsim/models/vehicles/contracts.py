@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from qrsim.core.host import on_host
 from qrsim.core.noise import Noise
 from qrsim.core.tree import quantity, record
 from qrsim.core.vectors import AttitudeTrig, Euler, Vec3, rotation
@@ -337,3 +338,7 @@ class Battery(Protocol):
     def own_checks(self, state: Any) -> list[Check]:
         """Return its own stop conditions (n,), besides that of an empty battery."""
         return []
+
+
+# What a controller of tilt and throttle knows of vehicles, a Handling or None, by NumPy.
+handling_of = on_host(lambda vehicle: vehicle.handling())

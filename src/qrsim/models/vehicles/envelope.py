@@ -12,7 +12,7 @@ import numpy as np
 from qrsim.core.noise import Drawn
 from qrsim.core.tree import map_tree
 from qrsim.core.vectors import Euler, Vec3
-from qrsim.models.vehicles.contracts import Around, Vehicle
+from qrsim.models.vehicles.contracts import Around, Vehicle, handling_of
 
 Floats = np.ndarray[Any, Any]
 # Nothing of this kind is that fast [m/s].
@@ -48,7 +48,7 @@ def envelope(vehicle: Vehicle, tilt_limit: Any, thrust_limit: Any = None) -> Env
     Returns:
         None where the vehicle takes no tilt and throttle.
     """
-    known = vehicle.handling()
+    known = handling_of(vehicle)
     if known is None:
         return None
     most = known.thrust_max if thrust_limit is None else thrust_limit
@@ -91,7 +91,7 @@ class _Balance:
 
     def _lifting(self, airspeed: Floats, tilt: Floats) -> Floats:
         """Return the thrust (n,) [N] that carries the weight."""
-        known = self.vehicle.handling()
+        known = handling_of(self.vehicle)
         assert known is not None
         weight = np.broadcast_to(np.asarray(known.mass * known.gravity, np.float64), tilt.shape)
         wanted = -np.asarray(known.gravity, np.float64)

@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array
 
 from qrsim.core.fastmath import sincos
+from qrsim.core.host import on_host
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3, root
@@ -149,12 +150,15 @@ def modes(model: Aeroplane, at: Trim) -> Floats:
     return found
 
 
+_lift_and_drag = on_host(lift_and_drag)
+
+
 def stall_speed(model: Aeroplane) -> float:
     """Return the lowest airspeed [m/s] at which the wing of the first of some aeroplanes carries the weight."""
     angles = np.linspace(0.0, 0.8, 401)
     first = jax.tree.map(lambda leaf: np.float64(np.ravel(leaf)[0]), cast(model, np.float64))
     with jax.enable_x64(True):
-        lift, _ = lift_and_drag(first.longitudinal, first.span**2 / first.area, jnp.asarray(angles))
+        lift, _ = _lift_and_drag(first.longitudinal, first.span**2 / first.area, angles)
     most = float(np.max(np.asarray(lift)))
     weight = float(first.mass * first.gravity)
     return math.sqrt(2.0 * weight / (float(first.density) * float(first.area) * most))

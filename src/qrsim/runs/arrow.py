@@ -1,0 +1,54 @@
+"""Arrow arrays from NumPy arrays and lists, and back; pyarrow's own conversions import pandas where it is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from qrsim.runs.layout import numpy_dtype
+
+
+def column(values: np.ndarray[Any, Any]) -> Any:
+    """Return an Arrow array of a NumPy array (n,) of numbers or bools, none of them missing."""
+    values = np.ascontiguousarray(values)
+    kind = pa.from_numpy_dtype(values.dtype)
+    # Arrow packs eight bools into a byte.
+    data = np.packbits(values, bitorder="little") if values.dtype == bool else values
+    return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(data)])
+
+
+def numbers(values: Sequence[Any], kind: Any) -> Any:
+    """Return an Arrow array of numbers of a type; those that are None are missing."""
+    present = np.array([value is not None for value in values], bool)
+    plain = np.array([0 if value is None else value for value in values], numpy_dtype(kind))
+    validity = pa.py_buffer(np.packbits(present, bitorder="little"))
+    return pa.Array.from_buffers(kind, len(plain), [validity, column(plain).buffers()[1]])
+
+
+def strings(values: Sequence[str | None]) -> Any:
+    """Return an Arrow array of strings; those that are None are missing."""
+    present = np.array([value is not None for value in values], bool)
+    encoded = [(value or "").encode() for value in values]
+    ends = np.cumsum([0, *map(len, encoded)]).astype(np.int32)
+    validity = pa.py_buffer(np.packbits(present, bitorder="little"))
+    return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(ends), pa.py_buffer(b"".join(encoded)), validity)
+
+
+def to_numpy(values: Any) -> np.ndarray[Any, Any]:
+    """Return a column of a table, or one chunk of it, as a NumPy array; missing numbers are NaN."""
+    chunks = values.chunks if isinstance(values, pa.ChunkedArray) else [values]
+    arrays = [_plain(chunk) for chunk in chunks]
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays or [np.zeros(0, numpy_dtype(values.type))])
+
+
+def _plain(chunk: Any) -> np.ndarray[Any, Any]:
+    dtype = numpy_dtype(chunk.type)
+    if not len(chunk):
+        return np.zeros(0, dtype)
+    if dtype.kind not in "fiu" or chunk.null_count:
+        found: np.ndarray[Any, Any] = chunk.to_numpy(zero_copy_only=False)
+        return found
+    return np.frombuffer(chunk.buffers()[1], dtype, len(chunk), chunk.offset * dtype.itemsize)
