@@ -463,6 +463,7 @@ def small_parts(monkeypatch) -> Iterator[Callable[[int], None]]:
         real_fsync(descriptor)
 
     monkeypatch.setattr(recorder, "RunWriter", SimpleNamespace(create=create))
+    monkeypatch.setattr(recorder, "LONG_CHUNK_TICKS", 50)
     monkeypatch.setattr(atomic.os, "fsync", fsync)
 
     def fill(files: int) -> None:
@@ -532,6 +533,7 @@ def test_run_json_never_promises_ticks_that_a_stream_does_not_have(fly, monkeypa
         return writer
 
     monkeypatch.setattr(recorder, "RunWriter", SimpleNamespace(create=create))
+    monkeypatch.setattr(recorder, "LONG_CHUNK_TICKS", 50)
     assert fly("--duration", "0.3", "--no-figure").code == 0
     assert promised[-1] == present[-1] == 15
     assert all(promise <= max(ticks, 0) for promise, ticks in zip(promised, present, strict=True))

@@ -62,7 +62,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
 def _kernel(name: str) -> Any:
     """Return the body of a kernel, traced for single elements; NumPy spreads its operations over arrays."""
     kernel = KERNELS[name]
-    return jax.make_jaxpr(kernel.body)(*(jax.ShapeDtypeStruct((), np.dtype(dtype)) for dtype in kernel.takes))
+    return jax.make_jaxpr(kernel.body)(*(np.zeros((), dtype) for dtype in kernel.takes))
 
 
 def _run(closed: Any, arguments: list[Any]) -> list[Any]:
@@ -72,17 +72,21 @@ def _run(closed: Any, arguments: list[Any]) -> list[Any]:
 
 
 def _results(closed: Any, arguments: list[Any]) -> list[Any]:
-    jaxpr = closed.jaxpr
-    known = dict(zip(jaxpr.invars, arguments, strict=True))
+    jaxpr: Any = closed.jaxpr
+    known: dict[Any, Any] = dict(zip(jaxpr.invars, arguments, strict=True))
     known.update(zip(jaxpr.constvars, map(np.asarray, closed.consts), strict=True))
 
     def read(atom: Any) -> Any:
-        return np.asarray(atom.val, atom.aval.dtype) if isinstance(atom, jex.Literal) else known[atom]
+        if not isinstance(atom, jex.Literal):
+            return known[atom]
+        of: Any = atom.aval
+        return np.asarray(atom.val, of.dtype)
 
     for equation in jaxpr.eqns:
         found = _applied(equation, [read(atom) for atom in equation.invars])
         for variable, value in zip(equation.outvars, found, strict=True):
-            known[variable] = value if value.dtype == variable.aval.dtype else value.astype(variable.aval.dtype)
+            aval: Any = variable.aval
+            known[variable] = value if value.dtype == aval.dtype else value.astype(aval.dtype)
     return [read(atom) for atom in jaxpr.outvars]
 
 

@@ -37,6 +37,13 @@ def strings(values: Sequence[str | None]) -> Any:
     return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(ends), pa.py_buffer(b"".join(encoded)), validity)
 
 
+def names(values: Sequence[str | None]) -> Any:
+    """Return an Arrow array of few strings as indices into a dictionary of them; those that are None are missing."""
+    known = list(dict.fromkeys(value for value in values if value is not None))
+    indices = [None if value is None else known.index(value) for value in values]
+    return pa.DictionaryArray.from_arrays(numbers(indices, pa.int32()), strings(known))
+
+
 def to_numpy(values: Any) -> np.ndarray[Any, Any]:
     """Return a column of a table, or one chunk of it, as a NumPy array; missing numbers are NaN."""
     chunks = values.chunks if isinstance(values, pa.ChunkedArray) else [values]
@@ -48,6 +55,9 @@ def _plain(chunk: Any) -> np.ndarray[Any, Any]:
     dtype = numpy_dtype(chunk.type)
     if not len(chunk):
         return np.zeros(0, dtype)
+    if dtype.kind == "b" and not chunk.null_count:
+        bits = np.unpackbits(np.frombuffer(chunk.buffers()[1], np.uint8), bitorder="little")
+        return bits[chunk.offset : chunk.offset + len(chunk)].astype(bool)
     if dtype.kind not in "fiu" or chunk.null_count:
         found: np.ndarray[Any, Any] = chunk.to_numpy(zero_copy_only=False)
         return found

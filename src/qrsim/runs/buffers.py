@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.files.atomic import write_atomically
-from qrsim.runs.arrow import column, numbers, strings
+from qrsim.runs.arrow import column, names, numbers, strings
 from qrsim.runs.layout import (
     EVENTS,
     INDEX,
@@ -133,7 +133,7 @@ class EventRows(Buffer):
         arrays = []
         for item, values in zip(self.schema, columns, strict=True):
             if item.type == NAME:
-                arrays.append(strings(values).dictionary_encode())
+                arrays.append(names(values))
             else:
                 arrays.append(strings(values) if item.type == pa.string() else numbers(values, item.type))
         return pa.Table.from_arrays(arrays, schema=self.schema)

@@ -298,7 +298,8 @@ def _codes(vehicle: pa.ChunkedArray, vehicles: Sequence[str]) -> npt.NDArray[np.
     for chunk in coded.chunks:
         # The last entry stands for an absent name, which the index -1 finds.
         lookup = np.array([*(index.get(name, -1) for name in chunk.dictionary.to_pylist()), -1])
-        chunks.append(lookup[to_numpy(chunk.indices.fill_null(-1))])
+        indices = chunk.indices.fill_null(-1) if chunk.null_count else chunk.indices
+        chunks.append(lookup[to_numpy(indices)])
     return np.concatenate(chunks)
 
 

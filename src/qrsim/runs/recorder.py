@@ -159,8 +159,10 @@ def fly(
         keep(first)
         # A page has a clock of its own.
         paced = realtime and view is None
+        # What is done once a chunk takes longer than its ticks, but a page, a pilot and a referee want short ones.
+        long = compiler == "llvm" and pilot is None and view is None and referee is None
         with _scored(referee, writer, policy):
-            pace = _loop(simulation, scenario.ticks, (start_up, first_tick), paced, pilot, keep, progress, view)
+            pace = _loop(simulation, scenario.ticks, (start_up, first_tick), paced, pilot, keep, progress, view, long)
         for event in finder.ending(simulation.history):
             writer.append_event(**event)
         warn_of_overfull(simulation.world, simulation.state)
@@ -232,12 +234,12 @@ def _loop(
     keep: Callable[[History], None],
     progress: Callable[[float, float], None],
     view: Watcher | None = None,
+    long: bool = False,
 ) -> Pace:
     chunk = CHUNK_TICKS
     if realtime:
         chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step)))
-    elif pilot is None and view is None and simulation.compiled_by[0] == "llvm":
-        # What is done once a chunk takes longer than its ticks; XLA compiles by the length of a chunk.
+    elif long:
         chunk = LONG_CHUNK_TICKS
     start = time.perf_counter()
     first = simulation.time
