@@ -34,6 +34,7 @@ from evidence._mutant_tests import (
     NotPassingError,
     batches,
     candidates,
+    file_of,
     long_ones,
     read_map,
 )
@@ -68,6 +69,9 @@ def recorded(path: Path = RECORD) -> dict[Key, Entry]:
         except (ValueError, KeyError, TypeError):
             continue  # of a process that was ended while it wrote
         key = (file, text, ordinal, column, mutation)
+        if entry["result"] == KILLED and not (ROOT / file_of(entry["killer"])).is_file():
+            # Of a file of tests that is gone: nobody has asked the others.
+            entry |= {"result": ESCAPED, "killer": ""}
         # That some tests let it live takes back no kill by others.
         if entry["result"] != ESCAPED or found.get(key, entry)["result"] != KILLED:
             found.pop(key, None)
@@ -220,6 +224,9 @@ def again(mutants: Sequence[Mutant], path: Path = RECORD) -> Entry:
                 continue
             with shop.holding(mutant):
                 outcome = shop.run([killer])
+            if outcome.result == NOTHING:  # no such test any more
+                told["untried"].append(str(mutant))
+                continue
             told["tried"] += 1
             told["killed"] += outcome.result == KILLED
             if outcome.result != KILLED:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import nullcontext
 
 import pytest
 from evidence import _mutant_names as naming
@@ -144,8 +145,8 @@ def test_record_is_resumed(tmp_path, monkeypatch) -> None:
     first, second, third = gust[:3]
     lines = [
         {"key": first.key, "result": "survivor", "killer": ""},
-        {"key": second.key, "result": "killed", "killer": "tests/a.py::test"},
-        {"key": first.key, "result": "killed", "killer": "tests/b.py::test"},
+        {"key": second.key, "result": "killed", "killer": "tests/conftest.py::a"},
+        {"key": first.key, "result": "killed", "killer": "tests/conftest.py::b"},
         {"key": ["qrsim/models/gone.py", "x = 1.0", 0, 4, "sign"], "result": "survivor", "killer": ""},
     ]
     path.write_text("".join(json.dumps(line) + "\n" for line in lines) + '{"key": ["qrs', "utf-8")
@@ -153,7 +154,10 @@ def test_record_is_resumed(tmp_path, monkeypatch) -> None:
     assert (counts["tried"], counts["killed"], counts["survivors"]) == (2, 2, 0)
     mutation.tidy(path)
     assert len(path.read_text("utf-8").splitlines()) == 2
-    assert mutation.nearby(third, mutation.recorded(path)) == ["tests/a.py::test", "tests/b.py::test"]
+    assert mutation.nearby(third, mutation.recorded(path)) == [
+        "tests/conftest.py::a",
+        "tests/conftest.py::b",
+    ]
     monkeypatch.setattr(mutation, "workshop", lambda: pytest.fail("nothing is left to be tried"))
     mutation.study([first, second], pytest.fail, path)
 
@@ -168,8 +172,18 @@ def test_what_escaped_is_no_verdict(tmp_path) -> None:
     # Nor does it take back what another process has found meanwhile; a survivor does.
     for result, killed in (("killed", 1), ("escaped", 1), ("survivor", 0)):
         with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"key": first.key, "result": result, "killer": "tests/a.py::test"}) + "\n")
+            file.write(json.dumps({"key": first.key, "result": result, "killer": "tests/conftest.py::a"}) + "\n")
         assert mutation.counted(path)["killed"] == killed
+
+
+def test_a_kill_by_a_file_that_is_gone_is_no_verdict(tmp_path, monkeypatch) -> None:
+    path = tmp_path / "mutation.jsonl"
+    first = mutants.all_mutants()[0]
+    path.write_text(json.dumps({"key": first.key, "result": "killed", "killer": "tests/gone.py::test"}) + "\n", "utf-8")
+    counts = mutation.counted(path)
+    assert (counts["tried"], counts["escaped"]) == (0, 1)
+    monkeypatch.setattr(mutation, "workshop", nullcontext)
+    assert mutation.again([first], path)["untried"] == [str(first)]
 
 
 def test_wrong_shards_are_refused(capsys) -> None:

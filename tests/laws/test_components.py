@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
+from collections.abc import Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -27,7 +28,9 @@ from component_cases import (
     parameters_needed,
     stream_keys,
 )
+from tests.by_numpy import by_numpy
 
+from qrsim.core.primitives import KERNELS
 from qrsim.core.tree import field_info, replace, walk
 from qrsim.core.vectors import rotation
 from qrsim.errors import ScenarioError
@@ -43,55 +46,19 @@ FIXED_POINT = ".advance"
 every_component = pytest.mark.parametrize(("group", "name"), COMPONENTS, ids=["-".join(case) for case in COMPONENTS])
 
 
-SLOW = [
-    ("VEHICLES", "multirotor"),
-    ("VEHICLES", "rover"),
-    ("VEHICLES", "differential_rover"),
-    ("CONTROLLERS", "rover"),
-    ("VEHICLES", "fixed_wing"),
-    ("CONTROLLERS", "fixed_wing"),
-    ("CONTROLLERS", "cascade"),
-    ("FILTERS", "ekf"),
-    ("TURBULENCES", "dryden_field"),
-    ("SENSORS", "gnss"),
-    ("SENSORS", "magnetometer"),
-    ("SENSORS", "pressure_altimeter"),
-    ("SENSORS", "rangefinder"),
-    ("SENSORS", "ideal_rangefinder"),
-    ("SENSORS", "scan"),
-    ("SENSORS", "ideal_scan"),
-    ("SENSORS", "ranging"),
-    ("SENSORS", "ideal_ranging"),
-    ("SENSORS", "optical_flow"),
-    ("SENSORS", "ideal_optical_flow"),
-    ("SENSORS", "neighbours"),
-    ("SENSORS", "ideal_neighbours"),
-    ("SKY_ERRORS", "error_budget"),
-]
-# Those whose slopes take more than a second to compile.
-STEEP = [
-    ("SENSORS", "imu"),
-    ("TURBULENCES", "dryden"),
-    ("WINDS", "grid"),
-    ("PLUMES", "puffs"),
-    ("PLUMES", "dispersion"),
-    ("CONTROLLERS", "offboard"),
-    ("GUIDANCE", "mission"),
-    ("VEHICLES", "expression"),
-]
 # Compiled for minutes in each of its forms, whose flights tests/models/vehicles/multirotor looks at.
 ONE_FORM = [("VEHICLES", "multirotor")]
 # What receivers know of the sky alike, which is no vehicle's own.
 SHARED = (".geometry.", ".ids")
 
 
-def option_cases(slow: list[tuple[str, str]]) -> list[Any]:
+def option_cases(options_are_long: bool = False, one_form: Sequence[tuple[str, str]] = ()) -> list[Any]:
+    """Return every component by its defaults, and with each of its options."""
     cases = []
     for group, name in COMPONENTS:
-        for settings in options(group, name)[: 1 if (group, name) in ONE_FORM else None]:
+        for settings in options(group, name)[: 1 if (group, name) in one_form else None]:
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
-            # Every component by its defaults is in the short tier, but for those whose slopes take long to compile.
-            marks = (pytest.mark.long,) if settings or (group, name) in slow else ()
+            marks = (pytest.mark.long,) if settings and options_are_long else ()
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases
 
@@ -105,8 +72,10 @@ UNSEEN |= dict.fromkeys(("optical_flow", "ideal_optical_flow"), ("flow_x", "flow
 UNSEEN |= dict.fromkeys(("neighbours", "ideal_neighbours"), ("position", "distance", "vehicle", "velocity"))
 # Sensors whose truth is rays and pairs, which their own tests compute by hand.
 BY_HAND = ("ideal_scan", "ideal_ranging", "ideal_neighbours")
-every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases(SLOW))
-every_slope = pytest.mark.parametrize(("group", "name", "settings"), option_cases([*SLOW, *STEEP]))
+every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases())
+# Tracing a slope takes ten times as long as tracing the values.
+every_slope = pytest.mark.parametrize(("group", "name", "settings"), option_cases(options_are_long=True))
+every_program = pytest.mark.parametrize(("group", "name", "settings"), option_cases(one_form=ONE_FORM))
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 
 
@@ -148,23 +117,15 @@ def test_every_group_of_the_catalogue_has_laws() -> None:
     assert groups - {"KINDS"} == set(GROUPS)
 
 
-def computed(group: str, name: str, settings: dict[str, Any] | None = None) -> tuple[list[Any], Any]:
-    """Return what a component computes in each of WORLDS, and the slope of its sum in its parameters (jitted)."""
+def computed(group: str, name: str, settings: dict[str, Any] | None = None) -> list[Any]:
+    """Return what a component computes in each of WORLDS, traced once and evaluated by NumPy."""
     return _computed(group, name, tuple((settings or {}).items()))
 
 
 @cache
-def _computed(group: str, name: str, settings: tuple[tuple[str, Any], ...]) -> tuple[list[Any], Any]:
-    def total(component: Any, given: Any, keys: Any) -> Any:
-        found = evaluate(group, component, given, keys)
-        floats = [leaf for leaf in jax.tree.leaves(found["results"]) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-        return sum(jnp.sum(leaf) for leaf in floats), found
-
-    # The values come out of the program for the slopes, because each program costs a compilation.
-    run = compiled(jax.grad(total, has_aux=True, allow_int=True))
+def _computed(group: str, name: str, settings: tuple[tuple[str, Any], ...]) -> list[Any]:
     component = example(group, name, **dict(settings))
-    both = [run(component, inputs(world), stream_keys(world)) for world in WORLDS]
-    return [found for _, found in both], both[-1][0]
+    return by_numpy(partial(evaluate, group), [(component, inputs(world), stream_keys(world)) for world in WORLDS])
 
 
 @cache
@@ -175,10 +136,8 @@ def traced(name: str) -> Any:
 
 
 @every_option
-@pytest.mark.long
-def test_outputs_are_finite_and_eager_and_jitted_agree(group: str, name: str, settings: dict[str, Any]) -> None:
-    alone, _ = computed(group, name, settings)
-    for found in alone:
+def test_outputs_are_finite(group: str, name: str, settings: dict[str, Any]) -> None:
+    for found in computed(group, name, settings):
         seen: dict[str, bool] = {}
         for path, leaf in leaves(found["results"]):
             lacks = re.fullmatch(r"\['(first|second|start|after)'\]\.([a-z_]+).*", path)
@@ -189,18 +148,30 @@ def test_outputs_are_finite_and_eager_and_jitted_agree(group: str, name: str, se
             assert np.isfinite(leaf).all(), path
         # Whichever other way they look, they see something by default.
         assert settings or all(seen.values())
-    eager = evaluate(group, example(group, name, **settings), inputs(WORLDS[0]), stream_keys(WORLDS[0]))
-    assert_close(alone[0], eager, ROUNDED.get((group, name), 1e-6))
+
+
+@pytest.fixture
+def eager_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evaluate kernels operation by operation, too; JAX would compile each, and round it as that compiler pleases."""
+    for kernel in KERNELS.values():
+        monkeypatch.setattr(kernel.primitive, "impl", kernel.body)
+
+
+@every_program
+@pytest.mark.long
+@pytest.mark.usefixtures("eager_kernels")
+def test_eager_and_jitted_agree(group: str, name: str, settings: dict[str, Any]) -> None:
+    given = example(group, name, **settings), inputs(WORLDS[0]), stream_keys(WORLDS[0])
+    assert_close(compiled(partial(evaluate, group))(*given), evaluate(group, *given), ROUNDED.get((group, name), 1e-6))
 
 
 @every_option
-@pytest.mark.long
 def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str, settings: dict[str, Any]) -> None:
     """The same values to 1e-6, and the same noise to the bit."""
-    alone = stacked(computed(group, name, settings)[0])
+    alone = stacked(computed(group, name, settings))
     given, keys = stacked([inputs(world) for world in WORLDS]), stacked([stream_keys(world) for world in WORLDS])
-    run = compiled(jax.vmap(partial(evaluate, group), in_axes=(None, 0, 0)))
-    batch = run(example(group, name, **settings), given, keys)
+    together = jax.vmap(partial(evaluate, group), in_axes=(None, 0, 0))
+    (batch,) = by_numpy(together, [(example(group, name, **settings), given, keys)])
     assert_close(batch["results"], alone["results"], ROUNDED.get((group, name), 1e-6))
     for (path, got), (_, want) in zip(leaves(batch["noise"]), leaves(alone["noise"]), strict=True):
         np.testing.assert_array_equal(got, want, err_msg=path)
@@ -208,7 +179,14 @@ def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str, settings: 
 
 @every_slope
 def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: dict[str, Any]) -> None:
-    for path, leaf in leaves(computed(group, name, settings)[1]):
+    def total(component: Any, given: Any, keys: Any) -> Any:
+        found = jax.tree.leaves(evaluate(group, component, given, keys)["results"])
+        return sum(jnp.sum(leaf) for leaf in found if jnp.issubdtype(leaf.dtype, jnp.floating))
+
+    world = WORLDS[-1]
+    given = example(group, name, **settings), inputs(world), stream_keys(world)
+    (slopes,) = by_numpy(jax.grad(total, allow_int=True), [given])
+    for path, leaf in leaves(slopes):
         if np.issubdtype(leaf.dtype, np.floating):
             assert np.isfinite(leaf).all(), path
 
@@ -217,7 +195,6 @@ def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: d
 OF_A_FLEET = [case for case in COMPONENTS if SLOTS[case[0]].startswith("fleets.") and case[0] != "PLACEMENTS"]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("group", "name"), [pytest.param(*case, id="-".join(case)) for case in OF_A_FLEET])
 def test_numbers_may_differ_from_vehicle_to_vehicle(group: str, name: str) -> None:
     """With a list in place of each number, every vehicle is as in a fleet where all have its numbers."""
@@ -228,12 +205,11 @@ def test_numbers_may_differ_from_vehicle_to_vehicle(group: str, name: str) -> No
             if field_info(field).derived}  # fmt: skip
     numbers = replace(component, **dict.fromkeys(kept))
     lists = replace(jax.tree.map(lambda leaf: leaf * factors, numbers), **kept)
-    run = compiled(partial(evaluate, group))
-    together = leaves(run(lists, given, keys)["results"])
-    for i, factor in enumerate(factors):
-        own = replace(jax.tree.map(lambda leaf, f=factor: leaf * f, numbers), **kept)
-        alone = run(own, given, keys)["results"]
-        for (path, got), (_, want) in zip(together, leaves(alone), strict=True):
+    run = partial(evaluate, group)
+    (together,) = by_numpy(run, [(lists, given, keys)])
+    own = [replace(jax.tree.map(lambda leaf, f=factor: leaf * f, numbers), **kept) for factor in factors]
+    for i, alone in enumerate(by_numpy(run, [(each, given, keys) for each in own])):
+        for (path, got), (_, want) in zip(leaves(together["results"]), leaves(alone["results"]), strict=True):
             if any(part in path for part in SHARED):
                 continue
             assert got.shape == want.shape, path
@@ -403,7 +379,7 @@ def test_every_sensor_has_an_ideal_form_that_says_the_truth() -> None:
             assert jax.tree.leaves(traced(name)["noise"]) == []
             if name in BY_HAND:
                 continue
-            (found, _), _ = computed("SENSORS", name)
+            found = computed("SENSORS", name)[0]
             later = inputs(0)["later"]
             truth = {
                 **later,

@@ -14,6 +14,7 @@ import pytest
 
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.fixing import Link, Received, received, started, stepped
+from qrsim.models.gnss.presets import PRESETS
 
 # The preset f9p_rtk, of docs/gnss.md.
 RTK: dict[str, Any] = {
@@ -24,6 +25,12 @@ RTK: dict[str, Any] = {
 NONE = (0.0,) * 10
 # The code generator that compiles these programs in half the time.
 jit = partial(jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0})
+
+
+def test_the_preset_is_that_of_the_page() -> None:
+    """docs/gnss.md: 1 cm + 1 ppm, the data sheet's; a minute to float, and what else the tests below compute with."""
+    numbers = {name: value for name, value in RTK.items() if name not in ("base_vehicle", "first_fix")}
+    assert {name: PRESETS["f9p_rtk"][name] for name in numbers} == numbers
 
 
 class Given:

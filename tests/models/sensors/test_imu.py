@@ -237,24 +237,53 @@ class TestVibration:
         assert doubled[0] == pytest.approx(0.36, abs=1e-6)
 
 
-# Of data sheets: densities one-sided [deg/s/sqrt(Hz)], [ug/sqrt(Hz)]; turn-on bias [deg/s], [mg]; docs/sensors.md.
+# Of data sheets: densities one-sided [deg/s/sqrt(Hz)], [ug/sqrt(Hz)]; turn-on bias [deg/s], [mg]; in-run [deg/h], [ug];
+# docs/sensors.md.
 SHEETS = {
-    "mpu6000": (0.005, 400.0, 20.0, 80.0),
-    "icm20689": (0.006, 150.0, 5.0, 40.0),
-    "bmi088": (0.014, 175.0, 1.0, 20.0),
-    "icm42688p": (0.0028, 70.0, 0.5, 20.0),
-    "adis16470": (0.008, 89.0, 0.2, 2.0),
+    "mpu6000": (0.005, 400.0, 20.0, 80.0, 10.0, 100.0),
+    "icm20689": (0.006, 150.0, 5.0, 40.0, 10.0, 60.0),
+    "bmi088": (0.014, 175.0, 1.0, 20.0, 7.0, 50.0),
+    "icm42688p": (0.0028, 70.0, 0.5, 20.0, 6.0, 40.0),
+    "adis16470": (0.008, 89.0, 0.2, 2.0, 8.0, 13.0),
+}
+# Full scale [deg/s], [g], and counts [LSB/(deg/s)], [LSB/g]: PS-MPU-6000A-00 6.1 and 6.2, the same on the ICM-20689;
+# BST-BMI088-DS001; DS-000347, of 20 bits in the FIFO; ADIS16470 rev. C, of 32 bits.
+SCALES = {
+    "mpu6000": (2000.0, 16.0, 16.4, 2048.0),
+    "icm20689": (2000.0, 16.0, 16.4, 2048.0),
+    "bmi088": (2000.0, 24.0, 16.384, 1365.3),
+    "icm42688p": (2000.0, 16.0, 131.0, 8192.0),
+    "adis16470": (2000.0, 40.0, 655360.0, 52428800.0),
 }
 
 
 @pytest.mark.parametrize("name", SHEETS)
 def test_presets_are_those_of_the_data_sheets(name: str) -> None:
-    gyroscope, accelerometer, rate, force = SHEETS[name]
+    gyroscope, accelerometer, rate, force, in_run, in_run_force = SHEETS[name]
     found = PRESETS[name]
     assert found["gyroscope_noise"] == pytest.approx(gyroscope * DEG / math.sqrt(2.0), rel=0.01)
     assert found["accelerometer_noise"] == pytest.approx(accelerometer * 9.80665e-6 / math.sqrt(2.0), rel=0.01)
     assert found["gyroscope_turn_on_bias"] == pytest.approx(rate * DEG)
     assert found["accelerometer_turn_on_bias"] == pytest.approx(force * 9.80665e-3)
+    # The floor of the Allan deviation is 0.664 B, and K has as much over 500 s: K sqrt(500/3).
+    floor = np.array([in_run * DEG / 3600.0, in_run_force * 9.80665e-6])
+    parts = ("gyroscope", "accelerometer")
+    np.testing.assert_allclose([found[f"{part}_bias_instability"] for part in parts], floor / 0.664, rtol=1e-3)
+    np.testing.assert_allclose([found[f"{part}_random_walk"] for part in parts], floor * 0.0774597, rtol=1e-6)
+    turn, pull, counts, counts_per_g = SCALES[name]
+    assert found["gyroscope_range"] == pytest.approx(turn * DEG)
+    assert found["accelerometer_range"] == pytest.approx(pull * 9.80665)
+    assert found["gyroscope_resolution"] == pytest.approx(DEG / counts, rel=1e-4)
+    assert found["accelerometer_resolution"] == pytest.approx(9.80665 / counts_per_g, rel=1e-4)
+
+
+def test_the_mpu6000_has_the_tolerances_of_its_sheet() -> None:
+    """PS-MPU-6000A-00, 6.1 and 6.2: scale 3 %, cross-axis 2 %, 0.1 deg/s/g; samples at 1 kHz."""
+    found = PRESETS["mpu6000"]
+    for part in ("gyroscope", "accelerometer"):
+        assert (found[f"{part}_scale"], found[f"{part}_misalignment"]) == pytest.approx((0.03, 0.02))
+    assert found["gyroscope_g_sensitivity"] == pytest.approx(0.1 * DEG / 9.80665)
+    assert (found["sample_rate"], PRESETS["adis16470"]["sample_rate"]) == (1000.0, 2000.0)
 
 
 def test_the_adis16470_has_its_random_walks() -> None:

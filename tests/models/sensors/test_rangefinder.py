@@ -187,12 +187,13 @@ class TestErrors:
         np.testing.assert_array_equal(np.isnan(found.range), lost)
 
     def test_presets(self) -> None:
-        """Of the TFmini's manual: 0.3 to 12 m, 4 cm up to 6 m and 6 cm beyond; of the v3HP's: 2.5 cm, steps of 1 cm."""
+        """Of the TFmini's manual: 0.3 to 12 m, 4 cm up to 6 m and 6 cm beyond; of the v3HP's: 5 cm to 40 m, 2.5 cm."""
         small, lite = RANGEFINDERS["tfmini"], RANGEFINDERS["lidar_lite_v3hp"]
         assert (small["range_min"], small["range_max"], small["resolution"]) == (0.3, 12.0, 0.005)
         stds = [small["noise_std"] + small["noise_per_range"] * middle for middle in (3.15, 9.0)]
         np.testing.assert_allclose(stds, [0.04, 0.06], rtol=1e-9)
-        assert (lite["noise_std"], lite["resolution"], lite["range_max"]) == (0.025, 0.01, 40.0)
+        assert (lite["noise_std"], lite["resolution"]) == (0.025, 0.01)
+        assert (lite["range_min"], lite["range_max"]) == (0.05, 40.0)
 
 
 @pytest.mark.long
