@@ -12,7 +12,7 @@ pytestmark = pytest.mark.long
 def test_few_satellites_lose_the_fix_within_a_period() -> None:
     """GPS alone high above the horizon: at times fewer than five."""
     sensor = receivers.receiver(
-        "f9p_rtk", systems="G", elevation_mask_rad=np.radians(33.0), first_fix="fixed", fix_time=0.5
+        "f9p_rtk", systems="G", elevation_mask_rad=np.radians(33.0), first_fix="fixed", fix_time=0.5, period=1.0
     )
     flown = receivers.fly(sensor, 1800.0, 2, base=receivers.base_at(), keep=1, start_s=30000.0)
     few = flown.satellites[:, :, 0] < 5
