@@ -39,6 +39,28 @@ def resident_bytes() -> int:
     return int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if status.is_file() else 0
 
 
+# Rooms whose tests compile many programs that run for a moment.
+QUICKLY_COMPILED = {"control", "models"}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _quick_xla(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Have XLA compile without the passes that take longer than what they save in a test."""
+    quick = request.path.relative_to(Path(__file__).parent).parts[0] in QUICKLY_COMPILED
+    jax.config.update("jax_disable_most_optimizations", quick)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+@pytest.fixture
+def optimised() -> Iterator[None]:
+    """Have XLA compile as it does for users, in a test that compares its programs with others."""
+    before = jax.config.values["jax_disable_most_optimizations"]
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
 @pytest.fixture
 def double_precision() -> Iterator[None]:
     """Compute in double precision: ``pytestmark = pytest.mark.usefixtures("double_precision")``."""

@@ -179,18 +179,23 @@ def test_blocks_are_of_their_own_errors():
     assert [float(found.bias[0]), float(found.every[0])] == pytest.approx([4.0 / 6.0, 12.0 / 15.0], rel=0.01)
 
 
-@pytest.mark.long
-def test_all_errors_are_as_large_as_stated():
+@pytest.mark.parametrize(
+    ("ticks", "count", "late"),
+    [
+        pytest.param(160, 64, 15, marks=pytest.mark.long),
+        *(pytest.param(600, 100, late, marks=pytest.mark.nightly) for late in (0, 15)),
+    ],
+)
+def test_all_errors_are_as_large_as_stated(ticks: int, count: int, late: int):
     """All 24, with fixes on time and late: each sum over the vehicles is inside its 99.9 % band."""
-    for late in (0, 15):
-        kalman = replace(with_all(), ages=(("gnss", late),) if late else ())
-        truth = flown(600, 100, np.random.default_rng(1))
-        states, biases = filtered(kalman, truth, 2, late)
-        low, high = scipy.stats.chi2.ppf([0.0005, 0.9995], 24 * 100)
-        for k in np.linspace(120, 600, 5).astype(int):
-            found, stated = errors(states, truth, biases, k)
-            nees = np.einsum("ni,nij,nj->", found, np.linalg.inv(stated), found)
-            assert low < nees < high, (late, k, nees / 100)
+    kalman = replace(with_all(), ages=(("gnss", late),) if late else ())
+    truth = flown(ticks, count, np.random.default_rng(1))
+    states, biases = filtered(kalman, truth, 2, late)
+    low, high = scipy.stats.chi2.ppf([0.0005, 0.9995], 24 * count)
+    for k in np.linspace(ticks // 5, ticks, 5).astype(int):
+        found, stated = errors(states, truth, biases, k)
+        nees = np.einsum("ni,nij,nj->", found, np.linalg.inv(stated), found)
+        assert low < nees < high, (k, nees / count)
 
 
 def test_headings_of_others_give_way_to_a_magnetometer():

@@ -299,6 +299,7 @@ class TestInAWorld:
             assert 0.0 < row["rms"] < 1.5
 
     @pytest.mark.long
+    @pytest.mark.usefixtures("optimised")
     def test_a_patrol_flies_on_it_and_both_compilers_alike(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Fed with measurements, whose height is now that of the altimeter; with a fault, delay and mounting."""
         import warnings

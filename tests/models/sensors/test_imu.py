@@ -312,6 +312,7 @@ def test_errors(given: dict[str, Any], message: str) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("optimised")
 def test_both_compilers_fly_it_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     import warnings
 
