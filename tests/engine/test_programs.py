@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from typing import Any
 
 import pytest
@@ -53,3 +54,20 @@ def test_what_cannot_be_made_is_tried_once(made: list[int]):
     with pytest.raises(UnsupportedError, match="a test of what cannot be made"):
         programs.compiled(("test", 0), fails)
     assert made == [0]
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_no_garbage_is_searched_for_while_one_is_made(made: list[int], before: bool):
+    was, seen = gc.isenabled(), []
+
+    def fails() -> int:
+        seen.append(gc.isenabled())
+        raise ValueError("a fault")
+
+    (gc.enable if before else gc.disable)()
+    try:
+        with pytest.raises(ValueError, match="a fault"):
+            programs.compiled(("test", 0), fails)
+        assert (seen, gc.isenabled()) == ([False], before)
+    finally:
+        (gc.enable if was else gc.disable)()

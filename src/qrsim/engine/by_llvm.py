@@ -28,7 +28,7 @@ from qrsim.engine.llvm import (
     trace_tick,
 )
 from qrsim.engine.llvm.refusal import refusing
-from qrsim.engine.programs import compiled
+from qrsim.engine.programs import compiled, uncollected
 from qrsim.engine.settings import threads, tier
 
 # What was traced last, because how large a state is, is asked before its start is compiled.
@@ -80,7 +80,8 @@ def form_of(function: Function, shared: Packer, own: Packer, state: Packer | Non
 
 def state_layout(start: Function, shared: Packer, own: Packer) -> Packer:
     """Return the layout of the state that a function starts with."""
-    return _traced_with_state(start, shared, own, None)[1]
+    with uncollected():
+        return _traced_with_state(start, shared, own, None)[1]
 
 
 def _loaded(
@@ -167,7 +168,8 @@ def state_bytes(function: Function, shared: Packer, own: Packer) -> int:
 
         def count() -> int:
             _TRACED.clear()
-            _TRACED[key] = _traced(function, shared, own)
+            with uncollected():
+                _TRACED[key] = _traced(function, shared, own)
             return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(_TRACED[key][1]))
 
         text = None if function.text is None else ("bytes per world", *function.text, *key[1:])

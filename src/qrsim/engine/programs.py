@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from qrsim.engine.llvm.refusal import UnsupportedError
@@ -35,7 +37,8 @@ def compiled(key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
     found = _MADE.get(key)
     if found is None:
         try:
-            found = make()
+            with uncollected():
+                found = make()
         except UnsupportedError as why:
             _tell(key[0], why)
             found = why
@@ -48,6 +51,22 @@ def compiled(key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
     if isinstance(found, UnsupportedError):
         raise found
     return found
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Make objects without searching for cyclic garbage among them.
+
+    Tracing and compiling make many objects that live until the program is done. The collector would walk through all
+    of them, and all of JAX, again and again, which takes a third of the time.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _tell(program: str, why: UnsupportedError) -> None:
