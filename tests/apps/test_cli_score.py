@@ -63,6 +63,7 @@ NARROW = [
 ]
 
 
+@pytest.mark.long
 def test_a_search_tells_who_was_found(capsys: pytest.CaptureFixture[str]) -> None:
     words = [
         "score",

@@ -66,6 +66,7 @@ def test_the_state_is_that_of_each() -> None:
     np.testing.assert_allclose(many.state()[1], one.state(), rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.long
 def test_agents_talk_in_each_environment() -> None:
     many = vector_parallel_env(TALKING, num_envs=2)
     many.reset(seed=1)

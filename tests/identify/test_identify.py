@@ -55,6 +55,7 @@ def test_constants_of_both_axes_are_found(answer: Answer) -> None:
     assert answer.nuisances[0]["delay"] == pytest.approx(0.0, abs=2e-3)
 
 
+@pytest.mark.long
 def test_an_axis_that_does_not_move_stays_at_its_prior_and_that_is_said(answer: Answer) -> None:
     assert "kr0" in answer.left
     assert answer.values["kr0"] == pytest.approx(START["kr0"], rel=0.01)

@@ -85,6 +85,7 @@ def multirotors() -> Any:
     )
 
 
+@pytest.mark.long
 def test_a_policy_may_command_some(world: Any) -> None:
     def one(reading: Any) -> Any:
         east = 0.01 * reading.gnss.position_ned[2, 1]

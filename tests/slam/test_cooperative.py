@@ -174,7 +174,9 @@ def cost_by_hand(joint: JointGraph, x: Any, landmarks: Any) -> float:
     return 0.5 * float(total)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize(
+    "share", [pytest.param(0.0, marks=pytest.mark.long), 0.5, pytest.param(1.0, marks=pytest.mark.long)]
+)
 def test_cost_and_gradient_are_those_of_the_factors_one_by_one(share: float) -> None:
     """The gradient against central differences of a cost that is written out here."""
     joint, x, landmarks = short(share)

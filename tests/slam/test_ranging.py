@@ -92,6 +92,7 @@ def test_a_landmark_with_too_few_ranges_is_named_and_left_out(flight: Flight) ->
     assert found.landmark_rmse_m < 1.0
 
 
+@pytest.mark.long
 def test_ranges_from_almost_one_place_determine_no_landmark(flight: Flight) -> None:
     found = estimate(flight, without_most_ranges(exact_ranges(flight), 4, 6))
     assert not found.determined[4]

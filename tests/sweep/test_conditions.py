@@ -57,6 +57,7 @@ def written(tmp_path: Path, vary: dict[str, Any] | None = None) -> str:
     return str(path)
 
 
+@pytest.mark.long
 def test_conditions_are_flown_stored_by_name_and_flown_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -48,6 +48,7 @@ class TestForms:
         with pytest.raises(UsageError, match="formation: 3 vehicles are commanded, followers_0, followers_1"):
             gymnasium.make(ANY_TASK, scenario=SCENARIO)
 
+    @pytest.mark.long
     def test_several_are_one_of_pettingzoo(self) -> None:
         team = parallel_env(SCENARIO, overrides=SHORT)
         parallel_api_test(team, num_cycles=12)

@@ -103,6 +103,7 @@ def _two_seconds_later(game: Play, episode: Any) -> Any:
     return steer(game, replace(episode, step=jnp.full(8, 999, jnp.int32)), np.zeros((1, 3, 2)))[0]
 
 
+@pytest.mark.long
 def test_a_collision_costs_the_penalty_and_ends_the_episode() -> None:
     game = play("cats_and_mouse/1A")
     episode, _ = begin(game, list(range(8)))
@@ -239,6 +240,7 @@ def test_cats_that_find_no_place_are_an_error_with_numbers() -> None:
         simulation.reset()
 
 
+@pytest.mark.long
 def test_cats_find_a_place_in_an_episode_that_takes_more_than_a_hundred_tries() -> None:
     """One of 48 000 that were looked at: a learner flies as many, and must not end there."""
     from qrsim.envs.batch import Batch

@@ -69,6 +69,7 @@ def test_a_drift_of_another_size_or_speed_fails(sensor: str, change: dict[str, f
     assert all(passed) == (not change)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("change", [{"std": 0.58878 * MORE}, {"time_constant": 40.1 * MORE},
                                     {"drive_time_constant": 4.0 * MORE}, {}])  # fmt: skip
 def test_range_errors_of_another_size_or_speed_fail(
@@ -82,7 +83,9 @@ def test_range_errors_of_another_size_or_speed_fail(
     assert all(check.passed for check in gnss._checks({gnss.PAPER: run}, 200)) == (not change)
 
 
-@pytest.mark.parametrize("changed", ["length", "sigma", ""])
+@pytest.mark.parametrize(
+    "changed", [pytest.param("length", marks=pytest.mark.long), "sigma", pytest.param("", marks=pytest.mark.long)]
+)
 def test_gusts_of_another_size_or_length_fail(monkeypatch: pytest.MonkeyPatch, changed: str) -> None:
     """20 % more of the standard's lengths or standard deviations, flown at 15 m."""
     own: Callable[..., Any] = dryden.dryden_scales

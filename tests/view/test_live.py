@@ -96,6 +96,7 @@ def test_the_panel_offers_the_wind_that_blows():
     assert (wind.speed, wind.from_deg) == (2.0, 225.0)
 
 
+@pytest.mark.long
 def test_a_browser_that_fetches_nothing_keeps_nobody_waiting(scenario: Scenario):
     """Its frames are dropped and counted; another browser gets the newest."""
     page = LiveView(0, Clock(float("inf")))

@@ -149,6 +149,7 @@ def test_a_value_that_is_too_far_off_is_found():
     assert "'x'" in compiler.judged(wrong, reference)
 
 
+@pytest.mark.long
 def test_the_study_counts_what_became_of_programs():
     found = compiler.run(full=False)
     assert found["different"] == 0

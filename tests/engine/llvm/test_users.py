@@ -190,6 +190,7 @@ class TestFallback:
         monkeypatch.setattr(tracing.Tracer, "broadcast_in_dim", fault)
         monkeypatch.setenv("QRSIM_COMPILATION_CACHE", "off")
 
+    @pytest.mark.long
     def test_a_fault_of_its_own_costs_one_warning(self, broken):
         simulation = Simulation(bare_pair().world(), seed=1)
 
@@ -293,8 +294,7 @@ class Wake(Wind):
 @pytest.mark.parametrize(
     "count",
     [
-        1,
-        pytest.param(17, marks=pytest.mark.long),
+        *(pytest.param(n, marks=pytest.mark.long) for n in (1, 17)),
         *(pytest.param(n, marks=pytest.mark.nightly) for n in (2, 7, 16, 144, 1000)),
     ],
 )

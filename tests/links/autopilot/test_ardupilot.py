@@ -196,6 +196,7 @@ def test_two_fly_at_once_and_the_same_twice(port: int) -> None:
         assert 0.03 < -seen[-1]["position"][2] < 3.0
 
 
+@pytest.mark.long
 def test_a_step_that_comes_again_is_answered_again_and_lost_ones_are_counted(port: int) -> None:
     said: list[str] = []
     with flight_of(one(), port, said=said) as flight, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:

@@ -358,6 +358,7 @@ def test_who_speaks_no_mavlink_or_hangs_up_costs_the_others_nothing(served, capl
     assert served.client(11).command(520, 1) == ACCEPTED
 
 
+@pytest.mark.long
 def test_a_client_of_ardupilot():
     served = Served("ardupilot", 1, 10.0)
     try:

@@ -301,6 +301,7 @@ def test_two_thousand_malformed_requests(payloads, started, serving):
         assert other.ask(HELLO).type == Message.SERVER
 
 
+@pytest.mark.long
 @seed(8)
 @settings(max_examples=50, deadline=None, database=None, suppress_health_check=list(HealthCheck))
 @given(content=st.binary(min_size=1, max_size=200), shut=st.booleans())
