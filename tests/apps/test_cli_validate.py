@@ -80,7 +80,7 @@ def quick(recordings: Path) -> Callable[[str], Outcome]:
 
 
 # Parts that take a second; the others are flown in the long tier.
-QUICK_PARTS = ("rotation", "translation", "thrust", "departures")
+QUICK_PARTS = ("rotation", "translation", "thrust")
 
 
 @pytest.mark.parametrize(
