@@ -6,9 +6,10 @@ another way (a slice, a new axis, a transposition) is no operation but an index,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,10 +18,11 @@ from qrsim.engine.llvm.text import scalar_type
 Shape = tuple[int, ...]
 # For each axis of a node: the axis of the loop it follows, or None where it stands still, and an offset.
 Index = tuple[tuple[int | None, int], ...]
+_NEVER_EQUAL = ("cond", "while", "carry", "output", "input")
 
 
 # Equal by identity: two nodes of equal fields may be two branchings.
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class Node:
     """One array.
 
@@ -50,45 +52,33 @@ class Node:
     number: int = 0
 
 
-@dataclass(frozen=True)
-class Access:
+class Access(NamedTuple):
     """A node read at an index of the reading loop."""
 
     node: Node
-    index: Index
+    index: Index  # type: ignore[assignment]  # a method of tuples
 
     # Asked of every access, because only such a value can stay in a register between two nodes of a loop.
     def identical(self, domain: Shape) -> bool:
         """Return whether each element of the loop reads its own element."""
-        return self.node.shape == domain and self.index == tuple((axis, 0) for axis in range(len(domain)))
+        return self.node.shape == domain and self.index == own_index(len(domain))
 
 
-@dataclass(frozen=True)
-class View:
+class View(NamedTuple):
     """An array of the traced program: a node, seen through an index of the program's own axes, unit axes included."""
 
     node: Node
-    index: Index
+    index: Index  # type: ignore[assignment]  # a method of tuples
     shape: Shape
 
     @staticmethod
     def whole(node: Node, shape: Shape) -> View:
         """Return a node as an array of a shape that differs from its own by axes of one element."""
-        return View(node, tuple((axis, 0) for axis, extent in enumerate(shape) if extent != 1), shape)
+        return View(node, _whole_index(shape), shape)
 
     def access(self, shape: Shape | None = None) -> Access:
         """Return how a loop over ``shape`` (by default the view's own), without its unit axes, reads it."""
-        shape = self.shape if shape is None else shape
-        # Loops run over squeezed shapes, so an axis of the program has another number there.
-        loop_axis, count = {}, 0
-        for axis, extent in enumerate(shape):
-            if extent != 1:
-                loop_axis[axis] = count
-                count += 1
-        return Access(
-            self.node,
-            tuple((loop_axis.get(axis) if axis is not None else None, offset) for axis, offset in self.index),
-        )
+        return Access(self.node, _loop_index(self.index, self.shape if shape is None else shape))
 
     def moved(self, axes: dict[int, int | None], shape: Shape) -> View:
         """Return the view whose axis ``axes[a]`` is this one's axis a."""
@@ -106,9 +96,30 @@ class View:
         return View(self.node, tuple(index), shape)
 
 
-def squeezed(shape: Iterable[int]) -> Shape:
+# A program has thousands of views, of a few shapes: their indices are computed once.
+@lru_cache(maxsize=4096)
+def squeezed(shape: Shape) -> Shape:
     """Return a shape without its axes of one element."""
     return tuple(extent for extent in shape if extent != 1)
+
+
+@lru_cache(maxsize=64)
+def own_index(axes: int) -> Index:
+    """Return the index of a loop's own element."""
+    return tuple((axis, 0) for axis in range(axes))
+
+
+@lru_cache(maxsize=4096)
+def _whole_index(shape: Shape) -> Index:
+    return tuple((axis, 0) for axis, extent in enumerate(shape) if extent != 1)
+
+
+@lru_cache(maxsize=16384)
+def _loop_index(index: Index, shape: Shape) -> Index:
+    """Return an index of axes of a program as one of axes of a loop."""
+    # Loops run over squeezed shapes, so an axis of the program has another number there.
+    axes = {axis: i for i, (axis, _) in enumerate(_whole_index(shape))}
+    return tuple((axes.get(axis) if axis is not None else None, offset) for axis, offset in index)
 
 
 @dataclass(eq=False)
@@ -125,8 +136,9 @@ class Region:
         # What lies outside is computed before the region, so it may be used inside; the reverse does not hold.
         region: Region | None = self
         while region is not None:
-            if key in region.known:
-                return region.known[key]
+            found = region.known.get(key)
+            if found is not None:
+                return found
             region = region.parent
         return None
 
@@ -139,22 +151,34 @@ class Graph:
         self.count = 0
 
     def node(
-        self, op: str, args: tuple[Access, ...], shape: Shape, dtype: Any, attributes: tuple[Any, ...] = (), **more: Any
+        self,
+        op: str,
+        args: tuple[Access, ...],
+        shape: Shape,
+        dtype: Any,
+        attributes: tuple[Any, ...] = (),
+        *,
+        domain: Shape | None = None,
+        regions: tuple[Region, ...] = (),
+        invariant: bool | None = None,
+        uniform: bool | None = None,
     ) -> Node:
         """Return a node, invariant and uniform where all that it reads is."""
         dtype = np.dtype(dtype)
-        key = (op, tuple((id(a.node), a.index) for a in args), shape, dtype, attributes, more.get("domain"))
+        # Only a reduction and a scatter loop over something else than they make.
+        domain = shape if domain is None else domain
+        key = op, args, shape, dtype, attributes, domain
         # Two branchings of equal arguments have regions of their own, and two inputs are never the same.
-        if op not in ("cond", "while", "carry", "output", "input"):
+        if op not in _NEVER_EQUAL:
             found = self.region.find(key)
             if found is not None:
                 return found
-        more.setdefault("invariant", all(a.node.invariant for a in args))
-        more.setdefault("uniform", all(a.node.uniform for a in args))
-        # Only a reduction and a scatter loop over something else than they make.
-        more.setdefault("domain", shape)
+        same, alike = True, True
+        for access in args:
+            same, alike = same and access.node.invariant, alike and access.node.uniform
+        invariant, uniform = same if invariant is None else invariant, alike if uniform is None else uniform
         self.count += 1
-        node = Node(op, args, shape, dtype, attributes, number=self.count, **more)
+        node = Node(op, args, shape, dtype, attributes, domain, regions, invariant, uniform, self.count)
         self.region.nodes.append(node)
         self.region.known[key] = node
         return node

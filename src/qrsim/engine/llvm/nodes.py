@@ -28,7 +28,7 @@ class Nodes:
 
     def apply(self, name: str, shape: Shape, dtype: Any, *inputs: View, attributes: tuple[Any, ...] = ()) -> View:
         """Return an elementwise operation on arrays of one shape, or of none."""
-        accesses = tuple(view.access(shape) for view in inputs)
+        accesses = tuple([view.access(shape) for view in inputs])
         return View.whole(self.graph.node(name, accesses, squeezed(shape), dtype, attributes), shape)
 
     def iota(self, op: str, inputs: list[View], out: Any, parameters: Any) -> View:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Any
 
 import jax
@@ -41,6 +42,8 @@ class Tracer(Indexing):
     def __init__(self, graph: Graph, alone: bool):
         super().__init__(graph)
         self.alone = alone
+        # By functions, which are equal by identity.
+        self._read_once: dict[Any, set[Any]] = {}
 
     def run(self, jaxpr: Any, constants: Sequence[Any], arguments: Sequence[View]) -> list[View]:
         """Return the results of a jaxpr for arguments."""
@@ -54,8 +57,8 @@ class Tracer(Indexing):
                 return self.graph.constant(np.asarray(atom.val, of.dtype))
             return environment[atom]
 
-        # For each function anew: whether a product is rounded must not depend on who calls the function.
-        products = _Products(jaxpr)
+        # For each function by itself: whether a product is rounded must not depend on who calls the function.
+        products = _Products(self._once(jaxpr))
         for equation in jaxpr.eqns:
             inputs = [read(atom) for atom in equation.invars]
             try:
@@ -66,11 +69,19 @@ class Tracer(Indexing):
             environment.update(zip(equation.outvars, results, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
+    def _once(self, jaxpr: Any) -> set[Any]:
+        """Return the variables that are looked at once in a function, which may be called several times."""
+        if jaxpr not in self._read_once:
+            read = chain(jaxpr.outvars, *(equation.invars for equation in jaxpr.eqns))
+            counts = Counter(atom for atom in read if not isinstance(atom, jex.Literal))
+            self._read_once[jaxpr] = {variable for variable, count in counts.items() if count == 1}
+        return self._read_once[jaxpr]
+
     def _equation(self, equation: Any, inputs: list[View], products: _Products) -> list[View]:
         rule = rule_of(equation)
         for variable in (*equation.invars, *equation.outvars):
             # Known here, where the line of the program is known too.
-            scalar_type(np.dtype(variable.aval.dtype))
+            scalar_type(variable.aval.dtype)
         out = equation.outvars[0].aval if equation.outvars else None
         arithmetic = rule.method == "elementwise" and rule.op in ("add", "sub", "mul")
         if arithmetic and out is not None and out.dtype.kind == "f":
@@ -362,10 +373,9 @@ class Tracer(Indexing):
 class _Products:
     """The products of one function, by their variables, and who looks at them."""
 
-    def __init__(self, jaxpr: Any):
+    def __init__(self, once: set[Any]):
         self.made: dict[Any, list[View]] = {}
-        read = [atom for equation in jaxpr.eqns for atom in equation.invars] + list(jaxpr.outvars)
-        self._reads = Counter(atom for atom in read if not isinstance(atom, jex.Literal))
+        self._once = once
 
     def of(self, atom: Any) -> list[View] | None:
         """Return the factors, if it is a product."""
@@ -373,7 +383,7 @@ class _Products:
 
     def only_here(self, atom: Any) -> bool:
         """Return whether it is looked at once."""
-        return self._reads[atom] == 1
+        return atom in self._once
 
 
 def trace(function: Callable[..., Any], *arguments: Any) -> Any:
