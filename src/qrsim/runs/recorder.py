@@ -37,7 +37,7 @@ class Pace:
         simulated_s: simulated time.
         timed_s: the part of it that ``wall_s`` measures: all but the first tick.
         wall_s: wall time of the flight, without start-up and the first tick.
-        start_up_s: wall time until the first tick was done, from the call of ``fly``.
+        start_up_s: wall time until the first tick was done, since the user began to wait.
         first_tick_unix_s: when the first tick was done [s since 1970], for whoever started the process.
         overruns: chunks that were finished too late in real time.
     """
@@ -93,6 +93,7 @@ def fly(
     command_line: Sequence[str] | None = None,
     view: Watcher | None = None,
     flown_by: Callable[[Simulation], Flyer] | None = None,
+    begun: float | None = None,
 ) -> Pace:
     """Fly a scenario from start to end and record it.
 
@@ -108,12 +109,13 @@ def fly(
         command_line: words to note in the run folder, by default those of this process.
         view: page that shows the flight, and says how fast it goes.
         flown_by: makes of the simulation, at its start, who flies it in place of a policy and an estimator.
+        begun: since when the user waits, as ``time.perf_counter`` counts; None: since this call.
 
     Raises:
         UsageError: the folder exists, or ``every`` names no stream or is no integer from 1.
         RunError: the log cannot be written, or the user's functions fail; what was flushed before stays readable.
     """
-    begun = time.perf_counter()
+    begun = time.perf_counter() if begun is None else begun
     check_every(every or {}, STREAMS)
     simulation = Simulation(scenario.world(precision), seed=seed, name=scenario.name, site=scenario.site)
     info = RunInfo.collect(

@@ -138,6 +138,7 @@ class Run:
 
     def _fly(self, scenario: Scenario, folder: Path, every: dict[str, int], page: LiveView | None) -> Pace:
         from qrsim.runs.recorder import fly
+        from qrsim.runs.waiting import waiting_since
 
         functions: dict[str, Any] = {}
         if self.policy is not None or self.estimator is not None:
@@ -166,6 +167,7 @@ class Run:
                     policy_ticks=policy_ticks,
                     progress=progress,
                     view=page,
+                    begun=waiting_since(),
                 )
         except KeyboardInterrupt as error:
             if folder.exists():
