@@ -15,6 +15,19 @@ os.environ.setdefault("QRSIM_TIER", "quick")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Count the programs that tests compile."""
+    from tests.programs_made import ProgramsMade
+
+    from qrsim.engine import by_llvm, by_xla
+
+    made = ProgramsMade()
+    made.watch(by_llvm, "build")
+    made.watch(by_xla, "make")
+    config.pluginmanager.register(made, "programs_made")
+
+
 DATA_INSTALL_LINE = "run 'qrsim data fetch' and set QRSIM_DATA_DIR to the folder it prints"
 
 # Compiled programs stay in memory as long as JAX keeps them, which over a whole suite are several gigabytes.
