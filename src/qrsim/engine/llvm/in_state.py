@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from qrsim.engine.llvm.graph import Access, Node, Shape
-from qrsim.engine.llvm.schedule import ALONE, Reading, Step, readers
+from qrsim.engine.llvm.schedule import Reading, Step, readers
+from qrsim.engine.llvm.waiting import ALONE
 from qrsim.engine.llvm.writing import Place
 
 Move = tuple[Access, Shape, Place]

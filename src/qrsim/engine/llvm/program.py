@@ -17,10 +17,11 @@ from qrsim.engine.llvm.emit import Emitter
 from qrsim.engine.llvm.graph import Graph, Node, Shape, View, squeezed
 from qrsim.engine.llvm.in_state import InState
 from qrsim.engine.llvm.refusal import UnsupportedError, refusing
-from qrsim.engine.llvm.schedule import ALONE, NESTED, Arena, Scheduler, all_nodes, in_place, materialised, readers
+from qrsim.engine.llvm.schedule import Arena, Scheduler, all_nodes, in_place, materialised
 from qrsim.engine.llvm.simplify import live_nodes
 from qrsim.engine.llvm.text import stored_bytes
 from qrsim.engine.llvm.tracing import Tracer, trace
+from qrsim.engine.llvm.waiting import ALONE, NESTED
 from qrsim.engine.llvm.writing import Place, Writer
 
 # What lies in a buffer of integers.
@@ -166,10 +167,9 @@ class Draft:
         live = live_nodes(self.graph.region, self.results)
         scheduler = Scheduler(live)
         nodes = self.graph.region.nodes
-        self.prologue = scheduler.steps([node for node in nodes if node.invariant], set())
-        # The body reads the prologue from memory or registers, and never computes it anew.
-        done = {node.number for node in all_nodes(self.prologue)}
-        self.body = scheduler.steps([node for node in nodes if not node.invariant], done)
+        # The body reads the prologue from memory or registers, and never computes it again.
+        self.prologue = scheduler.steps([node for node in nodes if node.invariant])
+        self.body = scheduler.steps([node for node in nodes if not node.invariant])
         # A value that only its own loop reads needs no memory.
         whole, self.short = materialised([*self.prologue, *self.body], self.results)
         every, computed = whole | self.short, all_nodes([*self.prologue, *self.body])
@@ -184,9 +184,7 @@ class Draft:
                 self.places[node.number] = self._take(node)
         in_state = InState(self.body, self.stored, self.short, self.places, self.side_by_side)
         self.moves = in_state.place(self.leaves[-1], self.results)
-        last = {number: reads[-1][0] for number, reads in readers(self.body).items()}
-        for access in self.results:
-            last[access.node.number] = len(self.body)
+        last = {number: reads[-1][0] for number, reads in in_state.read.items() if reads}
         ending: dict[int, list[tuple[int, int]]] = {}
         for i, step in enumerate(self.body):
             for node in all_nodes([step]):

@@ -10,9 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from qrsim.engine.llvm.graph import Access, Node
-
-# Lists what a node reads, what is read inside its regions included.
-Reads = Callable[[Node], Iterable[Access]]
+from qrsim.engine.llvm.waiting import Reads
 
 
 def reduces_rows(node: Node) -> bool:
@@ -64,18 +62,22 @@ class _Cluster:
         """Return the reductions, what depends on them, and what either needs, as far as one loop can compute it."""
         after: set[int] = set()
         for node in waiting.values():
-            accesses = list(self.reads(node))
             fits = self.loops(node) and self._fits(node)
-            # What another element, or another kind of step, reads must be whole before.
-            whole = [a.node for a in accesses if a.node.number in self.inside and not (fits and along(a, node))]
-            late = any(a.node.number in after for a in accesses)
+            late, whole = False, []
+            for access in self.reads(node):
+                number = access.node.number
+                late = late or number in after
+                # What another element, or another kind of step, reads must be whole before.
+                if number in self.inside and not (fits and along(access, node)):
+                    whole.append(access.node)
             if late or any(other.number in self.reduced for other in whole):
                 after.add(node.number)
                 continue
-            self._leave(whole)
+            if whole:
+                self._leave(whole)
             if fits:
                 self.inside[node.number] = node
-                if reduces_rows(node) or any(a.node.number in self.reduced for a in accesses):
+                if reduces_rows(node) or any(a.node.number in self.reduced for a in node.args):
                     self.reduced.add(node.number)
         needed = self._with_what_they_need(self.inside[number] for number in self.reduced)
         return [node for number, node in self.inside.items() if number in needed]

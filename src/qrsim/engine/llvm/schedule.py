@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
-from qrsim.engine.llvm.graph import Access, Node, Region, Shape
-from qrsim.engine.llvm.refusal import UnsupportedError
+from qrsim.engine.llvm.graph import Access, Node, Shape
 from qrsim.engine.llvm.rows import along, together
+from qrsim.engine.llvm.waiting import ALONE, NESTED, NO_LOOP, OUTSIDE, Waiting, changes_carry
 
-OUTSIDE = ("input", "constant", "carry")
-# Each of these is a step of its own.
-ALONE = ("concatenate", "nearest", "scatter", "running")
-# Of these, the steps of regions are parts.
-NESTED = ("cond", "while")
-# What no loop computes.
-NO_LOOP = (*OUTSIDE, "output", *ALONE, *NESTED)
 # Who reads a node: step, reading node or None, and how.
 Reading = tuple[int, Any, Access]
 
@@ -43,6 +37,15 @@ class Step:
     branches: list[list[Step]] = field(default_factory=list)
     parts: list[Step] = field(default_factory=list)
 
+    @cached_property
+    def accesses(self) -> list[tuple[Node | None, Access]]:
+        """(reader, access) of all that it reads; of branchings and repetitions each node once, with reader None."""
+        if self.kind not in NESTED:
+            return [(node, access) for node in self.nodes for access in node.args]
+        inner = [access for steps in self.branches for each in steps for _, access in each.accesses]
+        every = (*self.nodes[0].args, *inner, *branch_results(self))
+        return [(None, access) for access in {access.node.number: access for access in every}.values()]
+
     def reads_before(self, reader: Node, access: Access, writer: Node) -> bool:
         """Return whether of each element that ``writer`` computes ``reader``, of this step too, has read before."""
         if not self.parts:
@@ -59,145 +62,83 @@ class Scheduler:
 
     def __init__(self, live: set[int]):
         self.live = live
+        # What the regions of nodes read.
+        self._outside: dict[int, list[Access]] = {}
 
-    def steps(self, nodes: list[Node], done: set[int]) -> list[Step]:
-        """Return the steps of nodes, where those numbered ``done`` are computed before."""
+    def steps(self, nodes: list[Node]) -> list[Step]:
+        """Return the steps of nodes; what else they read is computed before."""
         nodes = [node for node in nodes if node.number in self.live and node.op not in OUTSIDE]
-        done = set(done)
-        waiting = {node.number: node for node in nodes}
-        # How many nodes each domain has: that of most comes last.
+        # That of most nodes comes last.
         sizes = Counter(node.domain for node in nodes)
+        waiting = Waiting(nodes, self.reads, sizes)
         found: list[Step] = []
 
         def take(step: Step) -> None:
-            for node in step.nodes:
-                done.add(node.number)
-                waiting.pop(node.number)
+            waiting.take(step.nodes)
             found.append(step)
 
-        while rows := together(waiting, lambda node: node.op not in NO_LOOP, self._reads):
-            own = {node.number: node for node in rows}
+        while rows := together(waiting.nodes, lambda node: node.op not in NO_LOOP, self.reads):
+            own = {node.number for node in rows}
             before = self._needed(rows, waiting)
-            while any(number in waiting for number in before):
-                others = {number: node for number, node in waiting.items() if number not in own}
-                take(self._next(others, done, sizes, before))
-            take(self._rows(own, done, sizes))
-        while waiting:
-            take(self._next(waiting, done, sizes, waiting.keys()))
+            while not before.isdisjoint(waiting.nodes):
+                take(self._next(waiting, before, own))
+            take(self._rows(rows, sizes))
+        while waiting.nodes:
+            take(self._next(waiting))
         return found
 
-    def _needed(self, nodes: list[Node], waiting: dict[int, Node]) -> set[int]:
+    def _needed(self, nodes: list[Node], waiting: Waiting) -> set[int]:
         """Return the numbers of what must be computed before nodes."""
         own = {node.number for node in nodes}
         found: set[int] = set()
         stack = list(nodes)
         while stack:
-            for access in self._reads(stack.pop()):
+            for access in self.reads(stack.pop()):
                 number = access.node.number
-                if number in waiting and number not in own and number not in found:
+                if number in waiting.nodes and number not in own and number not in found:
                     found.add(number)
                     stack.append(access.node)
         return found
 
-    def _rows(self, nodes: dict[int, Node], done: set[int], sizes: Counter[Shape]) -> Step:
-        extent = next(iter(nodes.values())).domain[-1]
-        step = Step("rows", (extent,), list(nodes.values()))
-        waiting, done = dict(nodes), set(done)
-        while waiting:
-            part = self._next(waiting, done, sizes, waiting.keys())
-            for node in part.nodes:
-                done.add(node.number)
-                waiting.pop(node.number)
+    def _rows(self, nodes: list[Node], sizes: Counter[Shape]) -> Step:
+        step = Step("rows", (nodes[0].domain[-1],), nodes)
+        waiting = Waiting(nodes, self.reads, sizes)
+        while waiting.nodes:
+            part = self._next(waiting)
+            waiting.take(part.nodes)
             step.parts.append(part)
         return step
 
-    def _next(self, waiting: dict[int, Node], done: set[int], sizes: Counter[Shape], wanted: Collection[int]) -> Step:
-        ready = [
-            node for number, node in waiting.items()
-            if number in wanted and node.op != "output" and self._ready(node, done)
-        ]  # fmt: skip
-        if not ready:
-            # Cannot happen with a jaxpr; it is said rather than looped over for ever.
-            raise UnsupportedError("a graph with a cycle")
-        # Small domains first: what they make lets the large one run further in one loop. What changes a carry last, so
-        # that it may do so in its place.
-        first = min(
-            ready,
-            key=lambda node: (node.op in NESTED, _changes_carry(node), sizes[node.domain] if node.domain else -1),
-        )
+    def _next(self, waiting: Waiting, wanted: set[int] | None = None, left_out: Collection[int] = ()) -> Step:
+        first = waiting.first(wanted)
         if first.op in NESTED:
-            return self._branching(first, waiting, done)
+            return self._branching(first, waiting)
         if first.op in ALONE:
             return Step(first.op, first.shape, [first])
-        return self._loop(first, waiting, done)
+        nodes, reduced = waiting.loop(first, left_out)
+        kept = tuple(axis for axis in range(len(first.domain)) if axis not in reduced)
+        return Step("loop", first.domain, nodes, kept, reduced)
 
-    def _loop(self, first: Node, waiting: dict[int, Node], done: set[int]) -> Step:
-        domain, nodes = first.domain, []
-        inside: set[int] = set()
-        reduced: tuple[int, ...] | None = None
-        for node in waiting.values():
-            if node.domain != domain or node.op in NO_LOOP:
-                continue
-            if not all(self._available(access, domain, inside, done) for access in node.args):
-                continue
-            # A pick reads elements that other turns of the loop make, so its array must be whole first.
-            if node.op == "pick" and node.args[0].node.number in inside:
-                continue
-            # A nest has one set of reduced axes; another set is another nest.
-            if node.op == "reduce":
-                axes = tuple(sorted(node.attributes[1]))
-                if reduced is None:
-                    reduced = axes
-                if axes != reduced:
-                    continue
-            else:
-                inside.add(node.number)
-            nodes.append(node)
-        reduced = reduced or ()
-        kept = tuple(axis for axis in range(len(domain)) if axis not in reduced)
-        return Step("loop", domain, nodes, kept, reduced)
+    def reads(self, node: Node) -> Collection[Access]:
+        """List what a node reads, and what its regions read from outside, each of those nodes once."""
+        if not node.regions:
+            return node.args
+        if node.number not in self._outside:
+            # Its regions are computed within it, so what they read must be there before.
+            accesses = {access.node.number: access for access in node.args}
+            for region in node.regions:
+                live = [inner for inner in region.nodes if inner.number in self.live]
+                accesses |= {access.node.number: access for inner in live for access in self.reads(inner)}
+                accesses |= {a.node.number: a for a in region.results if a.node.number in self.live}
+            own = {inner.number for region in node.regions for inner in region.nodes}
+            self._outside[node.number] = [access for number, access in accesses.items() if number not in own]
+        return self._outside[node.number]
 
-    @staticmethod
-    def _available(access: Access, domain: Shape, inside: set[int], done: set[int]) -> bool:
-        node = access.node
-        if node.op in OUTSIDE or node.number in done:
-            return True
-        return node.number in inside and access.identical(domain)
-
-    def _ready(self, node: Node, done: set[int]) -> bool:
-        return all(access.node.op in OUTSIDE or access.node.number in done for access in self._reads(node))
-
-    def _reads(self, node: Node) -> Iterable[Access]:
-        return self._outer(node) if node.op in NESTED else node.args
-
-    def _outer(self, cond: Node) -> list[Access]:
-        """List the nodes that a step with parts reads from outside."""
-        own: set[int] = set()
-        # Its regions are computed within it, so what they read must be there before.
-        accesses = list(cond.args)
-
-        def visit(region: Region) -> None:
-            for node in region.nodes:
-                own.add(node.number)
-                if node.number in self.live:
-                    accesses.extend(node.args)
-                    for inner in node.regions:
-                        visit(inner)
-            accesses.extend(result for result in region.results if result.node.number in self.live)
-
-        for region in cond.regions:
-            visit(region)
-        return [access for access in accesses if access.node.number not in own]
-
-    def _branching(self, cond: Node, waiting: dict[int, Node], done: set[int]) -> Step:
-        outputs = [node for node in waiting.values() if node.op == "output" and node.args[0].node is cond]
+    def _branching(self, cond: Node, waiting: Waiting) -> Step:
+        outputs = [node for node in waiting.readers[cond.number] if node.op == "output"]
         step = Step(cond.op, (), [cond, *outputs])
-        step.branches = [self.steps(region.nodes, done) for region in cond.regions]
+        step.branches = [self.steps(region.nodes) for region in cond.regions]
         return step
-
-
-def _changes_carry(node: Node) -> bool:
-    return node.op == "scatter" and node.args[0].node.op == "carry"
 
 
 def in_place(steps: list[Step]) -> dict[int, Node]:
@@ -218,7 +159,7 @@ def in_place(steps: list[Step]) -> dict[int, Node]:
                 reads += [(len(body), None) for access in node.regions[1].results if access.node is carry]
                 own = [i for i, reader in reads if reader is scatter]
                 if (
-                    _changes_carry(scatter)
+                    changes_carry(scatter)
                     and scatter.args[0].node is carry
                     and scatter.args[0].identical(scatter.shape)
                     and result.identical(scatter.shape)
@@ -226,20 +167,6 @@ def in_place(steps: list[Step]) -> dict[int, Node]:
                     and max(i for i, _ in reads) == own[0]
                 ):
                     found[scatter.number] = output
-    return found
-
-
-def inner_accesses(step: Step) -> list[tuple[Node | None, Access]]:
-    """Return (reader, access) of all that a step reads, branches included; the reader is None for their results."""
-    found: list[tuple[Node | None, Access]] = []
-    for node in step.nodes:
-        if node.op in NESTED:
-            found.extend((None, access) for access in node.args)
-            for inner in (inner for steps in step.branches for inner in steps):
-                found.extend((None, access) for _, access in inner_accesses(inner))
-            found.extend((None, access) for access in branch_results(step))
-        elif node.op != "output":
-            found.extend((node, access) for access in node.args)
     return found
 
 
@@ -277,7 +204,7 @@ def materialised(steps: list[Step], results: list[Access]) -> tuple[set[int], se
                 needed.update(node.number for node in step.nodes if step.kind == "while" and node.op == "output")
             else:
                 own = {node.number for node in step.nodes} if step.kind in ("loop", "rows") else set()
-                read = [access.node.number for _, access in inner_accesses(step)]
+                read = [access.node.number for _, access in step.accesses]
                 needed.update(number for number in read if number not in own)
                 needed.update(node.args[0].node.number for node in step.nodes if node.op == "pick")
             if step.kind == "loop":
@@ -296,7 +223,7 @@ def _between(parts: list[Step]) -> set[int]:
     found = set()
     for part in parts:
         own = {node.number for node in part.nodes}
-        reads = (access.node for _, access in inner_accesses(part))
+        reads = (access.node for _, access in part.accesses)
         found |= {node.number for node in reads if len(node.shape) > 1 and node.number in made - own}
     return found
 
@@ -341,6 +268,6 @@ def readers(steps: list[Step]) -> dict[int, list[Reading]]:
     """Return for each node number who reads it."""
     found: dict[int, list[Reading]] = defaultdict(list)
     for i, step in enumerate(steps):
-        for reader, access in inner_accesses(step):
+        for reader, access in step.accesses:
             found[access.node.number].append((i, reader, access))
     return found

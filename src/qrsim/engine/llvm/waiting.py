@@ -1,0 +1,124 @@
+"""Nodes that are not computed yet: which of them could be, and which a loop can take together."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection
+from heapq import heapify, heappop, heappush
+
+from qrsim.engine.llvm.graph import Access, Node, Shape
+from qrsim.engine.llvm.refusal import UnsupportedError
+
+OUTSIDE = ("input", "constant", "carry")
+# Each of these is a step of its own.
+ALONE = ("concatenate", "nearest", "scatter", "running")
+# Of these, the steps of regions are parts.
+NESTED = ("cond", "while")
+# What no loop computes.
+NO_LOOP = (*OUTSIDE, "output", *ALONE, *NESTED)
+# Lists what a node reads, what is read inside its regions included.
+Reads = Callable[[Node], Collection[Access]]
+_Rank = tuple[bool, bool, int]
+
+
+class Waiting:
+    """Nodes by their numbers, in an order in which they can be computed, which is that of their numbers.
+
+    Args:
+        nodes: all that is not computed yet; what else they read is.
+        reads: what a node reads.
+        sizes: how many nodes each domain has.
+    """
+
+    def __init__(self, nodes: Collection[Node], reads: Reads, sizes: Counter[Shape]):
+        self.nodes = {node.number: node for node in nodes}
+        self.readers: dict[int, list[Node]] = defaultdict(list)
+        self._sizes = sizes
+        # How many nodes that are not computed yet each one reads; those that read none, by when they are chosen.
+        self._missing: dict[int, int] = {}
+        self._ready: dict[_Rank, set[int]] = defaultdict(set)
+        self._released: set[int] = set()
+        for node in nodes:
+            needed = {access.node.number for access in reads(node)} & self.nodes.keys()
+            self._missing[node.number] = len(needed)
+            for number in needed:
+                self.readers[number].append(node)
+            if not needed:
+                self._ready[self._rank(node)].add(node.number)
+
+    def _rank(self, node: Node) -> _Rank:
+        # Small domains first: what they make lets the large one run further in one loop. What changes a carry last, so
+        # that it may do so in its place.
+        return node.op in NESTED, changes_carry(node), self._sizes[node.domain] if node.domain else -1
+
+    def first(self, wanted: set[int] | None = None) -> Node:
+        """Return the node to be computed next, of those whose numbers are wanted."""
+        for rank in sorted(self._ready):
+            numbers = self._ready[rank] if wanted is None else self._ready[rank] & wanted
+            if numbers:
+                return self.nodes[min(numbers)]
+        # Cannot happen with a jaxpr; it is said rather than looked for for ever.
+        raise UnsupportedError("a graph with a cycle")
+
+    def take(self, nodes: list[Node]) -> None:
+        """Let nodes be computed."""
+        for node in nodes:
+            del self.nodes[node.number]
+            self._ready[self._rank(node)].discard(node.number)
+            if node.number not in self._released:
+                self._release(node)
+
+    def _release(self, node: Node) -> list[Node]:
+        """Let a node be computed for those that read it, and return those that can be computed now."""
+        self._released.add(node.number)
+        found = []
+        for reader in self.readers[node.number]:
+            self._missing[reader.number] -= 1
+            # An output comes with its branching.
+            if not self._missing[reader.number] and reader.op != "output":
+                self._ready[self._rank(reader)].add(reader.number)
+                found.append(reader)
+        return found
+
+    def loop(self, first: Node, left_out: Collection[int]) -> tuple[list[Node], tuple[int, ...]]:
+        """Return the nodes that a loop over the domain of one of them can compute, in order, and its reduced axes.
+
+        Args:
+            first: one that could be computed.
+            left_out: the numbers of those that must not be among them.
+        """
+        domain = first.domain
+
+        def fits(node: Node) -> bool:
+            return node.domain == domain and node.op not in NO_LOOP and node.number not in left_out
+
+        found: list[Node] = []
+        inside: set[int] = set()
+        reduced: tuple[int, ...] | None = None
+        numbers = [number for number in self._ready[self._rank(first)] if fits(self.nodes[number])]
+        heapify(numbers)
+        while numbers:
+            node = self.nodes[heappop(numbers)]
+            if any(a.node.number in inside and not a.identical(domain) for a in node.args):
+                continue
+            # A pick reads elements that other turns of the loop make, so its array must be whole first.
+            if node.op == "pick" and node.args[0].node.number in inside:
+                continue
+            # A nest has one set of reduced axes; another set is another nest.
+            if node.op == "reduce":
+                axes = tuple(sorted(node.attributes[1]))
+                reduced = axes if reduced is None else reduced
+                if axes != reduced:
+                    continue
+            else:
+                inside.add(node.number)
+                for reader in self._release(node):
+                    if fits(reader):
+                        heappush(numbers, reader.number)
+            found.append(node)
+        return found, reduced or ()
+
+
+def changes_carry(node: Node) -> bool:
+    """Return whether a node changes numbers of what a loop hands from turn to turn."""
+    return node.op == "scatter" and node.args[0].node.op == "carry"
