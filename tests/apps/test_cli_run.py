@@ -679,3 +679,18 @@ def test_a_stopped_run_can_be_drawn(stopped, name, capsys):
     assert cli.main(["plot", str(folder)]) == 0
     assert capsys.readouterr().out == f"{folder / 'figure.png'}\n"
     assert (folder / "figure.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+
+
+def test_a_plain_run_compiles_nothing_by_xla(tmp_path):
+    """In a process of its own, because this one has compiled much already."""
+    command = [sys.executable, "-m", "qrsim.cli", "run", "outdoor_patrol", "--duration", "0.1", "--no-figure"]
+    found = subprocess.run(
+        command, cwd=tmp_path, env=os.environ | {"JAX_LOG_COMPILES": "1"}, capture_output=True, text=True, check=True
+    )
+    assert "start-up" in found.stdout
+    assert "Compiling" not in found.stderr
+    # What the setting prints where something is compiled.
+    alone = [sys.executable, "-c", "import jax; jax.jit(lambda x: x + 1)(1.0)"]
+    assert "Compiling" in subprocess.run(
+        alone, env=os.environ | {"JAX_LOG_COMPILES": "1"}, capture_output=True, text=True, check=True
+    ).stderr  # fmt: skip
