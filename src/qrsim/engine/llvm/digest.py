@@ -40,8 +40,8 @@ class _Walk:
         """Return the digest of a closed jaxpr, or of one without constants."""
         known = self._found.get(id(closed))
         if known is None:
-            jaxpr = closed.jaxpr if hasattr(closed, "jaxpr") else closed
-            known = closed, self._jaxpr(jaxpr, getattr(closed, "consts", ()))
+            whole = isinstance(closed, jex.ClosedJaxpr)
+            known = closed, self._jaxpr(closed.jaxpr, closed.consts) if whole else self._jaxpr(closed, ())
             self._found[id(closed)] = known
         return known[1]
 
@@ -85,13 +85,12 @@ class _Walk:
         for kinds, text in self._TEXTS:
             if isinstance(value, kinds):
                 return text(self, value)
-        if hasattr(value, "eqns") or hasattr(value, "jaxpr"):
+        if isinstance(value, jex.ClosedJaxpr | jex.Jaxpr):
             return self.closed(value)
         raise UnknownError
 
     def _several(self, values: Any) -> Any:
-        named = type(values).__name__, getattr(values, "_fields", ())
-        return *named, [self._value(value) for value in values]
+        return type(values).__name__, [self._value(value) for value in values]
 
     _TEXTS: tuple[tuple[Any, Callable[[Any, Any], Any]], ...] = (
         ((bool, int, str, bytes, type(None)), lambda walk, value: (type(value).__name__, repr(value))),
