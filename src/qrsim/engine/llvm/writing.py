@@ -77,6 +77,8 @@ class Writer:
         # Whether loads in turn are so far from each other that the processor does not foresee them.
         self.far = False
         self._constant_places: dict[int, Place] = {}
+        # Instructions of the present block whose results may be used again, by their text.
+        self._written: dict[str, str] = {}
 
     # Text
 
@@ -91,6 +93,12 @@ class Writer:
         self.lines.append(f"  {name} = {text}")
         return name
 
+    def once(self, text: str) -> str:
+        """Return the result of an instruction that depends on nothing but its text, written once a block."""
+        if text not in self._written:
+            self._written[text] = self.emit(text)
+        return self._written[text]
+
     def do(self, text: str) -> None:
         """Write an instruction without a result."""
         self.lines.append(f"  {text}")
@@ -99,6 +107,7 @@ class Writer:
         """Begin a block of instructions."""
         self.lines.append(f"{label}:")
         self.block = label
+        self._written.clear()
 
     @contextmanager
     def loop(self, extent: int, step: int = 1) -> Any:
@@ -160,7 +169,7 @@ class Writer:
         pointer = place.pointer
         for term in terms:
             pointer = self._moved(pointer, *term)
-        return pointer if fixed == 0 else self.emit(f"getelementptr i8, ptr {pointer}, i64 {fixed}")
+        return pointer if fixed == 0 else self.once(f"getelementptr i8, ptr {pointer}, i64 {fixed}")
 
     def _moved(self, pointer: str, variable: str, stride: int) -> str:
         key = (pointer, variable, stride)
@@ -351,8 +360,8 @@ class Writer:
         if have != 1:
             raise UnsupportedError("a value of one world that depends on all of them")
         of = vector(element, lanes)
-        first = self.emit(f"insertelement {of} poison, {element} {text}, i32 0")
-        return self.emit(f"shufflevector {of} {first}, {of} poison, <{lanes} x i32> zeroinitializer")
+        first = self.once(f"insertelement {of} poison, {element} {text}, i32 0")
+        return self.once(f"shufflevector {of} {first}, {of} poison, <{lanes} x i32> zeroinitializer")
 
     def place(self, node: Node) -> Place:
         """Return where a node lies; a constant array is put into the program."""
@@ -385,7 +394,9 @@ class Writer:
 
     def inside(self, counter: str, extent: int) -> str:
         """Return which lanes are elements of an axis."""
+        if counter == "0":
+            return "<" + ", ".join(f"i1 {'true' if lane < extent else 'false'}" for lane in range(self.lanes)) + ">"
         ramp = "<" + ", ".join(f"i64 {lane}" for lane in range(self.lanes)) + ">"
         of = vector("i64", self.lanes)
-        at = self.emit(f"add {of} {self.widened((counter, 1), np.dtype(np.int64), self.lanes)}, {ramp}")
-        return self.emit(f"icmp ult {of} {at}, {splat(str(extent), 'i64', self.lanes)}")
+        at = self.once(f"add {of} {self.widened((counter, 1), np.dtype(np.int64), self.lanes)}, {ramp}")
+        return self.once(f"icmp ult {of} {at}, {splat(str(extent), 'i64', self.lanes)}")
