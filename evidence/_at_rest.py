@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import allantools
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -90,6 +89,8 @@ def compared(
         expected_variance: of windows of so many readings (K,).
         confidence: of the band about what is expected.
     """
+    import allantools
+
     count = len(taken)
     series = taken.reshape(count, -1).T.astype(np.float64)
     lengths = np.unique(np.round(np.geomspace(1, count // 6, windows)).astype(np.int64))

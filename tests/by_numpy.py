@@ -31,6 +31,11 @@ def by_numpy(function: Callable[..., Any], each: Sequence[Sequence[Any]]) -> lis
     return [jax.tree.unflatten(jax.tree.structure(shape), leaves) for leaves in results]
 
 
+def uncompiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that computes the same by NumPy; its arguments may be of any kind."""
+    return lambda *arguments, **named: by_numpy(lambda: function(*arguments, **named), [()])[0]
+
+
 def evaluate(closed: Any, arguments: Sequence[Any]) -> list[Array]:
     """Return the results of a closed jaxpr."""
     with np.errstate(all="ignore"):

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.by_numpy import uncompiled
 
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
@@ -37,17 +38,17 @@ def test_distance() -> None:
     solid = PrismObstacle.of(L, z_min=-10.0)
     points = at((15, 2, -5), (15, 8, -5), (13, 7, -5), (-3, -4, -5), (5, 5, -13), (15, 7, -14))
     by_hand = [0.0, 4.0, 3.0, 5.0, 3.0, 5.0]
-    np.testing.assert_allclose(solid.distance(points), by_hand, atol=1e-5)
-    found, number = world([solid]).nearest(points)
+    np.testing.assert_allclose(uncompiled(solid.distance)(points), by_hand, atol=1e-5)
+    found, number = uncompiled(world([solid]).nearest)(points)
     np.testing.assert_allclose(found, by_hand, atol=1e-5)
     assert (np.asarray(number) == 0.0).all()
 
 
 def test_a_courtyard_is_not_inside() -> None:
     solid = PrismObstacle.of(L, -10.0, 0.0, [COURT])
-    assert float(solid.distance(at((5.0, 5.0, -1.0)))[0]) == pytest.approx(3.0)
-    assert float(world([solid]).nearest(at((5.0, 5.0, -1.0)))[0][0]) == pytest.approx(3.0)
-    assert float(world([solid]).nearest(at((1.0, 5.0, -1.0)))[0][0]) == 0.0
+    assert float(uncompiled(solid.distance)(at((5.0, 5.0, -1.0)))[0]) == pytest.approx(3.0)
+    assert float(uncompiled(world([solid]).nearest)(at((5.0, 5.0, -1.0)))[0][0]) == pytest.approx(3.0)
+    assert float(uncompiled(world([solid]).nearest)(at((1.0, 5.0, -1.0)))[0][0]) == 0.0
 
 
 def test_the_pieces_have_the_polygons_area() -> None:
@@ -76,7 +77,7 @@ def test_by_cells_it_is_the_nearest_of_all_prisms_within_reach() -> None:
     found = world(solids)
     assert found.prisms is not None
     assert found.prisms.near is not None, "so many pieces have a grid"
-    distance, number = found.nearest(Vec3.of(jnp.asarray(places, jnp.float32)))
+    distance, number = uncompiled(found.nearest)(Vec3.of(jnp.asarray(places, jnp.float32)))
     near = each.min(axis=0) < 5.0
     assert 100 < np.sum(near) < 900
     np.testing.assert_allclose(np.asarray(distance)[near], each.min(axis=0)[near], atol=1e-4)
@@ -90,14 +91,14 @@ def test_by_cells_it_is_the_nearest_of_all_prisms_within_reach() -> None:
 def test_among_boxes_and_cylinders_the_nearest_counts_and_slopes_are_finite() -> None:
     box = BoxObstacle(*(np.array([v]) for v in (-20.0, -10.0, 0.0, 5.0, -5.0, 0.0)))  # type: ignore[arg-type]
     all_three = world([PrismObstacle.of(L, -10.0)], boxes=box)
-    distance, number = all_three.nearest(at((-8.0, 2.0, -1.0), (-3.0, 2.0, -1.0)))
+    distance, number = uncompiled(all_three.nearest)(at((-8.0, 2.0, -1.0), (-3.0, 2.0, -1.0)))
     np.testing.assert_allclose(distance, [2.0, 3.0], atol=1e-6)
     np.testing.assert_array_equal(number, [0.0, 1.0])
-    slope = jax.jit(jax.grad(lambda p: jnp.sum(all_three.nearest(Vec3.of(p))[0])))(
+    slope = uncompiled(jax.grad(lambda p: jnp.sum(all_three.nearest(Vec3.of(p))[0])))(
         jnp.array([[5.0, 5.0, -1.0], [-4.0, 2.0, -1]])
     )
     assert np.isfinite(slope).all()
-    assert np.isnan(all_three.nearest(at((np.nan, 0.0, -1.0)))[0]).all()
+    assert np.isnan(uncompiled(all_three.nearest)(at((np.nan, 0.0, -1.0)))[0]).all()
 
 
 def test_rays_by_hand() -> None:
@@ -106,11 +107,11 @@ def test_rays_by_hand() -> None:
     found = world([PrismObstacle.of(L, -10.0, 0.0, [COURT])], boxes=box, cylinders=cylinder)
     origin = at((40.0, 2.0, -3.0), (40.0, 0.0, -3.0), (5.0, 5.0, -3.0), (-40.0, 0.0, -3.0), (0.0, -30.0, -12.0))
     ray = at((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    np.testing.assert_allclose(ray_distance(found, origin, ray), [20.0, 8.0, 1.5, 20.0, np.inf], atol=1e-5)
+    np.testing.assert_allclose(uncompiled(ray_distance)(found, origin, ray), [20.0, 8.0, 1.5, 20.0, np.inf], atol=1e-5)
     # Over the roof, through the notch, and from inside the wall.
     first = at((-5.0, 5.0, -9.0), (-5.0, 5.0, -11.0), (15.0, 5.0, -1.0), (1.0, 1.0, -1.0))
     last = at((30.0, 5.0, -9.0), (30.0, 5.0, -11.0), (25.0, 8.0, -1.0), (1.0, -9.0, -1.0))
-    np.testing.assert_array_equal(line_of_sight(found, first, last), [False, True, True, False])
+    np.testing.assert_array_equal(uncompiled(line_of_sight)(found, first, last), [False, True, True, False])
 
 
 @pytest.mark.long

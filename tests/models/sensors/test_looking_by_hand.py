@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_rangefinder import solids, vector
+from tests.by_numpy import uncompiled
 
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.scene.ground import FlatGround
@@ -61,7 +62,7 @@ def seen(target: tuple[float, float, float], fov: float, box: tuple[float, ...] 
     both = traffic([[0.0, 0.0, -20.0], np.add([0.0, 0.0, -20.0], target)])
     sensor = NeighbourSensor(slots=1, field_of_view_rad=fov, missed=0.0, false_alarms=0.0)  # type: ignore[arg-type]
     own = both.position_ned.map(lambda axis: axis[:1])
-    found, _ = sensor.look(Normals(1), own, level(1), solids(box), DEEP, both)  # type: ignore[arg-type]
+    found, _ = uncompiled(sensor.look)(Normals(1), own, level(1), solids(box), DEEP, both)  # type: ignore[arg-type]
     return float(found.count[0]) == 1.0
 
 
@@ -89,14 +90,14 @@ def test_what_is_within_a_tenth_of_a_metre_of_the_other_hides_it_not(begins: flo
      ((0.5, 0.8660254, 0.0), (0.5 - 0.2 * 0.8660254, 0.8660254 + 0.2 * 0.5, -0.1))],
 )  # fmt: skip
 def test_two_small_angles_across(unit: Any, moved: Any) -> None:
-    found = neighbours._turned(vector(*unit), jnp.array([0.1]), jnp.array([0.2]))
+    found = uncompiled(neighbours._turned)(vector(*unit), jnp.array([0.1]), jnp.array([0.2]))
     expected = np.array(moved) / math.sqrt(1.05)
     np.testing.assert_allclose(np.ravel(found.stack()), expected, atol=2e-6)
 
 
 def test_false_alarms_are_even_over_the_cone_and_over_distances() -> None:
     """A quarter from cos 1 towards 1, at a quarter of a turn from the back, at half of the reach of 10 m."""
-    found = neighbours._anywhere(jnp.array([[0.25], [0.25], [0.5]]), 2.0, jnp.array(10.0))
+    found = uncompiled(neighbours._anywhere)(jnp.array([[0.25], [0.25], [0.5]]), 2.0, jnp.array(10.0))
     np.testing.assert_allclose(np.ravel(found.stack()), [3.276134, -3.777160, 0.0], atol=2e-5)
 
 
@@ -108,7 +109,7 @@ def test_noise_of_a_reading_by_hand() -> None:
     sensor = NeighbourSensor(slots=2, velocity=True, identity=False, missed=0.0, false_alarms=0.0, **noise)  # type: ignore[arg-type]
     draw = Normals(1, step=0.1)
     own = both.position_ned.map(lambda axis: axis[:1])
-    found, _ = sensor.look(draw, own, level(1), solids(), DEEP, both)  # type: ignore[arg-type]
+    found, _ = uncompiled(sensor.look)(draw, own, level(1), solids(), DEEP, both)  # type: ignore[arg-type]
     assert draw.asked == [(12, 0)]
     # A chance for each slot to be missed, and four for a false alarm: whether, and where.
     assert draw.pairs == [3]
@@ -121,7 +122,7 @@ def test_noise_of_a_reading_by_hand() -> None:
     assert [float(item[0]) for item in found.vehicle] == [-1.0, -1.0]
     still = NeighbourSensor(slots=2, missed=0.0, false_alarms=0.0)  # type: ignore[arg-type]
     draw = Normals(1)
-    still.look(draw, own, level(1), solids(), DEEP, both)  # type: ignore[arg-type]
+    uncompiled(still.look)(draw, own, level(1), solids(), DEEP, both)  # type: ignore[arg-type]
     assert draw.asked == [(6, 0)]
 
 
@@ -137,8 +138,14 @@ def test_rows_of_those_who_look() -> None:
 def test_a_crowd_is_more_than_three_times_64_others(vehicles: int, can_be_crowded: bool) -> None:
     all_of_them = traffic(np.arange(3 * vehicles).reshape(-1, 3) * 30.0)
     sensor = IdealNeighbours(slots=1)
-    state, _ = sensor.init(None, all_of_them.position_ned, level(vehicles), solids(), DEEP, all_of_them)
+    state, _ = uncompiled(sensor.init)(None, all_of_them.position_ned, level(vehicles), solids(), DEEP, all_of_them)
     assert (state is not None) is can_be_crowded
+
+
+@uncompiled
+def exchange_of(sensor: Any, others: Traffic) -> Any:
+    """Return the places of exchanges on the channel, and how many there are."""
+    return ranging._partners(sensor, others.position_ned, others).exchange()
 
 
 def test_turns_on_the_channel() -> None:
@@ -146,7 +153,7 @@ def test_turns_on_the_channel() -> None:
     beacons = Vec3(*(jnp.zeros(2),) * 3)
     sensor = SimpleNamespace(beacon_ned=beacons, vehicles="all")
     three = traffic([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
-    number, count = ranging._partners(sensor, three.position_ned, three).exchange()
+    number, count = exchange_of(sensor, three)
     assert count == 12
     found = np.asarray(number)
     assert found[:2].tolist() == [[0, 4, 8], [1, 5, 9]]
@@ -154,9 +161,9 @@ def test_turns_on_the_channel() -> None:
     # To vehicle 0: by 1 second, by 2 first; to 1: by 0 first, by 2 second; to 2: by 0 second, by 1 first.
     assert others == [7, 10, 2, 11, 3, 6]
     alone = traffic([[0.0, 0.0, 0.0]])
-    assert ranging._partners(sensor, alone.position_ned, alone).exchange()[1] == 2
+    assert exchange_of(sensor, alone)[1] == 2
     only = SimpleNamespace(beacon_ned=None, vehicles="all")
-    assert ranging._partners(only, three.position_ned, three).exchange()[1] == 6
+    assert exchange_of(only, three)[1] == 6
 
 
 @pytest.mark.parametrize(
@@ -167,8 +174,12 @@ def test_turns_on_the_channel() -> None:
 )  # fmt: skip
 def test_what_stands_between_antennas(box: tuple[float, ...], hidden: bool) -> None:
     both = traffic([[0.0, 0.0, -20.0], [10.0, 0.0, -20.0]])
-    partners = ranging._partners(SimpleNamespace(beacon_ned=None, vehicles="all"), both.position_ned, both)
-    assert bool(ranging.behind(solids(box), DEEP, both.position_ned, partners)[1, 0]) is hidden
+
+    def behind() -> Any:
+        partners = ranging._partners(SimpleNamespace(beacon_ned=None, vehicles="all"), both.position_ned, both)
+        return ranging.behind(solids(box), DEEP, both.position_ned, partners)
+
+    assert bool(uncompiled(behind)()[1, 0]) is hidden
 
 
 SURE = {"dropouts": 0.0, "noise_std": 0.0, "exchanges": 0, "beacons": (), "range_max": 1000.0, "fading": 1.0}
@@ -179,11 +190,11 @@ def measured(given: dict[str, Any], chance: float, box: tuple[float, ...] = (), 
     both = traffic([[0.0, 0.0, -20.0], [10.0, 0.0, -20.0]])
     sensor = Ranging(**{**SURE, **given})
     draw = Normals(2, step, chance)
-    state, found = sensor.init(draw, both.position_ned, solids(box), DEEP, both)  # type: ignore[arg-type]
+    state, found = uncompiled(sensor.init)(draw, both.position_ned, solids(box), DEEP, both)  # type: ignore[arg-type]
     # After those of the ranges to both and one more, two for each path.
     assert draw.asked == ([(4, 3), (2, 0)] if box else [(2, 0)])
     draw.asked.clear()
-    sensor.step(state, draw, both.position_ned, solids(box), DEEP, both)  # type: ignore[arg-type]
+    uncompiled(sensor.step)(state, draw, both.position_ned, solids(box), DEEP, both)  # type: ignore[arg-type]
     assert draw.asked == ([(4, 3), (2, 0)] if box else [(2, 0)])
     return float(found.vehicle_range[1][0])
 
@@ -220,4 +231,4 @@ def test_a_ray_that_meets_nobody_has_slopes() -> None:
         distance = spheres_met(both, own, ahead)
         return jnp.sum(jnp.where(jnp.isfinite(distance), distance, 0.0))
 
-    assert np.asarray(jax.jit(jax.grad(met))(jnp.zeros(1))).tolist() == [0.0]
+    assert np.asarray(uncompiled(jax.grad(met))(jnp.zeros(1))).tolist() == [0.0]
