@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.by_numpy import uncompiled
 
 import qrsim
 from qrsim.control.teams import (
@@ -34,7 +35,7 @@ def flat(points: Any) -> Vec3:
 
 
 def heard(points: Any, velocities: Any, reach: float = 1e4, count: int | None = None) -> Mates:
-    return mates_of(flat(points), flat(velocities), jnp.float32(reach), count or len(points) - 1)
+    return uncompiled(mates_of)(flat(points), flat(velocities), jnp.float32(reach), count or len(points) - 1)
 
 
 def route_to(goals: Any, starts: Any = None) -> Any:
@@ -89,7 +90,7 @@ class TestMates:
         payload = np.tile(np.array([5.0, 0.0, -20.0, 1.0, 0.0, 0.0], np.float32)[None, :, None], (3, 1, 1))
         payload[1, 0], payload[2, 4] = np.nan, np.nan
         numbers, age = jnp.arange(3, dtype=jnp.int32)[:, None], jnp.full((3, 1), 0.5, jnp.float32)
-        mates = mates_heard(numbers, jnp.asarray(payload), age, flat([[0.0, 0.0]]), jnp.float32(50.0))
+        mates = uncompiled(mates_heard)(numbers, jnp.asarray(payload), age, flat([[0.0, 0.0]]), jnp.float32(50.0))
         np.testing.assert_array_equal(mates.number[:, 0], [0, -1, -1])
         np.testing.assert_array_equal(mates.now().position_ned.x[:, 0], [5.5, 0.0, 0.0])
 
@@ -107,7 +108,9 @@ class TestVicsek:
         n, eta, orders = 200, 3.0, []
         angles = rng.uniform(-np.pi, np.pi, n)
         places = rng.uniform(-5, 5, (n, 2))
-        step = jax.jit(lambda fast: mean_heading(flat(fast), heard(places, fast, count=n - 1)))
+        step = jax.jit(
+            lambda fast: mean_heading(flat(fast), mates_of(flat(places), flat(fast), jnp.float32(1e4), n - 1))
+        )
         for _ in range(40):
             angles = np.asarray(step(np.stack([np.cos(angles), np.sin(angles)], -1))) + rng.uniform(
                 -eta / 2, eta / 2, n
@@ -118,7 +121,7 @@ class TestVicsek:
 
     def test_speed_stays(self) -> None:
         guidance = VicsekGuidance(speed=jnp.float32(2.5), reach=jnp.float32(50.0), mates=2)
-        north, east = guidance.velocity(
+        north, east = uncompiled(guidance.velocity)(
             None, flat([[0, 0], [5, 0], [90, 0]]), flat([[1, 0], [0, 1], [-3, 0]]),
             heard([[0, 0], [5, 0], [90, 0]], [[1, 0], [0, 1], [-3, 0]], reach=50.0),
         )  # fmt: skip
@@ -172,7 +175,9 @@ def test_a_flock_migrates_slower_the_nearer_it_is() -> None:
     places = [[0.0, 0.0], [0.0, 500.0]]
     guidance = flocking(migration=3.0)
     route = route_to([[8.0, 0.0], [0.0, 560.0]])
-    north, east = guidance.velocity(route, flat(places), flat(np.zeros((2, 2))), heard(places, np.zeros((2, 2)), 100.0))
+    north, east = uncompiled(guidance.velocity)(
+        route, flat(places), flat(np.zeros((2, 2))), heard(places, np.zeros((2, 2)), 100.0)
+    )
     np.testing.assert_allclose(np.stack([north, east]), [[2.0, 0.0], [0.0, 3.0]], atol=1e-5)
 
 
@@ -214,7 +219,7 @@ class TestFormation:
         fast = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]
         guidance = formation(leader=True, leader_weight=0.3, leader_speed=5.0)
         route = route_to(goals, self.places)
-        north, east = guidance.velocity(route, flat(there), flat(fast), heard(there, fast))
+        north, east = uncompiled(guidance.velocity)(route, flat(there), flat(fast), heard(there, fast))
         assert (float(north[0]), float(north[3])) == pytest.approx((2.0, 1.0 + 0.5 * (0.3 * 8.0 + 0.7 * 4.0)), abs=1e-4)
         assert float(east[3]) == pytest.approx(0.0, abs=1e-5)
 
@@ -248,7 +253,7 @@ class TestAvoidance:
         direction is (-0.9798, 0.2), u = (-0.12, -0.5879), of which half is one's own.
         """
         mates = heard([[0, 0], [10, 0]], [[1.5, 0], [-1.5, 0]])
-        planes = half_planes(flat([[0, 0], [10, 0]]), flat([[1.5, 0], [-1.5, 0]]), mates, 1.0, 5.0, 1.0)
+        planes = uncompiled(half_planes)(flat([[0, 0], [10, 0]]), flat([[1.5, 0], [-1.5, 0]]), mates, 1.0, 5.0, 1.0)
         first = [float(value[0, 0]) for value in (planes.point_north, planes.point_east)]
         np.testing.assert_allclose(first, [1.44, -0.29394], atol=1e-4)
         normal = [float(value[0, 0]) for value in (planes.normal_north, planes.normal_east)]
@@ -257,8 +262,8 @@ class TestAvoidance:
     def test_who_overlap_part_within_the_step(self) -> None:
         """1 m from each other with discs of 1 m: half of the metre that lacks, in the 0.5 s given."""
         mates = heard([[0, 0], [1, 0]], np.zeros((2, 2)))
-        planes = half_planes(flat([[0, 0], [1, 0]]), flat(np.zeros((2, 2))), mates, 1.0, 5.0, 0.5)
-        north, east = nearest_velocity(planes, jnp.zeros(2), jnp.zeros(2), jnp.float32(5.0))
+        planes = uncompiled(half_planes)(flat([[0, 0], [1, 0]]), flat(np.zeros((2, 2))), mates, 1.0, 5.0, 0.5)
+        north, east = uncompiled(nearest_velocity)(planes, jnp.zeros(2), jnp.zeros(2), jnp.float32(5.0))
         np.testing.assert_allclose(np.stack([north, east]), [[-1.0, 1.0], [0.0, 0.0]], atol=1e-4)
 
     def test_a_team_parts_within_a_second(self) -> None:
@@ -267,7 +272,7 @@ class TestAvoidance:
         numbers = {"speed": 3.0, "radius": 1.0, "horizon": 5.0, "keep_right_rad": 0.0, "gain": 0.5, "reach": 100.0}
         guidance = AvoidanceGuidance(**{name: jnp.float32(value) for name, value in numbers.items()}, mates=1)
         none = np.zeros((2, 2))
-        north, east = guidance.velocity(route_to(places), flat(places), flat(none), heard(places, none))
+        north, east = uncompiled(guidance.velocity)(route_to(places), flat(places), flat(none), heard(places, none))
         np.testing.assert_allclose(np.stack([north, east]), [[-0.5, 0.5], [0.0, 0.0]], atol=1e-4)
 
     def test_the_velocity_is_the_nearest_allowed_one(self) -> None:
@@ -278,7 +283,7 @@ class TestAvoidance:
         point = -normal * shift
         planes = HalfPlanes(*(jnp.asarray(v, jnp.float32) for v in (*point, *normal)), jnp.ones((4, 60), bool))
         wish = rng.uniform(-3, 3, (2, 60)).astype(np.float32)
-        north, east = map(np.asarray, jax.jit(nearest_velocity)(planes, *wish, jnp.float32(3.0)))
+        north, east = map(np.asarray, uncompiled(nearest_velocity)(planes, *wish, jnp.float32(3.0)))
         axis = np.arange(-3.0, 3.001, 0.02)
         grid = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
         grid = grid[np.linalg.norm(grid, axis=1) <= 3.0]

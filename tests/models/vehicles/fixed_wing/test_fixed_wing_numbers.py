@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.by_numpy import uncompiled
 from tests.models.by_hand import many
 
 from qrsim.core.quaternions import Quaternion
@@ -51,7 +52,7 @@ def test_the_thrust_by_hand_is_the_published_one() -> None:
 
 def test_air_data_of_hardly_any_wind() -> None:
     """(W1) with V at least 0.1 m/s: of (0.05, 0.02, 0.03) the angles are those of 0.1 m/s ahead."""
-    found = air_data(Vec3(many(0.05, 3.0), many(0.02, 4.0), many(0.03, -1.0)))
+    found = uncompiled(air_data)(Vec3(many(0.05, 3.0), many(0.02, 4.0), many(0.03, -1.0)))
     np.testing.assert_allclose(found.airspeed, [0.1, math.sqrt(26.0)], rtol=1e-12)
     np.testing.assert_allclose(found.alpha, [math.atan(0.3), -math.atan(1.0 / 3.0)], rtol=1e-6)
     np.testing.assert_allclose(found.beta, [math.atan(0.2), math.asin(4.0 / math.sqrt(26.0))], rtol=1e-6)
@@ -66,7 +67,7 @@ class TestStall:
         alpha = np.array([0.47, -0.47, 0.49, -0.49, 0.45, -0.45])
         share = np.array([0.5, 0.5, math.e / (1 + math.e), math.e / (1 + math.e), 1 / (1 + math.e), 1 / (1 + math.e)])
         line, plate = 0.23 + 5.61 * alpha, 2.0 * np.abs(np.sin(alpha)) * np.sin(alpha) * np.cos(alpha)
-        lift, drag = lift_and_drag(of, jnp.asarray(15.0), jnp.asarray(alpha))
+        lift, drag = uncompiled(lift_and_drag)(of, jnp.asarray(15.0), jnp.asarray(alpha))
         np.testing.assert_allclose(lift, (1.0 - share) * line + share * plate, rtol=1e-9)
         np.testing.assert_allclose(drag, line**2 / (math.pi * 0.9 * 15.0), rtol=1e-12)
 
@@ -76,7 +77,7 @@ class TestStall:
             Longitudinal(lift_0=0.5, lift_alpha=2.0, stall_angle=0.5, stall_sharpness=1000.0),  # type: ignore[arg-type]
             np.float64,
         )
-        lift, _ = lift_and_drag(of, jnp.asarray(15.0), many(-0.25))
+        lift, _ = uncompiled(lift_and_drag)(of, jnp.asarray(15.0), many(-0.25))
         plate = -2.0 * math.sin(0.25) ** 2 * math.cos(0.25)
         np.testing.assert_allclose(lift, 2.0 * math.exp(-40.0) * plate, rtol=1e-9)
 
@@ -97,7 +98,7 @@ def test_turning_is_damped() -> None:
     air = AirData(many(25.0), many(0.0), many(0.0))
     zero = many(0.0)
     (_, rest, _), (force, moment, _) = (
-        forces(model, air, rates, Surfaces(zero, zero, zero), zero)
+        uncompiled(forces)(model, air, rates, Surfaces(zero, zero, zero), zero)
         for rates in (vector(0.0, 0.0, 0.0), vector(1.0, 2.0, 3.0))
     )
     pressed = 0.5 * 1.2682 * 625.0 * 0.55
@@ -119,7 +120,7 @@ def test_accelerations_of_the_published_forces() -> None:
     """(W7) of the force (-12.109717, 0.207073, 63.443738 - 11 g) and moment (0.50637, 8.756434, -0.21775) of mavsim."""
     surfaces = Surfaces(many(-0.2), many(0.0), many(0.005))
     still = vector(0.0, 0.0, 0.0)
-    slope, specific = slope_of(aerosonde(), flying(25.0, 0.0, 0.0), surfaces, many(0.5), still, still)
+    slope, specific = uncompiled(slope_of)(aerosonde(), flying(25.0, 0.0, 0.0), surfaces, many(0.5), still, still)
     felt = np.array([-12.109717, 0.207073, 63.443738 - 107.91]) / 11.0
     np.testing.assert_allclose([axis[0] for axis in specific.axes], felt, atol=1e-6)
     np.testing.assert_allclose([axis[0] for axis in slope.velocity.axes], felt + np.array([0.0, 0.0, 9.81]), atol=1e-6)
@@ -134,8 +135,7 @@ def test_a_fall_without_air() -> None:
     still = vector(0.0, 0.0, 0.0)
     surfaces = Surfaces(many(0.0), many(0.0), many(0.0))
     model = aerosonde(density=1e-12)
-    with jax.disable_jit():
-        after, force = substep(model, flying(3.0, 0.0, 2.0), surfaces, many(0.0), still, still, 0.1)
+    after, force = uncompiled(substep)(model, flying(3.0, 0.0, 2.0), surfaces, many(0.0), still, still, 0.1)
     np.testing.assert_allclose([axis[0] for axis in after.displacement.axes], [0.3, 0.0, 0.24905], atol=1e-9)
     np.testing.assert_allclose([axis[0] for axis in after.velocity.axes], [3.0, 0.0, 2.981], atol=1e-9)
     np.testing.assert_allclose([axis[0] for axis in force.axes], 0.0, atol=1e-9)
@@ -175,8 +175,7 @@ class TestVehicle:
         zero = vector(0.0, 0.0, 0.0)
         start = model.initial_state(zero, Euler(*zero.axes), vector(25.0, 0.0, 0.0), zero)
         command = SurfaceCommand(many(-0.2), many(0.0), many(0.005), many(0.5))
-        with jax.disable_jit():
-            _, force = model.step(start, command, lambda trig: zero, None, 3e-7)
+        _, force = uncompiled(model.step)(start, command, lambda trig: zero, None, 3e-7)
         felt = np.array([-12.109717, 0.207073, -44.466283]) / 11.0
         np.testing.assert_allclose([axis[0] for axis in force.axes], felt, atol=2e-5)
 
@@ -190,8 +189,7 @@ class TestVehicle:
         zero = vector(0.0, 0.0, 0.0)
         start = model.initial_state(zero, Euler(*zero.axes), vector(25.0, 0.0, 1.0), vector(1.0, 0.0, 0.0))
         command = AttitudeCommand(many(0.05), many(0.0), many(1.3))
-        with jax.disable_jit():
-            after, _ = model.step(start, command, lambda trig: zero, None, dt)
+        after, _ = uncompiled(model.step)(start, command, lambda trig: zero, None, dt)
         once = 0.1 * 0.05 * dt
         if substeps == 1:
             np.testing.assert_allclose(after.stabiliser.roll_integral, once, rtol=1e-9)
@@ -205,7 +203,7 @@ class TestStabiliser:
     def test_gains_below_eight_metres_a_second(self) -> None:
         """(W8) at 4 m/s as at 8: k = (25/8)^2; roll and pitch errors of 0.02 and -0.01, a yaw rate of 0.5 rad/s."""
         zero = many(0.0)
-        memory, found = wanted_surfaces(
+        memory, found = uncompiled(wanted_surfaces)(
             aerosonde(), Stabiliser(zero, zero, zero), AttitudeCommand(many(0.12), many(0.19), zero),
             Euler(many(0.1), many(0.2), zero), vector(0.01, 0.02, 0.5), many(4.0), many(-0.1), 0.01,
         )  # fmt: skip
@@ -220,7 +218,7 @@ class TestStabiliser:
     def test_a_lag_and_a_rate(self) -> None:
         """Of 0.1 rad 1 - exp(-0.2) in 10 ms with 0.05 s; of 0.4 rad 0.035 rad, at 3.5 rad/s."""
         now, goal = Surfaces(many(0.0), many(0.0), many(0.1)), Surfaces(many(0.1), many(0.4), many(-0.3))
-        found = moved(aerosonde(), now, goal, 0.01)
+        found = uncompiled(moved)(aerosonde(), now, goal, 0.01)
         expected = [0.1 * (1.0 - math.exp(-0.2)), 0.035, 0.065]
         np.testing.assert_allclose([part[0] for part in jax.tree.leaves(found)], expected, rtol=1e-9)
 
@@ -229,7 +227,7 @@ class TestStabiliser:
         model = aerosonde(surface_lag=0.0, surface_rate_max=0.0)
         assert 0.44 + (0.001 - 0.44) != 0.001
         now, goal = Surfaces(many(0.44), many(0.0), many(0.0)), Surfaces(many(0.001), many(15.0), many(-15.0))
-        found = moved(model, now, goal, 0.01)
+        found = uncompiled(moved)(model, now, goal, 0.01)
         assert [float(part[0]) for part in jax.tree.leaves(found)] == [0.001, 10.0, -10.0]
 
 
@@ -238,16 +236,18 @@ class TestLevelFlight:
         """(W9) solved by hand at 25 m/s: 107.91 N by alpha and elevator, without a moment; 1 % of the trim."""
         pressed = 0.5 * 1.2682 * 625.0 * 0.55
         alpha, elevator = np.linalg.solve([[5.61, 0.13], [-2.74, -0.99]], [107.91 / pressed - 0.23, -0.0135])
-        found = [float(value) for value in cruise(aerosonde(), jnp.asarray(25.0))]
+        found = [float(value) for value in uncompiled(cruise)(aerosonde(), jnp.asarray(25.0))]
         assert found[:2] == pytest.approx([alpha, elevator], rel=1e-9)
         assert found == pytest.approx([0.050107, -0.125044, 0.676776], rel=0.01)
 
     @pytest.mark.parametrize(("airspeed", "throttle"), [(25.0, 0.5), (0.0, 0.3), (15.0, 0.9)])
     def test_the_throttle_of_a_thrust(self, airspeed: float, throttle: float) -> None:
         thrust = shaft(airspeed, throttle)
-        found = throttle_for(aerosonde(), jnp.asarray(airspeed), jnp.asarray(thrust))
+        found = uncompiled(throttle_for)(aerosonde(), jnp.asarray(airspeed), jnp.asarray(thrust))
         assert float(found) == pytest.approx(throttle, rel=1e-9)
-        assert float(propeller(aerosonde(), many(airspeed), many(throttle))[0][0]) == pytest.approx(thrust, rel=1e-9)
+        assert float(uncompiled(propeller)(aerosonde(), many(airspeed), many(throttle))[0][0]) == pytest.approx(
+            thrust, rel=1e-9
+        )
 
     def test_stall_speed(self) -> None:
         """sqrt(2 m g/(rho S CL)) at the highest CL of (W2) among the angles 0, 0.002, ... 0.8 rad."""
@@ -273,7 +273,7 @@ class TestTrim:
         attitude = Quaternion.of(Euler(many(at.phi), many(at.theta), many(0.0)))
         motion = Motion(still, attitude, vector(ahead, 0.0, down), still)
         surfaces = Surfaces(many(at.elevator), many(at.aileron), many(at.rudder))
-        slope, _ = slope_of(aerosonde(), motion, surfaces, many(at.throttle), still, still)
+        slope, _ = uncompiled(slope_of)(aerosonde(), motion, surfaces, many(at.throttle), still, still)
         rest = [*slope.velocity.axes, *slope.rates.axes, slope.displacement.z + 25.0 * math.sin(0.0445)]
         assert max(abs(float(part[0])) for part in rest) < 1e-10
 
