@@ -46,6 +46,16 @@ def _bounded_memory() -> Iterator[None]:
         _resident["last"] = resident_bytes()
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _same_cache() -> Iterator[None]:
+    """Switch the cache of programs on again after a file that flew a benchmark, which switches it off."""
+    before = os.environ.get("QRSIM_COMPILATION_CACHE")
+    yield
+    os.environ.pop("QRSIM_COMPILATION_CACHE", None)
+    if before is not None:
+        os.environ["QRSIM_COMPILATION_CACHE"] = before
+
+
 def resident_bytes() -> int:
     """Return the memory that the process holds, zero where the system does not say."""
     status = Path("/proc/self/statm")

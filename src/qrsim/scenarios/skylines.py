@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qrsim.engine.folders import private, temporary, tidy
+from qrsim.engine.folders import cache_folder, private, temporary, tidy
 from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.gnss.skyline_table import Frame, Walls, frame_of, make_table, skyline_of, walls_of
 from qrsim.scenarios.ground import bounds_of
@@ -127,9 +127,7 @@ def _made(digest: str, held: _Held) -> Skyline:
 def _folder() -> Path | None:
     if os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
         return None
-    from platformdirs import user_cache_path
-
-    place = user_cache_path("qrsim") / "skylines"
+    place = cache_folder() / "skylines"
     return place if private(place) else None
 
 
