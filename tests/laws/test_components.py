@@ -73,8 +73,8 @@ UNSEEN |= dict.fromkeys(("neighbours", "ideal_neighbours"), ("position", "distan
 # Sensors whose truth is rays and pairs, which their own tests compute by hand.
 BY_HAND = ("ideal_scan", "ideal_ranging", "ideal_neighbours")
 every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases())
-# Tracing a slope takes ten times as long as tracing the values.
-every_slope = pytest.mark.parametrize(("group", "name", "settings"), option_cases(options_are_long=True))
+# Tracing a slope takes ten times as long as tracing the values, and a batch three times.
+by_defaults_first = pytest.mark.parametrize(("group", "name", "settings"), option_cases(options_are_long=True))
 every_program = pytest.mark.parametrize(("group", "name", "settings"), option_cases(one_form=ONE_FORM))
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 
@@ -165,7 +165,7 @@ def test_eager_and_jitted_agree(group: str, name: str, settings: dict[str, Any])
     assert_close(compiled(partial(evaluate, group))(*given), evaluate(group, *given), ROUNDED.get((group, name), 1e-6))
 
 
-@every_option
+@by_defaults_first
 def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str, settings: dict[str, Any]) -> None:
     """The same values to 1e-6, and the same noise to the bit."""
     alone = stacked(computed(group, name, settings))
@@ -177,7 +177,7 @@ def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str, settings: 
         np.testing.assert_array_equal(got, want, err_msg=path)
 
 
-@every_slope
+@by_defaults_first
 def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: dict[str, Any]) -> None:
     def total(component: Any, given: Any, keys: Any) -> Any:
         found = jax.tree.leaves(evaluate(group, component, given, keys)["results"])
