@@ -239,7 +239,7 @@ def test_no_such_file_and_no_netcdf(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.usefixtures("optimised")
-@pytest.mark.parametrize("compiler", ["llvm", "xla"])
+@pytest.mark.parametrize("compiler", ["llvm", pytest.param("xla", marks=pytest.mark.nightly)])
 def test_vehicles_feel_it_where_they_are(tmp_path, whole, compiler, monkeypatch):
     import qrsim
 
