@@ -175,8 +175,7 @@ class Writer:
         key = (pointer, variable, stride)
         # What lies in one row is read from one address, which is computed once.
         if key not in self.scope.offsets:
-            distance = self.emit(f"mul nuw nsw i64 {variable}, {stride}")
-            self.scope.offsets[key] = self.emit(f"getelementptr i8, ptr {pointer}, i64 {distance}")
+            self.scope.offsets[key] = self.emit(f"getelementptr [{stride} x i8], ptr {pointer}, i64 {variable}")
         return self.scope.offsets[key]
 
     def load(self, dtype: Any, address: str, lanes: int) -> str:
