@@ -439,8 +439,10 @@ MAKERS: tuple[Maker, ...] = (
     _arithmetic, _sums_of_products, _unary, _unsigned, _steps, _library, _powers, _divisions, _integers, _logic,
     _comparisons, _choices, _clamps, _conversions, _bits, _reductions, _places_of_extremes, _running, _shapes, _joining,
     _counting, _parts_from_anywhere, _gathers, _scatters, _segments, _branches, _loops, _counted_loops,
-    _nested_loops, _neighbours, _kernels, _derivatives,
+    _nested_loops, _neighbours, _derivatives,
 )  # fmt: skip
+# What a program may be about; the rest of it is made of the others.
+FEATURED: tuple[Maker, ...] = (*MAKERS, _kernels)
 HANDED_OVER: Maker = _handed_over
 
 
@@ -472,7 +474,7 @@ class Program:
 
     Args:
         choose: what it is made of.
-        featured: one of MAKERS (or HANDED_OVER) that it has in any case; None for none.
+        featured: one of FEATURED (or HANDED_OVER) that it has in any case; None for none.
         length: how many makers it has.
         double: in double precision, which has to be switched on around.
     """

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from evidence import compiler
 from evidence._bounds import given
-from evidence._programs import MAKERS
+from evidence._programs import FEATURED
 from evidence._reference import evaluate
 from hypothesis import HealthCheck, settings
 from hypothesis import given as drawn
@@ -57,7 +57,7 @@ def test_random_programs_and_every_primitive(programs):
     for number in range(60):
         if set(RULES) <= seen:
             break
-        for i, maker in enumerate(MAKERS):
+        for i, maker in enumerate(FEATURED):
             check(2 * 10**9 + 1000 * number + i, maker)
     assert not {primitive.name for primitive in set(RULES) - seen}
 
@@ -132,7 +132,7 @@ def test_special_numbers_go_the_way_they_go_in_jax():
 
 def test_a_value_that_is_too_far_off_is_found():
     """The reference's bounds are narrow: a sum of products with a wrong sign or 1e-5 beside it fails."""
-    program = compiler.tried(3, MAKERS[1], longest=2)[1]
+    program = compiler.tried(3, FEATURED[1], longest=2)[1]
     with np.errstate(all="ignore"):
         reference = compiler.expected(program, 1)
     mine = [
