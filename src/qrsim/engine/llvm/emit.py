@@ -252,10 +252,10 @@ class Emitter(Loops):
             moved = Place(
                 place.pointer, place.offset + begin * place.strides[axis],
                 place.strides if whole else tuple(s for a, s in enumerate(place.strides) if a != axis),
-                place.own, tight=len(node.shape) > 1,
+                place.own, tight=0 < axis == len(node.shape) - 1,
             )  # fmt: skip
             # Parts are written in order, so that what is written behind one is overwritten by the next; but what is
-            # written behind the last one of a row may be the beginning of another.
+            # written behind the last one of a row, where parts are pieces of rows, may be the beginning of another.
             self.copy(access, shape, moved)
 
     def _running(self, node: Node) -> None:

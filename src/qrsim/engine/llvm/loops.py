@@ -53,7 +53,7 @@ class Loops(Writer):
 
     def copy(self, access: Access, shape: Shape, to: Place, keep: str | None = None) -> None:
         """Write a loop that copies an array to a place, but for the worlds ``keep``."""
-        if 0 in shape:
+        if 0 in shape or (keep is None and self._copied_whole(access, shape, to)):
             return
         lane_axis = len(shape) - 1 if shape and not self.side_by_side and self.lanes > 1 else None
         # A vector is stored in one piece only where elements lie side by side.
@@ -67,6 +67,27 @@ class Loops(Writer):
             if keep is not None:
                 value, wide = self._kept(to, access.node.dtype, value, wide, keep), self.lanes
             self.write(to, access.node.dtype, value, wide, self.scope.variables)
+
+    def _copied_whole(self, access: Access, shape: Shape, to: Place) -> bool:
+        """Copy rows that lie at both places in the same way as one block of bytes, and return whether they do."""
+        if len(shape) < 2 or not access.identical(shape):
+            return False
+        source, dtype = self.place(access.node), access.node.dtype
+        if source.short or to.short or source.own != to.own or source.strides != to.strides:
+            return False
+        element = stored_bytes(dtype) * (self.lanes if to.own and self.side_by_side else 1)
+        # Rows end with whole vectors, but where nothing may be written behind them.
+        row = shape[-1] if to.tight or self.side_by_side else -(-shape[-1] // self.lanes) * self.lanes
+        size = element
+        for extent, stride in zip((row, *shape[-2::-1]), reversed(to.strides), strict=True):
+            if stride != size:
+                return False
+            size *= extent
+        origin = [(None, 0)] * len(shape)
+        begins = ", ".join(f"ptr align {stored_bytes(dtype)} {self.address(each, origin)}" for each in (to, source))
+        self.declarations.add("declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)")
+        self.do(f"call void @llvm.memcpy.p0.p0.i64({begins}, i64 {size}, i1 false)")
+        return True
 
     def _kept(self, to: Place, dtype: Any, value: str, lanes: int, keep: str) -> str:
         """Return a value but for the worlds ``keep``, for which it is what lies at its place."""
