@@ -41,6 +41,7 @@ def test_the_pages_have_examples() -> None:
     assert blocks("bash")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "text"), examples("python"))
 def test_python_example(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -50,6 +51,7 @@ def test_python_example(name: str, text: str, tmp_path: Path, monkeypatch: pytes
     exec(compile(text, name, "exec", dont_inherit=True), module.__dict__)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "text"), examples("bash"))
 def test_commands(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -33,6 +33,7 @@ def dataset() -> Any:
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_shares_and_effects_are_seed_by_seed(tmp_path: Path) -> None:
     """Six of eight come nearer than 0.65 m; errors are 6 and 1.6 times those of the truth."""
     points = study.summary(dataset())

@@ -61,6 +61,7 @@ def test_what_ardupilot_cannot_do_is_refused(words: list[str], said: str, capsys
     assert "Traceback" not in found
 
 
+@pytest.mark.long
 def test_an_ardupilot_that_does_not_come_ends_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

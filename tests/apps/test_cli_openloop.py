@@ -145,6 +145,7 @@ def golden_errors(golden: Path, name: str, precision: str, output: Path) -> tupl
     return np.abs(states[:, 1:] - expected[:, 1:]), expected[:, 1:]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["hover.csv", "varied.csv"])
 def test_golden_in_double_precision(golden, name, tmp_path):
     errors, expected = golden_errors(golden, name, "float64", tmp_path / "states.csv")

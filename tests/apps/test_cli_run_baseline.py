@@ -12,6 +12,7 @@ from qrsim import cli
 from qrsim.runs import open_run
 
 
+@pytest.mark.long
 def test_the_cats_of_a_baseline_chase_the_mouse(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

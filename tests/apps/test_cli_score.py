@@ -27,6 +27,7 @@ def _there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("own.py").write_text(OWN, "utf-8")
 
 
+@pytest.mark.long
 def test_a_table_and_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--policy", "own.py:cut", "--seeds", "3", "--set", "duration=4", "--out", "scores.png"]
     assert cli.main(["score", "keep_spot", *options]) == 0

@@ -72,6 +72,7 @@ def test_a_fleet_too_large_for_reference_clients_is_warned_of(monkeypatch, capsy
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_operators_scenario_in_real_time_until_the_process_is_told_to_end():
     words = [sys.executable, "-m", "qrsim.cli", "serve", "free_flight", "--port", "0", "--realtime", "4"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

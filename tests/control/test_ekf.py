@@ -47,6 +47,7 @@ def test_blocks_are_those_of_the_matrix(covariance: np.ndarray):
     np.testing.assert_array_equal([variance[1] for variance in variances(given)], np.float32(np.diag(covariance)))
 
 
+@pytest.mark.long
 def test_a_transition_is_that_of_matrices(covariance: np.ndarray):
     """F by its blocks (Sola 2017, section 7: rotations in the fixed frame)."""
     turned = rotation(Euler(*(jnp.array([angle]) for angle in (0.3, -0.2, 1.1))))
@@ -66,6 +67,7 @@ def test_a_transition_is_that_of_matrices(covariance: np.ndarray):
     np.testing.assert_allclose(matrix(found)[..., 0], expected, rtol=2e-5, atol=2e-4)
 
 
+@pytest.mark.long
 def test_a_measurement_is_that_of_matrices(covariance: np.ndarray):
     """Kalman's equations with a sensitivity that is zero in most places; where it is not used nothing changes."""
     row = np.zeros(SIZE)
@@ -111,6 +113,7 @@ def test_angles_turn_as_differences_say():
             assert float(slope[0]) == pytest.approx(float(expected[0]), abs=2e-3), (name, axis)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("ticks", "count", "late"), [(160, 64, 10), pytest.param(600, 100, 15, marks=pytest.mark.nightly)]
 )
@@ -199,6 +202,7 @@ def test_a_jump_is_not_believed_until_it_lasts():
     assert float(estimate.position_ned.x[0]) == pytest.approx(100.0, abs=0.5)
 
 
+@pytest.mark.long
 def test_who_is_sure_of_a_wrong_tilt_finds_back():
     """Of 0.4 rad, which accelerates the estimate by 4 m/s^2; 7 s later the filter begins again, and finds the tilt."""
     kalman = ErrorStateKalmanFilter()

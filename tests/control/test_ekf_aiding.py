@@ -149,6 +149,7 @@ def test_a_slow_airspeed_is_not_believed():
         assert found == {"position_ned": True, "velocity_ned": True, "height": True, "airspeed": believed}
 
 
+@pytest.mark.long
 def test_the_squares_are_those_of_matrices():
     """Over the number of errors; of two vehicles, one of which errs by nothing."""
     half = np.random.default_rng(3).normal(size=(6, 6))

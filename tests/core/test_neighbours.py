@@ -27,6 +27,7 @@ def found(x, y, z, reach):
     return neighbours(x, y, z, reach, COUNT, ROOM)
 
 
+@pytest.mark.long
 def test_cells_find_who_is_found_by_all_pairs():
     """In 100 worlds of 200 points, in one of ten beyond 40 km from the origin; no column has too many."""
     random = np.random.default_rng(4)
@@ -53,6 +54,7 @@ def test_an_overfull_stretch_is_said_and_what_is_found_is_near():
     np.testing.assert_allclose(near.squared, squared, rtol=1e-5)
 
 
+@pytest.mark.long
 def test_who_is_nowhere_has_no_neighbours_and_is_nobodys():
     points = np.random.default_rng(6).uniform(0.0, 50.0, (3, 200)).astype(np.float32)
     points[1, 7], points[2, 9] = np.nan, np.inf
@@ -76,6 +78,7 @@ def test_the_order_of_points_changes_nothing():
     np.testing.assert_array_equal(np.asarray(near.index)[:, mixed], named)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lanes", [pytest.param(8, marks=pytest.mark.long), 16])
 def test_machine_code_of_our_own_finds_the_same(lanes):
     """In one world of cells; the code generator takes the search, with nothing left to XLA."""

@@ -74,6 +74,7 @@ def test_another_number_is_refused(wrong: Any) -> None:
         many().set_difficulty(wrong)
 
 
+@pytest.mark.long
 def test_without_ranges_there_is_none() -> None:
     for env in (SingleTask("keep_spot"), parallel_env("cats_and_mouse/1A")):
         with pytest.raises(UsageError, match="it has no ranges, and so no difficulty"):

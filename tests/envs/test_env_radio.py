@@ -53,6 +53,7 @@ def saying(env: ParallelTask, **words: Any) -> dict[str, Any]:
     return {agent: {"act": STILL} | ({"say": words[agent]} if agent in words else {}) for agent in env.agents}
 
 
+@pytest.mark.long
 def test_what_one_agent_says_the_others_hear_one_step_later() -> None:
     env = chase()
     seen, _ = env.reset(seed=1)

@@ -42,6 +42,7 @@ def flown(env: ParallelTask) -> list[Any]:
     return found
 
 
+@pytest.mark.long
 def test_the_others_fly_on() -> None:
     steps = flown(team())
     assert len(steps) == 12

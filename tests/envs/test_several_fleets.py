@@ -34,6 +34,7 @@ def still() -> dict[str, Any]:
     return dict.fromkeys(FLIES, np.zeros(2, np.float32)) | {DRIVES: AHEAD}
 
 
+@pytest.mark.long
 def test_each_has_spaces_of_its_own() -> None:
     env = team()
     assert env.possible_agents == [*FLIES, DRIVES]
@@ -80,6 +81,7 @@ def test_all_forms_are_the_same() -> None:
     assert [rewarded[agent][1] for agent in rewards] == pytest.approx(list(rewards.values()), rel=1e-5)
 
 
+@pytest.mark.long
 def test_all_that_speak_are_heard_by_the_others() -> None:
     pure = Functional.of(MEETING, [*SHORT, "world.radio={preset: sik_915, size: 3}"])
     episode, seen = jax.eval_shape(pure.reset, np.uint32(1))
@@ -92,6 +94,7 @@ def test_all_that_speak_are_heard_by_the_others() -> None:
         pure.step(episode, said | {"rover": {"act": jnp.zeros((1, 2)), "say": jnp.ones((1, 2))}})
 
 
+@pytest.mark.long
 def test_who_stops_leaves_and_without_a_fleet_it_ends(tmp_path: Path) -> None:
     code = (EXAMPLES / "meeting.py").read_text()
     leaves = code.replace(

@@ -44,6 +44,7 @@ def test_qrsim_score_says_where(tmp_path: Path, capsys: pytest.CaptureFixture[st
         )
 
 
+@pytest.mark.long
 def test_every_environment_does(tmp_path: Path) -> None:
     scenario = climb(tmp_path, THIRD.format('float("nan")'))
     single, vector, parallel = SingleTask(scenario), VectorTask(scenario, 2), parallel_env(scenario)

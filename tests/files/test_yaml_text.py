@@ -95,6 +95,7 @@ def test_aliases_count_as_what_they_stand_for() -> None:
     assert f"nested deeper than {DEEPEST} levels" in problem("\n".join(levels))
 
 
+@pytest.mark.long
 def test_what_the_program_wrote_itself_may_be_larger_but_for_aliases() -> None:
     """Content from Python is not limited to what files may hold, and its run is read again."""
     text = "[" + "1," * (MOST_NODES + 1) + "]"

@@ -70,6 +70,7 @@ def test_noise_is_found_again() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth() -> None:
     """Of 40 logs of ten minutes those of N hold it in 34 and more (95 %, at 99.9 %), those of K in 30 and more."""
     inside, flicker = np.zeros(2, int), 0

@@ -61,6 +61,7 @@ def test_an_axis_that_does_not_move_stays_at_its_prior_and_that_is_said(answer: 
     assert answer.values["kr0"] == pytest.approx(START["kr0"], rel=0.01)
 
 
+@pytest.mark.long
 def test_the_held_out_part_is_not_used(log: FlightLog, answer: Answer) -> None:
     rows = round(0.6 * len(log.time))
     spoilt = replace(log, signals={name: np.where(np.arange(len(v)) < rows, v, 9.0) for name, v in log.signals.items()})
@@ -68,6 +69,7 @@ def test_the_held_out_part_is_not_used(log: FlightLog, answer: Answer) -> None:
     assert again.values == answer.values
 
 
+@pytest.mark.long
 def test_a_narrow_prior_holds_a_constant(log: FlightLog) -> None:
     held = Prior(179.0, 1e-4)
     question = Question(ROTATION, START | {"kpq1": 179.0}, True, {"kpq1": held}, delay=0.0)

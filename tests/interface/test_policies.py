@@ -97,6 +97,7 @@ class TestKinds:
         for flown in (compiled, lock_step):
             np.testing.assert_allclose(flown["clipped_s"], 1.0)
 
+    @pytest.mark.long
     def test_an_object_remembers(self, world, fly):
         asked = []
 
@@ -109,6 +110,7 @@ class TestKinds:
         flown = fly(Steer())
         np.testing.assert_allclose(flown.recorded[2, -1], simulated(world, ask, 140, number=2), **SAME)
 
+    @pytest.mark.long
     def test_between_two_questions_the_command_is_held(self, world, fly):
         """Every seventh tick, in lock-step and in an object; the object's 20 times asked are fewer than 60."""
         held: list[Any] = []
@@ -162,6 +164,7 @@ class Shifting:
 
 
 class TestEstimators:
+    @pytest.mark.long
     def test_feeds_the_controllers(self, fly):
         """One that says what the sensors say changes nothing; one that is 2 m off to the east leads 2 m west."""
         plain = fly(ticks=100)

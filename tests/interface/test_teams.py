@@ -77,6 +77,7 @@ class Drifts:
         return jnp.stack([zero, zero + lean, zero + 0.59, zero, zero + 12.0], axis=-1), lean + 0.005
 
 
+@pytest.mark.long
 def test_each_sees_and_commands_its_own(world: Any) -> None:
     seen: dict[str, Any] = {}
 
@@ -115,6 +116,7 @@ def test_kinds_mix_and_agree_in_rollouts(world: Any) -> None:
     np.testing.assert_allclose(played.position_ned[-1], flights[0][0], atol=2e-5)
 
 
+@pytest.mark.long
 def test_who_is_in_no_team_flies_by_its_guidance(world: Any) -> None:
     alone = qrsim.play(world, {"cats": Drifts()}, ticks=40)
     guided = qrsim.rollout(world, ticks=40)["position_ned"][0]
@@ -124,6 +126,7 @@ def test_who_is_in_no_team_flies_by_its_guidance(world: Any) -> None:
     np.testing.assert_allclose(many, alone.position_ned[-1], atol=2e-5)
 
 
+@pytest.mark.long
 def test_each_world_has_a_memory_of_its_own(world: Any) -> None:
     """Two worlds of one seed and number fly alike, however the memory is kept; one shared memory would end the climb of
     both after five ticks each.

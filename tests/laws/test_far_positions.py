@@ -227,6 +227,7 @@ class TestModels:
             lambda position: vehicle.step(replace(state, position_ned=position), *rest, DT), state.position_ned
         )
 
+    @pytest.mark.long
     def test_it_flies_slowly_far_away_too(self) -> None:
         """Its height is its own, and its steps are not lost: as in double precision."""
         found = []

@@ -95,6 +95,7 @@ def drawing(change: str = "nothing") -> Any:
     return draw
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("change", ["a vehicle more", "a sensor less", "a fleet more"])
 def test_no_normal_of_another_vehicle_changes(change: str) -> None:
     before, after = jax.jit(drawing()), jax.jit(drawing(change))
@@ -113,6 +114,7 @@ def test_both_code_generators_draw_the_same_bits() -> None:
         assert_same_bits(small(Key.root(SEED), jnp.int32(tick)), large(Key.root(SEED), jnp.int32(tick)))
 
 
+@pytest.mark.long
 def test_the_normals_of_worlds_differ_and_are_the_same_bits_in_a_batch() -> None:
     """Three worlds in one program: two worlds of one seed, and a world of another seed."""
     keys = [Key.root(SEED), Key.root(SEED, 1), Key.root(SEED + 1)]
@@ -220,6 +222,7 @@ def test_a_reset_is_the_start_again() -> None:
     assert simulation.seed == SEED + 1, "a seed stays until another is given"
 
 
+@pytest.mark.long
 def test_single_and_double_precision_agree() -> None:
     """For a second of flight with the same noise: to 0.1 mm, 1e-5 rad and 0.1 mm/s (found: a tenth of that)."""
     single, double = (simulate(noisy(), seed=SEED, precision=precision) for precision in ("float32", "float64"))

@@ -383,6 +383,7 @@ def test_a_figure_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatc
     assert sorted(path.name for path in tmp_path.iterdir()) == ["figure.png", "run"]
 
 
+@pytest.mark.long
 def test_drawing_needs_no_display_and_no_pyplot():
     program = "import sys, qrsim.runs.figure; print('matplotlib.pyplot' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

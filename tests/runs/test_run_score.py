@@ -34,6 +34,7 @@ def scored(scenario: str, policy: str, seed: int, *overrides: str) -> float:
     return float(play_policy(batch, policy, maker(policy, batch.functional.play), np.array([seed])).returns[0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("scenario", "seconds"),
     [
@@ -51,6 +52,7 @@ def test_it_is_that_of_qrsim_score(tmp_path: Path, scenario: str, seconds: float
     assert found["handed_in"] is (True if scenario.startswith("plume") else None)
 
 
+@pytest.mark.long
 def test_the_scenarios_own_controllers_are_judged_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Cats that nobody commands stay, some 20 m and more from a mouse that flees; of 3 s only the last counts."""
     found = flown(tmp_path, "cats_and_mouse/1A", "--seed", "2", "--duration", "3", "--json")

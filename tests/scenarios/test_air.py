@@ -82,6 +82,7 @@ def test_what_carries_gusts_is_the_mean_wind_at_20_m_or_what_the_field_says(tmp_
     assert convection_speed(content.spec) == pytest.approx((2.0 + 3.0 + 12.0) / 5.0)
 
 
+@pytest.mark.long
 def test_a_world_hands_a_travelling_gust_the_velocity_that_carries_the_turbulence() -> None:
     """That of the mean wind at 20 m, 5 m/s x 6.08095/4.89285."""
     gusts = []

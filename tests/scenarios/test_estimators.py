@@ -71,6 +71,7 @@ def test_what_is_logged_is_of_the_same_tick_as_the_truth(flown: Path):
     assert (found["innovation.position_ned"][late] < 5.0).all()
 
 
+@pytest.mark.long
 def test_its_errors_are_drawn(flown: Path, capsys):
     figure = draw_estimate(open_run(flown), ["pelicans_1"])
     # Position, velocity, attitude, and two biases.

@@ -85,6 +85,7 @@ def complaint(source: Any, *overrides: str) -> str:
 
 
 class TestByFile:
+    @pytest.mark.long
     def test_beside_the_scenario(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         """Wherever one stands, through extends, in both precisions, with the log's columns and the reading's name."""
         written(tmp_path)
@@ -195,6 +196,7 @@ class TestRegistered:
         with pytest.raises(UsageError, match="no kind of component is called 'senser'; did you mean 'sensor'"):
             qrsim.register("senser", "gauge", object)
 
+    @pytest.mark.long
     def test_objects(self, tmp_path: Path):
         """A component that a program has made stands where a built-in one can."""
         gauge = registry.code.load_object("sensor", f"{written(tmp_path)}:Gauge")
@@ -617,6 +619,7 @@ KINDS = {"wind", "turbulence", "gust", "sky", "orbits", "area", "vehicle", "batt
          "sensor", "task"}  # fmt: skip
 
 
+@pytest.mark.long
 def test_of_every_kind_they_are_taken_in_and_traced(tmp_path: Path):
     scenario = load_scenario(of_every_kind(str(written(tmp_path, COPIES, "copies.py"))))
     assert {part["kind"] for part in scenario.outside} == KINDS

@@ -308,6 +308,7 @@ def test_a_command_of_another_kind_is_refused(shared: Simulation, command: Any) 
     )
 
 
+@pytest.mark.long
 def test_each_fleet_can_be_asked_for_something_else(flying: Simulation) -> None:
     """Fleet alpha flies to waypoints while bravo is commanded, as in a simulation where all are."""
     start = flying.save()

@@ -66,6 +66,7 @@ def alone(ranging: Ranging, mine: slice) -> Ranging:
     )
 
 
+@pytest.mark.long
 def test_vehicles_that_share_nothing_are_as_if_each_were_alone() -> None:
     flights, rangings = two()
     rangings = apart(rangings)
@@ -174,6 +175,7 @@ def cost_by_hand(joint: JointGraph, x: Any, landmarks: Any) -> float:
     return 0.5 * float(total)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "share", [pytest.param(0.0, marks=pytest.mark.long), 0.5, pytest.param(1.0, marks=pytest.mark.long)]
 )

@@ -107,6 +107,7 @@ def test_where_no_landmark_has_enough_ranges_nothing_is_solved(flight: Flight) -
         estimate(flight, ranging)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("std", "ambiguous"), [(5.0, False), (12.0, True)])
 def test_landmarks_looked_for_above_the_flight_are_found_below(flight: Flight, std: float, ambiguous: bool) -> None:
     """The flight rises by 2.5 m: ranges good enough tell a landmark from its reflection, others are told not to."""

@@ -111,6 +111,7 @@ def test_a_step_is_that_of_the_full_matrix(small: tuple[graphs.Graph, Any, Any])
         np.testing.assert_allclose(covariance, every[rows, rows], rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("states", ["full", "poses"])
 def test_without_noise_the_landmarks_come_out_to_a_millimetre(states: str) -> None:
     """The estimate begins half a metre off at every state, the landmarks anywhere."""

@@ -35,6 +35,7 @@ def test_under_one_sky_errors_are_one_and_under_each_its_own_they_are_not(
             assert np.sqrt(np.mean(np.square(flight.fix_error - flights[0].fix_error))) > 0.3
 
 
+@pytest.mark.long
 def test_the_first_vehicle_is_that_of_a_flight_alone(shared: list[list[Flight]], own: list[list[Flight]]) -> None:
     alone = example.coloured_flights(SEEDS, SECONDS, PERIOD)
     for i, flight in enumerate(alone):
@@ -58,6 +59,7 @@ def test_vehicles_fly_routes_of_their_own_on_levels_of_their_own(shared: list[li
     assert abs(np.corrcoef(errors[0][both], errors[1][both])[0, 1]) < 4.0 / np.sqrt(both.sum())
 
 
+@pytest.mark.long
 def test_white_errors_are_as_large_as_coloured_ones(own: list[list[Flight]]) -> None:
     """Within 4 standard errors of 100 fixes and two axes."""
     white = team.white_flights(SEEDS, own, SECONDS, PERIOD)

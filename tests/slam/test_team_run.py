@@ -37,6 +37,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return flown(tmp_path_factory.mktemp("team") / "run", sensors)
 
 
+@pytest.mark.long
 def test_ranges_between_the_vehicles_of_a_run_are_those_that_they_measured(run: Path) -> None:
     """Both of a pair measured, 70 % each: 0.05 m, where both did the mean of two."""
     found = qrsim.slam.cooperative_from_run(run, states="poses")

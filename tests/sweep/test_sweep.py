@@ -42,6 +42,7 @@ def test_an_episode_is_what_a_rollout_of_its_scenario_flies(tmp_path: Path) -> N
         assert np.float32(alone["wind_max_m_s"][0, 0]) == here["wind_max_m_s"].values
 
 
+@pytest.mark.long
 def test_batches_of_another_size_give_the_same_results(tmp_path: Path) -> None:
     one = opened(flown(tmp_path, "one.zarr", batch=5))
     other = opened(flown(tmp_path, "other.zarr", batch=60))
@@ -246,6 +247,7 @@ class Unkept(Speed):
 """
 
 
+@pytest.mark.long
 def test_metrics_of_the_users_own_are_kept(tmp_path: Path) -> None:
     (tmp_path / "speed.py").write_text(SPEED)
     own = {"own_metrics": "./speed.py:Speed", "failure": {"metric": "speed_max_m_s", "above": 1e-4}}
@@ -276,6 +278,7 @@ def test_metrics_that_a_study_cannot_keep(tmp_path: Path, name: str, metric: str
         planned(tmp_path, metrics=[metric], own_metrics=f"./speed.py:{name}")
 
 
+@pytest.mark.long
 def test_a_number_that_is_promised_and_not_given_is_named(tmp_path: Path) -> None:
     (tmp_path / "speed.py").write_text(SPEED)
     with pytest.raises(RunError, match=r"finish does not return 'speed_min_m_s'; it returns"):

@@ -112,6 +112,7 @@ def test_a_gaussian_is_mapped_by_flying_to_it() -> None:
     assert np.sum((answer[0] - field(locations)) ** 2) < 1e-3 * np.sum(field(locations) ** 2)
 
 
+@pytest.mark.long
 def test_three_vehicles_map_steady_sources_and_keep_apart() -> None:
     """After 300 steps squared errors are a fifth of those of one who says nothing; nobody came near others or walls."""
     mapper = Mapping(play("3D"), seed=1)

@@ -107,6 +107,7 @@ def test_with_both_baselines_the_episode_is_that_of_the_script() -> None:
     assert script.others == {}
 
 
+@pytest.mark.long
 def test_run_and_score_tell_both_sides(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     told = ["--policy", "baseline", "--set", "duration=4", "--set", BOTH, "--json"]
     assert cli.main(["score", "cats_and_mouse/1A", "--first-seed", "3", "--seeds", "1", *told]) == 0

@@ -72,6 +72,7 @@ class TestForms:
         assert (np.asarray(step.reward) <= 0.0).all()
 
 
+@pytest.mark.long
 def test_the_reward_is_the_squared_distance_from_the_place() -> None:
     """Two follow a leader that waits, in still air; the first begins a quarter of the spacing off its place."""
     calm = [
@@ -175,6 +176,7 @@ def test_what_is_refused(tmp_path: Path, old: str, new: str, message: str) -> No
 
 
 class TestSpeaking:
+    @pytest.mark.long
     def test_a_policy_of_score_may_speak(self) -> None:
         """Who says where it is not is believed by nobody else; the third row says nothing and sends its beacon."""
         heard: list[Any] = []

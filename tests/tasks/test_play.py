@@ -187,6 +187,7 @@ def test_a_step_of_several_ticks_is_those_ticks_of_a_simulation() -> None:
             np.testing.assert_allclose(one, np.asarray(two)[0], rtol=1e-3, atol=2e-3)
 
 
+@pytest.mark.long
 def test_the_cost_of_keeping_a_spot_is_as_defined() -> None:
     game = play("keep_spot")
     episode, _ = begin(game, [1])

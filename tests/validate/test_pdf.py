@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import pytest
 from matplotlib.figure import Figure
 
 from qrsim.validate import pdf
@@ -35,6 +36,7 @@ def pages_of(content: bytes) -> int:
     return int(count[0] or count[1])
 
 
+@pytest.mark.long
 def test_a_report_has_text_pictures_and_numbers() -> None:
     """A page in front, one of text, one with the picture, one of numbers; many checks take more pages."""
     content = pdf.write_pdf([result()], ABOUT)

@@ -83,6 +83,7 @@ def test_range_errors_of_another_size_or_speed_fail(
     assert all(check.passed for check in gnss._checks({gnss.PAPER: run}, 200)) == (not change)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "changed", [pytest.param("length", marks=pytest.mark.long), "sigma", pytest.param("", marks=pytest.mark.long)]
 )

@@ -28,6 +28,7 @@ def test_closed_forms_are_those_of_the_standard_s_lengths() -> None:
     assert part.closed(30.0)["vertical"] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.long
 def test_the_field_passes(points: Any) -> None:
     """Every correlation, and the travel of gusts."""
     assert failed(points, part.travelling(4)) == []

@@ -208,6 +208,7 @@ def test_states_that_come_together_are_drawn_one_after_the_other(view: LiveView,
     assert later == sorted(later)
 
 
+@pytest.mark.long
 def test_readings_are_plotted_against_the_truth(view: LiveView):
     from tests.small_worlds import noisy_pair
 

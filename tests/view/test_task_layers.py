@@ -68,6 +68,7 @@ def test_the_goal_of_a_waypoint_is_drawn_before_anybody_is_there(tmp_path: Path)
     np.testing.assert_allclose(marks(run)["goal of the task"], [[-50.0, -50.0]])
 
 
+@pytest.mark.long
 def test_the_goal_of_who_keeps_a_place_is_where_each_began(tmp_path: Path) -> None:
     run, live = recorded(tmp_path, "keep_spot_10", 0.2)
     # North of the ten, from its scenario.

@@ -64,6 +64,7 @@ def found(points: Any) -> dict[str, Any]:
     }
 
 
+@pytest.mark.long
 def test_sensors_teams_and_radios_find_those_of_all_pairs() -> None:
     """Whoever does not say that it may have missed some; the more the vehicles are spread, the fewer say so."""
     random = np.random.default_rng(20261122)

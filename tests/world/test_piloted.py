@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from qrsim.models.vehicles.multirotor.commands import MotorCommand
 from qrsim.scenarios.scenario import load_scenario
@@ -18,6 +19,7 @@ CONTENT = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 def test_the_motors_are_those_from_outside_and_the_controller_says_what_it_wants():
     simulation = Simulation(load_scenario(CONTENT, quiet=True).world(), seed=1)
     simulation.reset()

@@ -100,6 +100,7 @@ class TestMates:
 
 
 class TestVicsek:
+    @pytest.mark.long
     def test_order_is_that_of_the_noise(self) -> None:
         """All know all, so that one step brings one heading plus noise from -eta/2 to eta/2, and the order parameter is
         sin(eta/2) / (eta/2); 99.9 % of 40 steps of 200 particles, seed 1.
@@ -170,6 +171,7 @@ def test_what_a_flock_wants_by_hand() -> None:
     assert first([[0, 0], [20, 0], [101, 0]], [[0, 0], [10, 0], [0, 9]]) == pytest.approx([4.0, 0.0], abs=1e-5)
 
 
+@pytest.mark.long
 def test_a_flock_migrates_slower_the_nearer_it_is() -> None:
     """A quarter of a metre a second for each metre, up to what is given; nobody else is in reach."""
     places = [[0.0, 0.0], [0.0, 500.0]]

@@ -118,6 +118,7 @@ def _compare_all(rules: dict[str, Any], a: Any, b: Any) -> None:
                 np.testing.assert_array_equal(np.signbit(mine["found"][name])[zero], np.signbit(wanted)[zero])
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_special_numbers_go_the_way_they_go_in_jax():
     """Zeros, NaN, infinity, what does not fit, division by zero, shifts by more than there are bits."""

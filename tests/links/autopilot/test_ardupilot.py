@@ -224,6 +224,7 @@ def test_a_step_that_comes_again_is_answered_again_and_lost_ones_are_counted(por
         assert any("has begun anew" in line for line in said)
 
 
+@pytest.mark.long
 def test_packets_of_others_are_passed_over(port: int) -> None:
     said: list[str] = []
     with flight_of(one(), port, said=said) as flight, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:

@@ -297,6 +297,7 @@ def test_a_mission_outside_the_fence_and_an_arming_outside_it(served):
     client.until("SYS_STATUS", lambda s: not s.onboard_control_sensors_health & M.MAV_SYS_STATUS_PREARM_CHECK)
 
 
+@pytest.mark.long
 def test_who_does_not_read_costs_the_others_nothing(served):
     stalled = socket.socket()
     stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

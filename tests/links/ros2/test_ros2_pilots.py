@@ -122,6 +122,7 @@ def simulation():
     return Simulation(load_scenario(CONTENT).world("float64"), seed=0)
 
 
+@pytest.mark.long
 def test_forward_is_where_the_vehicle_heads(simulation):
     air = Air(simulation)
     air.fly(6.0, 0, Motion((2.0, 0.0, 0.0), 0.0, True))

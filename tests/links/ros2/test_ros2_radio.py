@@ -58,6 +58,7 @@ def heard(simulation, said, ticks=30):
     return found
 
 
+@pytest.mark.long
 def test_what_one_says_all_hear_once(simulation):
     found = heard(simulation, [(0, array([1.0, 2.0, 3.0]))])
     own = sorted(each for each in found if each[2] == [1.0, 2.0, 3.0])

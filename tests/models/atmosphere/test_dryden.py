@@ -369,6 +369,7 @@ def test_severity_table_against_the_standard() -> None:
         assert float(sigma[0]) == pytest.approx(expected * FOOT, rel=1e-5)
 
 
+@pytest.mark.long
 def test_low_and_high_altitude_are_blended_without_a_step() -> None:
     with jax.enable_x64(True):
         speed = jnp.asarray(8.0)

@@ -121,6 +121,7 @@ def test_the_detour_of_a_reflection_is_the_shortest_way_over_the_wall() -> None:
     assert checked > 500
 
 
+@pytest.mark.long
 def test_reflections_end_at_the_roof_and_above_all_roofs_there_is_nothing() -> None:
     # A wall 10 m to the north, 25 m high, seen from 5 m: up to atan(20/10).
     table = table_of([([np.array([[10.0, -100.0], [10.0, 100.0], [14.0, 100.0], [14.0, -100.0]])], 25.0, 0.0)],

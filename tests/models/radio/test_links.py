@@ -27,6 +27,7 @@ def near_of(index, squared):
     return Neighbours(jnp.int32(index), jnp.asarray(np.float32(squared)), jnp.zeros(len(index[0]), bool))
 
 
+@pytest.mark.long
 def test_power_falls_by_gains_distance_and_two_walls_at_most():
     """At 915 MHz 31.68 dB in the first metre and 44 dB over two decades; three boxes in the way take 2 x 20 dB."""
     three = BoxObstacle(

@@ -208,6 +208,7 @@ def test_who_listens_first_does_not_collide_with_whom_it_hears():
     assert 0 < found["deferred"] < 0.3 * 12 * 11
 
 
+@pytest.mark.long
 def test_the_chance_of_loss_at_five_distances_is_that_of_the_law():
     """1e5 packets at each: within 3 standard deviations of 1 - (1 - exp(-SNR B/2R)/2)^480, in double precision."""
     radio, many = network(), 100_000

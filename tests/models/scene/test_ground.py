@@ -136,6 +136,7 @@ class TestGrid:
         # Between the eyes of the table it is interpolated.
         np.testing.assert_allclose(seen[[0, 2], 1], 0.0, atol=0.01)
 
+    @pytest.mark.long
     def test_who_sees_whom_over_ridges(self, tmp_path: Path):
         """A narrow ridge 60 m high, 310 m to the north of a grid of 10 m; what is asked is 2 km and more away."""
         north, east = 10.0 * np.arange(-40, 41), 10.0 * np.arange(-40, 41)

@@ -74,6 +74,7 @@ def released(plume: PuffPlume, ages: list[float], amounts: list[float]) -> PuffS
     return PuffState(one_source(1.0), zero, np.array([len(ages)], np.int32), age, amount)  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 def test_a_puff_holds_what_was_released() -> None:
     """Its spread is that of the receptor's distance, so its mass is exact only where it is small beside that."""
     plume = PuffPlume(puffs=4, spread_factor=1e-3)  # type: ignore[arg-type]
@@ -115,6 +116,7 @@ def draw(ids: int, tick: int, seed: int = 0) -> Draw:
     return Draw(stream, jnp.int32(tick), jnp.zeros((), jnp.float64))
 
 
+@pytest.mark.long
 def test_puffs_are_released_at_exponential_gaps_with_uniform_amounts() -> None:
     """Counts and amounts of 100 sources in 2000 s against their mean, within four standard errors."""
     plume = cast(PuffPlume(fewest=100, most=100, puffs=1024), np.float64)
@@ -140,6 +142,7 @@ def test_puffs_are_released_at_exponential_gaps_with_uniform_amounts() -> None:
     assert abs(gaps.mean() - 5.0) < 4.0 * 5.0 / math.sqrt(gaps.size)
 
 
+@pytest.mark.long
 def test_sources_are_in_the_inner_part_of_the_box_and_as_many_as_asked_for() -> None:
     plume = cast(DispersionPlume(fewest=1, most=5), np.float64)
     begin = jax.jit(lambda seed: plume.init(Draw(Key.root(seed).stream("x", jnp.arange(5, dtype=jnp.uint32)),

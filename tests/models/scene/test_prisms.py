@@ -34,6 +34,7 @@ def world(solids: list[PrismObstacle], **more: Any) -> Obstacles:
     return cast(Obstacles(boxes, cylinders, numbers, prisms), np.float32)
 
 
+@pytest.mark.long
 def test_distance() -> None:
     solid = PrismObstacle.of(L, z_min=-10.0)
     points = at((15, 2, -5), (15, 8, -5), (13, 7, -5), (-3, -4, -5), (5, 5, -13), (15, 7, -14))
@@ -70,6 +71,7 @@ def blocks(count: int) -> list[PrismObstacle]:
     return found
 
 
+@pytest.mark.long
 def test_by_cells_it_is_the_nearest_of_all_prisms_within_reach() -> None:
     solids = blocks(25)
     places = np.random.default_rng(2).uniform([-120.0, -120.0, -50.0], [120.0, 120.0, 0.0], (1000, 3))
@@ -88,6 +90,7 @@ def test_by_cells_it_is_the_nearest_of_all_prisms_within_reach() -> None:
     assert (np.asarray(distance)[~near] > 4.999).all()
 
 
+@pytest.mark.long
 def test_among_boxes_and_cylinders_the_nearest_counts_and_slopes_are_finite() -> None:
     box = BoxObstacle(*(np.array([v]) for v in (-20.0, -10.0, 0.0, 5.0, -5.0, 0.0)))  # type: ignore[arg-type]
     all_three = world([PrismObstacle.of(L, -10.0)], boxes=box)
@@ -101,6 +104,7 @@ def test_among_boxes_and_cylinders_the_nearest_counts_and_slopes_are_finite() ->
     assert np.isnan(uncompiled(all_three.nearest)(at((np.nan, 0.0, -1.0)))[0]).all()
 
 
+@pytest.mark.long
 def test_rays_by_hand() -> None:
     cylinder = CylinderObstacle(*(np.array([v]) for v in (50.0, 0.0, 2.0, -8.0, 0.0)))  # type: ignore[arg-type]
     box = BoxObstacle(*(np.array([v]) for v in (-20.0, -10.0, -5.0, 5.0, -5.0, 0.0)))  # type: ignore[arg-type]

@@ -74,6 +74,7 @@ class TestAllan:
         np.testing.assert_allclose(np.sqrt(flicker), 0.664 * 2.0, rtol=0.08)
         assert math.sqrt(flicker[2]) == pytest.approx(0.664 * 2.0, rel=0.015)
 
+    @pytest.mark.long
     def test_readings_at_rest_have_it(self) -> None:
         """Sixteen chips for an hour, every term visible; 99.9 % over all windows of a kind, N and K within 10 %."""
         given = {"noise": 0.01, "bias_instability": 0.004, "random_walk": 0.001}

@@ -68,6 +68,7 @@ def small() -> World:
     return load_scenario({"name": "small", "extends": "hover_ideal", "fleets": {"posts": posts}}).world()
 
 
+@pytest.mark.long
 def test_it_stands_level_and_feels_its_weight() -> None:
     """An accelerometer at rest reads (0, 0, -g); the heading is that of the start."""
     simulation = flown()

@@ -109,6 +109,7 @@ def flown(model: Any, rows: dict[str, Any], dt: float, air: tuple[float, float, 
         return jax.tree.map(np.asarray, run(start, SurfaceCommand(*columns)))
 
 
+@pytest.mark.long
 def test_the_golden_trajectory(golden: Path) -> None:
     """Doublets of each surface and a step of the throttle in wind, 20 s; surfaces at once, as in the reference."""
     rows = table(golden / "vehicles" / "fixed_wing_surfaces.csv")

@@ -130,6 +130,7 @@ def test_accelerations_of_the_published_forces() -> None:
     np.testing.assert_allclose([axis[0] for axis in slope.rates.axes], [roll, 8.756434 / 1.135, yaw], atol=1e-5)
 
 
+@pytest.mark.long
 def test_a_fall_without_air() -> None:
     """The classical rule is exact on g t^2/2: in 0.1 s 0.04905 m beside the way of 0.2 m, and nothing is felt."""
     still = vector(0.0, 0.0, 0.0)
@@ -265,6 +266,7 @@ class TestTrim:
 
     GLIDE = -0.0522
 
+    @pytest.mark.long
     def test_it_has_no_acceleration(self) -> None:
         """Less than 1e-10 of anything; the last but one step of this climb leaves 1.1e-10."""
         at = trim(FixedWing(), 25.0, 0.0445)
