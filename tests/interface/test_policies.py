@@ -48,7 +48,8 @@ class Steer:
     def step(self, reading: Any, memory: Any) -> Any:
         # Beyond its 60th time it stops nodding.
         command = steer(reading)
-        command = command.at[:, 0].set(jnp.where(memory["asked"] < 60, command[:, 0], 0.0))
+        nod = jnp.where(memory["asked"] < 60, command[:, :1], 0.0)
+        command = jnp.concatenate([nod, command[:, 1:]], axis=1)
         return command, {"asked": memory["asked"] + 1, "places": reading.gnss.position_ned}
 
 
