@@ -1,4 +1,4 @@
-"""Traced functions evaluated with NumPy.
+"""Traced functions evaluated with NumPy, operation by operation.
 
 Loading, checking and recording compute a few numbers with functions that are written for JAX. XLA would take longer to
 compile each of them than a short flight takes. Here a function is traced and its operations are computed one by one, as
@@ -7,8 +7,10 @@ JAX does without compiling; what NumPy has no operation for is left to JAX.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache, wraps
+import functools
+import itertools
+import operator
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -18,13 +20,11 @@ from jax.extend import core as jex
 from qrsim.core.primitives import KERNELS
 from qrsim.core.structure import kinds
 
-_CALLS = ("jit", "pjit", "custom_jvp_call", "custom_vjp_call", "closed_call", "remat", "checkpoint")
+Rule = Callable[..., Any]
 # So many programs of a function are kept.
 _MOST = 64
-
-
-class _UnknownError(Exception):
-    """An operation that is not computed here."""
+# Longer loops are left to JAX.
+_MOST_TURNS = 100
 
 
 def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -35,7 +35,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
     """
     traced: dict[Any, Any] = {}
 
-    @wraps(function)
+    @functools.wraps(function)
     def call(*trees: Any) -> Any:
         leaves, structure = jax.tree.flatten(trees)
         arrays = [np.asarray(leaf, jax.dtypes.canonicalize_dtype(np.asarray(leaf).dtype)) for leaf in leaves]
@@ -48,33 +48,22 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
             closed, shape = jax.make_jaxpr(function, return_shape=True)(*templates)
             traced[key] = closed, jax.tree.structure(shape)
         closed, result = traced[key]
-        try:
-            with np.errstate(all="ignore"):
-                found = _run(closed, arrays)
-        except _UnknownError:
-            return jax.tree.map(np.asarray, jax.jit(function)(*trees))
-        return jax.tree.unflatten(result, found)
+        return jax.tree.unflatten(result, evaluate(closed, arrays))
 
     return call
 
 
-@cache
-def _kernel(name: str) -> Any:
-    """Return the body of a kernel, traced for single elements; NumPy spreads its operations over arrays."""
-    kernel = KERNELS[name]
-    return jax.make_jaxpr(kernel.body)(*(np.zeros((), dtype) for dtype in kernel.takes))
-
-
-def _run(closed: Any, arguments: list[Any]) -> list[Any]:
-    """Return the results of a program, each in its shape."""
-    found = _results(closed, arguments)
+def evaluate(closed: Any, arguments: Sequence[Any]) -> list[Any]:
+    """Return the results of a closed jaxpr, each in its shape, for arrays of NumPy."""
+    with np.errstate(all="ignore"):
+        found = _run(closed.jaxpr, closed.consts, arguments)
     return [np.broadcast_to(array, aval.shape) for array, aval in zip(found, closed.out_avals, strict=True)]
 
 
-def _results(closed: Any, arguments: list[Any]) -> list[Any]:
-    jaxpr: Any = closed.jaxpr
-    known: dict[Any, Any] = dict(zip(jaxpr.invars, arguments, strict=True))
-    known.update(zip(jaxpr.constvars, map(np.asarray, closed.consts), strict=True))
+def _run(jaxpr: Any, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
+    known: dict[Any, Any] = {}
+    for variable, value in zip((*jaxpr.constvars, *jaxpr.invars), (*constants, *arguments), strict=True):
+        known[variable] = np.asarray(value)
 
     def read(atom: Any) -> Any:
         if not isinstance(atom, jex.Literal):
@@ -83,86 +72,183 @@ def _results(closed: Any, arguments: list[Any]) -> list[Any]:
         return np.asarray(atom.val, of.dtype)
 
     for equation in jaxpr.eqns:
-        found = _applied(equation, [read(atom) for atom in equation.invars])
-        for variable, value in zip(equation.outvars, found, strict=True):
-            aval: Any = variable.aval
-            known[variable] = value if value.dtype == aval.dtype else value.astype(aval.dtype)
+        outputs = _applied(equation, [read(atom) for atom in equation.invars])
+        for variable, value in zip(equation.outvars, outputs, strict=True):
+            known[variable] = np.asarray(value, variable.aval.dtype)
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _applied(equation: Any, inputs: list[Any]) -> list[Any]:
+def _applied(equation: Any, inputs: list[Any]) -> Sequence[Any]:
     name, parameters = equation.primitive.name, equation.params
-    if name in _CALLS:
-        return _results(parameters["call_jaxpr" if "call_jaxpr" in parameters else "jaxpr"], inputs)
-    if name.startswith("kernel_") and name.removeprefix("kernel_") in KERNELS:
-        return _results(_kernel(name.removeprefix("kernel_")), inputs)
-    if name in _PLAIN:
-        return [_PLAIN[name](*inputs)]
-    if name in _WITH_PARAMETERS:
-        return [_WITH_PARAMETERS[name](parameters, *inputs)]
-    raise _UnknownError(name)
+    rule = _RULES.get(name)
+    if rule is not None:
+        return (rule(parameters, *inputs),)
+    if name in _WHOLE and parameters.get("length", 0) <= _MOST_TURNS:
+        found: Sequence[Any] = _WHOLE[name](parameters, *inputs)
+        return found
+    if name.startswith("kernel_"):
+        body = _kernel(name.removeprefix("kernel_"))
+        return _run(body.jaxpr, body.consts, inputs)
+    found = equation.primitive.bind(*map(jax.numpy.asarray, inputs), **parameters)
+    return found if equation.primitive.multiple_results else (found,)
+
+
+@functools.cache
+def _kernel(name: str) -> Any:
+    """Return the body of a kernel, traced for single elements; NumPy spreads its operations over arrays."""
+    kernel = KERNELS[name]
+    return jax.make_jaxpr(kernel.body)(*(np.zeros((), dtype) for dtype in kernel.takes))
+
+
+# Programs inside programs
+
+
+def _called(parameters: Any, *inputs: Any) -> list[Any]:
+    closed = parameters.get("jaxpr", parameters.get("call_jaxpr"))
+    return _run(getattr(closed, "jaxpr", closed), getattr(closed, "consts", ()), inputs)
+
+
+def _cond(parameters: Any, index: Any, *inputs: Any) -> list[Any]:
+    branches = parameters["branches"]
+    chosen = branches[min(max(int(index), 0), len(branches) - 1)]
+    return _run(chosen.jaxpr, chosen.consts, inputs)
+
+
+def _scan(parameters: Any, *inputs: Any) -> list[Any]:
+    body, constants, carried = parameters["jaxpr"], parameters["num_consts"], parameters["num_carry"]
+    same, state, rows = inputs[:constants], inputs[constants : constants + carried], inputs[constants + carried :]
+    turns = range(parameters["length"])
+    found: list[list[Any]] = []
+    for i in reversed(turns) if parameters["reverse"] else turns:
+        results = _run(body.jaxpr, body.consts, (*same, *state, *(row[i] for row in rows)))
+        state = tuple(results[:carried])
+        found.append(results[carried:])
+    if parameters["reverse"]:
+        found.reverse()
+    return [*state, *(np.stack(each) for each in zip(*found, strict=True))]
+
+
+_WHOLE: dict[str, Rule] = {
+    **dict.fromkeys(("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "checkpoint"), _called),
+    "cond": _cond, "scan": _scan,
+    "unstack": lambda p, x: [np.take(x, i, p["axis"]) for i in range(x.shape[p["axis"]])],
+    "split": lambda p, x: np.split(x, np.cumsum(p["sizes"])[:-1], p["axis"]),
+}  # fmt: skip
+
+
+# Operations
+
+
+def _broadcast(parameters: Any, x: Any) -> Any:
+    shape, to = parameters["shape"], parameters["broadcast_dimensions"]
+    wider = [x.shape[to.index(axis)] if axis in to else 1 for axis in range(len(shape))]
+    return np.broadcast_to(x.reshape(wider), shape)
+
+
+def _slice(parameters: Any, x: Any) -> Any:
+    strides = parameters["strides"] or itertools.repeat(1)
+    return x[tuple(map(slice, parameters["start_indices"], parameters["limit_indices"], strides))]
+
+
+def _select(parameters: Any, which: Any, *cases: Any) -> Any:
+    return np.where(which, cases[1], cases[0]) if which.dtype == bool else np.choose(which, cases)
+
+
+def _converted(parameters: Any, x: Any) -> Any:
+    to = parameters["new_dtype"]
+    if x.dtype.kind == "f" and np.dtype(to).kind in "iu":
+        # Beyond what fits, NumPy's result depends on the processor.
+        limits = np.iinfo(to)
+        return np.clip(np.nan_to_num(np.trunc(x.astype(np.float64))), limits.min, limits.max).astype(to)
+    return x.astype(to)
 
 
 def _rounded(parameters: Any, x: Any) -> Any:
     if int(parameters["rounding_method"]) == 1:
         return np.rint(x)
-    return np.copysign(np.floor(np.abs(x) + 0.5), x)
+    return np.copysign(np.floor(np.abs(x) + x.dtype.type(0.5)), x)
 
 
-def _power(x: Any, exponent: int) -> Any:
-    # By squares, in the order of the compilers.
-    result, square, left = None, x, abs(exponent)
-    while left:
-        if left & 1:
-            result = square if result is None else result * square
-        square, left = square * square, left >> 1
-    result = np.ones_like(x) if result is None else result
-    return result if exponent >= 0 else 1 / result
+def _power(parameters: Any, x: Any) -> Any:
+    exponent = parameters["y"]
+    found = functools.reduce(operator.mul, [x] * abs(exponent), np.ones_like(x))
+    return found if exponent >= 0 else np.reciprocal(found)
 
 
-def _spread(parameters: Any, x: Any) -> Any:
-    shape, axes = parameters["shape"], parameters["broadcast_dimensions"]
-    aligned = [1] * len(shape)
-    for axis, extent in zip(axes, x.shape, strict=True):
-        aligned[axis] = extent
-    return np.broadcast_to(x.reshape(aligned), shape)
+def _quotient(parameters: Any, a: Any, b: Any) -> Any:
+    return a / b if a.dtype.kind == "f" else np.trunc(a.astype(np.float64) / b)
 
 
-def _part(parameters: Any, x: Any) -> Any:
-    bounds = zip(parameters["start_indices"], parameters["limit_indices"], strict=True)
-    steps = parameters["strides"] or (1,) * x.ndim
-    return x[tuple(slice(begin, end, step) for (begin, end), step in zip(bounds, steps, strict=True))]
+def _padded(parameters: Any, x: Any, value: Any) -> Any:
+    sizes = [low + high + n + max(n - 1, 0) * gap for n, (low, high, gap) in zip(x.shape, parameters["padding_config"],
+                                                                                 strict=True)]  # fmt: skip
+    if any(min(low, high) < 0 for low, high, _ in parameters["padding_config"]):
+        return jax.lax.pad(jax.numpy.asarray(x), jax.numpy.asarray(value), parameters["padding_config"])
+    found = np.full(sizes, value, x.dtype)
+    found[tuple(slice(low, size - high, gap + 1) for size, (low, high, gap) in zip(sizes, parameters["padding_config"],
+                                                                                  strict=True))] = x  # fmt: skip
+    return found
 
 
-_PLAIN: dict[str, Callable[..., Any]] = {
-    "add": np.add, "add_any": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative,
-    "max": np.maximum, "min": np.minimum, "abs": np.abs, "sign": np.sign, "sqrt": np.sqrt, "square": np.square,
-    "floor": np.floor, "ceil": np.ceil, "exp": np.exp, "log": np.log, "sin": np.sin, "cos": np.cos, "tan": np.tan,
-    "atan2": np.arctan2, "pow": np.power, "is_finite": np.isfinite, "rounded": lambda x: x, "copy": lambda x: x,
-    "stop_gradient": lambda x: x, "optimization_barrier": lambda x: x,
-    "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
-    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert,
-    "shift_left": np.left_shift, "shift_right_arithmetic": np.right_shift,
-    "clamp": lambda low, x, high: np.minimum(np.maximum(x, low), high),
+def _iota(parameters: Any) -> Any:
+    shape, axis = parameters["shape"], parameters["dimension"]
+    counted = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
+    return np.broadcast_to(counted, shape)
+
+
+def _shifted(function: Rule) -> Rule:
+    def rule(parameters: Any, a: Any, b: Any) -> Any:
+        bits = 8 * a.dtype.itemsize
+        unsigned = a.view(f"u{a.dtype.itemsize}") if function is np.right_shift else a
+        return np.where(b < a.dtype.type(bits), function(unsigned, b.astype(unsigned.dtype)), 0).astype(a.dtype)
+
+    return rule
+
+
+def _of(function: Rule) -> Rule:
+    return lambda parameters, *inputs: function(*inputs)
+
+
+def _sum(parameters: Any, x: Any) -> Any:
+    axes = parameters["axes"]
+    rest = [size for axis, size in enumerate(x.shape) if axis not in axes]
+    parts = np.moveaxis(x, axes, range(len(axes))).reshape(-1, *rest)
+    # One after the other in every layout, unlike np.sum.
+    return np.add.accumulate(parts, axis=0, dtype=x.dtype)[-1] if len(parts) else np.zeros(rest, x.dtype)
+
+
+def _along(function: Any) -> Rule:
+    return lambda parameters, x: function.reduce(x, axis=tuple(parameters["axes"]), dtype=x.dtype)
+
+
+_ELEMENTWISE: dict[str, Rule] = {
+    "add": np.add, "add_any": np.add, "sub": np.subtract, "mul": np.multiply, "max": np.maximum, "min": np.minimum,
+    "neg": np.negative, "abs": np.abs, "sqrt": np.sqrt, "sign": np.sign, "floor": np.floor, "ceil": np.ceil,
+    "rem": np.fmod, "square": np.square, "atan2": np.arctan2, "rsqrt": lambda x: 1 / np.sqrt(x),
+    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal,
+    "ne": np.not_equal, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert,
+    "is_finite": np.isfinite, "expm1": np.expm1, "log1p": np.log1p, "exp": np.exp, "log": np.log,
+    "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "sin": np.sin, "cos": np.cos, "tan": np.tan,
+    "tanh": np.tanh, "sinh": np.sinh, "cosh": np.cosh, "exp2": np.exp2, "stop_gradient": lambda x: x,
+    "rounded": lambda x: x, "copy": lambda x: x, "optimization_barrier": lambda x: x,
+    "clamp": lambda low, x, high: np.minimum(np.maximum(low, x), high),
 }  # fmt: skip
-_WITH_PARAMETERS: dict[str, Callable[..., Any]] = {
-    "select_n": lambda p, which, *cases: np.where(which, cases[1], cases[0]) if len(cases) == 2 else _unknown(),
-    "integer_pow": lambda p, x: _power(x, p["y"]),
-    "round": _rounded,
-    "convert_element_type": lambda p, x: x.astype(p["new_dtype"]),
-    "bitcast_convert_type": lambda p, x: np.ascontiguousarray(x).view(p["new_dtype"]),
-    "broadcast_in_dim": _spread,
+_REDUCTIONS: dict[str, Rule] = {
+    "max": np.maximum, "min": np.minimum, "or": np.bitwise_or, "and": np.bitwise_and, "prod": np.multiply,
+}  # fmt: skip
+_RULES: dict[str, Rule] = {
+    **{name: _of(function) for name, function in _ELEMENTWISE.items()},
+    **{f"reduce_{name}": _along(function) for name, function in _REDUCTIONS.items()},
+    "reduce_sum": _sum, "broadcast_in_dim": _broadcast,
+    "slice": _slice, "select_n": _select, "convert_element_type": _converted,
+    "round": _rounded, "integer_pow": _power, "div": _quotient, "pad": _padded, "iota": _iota,
     "reshape": lambda p, x: x.reshape(p["new_sizes"]),
-    "squeeze": lambda p, x: np.squeeze(x, p["dimensions"]),
-    "transpose": lambda p, x: np.transpose(x, p["permutation"]),
-    "slice": _part,
+    "squeeze": lambda p, x: np.squeeze(x, tuple(p["dimensions"])),
+    "transpose": lambda p, x: x.transpose(p["permutation"]),
     "concatenate": lambda p, *parts: np.concatenate(parts, p["dimension"]),
-    "reduce_max": lambda p, x: np.max(x, p["axes"]),
-    "reduce_min": lambda p, x: np.min(x, p["axes"]),
-    "reduce_or": lambda p, x: np.any(x, p["axes"]),
-    "reduce_and": lambda p, x: np.all(x, p["axes"]),
+    "stack": lambda p, *parts: np.stack(parts, p["axis"]),
+    "bitcast_convert_type": lambda p, x: np.ascontiguousarray(x).view(p["new_dtype"]).reshape(x.shape),
+    "empty2": lambda p: np.zeros((), p["dtype"]),
+    "shift_left": _shifted(np.left_shift), "shift_right_logical": _shifted(np.right_shift),
+    "shift_right_arithmetic": lambda p, a, b: np.right_shift(a, np.minimum(b, a.dtype.type(8 * a.dtype.itemsize - 1))),
 }  # fmt: skip
-
-
-def _unknown() -> Any:
-    raise _UnknownError
