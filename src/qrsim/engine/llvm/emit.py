@@ -234,12 +234,8 @@ class Emitter(Loops):
         kept = [v for a, v in enumerate(self.scope.variables) if a not in node.attributes[1]]
         place = self.places[node.number]
         wanted = self.lanes if place.own and self.side_by_side else lanes
-        self.store(
-            node.dtype,
-            self.address(place, [(v, 0) for v in kept]),
-            self.widened((value, lanes), node.dtype, wanted),
-            wanted,
-        )
+        address = self.address(place, [(v, 0) for v in kept])
+        self.store(node.dtype, address, self.widened((value, lanes), node.dtype, wanted), wanted)
 
     # Moves
 

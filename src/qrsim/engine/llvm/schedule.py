@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect
 from collections import Counter, defaultdict
 from collections.abc import Collection
 from dataclasses import dataclass, field
@@ -254,14 +255,15 @@ class Arena:
     def give(self, begin: int, size: int) -> None:
         """Take back what ``take`` gave."""
         size = -(-size // self.ALIGN) * self.ALIGN
+        first = after = bisect(self.free, (begin, size))
         # Neighbours become one, so that a large array finds room where small ones were.
-        merged: list[tuple[int, int]] = []
-        for part in sorted([*self.free, (begin, size)]):
-            if merged and merged[-1][0] + merged[-1][1] == part[0]:
-                merged[-1] = (merged[-1][0], merged[-1][1] + part[1])
-            else:
-                merged.append(part)
-        self.free = merged
+        if first and sum(self.free[first - 1]) == begin:
+            first -= 1
+            begin, size = self.free[first][0], self.free[first][1] + size
+        if after < len(self.free) and self.free[after][0] == begin + size:
+            size += self.free[after][1]
+            after += 1
+        self.free[first:after] = [(begin, size)]
 
 
 def readers(steps: list[Step]) -> dict[int, list[Reading]]:

@@ -159,16 +159,13 @@ class Writer:
 
     def address(self, place: Place, index: Sequence[tuple[str | None, int]]) -> str:
         """Return a pointer to an element; each axis is at a counter (None: none) plus an offset."""
-        fixed, terms = place.offset, []
+        fixed, pointer = place.offset, place.pointer
         if place.short:
             index = [*index[:-1], (None, 0)]
         for (variable, offset), stride in zip(index, place.strides, strict=True):
             fixed += offset * stride
             if variable is not None and variable != "0":
-                terms.append((variable, stride))
-        pointer = place.pointer
-        for term in terms:
-            pointer = self._moved(pointer, *term)
+                pointer = self._moved(pointer, variable, stride)
         return pointer if fixed == 0 else self.once(f"getelementptr i8, ptr {pointer}, i64 {fixed}")
 
     def _moved(self, pointer: str, variable: str, stride: int) -> str:
