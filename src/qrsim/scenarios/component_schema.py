@@ -16,6 +16,7 @@ from pydantic import (
     create_model,
     model_validator,
 )
+from pydantic_core import core_schema
 
 from qrsim.core.presets import filled, presets_of
 from qrsim.core.tree import FieldInfo, field_info
@@ -86,7 +87,22 @@ def _for_each(info: FieldInfo) -> Any:
     return Annotated[
         Annotated[entry, Tag("one")] | Annotated[list[number], Tag("each")],
         Discriminator(_one_or_each),
+        _Numbers(info),
     ]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Numbers:
+    """What pydantic makes of ``_for_each``, at once: there are hundreds, and every command waits for them."""
+
+    info: FieldInfo
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
+        number = core_schema.float_schema(strict=True, allow_inf_nan=False, **_bounds(self.info))
+        one = core_schema.nullable_schema(number) if self.info.inherits else number
+        return core_schema.tagged_union_schema(
+            {"one": one, "each": core_schema.list_schema(number)}, discriminator=_one_or_each
+        )
 
 
 def _field(name: str, hint: Any, field: dataclasses.Field[Any], each: bool) -> tuple[Any, Any]:
