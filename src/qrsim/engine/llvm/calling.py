@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import threading
 from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any
@@ -19,6 +20,7 @@ from qrsim.engine.llvm.refusal import UnsupportedError, refusing
 # How long quick code runs before better code is made: a tenth of what that takes.
 PATIENCE_S = 0.3
 TICKS_AT_ONCE = 1000
+_ASKING = threading.Lock()
 
 
 class Program:
@@ -66,8 +68,11 @@ class Program:
         """Ask for better code once the program has run for long enough to pay for it."""
         self._patience_s -= seconds
         if self._patience_s <= 0.0 and self._text:
-            text, self._text = self._text, b""
-            compile_later(text, self._better)
+            # Several threads may run a program, and one of them asks.
+            with _ASKING:
+                text, self._text = self._text, b""
+            if text:
+                compile_later(text, self._better)
 
     def scratch(self) -> Any:
         """Return working memory for one thread."""
