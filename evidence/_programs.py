@@ -382,7 +382,7 @@ def _neighbours(draw: Draw) -> None:
 def _kernels(draw: Draw) -> None:
     words = draw.some("u", (draw.size,))
     for kernel in KERNELS.values():
-        if "float32" in kernel.takes and draw.floats != np.float32:
+        if "float32" in (*kernel.takes, *kernel.gives) and draw.floats != np.float32:
             continue
         # Scalars among the arguments are spread.
         arguments = [

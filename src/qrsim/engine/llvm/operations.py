@@ -19,6 +19,9 @@ _LIBRARY = {
     "tanh", "pow",
 }  # fmt: skip
 _FLOAT_COMPARISONS = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
+# What hands on one of its arguments, or its bits but for the sign.
+_CHOICES = ("select_n", "min", "max", "clamp")
+_KEEPING = (*_CHOICES, "neg", "abs", "sign", "concatenate", "pick", "scatter", "reduce", "running")
 _BITS = {"and": "and", "or": "or", "xor": "xor"}
 _SHIFTS = {"shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}
 
@@ -33,10 +36,19 @@ class Operations:
 
     def __init__(self, emit: Emit, declarations: set[str]):
         self.emit, self.declarations = emit, declarations
+        # Numbers of nodes that are normal or zero.
+        self._flushed: set[int] = set()
 
     def compute(self, node: Node, values: list[str], lanes: int) -> str:
         """Return the value of a node from those of its arguments, all of ``lanes`` lanes."""
         argument = node.args[0].node.dtype if node.args else node.dtype
+        if node.op in _CHOICES:
+            # Processors choose with or without flushing, as the compiler likes, so it is done before.
+            values = [
+                self._intrinsic("canonicalize", access.node.dtype, lanes, [value])
+                if access.node.dtype.kind == "f" and self._may_be_tiny(access.node) else value
+                for access, value in zip(node.args, values, strict=True)
+            ]  # fmt: skip
         kind = argument.kind
         of = vector(scalar_type(argument), lanes)
         rule = getattr(self, f"_{node.op}", None)
@@ -57,6 +69,22 @@ class Operations:
             raise UnsupportedError(f"'{node.op}'")
         result: str = rule(node, of, values, lanes)
         return result
+
+    def _may_be_tiny(self, node: Node) -> bool:
+        """Return whether a number may be below the normal ones, as bits of a whole number that nothing has flushed."""
+        seen: set[int] = set()
+        stack = [node]
+        while stack:
+            found = stack.pop()
+            if found.number in seen or found.number in self._flushed:
+                continue
+            seen.add(found.number)
+            if found.op == "bitcast_convert_type" or (found.op == "constant" and _has_tiny(found)):
+                return True
+            if found.op in _KEEPING:
+                stack += [access.node for access in found.args if access.node.dtype.kind == "f"]
+        self._flushed |= seen
+        return False
 
     def combine(self, how: str, dtype: DType, lanes: int, a: str, b: str) -> str:
         """Return the value of one step of a reduction."""
@@ -327,6 +355,12 @@ class Operations:
         else:
             how = "sext" if before.kind == "i" else "zext"
         return self.emit(f"{how} {of} {values[0]} to {to}")
+
+
+def _has_tiny(constant: Node) -> bool:
+    """Return whether a constant has numbers below the normal ones."""
+    sizes = np.abs(np.frombuffer(constant.attributes[0], constant.dtype))
+    return bool(((sizes > 0.0) & (sizes < np.finfo(constant.dtype).tiny)).any())
 
 
 def _known_number(node: Node) -> float | None:
