@@ -12,6 +12,7 @@ import pytest
 
 # Tests fly for seconds at most, which is too short to compile better code; the tiers have tests of their own.
 os.environ.setdefault("QRSIM_TIER", "quick")
+CACHE = os.environ.get("QRSIM_COMPILATION_CACHE")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
@@ -48,12 +49,11 @@ def _bounded_memory() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="module")
 def _same_cache() -> Iterator[None]:
-    """Switch the cache of programs on again after a file that flew a benchmark, which switches it off."""
-    before = os.environ.get("QRSIM_COMPILATION_CACHE")
-    yield
+    """Switch the cache of programs on again after a benchmark was flown, which switches it off."""
     os.environ.pop("QRSIM_COMPILATION_CACHE", None)
-    if before is not None:
-        os.environ["QRSIM_COMPILATION_CACHE"] = before
+    if CACHE is not None:
+        os.environ["QRSIM_COMPILATION_CACHE"] = CACHE
+    yield
 
 
 def resident_bytes() -> int:

@@ -523,6 +523,7 @@ def test_mcap_places_wind_and_events(recorded, tmp_path):
 # every format
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["csv", "geojson", "gpx", "kml", "mcap"])
 def test_a_flown_run_in_its_default_place(form, flown, tmp_path, capsys):
     folder = tmp_path / "first"

@@ -43,6 +43,7 @@ def test_each_has_spaces_of_its_own() -> None:
     assert sorted(env.observation_axes) == ["quadrotors", "rover"]
 
 
+@pytest.mark.long
 def test_each_does_what_it_is_told() -> None:
     env = team()
     env.reset(seed=3)

@@ -52,13 +52,18 @@ ONE_FORM = [("VEHICLES", "multirotor")]
 SHARED = (".geometry.", ".ids")
 
 
+# Groups whose slopes and batches take longest to trace.
+DEAR = ("VEHICLES", "FILTERS", "CONTROLLERS")
+
+
 def option_cases(options_are_long: bool = False, one_form: Sequence[tuple[str, str]] = ()) -> list[Any]:
     """Return every component by its defaults, and with each of its options."""
     cases = []
     for group, name in COMPONENTS:
         for settings in options(group, name)[: 1 if (group, name) in one_form else None]:
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
-            marks = (pytest.mark.long,) if settings and options_are_long else ()
+            long = options_are_long and (bool(settings) or group in DEAR)
+            marks = (pytest.mark.long,) if long else ()
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases
 

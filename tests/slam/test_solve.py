@@ -125,6 +125,7 @@ def test_without_noise_the_landmarks_come_out_to_a_millimetre(states: str) -> No
     assert found.costs[-1] < 1e-6 < found.costs[0]
 
 
+@pytest.mark.long
 def test_both_ways_to_hold_steps_back_lead_to_one_optimum() -> None:
     flight = exact_flight(0.5, fixes=True)
     ranging = exact_ranges(flight)

@@ -34,6 +34,7 @@ def test_the_field_passes(points: Any) -> None:
     assert failed(points, part.travelling(4)) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("changed", ["length", "sigma"])
 def test_a_field_of_another_length_or_size_fails(points: Any, monkeypatch: pytest.MonkeyPatch, changed: str) -> None:
     """Beside lengths or standard deviations that are a fifth smaller."""
