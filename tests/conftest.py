@@ -48,12 +48,11 @@ def _bounded_memory() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _same_cache() -> Iterator[None]:
+def _same_cache() -> None:
     """Switch the cache of programs on again after a benchmark was flown, which switches it off."""
     os.environ.pop("QRSIM_COMPILATION_CACHE", None)
     if CACHE is not None:
         os.environ["QRSIM_COMPILATION_CACHE"] = CACHE
-    yield
 
 
 def resident_bytes() -> int:
