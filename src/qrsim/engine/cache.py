@@ -108,7 +108,7 @@ def kept(what: tuple[Any, ...], make: Callable[[], Any]) -> Any:
 
 
 def look_up(what: tuple[Any, ...], rooms: tuple[str, ...] = TRACED) -> Any:
-    """Return what the cache has, a Binary, a Known or a whole number, or None.
+    """Return the kept Binary, Known or whole number, or None.
 
     Args:
         what: all that it depends on apart from this package and the machine; its repr is the key.

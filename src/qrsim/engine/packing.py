@@ -45,7 +45,7 @@ def processor() -> str:
 
 
 def contents() -> dict[str, Contents]:
-    """Return what the cache holds, by kind; nothing where QRSIM_COMPILATION_CACHE is off."""
+    """Return the contents of the cache by kind; an empty dict if QRSIM_COMPILATION_CACHE is off."""
     found = {}
     for kind in KINDS if cache.folder() is not None else ():
         sizes = [path.stat().st_size for path in _files(kind)]
@@ -54,7 +54,7 @@ def contents() -> dict[str, Contents]:
 
 
 def clear() -> dict[str, Contents]:
-    """Delete every file of the cache, and return what was deleted, by kind.
+    """Delete every file of the cache, and return the deleted contents by kind.
 
     Raises:
         RunError: a file cannot be deleted.
@@ -166,7 +166,7 @@ def _entries(path: Path, archive: tarfile.TarFile) -> dict[str, bytes]:
     entries: dict[str, bytes] = {}
     left = LARGEST_BYTES
     while (member := archive.next()) is not None:
-        # Names of its own only: nothing of an archive may lie anywhere else.
+        # Only names that a cache uses: no member may be written anywhere else.
         if not member.isreg() or not _NAME.fullmatch(member.name):
             raise UsageError(f"{path}: has a member '{member.name[:100]}' that no cache has; nothing was unpacked")
         left -= member.size

@@ -77,7 +77,7 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
 
 
 def _believed(fleet: Fleet, state: FleetState) -> list[tuple[str, Any]]:
-    """Return what a fleet's estimator, or a controller's own, estimates, with its std and innovations."""
+    """Return the estimate of a fleet's estimator, or of a controller's own, with its std and innovations."""
     belief = state.belief
     if belief is None:
         return []
