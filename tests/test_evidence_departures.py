@@ -52,6 +52,7 @@ def test_the_published_wind_does_not_turn_within_a_step() -> None:
     assert down(Quadrotor()) - down(departures.PublishedWind()) == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.long
 def test_the_small_form_finds_what_the_page_shows() -> None:
     measured = json.loads(EVIDENCE.read_text(encoding="utf-8"))["results"]["waypoint"]
     found = departures.run(full=False, parts=("waypoint",))["waypoint"]

@@ -158,6 +158,7 @@ class TestInOrder:
         with heard():
             time.sleep(0.05)
 
+    @pytest.mark.long
     def test_it_does_not_come_again_while_things_are_put_in_order(self) -> None:
         done = []
         with pytest.raises(Interruption), heard():

@@ -64,6 +64,7 @@ def test_a_missing_folder_and_a_folder_that_is_no_run(flown, tmp_path, refused):
     refused(["plot", str(flown.folder.parent)], "runs inside it: run")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "reason"), [("nowhere/x.png", "No such file"), ("folder.png", "Is a directory")])
 def test_a_target_that_cannot_be_written(name, reason, flown, tmp_path, refused):
     (tmp_path / "folder.png").mkdir()

@@ -115,6 +115,7 @@ class TestFlights:
         np.testing.assert_array_equal(roll, np.tile(roll[:, :1], 10))
         assert len(np.unique(roll[:, 0])) > 3
 
+    @pytest.mark.long
     def test_set_points_and_estimators(self, flown):
         south = flown("--policy", "FILE:southwards")
         assert np.all(column(south.folder, "truth", "position_ned.x")[-1] < -1.0)

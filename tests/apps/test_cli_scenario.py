@@ -26,6 +26,7 @@ def printed(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 # ---------------------------------------------------------------- list
 
 
+@pytest.mark.long
 def test_list_has_one_line_per_scenario(capsys):
     lines = printed(["list"], capsys).splitlines()
     assert [line.split()[0] for line in lines] == built_in_names()

@@ -39,6 +39,7 @@ def test_a_table_and_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
     assert Path("scores.png").stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["score", "keep_spot", "--seeds", "2", "--first-seed", "5", "--set", "duration=3", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -83,6 +83,7 @@ def quick(recordings: Path) -> Callable[[str], Outcome]:
 QUICK_PARTS = ("rotation", "translation", "thrust")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.long] * (name not in QUICK_PARTS)) for name in PARTS]
 )
@@ -135,6 +136,7 @@ def test_verdicts_of_shares():
     ]
 
 
+@pytest.mark.long
 def test_the_fitted_wind_is_found_again(recordings: Path):
     """The model flown in a known wind is fitted by that wind, because the model is linear in it."""
     flight = outdoor.fly_recorded(recordings / outdoor.RECORDING)

@@ -219,6 +219,7 @@ def test_a_server_with_a_page_has_one_session(refused):
     refused(["serve", "--view", "--sessions"], "it shows one simulation")
 
 
+@pytest.mark.long
 def test_without_looking_nothing_of_the_page_is_imported():
     """So 'make run' needs no viser."""
     code = "import sys, qrsim.cli, qrsim.runs.recorder; print('viser' in sys.modules, 'qrsim.view' in sys.modules)"

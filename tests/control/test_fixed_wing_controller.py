@@ -201,6 +201,7 @@ def test_the_circle_round_a_waypoint_is_one_that_it_can_fly() -> None:
     assert qrsim.load_scenario(source).name == "x"
 
 
+@pytest.mark.long
 def test_a_route_goes_on_from_the_circle_round_a_place() -> None:
     """Two places 400 m apart, at 25 m/s, with circles of 150 m: a waypoint counts within 3 m of its circle."""
     places = [[300.0, 0.0, -100.0], [300.0, 400.0, -100.0]]

@@ -44,6 +44,7 @@ def test_cells_find_who_is_found_by_all_pairs():
         np.testing.assert_array_equal(near.squared, squared)
 
 
+@pytest.mark.long
 def test_an_overfull_stretch_is_said_and_what_is_found_is_near():
     """All of 200 points in one place: each has 199 near it, and there is room for 40 of each three columns."""
     points = np.random.default_rng(5).uniform(0.0, 5.0, (3, 200)).astype(np.float32)
@@ -63,6 +64,7 @@ def test_who_is_nowhere_has_no_neighbours_and_is_nobodys():
         assert (np.asarray(near.index)[:, [7, 9]] == -1).all()
 
 
+@pytest.mark.long
 def test_a_lonely_point_and_two_at_one_place():
     near = neighbours(*(jnp.asarray(axis) for axis in np.float32([[0, 0, 9], [1, 1, 1], [0, 0, 0]])), 5.0, 2)
     assert near.index.tolist() == [[1, 0, -1], [-1, -1, -1]]

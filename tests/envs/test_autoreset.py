@@ -28,6 +28,7 @@ def _quiet() -> Iterator[None]:
         yield
 
 
+@pytest.mark.long
 def test_the_next_step_begins_the_next_episode() -> None:
     """As Gymnasium's own vector of single environments does it, number for number."""
     ours = VectorTask(SHORT, num_envs=2)

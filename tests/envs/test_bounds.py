@@ -18,6 +18,7 @@ EPISODES, STEPS = 20, 12
 QUICK = ("keep_spot", "cats_and_mouse/1A")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=() if n in QUICK else (pytest.mark.long,)) for n in (*SINGLE, *SEVERAL)]
 )
@@ -45,6 +46,7 @@ def test_pictures_have_no_more_windows_than_there_is_room_for() -> None:
     assert grid["grid"] == spaces.Box(0, np.array([68, 90], np.int32), (2,), np.int32)
 
 
+@pytest.mark.long
 def test_locations_are_in_the_area() -> None:
     area = ["world.area.x_min=-50", "world.area.x_max=60", "world.area.y_min=-70", "world.area.y_max=80"]
     env = SingleTask("plume_mapping/3A", overrides=[*area, "world.area.z_min=-90", "world.area.z_max=0"])

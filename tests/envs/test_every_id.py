@@ -129,6 +129,7 @@ def test_a_seed_is_an_episode(name: str) -> None:
     assert not same(flights[0], flights[1])
 
 
+@pytest.mark.long
 @every(SINGLE)
 def test_stable_baselines_finds_nothing_wrong(name: str) -> None:
     pytest.importorskip("stable_baselines3", reason="needs Stable-Baselines3: pip install stable-baselines3")

@@ -69,6 +69,7 @@ def test_the_others_fly_on() -> None:
         assert going[0] == pytest.approx(-1 / 12) or going[0] >= 1.0
 
 
+@pytest.mark.long
 def test_without_leaving_the_episode_ends_for_all() -> None:
     ended = flown(parallel_env({**THREE, "name": "stayers", "task": {"leave": False, "penalty": -50.0}}))
     assert len(ended) <= 5
@@ -76,6 +77,7 @@ def test_without_leaving_the_episode_ends_for_all() -> None:
     assert all(ended[-1][3].values())
 
 
+@pytest.mark.long
 def test_side_by_side_who_has_left_stays_terminated_at_no_reward() -> None:
     many = vector_parallel_env(THREE, num_envs=2, autoreset_mode="SAME_STEP")
     many.reset(seed=1)
@@ -114,6 +116,7 @@ def test_a_run_is_scored_alike(tmp_path: Path) -> None:
     assert found["agents"] == pytest.approx(going, rel=1e-4)
 
 
+@pytest.mark.long
 def test_what_they_hand_in_is_nothing_worth() -> None:
     plume = parallel_env({
         "extends": "plume_mapping/3D", "name": "leaving_plume", "duration": 12.0, "task": {"leave": True},

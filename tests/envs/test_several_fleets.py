@@ -61,6 +61,7 @@ def test_each_does_what_it_is_told() -> None:
     assert rewards[DRIVES] == pytest.approx(0.5 * (rewards[FLIES[0]] + rewards[FLIES[1]]), rel=1e-5)
 
 
+@pytest.mark.long
 def test_pettingzoo_takes_it_in_both_forms() -> None:
     parallel_api_test(team(), num_cycles=20)
     api_test(parallel_to_aec(team()), num_cycles=20)

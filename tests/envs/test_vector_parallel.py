@@ -27,6 +27,7 @@ def drawn(rng: np.random.Generator) -> dict[str, Any]:
     return {agent: rng.uniform(-1.0, 1.0, (2, 2)) for agent in two().possible_agents}
 
 
+@pytest.mark.long
 def test_each_environment_is_the_parallel_environment_of_its_seed() -> None:
     many, rng = two(), np.random.default_rng(0)
     single = [parallel_env(SHORT), parallel_env(SHORT)]

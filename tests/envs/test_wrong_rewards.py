@@ -32,6 +32,7 @@ def climb(folder: Path, paid: str) -> Path:
 THIRD = "jnp.where(step == 3, {}, 0.0) * jnp.ones_like(position.z)"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 def test_qrsim_score_says_where(tmp_path: Path, capsys: pytest.CaptureFixture[str], value: str) -> None:
     scenario = climb(tmp_path, THIRD.format(f'float("{value}")'))
@@ -67,6 +68,7 @@ def test_every_environment_does(tmp_path: Path) -> None:
             step()
 
 
+@pytest.mark.long
 def test_what_comes_after_an_episode_has_no_meaning(tmp_path: Path) -> None:
     """The sixth step of five is not looked at, where others go on or the next episode is to begin."""
     scenario = climb(tmp_path, 'jnp.where(step > steps, float("nan"), 0.0) * jnp.ones_like(position.z)')
@@ -77,6 +79,7 @@ def test_what_comes_after_an_episode_has_no_meaning(tmp_path: Path) -> None:
         np.testing.assert_array_equal(reward, 0.0)
 
 
+@pytest.mark.long
 def test_a_score_of_what_is_handed_in() -> None:
     """The square of 1e30 is more than single precision holds."""
     batch = Batch("plume_mapping/3A", 1, ["duration=1"])

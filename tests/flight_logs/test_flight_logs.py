@@ -107,6 +107,7 @@ def test_suspect_units(signals: dict[str, Floats], tmp_path: Path) -> None:
         assert f"is it in {guess}" in str(error.value)
 
 
+@pytest.mark.long
 def test_too_short(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"too short: its signals have 1\.98 s in common"):
         read_log(write_csv(tmp_path / "log.csv", flown(2.0)))
@@ -173,6 +174,7 @@ def test_binary_rubbish_is_refused(tmp_path: Path) -> None:
             read_log(path)
 
 
+@pytest.mark.long
 def test_a_damaged_dataflash_log_says_so_in_few_lines(tmp_path: Path, capfd: Any) -> None:
     """The library writes a line for each byte that it cannot place, some of them past Python."""
     path = write_dataflash(tmp_path / "log.bin", flown(6.0))

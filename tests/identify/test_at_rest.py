@@ -108,6 +108,7 @@ def test_only_the_part_at_rest_counts() -> None:
     assert len(kept.values["gyroscope"]) == 4000
 
 
+@pytest.mark.long
 def test_the_command_writes_a_sensor_that_flies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

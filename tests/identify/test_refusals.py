@@ -57,6 +57,7 @@ def test_a_log_on_the_ground_is_refused(signals: Signals, refused: Callable[...,
     assert not (tmp_path / "v_report").exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("app", ["identify", "discover"])
 @pytest.mark.parametrize("name", ["sample_log_small.ulg", "sample_logging_tagged_and_default_params.ulg"])
 def test_published_logs_of_autopilots_on_the_ground(

@@ -224,6 +224,7 @@ class TestParts:
         np.testing.assert_array_equal(found.tick, [2, 0, -1, 0])
         np.testing.assert_array_equal(found.position_ned.z, [2.0, 0.0, np.nan, 0.0])
 
+    @pytest.mark.long
     def test_nearest_of_several(self):
         x = jnp.asarray([0.0, 3.0, 10.0], jnp.float32)
         nearest = _nearest(Vec3(x, x * 0, jnp.asarray([0.0, 4.0, 0.0], jnp.float32)))

@@ -56,13 +56,15 @@ SHARED = (".geometry.", ".ids")
 DEAR = ("VEHICLES", "FILTERS", "CONTROLLERS")
 
 
-def option_cases(options_are_long: bool = False, one_form: Sequence[tuple[str, str]] = ()) -> list[Any]:
+def option_cases(
+    options_are_long: bool = False, dear: Sequence[str] = (), one_form: Sequence[tuple[str, str]] = ()
+) -> list[Any]:
     """Return every component by its defaults, and with each of its options."""
     cases = []
     for group, name in COMPONENTS:
         for settings in options(group, name)[: 1 if (group, name) in one_form else None]:
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
-            long = options_are_long and (bool(settings) or group in DEAR)
+            long = options_are_long and (bool(settings) or group in dear)
             marks = (pytest.mark.long,) if long else ()
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases
@@ -79,7 +81,8 @@ UNSEEN |= dict.fromkeys(("neighbours", "ideal_neighbours"), ("position", "distan
 BY_HAND = ("ideal_scan", "ideal_ranging", "ideal_neighbours")
 every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases())
 # Tracing a slope takes ten times as long as tracing the values, and a batch three times.
-by_defaults_first = pytest.mark.parametrize(("group", "name", "settings"), option_cases(options_are_long=True))
+by_defaults_first = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True, DEAR))
+by_defaults = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True))
 every_program = pytest.mark.parametrize(("group", "name", "settings"), option_cases(one_form=ONE_FORM))
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 
@@ -140,7 +143,7 @@ def traced(name: str) -> Any:
     return jax.eval_shape(lambda given, keys: evaluate("SENSORS", sensor, given, keys), inputs(0), stream_keys(0))
 
 
-@every_option
+@by_defaults
 def test_outputs_are_finite(group: str, name: str, settings: dict[str, Any]) -> None:
     for found in computed(group, name, settings):
         seen: dict[str, bool] = {}

@@ -101,6 +101,7 @@ def test_a_flight_is_the_same_everywhere(compiler: str) -> None:
             np.testing.assert_allclose(found, exactly(tuple(velocity), 60.0), rtol=0.0, atol=2e-4)
 
 
+@pytest.mark.long
 def test_worlds_of_a_rollout_and_their_metrics() -> None:
     ticks = 2000
     flown = rollout(far_world("float32", TYPES[:1]), ticks=ticks, seeds=[1, 2])

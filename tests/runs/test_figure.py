@@ -251,6 +251,7 @@ def test_an_area_that_the_flight_fills_is_drawn_whole(tmp_path):
     assert south < -10.0 < 20.0 < north
 
 
+@pytest.mark.long
 def test_a_large_area_is_drawn_beside_the_flight(tmp_path):
     corners = "[[-900.0, -900.0], [900.0, -900.0], [900.0, 1100.0]]"
     area = f"{{type: polygon, corners_ned: {corners}, z_min: -50.0, z_max: 0.0}}"

@@ -387,6 +387,7 @@ class TestBadInput:
         good = written(tmp_path, name="good.py")
         assert load_scenario(with_gauge(f"{good}:Gauge"))
 
+    @pytest.mark.long
     def test_a_controller_that_cannot_be_told_what_feeds_it(self, tmp_path: Path):
         file = written(
             tmp_path,

@@ -290,6 +290,7 @@ def test_a_polygon_is_an_area() -> None:
     assert load_scenario(parse_yaml(loaded.to_yaml(), "again")).spec == loaded.spec
 
 
+@pytest.mark.long
 def test_places_are_checked_as_in_flight() -> None:
     """The check at load and the area of a world agree on what is outside, and by how much."""
     points = np.random.default_rng(1).uniform(-20.0, 80.0, (400, 3))

@@ -48,6 +48,7 @@ class TestErrors:
         assert type(found) is kind
         assert (str(found), found.__notes__, found.exit_code) == (str(error), ["seen on Monday"], error.exit_code)
 
+    @pytest.mark.long
     def test_a_pool_delivers_the_faults_of_a_scenario(self) -> None:
         """It used to hang for ever."""
         with multiprocessing.get_context("spawn").Pool(1) as pool:

@@ -34,6 +34,7 @@ def elsewhere(simulation: Simulation) -> np.ndarray:
     return rows
 
 
+@pytest.mark.long
 def test_every_sensor_says_the_new_place_at_once_and_later(outdoors):
     """Errors of GNSS are some metres (satellites share them), of its velocity and the height rate below 1 m/s."""
     start, rows = outdoors.save(), elsewhere(outdoors)

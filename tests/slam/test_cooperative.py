@@ -102,6 +102,7 @@ def test_each_part_of_the_error_has_its_time_constant() -> None:
     np.testing.assert_allclose(np.asarray(graph.fix_weight), weights)
 
 
+@pytest.mark.long
 def test_parts_with_one_time_constant_need_not_say_so() -> None:
     flights, rangings = two()
     how: dict[str, Any] = {"states": "poses", "bias_time_constant": 20.0, "common_share": 0.5}
@@ -272,6 +273,7 @@ def assembled(normal: Any, x: Any, landmarks: Any) -> Any:
     return full
 
 
+@pytest.mark.long
 def test_ranges_between_vehicles_bring_one_without_fixes_to_its_place() -> None:
     """Its sensors begin 20 m off; the other one's fixes are good to centimetres, and both turn about each other."""
     flights, rangings = two(0.02)

@@ -66,6 +66,7 @@ def test_a_share_has_an_exact_interval() -> None:
     np.testing.assert_allclose(analysis.share_interval(0.4, np.full(10, 0.4) + [0, 1e-6] * 5, 50)[0], 0.245, atol=0.01)
 
 
+@pytest.mark.long
 def test_no_interval_leaves_its_metric_and_shares_stay_above_0(tmp_path: Path) -> None:
     # Next to 0 in most episodes: Student's t would go below it.
     path = made(tmp_path, lambda wind, mass, noise: np.where(noise > 1.0, 3.0, 0.0), seeds=12)

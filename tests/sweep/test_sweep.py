@@ -50,6 +50,7 @@ def test_batches_of_another_size_give_the_same_results(tmp_path: Path) -> None:
         np.testing.assert_array_equal(one[name].values, other[name].values)
 
 
+@pytest.mark.long
 def test_a_store_that_was_left_goes_on_and_is_the_same(tmp_path: Path) -> None:
     whole = opened(flown(tmp_path, "whole.zarr"))
     plan = planned(tmp_path)

@@ -49,6 +49,7 @@ def test_points_that_move_as_asked_keep_a_fleeing_mouse_in_the_area_and_end_near
         assert np.linalg.norm(place[:3] - place[3], axis=1).max() < 10.0
 
 
+@pytest.mark.long
 def test_a_searcher_goes_down_where_windows_speak_for_a_person() -> None:
     """The windows that show one place say so again and again; after a hover there it goes on."""
     game = play("search_and_rescue/2A")

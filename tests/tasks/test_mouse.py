@@ -31,6 +31,7 @@ def pursuit() -> ParallelTask:
     return parallel_env("cats_and_mouse/1A", overrides=[BOTH, "duration=2.0"])
 
 
+@pytest.mark.long
 def test_both_sides_are_agents() -> None:
     env = pursuit()
     assert env.possible_agents == [*CATS, "mouse"]
@@ -67,6 +68,7 @@ def test_what_cats_lose_the_mouse_gains() -> None:
     assert last["mouse"] == pytest.approx(-expected, rel=1e-4)
 
 
+@pytest.mark.long
 def test_a_mouse_that_leaves_the_area_gains_nothing() -> None:
     env = parallel_env("cats_and_mouse/1A", overrides=[BOTH, "duration=12.0", "world.area.x_max=25.0"])
     env.reset(seed=2)
@@ -96,6 +98,7 @@ def flown(mouse: str) -> tuple[Scored, np.ndarray]:
     return scored, np.asarray(batch.episodes.episode(1).state.fleets[1].vehicle.position_ned.stack())
 
 
+@pytest.mark.long
 def test_with_both_baselines_the_episode_is_that_of_the_script() -> None:
     # The script looks at every tick, so here agents act at every tick; what NumPy and the compiled guidance round
     # differently is left.

@@ -93,6 +93,7 @@ def test_cats_see_by_what_they_carry() -> None:
         assert (seen[agent][28:] > 20.0).all()
 
 
+@pytest.mark.long
 def test_it_is_the_same_as_a_function() -> None:
     env = Functional.of(CATS)
     assert env.observation_axes == cats().observation_axes

@@ -190,6 +190,7 @@ def test_pages_show_the_next_world_after_another(scenario: Scenario):
             assert page._page.heading == name
 
 
+@pytest.mark.long
 def test_states_that_come_together_are_drawn_one_after_the_other(view: LiveView, scenario: Scenario):
     """In the time that they took to come."""
     simulation = Simulation(scenario.world(), seed=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from qrsim.models.scene.ground import FlatGround, GridGround
 from qrsim.scenarios.making import make_world
@@ -16,6 +17,7 @@ from qrsim.view.scene import Scene
 from qrsim.view.server import start_server
 
 
+@pytest.mark.long
 def test_a_surface_is_the_ground_over_the_outline_of_the_area() -> None:
     # It rises by 1 m in 10 m to the north.
     grid = np.array([[10.0, 10.0], [-10.0, -10.0]])
@@ -49,6 +51,7 @@ def test_heights_of_a_flat_ground() -> None:
     np.testing.assert_array_equal(down_at(FlatGround(height=3.0), np.zeros(2), np.zeros(2)), [-3.0, -3.0])
 
 
+@pytest.mark.long
 def test_the_page_shows_the_surface_in_place_of_the_plane(tmp_path: Path) -> None:
     places = 50.0 * np.arange(-3, 4)
     np.savez(tmp_path / "hill.npz", north=places, east=places, height=100.0 - np.hypot(places[:, None], places) / 10.0)

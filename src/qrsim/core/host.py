@@ -105,7 +105,8 @@ def _kernel(name: str) -> Any:
 
 def _called(parameters: Any, *inputs: Any) -> list[Any]:
     closed = parameters.get("jaxpr", parameters.get("call_jaxpr"))
-    return _run(getattr(closed, "jaxpr", closed), getattr(closed, "consts", ()), inputs)
+    whole = isinstance(closed, jex.ClosedJaxpr)
+    return _run(closed.jaxpr, closed.consts, inputs) if whole else _run(closed, (), inputs)
 
 
 def _cond(parameters: Any, index: Any, *inputs: Any) -> list[Any]:

@@ -277,6 +277,7 @@ class TestAvoidance:
         north, east = uncompiled(guidance.velocity)(route_to(places), flat(places), flat(none), heard(places, none))
         np.testing.assert_allclose(np.stack([north, east]), [[-0.5, 0.5], [0.0, 0.0]], atol=1e-4)
 
+    @pytest.mark.long
     def test_the_velocity_is_the_nearest_allowed_one(self) -> None:
         """Against all velocities of a grid of 0.02 m/s, for 60 random sets of four half-planes, seed 3."""
         rng = np.random.default_rng(3)

@@ -56,6 +56,7 @@ def nothing(x: Any) -> Any:
     return jnp.sum(none, axis=0) + x, jnp.max(none, axis=0, initial=-1.0), jnp.min(none, axis=0, initial=0.5) < x
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
     "mode", [pytest.param(mode, id=name, marks=() if mode.lanes == 16 and mode.side_by_side else pytest.mark.long)

@@ -240,6 +240,7 @@ def test_packets_of_others_are_passed_over(port: int) -> None:
     assert sum("is not of its ArduPilot" in line for line in said) == 1
 
 
+@pytest.mark.long
 def test_nobody_there_and_somebody_gone_are_one_line(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(servo_link, "SILENCE_S", 0.3)
     with flight_of(one(), port, wait=0.3) as flight:

@@ -65,6 +65,7 @@ def test_two_runs_are_equal_to_the_bit(armed: tuple[Firmware, float], eeprom: by
         assert motors(flown, begin, 1520) == motors(other, begin, 1520)
 
 
+@pytest.mark.long
 @needs_betaflight
 def test_why_it_does_not_arm():
     # Stock, it arms within 25 deg of level.
@@ -74,6 +75,7 @@ def test_why_it_does_not_arm():
     assert str(raised.value) == "quads0: the firmware refuses to arm: ANGLE, ARM_SWITCH"
 
 
+@pytest.mark.long
 @needs_betaflight
 def test_a_line_that_it_does_not_know():
     with pytest.raises(UsageError, match=r"does not take the line 'set nonsense = 3': .*INVALID NAME"):

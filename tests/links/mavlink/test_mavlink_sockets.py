@@ -145,6 +145,7 @@ def served():
     found.end()
 
 
+@pytest.mark.long
 def test_of_many_on_one_port_one_is_flown(served):
     # From the tenth vehicle on all speak to one port, whose client sends each frame to all of them.
     client = Client(f"udpin:{ports.HERE}:{served.ports.peers[-1]}", 15)
@@ -244,6 +245,7 @@ def test_global_set_points_are_flown_in_their_frames(served, vehicle, frame_of, 
     assert served.said(vehicle, "Failsafe: no offboard set-points") == 1
 
 
+@pytest.mark.long
 def test_an_attitude_with_thrust_is_flown(served):
     client = served.client(8)
     client.mav.param_request_read_send(9, 1, b"MPC_THR_HOVER", -1)

@@ -282,6 +282,7 @@ def test_with_reasons_a_state_has_one_for_each_vehicle_byte_for_byte():
     assert content == frame(payload(found))
 
 
+@pytest.mark.long
 def test_every_built_in_scenario_has_every_sensor_of_the_measured_vector():
     for name in Tasks().names:
         for fleet in Tasks().offboard(name).spec.fleets.values():
@@ -292,6 +293,7 @@ def test_every_built_in_scenario_has_every_sensor_of_the_measured_vector():
                 assert has >= {"gnss", "barometer", "attitude", "gyroscope", "accelerometer"}, name
 
 
+@pytest.mark.long
 def test_reference_names_are_our_scenarios_and_an_empty_name_is_the_operators_own():
     own = load_scenario({**quiet(), "name": "mine"})
     tasks = Tasks(own)

@@ -188,6 +188,7 @@ def test_readings_that_are_missing_are_left_to_protobuf():
 # ---- owners who fall idle ----
 
 
+@pytest.mark.long
 def test_an_owner_who_asks_for_nothing_loses_his_session_and_is_told_so():
     with running(idle_timeout=1.0) as served, Wire(served.port) as owner, Wire(served.port) as other:
         owner.init()

@@ -136,6 +136,7 @@ def test_forward_is_where_the_vehicle_heads(simulation):
     assert np.asarray(air.truth.velocity_ned)[0].tolist() == pytest.approx([2.0, 1.0, -0.5], abs=0.15)
 
 
+@pytest.mark.long
 def test_a_rate_of_turn_turns(simulation):
     air = Air(simulation)
     # Clockwise by 0.3 rad/s, from east.

@@ -65,6 +65,7 @@ def test_what_one_says_all_hear_once(simulation):
     assert own == [("/uav_1/radio/rx", "uav_0", [1.0, 2.0, 3.0]), ("/uav_2/radio/rx", "uav_0", [1.0, 2.0, 3.0])]
 
 
+@pytest.mark.long
 def test_another_episode_is_heard_again(simulation):
     simulation.reset()
     messages = Messages(TYPES, simulation)

@@ -249,6 +249,7 @@ def test_no_two_poses_have_the_same_time(flown):
     assert times == pytest.approx([0.02 * tick for tick in range(60)])
 
 
+@pytest.mark.long
 def test_rviz_is_set_up_for_what_is_published():
     """Every topic of clients/ros2/rviz, by the type of its display, and no more reliable than it is sent."""
     from pathlib import Path

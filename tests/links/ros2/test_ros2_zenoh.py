@@ -173,6 +173,7 @@ def test_what_is_refused(words: list[str], said: str, capsys: pytest.CaptureFixt
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("running", [True, False])
 def test_a_router_that_does_not_answer_is_told(running: bool, port: int, capfd: pytest.CaptureFixture[str]) -> None:
     words = ["ros2", "hover_ideal", "--transport", "zenoh", "--router", f"tcp/127.0.0.1:{port}", "--duration", "0.04"]

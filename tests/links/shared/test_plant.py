@@ -97,6 +97,7 @@ def test_silence_is_noticed_after_half_a_second(factor, ticks):
     assert flight.said[1:] == [("controller_back", A, "commanded again, after silence since 0.18 s")]
 
 
+@pytest.mark.long
 def test_in_silence_it_holds_returns_stops_or_flies_on():
     place = {}
     for does, after in (("hold", 0.1), ("return", 0.1), ("stop", 0.1), ("hold", 0.0)):

@@ -70,6 +70,7 @@ def squares(factors: tuple[float, ...]) -> Floats:
     return np.asarray(np.array(factors)[:, None, None, None] * np.ones((1, 3, 1, 4)) * rows[None, None, :, None])
 
 
+@pytest.mark.long
 def test_a_grid_of_one_time_is_steady_and_one_of_two_is_linear_between_them() -> None:
     """Halfway along the last cell from 16 to 25 m/s, at its end and beyond; the mean of the rows is 55/6."""
     places, rows = np.array([-10.0, 0.0, 30.0], np.float32), np.array([20.5, 25.0, 25.0])

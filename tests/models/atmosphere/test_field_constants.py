@@ -47,6 +47,7 @@ def waves_as_they_are() -> FieldWaves:
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_von_karman_field_is_its_waves_and_the_residual_what_they_leave_out() -> None:
     """Vehicles in fours at 10 ft, 15 m and 2500 ft: no residual, and one of north, east and down.
 

@@ -84,6 +84,7 @@ def test_what_is_linear_along_each_axis_is_exact(whole, time):
     np.testing.assert_allclose(found, expected(places, time), rtol=0.0, atol=1e-4)
 
 
+@pytest.mark.long
 def test_points_of_the_grid_and_beyond_its_edges(whole):
     wind = WindGridFile(whole).at(100.0)
     corners = np.array([[200.0, 300.0, 130.0], [-200.0, -300.0, 2.0], [40.0, 100.0, 60.0]])

@@ -162,6 +162,7 @@ def test_power_law() -> None:
     np.testing.assert_allclose(speed, 6.0 * (np.maximum(heights, 0.0) / 6.096) ** 0.2, rtol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["log", "power"])
 def test_gradients_are_finite_on_the_ground(kind: str) -> None:
     def speed(wind: VeeringShear, height: Any) -> Any:

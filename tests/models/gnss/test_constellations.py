@@ -119,6 +119,7 @@ class TestConstellations:
 
 
 class TestSlots:
+    @pytest.mark.long
     def test_satellites_keep_their_slots(self):
         places = jnp.array([3, -1, 0, 5], jnp.int32)
         in_view = jnp.array([True, True, False, False, False, True, True])

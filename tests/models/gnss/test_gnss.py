@@ -200,6 +200,7 @@ class TestSolution:
         np.testing.assert_array_equal(fixes.satellites, np.sum(seen(skies), axis=-1))
         assert 5 <= np.min(fixes.satellites) < np.max(fixes.satellites) <= 12
 
+    @pytest.mark.long
     def test_a_clock_error_changes_nothing(self):
         rng = np.random.default_rng(3)
         lines = np.repeat(unit_vectors(rng, 8, 0.2)[:, None], 4, axis=1)

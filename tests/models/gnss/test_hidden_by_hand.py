@@ -110,6 +110,7 @@ def test_solutions_are_of_each_receiver(start: Any) -> None:
     np.testing.assert_allclose(geometry.own.half[:, 0], half, rtol=1e-4)
 
 
+@pytest.mark.long
 def test_they_look_again_after_a_second(start: Any) -> None:
     """Half a period of 0.2 s sooner at most; and who was away for over a minute is used 30 s later, else 1 s later.
 

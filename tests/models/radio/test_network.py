@@ -100,6 +100,7 @@ def counts(air):
     return {name: np.asarray(value).tolist() for name, value in vars(air.state.counts).items()}
 
 
+@pytest.mark.long
 def test_what_is_sent_is_heard_by_those_near_and_its_age_is_exact():
     """Two 100 m apart and one 1 km away; 60 bytes at 64 kb/s are 7.5 ms, so known at the next tick and no sooner."""
     air = Air(network(), [(0, 0, -50), (100, 0, -50), (1000, 0, -50)])
@@ -129,6 +130,7 @@ def test_a_packet_that_takes_long_is_not_known_before():
     assert last == [True] * 24 + [False] * 6
 
 
+@pytest.mark.long
 def test_one_receiver_alone_hears_what_is_meant_for_it():
     """Vehicle 0 to 2, 2 to all, 1 nothing; ids of nobody are heard by nobody."""
     air = Air(network(beacon=False), [(0, 0, 0), (10, 0, 0), (20, 0, 0)])

@@ -185,6 +185,7 @@ class TestGrid:
         seen = surroundings(world, state.contents, jnp.int32(0)).over_ground(place)
         np.testing.assert_allclose(seen.stack(), np.stack([place.x, place.y, [-15.0, -15.0]], axis=-1), atol=1e-4)
 
+    @pytest.mark.long
     def test_a_start_on_it(self, tmp_path: Path):
         vehicles = [{"position_ned": [40.0, -20.0, 0.0], "on_ground": True}, {"position_ned": [0.0, 0.0, -20.0]}]
         fleet = {"vehicles": vehicles, "ground": "parked", "controller": {"type": "waypoint", "feed": "truth"}}

@@ -65,6 +65,7 @@ def test_without_obstacles_the_nearest_is_infinitely_far() -> None:
     assert number[0] == -1.0
 
 
+@pytest.mark.long
 def test_gradients_are_finite_outside() -> None:
     gradient = jax.grad(lambda p: jnp.sum(both().nearest(Vec3.of(p))[0]))(jnp.array([[-3.0, 0.5, -1.0]]))
     assert np.all(np.isfinite(gradient))

@@ -183,6 +183,7 @@ def test_a_picture_is_the_same_however_often_and_with_whomever_it_is_looked_at()
     assert not np.allclose(two.ratio[0][:10, :10], two.ratio[1][:10, :10])
 
 
+@pytest.mark.long
 def test_a_vehicle_that_has_stopped_has_no_picture() -> None:
     picture = develop(Camera(), taken((math.nan, 0.0, -25.0), number=math.nan), NOBODY)
     assert np.isnan(picture.ratio).all()

@@ -101,6 +101,7 @@ def test_false_alarms_are_even_over_the_cone_and_over_distances() -> None:
     np.testing.assert_allclose(np.ravel(found.stack()), [3.276134, -3.777160, 0.0], atol=2e-5)
 
 
+@pytest.mark.long
 def test_noise_of_a_reading_by_hand() -> None:
     """Rows of normals: range, two angles across, then velocity north, east, down, one for each slot."""
     places = [[0.0, 0.0, -20.0], [10.0, 0.0, -20.0], [0.0, 20.0, -20.0]]

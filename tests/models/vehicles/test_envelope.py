@@ -44,6 +44,7 @@ def test_the_most_that_the_pelican_holds() -> None:
     assert weaker.airspeed[0] < 11.0
 
 
+@pytest.mark.long
 def test_found_without_a_formula() -> None:
     """By the vehicle's own specific force, for each vehicle by its own numbers."""
     for vehicle in (Unknown(), Unknown(mass=np.array([1.68, 1.4]), kw=np.array([-1.0, -2.0]))):  # type: ignore[arg-type]

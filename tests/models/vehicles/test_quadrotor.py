@@ -356,6 +356,7 @@ class TestNumerics:
 
 
 class TestStep:
+    @pytest.mark.long
     def test_vehicles_do_not_touch_each_other(self):
         """Five different vehicles in one call, and each alone, in one precision, to the last bits."""
         rng = np.random.default_rng(5)

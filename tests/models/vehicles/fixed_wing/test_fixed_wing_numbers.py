@@ -279,6 +279,7 @@ class TestTrim:
         rest = [*slope.velocity.axes, *slope.rates.axes, slope.displacement.z + 25.0 * math.sin(0.0445)]
         assert max(abs(float(part[0])) for part in rest) < 1e-10
 
+    @pytest.mark.long
     def test_sixty_steps_of_a_tenth(self) -> None:
         """The formulas begin at a throttle of about 6.4 with 57 ohm, and of about 7.2 with 65, which is too far."""
         near, far = (FixedWing(propeller=Propeller(resistance=ohm)) for ohm in (57.0, 65.0))  # type: ignore[arg-type]
