@@ -24,6 +24,11 @@ $(NAMES): evidence
 endif
 endif
 
+LINT = echo "== ruff check" && $(BIN)/ruff check $(CODE) && \
+	echo "== ruff format" && $(BIN)/ruff format --check $(CODE) && \
+	echo "== mypy" && $(BIN)/mypy && \
+	echo "== import-linter" && $(BIN)/lint-imports --no-logo
+
 install: $(STAMP)  ## make .venv and install qrsim with what running it needs, pinned (PYTHON=python3.12 chooses another Python)
 
 # Both variables, because older and newer pip differ in which one pins what a build needs.
@@ -51,9 +56,13 @@ $(TOOLS): $(STAMP)
 run: $(STAMP)  ## run the default scenario (ARGS='...' is handed to 'qrsim run')
 	@$(BIN)/qrsim run $(ARGS)
 
-test: lint  ## all checks, then all tests but the long ones
+# The linters run during the tests: mypy needs one core for most of a minute. Their output follows that of the tests.
+test: $(TOOLS)  ## all checks, and all tests but the long ones
 	@echo "== pytest"
-	@$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long and not nightly" $(ARGS)
+	@{ $(LINT); } > .lint.log 2>&1 & linters=$$!; \
+		$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long and not nightly" $(ARGS); tests=$$?; \
+		wait $$linters; lint=$$?; cat .lint.log; rm -f .lint.log; \
+		[ $$lint -eq 0 ] && exit $$tests; exit $$lint
 
 test-long: $(TOOLS)  ## the long tests: real clients, browsers, small forms of the studies
 	@echo "== pytest (long)"
@@ -64,14 +73,7 @@ test-nightly: $(TOOLS)  ## tests of minutes each: random programs, fuzzing, othe
 	@$(BIN)/python -m pytest -n 2 --dist loadfile -m nightly $(ARGS)
 
 lint: $(TOOLS)  ## formatting, lint, types, layers of imports
-	@echo "== ruff check"
-	@$(BIN)/ruff check $(CODE)
-	@echo "== ruff format"
-	@$(BIN)/ruff format --check $(CODE)
-	@echo "== mypy"
-	@$(BIN)/mypy
-	@echo "== import-linter"
-	@$(BIN)/lint-imports --no-logo
+	@$(LINT)
 
 bench: $(TOOLS)  ## run every benchmarks/*.py
 	@set -e; for script in $(filter-out benchmarks/_%,$(sort $(wildcard benchmarks/*.py))); do \
