@@ -1,7 +1,8 @@
 """Refuse modules of the core whose share of typed expressions is too small.
 
-The long tier runs this, and not 'make lint', because for a report mypy reads everything again. It reads the report of ``mypy --any-exprs-report FOLDER``, FOLDER/any-exprs.txt: a line for each module with its
-expressions of type Any, all its expressions, and the share of the others.
+The long tier runs this, and not 'make lint', because for a report mypy reads everything again. It reads the report of
+``mypy --any-exprs-report FOLDER``, FOLDER/any-exprs.txt: a line for each module with its expressions of type Any, all
+its expressions, and the share of the others.
 """
 
 from __future__ import annotations
