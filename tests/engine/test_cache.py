@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import shutil
 import stat
 import subprocess
 import sys
@@ -168,6 +170,26 @@ class TestKept:
     def test_a_place_that_cannot_be_written_costs_only_time(self, place: Path) -> None:
         place.write_text("a file where the folder should be")
         assert cache.kept(("a",), binary) == binary()
+
+    @pytest.mark.parametrize("call", ["open", "replace"])
+    def test_a_full_disk_costs_only_time(self, place: Path, monkeypatch: pytest.MonkeyPatch, call: str) -> None:
+        def full(*_: Any, **__: Any) -> Any:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        cache.kept(("b",), binary)
+        with monkeypatch.context() as changed, warnings.catch_warnings():
+            warnings.simplefilter("error")
+            changed.setattr(os, call, full)
+            assert cache.kept(("a",), binary) == binary()
+        # Nothing half written is left.
+        assert len(list(place.iterdir())) == 1
+        assert cache.look_up(("a",)) is None
+
+    def test_a_folder_that_vanishes_is_made_again(self, place: Path) -> None:
+        cache.kept(("a",), binary)
+        shutil.rmtree(place)
+        assert cache.kept(("a",), lambda: binary(b"new")).code == b"new"
+        assert cache.kept(("a",), lambda: binary(b"newer")).code == b"new"
 
     def test_off(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("QRSIM_COMPILATION_CACHE", "off")
