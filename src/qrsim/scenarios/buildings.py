@@ -16,7 +16,7 @@ from qrsim.models.site import Site
 from qrsim.scenarios.build import ground_if_any
 from qrsim.scenarios.buildings_file import STOREY, Building, BuildingsFile, read_buildings
 from qrsim.scenarios.ground import bounds_of
-from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, PrismModel
+from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, prism_model
 from qrsim.scenarios.schema import ScenarioSpec
 
 # No receiver uses satellites lower than this, so what is not as high as that from anywhere in the area hides nothing.
@@ -93,7 +93,7 @@ def _prism(building: Building, height: float, ground: Any) -> Any:
         north, east = np.array(outline, np.float32).T
         places: Any = Vec3(north, east, np.zeros_like(north))
         down = float(np.max(down_at(ground, places)))
-    return PrismModel(
+    return prism_model()(
         type="prism", corners_ned=outline, holes_ned=holes, z_min=down - height, z_max=down - building.base,
         name=building.name,
     )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Union, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
 from pydantic import (
     BaseModel,
@@ -182,13 +182,3 @@ def _preset_base(base: type[Strict], presets: Mapping[str, Mapping[str, Any]]) -
             return filled({key: value for key, value in presets[name].items() if key not in twins}, data)
 
     return Preset
-
-
-def slot_of(choices: Mapping[str, type], *, each: bool = False, more: Mapping[str, Any] | None = None) -> Any:
-    """Return the annotation of a place where one of several components goes; see ``component_model``."""
-    return choice_of([component_model(name, component, each=each, more=more) for name, component in choices.items()])
-
-
-def choice_of(models: list[type[Strict]]) -> Any:
-    """Return the annotation of one of several schemas, told apart by ``type``."""
-    return Annotated[Union[tuple(models)], Field(discriminator="type")] if len(models) > 1 else models[0]  # noqa: UP007

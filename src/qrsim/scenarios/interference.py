@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, Literal, Union
+from functools import cache, partial
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -14,6 +15,7 @@ from qrsim.models.gnss.constellations import check_systems
 from qrsim.models.gnss.interference import Disc, Interference, IonoStorm, Jammer, Outage, Spoofer
 from qrsim.scenarios.component_schema import Strict, component_model
 from qrsim.scenarios.legs import Position
+from qrsim.scenarios.slots import slot
 from qrsim.scenarios.spans import span_problems
 
 # Where an Interference has what is of each kind.
@@ -48,15 +50,14 @@ _GIVEN: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
+@cache
 def _model(kind: str) -> type[Strict]:
     """Return the schema of a kind, which carries its name."""
     named = {"kind": (Literal[kind], Field(description="what it is"))}
     return component_model(kind, _CLASSES[kind], tagged=False, arrays={**named, **_GIVEN[kind]})
 
 
-_MODELS = tuple(_model(kind) for kind in PLACES)
-# Made at run time, so a type checker cannot see into it.
-InterferenceSlot: Any = Annotated[Union[_MODELS], Field(discriminator="kind")]  # noqa: UP007
+InterferenceSlot: Any = slot(lambda: {kind: partial(_model, kind) for kind in PLACES}, key="kind")
 
 
 def interference(scenario: Any, ephemeris: Any) -> Interference | None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache, partial
 from typing import Any, Literal
 
 from pydantic import Field
 
 from qrsim.models.scene.prisms import PrismObstacle, edges_of
-from qrsim.scenarios.component_schema import Finite, Strict, choice_of, component_model
+from qrsim.scenarios.component_schema import Finite, Strict, component_model
 from qrsim.scenarios.legs import Corner
+from qrsim.scenarios.slots import slot
 
 MOST_OBSTACLES, MOST_CORNERS, MOST_HOLES = 10_000, 1000, 100
 
@@ -57,8 +59,9 @@ class _Prism(Strict):
         return self._edges[1][:, 1].tolist()
 
 
-def _prism_model() -> type[Strict]:
-    """Return the schema of a prism."""
+@cache
+def prism_model() -> Any:
+    """Return the schema of a prism; a type checker cannot see into it."""
     ring = list[Corner]
     text = "[north, east] [m] of each corner, in order; the last is joined to the first"
     parts = {
@@ -70,17 +73,17 @@ def _prism_model() -> type[Strict]:
     return component_model("prism", PrismObstacle, arrays=parts, base=_Prism, more=STEEL)
 
 
-# Made at run time, so a type checker cannot see into it.
-PrismModel: Any = _prism_model()
-
-
 def obstacle_slot(choices: Mapping[str, type]) -> Any:
     """Return the annotation of an obstacle of any kind."""
-    return choice_of(
-        [
-            PrismModel if kind is PrismObstacle else component_model(name, kind, more=STEEL)
-            for name, kind in choices.items()
-        ]
+
+    @cache
+    def make(name: str, kind: type) -> type[Strict]:
+        return component_model(name, kind, more=STEEL)
+
+    return slot(
+        lambda: {
+            name: prism_model if kind is PrismObstacle else partial(make, name, kind) for name, kind in choices.items()
+        }
     )
 
 

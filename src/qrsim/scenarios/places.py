@@ -20,9 +20,9 @@ from qrsim.scenarios.schema import (
     LONGEST_ROUTE,
     MOST_CORNERS,
     FleetSpec,
-    PolygonModel,
     ScenarioSpec,
     VehicleSpec,
+    polygon_model,
 )
 
 LAND = "NAV_LAND"
@@ -178,7 +178,7 @@ class _Places:
         self.written["world.area.corners_ned"] = f"world.area: {area.file}"
         if not corners:
             return area
-        return PolygonModel(type="polygon", corners_ned=corners, z_min=area.z_min, z_max=area.z_max)
+        return polygon_model()(type="polygon", corners_ned=corners, z_min=area.z_min, z_max=area.z_max)
 
     def _corners(self, file: str, name: str | None) -> list[list[float]]:
         corners, plan = fence_corners(file, name, self.site)

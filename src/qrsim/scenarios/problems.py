@@ -13,6 +13,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from qrsim.errors import MOST_PROBLEMS, did_you_mean
+from qrsim.scenarios.slots import Slot
 
 _RANGES = ("greater_than_equal", "less_than_equal", "greater_than", "less_than")
 _LENGTHS = ("too_short", "too_long")
@@ -55,6 +56,9 @@ def component_types(model: type[BaseModel], path: list[str]) -> list[str]:
             annotation = field.annotation if field else None
         else:
             annotation = _entry(annotation)
+    slot = _slot(annotation)
+    if slot is not None:
+        return slot.names() if slot.key == "type" else []
     return [part.__name__ for part in _models(annotation) if "type" in part.model_fields]
 
 
@@ -280,10 +284,18 @@ def _rules(annotation: Any) -> list[Any]:
     return [rule for info in infos for rule in (info.metadata if isinstance(info, FieldInfo) else [info])]
 
 
+def _slot(annotation: Any) -> type[Slot] | None:
+    """Return the slot that a place is, None where it is none."""
+    bare = _bare(annotation)
+    return bare if isinstance(bare, type) and issubclass(bare, Slot) else None
+
+
 def _models(annotation: Any) -> list[type[BaseModel]]:
     """Return the parts of a scenario that may stand in a place; none for a number, a list or a mapping."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
+    if slot := _slot(annotation):
+        return list(slot.models())
     if get_origin(annotation) in (dict, list):
         return []
     return [model for argument in get_args(annotation) for model in _models(argument)]

@@ -223,7 +223,7 @@ def _take_in(kind: str, name: str, component: type, origin: Origin) -> None:
     before = group.get(name)
     group[name] = component
     try:
-        schema.refresh(kind)
+        schema.refresh(kind, name)
     except Exception as error:
         # A class that has no schema must not spoil the scenarios that follow.
         group.pop(name) if before is None else group.update({name: before})

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
+from functools import cache, partial
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -21,7 +22,7 @@ from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import MOST_BEACONS, BeaconSpec
-from qrsim.scenarios.component_schema import Finite, Strict, choice_of, component_model, slot_of
+from qrsim.scenarios.component_schema import Finite, Strict, component_model
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.in_rows import one_by_one, or_in_rows
 from qrsim.scenarios.interference import MOST, InterferenceSlot
@@ -29,6 +30,7 @@ from qrsim.scenarios.legs import Corner, GeodeticSpec, LegSpec, Position
 from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, BuildingsSpec, obstacle_slot
 from qrsim.scenarios.radio_schema import FleetRadioSpec, RadioModel
 from qrsim.scenarios.sky_of_receivers import with_sky
+from qrsim.scenarios.slots import Maker, slot, slot_of
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
 NAME = r"^[A-Za-z0-9_.-]+$"
@@ -63,13 +65,15 @@ class _Polygon(Strict):
         return [east for _, east in self.corners_ned]  # type: ignore[attr-defined]
 
 
-def _polygon_model() -> type[Strict]:
-    """Return the schema of a polygon with its corners."""
+@cache
+def polygon_model() -> Any:
+    """Return the schema of a polygon with its corners; a type checker cannot see into it."""
     text = "[north, east] [m] of each corner, in order; the last is joined to the first"
     corners = (list[Corner], Field(description=text, min_length=3, max_length=MOST_CORNERS))
     return component_model("polygon", PolygonArea, arrays={"corners_ned": corners}, base=_Polygon)
 
 
+@cache
 def _fence_model() -> type[Strict]:
     """Return the schema of a polygon whose corners are in a file."""
     places = {
@@ -79,14 +83,15 @@ def _fence_model() -> type[Strict]:
     return component_model("fence", PolygonArea, arrays=places)
 
 
-# Made at run time, so a type checker cannot see into it.
-PolygonModel: Any = _polygon_model()
+@cache
+def _area_model(name: str, area: type) -> type[Strict]:
+    return component_model(name, area)
 
 
-def _area_slot() -> Any:
-    """Return the annotation of an area: those of the catalogue, and a file with the polygon of one."""
-    others = [component_model(name, area) for name, area in known.AREAS.items() if area is not PolygonArea]
-    return choice_of([*others, PolygonModel, _fence_model()])
+def _areas() -> dict[str, Maker]:
+    """Return the makers of the schemas of areas: those of the catalogue, and a file with the polygon of one."""
+    others = {name: partial(_area_model, name, area) for name, area in known.AREAS.items() if area is not PolygonArea}
+    return {**others, "polygon": polygon_model, "fence": _fence_model}
 
 
 class PlanSpec(Strict):
@@ -146,49 +151,27 @@ class VehicleSpec(Strict):
         return places
 
 
-if TYPE_CHECKING:
-    # Made at run time from the catalogue, so a type checker cannot see into them.
-    WindSlot: TypeAlias = Any
-    TurbulenceSlot: TypeAlias = Any
-    SensorSlot: TypeAlias = Any
-    OrbitsSlot: TypeAlias = Any
-    SkyErrorsSlot: TypeAlias = Any
-    AreaSlot: TypeAlias = Any
-    GroundSlot: TypeAlias = Any
-    VehicleSlot: TypeAlias = Any
-    ControllerSlot: TypeAlias = Any
-    GuidanceSlot: TypeAlias = Any
-    EstimatorSlot: TypeAlias = Any
-    ObstacleSlot: TypeAlias = Any
-    GustSlot: TypeAlias = Any
-    BatterySlot: TypeAlias = Any
-    PlumeSlot: TypeAlias = Any
-    TerrainSlot: TypeAlias = Any
-    PersonsSlot: TypeAlias = Any
-    PlacementSlot: TypeAlias = Any
-    TaskSlot: TypeAlias = Any
-    LimitsModel: TypeAlias = Any
-else:
-    WindSlot = slot_of(known.WINDS)
-    TurbulenceSlot = slot_of(known.TURBULENCES)
-    SensorSlot = slot_of(known.SENSORS, each=True, more=FITTING)
-    OrbitsSlot = slot_of(known.ORBITS)
-    SkyErrorsSlot = slot_of(known.SKY_ERRORS)
-    AreaSlot = _area_slot()
-    GroundSlot = slot_of(known.GROUNDS)
-    ObstacleSlot = obstacle_slot(known.OBSTACLES)
-    GustSlot = slot_of(known.GUSTS)
-    PlumeSlot = slot_of(known.PLUMES)
-    TerrainSlot = slot_of(known.TERRAINS)
-    PersonsSlot = slot_of(known.PERSONS)
-    PlacementSlot = slot_of(known.PLACEMENTS)
-    TaskSlot = slot_of(known.TASKS)
-    BatterySlot = slot_of(known.BATTERIES, each=True)
-    VehicleSlot = slot_of(known.VEHICLES, each=True)
-    ControllerSlot = slot_of(known.CONTROLLERS, each=True)
-    GuidanceSlot = slot_of(known.GUIDANCE, each=True)
-    EstimatorSlot = slot_of(known.FILTERS, each=True)
-    LimitsModel = component_model("limits", StateLimits, tagged=False, each=True)
+# Made at run time, so a type checker cannot see into them.
+WindSlot: Any = slot_of(known.WINDS)
+TurbulenceSlot: Any = slot_of(known.TURBULENCES)
+SensorSlot: Any = slot_of(known.SENSORS, each=True, more=FITTING)
+OrbitsSlot: Any = slot_of(known.ORBITS)
+SkyErrorsSlot: Any = slot_of(known.SKY_ERRORS)
+AreaSlot: Any = slot(_areas)
+GroundSlot: Any = slot_of(known.GROUNDS)
+ObstacleSlot: Any = obstacle_slot(known.OBSTACLES)
+GustSlot: Any = slot_of(known.GUSTS)
+PlumeSlot: Any = slot_of(known.PLUMES)
+TerrainSlot: Any = slot_of(known.TERRAINS)
+PersonsSlot: Any = slot_of(known.PERSONS)
+PlacementSlot: Any = slot_of(known.PLACEMENTS)
+TaskSlot: Any = slot_of(known.TASKS)
+BatterySlot: Any = slot_of(known.BATTERIES, each=True)
+VehicleSlot: Any = slot_of(known.VEHICLES, each=True)
+ControllerSlot: Any = slot_of(known.CONTROLLERS, each=True)
+GuidanceSlot: Any = slot_of(known.GUIDANCE, each=True)
+EstimatorSlot: Any = slot_of(known.FILTERS, each=True)
+LimitsModel: Any = component_model("limits", StateLimits, tagged=False, each=True)
 
 
 def _base_model() -> Any:
@@ -417,31 +400,35 @@ class ScenarioSpec(Strict):
     _sky = model_validator(mode="before")(with_sky)
 
 
-def refresh(kind: str) -> None:
-    """Update the schema with the registered components of a kind."""
-    if kind not in _PLACES:
+def refresh(kind: str, name: str | None = None) -> None:
+    """Update the schema with the registered components of a kind, after making that of the component ``name``."""
+    if kind not in _SLOTS:
         return
-    model, name, each = _PLACES[kind]
-    more = FITTING if kind == "sensor" else None
-    slot = _area_slot() if kind == "area" else slot_of(known.KINDS[kind], each=each, more=more)
-    # The classes stay the same, because others have imported them; only what may stand in them is new.
-    field = model.model_fields[name]
-    if name == "sensors":
-        field.annotation = dict[str, slot]  # type: ignore[valid-type]
-    else:
-        field.annotation, field.discriminator = get_args(slot)[0], "type"
+    if name is not None:
+        _SLOTS[kind].makers()[name]()
     for part in (SkySpec, WorldSpec, FleetSpec, ScenarioSpec):
         part.model_rebuild(force=True)
 
 
-# Where the components of a kind stand, and whether their numbers may be lists with one for each vehicle.
-_PLACES: dict[str, tuple[type[Strict], str, bool]] = {
-    **{kind: (WorldSpec, kind, False) for kind in WORLD_KINDS},
-    **{kind: (SkySpec, part, False) for kind, part in SKY_KINDS.items()},
-    **{kind: (FleetSpec, kind, True) for kind in FLEET_KINDS},
-    "placement": (FleetSpec, "placement", False),
-    "sensor": (FleetSpec, "sensors", True),
-    "task": (ScenarioSpec, "task", False),
+# Where the components of a kind stand.
+_SLOTS: dict[str, Any] = {
+    "wind": WindSlot,
+    "turbulence": TurbulenceSlot,
+    "gust": GustSlot,
+    "area": AreaSlot,
+    "ground": GroundSlot,
+    "plume": PlumeSlot,
+    "terrain": TerrainSlot,
+    "persons": PersonsSlot,
+    "sky": SkyErrorsSlot,
+    "orbits": OrbitsSlot,
+    "vehicle": VehicleSlot,
+    "controller": ControllerSlot,
+    "guidance": GuidanceSlot,
+    "battery": BatterySlot,
+    "placement": PlacementSlot,
+    "sensor": SensorSlot,
+    "task": TaskSlot,
 }
 
 

@@ -1,0 +1,74 @@
+"""Slots: places in a scenario where one of several components goes.
+
+There are more than a hundred components, and a scenario names about ten. The pydantic schema of a component is made
+when a scenario names it first, or when the schema of all is asked for, because each takes milliseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, ClassVar
+
+from pydantic_core import CoreSchema, core_schema
+
+from qrsim.scenarios.component_schema import Strict, component_model
+
+Maker = Callable[[], type[Strict]]
+
+
+class Slot:
+    """Base of the annotation of a slot.
+
+    Attributes:
+        makers: returns a function for each name that may stand here, which makes its schema once.
+        key: the key that tells them apart.
+    """
+
+    makers: ClassVar[Callable[[], Mapping[str, Maker]]]
+    key: ClassVar[str]
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """Return the names that may stand here."""
+        return list(cls.makers())
+
+    @classmethod
+    def models(cls) -> list[type[Strict]]:
+        """Return the schemas of all components that may stand here."""
+        return [make() for make in cls.makers().values()]
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> CoreSchema:
+        choices: dict[Any, CoreSchema] = {
+            # pydantic joins what the inner schema finds to its own errors, with the path.
+            name: core_schema.no_info_plain_validator_function(partial(_validated, make))
+            for name, make in cls.makers().items()
+        }
+        return core_schema.tagged_union_schema(choices, discriminator=cls.key)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: Any) -> Any:
+        choices: dict[Any, CoreSchema] = {name: make().__pydantic_core_schema__ for name, make in cls.makers().items()}
+        return handler(core_schema.tagged_union_schema(choices, discriminator=cls.key))
+
+
+def _validated(make: Maker, value: Any) -> Strict:
+    return make().model_validate(value)
+
+
+def slot(makers: Callable[[], Mapping[str, Maker]], key: str = "type") -> Any:
+    """Return the annotation of a slot; see ``Slot``. A type checker cannot see into it."""
+    return type("Slot", (Slot,), {"makers": staticmethod(makers), "key": key})
+
+
+def slot_of(choices: Mapping[str, type], *, each: bool = False, more: Mapping[str, Any] | None = None) -> Any:
+    """Return the annotation of a slot for the components of a mapping, which may change; see ``component_model``."""
+    made: dict[tuple[str, type], type[Strict]] = {}
+
+    def make(name: str, component: type) -> type[Strict]:
+        if (name, component) not in made:
+            made[name, component] = component_model(name, component, each=each, more=more)
+        return made[name, component]
+
+    return slot(lambda: {name: partial(make, name, component) for name, component in choices.items()})
