@@ -186,7 +186,8 @@ def test_a_table_that_would_not_fit_is_refused_with_the_pitch_that_does() -> Non
 
 
 def test_a_table_is_kept_and_made_anew_where_it_is_damaged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("QRSIM_CACHE_DIR", str(tmp_path / "qrsim"))
+    monkeypatch.delenv("QRSIM_COMPILATION_CACHE", raising=False)
     monkeypatch.setattr(skylines, "LEAST_KEPT", 0)
     block = [{"type": "prism", "corners_ned": SQUARE, "z_min": -3.0}]
     spec = load_scenario(seen_by(block, table={"pitch": 10.0, "azimuths": 16})).spec
@@ -202,7 +203,8 @@ def test_a_table_is_kept_and_made_anew_where_it_is_damaged(monkeypatch: pytest.M
     monkeypatch.setattr(skylines, "make_table", None)
     np.testing.assert_array_equal(words(), first)
     monkeypatch.undo()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("QRSIM_CACHE_DIR", str(tmp_path / "qrsim"))
+    monkeypatch.delenv("QRSIM_COMPILATION_CACHE", raising=False)
     monkeypatch.setattr(skylines, "LEAST_KEPT", 0)
     kept.write_bytes(b"nonsense")
     np.testing.assert_array_equal(words(), first)
