@@ -299,6 +299,7 @@ def test_the_run_folder_says_which_compiler_flew(flown):
 
 
 @pytest.mark.long
+@pytest.mark.filterwarnings("default::qrsim.errors.CompilerWarning")
 def test_the_run_folder_says_why_it_was_xla(fly, monkeypatch):
     """Where machine code fails, and where XLA was asked for."""
 
