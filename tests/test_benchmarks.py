@@ -39,6 +39,7 @@ NUMBERS = {
     "flight_stack": {"microseconds", "core_percent"},
     "gnss": {"vehicles", "ns", "compile_seconds"},
     "latency": {"calls", "median_us", "p95_us", "p99_us"},
+    "light": {"runs", "cpu_s", "over_import_jax"},
     "looking": {"median_us", "step_us", "over_first"},
     "mavlink": {"vehicles", "ticks", "core", "frames_per_second"},
     "pace": {"controllers", "ticks", "latency_median_ms", "latency_p99_ms"},
@@ -95,6 +96,12 @@ def test_startup():
     for first_tick, whole in (results[2:4], results[4:6]):
         assert 0.0 < first_tick["wall_s"] < whole["wall_s"]
     assert all(row["wall_s"] <= row["wall_max_s"] for row in results)
+
+
+def test_light():
+    floor, plain = rows("light")
+    assert floor["over_import_jax"] == 1.0 < plain["over_import_jax"]
+    assert plain["asked"] == 2.5
 
 
 def test_throughput():

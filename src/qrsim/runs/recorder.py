@@ -140,7 +140,10 @@ def fly(
     start_up, first_tick = time.perf_counter() - begun, time.time()
     compiler, refused = simulation.compiled_by
     info = replace(info, compiler=compiler, compiler_refused=refused)
-    gc.enable()
+    if not gc.isenabled():
+        # Imports and compiling have left hundreds of thousands of objects, which no collection need search.
+        gc.freeze()
+        gc.enable()
     with RunWriter.create(folder, info=info, scenario_yaml=scenario.to_yaml(), columns=wanted) as writer:
 
         def keep(history: History) -> None:

@@ -103,6 +103,7 @@ class Run:
         try:
             self._run()
         finally:
+            gc.unfreeze()
             gc.enable()
 
     def _run(self) -> None:

@@ -1,0 +1,67 @@
+"""How light a plain run is: CPU seconds of whole processes over those of ``import jax``, run by turns."""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import sys
+import tempfile
+from collections.abc import Sequence
+
+import _common
+from startup import run_timed
+
+IMPORT_JAX = "python -c 'import jax'"
+HEADINGS = {
+    "what": "process",
+    "runs": "runs",
+    "cpu_s": "CPU [s]",
+    "over_import_jax": "over import jax",
+    "asked": "asked",
+    "real_time_factor": "flight over real time",
+}
+# Name, scenario with its options, and the ratio asked for.
+RUNS = (
+    ("qrsim run hover, no figure", ("hover", "--duration", "2", "--no-figure"), 2.5),
+    ("qrsim run hover", ("hover", "--duration", "2"), 3.5),
+    ("qrsim run mixed_team, no figure", ("mixed_team", "--duration", "90", "--no-figure"), None),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    chosen = _common.options(__doc__, arguments)
+    on = _common.machine()
+    rounds, runs = (1, RUNS[:1]) if chosen.quick else (7, RUNS)
+    commands = {IMPORT_JAX: ["-c", "import jax"]}
+    commands |= {what: ["-m", "qrsim.cli", "run", *words, "--json", "--out"] for what, words, _ in runs}
+    cpu: dict[str, list[float]] = {what: [] for what in commands}
+    factors: dict[str, list[float]] = {what: [] for what in commands}
+    with tempfile.TemporaryDirectory() as folder:
+        # The first round fills the caches of programs, of Python and of fonts, and is not counted.
+        for number in range(rounds + 1):
+            for place, (what, command) in enumerate(commands.items()):
+                out = [f"{folder}/{number}-{place}"] if place else []
+                _, seconds, printed = run_timed([sys.executable, *command, *out], os.environ)
+                if number:
+                    cpu[what].append(seconds)
+                    factors[what] += [json.loads(printed)["real_time_factor"]] if place else []
+    floor = statistics.median(cpu[IMPORT_JAX])
+    asked = {what: ratio for what, _, ratio in runs}
+    results = [
+        {
+            "what": what,
+            "runs": len(seconds),
+            "cpu_s": round(statistics.median(seconds), 3),
+            "over_import_jax": round(statistics.median(seconds) / floor, 2),
+            "asked": asked.get(what),
+            "real_time_factor": round(statistics.median(factors[what])) if factors[what] else None,
+        }
+        for what, seconds in cpu.items()
+    ]
+    _common.publish("light", "A plain run with a filled cache, medians", on, results, HEADINGS, chosen.json)
+
+
+if __name__ == "__main__":
+    main()
