@@ -27,8 +27,20 @@ STREAMS = ("truth", "measurements", "commands", "wind")
 OF_RADIO = "measurements"
 
 
-# Of vehicles (n,) at T ticks (T, n), by NumPy: it is asked for at every part of a flight.
-_poses = on_host(lambda vehicle, states: jax.vmap(vehicle.pose)(states))
+# Each number of ticks is a program to be traced, which takes as long as to compute so many poses. Parts of a flight
+# with fewer are filled up to one number of ticks.
+_TICKS, _MOST_POSES = 500, 20_000
+_poses_of_ticks = on_host(lambda vehicle, states: jax.vmap(vehicle.pose)(states))
+
+
+def _poses(fleet: Fleet, states: Any) -> Any:
+    """Return poses (T, n) of the vehicles' states (T, n), by NumPy: it is asked for at every part of a flight."""
+    ticks = len(jax.tree.leaves(states)[0])
+    if not ticks < _TICKS <= _MOST_POSES / fleet.size:
+        return _poses_of_ticks(fleet.vehicle, states)
+    rows = np.minimum(np.arange(_TICKS), ticks - 1)
+    poses = _poses_of_ticks(fleet.vehicle, jax.tree.map(lambda leaf: np.asarray(leaf)[rows], states))
+    return jax.tree.map(lambda leaf: leaf[:ticks], poses)
 
 
 _UNITS = {
@@ -42,7 +54,7 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
     """Return (column, array (T, n), unit, doc) of one fleet's part of a stream."""
     roots: list[tuple[str, Any]]
     if stream == "truth":
-        poses = _poses(fleet.vehicle, state.vehicle)
+        poses = _poses(fleet, state.vehicle)
         roots = [("", poses), ("", state.vehicle), ("specific_force.", state.specific_force)]
         if fleet.battery.drains:
             roots.append(("battery.", state.battery))
