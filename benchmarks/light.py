@@ -18,14 +18,13 @@ HEADINGS = {
     "runs": "runs",
     "cpu_s": "CPU [s]",
     "over_import_jax": "over import jax",
-    "asked": "asked",
     "real_time_factor": "flight over real time",
 }
-# Name, scenario with its options, and the ratio asked for.
+# Name, and the scenario with its options.
 RUNS = (
-    ("qrsim run hover, no figure", ("hover", "--duration", "2", "--no-figure"), 2.5),
-    ("qrsim run hover", ("hover", "--duration", "2"), 3.5),
-    ("qrsim run mixed_team, no figure", ("mixed_team", "--duration", "90", "--no-figure"), None),
+    ("qrsim run hover, no figure", ("hover", "--duration", "2", "--no-figure")),
+    ("qrsim run hover", ("hover", "--duration", "2")),
+    ("qrsim run mixed_team, no figure", ("mixed_team", "--duration", "90", "--no-figure")),
 )
 
 
@@ -35,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     on = _common.machine()
     rounds, runs = (1, RUNS[:1]) if chosen.quick else (7, RUNS)
     commands = {IMPORT_JAX: ["-c", "import jax"]}
-    commands |= {what: ["-m", "qrsim.cli", "run", *words, "--json", "--out"] for what, words, _ in runs}
+    commands |= {what: ["-m", "qrsim.cli", "run", *words, "--json", "--out"] for what, words in runs}
     cpu: dict[str, list[float]] = {what: [] for what in commands}
     factors: dict[str, list[float]] = {what: [] for what in commands}
     with tempfile.TemporaryDirectory() as folder:
@@ -48,14 +47,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
                     cpu[what].append(seconds)
                     factors[what] += [json.loads(printed)["real_time_factor"]] if place else []
     floor = statistics.median(cpu[IMPORT_JAX])
-    asked = {what: ratio for what, _, ratio in runs}
     results = [
         {
             "what": what,
             "runs": len(seconds),
             "cpu_s": round(statistics.median(seconds), 3),
             "over_import_jax": round(statistics.median(seconds) / floor, 2),
-            "asked": asked.get(what),
             "real_time_factor": round(statistics.median(factors[what])) if factors[what] else None,
         }
         for what, seconds in cpu.items()

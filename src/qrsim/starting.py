@@ -12,5 +12,5 @@ from qrsim.interruptions import leave_at_once
 # By any other name somebody imports the command line into a program of their own.
 if os.path.basename(sys.argv[0] if sys.argv else "") in ("qrsim", "qrsim.exe"):
     leave_at_once()
-# The system takes the memory back as a whole; to search it for garbage first takes a third of a second of CPU time.
-atexit.register(gc.freeze)
+    # The system takes the memory back as a whole; to search it for garbage first takes a third of a second of CPU time.
+    atexit.register(gc.freeze)

@@ -322,7 +322,10 @@ def test_the_run_folder_says_why_it_was_xla(fly, monkeypatch):
 
 def test_at_exit_no_garbage_is_looked_for():
     """To search all that JAX has made takes as long as half of its import."""
-    words = "import qrsim.cli\nclass Ring:\n    def __del__(self): print('searched')\nring = Ring(); ring.self = ring"
+    words = (
+        "import sys; sys.argv = ['qrsim']\nimport qrsim.cli\n"
+        "class Ring:\n    def __del__(self): print('searched')\nring = Ring(); ring.self = ring"
+    )
     told = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True)
     assert (told.stdout, told.stderr) == ("", "")
 
