@@ -158,6 +158,7 @@ class TestChoice:
             configuration.uses_llvm()
 
     @pytest.mark.long
+    @pytest.mark.filterwarnings("default::qrsim.errors.CompilerWarning")
     def test_what_cannot_be_compiled_flies_by_xla(self, caplog):
         """A policy that sorts; the same worlds with one that does not."""
 
