@@ -75,12 +75,14 @@ class TestQuickToCompile:
 class TestCompilationCache:
     def test_in_the_users_cache_by_default(self, config, monkeypatch, tmp_path):
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+        monkeypatch.delenv("QRSIM_CACHE_DIR", raising=False)
         configuration.use_compilation_cache()
         assert config.jax_compilation_cache_dir.endswith("compiled")
         assert "qrsim" in config.jax_compilation_cache_dir
 
     def test_not_where_others_can_write(self, config, monkeypatch, tmp_path):
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+        monkeypatch.delenv("QRSIM_CACHE_DIR", raising=False)
         (tmp_path / "qrsim" / "compiled").mkdir(parents=True)
         (tmp_path / "qrsim" / "compiled").chmod(0o777)
         with pytest.warns(UserWarning, match="others can write into it"):
