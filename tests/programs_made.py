@@ -47,6 +47,7 @@ class ProgramsMade:
         elif self._over(session.config) and session.exitstatus == 0:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
+    @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
         """Add the counts of a worker that ends."""
         self.by_file.update(getattr(node, "workeroutput", {}).get(KEY, {}))
