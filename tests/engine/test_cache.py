@@ -451,7 +451,7 @@ def files_of(jaxpr: Any) -> set[Path]:
     for equation in jaxpr.eqns:
         traceback = equation.source_info.traceback
         if traceback is not None:
-            # From the traced function inwards; outside of it is whoever traces.
+            # The frames from the traced function inwards.
             found |= {Path(frame.file_name) for frame in traceback.frames}
         for inner in jaxprs_in_params(equation.params):
             found |= files_of(inner)

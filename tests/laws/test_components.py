@@ -126,7 +126,7 @@ def test_every_group_of_the_catalogue_has_laws() -> None:
 
 
 def computed(group: str, name: str, settings: dict[str, Any] | None = None) -> list[Any]:
-    """Return what a component computes in each of WORLDS, traced once and evaluated by NumPy."""
+    """Return the results of a component in each of WORLDS, traced once and evaluated by NumPy."""
     return _computed(group, name, tuple((settings or {}).items()))
 
 

@@ -27,8 +27,8 @@ STREAMS = ("truth", "measurements", "commands", "wind")
 OF_RADIO = "measurements"
 
 
-# Each number of ticks is a program to be traced, which takes as long as to compute so many poses. Parts of a flight
-# with fewer are filled up to one number of ticks.
+# JAX traces the poses again for every number of ticks, which takes as long as computing them. Shorter parts of a flight
+# are padded to this number.
 _TICKS, _MOST_POSES = 500, 20_000
 _poses_of_ticks = on_host(lambda vehicle, states: jax.vmap(vehicle.pose)(states))
 
