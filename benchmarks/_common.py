@@ -35,19 +35,22 @@ def options(description: str, arguments: Sequence[str] | None = None) -> argpars
 
 
 def without_cache() -> None:
-    """Let every program be compiled in this process; to be called before the first simulation is made."""
+    """Compile every program in this process, to better code at once; call it before the first simulation is made."""
     os.environ["QRSIM_COMPILATION_CACHE"] = "off"
+    os.environ.setdefault("QRSIM_TIER", "better")
     os.environ.pop("JAX_COMPILATION_CACHE_DIR", None)
 
 
-def patrol(count: int) -> dict[str, Any]:
-    """Return the published patrol with ``count`` vehicles, each on a square of its own, in an area that holds them.
+def patrol(count: int, scenario: str = "patrol_published") -> dict[str, Any]:
+    """Return a patrol of ``count`` vehicles, each on a square of its own, in an area that holds them.
 
-    Wind, turbulence, sensors and controller are those of the scenario ``patrol_published``, which never changes.
+    Args:
+        count: number of vehicles.
+        scenario: whose wind, turbulence, sensors and controller they have; ``patrol_published`` never changes.
     """
     import qrsim
 
-    content = qrsim.load_scenario("patrol_published").spec.model_dump(mode="json")
+    content = qrsim.load_scenario(scenario).spec.model_dump(mode="json")
     columns = math.ceil(math.sqrt(count))
     vehicles = []
     for i in range(count):
@@ -60,7 +63,7 @@ def patrol(count: int) -> dict[str, Any]:
     for axis in "xy":
         content["world"]["area"][f"{axis}_min"] = -reach
         content["world"]["area"][f"{axis}_max"] = reach
-    content["name"] = f"patrol_{count}"
+    content["name"] = f"{scenario}_{count}"
     content["fleets"]["pelicans"]["vehicles"] = vehicles
     return content
 

@@ -2,8 +2,9 @@
 
 The stages are cumulative: the dynamics of quadrotors that hold their attitude; + mean wind and full Dryden turbulence;
 + process noise; + barometer, attitude, gyroscope and accelerometer and the waypoint controller fed with them; + a GNSS
-receiver at 5 Hz; + collisions between all vehicles, which is everything. The last stage is that of the wind for a
-multirotor by its rotors (an X500 in substeps of 4 ms) in place of the identified quadrotor. ``--stages`` also takes
+receiver at 5 Hz; + collisions between all vehicles, which is everything. Two stages follow that are not cumulative: the
+wind for a multirotor by its rotors (an X500 in substeps of 4 ms) in place of the identified quadrotor, and the default
+scenario ``outdoor_patrol`` (Kalman filter, IMU, magnetometer, sensor gnss, one field of gusts). ``--stages`` also takes
 that of GNSS with velocities from Doppler (gnss-doppler), and with the sensor gnss under four constellations
 (gnss-sensor).
 """
@@ -24,6 +25,8 @@ MANY_WORLDS = (512, 8)
 STAGES = ("dynamics", "wind", "noise", "sensors", "gnss", "everything")
 # Not cumulative: beside the stage of the wind, whose world it has.
 ROTORS = "rotors"
+# Not cumulative: the default scenario as it is, with more vehicles.
+DEFAULT = "outdoor_patrol"
 # Not cumulative either: that of GNSS with other receivers, and the skies they are made for.
 RECEIVERS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "gnss-doppler": ({"type": "gnss_receiver", "velocity": "doppler"}, {}),
@@ -55,6 +58,8 @@ def stage_world(count: int, stage: str) -> Any:
     """Return the world of a stage with ``count`` vehicles, of which none stops."""
     from qrsim import load_scenario
 
+    if stage == DEFAULT:
+        return load_scenario(_common.patrol(count, DEFAULT), quiet=True).world()
     content = _common.patrol(count)
     world, fleet = content["world"], content["fleets"]["pelicans"]
     world["turbulence"] = {"type": "dryden"}
@@ -110,7 +115,7 @@ def measure(worlds: int, count: int, stage: str, seconds: float, repeats: int) -
         repeats: measurements, of which the median counts.
     """
     world = stage_world(count, stage)
-    with no_collisions(off=stage != "everything"):
+    with no_collisions(off=stage not in ("everything", DEFAULT)):
         return _measured(world, worlds, count, stage, seconds, repeats)
 
 
@@ -163,8 +168,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--stages",
         nargs="*",
-        choices=(*STAGES, ROTORS, *RECEIVERS),
-        default=(*STAGES, ROTORS),
+        choices=(*STAGES, ROTORS, DEFAULT, *RECEIVERS),
+        default=(*STAGES, ROTORS, DEFAULT),
         help="which stages (default: all)",
     )
     parser.add_argument("--no-many-worlds", action="store_true", help="leave out the 512 worlds of 8 vehicles")

@@ -154,7 +154,7 @@ def wind_world(fleets: Sequence[str], duration: float, precision: str = "float32
 
     def fleet(controller: str, *vehicles: Any, **more: Any) -> dict[str, Any]:
         control = {"type": controller, "tilt_limit": 0.6}
-        return {"controller": control, "limits": {"rate": 6.0}, "sensors": PLAIN, "vehicles": vehicles, **more}
+        return {"controller": control, "sensors": PLAIN, "vehicles": vehicles, **more}
 
     every = {
         "waypoint": fleet("waypoint", starts[0], {"position_ned": starts[1], "waypoints_ned": loop}),

@@ -76,7 +76,6 @@ def world(
         controller={"type": "cascade", "feed": feed},
         guidance=guidance,
         sensors=sensors,
-        limits={"rate": 6.0},
         area={"type": "box", "x_min": -4000.0, "x_max": 4000.0, "y_min": -4000.0, "y_max": 4000.0, "z_min": -110.0},
         wind={"type": "log_shear", "speed_20ft": wind, "wind_from_deg": FROM_DEG} if wind else "calm",
         turbulence=turbulence if wind else "still",

@@ -19,6 +19,14 @@ DOC = "vehicle-steps per second by stage, latency of one step, memory, compilati
 SEED = 0
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 VEHICLES = ("1", "10", "100", "1000", "4096", "65536")
+NAMES_OF_LIGHT = {
+    "python -c 'import jax'": "import_jax",
+    "qrsim run hover, no figure": "run",
+    "qrsim run hover": "with_figure",
+    "qrsim run mixed_team, no figure": "recorded",
+    "compile outdoor_patrol": "compile_default",
+    "compile mixed_team": "compile_mixed",
+}
 # Collisions cost less than the machine drifts within a minute: with and without them by turns.
 TURNS = 7
 TICKS = 1_000_000
@@ -78,6 +86,12 @@ def peers() -> dict[str, Any]:
     return found
 
 
+def light() -> dict[str, Any]:
+    """Return the CPU seconds of a plain run and of compiling, over those of importing JAX."""
+    keys = ("cpu_s", "over_import_jax", "real_time_factor")
+    return {NAMES_OF_LIGHT[row["what"]]: {key: row[key] for key in keys} for row in printed("light")}
+
+
 def memory(ticks: int) -> dict[str, Any]:
     """Return the largest resident set before and after many ticks of the default scenario, and bytes per vehicle."""
     simulation = qrsim.load("patrol_published")
@@ -108,6 +122,7 @@ def run(full: bool) -> dict[str, Any]:
         "xla": by_stage(xla),
         "latency": {name: {key: taken[i][key] for key in keys} for name, i in latency.items()},
         "memory": memory(TICKS),
+        "light": light(),
         "load_average": os.getloadavg()[0],
     }
     everything = results["throughput"]["512x8"]["everything"]  # type: ignore[index]

@@ -31,7 +31,7 @@ def told(fly: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
         "name": "gap",
         "duration": 4.0,
         "start_time": "2010-08-31T15:00:03Z",
-        "world": {"sky": {"orbits": {"type": "sp3", "file": "gap.sp3"}, "errors": {"type": "ou"}}},
+        "world": {"sky": {"orbits": {"type": "sp3", "file": "gap.sp3"}, "errors": {"type": "ou", "std": 1.0}}},
         "fleets": {
             "a": {
                 "controller": {"type": "waypoint", "feed": "truth"},

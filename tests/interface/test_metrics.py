@@ -107,8 +107,9 @@ class TestAgainstTheStates:
         assert len(np.unique(flown.recorded["waypoint"][:, :, 0, 1])) == 2
 
     def test_fixes(self, flown):
-        error = (flown.recorded["fix"] - flown.recorded["position"])[:, ::FIX_TICKS]
-        error = np.delete(error, 1, axis=1)
+        """Each is compared with the truth at the moment it was taken, a period before it is reported."""
+        fix, position = (flown.recorded[name][:, ::FIX_TICKS] for name in ("fix", "position"))
+        error = fix[:, 1:] - position[:, :-1]
         horizontal = np.sqrt(np.mean(np.sum(error[..., :2] ** 2, axis=-1), axis=1))
         np.testing.assert_allclose(flown["gnss_horizontal_rms_m"], horizontal, rtol=1e-9)
         np.testing.assert_allclose(
@@ -126,9 +127,13 @@ class TestAgainstTheStates:
         apart = np.linalg.norm(position[:, :, 0] - position[:, :, 1], axis=-1)
         nearest, _ = extreme(flown, "separation_min", -np.stack([apart, apart], axis=-1))
         np.testing.assert_allclose(flown["separation_min_m"], -nearest, rtol=1e-12)
-        margin = np.minimum(40.0 - np.max(np.abs(position), axis=-1), -position[..., 2])
-        edge, _ = extreme(flown, "fence_distance_min", -margin)
+        # The ground, 10 m below, is no fence.
+        lateral, ceiling = 40.0 - np.max(np.abs(position[..., :2]), axis=-1), 40.0 + position[..., 2]
+        edge, _ = extreme(flown, "fence_distance_min", -np.minimum(lateral, ceiling))
         np.testing.assert_allclose(flown["fence_distance_min_m"], -edge, rtol=1e-9)
+        np.testing.assert_allclose(flown["fence_lateral_min_m"], lateral.min(axis=1), rtol=1e-9)
+        np.testing.assert_allclose(flown["fence_ceiling_min_m"], ceiling.min(axis=1), rtol=1e-9)
+        assert np.isnan(flown["fence_floor_min_m"]).all()
 
 
 class TestStops:

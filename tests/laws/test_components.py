@@ -261,6 +261,9 @@ def test_the_state_limits_have_units_too() -> None:
         assert info.unit, field
         assert info.doc, field
         assert info.above is not None
+        if default is None:
+            assert info.nullable
+            continue
         assert default > info.above
         assert info.maximum is None or default <= info.maximum
 

@@ -132,6 +132,9 @@ class Wrapped(Vehicle):
     def stopped(self, state: Any) -> Any:
         return self.inside.stopped(state)
 
+    def with_wrapped_yaw(self, state: Any) -> Any:
+        return self.inside.with_wrapped_yaw(state)
+
 
 def lowered(world: World) -> str:
     """Return the StableHLO of a tick."""

@@ -13,6 +13,8 @@ from qrsim.scenarios.reading import read_scenario
 
 def test_the_published_patrol_says_what_it_said() -> None:
     _, content = read_scenario("patrol_published")
+    # It was the default of all, and is that of this one alone.
+    assert content["fleets"]["pelicans"]["limits"].pop("yaw") == 31.41592653589793
     text = json.dumps(content, sort_keys=True, default=str)
     assert hashlib.sha256(text.encode()).hexdigest()[:16] == "ec33d0c172c8bbce"
 

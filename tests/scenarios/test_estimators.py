@@ -24,7 +24,7 @@ EKF = "fleets.pelicans.estimator=ekf"
     [
         (["fleets.pelicans.estimator=efk"], "did you mean 'ekf'"),
         (
-            [EKF, "fleets.pelicans.sensors={}"],
+            [EKF, "fleets.pelicans.sensors={baro: {type: barometer}}"],
             "the estimator is of type ekf, but no sensor gives rates_body; add one of type gyroscope, or leave out "
             "fleets.pelicans.estimator",
         ),

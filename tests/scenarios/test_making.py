@@ -22,8 +22,9 @@ from qrsim.models.scene.obstacles import BoxObstacle, CylinderObstacle
 from qrsim.models.sensors.imu import Imu
 from qrsim.models.vehicles.battery import LithiumPolymer
 from qrsim.models.vehicles.quadrotor import Quadrotor
-from qrsim.scenarios.making import SENSORS, make_scenario, make_world
+from qrsim.scenarios.making import make_scenario, make_world
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.scenarios.sensor_sets import SETS
 from qrsim.simulation.simulation import Simulation
 from qrsim.tasks import KeepSpot
 
@@ -85,7 +86,6 @@ def patrol_plain() -> Any:
         "vehicles": [{"position_ned": start, "waypoints_ned": route} for start, route in PATROL.items()],
         "vehicle": Quadrotor(),
         "controller": CascadeController(speed_limit=5.0, tilt_limit=0.67),  # type: ignore[arg-type]
-        "limits": {"rate": 6.0},
         "guidance": {"type": "route", "acceptance_radius": 3.0},
         "sensors": {**PLAIN, "gnss": GnssReceiver(range_noise_std=0.02)},  # type: ignore[arg-type]
     }
@@ -135,7 +135,7 @@ class TestParts:
         assert [vehicle.position_ned for vehicle in fleet.vehicles] == [[0.0, 0.0, -10.0], [8.0, 0.0, -12.0]]
         assert (fleet.vehicles[1].name, fleet.controller.type, fleet.guidance.type) == ("b", "velocity", "velocity")
         assert {name: sensor.type for name, sensor in fleet.sensors.items()} == {
-            name: sensor["type"] for name, sensor in SENSORS["ideal"].items()
+            name: sensor["type"] for name, sensor in SETS["ideal"].items()
         }
         assert scenario.name == "experiment"
 
@@ -224,8 +224,8 @@ class TestBadInput:
             ({"fleets": {"a": [[0, 0, -10]]}}, r"fleets.a: expected a dict, found \[\[0"),
             ({"vehicles": 5}, "vehicles: expected a list of vehicles, found 5"),
             ({"vehicles": {"position_ned": [0, 0, -10]}}, "expected a list of vehicles"),
-            ({"vehicles": [[0, 0, -10]], "sensors": "noisey"}, "'noisey' .*; did you mean 'noisy'"),
-            ({"vehicles": [[0, 0, -10]], "sensors": ["gnss"]}, "is neither a dict nor known; known: ideal, noisy"),
+            ({"vehicles": [[0, 0, -10]], "sensors": "noisey"}, "'noisey'; did you mean 'noisy'"),
+            ({"vehicles": [[0, 0, -10]], "sensors": ["gnss"]}, "expected a dict or the name of a set"),
             ({"vehicles": [[0, 0, -10]], "extends": "keep_spot"}, "with extends give fleets"),
             ({"extends": "keep_spit"}, "no scenario is called 'keep_spit'; did you mean 'keep_spot'"),
         ],

@@ -146,7 +146,7 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
         "fleets.alpha.sensors.gnss.type: no such type 'gnss_reciever'; did you mean 'gnss_receiver'?",
     ),
     ("world.wind.type", REMOVED, "world.wind.type: missing; it names what this is: calm, log_shear"),
-    ("fleets.alpha.vehicle.type", REMOVED, "fleets.alpha.vehicle.type: missing; it names what this is: pelican"),
+    ("fleets.alpha.vehicle", {"mass": "heavy"}, "fleets.alpha.vehicle.mass: 'heavy' is not a number"),
     ("world.wind", "calm", "world.wind: expected keys and values such as {type: calm}, found 'calm'"),
     (
         "fleets.alpha.vehicle",
@@ -355,6 +355,10 @@ def test_a_turbulence_that_brings_its_own_numbers_needs_no_wind() -> None:
 
 def test_a_controller_fed_with_measurements_names_every_sensor_it_lacks() -> None:
     problems = problems_of(changed(("fleets.alpha.sensors", {})))
+    assert len(problems) == 1
+    assert "the fleet has no sensors; set sensors to noisy or ideal" in problems[0]
+    rotation = {"type": "gyroscope"}
+    problems = problems_of(changed(("fleets.alpha.sensors", {"rates": rotation})))
     assert [problem.partition("gives ")[2].partition(";")[0] for problem in problems] == [
         "position_ned",
         "height",

@@ -186,7 +186,7 @@ class TestRefused:
         ("vehicle", "words"),
         [
             (Unspoken(), "fleets.a.ground: 'parked' needs to know when the thrust exceeds the weight, which 'mine'"),
-            (Footed(), "fleets.a.ground: 'parked' is for vehicles without a contact of their own, and 'mine' stands"),
+            (Footed(), "fleets.a.ground: 'parked' is for vehicles that do not read the ground, and 'mine' does"),
         ],
     )
     def test_a_vehicle_that_cannot_be_parked(self, vehicle: Quadrotor, words: str):

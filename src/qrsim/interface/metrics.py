@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -11,43 +11,28 @@ import numpy as np
 import numpy.typing as npt
 from jax import Array
 
-from qrsim.control import OffboardSetpoint, PathSetpoint, TrackSetpoint, WaypointSetpoint
+from qrsim.control import Mission, MissionState, OffboardSetpoint, PathSetpoint, TrackSetpoint, WaypointSetpoint
 from qrsim.core.pairs import joined, two_sum
 from qrsim.core.tree import concatenated, quantity, record, replace, select
 from qrsim.core.vectors import Vec3, root
 from qrsim.interface.consistency import Looks
 from qrsim.interface.crowds import overfull_of_fleets, warn_of_overfull
-from qrsim.models.gnss.receivers import GnssReading
-from qrsim.models.vehicles.battery import Charge
+from qrsim.interface.extremes import Extreme
+from qrsim.interface.fix_errors import FixErrors
 from qrsim.models.vehicles.commands import fields_of
+from qrsim.models.vehicles.contracts import Charged
 from qrsim.world.state import FleetState, State, World
 
 T = TypeVar("T")
 Floats = np.ndarray[Any, Any]
 # Beyond this number of vehicles the smallest distance between two is not looked for.
 MOST_FOR_SEPARATION = 64
+# A set-point so far below the ground [m] is one of a landing.
+BELOW_M = 0.05
+# A floor of the area that is less than this above the ground [m] is the ground.
+GROUND_M = 0.01
 # Of what estimators state: metrics "anees" of all errors, "anees_position" of a block.
 CONSISTENCY = ("every", "position", "velocity", "attitude", "bias")
-
-
-@record
-class Extreme:
-    """The largest value of a quantity of each vehicle (n,), with its time and position."""
-
-    value: Array = quantity(doc="largest value; NaN before the first")
-    tick: Array = quantity(doc="int32 tick at which it was reached, -1 before the first")
-    position_ned: Vec3 = quantity(unit="m", doc="true position at that tick")
-
-    @staticmethod
-    def none(like: Array) -> Extreme:
-        """Return the start, for vehicles (n,)."""
-        nothing = jnp.full_like(like, jnp.nan)
-        return Extreme(nothing, jnp.full(like.shape, -1, jnp.int32), Vec3(nothing, nothing, nothing))
-
-    def update(self, value: Array, tick: Array, position_ned: Vec3, counts: Array) -> Extreme:
-        """Update with a new value (n,) where it counts (n,) and is larger."""
-        larger = counts & (value > jnp.where(self.tick < 0, -jnp.inf, self.value))
-        return select(larger, Extreme(value, jnp.full_like(self.tick, tick), position_ned), self)
 
 
 @record
@@ -62,16 +47,15 @@ class Flight:
     tracked: Array = quantity(doc="int32 ticks flown along a leg")
     tracking_square: Array = quantity(unit="m^2", doc="sum of the squared distances from the leg being flown")
     tracking: Extreme = quantity(doc="distance from the leg being flown [m]")
-    fix_ned: Vec3 = quantity(unit="m", doc="last position that the receiver reported")
-    fixes: Array = quantity(doc="int32 new fixes")
-    horizontal_square: Array = quantity(unit="m^2", doc="sum over the fixes of the squared horizontal error")
-    vertical_square: Array = quantity(unit="m^2", doc="sum over the fixes of the squared vertical error")
-    without_fix: Array = quantity(doc="int32 ticks without a fix")
-    loss: Extreme = quantity(doc="the first loss of the fix; its value is 1")
+    fixes: FixErrors = quantity(doc="errors of the fixes")
     wind: Extreme = quantity(doc="speed of the air [m/s], gusts included")
     closeness: Extreme = quantity(doc="minus the distance to the nearest other vehicle [m]")
-    outwards: Extreme = quantity(doc="minus the distance to the nearest limit of the area [m]")
+    outwards: Extreme = quantity(doc="minus the distance to the nearest limit of the area but the ground [m]")
+    sides: Array = quantity(unit="m", doc="smallest distance to the sides of the area")
+    ceiling: Array = quantity(unit="m", doc="smallest distance to its ceiling")
+    floor: Array = quantity(unit="m", doc="smallest distance to its floor, NaN where that is the ground")
     charge: Array = quantity(unit="1", doc="lowest charge of the battery, NaN without one")
+    charge_first: Array = quantity(unit="1", doc="charge at the start")
     clipped: Array = quantity(doc="int32 ticks whose command was clipped")
     stopped: Array = quantity(doc="int32 tick at which it stopped, -1 while it flies")
     position_low_ned: Vec3 | None = quantity(
@@ -97,10 +81,11 @@ class FlightMetrics:
         nothing = Flight(
             ticks=count, distance=zero, position_ned=position, leg_start=position, leg_end=goal,
             tracked=count, tracking_square=zero, tracking=none,
-            fix_ned=none.position_ned, fixes=count,
-            horizontal_square=zero, vertical_square=zero, without_fix=count, loss=none,
+            fixes=FixErrors.none(world, state, like),
             wind=none, closeness=none, outwards=none,
-            charge=jnp.full_like(like, jnp.nan), clipped=count, stopped=jnp.full(like.shape, -1, jnp.int32),
+            sides=none.value, ceiling=none.value, floor=none.value,
+            charge=none.value, charge_first=_charges(world, state),
+            clipped=count, stopped=jnp.full(like.shape, -1, jnp.int32),
             position_low_ned=_low(state), distance_low=None if _low(state) is None else zero,
             looks=Looks.none(world, state),
         )  # fmt: skip
@@ -121,6 +106,9 @@ class FlightMetrics:
         air = _together(state, lambda fleet: fleet.mean_wind_ned + fleet.gust_ned)
         clipped = _together(state, lambda fleet: fleet.command_clipped)
         distance, distance_low = _farther(flight, position, low, flying)
+        inside = flying & _moves(world)
+        sides, ceiling, floor = _clearances(world, position)
+        nearest = jnp.fmin(jnp.minimum(sides, ceiling), floor)
         flight = replace(
             flight,
             distance=distance,
@@ -134,8 +122,11 @@ class FlightMetrics:
             tracking_square=flight.tracking_square + jnp.where(counted, error * error, 0.0),
             tracking=flight.tracking.update(error, tick, position, counted),
             wind=flight.wind.update(air.norm(), tick, position, flying),
-            outwards=flight.outwards.update(-world.area.margin(position), tick, position, flying & _moves(world)),
-            charge=jnp.fmin(flight.charge, _together(state, _charge)),
+            outwards=flight.outwards.update(-nearest, tick, position, inside),
+            sides=_least(flight.sides, sides, inside),
+            ceiling=_least(flight.ceiling, ceiling, inside),
+            floor=_least(flight.floor, floor, inside),
+            charge=jnp.fmin(flight.charge, _charges(world, state)),
             clipped=flight.clipped + _one(clipped & flying),
             stopped=jnp.where((flight.stopped < 0) & ~flying, tick, flight.stopped),
         )
@@ -145,7 +136,7 @@ class FlightMetrics:
             flight = replace(flight, closeness=flight.closeness.update(closeness, tick, position, flying))
         if flight.looks is not None:
             flight = replace(flight, looks=flight.looks.update(world, state, tick, flying))
-        return _look_at_fixes(flight, state, tick, position, low, flying)
+        return replace(flight, fixes=flight.fixes.update(world, state, tick, flying))
 
     def finish(self, flight: Flight, world: World, state: State) -> dict[str, Floats]:
         """Compute the metrics by name, each (W, n), from the memory of W worlds (host arrays)."""
@@ -165,16 +156,19 @@ class FlightMetrics:
             "flown_s": flight.ticks * dt,
             "distance_m": joined(flight.distance, flight.distance_low),
             "tracking_error_rms_m": root_mean(flight.tracking_square, flight.tracked),
-            "gnss_horizontal_rms_m": root_mean(flight.horizontal_square, flight.fixes),
-            "gnss_vertical_rms_m": root_mean(flight.vertical_square, flight.fixes),
-            "without_fix_s": flight.without_fix * dt,
+            **flight.fixes.finish(dt),
             "clipped_s": flight.clipped * dt,
             "charge_min": flight.charge,
+            "endurance_s": _endurance(flight, dt),
+            "fence_lateral_min_m": flight.sides,
+            "fence_ceiling_min_m": flight.ceiling,
+            "fence_floor_min_m": flight.floor,
+            "unfinished": _unfinished(world, state),
             "stopped_at_s": when(flight.stopped),
             "reason": np.concatenate([fleet.violation.code for fleet in state.fleets], axis=-1),
             "reason_value": np.concatenate([fleet.violation.value for fleet in state.fleets], axis=-1),
         }
-        extremes = {"tracking_error_max": flight.tracking, "wind_max": flight.wind, "fix_lost": flight.loss}
+        extremes = {"tracking_error_max": flight.tracking, "wind_max": flight.wind, "fix_lost": flight.fixes.loss}
         smallest = {"separation_min": flight.closeness, "fence_distance_min": flight.outwards}
         for name, extreme in {**extremes, **smallest}.items():
             if name != "fix_lost":
@@ -239,11 +233,50 @@ def _moves(world: World) -> Array:
     return jnp.asarray(np.concatenate(each))
 
 
-def _charge(fleet: FleetState) -> Array:
+def _charges(world: World, state: State) -> Array:
     """Return the charge of the battery of each vehicle (n,), NaN where it has none that drains."""
-    if isinstance(fleet.battery, Charge):
-        return fleet.battery.charge
-    return jnp.full_like(fleet.vehicle.position_ned.x, jnp.nan)
+    return jnp.concatenate(
+        [
+            cast(Charged, now.battery).charge
+            if fleet.battery.drains
+            else jnp.full_like(now.vehicle.position_ned.x, jnp.nan)
+            for fleet, now in zip(world.fleets, state.fleets, strict=True)
+        ]
+    )
+
+
+def _endurance(flight: Flight, dt: float) -> Floats:
+    """Return the time (W, n) [s] for which the battery would have lasted at the flight's mean consumption."""
+    used = np.asarray(flight.charge_first, np.float64) - np.asarray(flight.charge, np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(used > 0.0, np.asarray(flight.charge_first) * (np.asarray(flight.ticks) * dt) / used, np.nan)
+
+
+def _unfinished(world: World, state: State) -> Floats:
+    """Return which vehicles (W, n) still flew a mission that has an end, 0 or 1."""
+    each = []
+    for fleet, now in zip(world.fleets, state.fleets, strict=True):
+        flies = np.asarray(now.violation.code) == 0
+        if isinstance(now.guidance, MissionState) and isinstance(fleet.route, Mission):
+            ends = np.asarray(fleet.route.following) == np.asarray(fleet.route.count) - 1
+            last = np.asarray(now.guidance.index) >= np.asarray(fleet.route.count) - 1
+            flies = flies & ends & ~(last & np.asarray(now.guidance.arrived))
+        else:
+            flies = np.zeros_like(flies)
+        each.append(flies.astype(np.float64))
+    return np.concatenate(each, axis=-1)
+
+
+def _clearances(world: World, position_ned: Vec3) -> tuple[Array, Array, Array]:
+    """Return the distances (n,) [m] from the sides, the ceiling and the floor, NaN for a floor that is the ground."""
+    sides, ceiling, floor = world.area.clearances(position_ned)
+    above_ground = position_ned.z + floor < world.ground_down(position_ned) - GROUND_M
+    return sides, ceiling, jnp.where(above_ground & jnp.isfinite(floor), floor, jnp.nan)
+
+
+def _least(known: Array, new: Array, counts: Array) -> Array:
+    """Return the smaller of two numbers (n,), where the new one counts."""
+    return jnp.fmin(known, jnp.where(counts & jnp.isfinite(new), new, jnp.nan))
 
 
 def _goal(world: World, state: State) -> Vec3:
@@ -253,7 +286,9 @@ def _goal(world: World, state: State) -> Vec3:
         nowhere = fleet.vehicle.position_ned.map(lambda axis: jnp.full_like(axis, jnp.nan))
         setpoint = fleet.setpoint
         if isinstance(setpoint, WaypointSetpoint | OffboardSetpoint | PathSetpoint | TrackSetpoint):
-            goals.append(setpoint.position_ned)
+            # The point that a landing follows goes on below the ground.
+            below = setpoint.position_ned.z > world.ground_down(setpoint.position_ned) + BELOW_M
+            goals.append(select(below, nowhere, setpoint.position_ned))
         else:
             goals.append(nowhere)
     return concatenated(goals)
@@ -306,37 +341,6 @@ def _nearest(position: Vec3) -> Array:
     square = sum(offset * offset for offset in offsets)
     itself = jnp.eye(position.x.shape[0], dtype=bool)
     return jnp.sqrt(jnp.min(jnp.where(itself, jnp.inf, square), axis=1))
-
-
-def _look_at_fixes(
-    flight: Flight, state: State, tick: Array, position: Vec3, low: Vec3 | None, flying: Array
-) -> Flight:
-    """Compare what the receivers report with the truth; vehicles without one have no fixes and lose none."""
-    reported, has = _together(state, _fix)
-    error = reported - position if low is None else reported - position - low
-    # A receiver repeats itself between two fixes; with a delay of one period, once after the start too.
-    counts = jnp.isfinite(error.x) & flying & _differs(reported, flight.fix_ned)
-    lost = has & flying & ~jnp.isfinite(error.x)
-    first = lost & (flight.loss.tick < 0)
-    return replace(
-        flight,
-        fix_ned=reported,
-        fixes=flight.fixes + _one(counts),
-        horizontal_square=flight.horizontal_square + jnp.where(counts, error.x * error.x + error.y * error.y, 0.0),
-        vertical_square=flight.vertical_square + jnp.where(counts, error.z * error.z, 0.0),
-        without_fix=flight.without_fix + _one(lost & (tick > 0)),
-        loss=flight.loss.update(jnp.ones_like(error.x), tick, position, first),
-    )
-
-
-def _fix(fleet: FleetState) -> tuple[Vec3, Array]:
-    """Return the reading of the first receiver, and whether there is one."""
-    like = fleet.vehicle.position_ned.x
-    for reading in fleet.readings:
-        if isinstance(reading, GnssReading):
-            return reading.position_ned, jnp.ones(like.shape, bool)
-    nowhere = Vec3(*(jnp.full_like(like, jnp.nan) for _ in range(3)))
-    return nowhere, jnp.zeros(like.shape, bool)
 
 
 # One for all rollouts, so that they share their compiled programs.

@@ -25,7 +25,7 @@ from qrsim.runs.picture import (
     title_of,
     trace,
 )
-from qrsim.runs.plan import Paths, draw_plan, span
+from qrsim.runs.plan import Paths, draw_plan, held_places, span
 from qrsim.runs.reader import Run
 from qrsim.runs.summary import (
     STREAMS,
@@ -38,6 +38,7 @@ from qrsim.runs.summary import (
     waypoints_of,
 )
 from qrsim.runs.surroundings import Surroundings, surroundings_of
+from qrsim.runs.terrain import Terrain
 
 # Of what interferes with receivers, so many are named.
 MOST_SAID = 6
@@ -65,6 +66,8 @@ class _Data:
         time_step: [s].
         colours: (n, 4).
         around: what there was besides vehicles.
+        terrain: the ground.
+        places: of each vehicle, (K, 2) where its legs lead, north and east [m].
     """
 
     names: tuple[str, ...]
@@ -81,6 +84,8 @@ class _Data:
     time_step: float
     colours: Floats
     around: Surroundings
+    terrain: Terrain
+    places: tuple[Floats, ...]
 
     @property
     def few(self) -> bool:
@@ -102,7 +107,7 @@ class _Data:
 def draw_run(run: Run) -> Figure:
     """Draw the figure of a run (needs no display).
 
-    Its axes: plan, height, wind, and one each for the error of GNSS north, east and up.
+    Its axes: plan, height, wind where there is any, and with a receiver one each for the error of GNSS north, east, up.
 
     Raises:
         RunError: nothing was recorded yet, or a part of the log is damaged.
@@ -110,13 +115,16 @@ def draw_run(run: Run) -> Figure:
     data = _read(run)
     figure = new_figure(13, 9)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1))
-    plan, height, wind = (figure.add_subplot(grid[place]) for place in ((0, 0), (0, 1), (1, 1)))
-    draw_plan(plan, _paths(data), data.around)
-    _height(height, data)
-    _wind(wind, data)
-    errors: Any = grid[1, 0].subgridspec(len(ERRORS), 1, hspace=0.05).subplots(sharex=True, sharey=True)
-    _gnss(errors, data)
-    figure.align_ylabels(list(errors))
+    windy, received = bool(np.any(data.mean) or np.any(data.gust)), data.reported is not None
+    plan = figure.add_subplot(grid[0, 0] if received else grid[:, 0])
+    draw_plan(plan, _paths(data), data.around, data.terrain)
+    _height(figure.add_subplot(grid[0, 1] if windy else grid[:, 1]), data)
+    if windy:
+        _wind(figure.add_subplot(grid[1, 1]), data)
+    if received:
+        errors: Any = grid[1, 0].subgridspec(len(ERRORS), 1, hspace=0.05).subplots(sharex=True, sharey=True)
+        _gnss(errors, data)
+        figure.align_ylabels(list(errors))
     title = title_of(run, data.names, len(data.stops), data.span[1]) + binned_text(data.time["truth"])
     task = _task_text(run, data)
     if task and run.info.score is not None:
@@ -147,11 +155,12 @@ def _read(run: Run) -> _Data:
     measured, sensor = run["measurements"], gnss_sensor(run)
     height = next((name for name in measured.columns() if name.endswith(".height")), None)
     gnss_time, error = gnss_error(run)
+    terrain, setpoint = Terrain(run), waypoints_of(run, rows["commands"])
     return _Data(
         names=run.vehicles,
         time={stream: run[stream].time[rows[stream]] for stream in STREAMS},
         position=vectors(run["truth"], "position_ned", rows["truth"]),
-        setpoint=waypoints_of(run, rows["commands"]),
+        setpoint=setpoint,
         reported=vectors(measured, f"{sensor}.position_ned", rows["measurements"]) if sensor else None,
         barometer=measured[height][rows["measurements"]] if height else None,
         gnss_time=gnss_time,
@@ -162,12 +171,39 @@ def _read(run: Run) -> _Data:
         time_step=run.info.time_step,
         colours=colours_of(len(run.vehicles)),
         around=surroundings_of(run),
+        terrain=terrain,
+        places=_places(run, setpoint),
     )
+
+
+def _places(run: Run, setpoint: Floats) -> tuple[Floats, ...]:
+    """Return (K, 2) of each vehicle the places of its legs: those of its mission, else where its set-point stayed."""
+    planned: list[Any] = []
+    fleets = run.scenario.get("fleets") if isinstance(run.scenario, dict) else None
+    for fleet in fleets.values() if isinstance(fleets, dict) else ():
+        try:
+            on_mission = fleet["guidance"]["type"] == "mission"
+            planned += [_legs_of(vehicle) if on_mission else None for vehicle in fleet["vehicles"]]
+        except (KeyError, TypeError, ValueError):  # of another version of qrsim
+            planned = []
+            break
+    if len(planned) != len(run.vehicles):
+        planned = [None] * len(run.vehicles)
+    return tuple(held_places(setpoint[:, i]) if legs is None else legs for i, legs in enumerate(planned))
+
+
+def _legs_of(vehicle: Any) -> Floats:
+    """Return (K, 2) where the legs or waypoints of a vehicle of a scenario lead."""
+    places = [leg.get("to_ned") or leg.get("at_ned") for leg in vehicle.get("legs") or ()]
+    places = [place[:2] for place in (*places, *(vehicle.get("waypoints_ned") or ())) if place]
+    return np.asarray(places, float).reshape(-1, 2)
 
 
 def _paths(data: _Data) -> Paths:
     wind = data.mean.mean(axis=(0, 1))
-    return Paths(data.names, data.position, data.setpoint, data.reported, tuple(data.stops), wind, data.colours)
+    return Paths(
+        data.names, data.position, data.setpoint, data.places, data.reported, tuple(data.stops), wind, data.colours
+    )
 
 
 def _task_text(run: Run, data: _Data) -> str:
@@ -195,40 +231,52 @@ def _nearest_prey(run: Run, data: _Data) -> list[float]:
 
 
 def _height(axes: Any, data: _Data) -> None:
-    height, wanted = -data.position[..., 2] * data.flying("truth"), -data.setpoint[..., 2]
+    ground = [data.terrain.down(each[..., 0], each[..., 1]) for each in (data.position, data.setpoint)]
+    if data.terrain.level:
+        ground = [np.zeros_like(each) for each in ground]
+    height = (ground[0] - data.position[..., 2]) * data.flying("truth")
+    wanted = ground[1] - data.setpoint[..., 2]
+    label = "height [m]" if data.terrain.level else "height above ground [m]"
     if len(data.names) > MOST_LINES:
         spread(axes, data.time["commands"], wanted, SECOND, "--")
         spread(axes, data.time["truth"], height, FIRST)
-        _over_time(axes, data, "height [m]", "height: true (blue), set-point (orange); quartiles, range")
+        _over_time(axes, data, label, "height: true (blue), set-point (orange); quartiles, range")
         return
+    # A barometer knows of no ground.
+    barometer = data.barometer if data.few and data.terrain.level else None
     for i, colour in enumerate(data.colours):
         trace(axes, data.time["commands"], wanted[:, i], ls="--", color=colour, lw=0.8, alpha=0.5)
-        if data.few and data.barometer is not None:
-            trace(axes, data.time["measurements"], data.barometer[:, i], color=colour, lw=0.7, alpha=0.7)
+        if barometer is not None:
+            trace(axes, data.time["measurements"], barometer[:, i], color=colour, lw=0.7, alpha=0.7)
         trace(axes, data.time["truth"], height[:, i], color=colour, lw=1.6 if data.few else 0.9)
         if i in data.stops:
-            axes.plot(data.stops[i].time, -data.position[-1, i, 2], "X", color=colour, ms=11, mec="black", zorder=5)
-    lines = "true (thick), barometer (thin)" if data.few and data.barometer is not None else "true (solid)"
-    _over_time(axes, data, "height [m]", f"height: {lines}, set-point (dashed)")
-    seen = [height, wanted, *([] if data.barometer is None or not data.few else [data.barometer])]
+            axes.plot(
+                data.stops[i].time,
+                ground[0][-1, i] - data.position[-1, i, 2],
+                "X",
+                color=colour,
+                ms=11,
+                mec="black",
+                zorder=5,
+            )
+    lines = "true (solid)" if barometer is None else "true (thick), barometer (thin)"
+    _over_time(axes, data, label, f"height: {lines}, set-point (dashed)")
+    seen = [height, wanted, *([] if barometer is None else [barometer])]
     axes.set_ylim(span(np.concatenate(seen), 1.0))
 
 
 def _gnss(panels: Any, data: _Data) -> None:
     """Draw the error along each axis, with its sign."""
-    if data.reported is None:
-        panels[1].text(0.5, 0.5, "no GNSS receiver", transform=panels[1].transAxes, ha="center", fontsize=12)
     for axes, (axis, sign, name) in zip(panels, ERRORS, strict=True):
         axes.axhline(0.0, color="gray", lw=0.8)
         for item in data.around.interference:
             axes.axvspan(item.start, min(item.end, data.span[1]), color="0.5", alpha=0.12, lw=0, zorder=0)
-        if data.reported is not None:
-            _lines(axes, data, data.gnss_time, sign * data.gnss_error[..., axis])
+        _lines(axes, data, data.gnss_time, sign * data.gnss_error[..., axis])
         axes.set_ylabel(f"{name} [m]")
         time_limits(axes, *data.span)
         axes.grid(alpha=0.3)
-    many = "" if data.few else "; median, quartiles and range"
-    panels[0].set_title(f"GNSS error: reported minus true{many}")
+    what = "reported minus true position at the time of the fix"
+    panels[0].set_title(f"GNSS error: {what if data.few else 'at the time of the fix; median, quartiles and range'}")
     for row, item in enumerate(data.around.interference[:MOST_SAID]):
         # Each on a line of its own, where it begins.
         place = (max(item.start, data.span[0]), 1.0)
@@ -241,8 +289,6 @@ def _wind(axes: Any, data: _Data) -> None:
     flying = data.flying("wind")
     mean = np.linalg.norm(data.mean, axis=-1) * flying
     total = np.linalg.norm(data.mean + data.gust, axis=-1) * flying
-    if not np.nansum(total):
-        axes.text(0.5, 0.5, "still air", transform=axes.transAxes, ha="center", fontsize=12)
     _lines(axes, data, data.time["wind"], mean, ":", SECOND)
     _lines(axes, data, data.time["wind"], total)
     key = "with gusts (solid), mean (dotted)"

@@ -17,12 +17,15 @@ from qrsim.runs.colours import FOUND, MISSING, PLUME, share
 from qrsim.runs.interferers import Interferer
 from qrsim.runs.picture import MOST_NAMED, MOST_TICKS, Floats, path_rows
 from qrsim.runs.surroundings import Surroundings
+from qrsim.runs.terrain import Terrain
 
 MOST_NUMBERED = 60
 # Points of all paths together: more are more than a picture can show.
 MOST_POINTS, MOST_OF_ONE = 200_000, 4_000
-# Where the flight is a smaller part of its area, it is drawn in full and the area beside it.
+# Where the flight is a smaller part of its area, the area is not drawn whole.
 SMALLEST_PART = 0.5
+# Lines of equal height: points along each side, and the least difference [m] that is worth them.
+CONTOUR_CELLS, LEAST_RELIEF_M = 120, 2.0
 PLUMES = "PuRd"
 # Of what interferes with receivers: colour, lines of its circles, signs.
 INTERFERER = "0.2"
@@ -41,6 +44,7 @@ class Paths:
         names: (n,).
         position: (T, n, 3) true [m], NED.
         setpoint: (T1, n, 3) waypoints [m], NED; NaN under other commands.
+        places: of each vehicle, (K, 2) where its legs lead, north and east [m].
         reported: (T2, n, 3) [m], what GNSS says; None without a receiver.
         stopped: numbers of those that stopped.
         wind: (3,) mean over all ticks and vehicles [m/s], NED.
@@ -50,6 +54,7 @@ class Paths:
     names: tuple[str, ...]
     position: Floats
     setpoint: Floats
+    places: tuple[Floats, ...]
     reported: Floats | None
     stopped: Sequence[int]
     wind: Floats
@@ -66,8 +71,8 @@ class Paths:
         return len(self.names) > MOST_NUMBERED
 
 
-def draw_plan(axes: Any, paths: Paths, around: Surroundings) -> None:
-    """Draw the paths from above, the legs that were flown, and what there was besides vehicles."""
+def draw_plan(axes: Any, paths: Paths, around: Surroundings, terrain: Terrain) -> None:
+    """Draw the paths from above, the legs that were flown, the ground, and what there was besides vehicles."""
     seen = [paths.position, paths.setpoint]
     seen += [paths.reported] if paths.few and paths.reported is not None else []
     flown = np.concatenate([part[..., :2].reshape(-1, 2) for part in seen])
@@ -78,25 +83,29 @@ def draw_plan(axes: Any, paths: Paths, around: Surroundings) -> None:
             (np.min, low, around.outline.min(axis=0)), (np.max, high, around.outline.max(axis=0))))  # fmt: skip
         low, high = low - 0.03 * (high - low), high + 0.03 * (high - low)
     low, high = _with_interferers(around, low, high)
-    _surroundings(axes, around, "upper right" if whole or not len(around.outline) else "lower right")
+    if not terrain.level:
+        _contours(axes, terrain, low, high)
+    _surroundings(axes, around)
     most = min(MOST_OF_ONE, max(40, MOST_POINTS // len(paths.names)))
     if paths.many:
         _swarm(axes, paths, most)
     else:
         _vehicles(axes, paths, most)
+    name_marks(axes, around)
     _wind_arrow(axes, paths.wind)
     axes.update_datalim([low[::-1], high[::-1]])
     axes.margins(0.0)
-    axes.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", adjustable="datalim", title=_title(paths))
+    axes.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", adjustable="datalim")
+    axes.set_title(_title(paths, around, whole))
     axes.grid(alpha=0.3)
-    if len(around.outline) and not whole:
-        _overview(axes, flown, around)
 
 
-def _title(paths: Paths) -> str:
+def _title(paths: Paths, around: Surroundings, whole: bool) -> str:
     path = "true path (thick), GNSS (thin)" if paths.few and paths.reported is not None else "true path"
     numbers = ", numbers: order" if not paths.few and not paths.many else ""
-    return f"plan: {path}, start o, waypoints +{numbers}"
+    size = np.ptp(around.outline, axis=0) if len(around.outline) else None
+    within = "" if whole or size is None else f"\npart of the area of {size[1]:.4g} x {size[0]:.4g} m"
+    return f"plan: {path}, start o, waypoints +{numbers}{within}"
 
 
 def span(values: Floats, least: float) -> tuple[float, float]:
@@ -120,8 +129,8 @@ def _is_whole(around: Surroundings, low: Floats, high: Floats) -> bool:
     return bool(around.drawn or part >= SMALLEST_PART)
 
 
-def _surroundings(axes: Any, around: Surroundings, corner: str) -> None:
-    """Draw area, obstacles, plume, persons and places, with a legend of these in a corner."""
+def _surroundings(axes: Any, around: Surroundings) -> None:
+    """Draw area, obstacles, plume, persons and places."""
     if around.plume is not None and around.plume.values.max() > 0:
         # Over three decades: a plume falls off like a power of the distance.
         values = np.log10(np.maximum(around.plume.values / around.plume.values.max(), 1e-30))
@@ -142,11 +151,16 @@ def _surroundings(axes: Any, around: Surroundings, corner: str) -> None:
     for label, points, look in marks:
         axes.plot(points[:, 1], points[:, 0], ls="none", zorder=4, label=label, **look)
     if around.unknown:
-        axes.text(0.98, 0.02, "not everything of the scenario is drawn: it cannot be built any more",
-                  transform=axes.transAxes, ha="right", fontsize=8)  # fmt: skip
-    if marks:
-        handles = [line for line in axes.lines if line.get_label() in {label for label, _, _ in marks}]
-        axes.legend(handles=handles, loc=corner, fontsize=8, framealpha=0.85)
+        axes.text(0.0, -0.16, "not everything of the scenario is drawn: it cannot be built any more",
+                  transform=axes.transAxes, ha="left", fontsize=8)  # fmt: skip
+
+
+def name_marks(axes: Any, around: Surroundings) -> None:
+    """Add a legend of what there is at single places, where it covers least of what is drawn."""
+    labels = {label for label, _, _ in _marks(around)}
+    handles = [line for line in axes.lines if line.get_label() in labels]
+    if handles:
+        axes.legend(handles=handles, loc="best", fontsize=8, framealpha=0.85)
 
 
 def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
@@ -203,7 +217,7 @@ def _vehicles(axes: Any, paths: Paths, most: int) -> None:
         colour = paths.colours[i]
         legs = _without_repeats(paths.setpoint[:, i, :2])
         axes.plot(legs[:, 1], legs[:, 0], "--", color=colour, lw=0.8, alpha=0.4)
-        axes.plot(legs[:, 1], legs[:, 0], "+", color=colour, ms=10 if few else 5, zorder=3)
+        axes.plot(paths.places[i][:, 1], paths.places[i][:, 0], "+", color=colour, ms=10 if few else 5, zorder=3)
         if few and paths.reported is not None:
             reported = paths.reported[:, i, :2]
             reported = reported[path_rows(reported, most)]
@@ -223,13 +237,20 @@ def _swarm(axes: Any, paths: Paths, most: int) -> None:
     own = [paths.position[:, i, :2] for i in range(len(paths.names))]
     lines = [path[path_rows(path, most)][:, ::-1] for path in own]
     axes.add_collection(LineCollection(lines, colors=paths.colours, linewidths=0.6, alpha=0.7, rasterized=True))
-    targets = np.concatenate([_without_repeats(paths.setpoint[:, i, :2]) for i in range(len(paths.names))])
-    targets = np.unique(targets, axis=0)
+    targets = np.unique(np.concatenate(paths.places), axis=0)
     axes.plot(targets[:, 1], targets[:, 0], "+", color="0.6", ms=2, mew=0.5, zorder=0.5, rasterized=True)
     starts = paths.position[0, :, :2]
     axes.scatter(starts[:, 1], starts[:, 0], c=paths.colours, s=4, zorder=3, rasterized=True)
     ends = paths.position[-1, list(paths.stopped), :2]
     axes.plot(ends[:, 1], ends[:, 0], "X", color="black", ms=4, mec="white", mew=0.4, zorder=5)
+
+
+def held_places(setpoint: Floats) -> Floats:
+    """Return (K, 2) the places north and east at which a set-point (T, 3) stayed; one that moves has none."""
+    points = setpoint[np.isfinite(setpoint).all(axis=1)]
+    held = np.zeros(len(points), bool)
+    held[1:] = np.all(points[1:] == points[:-1], axis=1)
+    return np.asarray(_without_repeats(points[held][:, :2]))
 
 
 def _without_repeats(points: Floats) -> Floats:
@@ -240,36 +261,31 @@ def _without_repeats(points: Floats) -> Floats:
     return np.asarray(points[fresh])
 
 
-def _overview(axes: Any, flown: Floats, around: Surroundings) -> None:
-    """Draw the whole area, small, in the upper right corner, and the flight in it as a rectangle."""
-    inset = axes.inset_axes((0.76, 0.69, 0.23, 0.24))
-    inset.add_patch(Polygon(around.outline[:, ::-1], fc="white", ec="black", lw=1.0))
-    for obstacle in around.obstacles:
-        inset.add_patch(_footprint(obstacle))
-    low, high = np.nanmin(flown, axis=0), np.nanmax(flown, axis=0)
-    inset.add_patch(Rectangle(low[::-1], *(high - low)[::-1], fc="0.6", ec="0.3", lw=0.8))
-    size = np.ptp(around.outline, axis=0)
-    inset.set_title(f"area {size[1]:.4g} x {size[0]:.4g} m", fontsize=7, pad=2)
-    corners = np.concatenate([around.outline, [low, high]])
-    low, high = corners.min(axis=0) - 0.04 * size, corners.max(axis=0) + 0.04 * size
-    inset.set(xlim=(low[1], high[1]), ylim=(low[0], high[0]), aspect="equal", xticks=[], yticks=[])
-    inset.patch.set_alpha(0.85)
-    for side in inset.spines.values():
-        side.set_visible(False)
+def _contours(axes: Any, terrain: Terrain, low: Floats, high: Floats) -> None:
+    """Draw lines of equal height of the ground between two corners."""
+    north, east = (np.linspace(low[axis], high[axis], CONTOUR_CELLS) for axis in (0, 1))
+    heights = -terrain.down(*np.meshgrid(north, east, indexing="ij"))
+    if not np.isfinite(heights).all() or np.ptp(heights) < LEAST_RELIEF_M:
+        return
+    lines = axes.contour(east, north, heights, levels=8, colors="saddlebrown", linewidths=0.5, alpha=0.5, zorder=0)
+    axes.clabel(lines, fontsize=6, fmt="%.4g m")
 
 
 def _wind_arrow(axes: Any, mean: Floats) -> None:
-    """Show where the mean wind blows to, in the corner of the plan."""
+    """Show below the plan, where it covers nothing, where the mean wind blows to."""
     speed = float(np.hypot(mean[0], mean[1]))
     if speed == 0.0:
-        axes.text(0.02, 0.98, "no mean wind", transform=axes.transAxes, va="top", fontsize=9)
         return
-    # In inches from the upper left corner: in fractions of the axes, the arrow would turn with their shape.
-    inches = axes.figure.dpi_scale_trans + ScaledTranslation(0.0, 1.0, axes.transAxes)
-    step = 0.45 * np.array([mean[1], mean[0]]) / speed
-    middle = np.array([0.7, -0.55])
-    arrow = {"arrowstyle": "-|>", "lw": 2, "color": "dimgray"}
-    axes.annotate("", middle + step / 2, middle - step / 2, xycoords=inches, textcoords=inches, arrowprops=arrow)
-    white = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 2}
-    text = f"mean wind {speed:.1f} m/s"
-    axes.text(0.7, -0.08, text, transform=inches, ha="center", va="top", fontsize=9, bbox=white)
+    # In points below the lower right corner: in fractions of the axes, the arrow would turn with their shape.
+    step = 9.0 * np.array([mean[1], mean[0]]) / speed
+    middle = np.array([-10.0, -26.0])
+    arrow = {"arrowstyle": "-|>", "lw": 1.5, "color": "dimgray", "shrinkA": 0, "shrinkB": 0}
+    inches = axes.figure.dpi_scale_trans + ScaledTranslation(1.0, 0.0, axes.transAxes)
+    drawn = axes.annotate(
+        "", (middle + step) / 72.0, (middle - step) / 72.0, xycoords=inches, textcoords=inches, arrowprops=arrow,
+        annotation_clip=False,
+    )  # fmt: skip
+    text = axes.text(-0.33, -26.0 / 72.0, f"mean wind {speed:.1f} m/s", transform=inches, ha="right", va="center",
+                     fontsize=9)  # fmt: skip
+    for artist in (drawn, text):
+        artist.set_in_layout(False)

@@ -13,11 +13,14 @@ import numpy as np
 
 from qrsim.runs.layout import OVERFULL, Event
 from qrsim.runs.reader import Run, Stream
+from qrsim.runs.terrain import Terrain
 
 Floats = np.ndarray[Any, Any]
 Rows = np.ndarray[Any, Any]
 STREAMS = ("truth", "measurements", "commands", "wind")
 CHARGE = "battery.charge"
+# A set-point so far below the ground [m] is one of a landing.
+BELOW_M = 0.05
 NOT_A_STOP = (
     "waypoint_reached",
     "command_clipped",
@@ -48,13 +51,14 @@ class VehicleSummary:
         distance_m: length of the true path.
         tracking_error_rms_m: distance of the true position from the leg being flown (a point while it is held); NaN
             where no waypoint was.
-        gnss_horizontal_rms_m, gnss_vertical_rms_m: what the receiver reports minus the truth at that moment, so the
-            delay of the fix counts, over the epochs at which a new fix was reported.
+        gnss_horizontal_rms_m, gnss_vertical_rms_m: reported position minus the true one at the time of the fix, over
+            the epochs at which a new fix was reported.
         worst_wind_m_s: largest speed of the air at the vehicle while it flies, gusts included.
         waypoints: how many it reached.
         stopped: why it stopped flying, "" if it did not.
         height_error_rms_m: true height minus that of the waypoint, or of the point of a path; NaN without one.
         charge_least: lowest charge of the battery, 1 full and 0 empty; NaN without one that drains.
+        endurance_s: how long the battery would last, from its charge at the start, at the mean consumption; NaN too.
     """
 
     vehicle: str
@@ -67,6 +71,7 @@ class VehicleSummary:
     stopped: str
     height_error_rms_m: float = math.nan
     charge_least: float = math.nan
+    endurance_s: float = math.nan
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields by name, None in place of NaN (JSON has no NaN)."""
@@ -131,10 +136,13 @@ def vectors(stream: Stream, name: str, rows: Rows | slice = slice(None)) -> Floa
 
 
 def waypoints_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
-    """Return the waypoint (T, n, 3) [m] that each vehicle was sent to, NaN under other commands."""
+    """Return the waypoint (T, n, 3) [m] that each vehicle was sent to, NaN under other commands and after landings."""
     commands = run["commands"]
     if "setpoint.position_ned.x" in commands:
-        return vectors(commands, "setpoint.position_ned", rows)
+        found = vectors(commands, "setpoint.position_ned", rows)
+        # A landing ends on the ground, but the point that it follows goes on, through it.
+        below = found[..., 2] > Terrain(run).down(found[..., 0], found[..., 1]) + BELOW_M
+        return np.where(below[..., None], np.nan, found)
     return np.full((len(commands.time[rows]), len(run.vehicles), 3), np.nan)
 
 
@@ -155,7 +163,9 @@ def gnss_sensor(run: Run) -> str | None:
 def gnss_error(run: Run) -> tuple[Floats, Floats]:
     """Return (times (E,), errors (E, n, 3) [m] in NED) at the epochs E at which any receiver reported a new fix.
 
-    Those at which the last one loses it are there too, as NaN. Epochs at which the truth was not logged are left out.
+    An error is the reported position minus the true one at the time of the fix, so the latency of a receiver is none.
+    Epochs at which the last receiver loses its fix are there too, as NaN. Epochs at which the truth was not logged are
+    left out.
     """
     sensor = gnss_sensor(run)
     if sensor is None:
@@ -166,10 +176,33 @@ def gnss_error(run: Run) -> tuple[Floats, Floats]:
     # Where all have lost it there is no error, and no line between the fixes before and after.
     known: Floats = np.asarray(np.isfinite(reported).any(axis=(1, 2)))
     fresh[1:] = changed.any(axis=(1, 2)) | (known[:-1] & ~known[1:])
-    true_rows, rows = common_rows(run, "truth", "measurements")
-    true_rows, rows = true_rows[fresh[rows]], rows[fresh[rows]]
-    truth = vectors(run["truth"], "position_ned", true_rows)
-    return run["measurements"].time[rows], reported[rows] - truth
+    _, rows = common_rows(run, "truth", "measurements")
+    rows = rows[fresh[rows]]
+    time = run["measurements"].time[rows]
+    return time, reported[rows] - _truth_at(run, time, gnss_latency(run, sensor))
+
+
+def gnss_latency(run: Run, sensor: str) -> Floats:
+    """Return the age (n,) [s] of a receiver's fixes when they are reported, by the scenario of the run."""
+    found: list[float] = []
+    fleets = run.scenario.get("fleets") if isinstance(run.scenario, dict) else None
+    for fleet in fleets.values() if isinstance(fleets, dict) else ():
+        try:
+            own = (fleet.get("sensors") or {}).get(sensor) or {}
+            latency = float(own.get("delay") or 0.0) * float(own.get("period") or run.info.time_step)
+            found += [latency if math.isfinite(latency) else 0.0] * len(fleet["vehicles"])
+        except (AttributeError, KeyError, TypeError, ValueError):  # of another version of qrsim
+            return np.zeros(len(run.vehicles))
+    return np.array(found) if len(found) == len(run.vehicles) else np.zeros(len(run.vehicles))
+
+
+def _truth_at(run: Run, time: Floats, latency: Floats) -> Floats:
+    """Return the true positions (E, n, 3) [m] a latency (n,) [s] before times (E,) [s], at the earliest the first."""
+    truth, known = vectors(run["truth"], "position_ned"), run["truth"].time
+    found = np.empty((len(time), *truth.shape[1:]))
+    for vehicle, axis in np.ndindex(*truth.shape[1:]):
+        found[:, vehicle, axis] = np.interp(time - latency[vehicle], known, truth[:, vehicle, axis])
+    return found
 
 
 def radii_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
@@ -230,9 +263,7 @@ def summarise(run: Run) -> list[VehicleSummary]:
     rows, windy = common_rows(run, "truth", "wind")
     air = vectors(run["wind"], "mean_ned", windy) + vectors(run["wind"], "gust_ned", windy)
     wind = np.linalg.norm(air, axis=-1) * flying[rows]
-    charge = np.full(len(run.vehicles), math.nan)
-    if CHARGE in run["truth"]:
-        charge = np.fmin.reduce(np.asarray(run["truth"][CHARGE], np.float64), axis=0, initial=math.nan)
+    charge, endurance = _battery(run, flying)
     events = run.events
     summaries = []
     for i, name in enumerate(run.vehicles):
@@ -250,6 +281,20 @@ def summarise(run: Run) -> list[VehicleSummary]:
                 f"{stops[0].kind} at {stops[0].time:.2f} s" if stops else "",
                 float(too_low[i]),
                 float(charge[i]),
+                float(endurance[i]),
             )
         )
     return summaries
+
+
+def _battery(run: Run, flying: Floats) -> tuple[Floats, Floats]:
+    """Return the lowest charge of each vehicle (n,) and its endurance [s]; NaN without a battery that drains."""
+    if CHARGE not in run["truth"]:
+        none = np.full(len(run.vehicles), math.nan)
+        return none, none
+    charge = np.asarray(run["truth"][CHARGE], np.float64)
+    least = np.fmin.reduce(charge, axis=0, initial=math.nan)
+    flown = np.nanmax(flying * run["truth"].time[:, None], axis=0, initial=0.0) - run["truth"].time[0]
+    used = charge[0] - least
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return least, np.where(used > 0.0, charge[0] * flown / used, math.nan)

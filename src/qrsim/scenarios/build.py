@@ -28,7 +28,7 @@ from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import with_beacons
 from qrsim.scenarios.faults import faults, rotor_faults, vehicle_names
 from qrsim.scenarios.fittings import fitted
-from qrsim.scenarios.ground import bounds_of, put_on_ground, top_of
+from qrsim.scenarios.ground import bounds_of, has_contact, put_on_ground, top_of
 from qrsim.scenarios.hand_list import warn_of_hand_lists
 from qrsim.scenarios.missions import MISSION, mission
 from qrsim.scenarios.radio import with_fleets
@@ -163,7 +163,18 @@ def ground_of(scenario: ScenarioSpec) -> Any:
 def on_ground(scenario: ScenarioSpec) -> ScenarioSpec:
     """Return a scenario with the starts on the ground in NED; as it is where the ground cannot be built."""
     ground = ground_if_any(scenario) if any(v.on_ground for f in scenario.fleets.values() for v in f.vehicles) else None
-    return scenario if ground is None else put_on_ground(scenario, ground)
+    if ground is None:
+        return scenario
+
+    def standing_height(fleet: FleetSpec) -> Any:
+        try:
+            height = component(fleet.vehicle, known.VEHICLES, scenario).standing_height()
+        except UsageError:
+            # A fault of its own.
+            height = 0.0
+        return np.broadcast_to(np.asarray(height, np.float64), (len(fleet.vehicles),))
+
+    return put_on_ground(scenario, ground, standing_height)
 
 
 def ground_if_any(scenario: ScenarioSpec) -> Any:
@@ -204,7 +215,8 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: Any) -> F
         sensor_names=tuple(spec.sensors),
         vehicle_names=vehicle_names(name, spec),
         placement=component(spec.placement, known.PLACEMENTS, scenario),
-        ground=spec.ground,
+        # Who has feet of its own stands on those.
+        ground="stop" if has_contact(vehicle) else spec.ground,
         radius=spec.radius,  # type: ignore[arg-type]
         rotor_faults=rotor_faults(name, spec, scenario),
         fittings=fittings,

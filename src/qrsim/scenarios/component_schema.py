@@ -22,6 +22,8 @@ from qrsim.core.presets import filled, presets_of
 from qrsim.core.tree import FieldInfo, field_info
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+# Types that stand for nothing: who gives a parameter means another one.
+WITHOUT_PARAMETERS = ("calm", "still", "none", "clear", "given")
 
 
 def _add_degrees(schema: dict[str, Any]) -> None:
@@ -46,6 +48,18 @@ def _radians(degrees: Any) -> Any:
         return math.inf
 
 
+def with_default_types(model: type[BaseModel], data: dict[str, Any]) -> dict[str, Any]:
+    """Return a copy in which components without a type have the type of the field's default, if it has parameters."""
+    found = dict(data)
+    for name, field in model.model_fields.items():
+        given, default = found.get(name), field.default
+        if isinstance(given, dict) and "type" not in given and isinstance(default, dict):
+            kind = default.get("type", "none")
+            if kind not in WITHOUT_PARAMETERS:
+                found[name] = {"type": kind, **given}
+    return found
+
+
 class Strict(BaseModel):
     """Base of every part of a scenario: unknown keys are refused, nothing is coerced, angles may be in degrees."""
 
@@ -56,7 +70,7 @@ class Strict(BaseModel):
     def _degrees_to_radians(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return data
-        converted = dict(data)
+        converted = with_default_types(cls, data)
         for name in cls.model_fields:
             twin = name.removesuffix("_rad") + "_deg"
             if name.endswith("_rad") and twin in converted:
@@ -83,7 +97,7 @@ def _one_or_each(value: Any) -> str:
 def _for_each(info: FieldInfo) -> Any:
     """Return the annotation of a number of a fleet: one for all vehicles, or a list with one for each."""
     number = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
-    entry = number | None if info.inherits else number
+    entry = number | None if info.inherits or info.nullable else number
     return Annotated[
         Annotated[entry, Tag("one")] | Annotated[list[number], Tag("each")],
         Discriminator(_one_or_each),
@@ -99,7 +113,7 @@ class _Numbers:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
         number = core_schema.float_schema(strict=True, allow_inf_nan=False, **_bounds(self.info))
-        one = core_schema.nullable_schema(number) if self.info.inherits else number
+        one = core_schema.nullable_schema(number) if self.info.inherits or self.info.nullable else number
         return core_schema.tagged_union_schema(
             {"one": one, "each": core_schema.list_schema(number)}, discriminator=_one_or_each
         )

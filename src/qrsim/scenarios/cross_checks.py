@@ -24,7 +24,7 @@ from qrsim.scenarios.faults import fault_problems, reading_fields
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.fittings import fitting_problems
 from qrsim.scenarios.fixed_wing_checks import fixed_wing_problems
-from qrsim.scenarios.ground import below_ground, has_floor, rides, riding_problems, standing_problems
+from qrsim.scenarios.ground import below_ground, has_floor, rides, riding_problems, standing_problems, stands
 from qrsim.scenarios.hand_list import hand_lists
 from qrsim.scenarios.missions import mission_problems
 from qrsim.scenarios.multirotor_checks import multirotor_problems
@@ -168,9 +168,9 @@ def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
 def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
     for name, fleet in scenario.fleets.items():
         for i, vehicle in enumerate(fleet.vehicles):
-            if vehicle.on_ground and not rides(fleet):
+            if vehicle.on_ground and not (rides(fleet) or stands(fleet)):
                 path = f"fleets.{name}.vehicles.{i}.on_ground"
-                yield f"{path}: is for a fleet with ground: parked; it is '{fleet.ground}'"
+                yield f"{path}: touching the ground ends the flight of this fleet; set fleets.{name}.ground to parked"
         if fleet.ground == "parked":
             yield from standing_problems(name, fleet.vehicle.type, component(fleet.vehicle, known.VEHICLES, scenario))
 
@@ -307,6 +307,12 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
     given = {name.partition(".")[0] for names in own for name in names}
     if not all(own):
         return  # what a sensor from outside reports is seen when it is traced
+    if not types and len(needed) > 1 and not controller.reads_airspeed:
+        yield (
+            f"fleets.{name}.sensors: the {what}, but the fleet has no sensors; set sensors to noisy or ideal, list "
+            f"sensors by name, or {other}"
+        )
+        return
     for quantity, suggestion in needed.items():
         other_kind = instead.get(quantity)
         serves = [quantity] if other_kind is None else [quantity, _quantity(other_kind)]

@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.host import on_host
+from qrsim.core.tree import map_tree
+from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.sensors.earth_field import declination, inclination
 from qrsim.models.vehicles.contracts import handling_of
 from qrsim.models.vehicles.fixed_wing import FixedWing
@@ -18,6 +21,9 @@ from qrsim.scenarios.build import component
 from qrsim.scenarios.scenario import Scenario
 from qrsim.scenarios.sites import MAGNETOMETERS
 from qrsim.scenarios.wind_limits import limits_of
+
+# A battery is drained in steps of this length [s], and no longer than that.
+DRAIN_STEP_S, MOST_ENDURANCE_S = 5.0, 86_400.0
 
 
 def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
@@ -38,6 +44,9 @@ def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
         if name in found and (limits := limits_of(fleet, scenario.spec)) is not None:
             held = [each.airspeed.min() for each in (limits.own, limits.lets) if each is not None]
             found[name]["wind_held_m_s"] = float(min(held))
+        on_battery = _hover_on_battery(vehicle, component(fleet.battery, known.BATTERIES, scenario.spec))
+        if on_battery:
+            found.setdefault(name, {}).update(on_battery)
         if any(sensor.type in MAGNETOMETERS for sensor in fleet.sensors.values()):
             found.setdefault(name, {}).update(_earth_field(scenario))
     return found
@@ -51,6 +60,40 @@ def _level_flight(vehicle: FixedWing) -> dict[str, float]:
         "cruise_elevator_rad": elevator,
     }  # fmt: skip
     return {key: float(np.ravel(value)[0]) for key, value in each.items()}
+
+
+def _first(leaf: Any) -> Any:
+    return np.float32(np.ravel(leaf)[0])
+
+
+def _hover_on_battery(vehicle: Any, battery: Any) -> dict[str, float]:
+    """Return power, current and endurance of a hover far above the ground, of the first vehicle where they differ."""
+    if not battery.drains or handling_of(vehicle) is None:
+        return {}
+    vehicle, battery = (map_tree(_first, each) for each in (vehicle, battery))
+    zero = np.zeros(1, np.float32)
+
+    def hover(vehicle: Any, battery: Any, zero: Any) -> tuple[Any, Any, Any]:
+        still = Vec3(zero, zero, zero)
+        place = Vec3(zero, zero, zero - 1000.0)
+        load = vehicle.load(vehicle.initial_state(place, Euler(zero, zero, zero), still, still))
+        state = battery.init(zero)
+        return load, state, battery.voltage(state, load)
+
+    load, state, voltage = on_host(hover)(vehicle, battery, zero)
+    drain = on_host(lambda battery, state, load: battery.step(state, load, DRAIN_STEP_S))
+    charges = [float(state.charge[0])]
+    while charges[-1] > 0.0 and len(charges) * DRAIN_STEP_S < MOST_ENDURANCE_S:
+        state = drain(battery, state, load)
+        charges.append(float(state.charge[0]))
+    # The last step ends below empty: up to there it goes on as in the step before.
+    whole = len(charges) - 2
+    rest = charges[-2] / (charges[-3] - charges[-2]) if whole and charges[-1] <= 0.0 else 1.0
+    found = {"hover_endurance_s": (whole + rest) * DRAIN_STEP_S}
+    if battery.capacity is not None:
+        found["hover_current_A"] = (charges[0] - charges[1]) * float(battery.capacity) * 3600.0 / DRAIN_STEP_S
+        found["hover_power_W"] = found["hover_current_A"] * float(voltage[0])
+    return found
 
 
 def _earth_field(scenario: Scenario) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -63,17 +63,24 @@ def riding_problems(name: str, fleet: FleetSpec, ground: Ground) -> Iterator[str
             )
 
 
-def put_on_ground(scenario: ScenarioSpec, ground: Ground) -> ScenarioSpec:
-    """Return a scenario whose vehicles that start on the ground have its down coordinate there."""
+def put_on_ground(scenario: ScenarioSpec, ground: Ground, standing_height: Callable[[FleetSpec], Any]) -> ScenarioSpec:
+    """Return a scenario in which the vehicles that start on the ground stand on it.
+
+    Args:
+        scenario: with starts by north and east.
+        ground: of its world.
+        standing_height: fleet -> height [m] of each origin (n,) above the ground, for vehicles with feet.
+    """
     fleets = {}
     for name, fleet in scenario.fleets.items():
-        vehicles = []
-        for vehicle in fleet.vehicles:
-            if vehicle.on_ground and (fleet.ground == "parked" or rides(fleet)):
+        vehicles, can_stand = [], stands(fleet) or rides(fleet)
+        heights = standing_height(fleet) if can_stand and any(each.on_ground for each in fleet.vehicles) else ()
+        for i, vehicle in enumerate(fleet.vehicles):
+            if vehicle.on_ground and can_stand:
                 north, east, _ = vehicle.position_ned
                 place: Any = Vec3(*np.array([[north], [east], [0.0]], np.float32))
                 # Added to zero, because a ground at z = 0 may be at -0.
-                down = float(down_at(ground, place)[0]) + 0.0
+                down = float(down_at(ground, place)[0]) - float(heights[i]) + 0.0
                 vehicle = vehicle.model_copy(update={"position_ned": [north, east, down], "on_ground": False})
             vehicles.append(vehicle)
         fleets[name] = fleet.model_copy(update={"vehicles": vehicles})
@@ -106,12 +113,25 @@ def below(path: str, z: float, down: float) -> str:
     )
 
 
+def has_contact(vehicle: Any) -> bool:
+    """Return whether a vehicle, or a class of vehicles, stands on the ground by a contact of its own."""
+    kind = vehicle if isinstance(vehicle, type) else type(vehicle)
+    return kind.on_ground is not Vehicle.on_ground  # type: ignore[attr-defined]
+
+
+def stands(fleet: FleetSpec) -> bool:
+    """Return whether the vehicles of a fleet can stand on the ground."""
+    return has_contact(known.VEHICLES[fleet.vehicle.type]) or vars(fleet).get("ground") == "parked"
+
+
 def standing_problems(name: str, kind: str, vehicle: Vehicle) -> Iterator[str]:
-    """Yield why the vehicles of a fleet, of a kind, cannot be parked."""
+    """Yield why the vehicles of a fleet, of a kind, cannot be parked; those with a contact of their own just stand."""
+    if has_contact(vehicle):
+        return
     if "ground" in vehicle.reads:
         yield (
-            f"fleets.{name}.ground: 'parked' is for vehicles without a contact of their own, and '{kind}' stands on "
-            "the ground by itself; leave it out"
+            f"fleets.{name}.ground: 'parked' is for vehicles that do not read the ground, and '{kind}' does; leave it "
+            "out"
         )
     elif handling_of(vehicle) is None:
         yield (

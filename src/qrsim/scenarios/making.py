@@ -42,27 +42,6 @@ FLEET_PARTS = (
 OF_THE_WORLD = ("ground", "radio")
 # What a fleet does at the ground has the name of the ground itself, and is told from it by its value.
 AT_THE_GROUND = ("stop", "parked")
-SENSORS = {
-    "ideal": {
-        "gnss": {"type": "ideal_gnss"},
-        "barometer": {"type": "ideal_barometer"},
-        "attitude": {"type": "ideal_attitude"},
-        "gyroscope": {"type": "ideal_gyroscope"},
-        "accelerometer": {"type": "ideal_accelerometer"},
-    },
-    "noisy": {
-        "gnss": {"type": "gnss", "preset": "f9p_single"},
-        "imu": {"type": "imu", "preset": "icm42688p"},
-        "magnetometer": {"type": "magnetometer"},
-        "barometer": {"type": "barometer"},
-    },
-}
-# What goes with the noisy ones where nothing else is said: gusts that neighbours share, and a filter of the readings.
-# An accelerometer of that preset may be off by 0.2 m/s^2 when it is switched on.
-OUTDOORS = {
-    "turbulence": {"type": "dryden_field"},
-    "estimator": {"type": "ekf", "accelerometer_bias_std": 0.25},
-}
 _TYPES = {
     cls: name
     for group in vars(catalogue).values()
@@ -112,10 +91,6 @@ def make_scenario(
     content: dict[str, Any] = {"name": "experiment"}
     content |= {name: _plain(parts[name], name, name) for name in SCENARIO_PARTS if name in parts}
     world = {name: _part(parts[name], name) for name in WORLD_PARTS if name in parts}
-    outdoors = any(map(_is_outdoors, [fleet_parts, *(fleets or {}).values()]))
-    # Of a wind that says how strong its gusts are.
-    if outdoors and not extends and "turbulence" not in parts and "speed_20ft" in world.get("wind", ()):
-        world["turbulence"] = OUTDOORS["turbulence"]
     if world:
         content["world"] = world
     if vehicles is not None:
@@ -159,26 +134,19 @@ def _fleet(name: str, fleet: Any, extends: bool) -> dict[str, Any]:
     # What is left out of a fleet that is extended is as it is there.
     if "sensors" in fleet or not extends:
         content["sensors"] = _sensors(name, fleet.get("sensors", "ideal"))
-    if _is_outdoors(fleet) and "estimator" not in fleet:
-        content["estimator"] = OUTDOORS["estimator"]
     if "vehicles" in fleet or not extends:
         content["vehicles"] = _vehicles(name, fleet.get("vehicles", ()))
     return content
 
 
-def _is_outdoors(fleet: Any) -> bool:
-    """Return whether a fleet has the noisy sensors by their name."""
-    sensors = fleet.get("sensors") if isinstance(fleet, Mapping) else None
-    return isinstance(sensors, str) and sensors == "noisy"
-
-
-def _sensors(name: str, sensors: Any) -> dict[str, Any]:
+def _sensors(name: str, sensors: Any) -> Any:
     if isinstance(sensors, Mapping):
         return {sensor: _part(value, sensor, "sensor") for sensor, value in sensors.items()}
-    if not isinstance(sensors, str) or sensors not in SENSORS:
-        hint = did_you_mean(str(sensors), SENSORS)
-        raise UsageError(f"make_scenario: fleets.{name}.sensors: {sensors!r} is neither a dict nor known{hint}")
-    return SENSORS[sensors]
+    if not isinstance(sensors, str):
+        raise UsageError(
+            f"make_scenario: fleets.{name}.sensors: expected a dict or the name of a set, found {sensors!r:.80}"
+        )
+    return sensors
 
 
 def _vehicles(name: str, vehicles: Any) -> list[Any]:

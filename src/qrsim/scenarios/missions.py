@@ -13,22 +13,14 @@ from qrsim.control.mission import Mission
 from qrsim.control.paths import Leg, Limits, circle_speed, mission_of, plan, ramp_time, renumbered
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import down_at
-from qrsim.models.vehicles.contracts import Vehicle
-from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.checks import outside
-from qrsim.scenarios.ground import ON_IT, below, has_floor
+from qrsim.scenarios.ground import ON_IT, below, has_floor, stands
 from qrsim.scenarios.legs import FlyLeg
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec, VehicleSpec
 
 MISSION = "mission"
 # Closer places are one place.
 SAME_PLACE = 0.01
-
-
-def stands(fleet: FleetSpec) -> bool:
-    """Return whether the vehicles of a fleet can stand on the ground."""
-    vehicle: Any = known.VEHICLES[fleet.vehicle.type]
-    return vehicle.on_ground is not Vehicle.on_ground or vars(fleet).get("ground") == "parked"
 
 
 def limits_of(guidance: Any) -> Limits:

@@ -10,9 +10,10 @@ from pydantic import TypeAdapter
 from qrsim.errors import ScenarioError, UsageError, warn_user
 from qrsim.models.site import Site
 from qrsim.scenarios.fence_file import fence_corners
+from qrsim.scenarios.ground import stands
 from qrsim.scenarios.legs import GeodeticSpec, LegSpec
 from qrsim.scenarios.local import local_ned
-from qrsim.scenarios.missions import MISSION, stands
+from qrsim.scenarios.missions import MISSION
 from qrsim.scenarios.plan import Ignored, Plan, Waypoint
 from qrsim.scenarios.plan_file import NOT_FLOWN, read_plan
 from qrsim.scenarios.plan_legs import legs_of, stands_first, touches_ground
@@ -130,6 +131,7 @@ class _Places:
                 route = []
                 if needs_start and start and self.on_ground and stands_first(self.flown[file]):
                     start = [*start[:2], 0.0]
+                    vehicle = vehicle.model_copy(update={"on_ground": True})
         if vehicle.position_geodetic:
             place = _triple(vehicle.position_geodetic)
             start = next(iter(self._attempt(f"{path}.position_geodetic", lambda: local_ned(self.site, [place]))), [])

@@ -29,12 +29,16 @@ EARTH = (9.7, 9.9)
 LEAST_DAMPING = 0.1
 # What the published thrust law was identified for [V].
 IDENTIFIED_V = COMMAND_LIMITS["battery"]
+RECEIVERS = ("gnss", "gnss_receiver")
+# Range errors of this std [m] and more are those of selective availability, which ended in 2000.
+ROUGH_STD_M = 5.0
 PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 
 
 def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield a warning for each part that cannot fly, its path first; ``scenario`` has no problems."""
     yield from air_warnings(scenario)
+    yield from _sky(scenario)
     for name, fleet in scenario.fleets.items():
         path = f"fleets.{name}"
         # The constants are those of the identified model; of a vehicle from outside they mean what they mean there.
@@ -49,6 +53,17 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
             if period > scenario.duration:
                 where = f"{path}.sensors.{sensor}.period"
                 yield f"{where}: {period:g} s; the run has {scenario.duration:g} s, so it never reads"
+
+
+def _sky(scenario: ScenarioSpec) -> Iterator[str]:
+    """Range errors of several metres put every fix metres away."""
+    std = vars(scenario.world.sky.errors).get("std", 0.0)
+    read = any(sensor.type in RECEIVERS for fleet in scenario.fleets.values() for sensor in fleet.sensors.values())
+    if read and not is_outside("sky", scenario.world.sky.errors.type) and std >= ROUGH_STD_M:
+        yield (
+            f"world.sky.errors.std: {std:g} m for each satellite, so that fixes are off by more than that; receivers "
+            "today have about 1 m; use error_budget, or a smaller std"
+        )
 
 
 class _Constants:

@@ -32,6 +32,7 @@ from qrsim.scenarios.reading import (
     read_scenario,
 )
 from qrsim.scenarios.schema import ScenarioSpec, json_schema
+from qrsim.scenarios.sensor_sets import insert_sensor_sets
 from qrsim.scenarios.trial import trial_problems
 from qrsim.scenarios.vehicle_file import insert_vehicle_files
 from qrsim.scenarios.vehicle_models import insert_vehicle_models
@@ -141,6 +142,7 @@ def load_scenario(
     anchor_code(content, Path.cwd())
     insert_vehicle_files(content, name)
     insert_vehicle_models(content, name)
+    insert_sensor_sets(content, name)
     if local:
         provide_components(content, name)
     try:

@@ -22,13 +22,14 @@ from qrsim.models.scene.area import StateLimits
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.beacons import MOST_BEACONS, BeaconSpec
-from qrsim.scenarios.component_schema import Finite, Strict, component_model
+from qrsim.scenarios.component_schema import Finite, Strict, component_model, with_default_types
 from qrsim.scenarios.fitting_schema import FITTING
 from qrsim.scenarios.in_rows import one_by_one, or_in_rows
 from qrsim.scenarios.interference import MOST, InterferenceSlot
 from qrsim.scenarios.legs import Corner, GeodeticSpec, LegSpec, Position
 from qrsim.scenarios.obstacle_specs import MOST_OBSTACLES, BuildingsSpec, obstacle_slot
 from qrsim.scenarios.radio_schema import FleetRadioSpec, RadioModel
+from qrsim.scenarios.sensor_sets import or_a_set
 from qrsim.scenarios.sky_of_receivers import with_sky
 from qrsim.scenarios.slots import Maker, slot, slot_of
 
@@ -193,7 +194,7 @@ BaseStationModel: Any = _base_model()
 class SkySpec(Strict):
     """The GNSS space segment, shared by all receivers."""
 
-    # With a sensor of type gnss the defaults are others, see sky_of_receivers.py.
+    # With a receiver the defaults are others, see sky_of_receivers.py.
     orbits: OrbitsSlot = Field({"type": "nominal_constellation"}, description="orbits", validate_default=True)
     errors: SkyErrorsSlot = Field({"type": "ou"}, description="range errors", validate_default=True)
     period: Finite = Field(0.2, description="interval between epochs [s], a multiple of the time step", gt=0)
@@ -280,7 +281,9 @@ class FleetSpec(Strict):
         validate_default=True,
     )
     limits: LimitsModel = Field(default_factory=LimitsModel, description="state limits")
-    sensors: dict[str, SensorSlot] = Field({}, description="sensors by name")
+    sensors: dict[str, SensorSlot] = Field(
+        {}, description="sensors by name, or the name of a set of them", json_schema_extra=or_a_set
+    )
     estimator: EstimatorSlot | None = Field(
         None, description="runs on the readings and feeds the controller; default: the controller's own, if it has one"
     )
@@ -311,15 +314,18 @@ class FleetSpec(Strict):
     @model_validator(mode="before")
     @classmethod
     def _guidance_of_the_controller(cls, data: Any) -> Any:
-        data = _with_limits(_with_controller(data))
-        if not isinstance(data, dict) or "guidance" in data:
+        if not isinstance(data, dict):
             return data
-        controller = data.get("controller", cls.model_fields["controller"].default)
-        name = controller.get("type") if isinstance(controller, dict) else None
+        data = _with_controller({"vehicle": cls.model_fields["vehicle"].default, **data})
+        data = with_default_types(cls, data)
+        data, guidance = _with_limits(data), data.get("guidance", {})
+        if not isinstance(guidance, dict) or "type" in guidance:
+            return data
+        name = data["controller"].get("type") if isinstance(data.get("controller"), dict) else None
         if _has_legs(data) and isinstance(name, str) and _takes_paths(name):
-            return {**data, "guidance": {"type": "mission"}}
+            return {**data, "guidance": {"type": "mission", **guidance}}
         fits = isinstance(name, str) and name in known.GUIDANCE
-        return {**data, "guidance": {"type": name if fits else "route"}}
+        return {**data, "guidance": {"type": name if fits else "route", **guidance}}
 
 
 def _has_legs(fleet: dict[str, Any]) -> bool:
@@ -335,24 +341,26 @@ def _takes_paths(controller: str) -> bool:
     return kind is not None and PathSetpoint in kind.setpoints
 
 
-def _with_limits(fleet: Any) -> Any:
+def _with_limits(fleet: dict[str, Any]) -> dict[str, Any]:
     """Return a fleet with the state limits of its vehicle where it gives none."""
-    vehicle = fleet.get("vehicle") if isinstance(fleet, dict) else None
+    vehicle, limits = fleet.get("vehicle"), fleet.get("limits", {})
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
-    limits = fleet.get("limits", {}) if isinstance(fleet, dict) else None
     if not isinstance(name, str) or name not in known.VEHICLES or not isinstance(limits, dict):
         return fleet
     own = known.VEHICLES[name].default_limits  # type: ignore[attr-defined]
     return {**fleet, "limits": {**own, **limits}} if own else fleet
 
 
-def _with_controller(fleet: Any) -> Any:
+def _with_controller(fleet: dict[str, Any]) -> dict[str, Any]:
     """Return a fleet that names no controller with that of its vehicle."""
-    vehicle = fleet.get("vehicle") if isinstance(fleet, dict) and "controller" not in fleet else None
+    vehicle, controller = fleet.get("vehicle"), fleet.get("controller", {})
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
     if not isinstance(name, str) or name not in known.VEHICLES:
         return fleet
-    return {**fleet, "controller": {"type": known.VEHICLES[name].default_controller}}  # type: ignore[attr-defined]
+    if not isinstance(controller, dict) or "type" in controller:
+        return fleet
+    own = known.VEHICLES[name].default_controller  # type: ignore[attr-defined]
+    return {**fleet, "controller": {"type": own, **controller}}
 
 
 class SiteSpec(Strict):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-# What receivers of type gnss are made for.
+# What receivers are made for; those of type gnss see four systems.
 ORBITS, ERRORS = {"type": "nominal_constellations"}, {"type": "error_budget"}
 
 
 def with_sky(data: Any) -> Any:
-    """Return a scenario's content with the sky that receivers of type gnss are made for, where it names none."""
+    """Return a scenario's content with the sky that its receivers are made for, where it names none."""
     fleets = data.get("fleets") if isinstance(data, dict) else None
     world = data.get("world", {}) if isinstance(data, dict) else None
     sky = world.get("sky", {}) if isinstance(world, dict) else None
@@ -18,6 +18,7 @@ def with_sky(data: Any) -> Any:
     sensors = [fleet.get("sensors") for fleet in fleets.values() if isinstance(fleet, dict)]
     types = [sensor.get("type") for each in sensors if isinstance(each, dict) for sensor in each.values()
              if isinstance(sensor, dict)]  # fmt: skip
-    if "gnss" not in types:
-        return data
-    return {**data, "world": {**(world or {}), "sky": {"orbits": ORBITS, "errors": ERRORS, **sky}}}
+    made_for: dict[str, Any] = {"orbits": ORBITS} if "gnss" in types else {}
+    if "gnss" in types or "gnss_receiver" in types:
+        made_for["errors"] = ERRORS
+    return {**data, "world": {**(world or {}), "sky": {**made_for, **sky}}} if made_for else data

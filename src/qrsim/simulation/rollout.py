@@ -68,7 +68,17 @@ class Rollout:
         return self.metrics[name]
 
     def reasons(self, world: int) -> list[str]:
-        """Return the reason each vehicle of a world stopped, "" for those that fly."""
+        """Return the reason each vehicle of a world stopped, "" for those that fly.
+
+        Args:
+            world: number of the world, from 0.
+
+        Raises:
+            UsageError: there is no such world.
+        """
+        count = len(self.metrics["reason"])
+        if isinstance(world, bool) or not isinstance(world, int | np.integer) or not 0 <= world < count:
+            raise UsageError(f"world: {world!r:.80} is none of this rollout; allowed: an integer from 0 to {count - 1}")
         codes, values = self.metrics["reason"][world], self.metrics["reason_value"][world]
         return [reason_text(int(code), float(value)) for code, value in zip(codes, values, strict=True)]
 

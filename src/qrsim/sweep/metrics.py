@@ -82,11 +82,18 @@ METRICS: dict[str, Metric] = {
     "distance_m": Metric("m", "length of the true path, mean over vehicles", _over(np.nanmean, "distance_m")),
     "separation_min_m": Metric("m", "smallest distance between two vehicles", _over(np.nanmin, "separation_min_m"),
                                low_is_bad=True),
-    "fence_distance_min_m": Metric("m", "smallest distance to the edge of the area",
+    "fence_distance_min_m": Metric("m", "smallest distance to the edge of the area; the ground is none",
                                    _over(np.nanmin, "fence_distance_min_m"), low_is_bad=True,
                                    limits=(-np.inf, np.inf)),
-    "charge_min": Metric("1", "lowest charge of a battery", _over(np.nanmin, "charge_min"), low_is_bad=True,
-                         limits=(0.0, 1.0)),
+    **{
+        f"fence_{part}_min_m": Metric("m", f"the same, to its {part} alone", _over(np.nanmin, f"fence_{part}_min_m"),
+                                      low_is_bad=True, limits=(-np.inf, np.inf))
+        for part in ("lateral", "ceiling", "floor")
+    },
+    "endurance_s": Metric("s", "time for which the battery would last at the mean consumption, of the shortest",
+                          _over(np.nanmin, "endurance_s"), low_is_bad=True),
+    "charge_min": Metric("1", "lowest charge of a battery, its reserve at the end",
+                         _over(np.nanmin, "charge_min"), low_is_bad=True, limits=(0.0, 1.0)),
     "anees": Metric("1", "squared errors of the estimate over those it states, per error (1 is right); mean over time "
                     "and vehicles", _over(np.nanmean, "anees")),
     **{
@@ -95,6 +102,7 @@ METRICS: dict[str, Metric] = {
     },
     "flown_s": Metric("s", "time until the first vehicle stopped, or the end", _over(np.nanmin, "flown_s"),
                       low_is_bad=True),
+    "unfinished": Metric("1", "vehicles still on their mission at the end", _over(np.sum, "unfinished")),
     "stopped": Metric("1", "vehicles that stopped, for whatever reason", _stopped()),
     "collided": Metric("1", "vehicles that collided", _stopped("collision")),
     "left_area": Metric("1", "vehicles that left the area", _stopped("out_of_area")),

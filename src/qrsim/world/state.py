@@ -273,6 +273,7 @@ class FleetState:
         default=(), doc="of each sensor what its fitting remembers; empty where no sensor has one"
     )
     parked: Array | None = quantity(default=None, doc="bool: held on the ground; None where touching it ends a flight")
+    turns: Array | None = quantity(default=None, doc="whole turns of the yaw; None where its limit counts none")
 
 
 @record

@@ -7,6 +7,7 @@ positions together, then the sensors that are due. Nothing here compiles; simula
 from __future__ import annotations
 
 import functools
+import math
 from typing import Any, cast
 
 import jax
@@ -187,6 +188,7 @@ def _fly(
             model, state.vehicle, state.position_low_ned, command, lambda trig: trig.rotation().to_body(air), drawn, dt,
             around,
         )  # fmt: skip
+        vehicle = model.with_wrapped_yaw(vehicle)
         parked = state.parked
         if parked is not None:
             vehicle, low, force, parked = settled(world, fleet, state, command, vehicle, low, force)
@@ -200,8 +202,16 @@ def _fly(
         turbulence=turbulence, mean_wind_ned=mean_wind, gust_ned=gust,
         gust_rates_ned=gust_rates,
         estimate=flown.estimate, guidance=flown.guidance, setpoint=flown.setpoint, controller=flown.controller,
-        command=command, command_clipped=clipped, battery=battery,
+        command=command, command_clipped=clipped, battery=battery, turns=_turned(fleet, state, vehicle),
     )  # fmt: skip
+
+
+def _turned(fleet: Fleet, before: FleetState, after: VehicleState) -> Array | None:
+    """Return the whole turns (n,) of the yaw since the start; None where its limit counts none."""
+    if before.turns is None:
+        return None
+    old, new = (fleet.vehicle.pose(each).attitude.yaw for each in (before.vehicle, after))
+    return before.turns + jnp.round((old - new) * (0.5 / math.pi))
 
 
 def _check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:
@@ -246,7 +256,7 @@ def own_checks(world: World, fleet: Fleet, state: FleetState) -> list[tuple[int,
         _hits_obstacle(world, fleet, pose.position_ned),
         *_empty_battery(fleet, state),
         *fleet.battery.own_checks(state.battery),
-        *fleet.limits.check(pose.attitude, pose.velocity_body, pose.rates_body),
+        *fleet.limits.check(pose.attitude, pose.velocity_body, pose.rates_body, state.turns),
     ]
 
 
@@ -339,6 +349,7 @@ def start_fleet(
         passed_on=(),
         position_low_ned=low if like.dtype == jnp.float32 else None,
         parked=parked,
+        turns=None if fleet.limits.yaw is None else zero,
     )
     scene = scene_of(fleet, state, sky, view)
     firsts = []
@@ -372,7 +383,8 @@ def start_fleet(
 
 
 def _vehicle_at(fleet: Fleet, start: Start) -> VehicleState:
-    return fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
+    state = fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
+    return fleet.vehicle.with_wrapped_yaw(state)
 
 
 def _launched(world: World, fleet: Fleet, vehicle: VehicleState) -> VehicleState:

@@ -292,7 +292,8 @@ class TestRefused:
 
     def test_a_start_on_the_ground_of_a_fleet_whose_flights_end_there(self):
         with pytest.raises(
-            ScenarioError, match=r"vehicles\.0\.on_ground: is for a fleet with ground: parked; it is 'stop'"
+            ScenarioError,
+            match=r"vehicles\.0\.on_ground: touching the ground ends the flight of this fleet; set .* to parked",
         ):
             make_scenario([{"position_ned": [0, 0, 0], "on_ground": True}])
 

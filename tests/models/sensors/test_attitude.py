@@ -15,7 +15,7 @@ import pytest
 import scipy
 
 from qrsim.core.noise import Draw, Drawn, Key, Stream
-from qrsim.core.tree import cast
+from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Euler
 from qrsim.models.sensors.attitude import AttitudeEstimator, AttitudeReading, IdealAttitude
 
@@ -113,13 +113,15 @@ def test_vehicles_are_independent(errors):
 
 
 def test_follows_the_true_attitude():
-    """Angle for angle, without wrapping: turns are counted."""
-    angles = Euler(*(np.asarray(x, np.float32) for x in ([0.5, -0.5], [1.5, 0.0], [31.0, -12.0])))  # type: ignore[arg-type]
+    """Angle for angle; a yaw beyond pi wraps."""
+    angles = Euler(*(np.asarray(x, np.float32) for x in ([0.5, -0.5], [1.5, 0.0], [3.0, -1.2])))  # type: ignore[arg-type]
     zero = Drawn((np.zeros(2, np.float32),) * AttitudeEstimator.normals)  # type: ignore[arg-type]
     step = jax.jit(lambda s, d, a: s.step(s.init(d, a)[0], d, a)[1])
     found = step(cast(AttitudeEstimator(), np.float32), zero, angles).attitude
     for name in ("roll", "pitch", "yaw"):
         np.testing.assert_array_equal(getattr(found, name), getattr(angles, name))
+    turned = step(cast(AttitudeEstimator(), np.float32), zero, replace(angles, yaw=np.float32([3.5, -9.0]))).attitude
+    np.testing.assert_allclose(turned.yaw, [3.5 - 2.0 * math.pi, -9.0 + 2.0 * math.pi], atol=1e-6)
 
 
 def test_uses_as_many_normals_as_it_declares_each_for_its_angle():

@@ -122,7 +122,7 @@ def test_worlds_of_a_rollout_and_their_metrics() -> None:
     assert np.isnan(result["tracking_error_rms_m"][:, 1:]).all()
     # Where it stands on the ground, the edge of the area is no news.
     assert np.isnan(result["fence_distance_min_m"][:, 1:]).all()
-    np.testing.assert_allclose(result["fence_distance_min_m"][:, 0], 10.0, atol=0.2)
+    np.testing.assert_allclose(result["fence_ceiling_min_m"][:, 0], 110.0, atol=0.2)
     np.testing.assert_allclose(result["flown_s"], 1.0, rtol=1e-6)
 
 

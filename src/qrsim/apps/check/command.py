@@ -165,7 +165,7 @@ class Check:
         _print_outcomes(found, self.seeds)
         print("\nnarrowest margins over all runs")
         for name, (moment, unit) in narrow.items():
-            print(f"  {name:<32} {moment.value:8.2f} {unit:<4} {_where(moment)}")
+            print(f"  {name:<32} {moment.value:8.2f} {unit if unit != '1' else '':<4} {_where(moment)}")
         print_consistency(consistent)
         print(
             f"\n{simulated:g} s flown in {wall_s:.1f} s, compiling included ({simulated / wall_s:.0f} times real time)"

@@ -15,18 +15,25 @@ CONFIDENCE = 0.95
 KINDS = {
     "leaves the area": "out_of_area",
     "collides": "collision",
+    "hits the ground": "hit_ground",
+    "crashes": "crashed",
     "runs out of battery": "battery_empty",
+    "asks the battery for too much power": "brown_out",
     "breaks a state limit": "state_limit",
     "is not finite": "not_finite",
 }
 LOST = "loses GNSS"
+UNFINISHED = "is still on its mission at the end"
 ANY = "any of these"
-# What is told even where nothing went wrong: (metric, whether its smallest value is the worst, unit).
+# What is told even where nothing went wrong: (metric, whether its smallest value is the worst, unit). A metric without
+# a moment of its own is told of the end of the flight.
 MARGINS = {
     "nearest to the edge of the area": ("fence_distance_min", True, "m"),
     "nearest to another vehicle": ("separation_min", True, "m"),
     "farthest from its leg": ("tracking_error_max", False, "m"),
     "strongest wind": ("wind_max", False, "m/s"),
+    "least charge left": ("charge_min", True, "1"),
+    "shortest battery endurance": ("endurance", True, "s"),
 }
 
 
@@ -84,7 +91,11 @@ def outcomes(flown: Rollout) -> list[Outcome]:
     found.append(_outcome(flown, LOST, lost, flown["fix_lost_position_ned"]))
     first = np.fmin(stopped, lost)
     where = np.where((first == stopped)[..., None], places, flown["fix_lost_position_ned"])
-    return [*found, _outcome(flown, ANY, first, where)]
+    end = np.where(flown["unfinished"] > 0.0, flown["flown_s"], np.nan)
+    found.append(_outcome(flown, UNFINISHED, end, places))
+    any_first = np.fmin(first, end)
+    where = np.where((first == any_first)[..., None], where, places)
+    return [*found, _outcome(flown, ANY, any_first, where)]
 
 
 def _outcome(flown: Rollout, name: str, times: Any, places: Any) -> Outcome:
@@ -115,12 +126,14 @@ def margins(flown: Rollout) -> dict[str, tuple[Moment, str]]:
     """Return the worst moment of each of MARGINS over all runs, with its unit; margins never seen are omitted."""
     found = {}
     for name, (metric, smallest, unit) in MARGINS.items():
-        values = flown[f"{metric}_{unit.replace('/', '_')}"]
+        values = flown[metric if unit == "1" else f"{metric}_{unit.replace('/', '_')}"]
         seen = np.isfinite(values)
         if not seen.any():
             continue
         ranked = np.where(seen, values if smallest else -values, np.inf)
         world, vehicle = np.unravel_index(int(np.argmin(ranked)), ranked.shape)
-        at = (flown[f"{metric}_at_s"], flown[f"{metric}_position_ned"])
-        found[name] = (_moment(flown, int(world), int(vehicle), *at, float(values[world, vehicle])), unit)
+        names = f"{metric}_at_s", f"{metric}_position_ned"
+        own = names[0] in flown.metrics
+        times, places = flown[names[0] if own else "flown_s"], flown[names[1] if own else "position_ned"]
+        found[name] = (_moment(flown, int(world), int(vehicle), times, places, float(values[world, vehicle])), unit)
     return found

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.apps.check.outcomes import ANY, KINDS, LOST, Outcome
+from qrsim.apps.check.outcomes import ANY, KINDS, LOST, UNFINISHED, Outcome
 from qrsim.models.scene.area import REASONS
 from qrsim.runs.picture import new_figure
 from qrsim.runs.picture import save_picture as save
@@ -15,8 +15,15 @@ from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.rollout import Rollout
 
 COLOURS = dict(
-    zip((*KINDS, LOST), ("tab:red", "tab:purple", "tab:brown", "tab:orange", "black", "tab:blue"), strict=True)
-)
+    zip(
+        (*KINDS, LOST, UNFINISHED),
+        (
+            "tab:red", "tab:purple", "tab:pink", "tab:olive", "tab:brown", "tab:cyan", "tab:orange", "black",
+            "tab:blue", "tab:gray",
+        ),
+        strict=True,
+    )
+)  # fmt: skip
 
 
 def save_picture(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) -> None:
@@ -48,6 +55,7 @@ def _plan(axes: Any, scenario: Scenario, flown: Rollout) -> None:
             axes.plot(route[:1, 1], route[:1, 0], "o", color="tab:green", ms=5)
     kinds = np.array([kind for kind, _ in REASONS])[flown["reason"]]
     where = {name: flown["position_ned"][kinds == kind] for name, kind in KINDS.items()}
+    where[UNFINISHED] = flown["position_ned"][flown["unfinished"] > 0.0]
     where[LOST] = flown["fix_lost_position_ned"][np.isfinite(flown["fix_lost_at_s"])]
     for name, places in where.items():
         if len(places):

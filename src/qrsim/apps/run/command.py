@@ -35,8 +35,8 @@ class Run:
     """Fly a scenario, record it, and show what happened.
 
     Writes a run folder (Parquet logs, the resolved scenario, seed and versions, a figure) and prints a table:
-    distance flown, tracking error (from the leg being flown), GNSS error (reported minus true, the delay of the fix
-    included), worst wind, waypoints reached, and why a vehicle stopped; of a task the score, as 'qrsim score' counts.
+    distance flown, tracking error (from the leg being flown), GNSS error (reported minus true position at the time
+    of the fix), worst wind, waypoints reached, and why a vehicle stopped; of a task the score, as 'qrsim score' counts.
 
     Example:
       qrsim run
@@ -259,8 +259,8 @@ def _progress(scenario: Scenario) -> Iterator[Callable[[float, float], None]]:
 
 # Each heading in lines, as narrow as its numbers: with names of up to 17 letters the table has 80 columns.
 HEADINGS = ("flown\n[m]", "tracking\nRMS [m]", "GNSS\nhor. [m]", "GNSS\nvert. [m]", "wind max\n[m/s]", "way-\npoints")
-LEGEND = """tracking: distance from the leg being flown; GNSS: reported minus true position,
-RMS over the fixes, horizontal and vertical; wind max: gusts included."""
+LEGEND = """tracking: distance from the leg being flown; GNSS: reported minus true position
+at the time of the fix, RMS over the fixes; wind max: gusts included."""
 
 
 def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None:
@@ -303,7 +303,8 @@ def _worst(summaries: list[VehicleSummary]) -> Iterator[str]:
     charged = [row for row in summaries if math.isfinite(row.charge_least)]
     if charged:
         row = min(charged, key=lambda each: each.charge_least)
-        yield f"battery: {100.0 * row.charge_least:.0f} % left, at least, of {row.vehicle}"
+        lasts = f"; at this consumption it lasts {row.endurance_s / 60.0:.1f} min" if row.endurance_s > 0.0 else ""
+        yield f"battery: {100.0 * row.charge_least:.0f} % left, at least, of {row.vehicle}{lasts}"
 
 
 def _print_events(recorded: RecordedRun) -> None:

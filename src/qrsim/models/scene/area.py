@@ -107,9 +107,14 @@ class BoxArea(Area):
 
     def margin(self, position_ned: Vec3) -> Array:
         """Return the distance [m] of positions (n,) from the nearest wall, floor and ceiling; negative outside."""
+        walls, ceiling, floor = self.clearances(position_ned)
+        return jnp.minimum(walls, jnp.minimum(ceiling, floor))
+
+    def clearances(self, position_ned: Vec3) -> tuple[Array, Array, Array]:
+        """Return the distances (n,) [m] of positions from the nearest wall, the ceiling and the floor."""
         x, y, z = position_ned.x, position_ned.y, position_ned.z
         walls = jnp.minimum(jnp.minimum(x - self.x_min, self.x_max - x), jnp.minimum(y - self.y_min, self.y_max - y))
-        return jnp.minimum(walls, jnp.minimum(z - self.z_min, self.z_max - z))
+        return walls, z - self.z_min, self.z_max - z
 
     def farthest_squared(self, position_ned: Vec3) -> Array:
         """Return the squared distance [m^2] of positions (n,) from the corner that is farthest."""
@@ -129,23 +134,33 @@ class BoxArea(Area):
 
 @record
 class StateLimits:
-    """Limits of validity of the identified model."""
+    """Limits of validity of a model; each vehicle has defaults of its own where these do not suit its airframe."""
 
     pitch: Array = parameter(
         default=math.radians(89.0), unit="rad", doc="largest |pitch|", above=0.0, maximum=math.pi / 2
     )
     roll: Array = parameter(default=math.pi, unit="rad", doc="largest |roll|", above=0.0)
-    yaw: Array = parameter(default=10.0 * math.pi, unit="rad", doc="largest |yaw| (turns are counted)", above=0.0)
+    yaw: Array | None = parameter(
+        default=None, unit="rad", doc="largest |yaw|, whole turns counted; null: no limit", above=0.0, nullable=True
+    )
     velocity: Array = parameter(default=15.0, unit="m/s", doc="largest component of the body velocity", above=0.0)
     rate: Array = parameter(default=3.0, unit="rad/s", doc="largest component of the body rates", above=0.0)
 
-    def check(self, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks (code, value, broken) of states (n,)."""
-        limited = [
-            ("attitude.roll", attitude.roll, self.roll),
-            ("attitude.pitch", attitude.pitch, self.pitch),
-            ("attitude.yaw", attitude.yaw, self.yaw),
-        ]
+    def check(
+        self, attitude: Euler, velocity_body: Vec3, rates_body: Vec3, turns: Array | None = None
+    ) -> list[tuple[int, Array, Array]]:
+        """Return the checks (code, value, broken) of states (n,).
+
+        Args:
+            attitude: [rad], the yaw within -pi and pi.
+            velocity_body: over ground [m/s].
+            rates_body: [rad/s].
+            turns: whole turns of the yaw since the start; None: not counted.
+        """
+        limited = [("attitude.roll", attitude.roll, self.roll), ("attitude.pitch", attitude.pitch, self.pitch)]
+        if self.yaw is not None:
+            whole = jnp.zeros_like(attitude.yaw) if turns is None else turns
+            limited.append(("attitude.yaw", attitude.yaw + (2.0 * math.pi) * whole, self.yaw))
         for axis in "xyz":
             limited.append((f"velocity_body.{axis}", getattr(velocity_body, axis), self.velocity))
         for axis in "xyz":

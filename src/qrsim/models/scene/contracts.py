@@ -40,6 +40,14 @@ class Area(Protocol):
     def margin(self, position_ned: Vec3) -> Array:
         """Return the distance (n,) [m] of positions from the nearest limit; negative outside."""
 
+    def clearances(self, position_ned: Vec3) -> tuple[Array, Array, Array]:
+        """Return the distances (n,) [m] of positions from the sides, the ceiling and the floor; negative beyond.
+
+        An area that does not tell them apart has ``margin`` for the sides, and neither ceiling nor floor.
+        """
+        far = jnp.full_like(position_ned.z, jnp.inf)
+        return self.margin(position_ned), far, far
+
     def farthest_squared(self, position_ned: Vec3) -> Array:
         """Return the squared distance (n,) [m^2] of positions from the farthest point of the area.
 

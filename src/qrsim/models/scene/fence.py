@@ -61,8 +61,12 @@ class PolygonArea(Area):
 
     def margin(self, position_ned: Vec3) -> Array:
         """Return the distance [m] of positions (n,) from the nearest side, floor and ceiling; negative outside."""
-        z = position_ned.z
-        return jnp.minimum(self.distance_to_fence(position_ned), jnp.minimum(z - self.z_min, self.z_max - z))
+        sides, ceiling, floor = self.clearances(position_ned)
+        return jnp.minimum(sides, jnp.minimum(ceiling, floor))
+
+    def clearances(self, position_ned: Vec3) -> tuple[Array, Array, Array]:
+        """Return the distances (n,) [m] of positions from the nearest side, the ceiling and the floor."""
+        return self.distance_to_fence(position_ned), position_ned.z - self.z_min, self.z_max - position_ned.z
 
     def farthest_squared(self, position_ned: Vec3) -> Array:
         """Return the squared distance [m^2] of positions (n,) from the corner that is farthest."""

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from jax import Array
 
+from qrsim.core.fastmath import wrap_angle
 from qrsim.core.noise import Noise, ou_step
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Vec3
@@ -53,7 +54,8 @@ class AttitudeEstimator(Sensor):
 
     @staticmethod
     def _read(error: Vec3, attitude: Euler) -> tuple[AttitudeState, AttitudeReading]:
-        estimate = Euler(attitude.roll + error.x, attitude.pitch + error.y, attitude.yaw + error.z)
+        yaw = wrap_angle(attitude.yaw + error.z)
+        estimate = Euler(attitude.roll + error.x, attitude.pitch + error.y, yaw)
         return AttitudeState(error), AttitudeReading(estimate)
 
 

@@ -174,6 +174,11 @@ class Vehicle(Protocol):
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> VehicleState:
         """Return the state of vehicles (n,) placed at a pose: [m], [rad], [m/s], [rad/s]."""
 
+    def with_wrapped_yaw(self, state: Any) -> VehicleState:
+        """Return a state whose yaw is within -pi and pi, which a state of quaternions always is."""
+        found: VehicleState = state
+        return found
+
     def with_thrust(self, state: Any, thrust: Array) -> VehicleState:
         """Return a state at a thrust (n,) [N], where it has one; a NaN leaves it as it is."""
         return state
@@ -283,6 +288,10 @@ class Vehicle(Protocol):
         """Return which vehicles (n,) stand on the ground by a contact of their own, bool; None: it has none."""
         return None
 
+    def standing_height(self) -> Array | float:
+        """Return how high [m] above level ground its origin is while it stands on its own contact, () or (n,)."""
+        return 0.0
+
     def stood(self, state: Any, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> VehicleState:
         """Return the state at a start, where who begins on the ground by its own contact stands; see ``Around``."""
         found: VehicleState = state
@@ -318,10 +327,12 @@ class Battery(Protocol):
     Attributes:
         drains: whether its state has a ``charge`` (n,), 1 full and 0 empty, which is logged and ends a flight at 0.
         needs_power: whether it is for vehicles only whose ``load`` has an electrical power.
+        capacity: charge of the full pack [Ah]; None where the model has none.
     """
 
     drains: ClassVar[bool] = False
     needs_power: ClassVar[bool] = False
+    capacity: Any = None
 
     @abstractmethod
     def init(self, like: Array) -> object:

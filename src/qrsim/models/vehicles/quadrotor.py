@@ -8,15 +8,16 @@ implementation differ or err, docs/models.md says what is built here and why.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from qrsim.core.fastmath import sincos
+from qrsim.core.fastmath import sincos, wrap_angle
 from qrsim.core.integrate import INTEGRATORS
 from qrsim.core.noise import Noise
 from qrsim.core.tree import parameter, quantity, record, setting
@@ -94,6 +95,9 @@ class Quadrotor(Vehicle):
     command_type: ClassVar[type[Any]] = Command
     actions: ClassVar[tuple[type[Any], ...]] = (Command,)
     normals: ClassVar[int] = NORMALS
+    # The autopilot holds roll and pitch rates at rate_max, but its clamp acts one step late: a full reversal of the
+    # tilt overshoots it to 4.8 rad/s in steps of 0.02 s, and to 13 rad/s in the longest ones of 0.1 s.
+    default_limits: ClassVar[Mapping[str, float]] = MappingProxyType({"rate": 20.0})
     default_controller: ClassVar[str] = "cascade"
 
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> Any:
@@ -101,6 +105,10 @@ class Quadrotor(Vehicle):
         weight = jnp.asarray(self.mass * self.gravity)
         thrust = jnp.broadcast_to(weight, position_ned.x.shape)
         return QuadrotorState(position_ned, attitude, velocity_body, rates_body, thrust)
+
+    def with_wrapped_yaw(self, state: QuadrotorState) -> QuadrotorState:
+        """Return a state whose yaw is within -pi and pi."""
+        return replace(state, attitude=replace(state.attitude, yaw=wrap_angle(state.attitude.yaw)))
 
     def with_thrust(self, state: QuadrotorState, thrust: Array) -> QuadrotorState:
         """Return a state at a thrust (n,) [N]; a NaN leaves it as it is."""

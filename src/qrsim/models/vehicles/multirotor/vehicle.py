@@ -126,6 +126,10 @@ class Multirotor(Airframe, Vehicle):
         """Return which vehicles (n,) stand: all feet have borne for half a second, at less than 0.1 m/s."""
         return state.standing >= LANDED_S
 
+    def standing_height(self) -> float:
+        """Return the length of its longest leg [m]."""
+        return max(foot[2] for foot in self.feet)
+
     def stood(self, state: MultirotorState, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> MultirotorState:
         """Return the state at a start: who rests with all feet on the ground has sunk in, and its rotors are still."""
         down, normal = ground(state.position_ned)

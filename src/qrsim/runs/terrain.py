@@ -1,0 +1,56 @@
+"""The ground of a run, as its scenario has it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import QrsimError
+from qrsim.runs.reader import Run
+
+Floats = np.ndarray[Any, Any]
+
+
+class Terrain:
+    """Heights of the ground below places; level at a height where the ground of the run is not known any more.
+
+    Attributes:
+        level: whether it is a level plane.
+    """
+
+    def __init__(self, run: Run):
+        content = run.scenario if isinstance(run.scenario, dict) else {}
+        world = content.get("world")
+        ground = world.get("ground") if isinstance(world, dict) else None
+        kind = ground.get("type", "flat") if isinstance(ground, dict) else "flat"
+        self._ground: Any = None
+        self._down = 0.0
+        if kind == "flat":
+            height = ground.get("height", 0.0) if isinstance(ground, dict) else 0.0
+            self._down = -float(height) if isinstance(height, int | float) else 0.0
+        else:
+            self._ground = _built(content)
+        self.level = self._ground is None
+
+    def down(self, north: Floats, east: Floats) -> Floats:
+        """Return the down coordinate [m] of the ground at places of any shape, NaN where a place is."""
+        if self._ground is None:
+            return np.full(np.shape(north), self._down)
+        from qrsim.core.vectors import Vec3
+        from qrsim.models.scene.contracts import down_at
+
+        flat: list[Any] = [np.nan_to_num(np.ravel(axis)).astype(np.float32) for axis in (north, east, 0.0 * east)]
+        found = np.asarray(down_at(self._ground, Vec3(*flat)), np.float64)
+        return np.where(np.isfinite(north), found.reshape(np.shape(north)), np.nan)
+
+
+def _built(content: Any) -> Any:
+    """Return the ground of a scenario, None where it cannot be built any more."""
+    from qrsim.scenarios.build import ground_of
+    from qrsim.scenarios.scenario import load_scenario
+
+    try:
+        return ground_of(load_scenario(content, quiet=True).spec)
+    except (QrsimError, OSError):
+        return None

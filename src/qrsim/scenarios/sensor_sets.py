@@ -1,0 +1,70 @@
+"""Sensors of a fleet by the name of a set: ``sensors: ideal`` and ``sensors: noisy``."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+from qrsim.errors import ScenarioError, did_you_mean
+
+SETS: dict[str, dict[str, Any]] = {
+    "ideal": {
+        "gnss": {"type": "ideal_gnss"},
+        "barometer": {"type": "ideal_barometer"},
+        "attitude": {"type": "ideal_attitude"},
+        "gyroscope": {"type": "ideal_gyroscope"},
+        "accelerometer": {"type": "ideal_accelerometer"},
+    },
+    "noisy": {
+        "gnss": {"type": "gnss", "preset": "f9p_single"},
+        "imu": {"type": "imu", "preset": "icm42688p"},
+        "magnetometer": {"type": "magnetometer"},
+        "barometer": {"type": "barometer"},
+    },
+}
+# Goes with the noisy set unless the scenario has its own: gusts that neighbours share, and a filter of the readings. An
+# accelerometer of that preset may be off by 0.2 m/s^2 when it is switched on.
+TURBULENCE = {"type": "dryden_field"}
+ESTIMATOR = {"type": "ekf", "accelerometer_bias_std": 0.25}
+
+
+def or_a_set(schema: dict[str, Any]) -> None:
+    """Add the names of sets to the JSON schema of sensors."""
+    named = {name: schema.pop(name) for name in ("type", "additionalProperties") if name in schema}
+    schema["anyOf"] = [named, {"type": "string", "enum": list(SETS)}]
+
+
+def insert_sensor_sets(content: dict[str, Any], source: str) -> None:
+    """Replace, in place, the name of a set of sensors by the sensors.
+
+    With "noisy" a fleet gets an estimator and, in a wind with a ``speed_20ft``, the world gets turbulence, unless the
+    scenario says otherwise; an estimator of null stays none.
+
+    Raises:
+        ScenarioError: no set has that name.
+    """
+    fleets, problems = content.get("fleets"), []
+    for name, fleet in fleets.items() if isinstance(fleets, dict) else ():
+        chosen = fleet.get("sensors") if isinstance(fleet, dict) else None
+        if not isinstance(chosen, str):
+            continue
+        if chosen not in SETS:
+            problems.append(
+                f"fleets.{name}.sensors: no set of sensors is called '{chosen:.60}'{did_you_mean(chosen, SETS)}; or "
+                "list sensors by name"
+            )
+            continue
+        fleet["sensors"] = copy.deepcopy(SETS[chosen])
+        if chosen == "noisy":
+            fleet.setdefault("estimator", dict(ESTIMATOR))
+            _add_turbulence(content)
+    if problems:
+        raise ScenarioError(source, problems)
+
+
+def _add_turbulence(content: dict[str, Any]) -> None:
+    """Add turbulence to a wind that says how strong its gusts are."""
+    world = content.get("world")
+    wind = world.get("wind") if isinstance(world, dict) else None
+    if isinstance(world, dict) and isinstance(wind, dict) and "speed_20ft" in wind:
+        world.setdefault("turbulence", dict(TURBULENCE))
