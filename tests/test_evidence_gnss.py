@@ -17,7 +17,7 @@ def test_a_day_of_four_systems() -> None:
     assert found["vdop_50"] == pytest.approx(0.76, abs=0.04)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_small_form_is_of_the_right_size() -> None:
     """A dual-frequency receiver without corrections: below the data sheet's 1.5 m, and honest within a third."""
     found = study.run(False)

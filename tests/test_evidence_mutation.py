@@ -6,7 +6,7 @@ import pytest
 from evidence import mutation
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_small_form():
     found = mutation.run(full=False)
     assert not found["missed"], "\n".join(found["missed"])

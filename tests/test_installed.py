@@ -104,6 +104,7 @@ def test_components_of_ones_own(python: str, tmp_path: Path, name: str):
     assert needed["file"] == str(tmp_path / f"{name}.py")
 
 
+@pytest.mark.nightly
 def test_it_is_small(python: str, tmp_path: Path):
     found = json.loads(qrsim(python, tmp_path, "-c", LIST))
     found.pop("pip", None)

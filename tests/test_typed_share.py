@@ -41,7 +41,7 @@ def test_a_module_that_the_report_lacks_is_missed() -> None:
     ]
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_core_is_typed(tmp_path: Path) -> None:
     command = [
         sys.executable,

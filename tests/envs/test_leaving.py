@@ -98,6 +98,7 @@ def test_side_by_side_who_has_left_stays_terminated_at_no_reward() -> None:
     assert not any(each.any() for each in many.step(actions)[2].values())
 
 
+@pytest.mark.long
 def test_a_run_is_scored_alike(tmp_path: Path) -> None:
     """By a policy of the command line, which has readings and returns set-points."""
     (tmp_path / "leavers.yaml").write_text(yaml.safe_dump(THREE), encoding="utf-8")

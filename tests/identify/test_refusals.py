@@ -180,7 +180,7 @@ LONG = (
 )  # fmt: skip
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in LONG else pytest.mark.nightly) for name in BROKEN]
 )

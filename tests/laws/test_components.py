@@ -57,7 +57,10 @@ DEAR = ("VEHICLES", "FILTERS", "CONTROLLERS")
 
 
 def option_cases(
-    options_are_long: bool = False, dear: Sequence[str] = (), one_form: Sequence[tuple[str, str]] = ()
+    options_are_long: bool = False,
+    dear: Sequence[str] = (),
+    one_form: Sequence[tuple[str, str]] = (),
+    nightly: Sequence[str] = (),
 ) -> list[Any]:
     """Return every component by its defaults, and with each of its options."""
     cases = []
@@ -66,6 +69,9 @@ def option_cases(
             chosen = [f"{setting}={option}" for setting, option in settings.items()]
             long = options_are_long and (bool(settings) or group in dear)
             marks = (pytest.mark.long,) if long else ()
+            # Of groups whose programs take minutes, one component in four is seen by its defaults before the night.
+            if group in nightly and (settings or name not in list(GROUPS[group])[::4]):
+                marks = (pytest.mark.nightly,)
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases
 
@@ -79,11 +85,15 @@ UNSEEN |= dict.fromkeys(("optical_flow", "ideal_optical_flow"), ("flow_x", "flow
 UNSEEN |= dict.fromkeys(("neighbours", "ideal_neighbours"), ("position", "distance", "vehicle", "velocity"))
 # Sensors whose truth is rays and pairs, which their own tests compute by hand.
 BY_HAND = ("ideal_scan", "ideal_ranging", "ideal_neighbours")
+# Groups whose components take a second and more to compile each.
+DEAR_PROGRAMS = ("SENSORS", "FILTERS", "VEHICLES")
 every_option = pytest.mark.parametrize(("group", "name", "settings"), option_cases())
 # Tracing a slope takes ten times as long as tracing the values, and a batch three times.
 by_defaults_first = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True, DEAR))
 by_defaults = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True))
-every_program = pytest.mark.parametrize(("group", "name", "settings"), option_cases(one_form=ONE_FORM))
+every_program = pytest.mark.parametrize(
+    ("group", "name", "settings"), option_cases(one_form=ONE_FORM, nightly=DEAR_PROGRAMS)
+)
 every_sensor = pytest.mark.parametrize("name", GROUPS["SENSORS"])
 
 

@@ -35,6 +35,7 @@ def flown() -> tuple[bytes, bytes]:
     return saved, simulation.save()
 
 
+@pytest.mark.long
 def test_continues_bit_for_bit_in_a_new_process(flown: tuple[bytes, bytes], tmp_path: Path) -> None:
     (tmp_path / "state.npz").write_bytes(flown[0])
     program = (
@@ -219,6 +220,7 @@ def test_a_bomb_is_not_opened(simulation: Simulation, flown: tuple[bytes, bytes]
     assert peak < 2**22
 
 
+@pytest.mark.long
 def test_300_mutants(simulation: Simulation, flown: tuple[bytes, bytes]) -> None:
     """The small form of the fuzz study: each is refused in one line or flown, in less than 2 s."""
     results = Counter()

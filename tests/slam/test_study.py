@@ -70,7 +70,7 @@ def test_the_example_flies_receivers_of_type_gnss() -> None:
     assert set(MEMORY) == set(PRESETS)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("preset", ["m8n", "f9p_single", "f9p_sbas"])
 def test_how_long_errors_of_receivers_last(preset: str) -> None:
     """The correlation over ten minutes is that of the remedy's process, within a tenth, in 100 worlds."""

@@ -22,6 +22,7 @@ def own() -> list[list[Flight]]:
     return team.own_flights(SEEDS, VEHICLES, SECONDS, PERIOD)
 
 
+@pytest.mark.long
 def test_under_one_sky_errors_are_one_and_under_each_its_own_they_are_not(
     shared: list[list[Flight]], own: list[list[Flight]]
 ) -> None:

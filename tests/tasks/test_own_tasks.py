@@ -104,6 +104,7 @@ class TestCommands:
         assert -1.0 < hover["mean"] < -0.3
         assert baseline["flown_to_the_end"] == 1.0
 
+    @pytest.mark.long
     def test_run_by_the_baseline_and_without(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         flown = []
         for name, more in (("kept", ["--policy", "baseline"]), ("left", [])):

@@ -52,6 +52,7 @@ def test_a_field_of_another_length_or_size_fails(points: Any, monkeypatch: pytes
     assert len(failed(other, {})) >= 2
 
 
+@pytest.mark.long
 def test_gusts_that_do_not_travel_fail(points: Any) -> None:
     """A correlation of 0.99 with what was upwind a second before."""
     assert len(failed(points, {"1": 0.99})) == 1

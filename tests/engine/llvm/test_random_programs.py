@@ -31,7 +31,9 @@ def primitives(jaxpr: Any) -> set[Any]:
     return found
 
 
-@pytest.mark.parametrize("programs", [20, pytest.param(150, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "programs", [20, pytest.param(50, marks=pytest.mark.long), pytest.param(300, marks=pytest.mark.nightly)]
+)
 def test_random_programs_and_every_primitive(programs):
     """Equal to the bit or within the roundings of their operations; none crashes; of many, no rule is left out."""
     seen: set[Any] = set()

@@ -52,7 +52,8 @@ def everything(vehicles: int) -> dict[str, Any]:
     return content
 
 
-@pytest.mark.parametrize("vehicles", [1, pytest.param(19, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("vehicles", [1, 19])
 def test_a_tick_is_that_of_xla(vehicles, caplog):
     """Every number of the state after 12 ticks, an epoch of the receivers among them, to a few roundings."""
     world = qrsim.load_scenario(everything(vehicles)).world()

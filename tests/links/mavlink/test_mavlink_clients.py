@@ -50,6 +50,7 @@ def test_pymavlink(field):
     check_log(field.end())
 
 
+@pytest.mark.nightly
 def test_pymavlink_by_tcp(field):
     assert fly(sys.executable, "pymavlink_flight.py", f"tcp:127.0.0.1:{field.tcp}") == list(STEPS)
     check_log(field.end())

@@ -105,6 +105,7 @@ def begun(seed: int = 3) -> FlownWorld:
     return FlownWorld(prepared(load_scenario(CONTENT)), FlightStack, seed=seed, factor=1000.0)
 
 
+@pytest.mark.long
 def test_two_runs_are_equal_to_the_bit_however_long_clients_take():
     ends = []
     for slowness_s in (0.0, 0.002):

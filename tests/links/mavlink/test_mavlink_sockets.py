@@ -217,6 +217,7 @@ def test_harmed_frames_and_those_for_others_are_passed_over_and_replayed_ones_ar
     assert client.command(400, 0) == ACCEPTED
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("vehicle", "frame_of", "alt"), [(5, 5, 406.0), (6, 6, 6.0), (7, 11, 6.0)])
 def test_global_set_points_are_flown_in_their_frames(served, vehicle, frame_of, alt):
     client = served.client(vehicle)

@@ -99,7 +99,7 @@ def interpreter(version: str | None) -> str:
     return pytest.skip(f"there is no Python {version} in ~/.pyenv/versions: pyenv install {version}")
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("version", "protobuf"),
     # The oldest of both and the newest of both are enough to see a call that one of them does not have.

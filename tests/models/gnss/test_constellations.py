@@ -198,7 +198,7 @@ class TestSolving:
         assert np.isfinite(few.rows().stack()).all()
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_sky_that_steps_by_parts_is_the_same():
     """At every tick of three knots, to the bit."""
     sky = receivers.sky_of(receivers.receiver("f9p_single"))

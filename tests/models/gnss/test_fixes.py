@@ -78,6 +78,7 @@ def at_the_base() -> receivers.Flown:
 
 @pytest.mark.long
 class TestCarrierPhase:
+    @pytest.mark.nightly
     def test_it_is_fixed_after_seconds(self, at_the_base: receivers.Flown):
         """Median 7 to 10 s in open sky beside the base; at 10 km exp(0.4) times that."""
         fixed = at_the_base.fix_type[:400] == 6.0

@@ -9,6 +9,7 @@ from evidence import _receivers as receivers
 pytestmark = pytest.mark.long
 
 
+@pytest.mark.nightly
 def test_few_satellites_lose_the_fix_within_a_period() -> None:
     """GPS alone high above the horizon: at times fewer than five."""
     sensor = receivers.receiver(
@@ -21,6 +22,7 @@ def test_few_satellites_lose_the_fix_within_a_period() -> None:
     assert not (flown.fix_type[:, :, 0][few] == 6.0).any()
 
 
+@pytest.mark.nightly
 def test_a_base_takes_away_what_is_common() -> None:
     """DGPS beside the base and far from it, SBAS and none; below the data sheet's 1.0 m of CEP with SBAS."""
     sensors = {

@@ -110,6 +110,7 @@ def fate(kind, packet, power, begin, chance=(0.5, 0.5), speaks=False):
 CLEAR = Packet(model="probability", range=1e6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "power", "begin", "expected"),
     [

@@ -287,6 +287,7 @@ class TestTrim:
         with pytest.raises(UsageError, match="no steady flight"):
             trim(far, 25.0, self.GLIDE)
 
+    @pytest.mark.long
     def test_more_than_full_throttle_is_none(self) -> None:
         """36 m/s takes 0.965 of it; 38 m/s would take 1.02."""
         with pytest.raises(UsageError, match="no steady flight at 38 m/s"):
