@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from qrsim.engine.settings import configure
     from qrsim.interface.messages import Say
     from qrsim.models.sensors.earth_field import compass_heading
+    from qrsim.models.vehicles.multirotor import AttitudeCommand, MotorCommand, RateCommand
+    from qrsim.models.vehicles.multirotor.own import own_multirotor
     from qrsim.models.vehicles.quadrotor import Command
     from qrsim.runs import Run, open_run
     from qrsim.runs.recorder import fly
@@ -49,11 +51,14 @@ __version__ = metadata.version("qrsim")
 _LAZY = {
     "AttitudeHeightSetpoint": "qrsim.control",
     "AttitudeSetpoint": "qrsim.control",
+    "AttitudeCommand": "qrsim.models.vehicles.multirotor",
     "Command": "qrsim.models.vehicles.quadrotor",
     "Estimate": "qrsim.control",
     "Euler": "qrsim.core.vectors",
     "Flight": "qrsim.scenarios.flying",
     "PathSetpoint": "qrsim.control",
+    "MotorCommand": "qrsim.models.vehicles.multirotor",
+    "RateCommand": "qrsim.models.vehicles.multirotor",
     "Rollout": "qrsim.simulation.rollout",
     "Run": "qrsim.runs",
     "Scenario": "qrsim.scenarios.scenario",
@@ -88,13 +93,16 @@ _LAZY = {
 _ROOMS = ("discover", "envs", "identify", "slam", "sweep", "validate")
 
 __all__ = [
+    "AttitudeCommand",
     "AttitudeHeightSetpoint",
     "AttitudeSetpoint",
     "Command",
     "Estimate",
     "Euler",
     "Flight",
+    "MotorCommand",
     "PathSetpoint",
+    "RateCommand",
     "Rollout",
     "Run",
     "Say",

@@ -15,6 +15,7 @@ from qrsim.core.tree import Record, map_tree
 from qrsim.engine.layout import LazyTree
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.arrays import Floats, as_array, library_of, quaternion_of
+from qrsim.interface.estimates import EstimateReading, estimate_of, std_of
 from qrsim.interface.messages import user_key, user_normals
 from qrsim.models.gnss.fixes import OF_SATELLITES, GnssFix
 from qrsim.models.gnss.receivers import FEWEST_SATELLITES, GnssReading, SkyState
@@ -190,6 +191,16 @@ class FleetReading:
         """Names of the sensors."""
         return self._fleet.sensor_names
 
+    @property
+    def estimate(self) -> EstimateReading:
+        """Estimate of the fleet's own estimator now; without one, what its controller was fed with last."""
+        return estimate_of(self._state, self._rows)
+
+    @property
+    def estimate_std(self) -> EstimateReading | None:
+        """Standard deviations that the estimator reports, None where it reports none."""
+        return std_of(self._state, self._rows)
+
     def __getattr__(self, sensor: str) -> SensorReading:
         if sensor.startswith("__"):
             raise AttributeError(sensor)
@@ -261,8 +272,8 @@ class FleetReading:
 class Reading:
     """Readings of the sensors of all fleets at one time; NaN for vehicles that are no longer valid.
 
-    ``reading["pelicans"].gnss.position_ned`` is (n, 3). With a single fleet its name can be left out:
-    ``reading.gnss.position_ned``.
+    ``reading["pelicans"].gnss.position_ned`` is (n, 3), and ``reading["pelicans"].estimate.position_ned`` the estimate
+    of the fleet's own estimator. With a single fleet its name can be left out: ``reading.gnss.position_ned``.
 
     Attributes:
         time: simulated time [s].

@@ -196,14 +196,15 @@ class LockStep:
         def heard(carry: Carry) -> Any:
             state = carry.state
             return (state.sky, state.sky_keys), [
-                (fleet.readings, fleet.violation, fleet.passed_on, fleet.fitted) for fleet in state.fleets
+                (fleet.readings, fleet.violation, fleet.passed_on, fleet.fitted, fleet.estimate, fleet.belief)
+                for fleet in state.fleets
             ]
 
         found = []
         host = jax.tree.map(np.asarray, flight.get(heard))
         for world in range(len(self.rows)):
             (sky, sky_keys), own = jax.tree.map(lambda leaf, world=world: leaf[world], host)
-            names = ("readings", "violation", "passed_on", "fitted")
+            names = ("readings", "violation", "passed_on", "fitted", "estimate", "belief")
             fleets = [SimpleNamespace(**dict(zip(names, fleet, strict=True))) for fleet in own]
             state: Any = _Told(sky, sky_keys, fleets, radios, world)
             flying = np.concatenate([fleet.violation.code for fleet in fleets]) == 0
