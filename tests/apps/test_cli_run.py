@@ -33,6 +33,7 @@ from qrsim.files import atomic
 from qrsim.runs import open_run, recorder
 from qrsim.runs.summary import summarise
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.seconds import seconds_of
 
 STREAMS = ("truth", "measurements", "commands", "wind")
 TICKS, VEHICLES = 500, 5
@@ -705,3 +706,13 @@ def test_a_plain_run_compiles_nothing_by_xla(tmp_path):
     assert "Compiling" in subprocess.run(
         alone, env=os.environ | {"JAX_LOG_COMPILES": "1"}, capture_output=True, text=True, check=True
     ).stderr  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "expected"), [("20", 20.0), ("20s", 20.0), ("2min", 120.0), ("1.5 h", 5400.0)])
+def test_a_time_may_have_a_unit(text: str, expected: float) -> None:
+    assert seconds_of(text) == expected
+
+
+def test_a_time_with_another_unit_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["run", "hover", "--duration", "3 parsec"]) == 2
+    assert "'3 parsec' is no time; expected seconds" in " ".join(capsys.readouterr().err.split())

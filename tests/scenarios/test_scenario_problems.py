@@ -135,6 +135,11 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
     ("world.wind.type", "log_sheer", "world.wind.type: no such type 'log_sheer'; did you mean 'log_shear'?"),
     ("world.wind.type", 5, "world.wind.type: no such type '5'; known: calm, log_shear"),
     (
+        "fleets.alpha.faults",
+        [{"type": "rotr", "rotor": 1, "at": 2.0}],
+        "fleets.alpha.faults.0.type: no such type 'rotr'; did you mean 'rotor'?",
+    ),
+    (
         "fleets.alpha.vehicle.type",
         "pelikan",
         "fleets.alpha.vehicle.type: no such type 'pelikan'; did you mean 'pelican'?",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.seconds import OPTIONAL_SECONDS, SECONDS
 
 if TYPE_CHECKING:
     from qrsim.links.autopilot.flight import Flight
@@ -52,7 +53,7 @@ class Betaflight:
     seed: int = 0
     """Seed of the episode."""
     duration: Annotated[
-        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the scenario's)")
+        float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: the scenario's)")
     ] = None
     """Simulated time."""
     set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
@@ -128,7 +129,7 @@ class Ardupilot:
     """Fleet that ArduPilot flies; can be given several times. The others fly as ever."""
     port: int = 9002
     """UDP port of the first vehicle on this machine; each other 10 further on, as those of ArduPilot's instances."""
-    wait: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 120.0
+    wait: Annotated[float, SECONDS] = 120.0
     """How long the first packet of each ArduPilot is waited for."""
     model: Annotated[str, tyro.conf.arg(metavar="NAME")] = "x500"
     """What an identified quadrotor becomes: hummingbird, x500 or crazyflie."""
@@ -137,7 +138,7 @@ class Ardupilot:
     seed: int = 0
     """Seed of the episode."""
     duration: Annotated[
-        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the scenario's)")
+        float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: the scenario's)")
     ] = None
     """Simulated time."""
     set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(

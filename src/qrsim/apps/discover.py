@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from qrsim.errors import LogError, RunError, UsageError
+from qrsim.seconds import OPTIONAL_SECONDS
 
 if TYPE_CHECKING:
     from qrsim.discover.discovery import Discovery
@@ -42,7 +43,7 @@ class Discover:
     """Expressions for each law."""
     mass: float = 1.68
     """Take-off mass [kg]."""
-    delay: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: estimated)")] = None
+    delay: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: estimated)")] = None
     """By which commands act late."""
     train: float = 0.6
     """Share of the log that is used; the rest scores the laws."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from qrsim.errors import LogError, UsageError, did_you_mean
+from qrsim.seconds import OPTIONAL_SECONDS, SECONDS
 
 if TYPE_CHECKING:
     from qrsim.identify.fit import Question
@@ -56,7 +57,7 @@ class Identify:
         default_factory=list
     )
     """What is known of a constant; can be given several times."""
-    delay: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: estimated)")] = None
+    delay: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: estimated)")] = None
     """By which commands act late."""
     train: float = 0.6
     """Share of each log that is fitted; the rest is held out."""
@@ -68,11 +69,9 @@ class Identify:
         None
     )
     """Measured signals that are known to be wrong; they are still compared."""
-    begin: Annotated[float, tyro.conf.arg(name="from", metavar="SECONDS")] = 0.0
+    begin: Annotated[float, SECONDS, tyro.conf.arg(name="from")] = 0.0
     """Leave out what comes earlier in each log, such as standing on the ground."""
-    end: Annotated[float, tyro.conf.arg(name="to", metavar="SECONDS", help_behavior_hint="(default: its end)")] = (
-        math.inf
-    )
+    end: Annotated[float, SECONDS, tyro.conf.arg(name="to", help_behavior_hint="(default: its end)")] = math.inf
     """Leave out what comes later in each log."""
     namespace: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = None
     """Of the vehicle's topics in a bag of ROS 2."""

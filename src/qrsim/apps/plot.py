@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from qrsim.errors import UsageError
+from qrsim.seconds import OPTIONAL_SECONDS
 
 if TYPE_CHECKING:
     from qrsim.runs import Run
@@ -22,7 +23,7 @@ SKY = "sky"
 ESTIMATE = "estimate"
 # Neither: who hears whom over the radio.
 RADIO = "radio"
-_Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the whole run)")]
+_Seconds = Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: the whole run)")]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import tyro
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.extras import require
+from qrsim.seconds import OPTIONAL_SECONDS, SECONDS
 
 if TYPE_CHECKING:
     from qrsim.links.ros2.node import Node
@@ -72,13 +73,13 @@ class Ros2:
     """Publish the true motion and wind too, below ground_truth/; without it there are estimates and readings only."""
     reliable: bool = False
     """Send lost readings of sensors again, for nodes that ask for reliable ones."""
-    hold: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 0.5
+    hold: Annotated[float, SECONDS] = 0.5
     """After so long without a velocity or an attitude, a vehicle that was flown by them holds its place."""
     paused: bool = False
     """Begin standing, until 'resume' or 'step N' comes by /qrsim/control."""
-    duration: Annotated[
-        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: until Ctrl-C)")
-    ] = None
+    duration: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: until Ctrl-C)")] = (
+        None
+    )
     """End after so much simulated time."""
 
     def run(self) -> None:

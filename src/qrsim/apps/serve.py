@@ -13,6 +13,7 @@ import tyro
 
 from qrsim.errors import RunError, UsageError, did_you_mean, nearest
 from qrsim.extras import require
+from qrsim.seconds import SECONDS
 
 if TYPE_CHECKING:
     from qrsim.links.reference.roles import Options
@@ -64,15 +65,15 @@ class Serve:
     on_silence: Annotated[str, tyro.conf.arg(metavar="hold|return|stop")] = "hold"
     """What a claimed vehicle does without its controller: hold its place, return to above its start, or stop its
     motors."""
-    hold: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 0.5
+    hold: Annotated[float, SECONDS] = 0.5
     """Without a command for so long, a claimed vehicle does so; 0: never, it flies on its last command."""
-    timeout: Annotated[float, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: for ever)")] = 0.0
+    timeout: Annotated[float, SECONDS, tyro.conf.arg(help_behavior_hint="(default: for ever)")] = 0.0
     """How long a barrier waits for a client, by the wall clock, before the world goes on without it."""
     seed: int = 0
     """Seed of the first episode; with --episodes new those that follow have the seeds that follow it."""
     episodes: Annotated[str, tyro.conf.arg(metavar="new|same")] = "new"
     """Whether each start of a task (INIT, RESET) is another episode or the first one again. The seeds are printed."""
-    idle_timeout: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 1800.0
+    idle_timeout: Annotated[float, SECONDS] = 1800.0
     """End the session of a client that has asked for nothing for so long; 0: never."""
     set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
         default_factory=list

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from qrsim.errors import RunError, UsageError
+from qrsim.seconds import SECONDS
 
 if TYPE_CHECKING:
     from qrsim.slam.estimate import Slam
@@ -51,7 +52,7 @@ class SlamCommand:
     """How many flights with each."""
     first_seed: int = 0
     """Seed of the first flight; the others follow."""
-    duration: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 120.0
+    duration: Annotated[float, SECONDS] = 120.0
     """Simulated time of each flight."""
     sweep: bool = False
     """Also fly with correlation times from white to 100 s, of equal variance, and draw the error against them."""

@@ -15,6 +15,7 @@ import tyro
 
 from qrsim.errors import RunError, UsageError
 from qrsim.interruptions import calling
+from qrsim.seconds import OPTIONAL_SECONDS
 
 if TYPE_CHECKING:
     from qrsim.view.recording import Recording
@@ -51,7 +52,7 @@ class View:
     layers: Annotated[str | None, tyro.conf.arg(metavar="NAMES", help_behavior_hint="(default: see below)")] = None
     """Layers of the picture, separated by commas, or "all"; --layers=-gusts,-poles: all of the page but these;
     by default those of the page."""
-    at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: see below)")] = None
+    at: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: see below)")] = None
     """Time to begin at, or of the picture; by default the begin, and for a picture the end."""
     port: int = 8080
     """Port of the page; where it is taken, the next free one. 0: any that is free."""

@@ -67,7 +67,10 @@ def parse_yaml(text: str, source: str, own: bool = False) -> Any:
         where = "" if mark is None else _where(mark.line, mark.column)
         if mark is not None and mark.line >= len(lines):
             where = _where(len(lines) - 1, len(lines[-1]))
-        raise ScenarioError(source, [f"{where}{error.problem or error.context}"]) from None
+        words = error.problem or error.context
+        if mark is not None and mark.line < len(lines) and "\t" in lines[mark.line][: mark.column + 1]:
+            words = "a tab; YAML is indented by spaces"
+        raise ScenarioError(source, [f"{where}{words}"]) from None
     except yaml.YAMLError as error:
         raise ScenarioError(source, [" ".join(str(error).split())]) from None
 

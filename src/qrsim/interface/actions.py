@@ -220,17 +220,19 @@ class ActionChecker:
         for fleet in fleets:
             taken = fleet.vehicle.actions if given else (fleet.vehicle.command_type,)
             if kind not in taken:
-                names = " or ".join(each.__name__ for each in fleet.vehicle.actions)
+                alike = any(kind.__name__ == each.__name__ for each in fleet.vehicle.actions)
+                names = " or ".join(_named(each, alike) for each in fleet.vehicle.actions)
                 raise UsageError(
-                    f"command: a {kind.__name__} is not for the vehicles of fleet '{fleet.name}', which take {names}; "
-                    "give each fleet its own, by name"
+                    f"command: {_named(kind, alike, article=True)} is not for the vehicles of fleet '{fleet.name}', "
+                    f"which take {names}; give each fleet its own, by name"
                 )
         return self._kinds[kind]
 
     def _setpoint(self, setpoint: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
         for fleet in fleets:
             if type(setpoint) not in fleet.controller.setpoints:
-                raise UsageError(f"command: a {type(setpoint).__name__} is not for {_instead(fleet, setpoint)}")
+                name = _named(type(setpoint), article=True)
+                raise UsageError(f"command: {name} is not for {_instead(fleet, setpoint)}")
         checked = self._cast(setpoint, "command", len(names))
         if not self.traced and isinstance(checked, VelocityHeightSetpoint | AttitudeHeightSetpoint):
             below = np.asarray(checked.z) > 0.0
@@ -319,6 +321,12 @@ class ActionChecker:
             row = int(np.argwhere(~np.isfinite(array))[0][0])
             raise UsageError(f"{what}: not finite for vehicle {row} ('{self.names[row]}')")
         return array
+
+
+def _named(kind: type[Any], with_module: bool = False, article: bool = False) -> str:
+    """Return the name of a command; with its module where another one has the same name."""
+    name = f"{kind.__module__}.{kind.__name__}" if with_module else kind.__name__
+    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" if article else name
 
 
 def _instead(fleet: Fleet, setpoint: object) -> str:

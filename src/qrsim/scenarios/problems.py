@@ -132,9 +132,8 @@ class _Fault:
         if kind == "union_tag_not_found":
             return f"{where}.{key}: missing{self._types()}"
         if kind == "union_tag_invalid":
-            return (
-                f"{where}.{key}: no such {key} '{context['tag']}'{did_you_mean(str(context['tag']), self._choices())}"
-            )
+            known = [tag.strip().strip("'") for tag in context["expected_tags"].split(",")]
+            return f"{where}.{key}: no such {key} '{context['tag']}'{did_you_mean(str(context['tag']), known)}"
         if kind == "literal_error":
             allowed = self._choices()
             if self.path[-1] == "type":

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from qrsim.errors import RunError, UsageError
+from qrsim.seconds import OPTIONAL_SECONDS
 
 if TYPE_CHECKING:
     from qrsim.apps.check.outcomes import Outcome
@@ -46,7 +47,7 @@ class Check:
     first_seed: int = 0
     """Seed of the first run; the others follow."""
     duration: Annotated[
-        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the scenario's)")
+        float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: the scenario's)")
     ] = None
     """Simulated time."""
     set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from qrsim.errors import RunError, UsageError, did_you_mean
+from qrsim.seconds import SECONDS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,7 +52,7 @@ class OpenLoop:
     body velocity [m/s], rates [rad/s]; or these and thrust [N]. What is left out is zero, the thrust m g."""
     precision: Literal["float64", "float32"] = "float64"
     """Arithmetic."""
-    time_step: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 0.02
+    time_step: Annotated[float, SECONDS] = 0.02
     """Length of a step."""
     clip: bool = False
     """Bring commands that are out of range into it (and say how many rows) instead of refusing them."""

@@ -17,6 +17,7 @@ from qrsim.apps.run.page import OFF, replay, shown, stay
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
 from qrsim.interruptions import word
+from qrsim.seconds import OPTIONAL_SECONDS
 
 if TYPE_CHECKING:
     from qrsim.runs import Run as RecordedRun
@@ -54,7 +55,7 @@ class Run:
     seed: int = 0
     """Seed of all randomness."""
     duration: Annotated[
-        float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: the scenario's)")
+        float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: the scenario's)")
     ] = None
     """Simulated time."""
     set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(

@@ -1,0 +1,47 @@
+"""Times on the command line: seconds, or a number with a unit."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import tyro
+
+_TIME = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([a-z]*)", re.IGNORECASE)
+_UNITS = {"": 1.0, "ms": 1e-3, "s": 1.0, "sec": 1.0, "min": 60.0, "h": 3600.0}
+
+
+def seconds_of(text: str) -> float:
+    """Return the seconds of a text such as ``20``, ``20s``, ``2min`` or ``1.5h``.
+
+    Raises:
+        ValueError: it is no time.
+    """
+    try:
+        # NaN too, of which each option says what is expected of it.
+        return float(text)
+    except ValueError:
+        pass
+    found = _TIME.fullmatch(text.strip())
+    if found is None or found[2].lower() not in _UNITS:
+        raise ValueError(f"'{text[:60]}' is no time; expected seconds, or a number with a unit as 20s, 2min or 1.5h")
+    return float(found[1]) * _UNITS[found[2].lower()]
+
+
+def _optional(words: list[str]) -> float | None:
+    return None if words == ["None"] else seconds_of(words[0])
+
+
+def _spec(parse: Any) -> Any:
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="SECONDS",
+        instance_from_str=parse,
+        is_instance=lambda value: value is None or isinstance(value, int | float),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+# For the annotations of options: of a number, and of one that may be left out.
+SECONDS = _spec(lambda words: seconds_of(words[0]))
+OPTIONAL_SECONDS = _spec(_optional)
