@@ -27,7 +27,16 @@ _SMOOTH: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
     "cosh": (np.cosh, lambda x, e: np.sinh(np.abs(x) + e)),
     "tan": (np.tan, lambda x, e: np.where(np.abs(np.cos(x)) > 2.0 * e, 4.0 / np.cos(x) ** 2, np.inf)),
 }
-_STEPS: dict[str, Callable[..., Any]] = {"floor": np.floor, "ceil": np.ceil, "sign": np.sign}
+
+
+def _sign(x: Any) -> Any:
+    """Return the sign; of a zero itself, as JAX has it."""
+    return np.where(x == 0.0, x, np.sign(x))
+
+
+_STEPS: dict[str, Callable[..., Any]] = {"floor": np.floor, "ceil": np.ceil, "sign": _sign}
+# What was asked for the bits of a NaN, which no program decides.
+BITS_OF_NAN: list[str] = []
 _BITS: dict[str, Callable[..., Any]] = {"and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor}
 _EXTREMES: dict[str, Callable[..., Any]] = {
     "max": lambda a, b: _of_zeros(np.maximum(a, b), a, b, 1.0),
@@ -255,6 +264,8 @@ def _converted(inputs: list[Value], parameters: Any, dtype: Any) -> Value:
 
 def _bits_of(inputs: list[Value], parameters: Any, dtype: Any) -> Value:
     (x,) = inputs
+    if x.rounded.dtype.kind == "f" and np.isnan(x.rounded).any() and np.dtype(dtype).kind != "f":
+        BITS_OF_NAN.append(str(dtype))
     bits = np.ascontiguousarray(x.rounded).view(dtype).reshape(x.rounded.shape)
     sure = np.where(x.error == 0.0, 0.0, np.inf)
     if np.dtype(dtype).kind != "f":

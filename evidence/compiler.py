@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import random
@@ -16,7 +17,7 @@ import numpy as np
 
 from evidence._bounds import AmbiguousError, Value, given
 from evidence._programs import FEATURED, HANDED_OVER, MAKERS, Program
-from evidence._reference import evaluate
+from evidence._reference import BITS_OF_NAN, evaluate
 from qrsim.engine.layout import Packer
 from qrsim.engine.llvm import Input, Mode, UnsupportedError, build
 from qrsim.engine.llvm import Program as Compiled
@@ -132,11 +133,19 @@ def tried(number: int, featured: Any = None, longest: int = 11) -> tuple[str, Pr
         better = fly(program, mode, ticks, "better")
         # The sign of NaN is none of a number, and compilers choose it.
         if any(not _alike(a, b) for a, b in zip(*map(jax.tree.leaves, (mine, better)), strict=True)):
-            return "quick and better code differ", program
+            return ("ambiguous" if _looks_into_nan(program, ticks) else "quick and better code differ"), program
         try:
             return judged(mine, expected(program, ticks)), program
         except AmbiguousError:
             return "ambiguous", program
+
+
+def _looks_into_nan(program: Program, ticks: int) -> bool:
+    """Return whether a program takes the bits of a NaN, whose sign is the compiler's."""
+    BITS_OF_NAN.clear()
+    with contextlib.suppress(AmbiguousError):
+        expected(program, ticks)
+    return bool(BITS_OF_NAN)
 
 
 def _alike(a: Any, b: Any) -> bool:

@@ -31,6 +31,13 @@ def primitives(jaxpr: Any) -> set[Any]:
     return found
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("number", [2699, 10315, 15936, 16300, 18639])
+def test_programs_that_found_a_fault_once(number: int) -> None:
+    """Numbers below the normal ones, kept by a loop, a tick or a constant, and the sign of zero."""
+    assert compiler.tried(number)[0] in ("equal", "within")
+
+
 @pytest.mark.parametrize(
     "programs", [20, pytest.param(50, marks=pytest.mark.long), pytest.param(300, marks=pytest.mark.nightly)]
 )

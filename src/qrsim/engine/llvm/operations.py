@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -38,15 +38,20 @@ class Operations:
         self.emit, self.declarations = emit, declarations
         # Numbers of nodes that are normal or zero.
         self._flushed: set[int] = set()
+        self._tiny_state = False
+
+    def expect(self, results: Iterable[Node]) -> None:
+        """Note whether the state of a tick, made of ``results``, may have numbers below the normal ones."""
+        self._tiny_state = any(self._may_be_tiny(node) for node in results if node.dtype.kind == "f")
+        self._flushed.clear()
 
     def compute(self, node: Node, values: list[str], lanes: int) -> str:
         """Return the value of a node from those of its arguments, all of ``lanes`` lanes."""
         argument = node.args[0].node.dtype if node.args else node.dtype
-        if node.op in _CHOICES:
-            # Processors choose with or without flushing, as the compiler likes, so it is done before.
+        if node.op != "bitcast_convert_type":
             values = [
                 self._intrinsic("canonicalize", access.node.dtype, lanes, [value])
-                if access.node.dtype.kind == "f" and self._may_be_tiny(access.node) else value
+                if access.node.dtype.kind == "f" and self._to_flush(node, access.node) else value
                 for access, value in zip(node.args, values, strict=True)
             ]  # fmt: skip
         kind = argument.kind
@@ -70,8 +75,21 @@ class Operations:
         result: str = rule(node, of, values, lanes)
         return result
 
+    def _to_flush(self, node: Node, argument: Node) -> bool:
+        """Return whether an argument of an operation must be flushed before.
+
+        Processors choose with or without flushing, as the compiler likes, and the compiler computes with constants as
+        they are written.
+        """
+        return (argument.op == "constant" and _has_tiny(argument)) or (
+            node.op in _CHOICES and self._may_be_tiny(argument)
+        )
+
     def _may_be_tiny(self, node: Node) -> bool:
-        """Return whether a number may be below the normal ones, as bits of a whole number that nothing has flushed."""
+        """Return whether a number may be below the normal ones, as bits of a whole number that nothing has flushed.
+
+        What a loop hands from turn to turn may be.
+        """
         seen: set[int] = set()
         stack = [node]
         while stack:
@@ -79,9 +97,16 @@ class Operations:
             if found.number in seen or found.number in self._flushed:
                 continue
             seen.add(found.number)
-            if found.op == "bitcast_convert_type" or (found.op == "constant" and _has_tiny(found)):
+            if found.op == "input" and self._tiny_state:
                 return True
-            if found.op in _KEEPING:
+            if found.op in ("bitcast_convert_type", "carry") or (found.op == "constant" and _has_tiny(found)):
+                return True
+            if found.op == "output":
+                owner = found.args[0].node
+                if owner.op == "while":
+                    return True
+                stack += [region.results[found.attributes[0]].node for region in owner.regions]
+            elif found.op in _KEEPING:
                 stack += [access.node for access in found.args if access.node.dtype.kind == "f"]
         self._flushed |= seen
         return False

@@ -242,6 +242,7 @@ class Draft:
         # No two buffers overlap, which lets LLVM keep loads in registers across stores.
         arguments = [f"ptr noalias %{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
         arguments += ["ptr noalias %scratch", "i32 %first", "i32 %count"]
+        writer.operations.expect(access.node for access in self.results)
         before_all, after_all = flushing(writer)
         for line in before_all:
             writer.do(line)

@@ -1,0 +1,127 @@
+"""A motor with its propeller by the table of its data sheet: throttle, thrust, speed and electrical power."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from qrsim.errors import UsageError, did_you_mean
+
+Floats = np.ndarray[Any, Any]
+STANDARD_GRAVITY = 9.80665
+# Name of a column -> quantity, and what it is multiplied by: throttle in parts of 1, N, rad/s, W.
+COLUMNS = {
+    "throttle": ("throttle", 1.0),
+    "throttle_percent": ("throttle", 0.01),
+    "thrust_N": ("thrust", 1.0),
+    "thrust_g": ("thrust", STANDARD_GRAVITY / 1000.0),
+    "rpm": ("speed", math.pi / 30.0),
+    "power_W": ("power", 1.0),
+}
+# Best share of electrical power that comes to the shaft.
+MOST_EFFICIENT = 0.9
+
+
+@dataclass(frozen=True)
+class MotorTable:
+    """Columns (K,) by rising throttle, at sea level.
+
+    Attributes:
+        throttle: 0 to 1.
+        thrust: of one propeller [N].
+        speed: [rad/s].
+        power: electrical power of one motor [W].
+    """
+
+    throttle: Floats
+    thrust: Floats
+    speed: Floats
+    power: Floats
+
+    @staticmethod
+    def of(columns: Any) -> MotorTable:
+        """Return a table of columns by name, see COLUMNS.
+
+        Raises:
+            UsageError: a column is missing, unknown or no numbers, or thrust does not rise with throttle.
+        """
+        if not isinstance(columns, Mapping):
+            raise UsageError(f"expected columns by name ({', '.join(COLUMNS)}), found {columns!r:.80}")
+        found: dict[str, Floats] = {}
+        for name, values in columns.items():
+            if name not in COLUMNS:
+                raise UsageError(f"no column is called '{name}'{did_you_mean(str(name), COLUMNS)}")
+            quantity, factor = COLUMNS[name]
+            if quantity in found:
+                raise UsageError(f"gives {quantity} twice; give one of its columns")
+            found[quantity] = factor * _numbers(name, values)
+        for quantity in ("throttle", "thrust", "speed", "power"):
+            if quantity not in found:
+                names = " or ".join(name for name, (other, _) in COLUMNS.items() if other == quantity)
+                raise UsageError(f"has no column {names}")
+        return MotorTable(**found)._checked()
+
+    def _checked(self) -> MotorTable:
+        rows = {name: len(column) for name, column in vars(self).items()}
+        if len(set(rows.values())) > 1:
+            raise UsageError(f"columns of different lengths: {', '.join(f'{name} {n}' for name, n in rows.items())}")
+        if len(self.throttle) < 2:
+            raise UsageError(f"has {len(self.throttle)} row; at least 2 are needed")
+        for name, column in vars(self).items():
+            falling = np.flatnonzero(np.diff(column) <= 0.0)
+            if len(falling):
+                row = int(falling[0]) + 2
+                raise UsageError(f"{name} does not rise from row {row - 1} to row {row}")
+            if column[0] < 0.0 or (name in ("thrust", "speed") and column[0] <= 0.0):
+                raise UsageError(f"{name} of row 1 is {column[0]:g}; allowed: above 0")
+        if self.throttle[-1] > 1.0:
+            raise UsageError(
+                f"throttle of row {len(self.throttle)} is {100 * self.throttle[-1]:g} %; allowed: up to 100"
+            )
+        return self
+
+    def numbers(self, weight: float, rotors: int) -> dict[str, float]:
+        """Return what the table says of a vehicle of a weight [N]: parameters of ``Multirotor``, and its hover.
+
+        Returns:
+            ``thrust_coefficient`` (least squares of thrust over speed squared), ``thrust_to_weight``, ``speed_max``,
+            ``throttle_curve`` (least squares), ``hover_throttle``, and of one motor ``hover_power`` [W] and
+            ``hover_speed`` [rad/s], between rows by a line.
+
+        Raises:
+            UsageError: it cannot hover with this table.
+        """
+        each = weight / rotors
+        if each >= self.thrust[-1]:
+            raise UsageError(
+                f"{rotors} motors lift {rotors * self.thrust[-1]:.4g} N at most, and the vehicle weighs {weight:.4g} N"
+            )
+        square = self.speed**2
+        coefficient = float(square @ self.thrust / (square @ square))
+        most = float(self.thrust[-1])
+        u, share = self.throttle / self.throttle[-1], self.thrust / most
+        bend = u * u - u
+        curve = float(np.clip(bend @ (share - u) / max(bend @ bend, 1e-12), 0.0, 1.0))
+        speed = math.sqrt(each / coefficient)
+        # Power goes with thrust to the power 3/2, so a line between rows is drawn over that.
+        power = float(np.interp(each**1.5, self.thrust**1.5, self.power))
+        return {
+            "thrust_coefficient": coefficient,
+            "thrust_to_weight": most / each,
+            "speed_max": math.sqrt(most / coefficient),
+            "throttle_curve": curve, "hover_throttle": float(np.interp(each, self.thrust, self.throttle)),
+            "hover_power": power, "hover_speed": speed,
+        }  # fmt: skip
+
+
+def _numbers(name: str, values: Any) -> Floats:
+    if not isinstance(values, Sequence) or isinstance(values, str):
+        raise UsageError(f"{name}: expected a list of numbers, found {values!r:.80}")
+    for row, value in enumerate(values, start=1):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise UsageError(f"{name}: row {row} is {value!r:.40}, which is not a number")
+    return np.asarray(values, np.float64)
