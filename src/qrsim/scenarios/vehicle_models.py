@@ -9,7 +9,7 @@ from qrsim.core.presets import filled
 from qrsim.core.tree import field_info
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
 from qrsim.models.vehicles.multirotor.geometry import Rotor
-from qrsim.models.vehicles.multirotor.own import GEOMETRIES, SIX, own_multirotor, rotors_of
+from qrsim.models.vehicles.multirotor.own import GEOMETRIES, OF_TABLE, SIX, TABLE, own_multirotor, rotors_of
 from qrsim.models.vehicles.multirotor.sets import SETS
 
 
@@ -100,19 +100,28 @@ def _own(own: Any, geometry: Any, beside: dict[str, Any]) -> Any:
     if not isinstance(own, dict):
         raise UsageError(f"own: expected {', '.join(SIX)}, found {own!r:.100}")
     for key in own:
-        if key not in (*SIX, "geometry"):
-            raise UsageError(f"own.{key}: no such number{did_you_mean(str(key), SIX)}")
-    missing = [key for key in SIX if key not in own]
+        if key not in (*SIX, "geometry", TABLE):
+            raise UsageError(f"own.{key}: no such number{did_you_mean(str(key), (*SIX, TABLE))}")
+    needed = [key for key in SIX if key not in OF_TABLE] if TABLE in own else SIX
+    missing = [key for key in needed if key not in own]
     if missing:
-        raise UsageError(f"own: {' and '.join(missing)} missing; expected {', '.join(SIX)}")
-    given: dict[str, Any] = {"geometry": geometry, **own}
-    spin_up = beside.get("spin_up")
-    if isinstance(spin_up, int | float) and not isinstance(spin_up, bool):
-        given["spin_up"] = spin_up
+        raise UsageError(f"own: {' and '.join(missing)} missing; expected {', '.join(needed)}")
+    if TABLE in own and (both := [key for key in OF_TABLE if key in own]):
+        raise UsageError(f"own.{both[0]}: is in the {TABLE} too; give one")
     try:
-        return own_multirotor(**given)
+        return own_multirotor(**{"geometry": geometry, **own}, **_derives(beside))
     except UsageError as error:
         raise UsageError(f"own.{error}") from None
+
+
+def _derives(beside: dict[str, Any]) -> dict[str, Any]:
+    """Return the numbers beside ``own`` from which others are derived."""
+    names = ("spin_up", "rotor_radius", "thrust_coefficient", "speed_max")
+    return {
+        name: beside[name]
+        for name in names
+        if isinstance(beside.get(name), int | float) and not isinstance(beside[name], bool)
+    }
 
 
 def _arranged(vehicle: dict[str, Any]) -> tuple[Rotor, ...]:

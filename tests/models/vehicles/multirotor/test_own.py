@@ -58,6 +58,62 @@ def test_whatever_is_known_better_replaces_what_is_derived() -> None:
         own_multirotor(**QUAD, inertia=0.02)
 
 
+def test_what_is_known_of_the_thrust_keeps_the_declared_thrust_to_weight() -> None:
+    """TW m g = N k_T W^2: 2.2 x 1.2 kg x 9.81 m/s^2 / (4 x 3e-5) = 464.56^2."""
+    assert own_multirotor(**QUAD, thrust_coefficient=3e-5).speed_max == pytest.approx(464.56, rel=1e-4)
+    # k_T goes with the fourth power of the radius.
+    wide = own_multirotor(**QUAD, rotor_radius=0.162, spin_up=0.0162)
+    assert wide.thrust_coefficient == pytest.approx(1.597832e-5 * 1.2**4, rel=1e-6)
+    assert derived(wide)["thrust_to_weight"] == pytest.approx(2.2, rel=1e-9)
+    with pytest.raises(UsageError, match=r"thrust_to_weight: 2.2; thrust_coefficient and speed_max give 4.077; leave"):
+        own_multirotor(**QUAD, thrust_coefficient=3e-5, speed_max=632.5)
+
+
+TABLE = {
+    "throttle_percent": [50, 65, 75, 85, 100], "thrust_g": [510, 760, 960, 1130, 1390],
+    "rpm": [3900, 4700, 5300, 5750, 6400], "power_W": [58, 104, 150, 195, 270],
+}  # fmt: skip
+HEXA: dict[str, Any] = {"mass": 3.5, "arm": 0.35, "rotors": 6, "attitude_bandwidth": 6.0}
+
+
+def test_a_motor_by_its_data_sheet() -> None:
+    """3.5 kg on six motors are 583.3 g each: 54.4 % by a line between rows, and 1390/583.3 = 2.383."""
+    found = own_multirotor(**HEXA, motor_table=TABLE)
+    told = derived(found)
+    assert told["thrust_to_weight"] == pytest.approx(2.382, abs=0.002)
+    # 1390 g at 6400/min are 3.04e-5; the other rows agree within a few percent.
+    assert found.thrust_coefficient == pytest.approx(3.04e-5, rel=0.03)
+    assert told["hover_throttle"] == pytest.approx(0.544, abs=0.03)
+    still = Vec3(*np.zeros((3, 1)))
+    hover = found.initial_state(Vec3(*np.array([[0.0], [0.0], [-50.0]])), Euler(*np.zeros((3, 1))), still, still)
+    # Between 58 and 104 W of each of six, over thrust to the power 3/2, and 5 W of avionics.
+    share = (583.33**1.5 - 510**1.5) / (760**1.5 - 510**1.5)
+    assert float(found.load(hover).power[0]) == pytest.approx(6 * (58 + share * 46) + 5, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({name: values[:1] for name, values in TABLE.items()}, "has 1 row; at least 2 are needed"),
+        ({**TABLE, "thrust_g": [510, 760, 700, 1130, 1390]}, "thrust does not rise from row 2 to row 3"),
+        ({**TABLE, "rpm": [3900, 4700]}, "columns of different lengths"),
+        ({**TABLE, "rpm": ["a", 1, 2, 3, 4]}, "rpm: row 1 is 'a', which is not a number"),
+        ({**TABLE, "watts": [1, 2]}, "no column is called 'watts'"),
+        ({k: v for k, v in TABLE.items() if k != "power_W"}, "has no column power_W"),
+        ({**TABLE, "throttle_percent": [50, 65, 75, 85, 110]}, "throttle of row 5 is 110 %"),
+        ({**TABLE, "thrust_N": [1, 2, 3, 4, 5]}, "gives thrust twice"),
+    ],
+)
+def test_a_table_that_cannot_be_meant(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(UsageError, match=rf"motor_table: .*{words}"):
+        own_multirotor(**HEXA, motor_table=change)
+
+
+def test_a_table_that_lifts_too_little() -> None:
+    with pytest.raises(UsageError, match=r"motor_table: 6 motors lift 81.79 N at most, and the vehicle weighs 98.1 N"):
+        own_multirotor(**{**HEXA, "mass": 10.0}, motor_table=TABLE)
+
+
 @pytest.mark.parametrize(
     ("name", "ratio", "throttle"),
     # Largest thrust over weight, and hover: N k_T w_max^2/(m g) of the sources, its root (a throttle that is a speed).

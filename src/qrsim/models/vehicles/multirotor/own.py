@@ -7,18 +7,20 @@ Whatever is known better replaces what is derived here.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.vehicles.multirotor.geometry import Rotor, ring
+from qrsim.models.vehicles.multirotor.motor_table import MOST_EFFICIENT, MotorTable
 from qrsim.models.vehicles.multirotor.stabiliser import Stabiliser
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 
 AIR_DENSITY, GRAVITY = 1.225, 9.81
 # Radius over the distance between neighbours, so that propellers just clear each other; and at most over the arm.
 OF_SPACING, OF_ARM = 0.45, 0.6
-# Thrust coefficient T/(rho A (W R)^2) of two-bladed propellers: 0.009 to 0.015.
+# Thrust coefficient T/(rho A (W R)^2) of two-bladed propellers: 0.009 to 0.015; of large slow ones down to 0.006.
 THRUST_COEFFICIENT = 0.0125
 # Torque over thrust, in radii: 0.12 of large propellers to 0.3 of a Crazyflie's.
 TORQUE_IN_RADII = 0.15
@@ -44,6 +46,8 @@ RANGES: dict[str, tuple[str, float, float]] = {
     "thrust_to_weight": ("", 1.2, 20.0),
     "attitude_bandwidth": ("rad/s", 1.0, 40.0),
 }
+# In place of two of the six.
+TABLE, OF_TABLE = "motor_table", ("hover_throttle", "thrust_to_weight")
 SIX = ("mass", "arm", "rotors", "hover_throttle", "thrust_to_weight", "attitude_bandwidth")
 
 
@@ -108,7 +112,8 @@ def own_parameters(
     thrust_to_weight: float,
     attitude_bandwidth: float,
     geometry: str | None = None,
-    spin_up: float | None = None,
+    known: Mapping[str, Any] | None = None,
+    curve: float | None = None,
 ) -> dict[str, Any]:
     """Derive the parameters of a multirotor by the rules of docs/scenarios.md.
 
@@ -120,7 +125,9 @@ def own_parameters(
         thrust_to_weight: largest thrust over weight.
         attitude_bandwidth: 1 over the time in which it reaches 63 % of a step of roll [rad/s].
         geometry: one of GEOMETRIES; None: the usual one of the number of rotors.
-        spin_up: time constant of the rotors [s], where it is known; None: derived.
+        known: parameters from which others are derived: ``spin_up``, ``rotor_radius``, ``thrust_coefficient`` and
+            ``speed_max``.
+        curve: of the throttle, where it is known; None: derived.
 
     Raises:
         UsageError: a number out of its range, or numbers that contradict each other.
@@ -131,15 +138,19 @@ def own_parameters(
     }  # fmt: skip
     _check(given)
     kind = _geometry(rotors, geometry)
-    weight, radius = mass * GRAVITY, _radius(arm, kind.arms)
+    known = _known(known or {})
+    weight, radius = mass * GRAVITY, known.get("rotor_radius", _radius(arm, kind.arms))
     pairs = COAXIAL if kind.coaxial else 1.0
+    most = thrust_to_weight * weight / rotors
     # The larger coefficient is that of a propeller alone.
-    thrust = THRUST_COEFFICIENT * AIR_DENSITY * math.pi * radius**4 * pairs
-    fastest = math.sqrt(thrust_to_weight * weight / (rotors * thrust))
+    thrust = known.get("thrust_coefficient", THRUST_COEFFICIENT * AIR_DENSITY * math.pi * radius**4 * pairs)
+    if "speed_max" in known and "thrust_coefficient" not in known:
+        thrust = most / known["speed_max"] ** 2
+    fastest = known.get("speed_max", math.sqrt(most / thrust))
+    _check_thrust(thrust_to_weight, rotors * thrust * fastest**2 / weight)
     hovering = math.sqrt(weight / (rotors * thrust))
     induced = math.sqrt(weight / (2.0 * AIR_DENSITY * rotors * math.pi * radius**2))
-    if spin_up is None:
-        spin_up = max(SPIN_UP_LEAST, SPIN_UP_PER_M * radius)
+    spin_up = known.get("spin_up", max(SPIN_UP_LEAST, SPIN_UP_PER_M * radius))
     _check_bandwidth(attitude_bandwidth, spin_up)
     drag = 0.5 * AIR_DENSITY * BODY_DRAG * arm**2
     gains: dict[str, Any] = {
@@ -163,7 +174,7 @@ def own_parameters(
         "drag_x": drag,
         "drag_y": drag,
         "drag_z": 2.0 * drag,
-        "throttle_curve": _curve(hover_throttle, thrust_to_weight),
+        "throttle_curve": _curve(hover_throttle, thrust_to_weight) if curve is None else curve,
         "stabiliser": Stabiliser(**gains),
         "rotors": rotors_of(geometry or USUAL[rotors], arm),
         "feet": _feet(0.5 * arm, 0.3 * arm + 0.02),
@@ -176,32 +187,80 @@ def own_multirotor(
     mass: float,
     arm: float,
     rotors: int,
-    hover_throttle: float,
-    thrust_to_weight: float,
     attitude_bandwidth: float,
+    hover_throttle: float | None = None,
+    thrust_to_weight: float | None = None,
+    motor_table: Mapping[str, Any] | None = None,
     geometry: str | None = None,
     **parameters: Any,
 ) -> Multirotor:
-    """Return a multirotor of six numbers, for ``make_scenario(vehicle=...)``.
+    """Return a multirotor of six numbers, or of four and the table of its motor, for ``make_scenario(vehicle=...)``.
 
     >>> vehicle = qrsim.own_multirotor(mass=1.2, arm=0.225, rotors=4, hover_throttle=0.5, thrust_to_weight=2.2,
     ...                                attitude_bandwidth=8.0)
 
     Args:
         mass, arm, rotors, hover_throttle, thrust_to_weight, attitude_bandwidth, geometry: see ``own_parameters``.
+        motor_table: columns of one motor with its propeller by name (``motor_table.py``), in place of hover throttle
+            and thrust to weight; it also gives the electrical power.
         parameters: fields of ``Multirotor`` that are known better than by a rule.
 
     Raises:
         UsageError: a number out of its range, numbers that contradict each other, or an unknown parameter.
     """
+    table: dict[str, float] = {}
+    if motor_table is not None:
+        _check({"mass": mass})
+        kind = _geometry(rotors, geometry)
+        try:
+            table = MotorTable.of(motor_table).numbers(mass * GRAVITY, kind.count)
+        except UsageError as error:
+            raise UsageError(f"{TABLE}: {error}") from None
+        hover_throttle, thrust_to_weight = table["hover_throttle"], table["thrust_to_weight"]
+    if hover_throttle is None or thrust_to_weight is None:
+        raise UsageError(f"own_multirotor: give hover_throttle and thrust_to_weight, or {TABLE}")
+    of_table = {name: table[name] for name in ("thrust_coefficient", "speed_max", "throttle_curve") if table}
     derived = own_parameters(
-        mass, arm, rotors, hover_throttle, thrust_to_weight, attitude_bandwidth, geometry, parameters.get("spin_up")
-    )
+        mass, arm, rotors, hover_throttle, thrust_to_weight, attitude_bandwidth, geometry, of_table | parameters,
+        curve=table.get("throttle_curve"),
+    )  # fmt: skip
+    if table:
+        derived |= _powered(derived, table)
     for name in parameters:
         if name not in Multirotor.__dataclass_fields__:
             known = list(Multirotor.__dataclass_fields__)
             raise UsageError(f"own_multirotor: no such parameter '{name}'{did_you_mean(name, known)}")
     return Multirotor(**(derived | parameters))
+
+
+def _powered(derived: Mapping[str, Any], table: Mapping[str, float]) -> dict[str, float]:
+    """Return the efficiency at which a motor takes the power of its table in hover, and the torque that allows it."""
+    shaft = derived["torque_ratio"] * derived["thrust_coefficient"] * table["hover_speed"] ** 3
+    efficiency = min(shaft / table["hover_power"], MOST_EFFICIENT)
+    return {
+        "efficiency": efficiency,
+        "torque_ratio": derived["torque_ratio"] * efficiency * table["hover_power"] / shaft,
+    }
+
+
+def _known(parameters: Mapping[str, Any]) -> dict[str, float]:
+    """Return the known numbers from which others are derived; lists, one for each vehicle, are none of them."""
+    names = ("spin_up", "rotor_radius", "thrust_coefficient", "speed_max")
+    found = {name: parameters[name] for name in names if name in parameters}
+    return {
+        name: float(value)
+        for name, value in found.items()
+        if isinstance(value, int | float) and not isinstance(value, bool) and value > 0.0
+    }
+
+
+def _check_thrust(declared: float, found: float) -> None:
+    # Numbers are given to two digits.
+    if abs(found - declared) > 0.02 * declared:
+        raise UsageError(
+            f"thrust_to_weight: {declared:g}; thrust_coefficient and speed_max give {found:.4g}; leave out one of the "
+            "three"
+        )
 
 
 def _check(given: dict[str, float]) -> None:
