@@ -65,7 +65,7 @@ def test_what_is_known_of_the_thrust_keeps_the_declared_thrust_to_weight() -> No
     wide = own_multirotor(**QUAD, rotor_radius=0.162, spin_up=0.0162)
     assert wide.thrust_coefficient == pytest.approx(1.597832e-5 * 1.2**4, rel=1e-6)
     assert derived(wide)["thrust_to_weight"] == pytest.approx(2.2, rel=1e-9)
-    with pytest.raises(UsageError, match=r"thrust_to_weight: 2.2; thrust_coefficient and speed_max give 4.077; leave"):
+    with pytest.raises(UsageError, match=r"thrust_to_weight: 2.2; thrust_coefficient and speed_max give 4.078; leave"):
         own_multirotor(**QUAD, thrust_coefficient=3e-5, speed_max=632.5)
 
 
