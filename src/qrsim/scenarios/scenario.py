@@ -19,6 +19,7 @@ from qrsim.models.site import Site
 from qrsim.scenarios import build
 from qrsim.scenarios.buildings import with_buildings
 from qrsim.scenarios.cross_checks import problems
+from qrsim.scenarios.forecast import insert_forecast
 from qrsim.scenarios.places import in_ned
 from qrsim.scenarios.plausibility import plausibility_warnings
 from qrsim.scenarios.problems import describe
@@ -142,6 +143,7 @@ def load_scenario(
     anchor_code(content, Path.cwd())
     insert_vehicle_files(content, name)
     insert_vehicle_models(content, name)
+    insert_forecast(content, name)
     insert_sensor_sets(content, name)
     if local:
         provide_components(content, name)

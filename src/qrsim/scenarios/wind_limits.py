@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError
-from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_FT
+from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_M
 from qrsim.models.vehicles.contracts import handling_of
 from qrsim.models.vehicles.envelope import Envelope, envelope
 from qrsim.models.vehicles.quadrotor import Quadrotor
@@ -163,7 +163,8 @@ def mean_wind(scenario: ScenarioSpec, heights: Any) -> Any:
     feet = np.maximum(heights, 0.0) * FEET_PER_METRE
     if vars(wind).get("profile", "log") == "power":
         return speed * (feet / REFERENCE_FT) ** wind.exponent
-    return speed * np.log(np.maximum(feet / ROUGHNESS_FT, 1.0)) / math.log(REFERENCE_FT / ROUGHNESS_FT)
+    roughness_ft = vars(wind).get("roughness", ROUGHNESS_M) * FEET_PER_METRE
+    return speed * np.log(np.maximum(feet / roughness_ft, 1.0)) / math.log(REFERENCE_FT / roughness_ft)
 
 
 def gust_sigma(scenario: ScenarioSpec, heights: Any) -> Any:

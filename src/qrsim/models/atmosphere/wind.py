@@ -13,12 +13,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.fastmath import log, sincos
-from qrsim.core.tree import parameter, record
+from qrsim.core.tree import parameter, record, setting
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.contracts import Wind
 
 FEET_PER_METRE = 1.0 / 0.3048
 ROUGHNESS_FT = 0.15
+ROUGHNESS_M = 0.04572
 REFERENCE_FT = 20.0
 
 
@@ -55,14 +56,22 @@ class LogShear(Wind):
     wind_from_rad: Array = parameter(
         unit="rad", doc="bearing the wind comes from, clockwise from north", minimum=-2 * math.pi, maximum=2 * math.pi
     )
+    roughness: float = setting(
+        default=ROUGHNESS_M,
+        unit="m",
+        doc="roughness length of the land: 0.03 grass, 0.1 crops, 0.5 bushes and houses",
+        above=0.0,
+        maximum=2.0,
+    )
 
     def velocity_ned(self, height_agl: Array, seconds: Array | None = None, fraction: Array | None = None) -> Vec3:
         """Return the air's velocity [m/s] at heights (n,) [m] above ground; zero at and below the roughness height.
 
         The same at any time (``seconds`` and ``fraction``, which other winds need).
-        |w(h)| = u20 ln(h/z0)/ln(20/z0), h in feet, z0 = 0.15 ft (MIL-F-8785C, section 3.7.3.2).
+        |w(h)| = u20 ln(h/z0)/ln(20/z0), h in feet, by default z0 = 0.15 ft (MIL-F-8785C, section 3.7.3.2).
         """
-        ratio = jnp.maximum(height_agl * (FEET_PER_METRE / ROUGHNESS_FT), 1.0)
-        speed = self.speed_20ft * log(ratio) * (1.0 / math.log(REFERENCE_FT / ROUGHNESS_FT))
+        roughness_ft = self.roughness / 0.3048
+        ratio = jnp.maximum(height_agl * (FEET_PER_METRE / roughness_ft), 1.0)
+        speed = self.speed_20ft * log(ratio) * (1.0 / math.log(REFERENCE_FT / roughness_ft))
         zero = jnp.zeros_like(speed)
         return wind_to_ned(speed, zero, zero, self.wind_from_rad)

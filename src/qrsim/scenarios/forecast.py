@@ -1,0 +1,74 @@
+"""A wind as forecasts give it: a speed at a height, over land of a roughness, with gusts."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from qrsim.errors import ScenarioError
+from qrsim.models.atmosphere.wind import FEET_PER_METRE, REFERENCE_FT, ROUGHNESS_M
+
+FORECAST = ("speed", "at_height", "gust")
+# Height of the anemometers of the WMO [m].
+USUAL_HEIGHT = 10.0
+# Standard deviations between the mean of ten minutes and its largest mean of 3 s, of gusts that are correlated over 4
+# to 12 s, as at 10 m in 5 to 15 m/s.
+GUST_SIGMAS = 2.5
+TURBULENT = ("dryden", "dryden_field", "dryden_first_order")
+
+
+def insert_forecast(content: dict[str, Any], source: str) -> None:
+    """Replace, in place, ``speed``, ``at_height`` and ``gust`` of a log_shear by its ``speed_20ft`` and a turbulence.
+
+    Raises:
+        ScenarioError: a number is missing, of the wrong kind or out of range.
+    """
+    world = content.get("world")
+    wind = world.get("wind") if isinstance(world, dict) else None
+    if not isinstance(world, dict) or not isinstance(wind, dict) or wind.get("type") != "log_shear":
+        return
+    given = {name: wind.pop(name) for name in FORECAST if name in wind}
+    if not given:
+        return
+    problem = _problem(given, wind)
+    if problem:
+        raise ScenarioError(source, [f"world.wind.{problem}"])
+    height, roughness = float(given.get("at_height", USUAL_HEIGHT)), float(wind.get("roughness", ROUGHNESS_M))
+    share = math.log(REFERENCE_FT / FEET_PER_METRE / roughness) / math.log(height / roughness)
+    wind["speed_20ft"] = float(given["speed"]) * share
+    if "gust" in given:
+        turbulence = world.setdefault("turbulence", {"type": "dryden_field"})
+        sigma = (float(given["gust"]) - float(given["speed"])) / GUST_SIGMAS
+        if isinstance(turbulence, dict) and turbulence.get("type") in TURBULENT:
+            turbulence.setdefault("speed_20ft", turbulence_speed(sigma, height))
+
+
+def turbulence_speed(sigma: float, height: float) -> float:
+    """Return the wind at 20 ft [m/s] by which gusts at a height [m] have a standard deviation [m/s].
+
+    MIL-F-8785C, low altitude: sigma_u = 0.1 W20/(0.177 + 0.000823 h)^0.4, h in feet.
+    """
+    feet = min(max(height * FEET_PER_METRE, 10.0), 1000.0)
+    return 10.0 * sigma * (0.177 + 0.000823 * feet) ** 0.4
+
+
+def _problem(given: dict[str, Any], wind: dict[str, Any]) -> str:
+    """Return what is wrong with a forecast, "" where nothing is."""
+    for name, value in {**given, "roughness": wind.get("roughness", ROUGHNESS_M)}.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            return f"{name}: expected a number, found {value!r:.60}"
+    if "speed" not in given:
+        return f"speed: missing; it is the mean speed that {' and '.join(given)} go with"
+    if "speed_20ft" in wind:
+        return "speed: gives both 'speed' and 'speed_20ft'; give one"
+    speed, height = given["speed"], given.get("at_height", USUAL_HEIGHT)
+    roughness = wind.get("roughness", ROUGHNESS_M)
+    if not 0.0 <= speed <= 50.0:
+        return f"speed: {speed:g} m/s; allowed: 0 to 50"
+    if not 0.0 < roughness <= 2.0:
+        return f"roughness: {roughness:g} m; allowed: above 0, at most 2"
+    if not 2.0 * roughness < height <= 300.0:
+        return f"at_height: {height:g} m; allowed: above {2.0 * roughness:.3g} (twice the roughness), at most 300"
+    if "gust" in given and not speed <= given["gust"] <= 75.0:
+        return f"gust: {given['gust']:g} m/s; allowed: the mean speed, {speed:g}, to 75"
+    return ""

@@ -1,0 +1,58 @@
+"""Winds as forecasts give them: a mean speed at a height over land of a roughness, and a gust."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+
+from qrsim.errors import ScenarioError
+from qrsim.scenarios.making import make_scenario
+
+FORECAST: dict[str, Any] = {
+    "type": "log_shear", "speed": 6.0, "at_height": 10.0, "gust": 10.0, "roughness": 0.1, "wind_from_deg": 225.0,
+}  # fmt: skip
+
+
+def forecast(**changes: Any) -> Any:
+    wind = {name: value for name, value in {**copy.deepcopy(FORECAST), **changes}.items() if value is not None}
+    return make_scenario([[0, 0, -10]], wind=wind).spec.world
+
+
+def test_the_speed_is_that_at_its_height() -> None:
+    """6 ln(6.096/0.1)/ln(10/0.1) = 5.3551 m/s at 20 ft; and the wind at 10 m is 6 m/s again."""
+    assert forecast().wind.speed_20ft == pytest.approx(5.3551, abs=1e-4)
+    wind = make_scenario([[0, 0, -10]], wind=FORECAST).world().wind
+    found = wind.velocity_ned(np.float32([10.0, 0.05]))
+    np.testing.assert_allclose(np.hypot(found.x, found.y), [6.0, 0.0], atol=1e-5)
+
+
+def test_gusts_are_two_and_a_half_deviations() -> None:
+    """(10 - 6)/2.5 = 1.6 m/s at 32.8 ft: W20 = 16 (0.177 + 0.000823 x 32.81)^0.4 = 8.4718 m/s."""
+    turbulence = forecast().turbulence
+    assert (turbulence.type, turbulence.speed_20ft) == ("dryden_field", pytest.approx(8.4718, abs=1e-4))
+    assert forecast(gust=None).turbulence.type == "still"
+
+
+def test_a_wind_at_20_ft_stays_what_it_was() -> None:
+    plain = make_scenario([[0, 0, -10]], wind={"type": "log_shear", "speed_20ft": 5.0, "wind_from_rad": 0.0})
+    assert plain.spec.world.wind.roughness == pytest.approx(0.15 * 0.3048)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"gust": 5.0}, "world.wind.gust: 5 m/s; allowed: the mean speed, 6, to 75"),
+        ({"at_height": 0.0}, "world.wind.at_height: 0 m; allowed: above 0.2 (twice the roughness), at most 300"),
+        ({"speed": None}, "world.wind.speed: missing; it is the mean speed that at_height and gust go with"),
+        ({"speed_20ft": 5.0}, "world.wind.speed: gives both 'speed' and 'speed_20ft'; give one"),
+        ({"speed": "6 m/s"}, "world.wind.speed: expected a number, found '6 m/s'"),
+        ({"roughness": 0.0}, "world.wind.roughness: 0 m; allowed: above 0, at most 2"),
+    ],
+)
+def test_what_cannot_be_meant(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        forecast(**changes)
+    assert words in str(caught.value)
