@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import urllib.error
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import distributed
 import pytest
 from evidence.sweep import dask, kill_process, kill_worker, opened, same
 from evidence.sweep import scheduler as running
@@ -14,6 +17,7 @@ from tests.sweep.conftest import flown, write
 from qrsim.cli import main
 from qrsim.errors import RunError
 from qrsim.sweep import cluster
+from qrsim.sweep.cluster import workers_of
 
 pytestmark = pytest.mark.long
 
@@ -112,3 +116,38 @@ def test_versions_that_differ_are_listed() -> None:
     assert "b: numpy: " in said
     assert "1.0 there" in said
     assert "c: it cannot say its versions: ModuleNotFoundError: No module named 'qrsim'" in said
+
+
+@pytest.mark.long
+def test_a_stranger_is_refused_by_the_workers_of_this_machine(capsys: Any) -> None:
+    """Whoever talks to a scheduler can run code there: nobody may without the key, and no port takes plain text."""
+    with workers_of(None, 1) as client:
+        address = client.scheduler.address
+        assert address.startswith("tls://")
+        assert client.submit(sum, [1, 2]).result(timeout=30) == 3
+        for stranger in (address, address.replace("tls://", "tcp://")):
+            with pytest.raises((OSError, ValueError, TypeError, RuntimeError)):
+                distributed.Client(stranger, timeout=3, set_as_default=False)
+        own = distributed.Security.temporary()
+        with pytest.raises((OSError, ValueError, RuntimeError)):
+            distributed.Client(address, timeout=3, set_as_default=False, security=own)
+        # Pages by HTTP ask nobody who they are, so there are none.
+        port = client.scheduler_info()["services"].get("dashboard")
+        for page in ("status", "api/v1/get_workers", "info/main/workers.html"):
+            with pytest.raises(urllib.error.HTTPError, match="404"):
+                urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}", timeout=5)
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_certificates_come_together_and_are_there(tmp_path: Path, capsys: Any) -> None:
+    study = str(write(tmp_path))
+    for words, told in (
+        (["--scheduler", "tls://here:1", "--tls-ca", "ca.pem"], "--tls-cert: missing; TLS needs --tls-ca, --tls-cert"),
+        (["--tls-ca", "a", "--tls-cert", "b", "--tls-key", "c"], "--tls-ca: without --scheduler"),
+        (
+            ["--scheduler", "tls://here:1", "--tls-ca", "a.pem", "--tls-cert", "b", "--tls-key", "c"],
+            "--tls-ca a.pem: no such file",
+        ),
+    ):
+        assert main(["sweep", study, *words, "--out", str(tmp_path / "s.zarr")]) == 2
+        assert told in capsys.readouterr().err

@@ -43,6 +43,12 @@ class Sweep:
     """Processes to fly with."""
     scheduler: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: none)")] = None
     """Fly on the workers of this Dask scheduler instead."""
+    tls_ca: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Certificate of the authority that a scheduler by tls:// is checked against; with --tls-cert and --tls-key."""
+    tls_cert: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Certificate to show to that scheduler."""
+    tls_key: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Private key of that certificate."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="STORE", help_behavior_hint="(default: sweeps/NAME.zarr)")] = None
     """Store to write, or to go on with."""
     seeds: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the study's)")] = None
@@ -84,12 +90,18 @@ class Sweep:
                 raise UsageError(f"--{name} {value}: expected a positive number")
         if self.workers is not None and self.scheduler is not None:
             raise UsageError("--workers: not with --scheduler, which has its own")
+        files = {"--tls-ca": self.tls_ca, "--tls-cert": self.tls_cert, "--tls-key": self.tls_key}
+        missing = [name for name, file in files.items() if file is None]
+        if 0 < len(missing) < len(files):
+            raise UsageError(f"{missing[0]}: missing; TLS needs {', '.join(files)}")
+        if not missing and self.scheduler is None:
+            raise UsageError("--tls-ca: without --scheduler; workers of this machine have keys of their own")
         changes = {name: value for name in ("seeds", "points") if (value := getattr(self, name)) is not None}
         return load_study(self.study, changes, self.set, self.values or 0)
 
     def _fly(self, plan: Plan, out: Path) -> None:
         from qrsim.engine.settings import available_cores
-        from qrsim.sweep.cluster import workers_of
+        from qrsim.sweep.cluster import Tls, workers_of
         from qrsim.sweep.store import Store
         from qrsim.sweep.sweeping import sweep
 
@@ -99,7 +111,10 @@ class Sweep:
         flying = 0.0
         try:
             if not store.done.all():
-                with workers_of(self.scheduler, self.workers or available_cores()) as client:
+                tls = None
+                if self.tls_ca is not None and self.tls_cert is not None and self.tls_key is not None:
+                    tls = Tls(self.tls_ca, self.tls_cert, self.tls_key)
+                with workers_of(self.scheduler, self.workers or available_cores(), tls) as client:
                     flying = time.perf_counter()
                     with _progress(plan, before) as progress:
                         sweep(plan, store, client, progress)
