@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,8 +12,10 @@ import numpy as np
 import pytest
 from tests.flight_logs.log_writing import DT, Floats, flown, write_csv, write_dataflash, write_ulog
 
-from qrsim.errors import UsageError
+from qrsim.errors import LogError, UsageError
 from qrsim.flight_logs import SIGNALS, FlightLog, read_log
+from qrsim.flight_logs.inertial import read_inertial
+from qrsim.flight_logs.ulog_messages import whole_messages
 
 WRITERS: dict[str, Callable[..., Path]] = {"log.csv": write_csv, "log.ulg": write_ulog, "log.bin": write_dataflash}
 
@@ -184,3 +188,35 @@ def test_a_damaged_dataflash_log_says_so_in_few_lines(tmp_path: Path, capfd: Any
     notes = read_log(path).notes
     assert len(notes) < 15
     assert capfd.readouterr() == ("", "")
+
+
+def ulog_message(kind: bytes, payload: bytes) -> bytes:
+    return struct.pack("<HB", len(payload), kind[0]) + payload
+
+
+class TestMessagesOfAULog:
+    """Walked by their lengths: a library that meets a damaged one may never come back."""
+
+    HEADER = b"ULog\x01\x12\x35\x01" + bytes(8)
+    SYNC = ulog_message(b"S", bytes((0x2F, 0x73, 0x13, 0x20, 0x25, 0x0C, 0xBB, 0x12)))
+
+    def test_a_message_of_no_type_beyond_the_end_ends_the_log(self, tmp_path: Path) -> None:
+        content = self.HEADER + b"\xff\xff\x00" + bytes(20)
+        assert whole_messages(content) == (
+            self.HEADER, ["the file ends inside a message: the last 23 bytes are lost (log cut off)"],
+        )  # fmt: skip
+        path = tmp_path / "log.ulg"
+        path.write_bytes(content)
+        for read in (read_log, read_inertial):
+            with pytest.raises(LogError, match=re.escape(str(path))):
+                read(path)
+
+    def test_after_damage_it_goes_on_at_the_next_synchronisation(self) -> None:
+        good, bad = ulog_message(b"I", b"abc"), b"\x05\x00\x00" + bytes(40)
+        kept, notes = whole_messages(self.HEADER + good + bad + self.SYNC + good)
+        assert kept == self.HEADER + good + self.SYNC + good
+        assert notes == ["the file is damaged; what can be read between the damaged parts is used"]
+
+    def test_a_whole_log_is_left_as_it_is(self) -> None:
+        content = self.HEADER + ulog_message(b"B", bytes(40)) + ulog_message(b"D", b"\x01\x00data")
+        assert whole_messages(content) == (content, [])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
-import io
 import math
 import re
 from collections.abc import Mapping
@@ -13,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from qrsim import extras
 from qrsim.errors import LogError, UsageError, did_you_mean, did_you_mean_file
-from qrsim.files.user_files import open_text, read_bytes
+from qrsim.files.user_files import open_text
 from qrsim.flight_logs.signals import Floats
+from qrsim.flight_logs.ulog_messages import open_ulog
 
 _G = 9.80665
 UNITS = {
@@ -67,12 +65,7 @@ def read_inertial(path: Path) -> Readings:
 
 
 def _of_ulog(path: Path) -> tuple[Floats, dict[str, Floats]]:
-    pyulog = extras.load("identify", "reading a ULog", "pyulog")
-    try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            log = pyulog.ULog(io.BytesIO(read_bytes(path)), ["sensor_combined"])
-    except Exception as error:  # pyulog raises whatever its parsing runs into
-        raise LogError(f"{path}: a ULog that cannot be read: {error or type(error).__name__}") from None
+    log, _ = open_ulog(path, ["sensor_combined"])
     found = next((each.data for each in log.data_list if each.name == "sensor_combined"), None)
     fields = {"gyroscope": "gyro_rad", "accelerometer": "accelerometer_m_s2"}
     names = {f"{kind}_{axis}": f"{field}[{i}]" for kind, field in fields.items() for i, axis in enumerate("xyz")}

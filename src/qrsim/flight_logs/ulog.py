@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from qrsim import extras
 from qrsim.errors import LogError
-from qrsim.files.user_files import read_bytes
 from qrsim.flight_logs.preparing import prepare
 from qrsim.flight_logs.signals import FlightLog, Floats, Track
+from qrsim.flight_logs.ulog_messages import open_ulog
 
-_HEADER_BYTES = 16
 # Signal, topic, the field that holds it (the first that is there), factor to SI. Of rows for the same signal the first
 # whose topic is there counts: until 2019 PX4 logged the body rates with the attitude, and the thrust as a number.
 FIELDS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
@@ -44,20 +40,7 @@ def read_ulog(path: Path) -> FlightLog:
         LogError: no ULog, or none of the topics.
         RunError: pyulog is not installed.
     """
-    pyulog = extras.load("identify", "reading a ULog", "pyulog")
-    content = read_bytes(path)
-    whole = _whole_messages(content)
-    notes = []
-    if whole < len(content):
-        notes.append(f"the file ends inside a message: the last {len(content) - whole} bytes are lost (log cut off)")
-    try:
-        # The library prints its complaints, one for each message that it cannot place.
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            log = pyulog.ULog(io.BytesIO(content[:whole]), list(TOPICS))
-    except Exception as error:  # pyulog raises whatever its parsing runs into
-        raise LogError(f"{path}: a ULog that cannot be read: {error or type(error).__name__}") from None
-    if log.file_corruption:
-        notes.append("the file is damaged; what can be read between the damaged parts is used")
+    log, notes = open_ulog(path, list(TOPICS))
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts)
         notes.append(f"the logger lost data {len(log.dropouts)} times, {lost / 1000.0:.2f} s in all")
@@ -70,17 +53,6 @@ def read_ulog(path: Path) -> FlightLog:
     except (KeyError, TypeError, ValueError) as error:  # a damaged definition, with other fields or types
         raise LogError(f"{path}: a ULog that cannot be read: its topics have no {error}") from None
     return prepare(path, "PX4 ULog", tracks, notes)
-
-
-def _whole_messages(content: bytes) -> int:
-    """Return the number of bytes up to the end of the last whole message."""
-    place, size = _HEADER_BYTES, len(content)
-    while place + 3 <= size:
-        end = place + 3 + int.from_bytes(content[place : place + 2], "little")
-        if end > size:
-            break
-        place = end
-    return place
 
 
 def _tracks(topics: dict[str, Any], notes: list[str]) -> dict[str, Track]:
