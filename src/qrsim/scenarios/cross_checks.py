@@ -178,8 +178,10 @@ def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
 def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
     """Names become parts of paths, columns and noise streams."""
     for path, name in [("fleets", fleet_name), *((f"fleets.{fleet_name}.sensors", name) for name in fleet.sensors)]:
-        if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
-            yield f"{path}.{name}: '{name}' is no name; allowed: letters, digits, '_' and '-'"
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
+            yield (
+                f"{path}.{name}: '{name}' is no name; allowed: letters, digits, '_' and '-', a letter or digit first"
+            )
     for name in fleet.sensors:
         if name in (TURBULENCE, PROCESS, "sensors", "fleets", "time"):
             yield f"fleets.{fleet_name}.sensors.{name}: the name '{name}' is taken by the simulator; choose another"

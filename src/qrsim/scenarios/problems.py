@@ -246,9 +246,9 @@ def _number(value: float) -> str:
 
 
 def _characters(pattern: str) -> str:
-    """Say in words what a pattern such as ^[A-Za-z0-9_-]+$ allows."""
-    match = re.fullmatch(r"\^\[A-Za-z0-9(.*)\]\+\$", pattern)
-    return f"letters, digits and any of {' '.join(match[1])}" if match else pattern
+    """Say in words what a pattern such as ^[A-Za-z0-9][A-Za-z0-9_-]*$ allows."""
+    match = re.fullmatch(r"\^\[A-Za-z0-9\]\[A-Za-z0-9(.*)\]\*\$", pattern)
+    return f"letters, digits and any of {' '.join(match[1])}, a letter or digit first" if match else pattern
 
 
 def _given(annotation: Any) -> Any:

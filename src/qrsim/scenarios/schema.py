@@ -34,7 +34,7 @@ from qrsim.scenarios.sky_of_receivers import with_sky
 from qrsim.scenarios.slots import Maker, slot, slot_of
 
 # Of scenarios and vehicles: they become parts of paths, columns and topics.
-NAME = r"^[A-Za-z0-9_.-]+$"
+NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 LONGEST_ROUTE, MOST_CORNERS, MOST_SPANS = 2000, 1000, 100
 Span = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 # Where a vehicle flies is given in one of these.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import json
 import shutil
@@ -217,7 +218,8 @@ class _Film:
         """Return viser's page of the first frame."""
         self._draw(self._times[0], everything=True)
         text: str = serializer().as_html()
-        return text.replace("<title>Viser</title>", f"<title>qrsim - {self._recording.run.info.scenario}</title>", 1)
+        name = html.escape(self._recording.run.info.scenario)
+        return text.replace("<title>Viser</title>", f"<title>qrsim - {name}</title>", 1)
 
     def parts(self, tape: Tape, progress: Progress) -> Iterator[str]:
         """Yield the texts of the parts."""

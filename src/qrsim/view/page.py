@@ -16,6 +16,7 @@ from qrsim.view.air import REACHES
 from qrsim.view.clock import Clock
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.gate import NOTABLE_S
+from qrsim.view.markdown import plain
 from qrsim.view.scene import Scene
 from qrsim.view.server import Delivery
 from qrsim.view.sky import Satellite
@@ -269,10 +270,11 @@ class Page:
         frames = f"{self.drawn} frames drawn, {self.dropped() + self._delivery.missed} dropped"
         if (lag := self._delivery.lag_s) > NOTABLE_S:
             frames += f"  \n**slow link: {lag:.1f} s behind**"
-        note = f"{self.note}  \n" if self.note else ""
-        self._status.content = f"**{self.heading}**  \n{note}**t = {frame.time:.2f} s**{paused}  \n{flying}  \n{frames}"
+        note = f"{plain(self.note)}  \n" if self.note else ""
+        heading, time = f"**{plain(self.heading)}**", f"**t = {frame.time:.2f} s**{paused}"
+        self._status.content = f"{heading}  \n{note}{time}  \n{flying}  \n{frames}"
         names = self.scene.cast.names
-        lines = [f"- **{names[i]}** {why}" for i, why in list(frame.reasons.items())[:MOST_STOPPED]]
+        lines = [f"- **{plain(names[i])}** {plain(why)}" for i, why in list(frame.reasons.items())[:MOST_STOPPED]]
         if len(frame.reasons) > MOST_STOPPED:
             lines.append(f"- and {len(frame.reasons) - MOST_STOPPED} more")
         self._stopped.content = "\n".join(lines)

@@ -1,0 +1,13 @@
+"""Text inside of Markdown, which the page renders with whatever HTML is in it."""
+
+from __future__ import annotations
+
+import re
+
+_MEANS_SOMETHING = re.compile(r"[&<>\[\]{}()*_`~#|!\\$^\"'=+]")
+
+
+def plain(text: str) -> str:
+    """Return a text of others as it reads, on one line: nothing of it is Markdown, HTML or code."""
+    line = "".join(character if character.isprintable() else " " for character in text)
+    return _MEANS_SOMETHING.sub(lambda found: f"&#{ord(found[0])};", line)
