@@ -210,3 +210,11 @@ def test_any_value_at_any_place(name: str, value: Any) -> None:
         target[path[-1]] = value
         with contextlib.suppress(UsageError):
             load_scenario(changed, quiet=True)
+
+
+def test_control_characters_of_an_input_are_written_out(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "no\x1b[31msuch\x07"]) == 2
+    told = capsys.readouterr().err
+    assert "\x1b" not in told
+    assert "\x07" not in told
+    assert "no\\x1b[31msuch\\x07" in told

@@ -48,7 +48,7 @@ from qrsim.apps.sweep import Sweep
 from qrsim.apps.sweep_report import SweepReport
 from qrsim.apps.validate import Validate
 from qrsim.apps.view import View
-from qrsim.errors import QrsimError, UsageError, did_you_mean, shortened
+from qrsim.errors import QrsimError, UsageError, did_you_mean, shortened, visible
 
 DESCRIPTION = """A simulator of several unmanned aerial vehicles outdoors.
 
@@ -198,7 +198,7 @@ def _plain_warnings() -> None:
     import warnings
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
-        print(f"warning: {message}", file=sys.stderr)
+        print(f"warning: {visible(str(message))}", file=sys.stderr)
 
     warnings.showwarning = show
 
@@ -282,7 +282,7 @@ def _print_error(message: str) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    text = Text.assemble(("error: ", "bold red"), message)
+    text = Text.assemble(("error: ", "bold red"), visible(message))
     Console(stderr=True, soft_wrap=True, highlight=False).print(text)
 
 

@@ -85,6 +85,13 @@ def shortened(text: str, most: int = LONGEST_PROBLEM) -> str:
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[len(text) - most // 2 :]}"
 
 
+def visible(text: str) -> str:
+    """Return a text whose control characters, but for line ends and tabs, are written out: they may be anybody's."""
+    return "".join(
+        character if character.isprintable() or character in "\n\t" else ascii(character)[1:-1] for character in text
+    )
+
+
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """Return the known name closest to ``name``, None if none is close."""
     if len(name) > LONGEST_NAME:

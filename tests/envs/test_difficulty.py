@@ -79,3 +79,8 @@ def test_without_ranges_there_is_none() -> None:
     for env in (SingleTask("keep_spot"), parallel_env("cats_and_mouse/1A")):
         with pytest.raises(UsageError, match="it has no ranges, and so no difficulty"):
             env.reset(seed=1, options={"difficulty": 0.5})
+
+
+def test_an_option_that_nobody_knows_is_named() -> None:
+    with pytest.raises(UsageError, match=r"reset: options has no 'dificulty'; did you mean 'difficulty'\?"):
+        SingleTask("keep_spot").reset(seed=1, options={"dificulty": 0.5})

@@ -43,6 +43,9 @@ def test_it_is_what_its_own_vector_of_single_environments_is() -> None:
         for got, wanted in zip(found[3], expected[3], strict=True):
             assert ("terminal_observation" in got) == ("terminal_observation" in wanted) == (step % 3 == 2)
             if step % 3 == 2:
+                # Three steps of reward between 0 and 1 each, as VecMonitor counts them.
+                assert got["episode"]["l"] == 3
+                assert 0.0 < got["episode"]["r"] <= 3.0
                 assert got["TimeLimit.truncated"] is wanted["TimeLimit.truncated"] is True
                 last = got["terminal_observation"], wanted["terminal_observation"]
                 np.testing.assert_allclose(*last, rtol=1e-4, atol=1e-4)

@@ -210,8 +210,8 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
         "fleets.alpha.controller.feed: 'thruth' is not allowed; allowed: measurements, truth; did you mean 'truth'?",
     ),
     ("name", 3, "name: 3 is not a text ("),
-    ("name", "a b", "name: 'a b' is no name; allowed: letters, digits and any of _ . - ("),
-    ("name", "../x", "name: '../x' is no name; allowed: letters, digits and any of _ . - ("),
+    ("name", "a b", "name: 'a b' is no name; allowed: letters, digits and any of _ . -, a letter or digit first ("),
+    ("name", "../x", "name: '../x' is no name; allowed: letters, digits and any of _ . -, a letter or digit first ("),
     ("fleets.alpha.vehicles.0.name", "", "fleets.alpha.vehicles.0.name: '' is no name; allowed: "),
     ("world", None, "world: expected keys and values, found nothing ("),
     ("fleets.alpha", None, "fleets.alpha: expected keys and values, found nothing ("),
@@ -307,7 +307,8 @@ ONE_FAULT: list[tuple[str, Any, str]] = [
     (
         "fleets.alpha.vehicles.0.name",
         "one/two",
-        "fleets.alpha.vehicles.0.name: 'one/two' is no name; allowed: letters, digits and any of _ . -",
+        "fleets.alpha.vehicles.0.name: 'one/two' is no name; allowed: letters, digits and any of _ . -, a letter or "
+        "digit first",
     ),
     (
         "fleets.alpha.vehicles.0.velocity_body",

@@ -391,3 +391,11 @@ def test_classes_of_one_name_are_not_one() -> None:
     worlds = [replace(bare_pair().world(), wind=gale(speed)) for speed in (1.0, 2.0)]
     with pytest.raises(UsageError, match="number 1 differs from number 0 in more than numbers: types"):
         rollout(worlds, ticks=2)
+
+
+def test_what_is_asked_for_by_another_name_is_a_sentence(seven: Rollout) -> None:
+    assert set(seven) == set(seven.metrics)
+    with pytest.raises(UsageError, match=r"a rollout has metrics by name, each \(W, n\), and no number 0"):
+        seven[0]  # type: ignore[index]
+    with pytest.raises(UsageError, match=r"world: 7 is none of this rollout; allowed: an integer from 0 to 6"):
+        seven.reasons(7)

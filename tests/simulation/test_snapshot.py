@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import os
 import subprocess
 import sys
 import time
@@ -18,7 +20,7 @@ from evidence._mutated_states import attempt, mutants
 from tests import small_worlds
 
 import qrsim
-from qrsim.errors import UsageError
+from qrsim.errors import RunError, UsageError
 from qrsim.simulation.simulation import Simulation
 
 SCENARIO = "patrol_plain"
@@ -231,3 +233,20 @@ def test_300_mutants(simulation: Simulation, flown: tuple[bytes, bytes]) -> None
     # There is no study of what is always refused, nor of what never is.
     assert results["refused"] > 200
     assert results["taken"] > 10
+
+
+def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sim = qrsim.load("hover_ideal")
+    sim.reset()
+    path = tmp_path / "state"
+    before = sim.save(path)
+    sim.step()
+
+    def full(number: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(RunError, match="No space left on device"):
+        sim.save(path)
+    assert [each.name for each in tmp_path.iterdir()] == ["state"]
+    assert path.read_bytes() == before

@@ -16,13 +16,15 @@ from typing import Any, Protocol
 import jax
 import numpy as np
 
-from qrsim.engine import by_llvm, by_xla
+from qrsim.engine import by_llvm, by_xla, forked
 from qrsim.engine.by_llvm import state_bytes
 from qrsim.engine.functions import Extent, Function
 from qrsim.engine.layout import Buffers, Packer, Shared, layout_of_each
 from qrsim.engine.llvm import FORMS, UnsupportedError
 from qrsim.engine.settings import chosen_compiler
 from qrsim.errors import UsageError
+
+forked.watch()
 
 __all__ = [
     "FORMS",

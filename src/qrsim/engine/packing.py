@@ -15,6 +15,7 @@ from qrsim.engine import cache
 from qrsim.engine.folders import LARGEST_BYTES, cache_folder, private
 from qrsim.engine.llvm.compiler import machine_name
 from qrsim.errors import RunError, UsageError, did_you_mean_file
+from qrsim.files.atomic import write_atomically
 
 # Folders of the cache: programs of the package's own code generator, and those that XLA compiled.
 KINDS = ("native", "compiled")
@@ -95,12 +96,14 @@ def pack(path: Path) -> int:
     if not entries:
         raise UsageError(f"{cache_folder()}: there is no compiled program for this processor; fly a scenario first")
     manifest = json.dumps({"format": FORMAT, "machine": machine_name(), "programs": len(entries)}, indent=2).encode()
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w:gz" if path.suffix in (".gz", ".tgz") else "w") as archive:
+        for name, content in {MANIFEST: manifest, **entries}.items():
+            member = tarfile.TarInfo(name)
+            member.size, member.mode = len(content), 0o600
+            archive.addfile(member, io.BytesIO(content))
     try:
-        with tarfile.open(path, "w:gz" if path.suffix in (".gz", ".tgz") else "w") as archive:
-            for name, content in {MANIFEST: manifest, **entries}.items():
-                member = tarfile.TarInfo(name)
-                member.size, member.mode = len(content), 0o600
-                archive.addfile(member, io.BytesIO(content))
+        write_atomically(path, buffer.getbuffer())
     except OSError as error:
         raise RunError(f"{path}: {error.strerror or error}") from None
     return len(entries)

@@ -11,13 +11,17 @@ import numpy as np
 
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
-from qrsim.errors import RunError, UsageError, shortened
+from qrsim.errors import RunError, UsageError, did_you_mean, shortened
 from qrsim.tasks.agents import Axis
 from qrsim.tasks.episodes import Episodes, score
 from qrsim.tasks.teams import Side, axes_of_agents, part_of
 from qrsim.world.episode import refuse_unplaced
 
 FloatArray = np.ndarray[Any, Any]
+# What a reset may be told; the mask is of batches alone.
+OPTIONS = ("difficulty", "reset_mask")
+# PettingZoo's own test of environments gives an option of this name.
+IGNORED = "options"
 # An action may be outside [-1, 1] by no more than rounding.
 ROUNDING = 1e-5
 LARGEST_SEED = 2**63
@@ -132,7 +136,14 @@ class Batch:
             self.episodes.draw_from(self.functional.play)
 
     def take_options(self, options: dict[str, Any] | None) -> None:
-        """Set the difficulty if the options of a reset have one (``difficulty``)."""
+        """Set the difficulty if the options of a reset have one (``difficulty``).
+
+        Raises:
+            UsageError: another option, or no difficulty.
+        """
+        for name in options or {}:
+            if name not in (*OPTIONS, IGNORED):
+                raise UsageError(f"reset: options has no '{name}'{did_you_mean(str(name), OPTIONS)}")
         if options and "difficulty" in options:
             self.set_difficulty(options["difficulty"])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,8 @@ class VecTask(VecEnv):  # type: ignore[misc]
     """Many episodes of a task as a vector environment of Stable-Baselines3, computed as one batch.
 
     An episode that ends is followed by the next in the same step; ``infos[i]`` of that step has
-    ``terminal_observation``, ``TimeLimit.truncated`` and what was really the case. Other infos are empty.
+    ``terminal_observation``, ``TimeLimit.truncated``, what was really the case, and ``episode``, from which
+    Stable-Baselines3 logs ``ep_rew_mean`` and ``ep_len_mean``. Other infos are empty.
 
     Args:
         scenario, num_envs, overrides, precision, render_mode: as of ``VectorTask``.
@@ -49,6 +51,8 @@ class VecTask(VecEnv):  # type: ignore[misc]
         self.render_mode = render_mode
         super().__init__(num_envs, self.tasks.single_observation_space, self.tasks.single_action_space)
         self._actions: Any = None
+        self._returns, self._lengths = np.zeros(num_envs), np.zeros(num_envs, np.int64)
+        self._begun = time.monotonic()
 
     def reset(self) -> Any:
         """Start all episodes, with the seed that was given last, and return what is seen."""
@@ -56,6 +60,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         given = None if any(seed is None for seed in seeds) else list(seeds)
         seen, infos = self.tasks.reset(seed=given)
         self.reset_infos = [_row(infos, i) for i in range(self.num_envs)]
+        self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
         return seen
@@ -72,13 +77,20 @@ class VecTask(VecEnv):  # type: ignore[misc]
         """
         seen, rewards, terminated, truncated, infos = self.tasks.step(self._actions)
         ended = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
         told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for i in map(int, np.flatnonzero(ended)):
             last = jax.tree.map(lambda leaf, i=i: leaf[i].copy(), infos["final_obs"])
             told[i] = _row(infos["final_info"], i) | {
-                "terminal_observation": last, "TimeLimit.truncated": bool(truncated[i] and not terminated[i])
+                "terminal_observation": last, "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "episode": {
+                    "r": float(self._returns[i]), "l": int(self._lengths[i]),
+                    "t": round(time.monotonic() - self._begun, 6),
+                },
             }  # fmt: skip
             self.reset_infos[i] = _row(infos, i)
+        self._returns[ended], self._lengths[ended] = 0.0, 0
         return seen, rewards.astype(np.float32), ended, told
 
     def get_images(self) -> Sequence[Array | None]:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qrsim.core.sameness import sameness
@@ -57,12 +56,20 @@ class Rollout:
     numbers: Array
     vehicles: tuple[str, ...]
 
+    def __iter__(self) -> Iterator[str]:
+        """Return the names of the metrics, one after the other."""
+        return iter(self.metrics)
+
     def __getitem__(self, name: str) -> Array:
         """Return a metric, (W, n).
 
         Raises:
             UsageError: no metric has this name.
         """
+        if not isinstance(name, str):
+            raise UsageError(
+                f"a rollout has metrics by name, each (W, n), and no number {name!r:.40}; such as flown['flown_s']"
+            )
         if name not in self.metrics:
             raise UsageError(f"no metric is called '{name}'{did_you_mean(name, self.metrics)}")
         return self.metrics[name]
@@ -193,9 +200,15 @@ def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool,
     which = tuple(
         any(not np.array_equal(column[0], other, equal_nan=True) for other in column[1:]) for column in columns
     )
-    fixed = [jnp.asarray(column[0]) for column, varies in zip(columns, which, strict=True) if not varies]
+    fixed = [_on_host(column[0]) for column, varies in zip(columns, which, strict=True) if not varies]
     varied = [np.stack(column) for column, varies in zip(columns, which, strict=True) if varies]
     return structure, fixed, varied, which
+
+
+def _on_host(leaf: Any) -> Any:
+    """Return a leaf as NumPy's array of a type that JAX computes with; JAX itself would compile for that."""
+    array = np.asarray(leaf)
+    return np.asarray(array, jax.dtypes.canonicalize_dtype(array.dtype))
 
 
 def _other_arrays(one: World, other: World) -> str:

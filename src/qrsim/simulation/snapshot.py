@@ -16,6 +16,7 @@ import numpy as np
 from qrsim.control import MissionState, RouteState
 from qrsim.engine.layout import Buffers, Packer
 from qrsim.errors import RunError, UsageError
+from qrsim.files.atomic import write_atomically
 from qrsim.models.gnss.receivers import SharedSky
 from qrsim.models.gnss.slots import SlottedSky
 from qrsim.models.gnss.sp3 import Sp3Orbits
@@ -282,7 +283,7 @@ def write(path: str | Path, data: bytes) -> None:
         RunError: it cannot be written.
     """
     try:
-        Path(path).write_bytes(data)
+        write_atomically(Path(path), data)
     except OSError as error:
         raise RunError(f"cannot write the saved state {path}: {error.strerror or error}") from None
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files.atomic import write_atomically
 from qrsim.scenarios.reading import dump_yaml
 from qrsim.sweep import analysis
 from qrsim.sweep.axes import COUNT, apply, overrides
@@ -129,7 +130,7 @@ def _write_scenarios(report: Report, folder: Path) -> list[str]:
         for path, value in counts.items():
             apply(contents[name], path, value)
     for name, content in contents.items():
-        (folder / name).write_text(dump_yaml(content), "utf-8")
+        write_atomically(folder / name, dump_yaml(content).encode())
     return list(contents)
 
 
@@ -151,7 +152,7 @@ def write(report: Report, folder: Path, form: str = "png") -> list[Path]:
     for name, draw in pictures.items():
         save_picture(draw, folder / name)
     scenarios = _write_scenarios(report, folder)
-    (folder / "report.json").write_text(json.dumps(to_json(report, folder), indent=2) + "\n", "utf-8")
+    write_atomically(folder / "report.json", f"{json.dumps(to_json(report, folder), indent=2)}\n".encode())
     return [folder / name for name in (*pictures, *scenarios, "report.json")]
 
 
