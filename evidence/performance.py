@@ -89,7 +89,8 @@ def peers() -> dict[str, Any]:
 def light() -> dict[str, Any]:
     """Return the CPU seconds of a plain run and of compiling, over those of importing JAX."""
     keys = ("cpu_s", "over_import_jax", "real_time_factor")
-    return {NAMES_OF_LIGHT[row["what"]]: {key: row[key] for key in keys} for row in printed("light")}
+    rows = printed("light")
+    return {NAMES_OF_LIGHT[row["what"]]: {key: row[key] for key in keys if row[key] is not None} for row in rows}
 
 
 def memory(ticks: int) -> dict[str, Any]:

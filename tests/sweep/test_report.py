@@ -66,6 +66,17 @@ def test_a_share_has_an_exact_interval() -> None:
     np.testing.assert_allclose(analysis.share_interval(0.4, np.full(10, 0.4) + [0, 1e-6] * 5, 50)[0], 0.245, atol=0.01)
 
 
+def test_each_level_has_its_rate_of_failure(tmp_path: Path) -> None:
+    """Winds of which the strongest stops every flight, and the others none."""
+    failure = {"metric": "tracking_error_rms_m", "above": 2.5}
+    results = Results(made(tmp_path, lambda wind, mass, noise: wind, seeds=10, failure=failure))
+    found = analysis.failures(results, results.parameters["wind"])
+    np.testing.assert_array_equal(found.parameter.levels, [0.0, 2.0, 4.0])
+    np.testing.assert_array_equal(found.mean, [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(found.high[0], 0.30850, atol=1e-5)
+    np.testing.assert_allclose(found.low[-1], 1.0 - 0.30850, atol=1e-5)
+
+
 @pytest.mark.long
 def test_no_interval_leaves_its_metric_and_shares_stay_above_0(tmp_path: Path) -> None:
     # Next to 0 in most episodes: Student's t would go below it.

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.errors import UsageError
 from qrsim.models.vehicles.expression_quadrotor import value_at
 from qrsim.models.vehicles.quadrotor import (
     COMMAND_LIMITS,
@@ -18,6 +19,8 @@ from qrsim.models.vehicles.quadrotor import (
 )
 from qrsim.scenarios import catalogue as known
 from qrsim.scenarios.air import air_warnings
+from qrsim.scenarios.build import component
+from qrsim.scenarios.ground import bounds_of, top_of
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.wind_limits import voltages, wind_warnings
@@ -39,6 +42,7 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield a warning for each part that cannot fly, its path first; ``scenario`` has no problems."""
     yield from air_warnings(scenario)
     yield from _sky(scenario)
+    yield from _wind(scenario)
     for name, fleet in scenario.fleets.items():
         path = f"fleets.{name}"
         # The constants are those of the identified model; of a vehicle from outside they mean what they mean there.
@@ -64,6 +68,17 @@ def _sky(scenario: ScenarioSpec) -> Iterator[str]:
             f"world.sky.errors.std: {std:g} m for each satellite, so that fixes are off by more than that; receivers "
             "today have about 1 m; use error_budget, or a smaller std"
         )
+
+
+def _wind(scenario: ScenarioSpec) -> Iterator[str]:
+    """A wind that is known in a part of the area has elsewhere the value of its edge."""
+    try:
+        wind = component(scenario.world.wind, known.WINDS, scenario).at(scenario.duration)
+        found = wind.beyond(bounds_of(scenario.world.area), top_of(scenario.world.area))
+    except UsageError:
+        return
+    for words in found:
+        yield f"world.wind: {words}; beyond its edge the air has the edge's velocity"
 
 
 class _Constants:

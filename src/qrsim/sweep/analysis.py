@@ -97,6 +97,11 @@ def share_interval(share: float, shares: Array, count: int) -> tuple[float, floa
     return low, high
 
 
+def failures(results: Results, parameter: Parameter) -> Response:
+    """Compute the share of the episodes that failed at each level of a parameter, with its exact interval."""
+    return response(results, parameter, results.failed.astype(float))
+
+
 def heat_map(one: Parameter, other: Parameter, values: Array) -> Array:
     """Compute the mean of values (E,) at each pair of levels (L1, L2), NaN for a pair without episodes."""
     fine = np.isfinite(values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,9 +18,16 @@ NOT_FLOWN = "0.85"
 BAND = f"{100 * CONFIDENCE:.0f} % interval"
 
 
-def _title(results: Results, what: str) -> str:
+# Letters of a title in an inch of a figure.
+LETTERS_PER_INCH = 11
+
+
+def _name(figure: Figure, results: Results, what: str) -> None:
+    """Give a figure its title, in lines that are not wider than it."""
     some = "" if results.episodes == results.planned else f" of {results.planned}"
-    return f"{results.spec.name}: {what}\n{results.episodes}{some} episodes of {results.scenario['name']}"
+    text = f"{results.spec.name}: {what}\n{results.episodes}{some} episodes of {results.scenario['name']}"
+    width = int(LETTERS_PER_INCH * figure.get_figwidth())
+    figure.suptitle("\n".join(textwrap.fill(line, width) for line in text.split("\n")), fontsize=11)
 
 
 def _metric(results: Results, name: str) -> str:
@@ -80,7 +88,7 @@ def draw_responses(results: Results, metrics: Sequence[str], found: dict[str, li
         axes.set_xlabel(parameter.label)
         _scale(axes, parameter)
         _name_levels(axes.xaxis, parameter)
-    figure.suptitle(_title(results, f"mean over all other parameters and seeds, with its {BAND}"), fontsize=11)
+    _name(figure, results, f"mean over all other parameters and seeds, with its {BAND}")
     return figure
 
 
@@ -90,7 +98,7 @@ def draw_map(results: Results, pair: tuple[Parameter, Parameter], metric: str) -
     axes = figure.subplots()
     image = _mesh(axes, pair, heat_map(*pair, results.metric(metric)), "viridis")
     figure.colorbar(image, ax=axes, label=_metric(results, metric))
-    figure.suptitle(_title(results, f"mean {metric}"), fontsize=11)
+    _name(figure, results, f"mean {metric}")
     return figure
 
 
@@ -135,7 +143,7 @@ def draw_boundary(results: Results, found: Boundary, pair: tuple[Parameter, Para
                           linestyles=["dotted", "solid", "dashed"])  # fmt: skip
     axes.clabel(curves, fmt=lambda part: f"{100 * part:.0f} %")
     others = " (the others at their middle)" if len(found.parameters) > 2 else ""
-    figure.suptitle(_title(results, f"failed: {results.failure}\nlines: logistic fit{others}"), fontsize=11)
+    _name(figure, results, f"failed: {results.failure}\nlines: logistic fit{others}")
     return figure
 
 
@@ -172,7 +180,7 @@ def _failure_curves(results: Results, found: Boundary) -> Figure:
         axes.grid(alpha=0.3)
     panels[0].set_ylabel("part of the episodes that failed")
     panels[0].legend(fontsize=8)
-    figure.suptitle(_title(results, f"failed: {results.failure}"), fontsize=11)
+    _name(figure, results, f"failed: {results.failure}")
     return figure
 
 
@@ -206,5 +214,5 @@ def draw_sensitivity(results: Results, found: Sensitivity, metric: str) -> Figur
     axes.set(xlabel=f"part of the variance of the mean {metric}, with its {BAND}")
     axes.grid(alpha=0.3, axis="x")
     axes.legend(fontsize=8)
-    figure.suptitle(_title(results, f"Sobol indices of {metric}"), fontsize=11)
+    _name(figure, results, f"Sobol indices of {metric}")
     return figure

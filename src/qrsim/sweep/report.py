@@ -161,21 +161,22 @@ def to_json(report: Report, folder: Path) -> dict[str, Any]:
     results, boundary, indices = report.results, report.boundary, report.sensitivity
     found: dict[str, Any] = {**results.summary(), "metric": report.metric}
     found["responses"] = {
-        metric: {
-            item.parameter.name: {
-                "levels": item.parameter.levels.tolist(),
-                "mean": _plain(item.mean),
-                "low": _plain(item.low),
-                "high": _plain(item.high),
-            }
-            for item in items
-        }
+        metric: {item.parameter.name: _response_json(item) for item in items}
         for metric, items in report.responses.items()
+    }
+    found["failures"] = {
+        parameter.name: _response_json(analysis.failures(results, parameter))
+        for parameter in results.parameters.values()
     }
     found["boundary"] = boundary if isinstance(boundary, str) else _boundary_json(boundary)
     found["sensitivity"] = indices if isinstance(indices, str) else _sensitivity_json(indices)
     found["worst"] = [_worst_json(report, episode, folder) for episode in report.worst]
     return found
+
+
+def _response_json(item: analysis.Response) -> dict[str, Any]:
+    numbers = {name: _plain(getattr(item, name)) for name in ("mean", "low", "high")}
+    return {"levels": item.parameter.levels.tolist(), **numbers}
 
 
 def _boundary_json(found: analysis.Boundary) -> dict[str, Any]:
@@ -221,13 +222,15 @@ def print_report(report: Report, folder: Path) -> None:
     some = "" if results.episodes == results.planned else f" of {results.planned} planned"
     print(f"{summary['study']}: {results.episodes} episodes{some} at {summary['points']} points")
     print(f"failed ({results.failure}): {summary['failed']} ({100 * summary['failed'] / results.episodes:.1f} %)\n")
+    for parameter in results.parameters.values():
+        _print_response(analysis.failures(results, parameter), f"share with {results.failure}")
+    unit = results.unit(report.metric)
     for item in report.responses[report.metric]:
-        _print_response(report, item)
+        _print_response(item, f"{report.metric}{'' if unit == '1' else f' [{unit}]'}")
     print("half of the episodes fail at (logistic fit, the other parameters at their middle):")
     _print_boundary(report.boundary)
     print("\nSobol indices (part of the variance, alone and with others):")
     _print_sensitivity(report.sensitivity)
-    unit = results.unit(report.metric)
     side = "smallest" if results.low_is_bad(report.metric) else "largest"
     print(f"\nworst episodes ({side} {report.metric}{'' if unit == '1' else f' [{unit}]'})")
     values = results.metric(report.metric)
@@ -248,9 +251,8 @@ def _value(value: Any) -> str:
     return text if len(text) <= 30 else f"{text[:27]}..."
 
 
-def _print_response(report: Report, item: analysis.Response) -> None:
-    unit = report.results.unit(report.metric)
-    print(f"{item.parameter.label:<28} {report.metric}{'' if unit == '1' else f' [{unit}]'}, 95 % interval")
+def _print_response(item: analysis.Response, what: str) -> None:
+    print(f"{item.parameter.label:<28} {what}, 95 % interval")
     for level, *numbers in zip(item.parameter.levels, item.mean, item.low, item.high, strict=True):
         name = f"{level:.4g}" if item.parameter.numeric else str(level)[:26]
         mean, low, high = ("-" if np.isnan(number) else f"{number:.4g}" for number in numbers)

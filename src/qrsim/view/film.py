@@ -209,7 +209,7 @@ class _Film:
         frame = self._recording.frame(time)
         remember_paths(self._scene, self._recording, frame.time)
         self._scene.draw(frame, everything)
-        flying = int(frame.valid.sum())
+        flying = int((frame.valid & self._recording.cast.fliers).sum())
         if not self._flying or self._flying[-1][1] != flying:
             self._flying.append((frame.time, flying))
         return np.nan_to_num(frame.position_ned)
@@ -250,6 +250,7 @@ class _Film:
                 {"title": layer.label, "path": layer.path, "shown": self._shown[t]} for t, layer in layers.items()
             ],
             "flying": self._flying,
+            "fliers": int(recording.cast.fliers.sum()),
             "stops": [(event.time, i, recording.why(event)) for event, i in recording.stops],
             "quantities": recording.quantities,
             "units": _units(recording),

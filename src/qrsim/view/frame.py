@@ -116,6 +116,13 @@ class Cast:
         return [(kind, np.array([i for i, own in enumerate(each) if own == kind])) for kind in dict.fromkeys(each)]
 
     @property
+    def fliers(self) -> Floats:
+        """Which vehicles (n,) fly, bool: those that are neither cars nor masts."""
+        of_fleets = self.outlines or (None,) * (int(self.fleets.max(initial=0)) + 1)
+        flies = np.array([look is None or bool(look.rotors) or look.kind == "plane" for look in of_fleets])
+        return np.asarray(flies[self.fleets])
+
+    @property
     def true_span(self) -> float:
         """How large the largest of the vehicles is [m]."""
         spans = [

@@ -265,7 +265,8 @@ class Page:
 
     def _say(self, frame: Frame) -> None:
         stopped = f", {len(frame.reasons)} stopped" if frame.reasons else ""
-        flying = f"{int(frame.valid.sum())} of {len(frame.valid)} vehicles fly{stopped}"
+        fliers = self.scene.cast.fliers
+        flying = f"{int((frame.valid & fliers).sum())} of {int(fliers.sum())} vehicles fly{stopped}"
         paused = "" if self.clock is None or self.clock.playing else " (paused)"
         frames = f"{self.drawn} frames drawn, {self.dropped() + self._delivery.missed} dropped"
         if (lag := self._delivery.lag_s) > NOTABLE_S:

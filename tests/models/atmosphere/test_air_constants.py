@@ -116,11 +116,12 @@ def test_an_area_may_be_a_millionth_larger() -> None:
     for south, north, top in ((9e-7, 0.0, 0.0), (0.0, 9e-7, 0.0), (0.0, 0.0, 9e-7)):
         part = wind.within((-100.0 - 20.0 * south, 20.0 * north, 0.0, 150.0), 110.0 * (1.0 + top))
         assert part.air_ned.x.shape == (1, 3, 6, 4)
+        assert wind.beyond((-100.0 - 20.0 * south, 20.0 * north, 0.0, 150.0), 110.0 * (1.0 + top)) == []
     for south, north in ((1.1e-6, 0.0), (0.0, 1.1e-6)):
-        with pytest.raises(UsageError, match="covers -100 to 0 m north"):
-            wind.within((-100.0 - 20.0 * south, 20.0 * north, 0.0, 150.0), 110.0)
-    with pytest.raises(UsageError, match="reaches up to 110 m"):
-        wind.within(None, 110.0 * (1.0 + 1.1e-6))
+        (words,) = wind.beyond((-100.0 - 20.0 * south, 20.0 * north, 0.0, 150.0), 110.0)
+        assert "covers -100 to 0 m north" in words
+    (words,) = wind.beyond(None, 110.0 * (1.0 + 1.1e-6))
+    assert "reaches up to 110 m" in words
 
 
 def written(folder: Path, times: int, x: Floats) -> str:

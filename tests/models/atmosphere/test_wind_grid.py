@@ -120,10 +120,18 @@ def test_only_what_the_area_needs_is_kept(whole):
     assert part.air_ned.x.shape == (3, 5, 4, 3)
     places = np.array([[-100.0, 20.0, 50.0], [90.0, 180.0, 3.0], [0.0, 101.0, 119.0]])
     np.testing.assert_allclose(blown(part, places, 60.0), expected(places, 60.0), rtol=0.0, atol=1e-4)
-    with pytest.raises(UsageError, match=re.escape("covers -200 to 200 m north; world.area asks for -100 to 201 m")):
-        wind.within((-100.0, 201.0, 20.0, 180.0), None)
-    with pytest.raises(UsageError, match=re.escape("reaches up to 130 m; world.area reaches up to 131 m")):
-        wind.within(None, 131.0)
+    assert wind.beyond((-100.0, 200.0, 20.0, 180.0), 130.0) == []
+    north, up = wind.beyond((-100.0, 201.0, 20.0, 180.0), 131.0)[::-1]
+    assert north.endswith("covers -200 to 200 m north; world.area asks for -100 to 201 m")
+    assert up.endswith("reaches up to 130 m; world.area reaches up to 131 m")
+    # Beyond, the air has the edge's velocity: at 250 m north and 200 m up that of 200 m north and 130 m.
+    wide = wind.within((-100.0, 260.0, 20.0, 180.0), 300.0)
+    beyond = blown(wide, np.array([[250.0, 100.0, 200.0]]), 60.0)
+    np.testing.assert_allclose(beyond, expected(np.array([[200.0, 100.0, 130.0]]), 60.0), rtol=0.0, atol=1e-4)
+    with pytest.raises(
+        UsageError, match=re.escape("covers -200 to 200 m north, none of world.area, which is 300 to 400")
+    ):
+        wind.within((300.0, 400.0, 20.0, 180.0), None)
 
 
 def test_the_largest_speed_at_a_height(whole):

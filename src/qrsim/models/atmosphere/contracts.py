@@ -54,9 +54,13 @@ class Wind(Protocol):
             top: greatest height [m] over the origin that the area allows, None where it allows any.
 
         Raises:
-            UsageError: it is not known in all of the area.
+            UsageError: it is known nowhere in the area.
         """
         return self
+
+    def beyond(self, bounds: Bounds | None, top: float | None) -> list[str]:
+        """Return where an area reaches beyond what is known of the wind, in sentences; arguments as of ``within``."""
+        return []
 
     @abstractmethod
     def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array, *args: Any, **reads: Any) -> Vec3:

@@ -85,11 +85,8 @@ class WindGrid(Wind):
         """Return the part of the grid that an area needs.
 
         Raises:
-            UsageError: it does not cover the area, or is too large there.
+            UsageError: it lies beside the area, or is too large there.
         """
-        levels = np.asarray(self.levels)
-        if top is not None and top > levels[-1] + 1e-6 * (levels[-1] - levels[0]):
-            raise UsageError(f"{self.file}: reaches up to {levels[-1]:.6g} m; world.area reaches up to {top:.6g} m")
         limits = (None, None) if bounds is None else (bounds[:2], bounds[2:])
         rows, columns = (self._needed(axis, each) for axis, each in enumerate(limits))
         whole: Any = self.air_ned
@@ -102,6 +99,23 @@ class WindGrid(Wind):
         )
         return replace(self, air_ned=air, corner=begins).averaged()
 
+    def beyond(self, bounds: Bounds | None, top: float | None) -> list[str]:
+        """Return where an area reaches beyond the grid, one sentence each: there the air has the edge's velocity."""
+        levels, found = np.asarray(self.levels), []
+        if top is not None and top > levels[-1] + 1e-6 * (levels[-1] - levels[0]):
+            found.append(f"{self.file}: reaches up to {levels[-1]:.6g} m; world.area reaches up to {top:.6g} m")
+        for axis, name in enumerate(("north", "east") if bounds is not None else ()):
+            assert bounds is not None
+            limits = bounds[2 * axis : 2 * axis + 2]
+            first, last, count = self._rows(axis, limits)
+            if first < 0.0 or last > count - 1:
+                low, step = float(self.corner[axis]), float(self.spacing[axis])
+                found.append(
+                    f"{self.file}: covers {low:.6g} to {low + (count - 1) * step:.6g} m {name}; world.area asks for "
+                    f"{limits[0]:.6g} to {limits[1]:.6g} m"
+                )
+        return found
+
     def largest_speed(self, height: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         """Return the largest horizontal speed [m/s] anywhere and at any time at heights of any shape [m]."""
         speed = np.hypot(np.asarray(self.air_ned.x), np.asarray(self.air_ned.y))
@@ -112,17 +126,21 @@ class WindGrid(Wind):
         count = self.air_ned.x.shape[2 + axis]
         if limits is None:
             return slice(0, count)
+        first, last, _ = self._rows(axis, limits)
+        if last < -1e-5 or first > count - 1 + 1e-5:  # not on its edge either
+            low, step, name = float(self.corner[axis]), float(self.spacing[axis]), ("north", "east")[axis]
+            raise UsageError(
+                f"{self.file}: covers {low:.6g} to {low + (count - 1) * step:.6g} m {name}, none of world.area, which "
+                f"is {limits[0]:.6g} to {limits[1]:.6g} m; see origin_north and origin_east"
+            )
+        begin = min(max(math.floor(first), 0), count - 2)
+        return slice(begin, min(max(math.ceil(last) + 1, begin + 2), count))
+
+    def _rows(self, axis: int, limits: tuple[float, ...]) -> tuple[float, float, int]:
+        """Return the first and last row or column of an area, in spacings from the first, and how many there are."""
         low, step = float(self.corner[axis]), float(self.spacing[axis])
         # An edge of the area may be a rounding error beyond that of the grid.
-        first, last = (limits[0] - low) / step + 1e-6, (limits[1] - low) / step - 1e-6
-        if first < 0.0 or last > count - 1:
-            name = ("north", "east")[axis]
-            raise UsageError(
-                f"{self.file}: covers {low:.6g} to {low + (count - 1) * step:.6g} m {name}; world.area asks for "
-                f"{limits[0]:.6g} to {limits[1]:.6g} m"
-            )
-        begin = min(math.floor(first), count - 2)
-        return slice(begin, max(math.ceil(last) + 1, begin + 2))
+        return (limits[0] - low) / step + 1e-6, (limits[1] - low) / step - 1e-6, self.air_ned.x.shape[2 + axis]
 
     def _level(self, height: Array) -> tuple[Array, Array]:
         """Return the level (n,) below heights (n,), and how far they are to the next, 0 to 1."""

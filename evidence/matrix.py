@@ -1,0 +1,160 @@
+"""Which shipped vehicle completes which flight in which wind, by all controllers that suit it and on both sensor sets.
+
+A flight is completed if the vehicle does not stop and is at the end of its route. A flight is possible where the check
+of the scenario, when it is loaded, does not warn of the wind.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+import qrsim
+from qrsim.world.state import State
+
+DOC = "vehicles x controllers x winds x sensors x routes: share of flights completed, and tracking error"
+SEED = 20261126
+WINDS = (0.0, 3.0, 6.0, 9.0)
+SEEDS = 3
+OWN: dict[str, Any] = {
+    "mass": 1.2, "arm": 0.225, "rotors": 4, "hover_throttle": 0.5, "thrust_to_weight": 2.2, "attitude_bandwidth": 8.0,
+}  # fmt: skip
+VEHICLES: dict[str, dict[str, Any]] = {
+    "pelican": {"vehicle": "pelican", "ground": "parked"},
+    "x500": {"vehicle": {"type": "multirotor", "model": "x500"}},
+    "hexa4": {"vehicle": {"type": "multirotor", "model": "hexa4"}},
+    "hummingbird": {"vehicle": {"type": "multirotor", "model": "hummingbird"}},
+    "crazyflie": {"vehicle": {"type": "multirotor", "model": "crazyflie"}},
+    "own": {"vehicle": {"type": "multirotor", "own": OWN}},
+    "rover": {"vehicle": "rover"},
+    "fixed_wing": {"vehicle": "fixed_wing"},
+}
+CONTROLLERS = {"pelican": ("cascade", "waypoint"), "rover": ("rover",), "fixed_wing": ("fixed_wing",)}
+HEIGHT = 20.0
+# Duration of a route [s].
+ROUTES = {"hover": 30.0, "short_legs": 60.0, "long_legs": 120.0, "take_off_and_land": 90.0}
+SENSORS: dict[str, Any] = {
+    "ideal": {
+        "gnss": "ideal_gnss", "barometer": "ideal_barometer", "attitude": "ideal_attitude",
+        "gyroscope": "ideal_gyroscope", "accelerometer": "ideal_accelerometer", "airspeed": "ideal_airspeed",
+    },
+    "noisy": {
+        "gnss": {"type": "gnss", "preset": "f9p_single"}, "imu": {"type": "imu", "preset": "icm42688p"},
+        "magnetometer": "magnetometer", "barometer": "barometer", "airspeed": "airspeed",
+    },
+}  # fmt: skip
+
+
+def square(side: float, down: float) -> list[list[float]]:
+    """Return the corners of a square [m], NED, the start last."""
+    return [[side, 0.0, down], [side, side, down], [0.0, side, down], [0.0, 0.0, down]]
+
+
+def vehicle_of(kind: str, controller: str, route: str) -> dict[str, Any]:
+    """Return start and route of a vehicle."""
+    if kind == "rover":
+        sides = {"hover": [], "short_legs": square(5.0, 0.0)}.get(route, square(30.0, 0.0))
+        return {"position_ned": [0.0, 0.0, 0.0], "waypoints_ned": sides}
+    if kind == "fixed_wing":
+        sides = {"hover": [], "short_legs": square(300.0, -80.0)[:2]}.get(route, square(500.0, -80.0)[:3])
+        return {"position_ned": [0.0, 0.0, -80.0], "waypoints_ned": sides}
+    if route == "take_off_and_land" and controller != "waypoint":
+        legs = [{"type": "take_off", "height": HEIGHT}, {"to_ned": [40.0, 0.0, -HEIGHT]}, {"type": "land"}]
+        return {"position_ned": [0.0, 0.0, 0.0], "on_ground": True, "legs": legs}
+    sides = {"hover": [], "short_legs": square(5.0, -HEIGHT)}.get(route, square(60.0, -HEIGHT))
+    return {"position_ned": [0.0, 0.0, -HEIGHT], "waypoints_ned": sides}
+
+
+def scenario(kind: str, controller: str, sensors: str, route: str, wind: float) -> tuple[Any, bool]:
+    """Return a scenario, and whether its check calls the flight possible."""
+    fleet: dict[str, Any] = {**VEHICLES[kind], "controller": {"type": controller}}
+    if controller == "cascade":
+        fleet["guidance"] = {"type": "mission"}
+    elif controller == "waypoint":
+        fleet["guidance"], fleet["controller"] = {"type": "route", "repeat": False}, {"type": controller}
+    chosen = {name: part for name, part in SENSORS[sensors].items() if kind == "fixed_wing" or name != "airspeed"}
+    if controller in ("waypoint", "rover", "fixed_wing"):
+        # They are fed with measured attitudes.
+        chosen["attitude"] = "ideal_attitude" if sensors == "ideal" else "attitude_estimator"
+    elif sensors == "noisy":
+        fleet["estimator"] = {"type": "ekf", "accelerometer_bias_std": 0.25}
+    blows: dict[str, Any] = {}
+    if wind or kind != "rover":
+        blows = {
+            "wind": {"type": "log_shear", "speed_20ft": wind, "wind_from_deg": 225.0},
+            "turbulence": "dryden_field",
+        }
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        made = qrsim.make_scenario(
+            [vehicle_of(kind, controller, route)],
+            name=f"{kind}_{route}", duration=ROUTES[route], sensors=chosen,
+            area={"type": "box", "x_min": -2000.0, "x_max": 2000.0, "y_min": -2000.0, "y_max": 2000.0},
+            **fleet, **blows,
+        )  # fmt: skip
+    return made, not any("carried away" in str(each.message) for each in told)
+
+
+def progress(state: State) -> Any:
+    """Return how many waypoints or legs each vehicle has reached."""
+    return state.fleets[0].guidance.reached
+
+
+def flights(kind: str, controller: str, sensors: str, route: str, winds: tuple[float, ...], seeds: int) -> list[Any]:
+    """Return a row for each wind."""
+    made = [scenario(kind, controller, sensors, route, wind) for wind in winds]
+    ticks = round(ROUTES[route] / made[0][0].spec.time_step)
+    worlds = [each.world() for each, _ in made for _ in range(seeds)]
+    numbers = [SEED + seed for _ in made for seed in range(seeds)]
+    flown = qrsim.rollout(worlds, ticks=ticks, seeds=numbers, record=progress, record_every=ticks)
+    wanted = len(vehicle_of(kind, controller, route).get("waypoints_ned", ()))
+    reached = np.asarray(flown.recorded)[:, -1, 0] >= wanted
+    done = (flown["reason"][:, 0] == 0) & (flown["unfinished"][:, 0] == 0) & reached
+    rows = []
+    for i, (_, possible) in enumerate(made):
+        own = slice(seeds * i, seeds * (i + 1))
+        error = float(np.nanmean(flown["tracking_error_rms_m"][own, 0]))
+        why = sorted({reason for world in range(own.start, own.stop) for reason in flown.reasons(world) if reason})
+        rows.append({
+            "vehicle": kind, "controller": controller, "sensors": sensors, "route": route, "wind_m_s": winds[i],
+            "possible": possible, "completed": int(done[own].sum()), "flights": seeds,
+            "tracking_error_m": round(error, 2) if np.isfinite(error) else None, "stopped": why[:2],
+        })  # fmt: skip
+    return rows
+
+
+def counted(rows: list[Any], kind: str, wind: float) -> dict[str, int]:
+    """Return how many flights of a vehicle in a wind there were, were possible, and of these were completed."""
+    own = [row for row in rows if (row["vehicle"], row["wind_m_s"]) == (kind, wind)]
+    possible = [row for row in own if row["possible"]]
+    return {
+        "flights": sum(row["flights"] for row in own),
+        "possible": sum(row["flights"] for row in possible),
+        "completed": sum(row["completed"] for row in possible),
+    }
+
+
+def run(full: bool) -> dict[str, Any]:
+    """Return all rows, the possible flights that were not completed, and shares by vehicle and wind."""
+    kinds = tuple(VEHICLES) if full else ("pelican", "hexa4")
+    routes = tuple(ROUTES) if full else ("take_off_and_land",)
+    winds, seeds = (WINDS, SEEDS) if full else ((0.0, 6.0), 1)
+    rows = [
+        row
+        for kind in kinds
+        for controller in CONTROLLERS.get(kind, ("cascade",))[: None if full else 1]
+        for sensors in (SENSORS if full else ("noisy",))
+        for route in routes
+        for row in flights(kind, controller, sensors, route, winds, seeds)
+    ]
+    possible = [row for row in rows if row["possible"]]
+    return {
+        "flights": sum(row["flights"] for row in rows),
+        "possible": sum(row["flights"] for row in possible),
+        "completed_of_possible": sum(row["completed"] for row in possible),
+        "failed": [row for row in possible if row["completed"] < row["flights"]],
+        "by_vehicle": {kind: {f"wind_{wind:g}": counted(rows, kind, wind) for wind in winds} for kind in kinds},
+        "rows": rows,
+    }  # fmt: skip
