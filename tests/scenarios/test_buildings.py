@@ -100,6 +100,14 @@ def test_who_starts_or_flies_into_a_building_is_told_which(written: Written) -> 
             "feature 0: Hole lies outside shell at north 60 m, east 60 m; allowed: an outline that does not",
         ),
         (lambda w: w(feature(SQUARE[:2])), "feature 0: a ring has 2 corners; allowed: 3 to 1000"),
+        *(
+            (lambda w, kind=kind, c=c: w({**feature(SQUARE), "geometry": {"type": kind, "coordinates": c}}),
+             "feature 0: its coordinates are no rings of pairs of numbers")
+            for kind, c in (
+                ("Polygon", 7), ("Polygon", [None]), ("Polygon", [[[10**400, 0]] * 4]), ("MultiPolygon", [None]),
+                ("MultiPolygon", [[]]),
+            )
+        ),
         (lambda w: w(feature([["a", "b"]] * 4)), "feature 0: its coordinates are no rings of pairs of numbers"),
         (lambda w: w(feature(SQUARE, height=-3)), "feature 0: its height is -3 m; allowed: above 0, up to 1000"),
         (lambda w: w(feature(SQUARE, min_height=12)), "begins at 12 m, which is not below the height it gets, 9 m"),
@@ -146,11 +154,27 @@ def test_heights_are_read_as_people_write_them(written: Written) -> None:
     given: list[dict[str, Any]] = [
         {"height": "12,5"}, {"height": "30 ft"}, {"building:levels": "4"}, {"building:height": 7},
         {"height": "tall", "building:levels": 2}, {"building:levels": 3, "building:min_level": 1},
+        {"height": "39'4\""}, {"height": "30 Ft"}, {"building:levels": "1,2"},
+        {"building:levels": "2", "roof:levels": 1},
+        {"building:levels": "2", "roof:height": 2.5}, {"height": 0, "building:levels": 0}, {"height": 10**400},
     ]  # fmt: skip
     features = [feature(SQUARE, **properties) for properties in given]
     world = load_scenario(written(*features, start=(-9.0, 0.0, -3.0))).spec.world
-    assert [-round(prism.z_min, 3) for prism in world.obstacles] == [12.5, 9.144, 12.0, 7.0, 6.0, 9.0]
-    assert [-prism.z_max for prism in world.obstacles] == [0.0, 0.0, 0.0, 0.0, 0.0, 3.0]
+    assert [-round(prism.z_min, 3) for prism in world.obstacles] == [
+        12.5, 9.144, 12.0, 7.0, 6.0, 9.0, 11.989, 9.144, 6.0, 9.0, 8.5, 9.0, 9.0,
+    ]  # fmt: skip
+    assert [-prism.z_max for prism in world.obstacles] == [0.0, 0.0, 0.0, 0.0, 0.0, 3.0, *[0.0] * 7]
+
+
+def test_what_is_no_building_is_left_out_and_counted(written: Written) -> None:
+    point = {"type": "Feature", "geometry": {"type": "Point", "coordinates": [0, 0]}, "properties": {"building": "yes"}}
+    wood, house, none = (
+        feature(SQUARE, height=9, **tags) for tags in ({"natural": "wood"}, {"building": "yes"}, {"building": "no"})
+    )
+    words = r"left out: 2 are no buildings \(building=\*\), 1 are neither polygons nor multipolygons"
+    with pytest.warns(UserWarning, match=words):
+        scenario = load_scenario(written(wood, house, none, point, start=(-9.0, 0.0, -3.0)))
+    assert [prism.name for prism in scenario.spec.world.obstacles] == ["feature 1"]
 
 
 def test_prisms_in_a_scenario_are_checked_and_can_be_made_in_python() -> None:

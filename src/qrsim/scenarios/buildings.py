@@ -81,8 +81,10 @@ def _tell(file: str, found: BuildingsFile, default: float) -> None:
             f"{file}: {len(without)} of {len(found.buildings)} buildings have neither height nor building:levels (x "
             f"{STOREY:g} m): {who}taken to be {default:g} m high (world.buildings.default_height)"
         )
-    if found.skipped:
-        warn_user(f"{file}: {found.skipped} features are neither polygons nor multipolygons; they are left out")
+    reasons = [f"{found.others} are no buildings (building=*)"] if found.others else []
+    reasons += [f"{found.skipped} are neither polygons nor multipolygons"] if found.skipped else []
+    if reasons:
+        warn_user(f"{file}: of its features are left out: {', '.join(reasons)}")
 
 
 def _prism(building: Building, height: float, ground: Any) -> Any:

@@ -27,7 +27,10 @@ HIGHEST = 1000.0
 # How a file may name longitude and latitude; RFC 7946 knows no other coordinates.
 _DEGREES = re.compile(r"(CRS:?84|EPSG:+4326)$", re.IGNORECASE)
 _NUMBER = re.compile(r"\s*([0-9]+(?:[.,][0-9]+)?)\s*(m|ft|')?\s*$", re.IGNORECASE)
+_FEET = re.compile(r"""\s*([0-9]+)\s*'\s*([0-9]+(?:\.[0-9]+)?)\s*"\s*$""")
 _FOOT = 0.3048
+# What OpenStreetMap says of a building, and of a part of one.
+_TAGS = ("building", "building:part")
 
 
 @dataclass
@@ -54,10 +57,12 @@ class BuildingsFile:
     Attributes:
         buildings: in the order of the file.
         skipped: how many features are neither polygon nor multipolygon.
+        others: how many features are no buildings, in a file that says of some that they are.
     """
 
     buildings: list[Building] = field(default_factory=list)
     skipped: int = 0
+    others: int = 0
 
 
 def read_buildings(file: str, frame: str, site: Site) -> BuildingsFile:
@@ -84,12 +89,18 @@ def read_buildings(file: str, frame: str, site: Site) -> BuildingsFile:
     # Once, and not of each feature, where it is not installed.
     load("buildings", "a file of buildings", "shapely")
     found, problems = BuildingsFile(), []
+    tagged = any(_is_building(properties) for _, properties, _ in features)
     for name, properties, geometry in features:
         polygons = _polygons(geometry)
         found.skipped += not polygons
+        if tagged and not _is_building(properties):
+            found.others += bool(polygons)
+            continue
         for i, rings in enumerate(polygons):
             path = name if len(polygons) == 1 else f"{name}, polygon {i}"
             try:
+                if not isinstance(rings, list) or not rings:
+                    raise UsageError("its coordinates are no rings of pairs of numbers")
                 placed = [_placed(ring, frame, site) for ring in rings]
                 _check(placed, rings)
                 height, base = _heights(properties)
@@ -156,18 +167,23 @@ def _features(file: str, content: dict[str, Any]) -> Iterator[tuple[str, dict[st
         yield name, properties, geometry if isinstance(geometry, dict) else {}
 
 
+def _is_building(properties: dict[str, Any]) -> bool:
+    return any(properties.get(tag) not in (None, False, "", "no") for tag in _TAGS)
+
+
 def _polygons(geometry: dict[str, Any]) -> list[Any]:
-    """Return the polygons of a geometry, each a list of rings."""
-    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
-    if kind == "Polygon":
-        return [coordinates] if coordinates else []
-    if kind == "MultiPolygon":
-        return list(coordinates) if isinstance(coordinates, list) else []
-    if kind == "GeometryCollection":
-        parts = geometry.get("geometries")
-        return [p for part in (parts if isinstance(parts, list) else []) if isinstance(part, dict)
-                for p in _polygons(part)]  # fmt: skip
-    return []
+    """Return the polygons of a geometry, each a list of rings where the file is right."""
+    found, parts = [], [geometry]
+    while parts:
+        part = parts.pop()
+        kind, coordinates, inner = part.get("type"), part.get("coordinates"), part.get("geometries")
+        if kind == "Polygon" and coordinates:
+            found.append(coordinates)
+        elif kind == "MultiPolygon" and isinstance(coordinates, list):
+            found.extend(coordinates)
+        elif kind == "GeometryCollection" and isinstance(inner, list):
+            parts.extend(each for each in reversed(inner) if isinstance(each, dict))
+    return found
 
 
 def _points(geometry: dict[str, Any]) -> int:
@@ -182,7 +198,7 @@ def _placed(ring: Any, frame: str, site: Site) -> Ring:
     """Return the corners [north, east] [m] of a ring, without the last one, which is the first again."""
     try:
         corners = np.array([point[:2] for point in ring], np.float64)
-    except (TypeError, ValueError, KeyError):
+    except (TypeError, ValueError, KeyError, OverflowError):
         corners = np.zeros((0, 0))
     if corners.ndim != 2 or corners.shape[1:] != (2,) or not np.isfinite(corners).all():
         raise UsageError("its coordinates are no rings of pairs of numbers")
@@ -236,15 +252,19 @@ def _check(placed: list[Ring], written: Any) -> None:
 
 
 def _heights(properties: dict[str, Any]) -> tuple[float | None, float]:
-    """Return height and base [m] over the ground of a building; None where the file has no height."""
-    height = _length(properties, "height", "building:height")
-    levels = _length(properties, "building:levels", "levels")
-    if height is None and levels is not None:
-        height = levels * STOREY
+    """Return height and base [m] over the ground of a building; None where the file has no height.
+
+    The rules are those of OpenStreetMap's Simple 3D Buildings: ``height`` includes the roof, ``building:levels`` does
+    not. A height or a number of levels of 0 is none.
+    """
+    height = _length(properties, "height", "building:height") or None
+    levels = _levels(properties, "building:levels", "levels")
+    if height is None and levels:
+        roof = _length(properties, "roof:height")
+        height = levels * STOREY + ((_levels(properties, "roof:levels") or 0.0) * STOREY if roof is None else roof)
     base = _length(properties, "min_height", "building:min_height")
-    lowest = _length(properties, "building:min_level")
     if base is None:
-        base = 0.0 if lowest is None else lowest * STOREY
+        base = (_levels(properties, "building:min_level") or 0.0) * STOREY
     if height is not None and not 0.0 < height <= HIGHEST:
         raise UsageError(f"its height is {height:g} m; allowed: above 0, up to {HIGHEST:g}")
     if not 0.0 <= base < (math.inf if height is None else height):
@@ -256,14 +276,38 @@ def _length(properties: dict[str, Any], *names: str) -> float | None:
     """Return the first of some properties that is a number, of metres or feet; texts that are none do not count."""
     for name in names:
         value = properties.get(name)
-        if isinstance(value, bool) or value is None:
-            continue
-        if isinstance(value, int | float):
-            if not math.isfinite(value):
-                continue
-            return float(value)
+        number = _plain(value)
+        if number is not None:
+            return number
         match = _NUMBER.match(value) if isinstance(value, str) else None
         if match:
             number = float(match[1].replace(",", "."))
-            return number * _FOOT if match[2] in ("ft", "'", "FT") else number
+            return number * _FOOT if (match[2] or "").lower() in ("ft", "'") else number
+        match = _FEET.match(value) if isinstance(value, str) else None
+        if match:
+            return (float(match[1]) + float(match[2]) / 12.0) * _FOOT
     return None
+
+
+def _levels(properties: dict[str, Any], *names: str) -> float | None:
+    """Return the first of some properties that is a number of levels, or the largest of a list of them ("1,2")."""
+    for name in names:
+        value = properties.get(name)
+        number = _plain(value)
+        if number is not None:
+            return number
+        parts = re.split("[,;]", value) if isinstance(value, str) else []
+        if parts and all(re.fullmatch(r"\s*[0-9]{1,9}(\.[0-9]+)?\s*", part) for part in parts):
+            return max(float(part) for part in parts)
+    return None
+
+
+def _plain(value: Any) -> float | None:
+    """Return a finite number that a property is, or None."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
