@@ -120,6 +120,18 @@ def test_events(start: Start) -> None:
         run["events"]
 
 
+def test_another_stream_in_place_of_the_events_is_told(start: Start) -> None:
+    with start() as writer:
+        append_chunk(writer, 1)
+        writer.append_event(0.06, 3, None, "done")
+    for part in (writer.folder / "events").iterdir():
+        part.unlink()
+    for part in (writer.folder / "truth").iterdir():
+        (writer.folder / "events" / part.name).write_bytes(part.read_bytes())
+    with pytest.raises(RunError, match=r"events: holds no events; its columns are time, .*; expected time, tick, veh"):
+        _ = open_run(writer.folder).events
+
+
 def test_run_info(start: Start) -> None:
     with start() as writer:
         assert open_run(writer.folder).info.state == "running"

@@ -20,7 +20,7 @@ from qrsim.files.user_files import LARGEST_DATA, read_text
 from qrsim.files.yaml_text import parse_yaml
 from qrsim.runs.arrow import to_numpy
 from qrsim.runs.episodes import EPISODES_FILE, episode_folders, holds_episodes, which_one
-from qrsim.runs.layout import EVENTS, FORMAT, INDEX, RUN_FILE, SCENARIO_FILE, Column, Event, RunInfo
+from qrsim.runs.layout import EVENTS, FORMAT, INDEX, RUN_FILE, SCENARIO_FILE, Column, Event, RunInfo, stream_schema
 from qrsim.runs.parts import StreamParts
 
 _INFO = TypeAdapter(RunInfo)
@@ -153,7 +153,16 @@ class Run:
     @property
     def events(self) -> list[Event]:
         """All events in the order in which they were recorded; raises as table."""
-        return [Event(**row) for row in self.table(EVENTS).to_pylist()]
+        table = self.table(EVENTS)
+        expected = stream_schema(EVENTS, (), self.info)
+        if not table.schema.equals(expected, check_metadata=False):
+            raise RunError(
+                f"{self.folder / EVENTS}: holds no events; its columns are {', '.join(table.column_names)[:200]}; "
+                f"expected {', '.join(expected.names)}"
+            )
+        if any(table[name].null_count for name in ("time", "tick", "kind")):
+            raise RunError(f"{self.folder / EVENTS}: an event has no time, tick or kind")
+        return [Event(**row) for row in table.to_pylist()]
 
     def _stream_parts(self, stream: str) -> StreamParts:
         if stream not in self._parts:

@@ -222,6 +222,13 @@ BAD: dict[str, tuple[Callable[[str], str], int | None, str]] = {
     "no number": (replaced(FIFTH, "PG05", "PG  "), FIFTH, "'G  ' is no satellite"),
     "satellite twice": (replaced(FIFTH, "PG05", "PG04"), FIFTH, f"G04 has a position .* already, in line {FIFTH - 1}"),
     "no such month": (replaced(EPOCH, " 08 ", " 13 "), EPOCH, "is no epoch"),
+    "a year that no calendar has": (replaced(EPOCH, "2010", "9" * 30), EPOCH, "is no epoch"),
+    "the last year of all": (replaced(EPOCH, "2010 08 31", "9999 12 31"), EPOCH, "is no epoch"),
+    "a century later": (
+        replaced(line_of(TEXT, "*", 19), "2010", "2110"), line_of(TEXT, "*", 19),
+        "epoch 2110-.* is 350[0-9]{4} times 900 s, .*; allowed: 100000 epochs",
+    ),
+    "a number that is no digit": (replaced(FIFTH, "PG05", "PG0\u00b2"), FIFTH, "'G0.' is no satellite"),
     "no such hour": (replaced(EPOCH, " 16 ", " 25 "), EPOCH, "is no epoch"),
     "epoch twice": (
         replaced(EPOCH, " 16 15 ", " 16 00 "), EPOCH,

@@ -34,6 +34,9 @@ _LEAPING = ("UTC", "GLO")
 _MISSING_CLOCK_US = 999999.0
 # Outside these radii [km] lies no navigation satellite, but a damaged or misread line.
 _LEAST_RADIUS_KM, _LARGEST_RADIUS_KM = 6400.0, 100000.0
+MOST_EPOCHS = 100_000
+# Beyond the calendar's last day nothing can be added to a time.
+_LATEST = datetime(9999, 1, 1, tzinfo=GPS_EPOCH.tzinfo)
 _COORDINATES_END, _CLOCK_END, _MANOEUVRE = 46, 60, 78
 
 
@@ -207,7 +210,7 @@ def _header_satellites(lines: _Lines) -> set[str]:
             for entry in (text[i : i + 3].strip() for i in range(9, 60, 3)):
                 letter, digits = (entry[:1], entry[1:]) if entry[:1] in SYSTEMS else ("G", entry)
                 # Places that are not used hold 0.
-                if digits.strip().isdigit() and int(digits):
+                if digits.strip().isdecimal() and int(digits):
                     found.add(f"{letter}{int(digits):02}")
     return found
 
@@ -228,8 +231,8 @@ def _epoch_time(lines: _Lines, line: int, time_system: str) -> float:
         year, month, day, hour, minute = (int(word) for word in words[:5])
         (second,) = (float(word) for word in words[5:])
         midnight = datetime(year, month, day, tzinfo=GPS_EPOCH.tzinfo)
-        fits = 0 <= hour <= 24 and 0 <= minute <= 60 and 0.0 <= second < 61.0 and midnight >= GPS_EPOCH
-    except ValueError:
+        fits = 0 <= hour <= 24 and 0 <= minute <= 60 and 0.0 <= second < 61.0 and GPS_EPOCH <= midnight < _LATEST
+    except (ValueError, OverflowError):
         fits = False
     if not fits:
         lines.fail(line, f"'{lines.text[line - 1].strip()}' is no epoch; expected '*  YYYY MM DD hh mm ss.ssssssss'")
@@ -243,7 +246,7 @@ def _position(lines: _Lines, line: int) -> tuple[str, _Record]:
     """Return the satellite of a position line, and what the line says."""
     text = lines.text[line - 1].rstrip()
     letter, digits = text[1:2].strip() or "G", text[2:4].strip()
-    if letter not in SYSTEMS or not digits.isdigit():
+    if letter not in SYSTEMS or not digits.isdecimal():
         lines.fail(line, f"'{text[1:4]}' is no satellite; expected a number after one of {', '.join(SYSTEMS)}")
     name = f"{letter}{int(digits):02}"
     if len(text) < _COORDINATES_END:
@@ -276,6 +279,12 @@ def _grid(lines: _Lines, epochs: list[_Epoch]) -> tuple[int, list[int]]:
     places = []
     for epoch in epochs:
         places.append(round((epoch.gps_seconds - first) / step))
+        if places[-1] >= MOST_EPOCHS:
+            lines.fail(
+                epoch.line,
+                f"epoch {gps_text(epoch.gps_seconds)} is {places[-1]} times {step:g} s, the spacing of the epochs, "
+                f"after the first; allowed: {MOST_EPOCHS} epochs",
+            )
         if abs(epoch.gps_seconds - first - places[-1] * step) > 1e-5:
             lines.fail(
                 epoch.line,
